@@ -1,0 +1,1 @@
+//! DeepSHAP explanations and the verdict on them.

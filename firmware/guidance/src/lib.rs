@@ -1,0 +1,1 @@
+//! The guidance state machine: a pure transition table.

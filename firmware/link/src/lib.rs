@@ -1,0 +1,1 @@
+//! Sans-IO MAVLink: framing and the guidance computer's side of the protocol.

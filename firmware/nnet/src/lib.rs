@@ -1,0 +1,1 @@
+//! Frozen and trainable network layers on caller-owned buffers.

@@ -1,0 +1,32 @@
+//! Pilots: what turns a depth frame and a goal into an action.
+#![no_std]
+#![forbid(unsafe_code)]
+#![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
+
+/// What a pilot may look at in one step. All of it was checked (size, checksum, finite, fresh) before it got here.
+#[derive(Debug, Clone, Copy)]
+pub struct PilotInput<'a> {
+    /// Time of the step.
+    pub now_ns: Nanos,
+    /// The newest depth frame.
+    pub depth: &'a DepthFrame,
+    /// Distance and bearing to the goal.
+    pub goal: GoalRelative,
+    /// Attitude now (the frame's header has the one at capture).
+    pub attitude: Attitude,
+    /// Velocity now, level axes along the heading.
+    pub velocity_m_s: HeadingVector,
+    /// Height above home now, metres, positive up.
+    pub height_m: f32,
+}
+
+/// A pilot: one decision per step; no allocation, no panic, no clock.
+pub trait Pilot {
+    /// Decides. An output that is not finite is treated as a fault by the caller (explicit hold).
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action;
+
+    /// Forgets everything it remembered of earlier steps (a new flight, or after a gap in the frames).
+    fn reset(&mut self);
+}

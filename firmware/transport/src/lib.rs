@@ -1,0 +1,1 @@
+//! Depth frames and lockstep exchanges over iceoryx2 shared memory.

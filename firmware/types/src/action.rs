@@ -1,0 +1,94 @@
+//! What a pilot decides and what is sent to the vehicle.
+
+use crate::{AttitudeSample, HeadingVector, Kinematics, NedVector, wrap_pi};
+use core::f32::consts::PI;
+
+/// Both outputs of a pilot lie in ±1.5 (PAPER.md, "Actor").
+pub const ACTION_LIMIT: f32 = 1.5;
+/// One unit of the yaw output is 30 °/s (PAPER.md, "Action").
+pub const YAW_RATE_PER_UNIT_RAD_S: f32 = 30.0 * PI / 180.0;
+
+/// A pilot's decision in the paper's action units.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Action {
+    /// Forward velocity, metres per second, in ±[`ACTION_LIMIT`].
+    pub forward_m_s: f32,
+    /// Yaw output in ±[`ACTION_LIMIT`]; one unit is 30 °/s clockwise ([`YAW_RATE_PER_UNIT_RAD_S`]).
+    pub yaw: f32,
+}
+
+impl Action {
+    /// No motion.
+    pub const HOVER: Self = Self {
+        forward_m_s: 0.0,
+        yaw: 0.0,
+    };
+
+    /// Limits both outputs to ±[`ACTION_LIMIT`].
+    pub fn clipped(self) -> Self {
+        Self {
+            forward_m_s: self.forward_m_s.clamp(-ACTION_LIMIT, ACTION_LIMIT),
+            yaw: self.yaw.clamp(-ACTION_LIMIT, ACTION_LIMIT),
+        }
+    }
+
+    /// Whether both outputs are finite.
+    pub fn is_finite(self) -> bool {
+        self.forward_m_s.is_finite() && self.yaw.is_finite()
+    }
+
+    /// Yaw rate in radians per second, clockwise.
+    pub fn yaw_rate_rad_s(self) -> f32 {
+        self.yaw * YAW_RATE_PER_UNIT_RAD_S
+    }
+}
+
+/// What goes to the vehicle each step: SET_POSITION_TARGET_LOCAL_NED, frame 8, mask 0x5C7 (MAVLINK.md).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct VelocitySetpoint {
+    /// Velocity in level axes along the heading.
+    pub velocity_m_s: HeadingVector,
+    /// Yaw rate, clockwise seen from above.
+    pub yaw_rate_rad_s: f32,
+}
+
+impl VelocitySetpoint {
+    /// Hover: the explicit hold that answers every invalid, stale or missing input.
+    pub const HOLD: Self = Self {
+        velocity_m_s: HeadingVector::ZERO,
+        yaw_rate_rad_s: 0.0,
+    };
+
+    /// Whether all components are finite.
+    pub fn is_finite(self) -> bool {
+        self.velocity_m_s.is_finite() && self.yaw_rate_rad_s.is_finite()
+    }
+}
+
+/// Where to fly.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Goal {
+    /// Metres from the local origin; z is the height to fly at (down positive).
+    pub position_ned_m: NedVector,
+}
+
+/// The goal as the pilot sees it: the paper's two positional inputs.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct GoalRelative {
+    /// Horizontal distance in metres.
+    pub distance_m: f32,
+    /// Bearing relative to the heading, positive to the right, in (−π, π].
+    pub bearing_rad: f32,
+}
+
+impl Goal {
+    /// Distance and bearing of the goal from where the vehicle is.
+    pub fn relative_to(&self, kinematics: &Kinematics, attitude: &AttitudeSample) -> GoalRelative {
+        let to_goal = self.position_ned_m - kinematics.position_ned_m;
+        let bearing_ned_rad = libm::atan2f(to_goal.y, to_goal.x);
+        GoalRelative {
+            distance_m: to_goal.horizontal_norm(),
+            bearing_rad: wrap_pi(bearing_ned_rad - attitude.attitude.yaw_rad()),
+        }
+    }
+}

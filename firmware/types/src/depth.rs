@@ -1,0 +1,252 @@
+//! The depth frame: what the LiDAR saw, as the policy gets it.
+
+use crate::{Attitude, Nanos, NedVector};
+use core::f32::consts::PI;
+use twox_hash::XxHash3_64;
+
+/// Image rows; row 0 looks up, the last row down.
+pub const DEPTH_ROWS: usize = 128;
+/// Image columns; column 0 looks left, the last column right.
+pub const DEPTH_COLS: usize = 256;
+/// Values in one frame.
+pub const DEPTH_PIXELS: usize = DEPTH_ROWS * DEPTH_COLS;
+/// Range in metres that maps to 1.0 (PAPER.md, "Depth image").
+pub const DEPTH_FULL_SCALE_M: f32 = 100.0;
+/// Horizontal field of view: 120°, so that a pixel is square at 256 columns.
+pub const HORIZONTAL_FOV_RAD: f32 = 120.0 * PI / 180.0;
+/// Vertical field of view: 60°.
+pub const VERTICAL_FOV_RAD: f32 = 60.0 * PI / 180.0;
+/// Angle between neighbouring pixel centres, in both directions: 0.46875°.
+pub const PIXEL_PITCH_RAD: f32 = HORIZONTAL_FOV_RAD / DEPTH_COLS as f32;
+
+/// Bearing of a column's centre in the body frame, positive to the right. Column `c` may be fractional.
+#[inline]
+pub fn column_bearing_rad(c: f32) -> f32 {
+    (c + 0.5) * PIXEL_PITCH_RAD - 0.5 * HORIZONTAL_FOV_RAD
+}
+
+/// Elevation of a row's centre in the body frame, positive up. Row `r` may be fractional.
+#[inline]
+pub fn row_elevation_rad(r: f32) -> f32 {
+    0.5 * VERTICAL_FOV_RAD - (r + 0.5) * PIXEL_PITCH_RAD
+}
+
+/// What is known about a frame besides its pixels. Plain data with a fixed layout: it crosses shared memory.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[repr(C)]
+pub struct FrameHeader {
+    /// Time of capture.
+    pub stamp_ns: Nanos,
+    /// Counts frames of this publisher from 0.
+    pub sequence: u64,
+    /// Which sensor took it; a receiver accepts the one it was configured for.
+    pub sensor_id: u32,
+    /// Rows of the image; always [`DEPTH_ROWS`] in a valid frame.
+    pub rows: u16,
+    /// Columns of the image; always [`DEPTH_COLS`] in a valid frame.
+    pub cols: u16,
+    /// Estimated sensor position at capture, metres from home.
+    pub position_ned_m: NedVector,
+    /// Estimated sensor attitude at capture.
+    pub attitude: Attitude,
+    /// Keeps the layout free of padding.
+    pub reserved: u32,
+    /// [`DepthFrame::compute_checksum`] over all of the above and the pixels.
+    pub checksum: u64,
+}
+
+/// One depth image: range along each pixel's ray (not along the optical axis) divided by [`DEPTH_FULL_SCALE_M`],
+/// row-major. A pixel is the equirectangular direction of [`column_bearing_rad`] and [`row_elevation_rad`]. No return is 1.0.
+#[derive(Debug, Clone, PartialEq)]
+#[repr(C)]
+pub struct DepthFrame {
+    /// Stamp, sequence, pose.
+    pub header: FrameHeader,
+    /// `DEPTH_ROWS × DEPTH_COLS` normalised ranges in 0..=1.
+    pub depth: [f32; DEPTH_PIXELS],
+}
+
+/// Why a frame must not be used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FrameDefect {
+    /// Rows or columns are not the ones the policy was built for.
+    WrongSize {
+        /// Rows in the header.
+        rows: u16,
+        /// Columns in the header.
+        cols: u16,
+    },
+    /// Another sensor's frame.
+    WrongSensor {
+        /// Sensor in the header.
+        sensor_id: u32,
+    },
+    /// The checksum does not match: torn or altered in transit.
+    BadChecksum,
+    /// A pixel is NaN, infinite or outside 0..=1.
+    BadRange,
+    /// The pose at capture is not finite or its quaternion is not of unit length.
+    BadPose,
+}
+
+impl core::fmt::Display for FrameDefect {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::WrongSize { rows, cols } => {
+                write!(f, "frame is {rows} x {cols}, expected {DEPTH_ROWS} x {DEPTH_COLS}")
+            }
+            Self::WrongSensor { sensor_id } => write!(f, "frame is of sensor {sensor_id}"),
+            Self::BadChecksum => write!(f, "frame checksum does not match"),
+            Self::BadRange => write!(f, "frame holds a range that is not within 0..=1"),
+            Self::BadPose => write!(f, "frame's pose at capture is not valid"),
+        }
+    }
+}
+
+impl core::error::Error for FrameDefect {}
+
+impl DepthFrame {
+    /// A frame of no returns, with a valid size and checksum still unset.
+    pub const EMPTY: Self = Self {
+        header: FrameHeader {
+            stamp_ns: 0,
+            sequence: 0,
+            sensor_id: 0,
+            rows: DEPTH_ROWS as u16,
+            cols: DEPTH_COLS as u16,
+            position_ned_m: NedVector::ZERO,
+            attitude: Attitude::LEVEL_NORTH,
+            reserved: 0,
+            checksum: 0,
+        },
+        depth: [1.0; DEPTH_PIXELS],
+    };
+
+    /// xxHash3-64 over the header (checksum excluded) and the pixels' bits. Not a defence against an adversary, who can
+    /// recompute it: it catches torn, truncated and foreign memory.
+    pub fn compute_checksum(&self) -> u64 {
+        let h = &self.header;
+        let mut head = [0u8; 56];
+        let mut at = 0;
+        let mut put = |bytes: &[u8]| {
+            if let Some(slot) = head.get_mut(at..at + bytes.len()) {
+                slot.copy_from_slice(bytes);
+            }
+            at += bytes.len();
+        };
+        put(&h.stamp_ns.to_le_bytes());
+        put(&h.sequence.to_le_bytes());
+        put(&h.sensor_id.to_le_bytes());
+        put(&h.rows.to_le_bytes());
+        put(&h.cols.to_le_bytes());
+        for v in h.position_ned_m.to_array() {
+            put(&v.to_le_bytes());
+        }
+        for v in [h.attitude.w, h.attitude.x, h.attitude.y, h.attitude.z] {
+            put(&v.to_le_bytes());
+        }
+        // Hash in blocks through a stack buffer: f32 has no safe view as bytes without a dependency.
+        let mut hash = XxHash3_64::oneshot(&head);
+        let mut block = [0u8; 4096];
+        for chunk in self.depth.chunks(1024) {
+            for (b, v) in block.chunks_exact_mut(4).zip(chunk) {
+                b.copy_from_slice(&v.to_le_bytes());
+            }
+            hash = XxHash3_64::oneshot_with_seed(hash, &block);
+        }
+        hash
+    }
+
+    /// Sets the checksum; the publisher's last act.
+    pub fn seal(&mut self) {
+        self.header.checksum = self.compute_checksum();
+    }
+
+    /// Checks everything a receiver relies on: size, sensor, checksum, pose, every range.
+    ///
+    /// # Errors
+    /// The first [`FrameDefect`] found.
+    pub fn check(&self, sensor_id: u32) -> Result<(), FrameDefect> {
+        let h = &self.header;
+        if usize::from(h.rows) != DEPTH_ROWS || usize::from(h.cols) != DEPTH_COLS {
+            return Err(FrameDefect::WrongSize {
+                rows: h.rows,
+                cols: h.cols,
+            });
+        }
+        if h.sensor_id != sensor_id {
+            return Err(FrameDefect::WrongSensor { sensor_id: h.sensor_id });
+        }
+        if h.checksum != self.compute_checksum() {
+            return Err(FrameDefect::BadChecksum);
+        }
+        if !h.position_ned_m.is_finite() || !h.attitude.is_valid() {
+            return Err(FrameDefect::BadPose);
+        }
+        // NaN fails both comparisons' negation, so this form catches it.
+        if self.depth.iter().fold(false, |bad, v| bad | !(*v >= 0.0 && *v <= 1.0)) {
+            return Err(FrameDefect::BadRange);
+        }
+        Ok(())
+    }
+
+    /// Range in metres of pixel (`row`, `col`), or `None` outside the image.
+    #[inline]
+    pub fn range_m(&self, row: usize, col: usize) -> Option<f32> {
+        if col >= DEPTH_COLS {
+            return None;
+        }
+        self.depth.get(row * DEPTH_COLS + col).map(|v| v * DEPTH_FULL_SCALE_M)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sealed() -> DepthFrame {
+        let mut f = DepthFrame::EMPTY;
+        f.header.sensor_id = 7;
+        f.seal();
+        f
+    }
+
+    #[test]
+    fn a_sealed_frame_is_accepted_and_its_layout_has_no_padding() {
+        assert_eq!(sealed().check(7), Ok(()));
+        assert_eq!(core::mem::size_of::<FrameHeader>(), 64);
+        assert_eq!(core::mem::size_of::<DepthFrame>(), 64 + 4 * DEPTH_PIXELS);
+    }
+
+    #[test]
+    fn every_defect_has_its_name() {
+        let mut f = sealed();
+        f.header.rows = 64;
+        assert_eq!(f.check(7), Err(FrameDefect::WrongSize { rows: 64, cols: 256 }));
+        assert_eq!(sealed().check(8), Err(FrameDefect::WrongSensor { sensor_id: 7 }));
+        for tamper in [0, 1023, 1024, DEPTH_PIXELS - 1] {
+            let mut f = sealed();
+            f.depth[tamper] = 0.5;
+            assert_eq!(f.check(7), Err(FrameDefect::BadChecksum));
+        }
+        for bad in [f32::NAN, f32::INFINITY, -0.01, 1.01] {
+            let mut f = sealed();
+            f.depth[99] = bad;
+            f.seal();
+            assert_eq!(f.check(7), Err(FrameDefect::BadRange));
+        }
+        let mut f = sealed();
+        f.header.attitude.w = f32::NAN;
+        f.seal();
+        assert_eq!(f.check(7), Err(FrameDefect::BadPose));
+    }
+
+    #[test]
+    fn the_image_spans_the_field_of_view_symmetrically() {
+        let half = PIXEL_PITCH_RAD / 2.0;
+        assert!((column_bearing_rad(0.0) + HORIZONTAL_FOV_RAD / 2.0 - half).abs() < 1e-6);
+        assert!((column_bearing_rad(255.0) - HORIZONTAL_FOV_RAD / 2.0 + half).abs() < 1e-6);
+        assert!((row_elevation_rad(0.0) - VERTICAL_FOV_RAD / 2.0 + half).abs() < 1e-6);
+        assert!((row_elevation_rad(127.0) + VERTICAL_FOV_RAD / 2.0 - half).abs() < 1e-6);
+    }
+}

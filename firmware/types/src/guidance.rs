@@ -1,0 +1,207 @@
+//! Names of guidance states and of the reasons that move guidance between them; telemetry and log share them.
+
+/// Where guidance is. The numbers are telemetry (`NAMED_VALUE_FLOAT` "gd_state") and never change meaning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum GuidanceState {
+    /// Something needed is missing; nothing is sent to the vehicle.
+    #[default]
+    Standby = 0,
+    /// All inputs are good; waiting to be engaged; nothing is sent to the vehicle.
+    Ready = 1,
+    /// Handing over: streams zero setpoints while the vehicle arms, takes off and changes to its external mode.
+    Engaging = 2,
+    /// The pilot's action is sent.
+    Guided = 3,
+    /// Zero setpoints are sent while a named condition lasts, or at the goal.
+    Hold = 4,
+    /// The vehicle was told to land.
+    Land = 5,
+}
+
+impl GuidanceState {
+    /// All states, in the order of their numbers.
+    pub const ALL: [Self; 6] = [
+        Self::Standby,
+        Self::Ready,
+        Self::Engaging,
+        Self::Guided,
+        Self::Hold,
+        Self::Land,
+    ];
+
+    /// Lower-case name as it appears in STATUSTEXT, log and documentation.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Standby => "standby",
+            Self::Ready => "ready",
+            Self::Engaging => "engaging",
+            Self::Guided => "guided",
+            Self::Hold => "hold",
+            Self::Land => "land",
+        }
+    }
+
+    /// The state of a telemetry number.
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code)).copied()
+    }
+}
+
+/// A named condition that guidance acts on. The value is the bit in [`Reasons`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Reason {
+    /// No valid depth frame within the age limit.
+    StaleFrame = 0,
+    /// A frame arrived and was refused (size, sensor, checksum, range, pose).
+    BadFrame = 1,
+    /// Position or attitude older than the age limit, or never received.
+    StaleTelemetry = 2,
+    /// The vehicle's heartbeat is missing.
+    LinkLost = 3,
+    /// A value that decides motion is NaN or infinite.
+    NotFinite = 4,
+    /// The vehicle left its external mode by itself or by another's command.
+    ModeLost = 5,
+    /// The vehicle is disarmed.
+    Disarmed = 6,
+    /// The loop missed steps.
+    Slip = 7,
+    /// Outside the permitted region.
+    Geofence = 8,
+    /// Within the goal's radius.
+    GoalReached = 9,
+    /// No goal is set.
+    NoGoal = 10,
+    /// An operator disengaged guidance.
+    Operator = 11,
+    /// The hand-over did not finish in time or was refused.
+    HandoverFailed = 12,
+    /// Battery below its limit.
+    LowBattery = 13,
+    /// The vehicle itself reports a failsafe.
+    VehicleFailsafe = 14,
+    /// The flight took longer than its limit.
+    TimeLimit = 15,
+}
+
+impl Reason {
+    /// All reasons, in the order of their bits.
+    pub const ALL: [Self; 16] = [
+        Self::StaleFrame,
+        Self::BadFrame,
+        Self::StaleTelemetry,
+        Self::LinkLost,
+        Self::NotFinite,
+        Self::ModeLost,
+        Self::Disarmed,
+        Self::Slip,
+        Self::Geofence,
+        Self::GoalReached,
+        Self::NoGoal,
+        Self::Operator,
+        Self::HandoverFailed,
+        Self::LowBattery,
+        Self::VehicleFailsafe,
+        Self::TimeLimit,
+    ];
+
+    /// Name as it appears in STATUSTEXT, log and documentation.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::StaleFrame => "stale frame",
+            Self::BadFrame => "bad frame",
+            Self::StaleTelemetry => "stale telemetry",
+            Self::LinkLost => "link lost",
+            Self::NotFinite => "not finite",
+            Self::ModeLost => "vehicle mode lost",
+            Self::Disarmed => "disarmed",
+            Self::Slip => "slip",
+            Self::Geofence => "geofence",
+            Self::GoalReached => "goal reached",
+            Self::NoGoal => "no goal",
+            Self::Operator => "operator",
+            Self::HandoverFailed => "hand-over failed",
+            Self::LowBattery => "low battery",
+            Self::VehicleFailsafe => "vehicle failsafe",
+            Self::TimeLimit => "time limit",
+        }
+    }
+}
+
+/// A set of [`Reason`]s.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Reasons(pub u32);
+
+impl Reasons {
+    /// The empty set.
+    pub const NONE: Self = Self(0);
+
+    /// A set of one.
+    pub const fn of(reason: Reason) -> Self {
+        Self(1 << reason as u8)
+    }
+
+    /// Adds `reason` when `present`.
+    #[must_use]
+    pub const fn with_if(self, present: bool, reason: Reason) -> Self {
+        if present {
+            Self(self.0 | 1 << reason as u8)
+        } else {
+            self
+        }
+    }
+
+    /// Whether `reason` is in the set.
+    pub const fn contains(self, reason: Reason) -> bool {
+        self.0 & (1 << reason as u8) != 0
+    }
+
+    /// Whether any reason of `other` is in this set.
+    pub const fn intersects(self, other: Self) -> bool {
+        self.0 & other.0 != 0
+    }
+
+    /// Both sets together.
+    #[must_use]
+    pub const fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+
+    /// Whether the set is empty.
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    /// The reasons in the set, in the order of their bits.
+    pub fn iter(self) -> impl Iterator<Item = Reason> {
+        Reason::ALL.into_iter().filter(move |r| self.contains(*r))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_and_bits_match_their_positions() {
+        for (i, s) in GuidanceState::ALL.into_iter().enumerate() {
+            assert_eq!(GuidanceState::from_code(i as u8), Some(s));
+            assert_eq!(s as usize, i);
+        }
+        assert_eq!(GuidanceState::from_code(6), None);
+        for (i, r) in Reason::ALL.into_iter().enumerate() {
+            assert_eq!(r as usize, i);
+        }
+    }
+
+    #[test]
+    fn a_set_holds_what_was_put_in() {
+        let set = Reasons::of(Reason::Slip)
+            .with_if(true, Reason::NoGoal)
+            .with_if(false, Reason::Geofence);
+        assert!(set.iter().eq([Reason::Slip, Reason::NoGoal]));
+        assert!(set.intersects(Reasons::of(Reason::Slip)) && !set.intersects(Reasons::of(Reason::Geofence)));
+    }
+}

@@ -1,0 +1,34 @@
+//! Data that flows through the loop, in one direction: depth frame → pilot → guidance → setpoint → link.
+//!
+//! Everything here is plain data: `no_std`, no allocation, no clock. Field names carry their unit; vectors carry their
+//! frame as a type, so that NED, FRD and heading-frame values cannot be mixed.
+#![no_std]
+#![forbid(unsafe_code)]
+#![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+mod action;
+mod depth;
+mod guidance;
+mod step;
+mod telemetry;
+mod vector;
+
+pub use action::{ACTION_LIMIT, Action, Goal, GoalRelative, VelocitySetpoint, YAW_RATE_PER_UNIT_RAD_S};
+pub use depth::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameHeader, HORIZONTAL_FOV_RAD,
+    PIXEL_PITCH_RAD, VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
+};
+pub use guidance::{GuidanceState, Reason, Reasons};
+pub use step::{Datagrams, StepReport, StepTiming};
+pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
+pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};
+
+/// Nanoseconds since an arbitrary epoch that all processes of one flight share (the machine's monotonic clock when
+/// live, simulated time in lockstep and replay).
+pub type Nanos = u64;
+
+/// The loop's fixed period: 20 Hz, 0.05 s (PAPER.md, "The time step").
+pub const STEP_NS: Nanos = 50_000_000;
+
+/// The loop's fixed period in seconds.
+pub const STEP_S: f32 = 0.05;

@@ -1,0 +1,1 @@
+//! A PX4-flavoured MAVLink vehicle, sans IO.

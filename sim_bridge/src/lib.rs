@@ -1,0 +1,1 @@
+//! The simulator: world, vehicle, LiDAR and MAVLink endpoint in one clock.

@@ -1,0 +1,142 @@
+//! What others see of the vehicle and ask of it: the seam between dynamics, MAVLink endpoint and simulator.
+
+use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
+
+/// What the autopilot's estimator believes: what telemetry reports and what the controllers use. Never the truth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// Simulated time of the estimate.
+    pub at_ns: Nanos,
+    /// Metres from home (local origin, on the ground at the start).
+    pub position_ned_m: NedVector,
+    /// Metres per second.
+    pub velocity_ned_m_s: NedVector,
+    /// Acceleration without gravity, metres per second squared.
+    pub acceleration_ned_m_s2: NedVector,
+    /// Body to NED.
+    pub attitude: Attitude,
+    /// Body rates.
+    pub rates_frd_rad_s: FrdVector,
+}
+
+/// The simulator's truth: for the referee, the LiDAR and tests; telemetry never carries it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Truth {
+    /// Simulated time.
+    pub at_ns: Nanos,
+    /// Metres from home.
+    pub position_ned_m: NedVector,
+    /// Metres per second.
+    pub velocity_ned_m_s: NedVector,
+    /// Body to NED.
+    pub attitude: Attitude,
+    /// Body rates.
+    pub rates_frd_rad_s: FrdVector,
+}
+
+/// Raw-ish sensor readings, for the telemetry that reports them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sensors {
+    /// Specific force, metres per second squared.
+    pub accelerometer_frd_m_s2: FrdVector,
+    /// Body rates.
+    pub gyroscope_frd_rad_s: FrdVector,
+    /// GPS position error included, metres from home.
+    pub gps_position_ned_m: NedVector,
+    /// GPS velocity.
+    pub gps_velocity_ned_m_s: NedVector,
+    /// Barometric height above home, metres.
+    pub barometer_height_m: f32,
+    /// Battery terminal voltage.
+    pub battery_voltage_v: f32,
+    /// Battery current.
+    pub battery_current_a: f32,
+    /// Battery charge, 0 to 1.
+    pub battery_remaining: f32,
+    /// Mean motor command, 0 to 1.
+    pub throttle: f32,
+}
+
+/// Everything the MAVLink endpoint may look at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VehicleView {
+    /// The estimator's belief.
+    pub estimate: Estimate,
+    /// Sensor readings.
+    pub sensors: Sensors,
+    /// The vehicle touches the ground (weight on it).
+    pub on_ground: bool,
+    /// The motors are allowed to turn.
+    pub armed: bool,
+}
+
+/// How yaw is commanded beside a velocity or position.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum YawCommand {
+    /// Keep the heading that was held when this began.
+    Hold,
+    /// Turn to this heading, clockwise from north.
+    Angle {
+        /// Heading.
+        yaw_rad: f32,
+    },
+    /// Turn at this rate, clockwise.
+    Rate {
+        /// Rate.
+        yaw_rate_rad_s: f32,
+    },
+}
+
+/// What the vehicle's controllers are asked to do in this millisecond. `Copy`, no allocation; the endpoint computes
+/// one each step from its flight mode, and the vehicle shapes it with its own limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ControlCommand {
+    /// Motors stopped, whatever the state (disarmed, killed, terminated).
+    MotorsOff,
+    /// Armed on the ground: motors idle.
+    Idle,
+    /// Velocity along the heading (yaw-only frame): the companion's setpoint.
+    VelocityHeading {
+        /// Metres per second.
+        velocity_m_s: HeadingVector,
+        /// Yaw.
+        yaw: YawCommand,
+    },
+    /// Velocity in NED.
+    VelocityNed {
+        /// Metres per second.
+        velocity_m_s: NedVector,
+        /// Yaw.
+        yaw: YawCommand,
+    },
+    /// Go to and hold a position, with a velocity to feed forward (zero if none), at most at the given speed.
+    Position {
+        /// Metres from home.
+        position_ned_m: NedVector,
+        /// Feed-forward.
+        velocity_m_s: NedVector,
+        /// Horizontal speed limit, metres per second.
+        speed_limit_m_s: f32,
+        /// Yaw.
+        yaw: YawCommand,
+    },
+    /// Attitude and collective thrust.
+    Attitude {
+        /// Wanted body-to-NED attitude.
+        attitude: Attitude,
+        /// 0 to 1; 0.5 hovers.
+        thrust: f32,
+    },
+    /// Body rates and collective thrust.
+    Rates {
+        /// Wanted rates.
+        rates_frd_rad_s: FrdVector,
+        /// 0 to 1; 0.5 hovers.
+        thrust: f32,
+    },
+    /// Descend over the present point at this rate until on the ground.
+    Descend {
+        /// Metres per second, positive down.
+        rate_m_s: f32,
+    },
+}

@@ -1,0 +1,1 @@
+//! Courses, ray casting, collision and the LiDAR that looks at them.
