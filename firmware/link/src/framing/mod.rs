@@ -1,0 +1,46 @@
+//! Finding MAVLink packets in bytes and making bytes of messages.
+//!
+//! Packet formats: <https://mavlink.io/en/guide/serialization.html>. A packet whose checksum fits is yielded raw, so that a
+//! message that the crate's parser refuses (an unknown command or enum value) can still be answered or routed.
+
+mod command;
+mod packet;
+mod serialize;
+mod stream;
+
+#[cfg(test)]
+mod tests;
+
+pub use command::{Command, CommandAck, CommandForm};
+pub use packet::{FramingCounters, Packet, Packets, packets};
+pub use serialize::{MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
+pub use stream::StreamFramer;
+
+/// Little-endian reads at an offset of a payload whose trailing zeros were cut (MAVLink 2): what is cut reads as zero.
+pub(crate) struct Zeroed<'a>(pub &'a [u8]);
+
+impl Zeroed<'_> {
+    pub fn bytes<const N: usize>(&self, offset: usize) -> [u8; N] {
+        let mut out = [0; N];
+        for (o, b) in out.iter_mut().zip(self.0.iter().skip(offset)) {
+            *o = *b;
+        }
+        out
+    }
+
+    pub fn u8(&self, offset: usize) -> u8 {
+        u8::from_le_bytes(self.bytes(offset))
+    }
+
+    pub fn u16(&self, offset: usize) -> u16 {
+        u16::from_le_bytes(self.bytes(offset))
+    }
+
+    pub fn i32(&self, offset: usize) -> i32 {
+        i32::from_le_bytes(self.bytes(offset))
+    }
+
+    pub fn f32(&self, offset: usize) -> f32 {
+        f32::from_le_bytes(self.bytes(offset))
+    }
+}

@@ -1,0 +1,329 @@
+//! The scanner that finds packets, and what a packet tells before it is parsed.
+
+use crate::framing::{Command, CommandAck};
+use mavlink::dialects::common::MavMessage;
+use mavlink::error::ParserError;
+use mavlink::{MAV_STX, MAV_STX_V2, MavHeader, MavlinkVersion, Message, calculate_crc};
+
+const V1_HEADER_LEN: usize = 6;
+const V2_HEADER_LEN: usize = 10;
+const CRC_LEN: usize = 2;
+const SIGNATURE_LEN: usize = 13;
+/// The one incompatibility flag that a receiver of ours understands; a packet with any other must be discarded.
+const INCOMPATIBILITY_SIGNED: u8 = 0x01;
+
+/// What the scanner refused, since start. Counters never wrap in practice (u64).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FramingCounters {
+    /// Packets yielded, those of unknown messages included.
+    pub packets: u64,
+    /// Packets whose checksum does not fit.
+    pub bad_crc: u64,
+    /// Packets of a message that the dialect does not know; yielded raw, their checksum cannot be verified.
+    pub unknown_message: u64,
+    /// Packets that end behind the end of their datagram.
+    pub truncated: u64,
+    /// Packets with an incompatibility flag that is not known; discarded, as the protocol demands.
+    pub incompatible: u64,
+    /// Bytes skipped because no packet was found in them (those of refused packets included).
+    pub garbage_bytes: u64,
+}
+
+/// One packet with a valid checksum (or of an unknown message), borrowed from the bytes it came in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Packet<'a> {
+    raw: &'a [u8],
+    payload: &'a [u8],
+    version: MavlinkVersion,
+    system_id: u8,
+    component_id: u8,
+    sequence: u8,
+    message_id: u32,
+    signed: bool,
+    known: bool,
+}
+
+impl<'a> Packet<'a> {
+    /// All bytes, from the start marker to the checksum or signature.
+    pub fn raw(&self) -> &'a [u8] {
+        self.raw
+    }
+
+    /// The payload as sent; MAVLink 2 cuts trailing zeros.
+    pub fn payload(&self) -> &'a [u8] {
+        self.payload
+    }
+
+    /// Protocol version of the packet.
+    pub fn version(&self) -> MavlinkVersion {
+        self.version
+    }
+
+    /// The sender's system.
+    pub fn system_id(&self) -> u8 {
+        self.system_id
+    }
+
+    /// The sender's component.
+    pub fn component_id(&self) -> u8 {
+        self.component_id
+    }
+
+    /// The sender's packet counter.
+    pub fn sequence(&self) -> u8 {
+        self.sequence
+    }
+
+    /// The message's number.
+    pub fn message_id(&self) -> u32 {
+        self.message_id
+    }
+
+    /// Whether the packet carries a signature (which is not verified here).
+    pub fn is_signed(&self) -> bool {
+        self.signed
+    }
+
+    /// Whether the dialect knows the message, so that its checksum was verified.
+    pub fn is_known(&self) -> bool {
+        self.known
+    }
+
+    /// The sender as the crate's header type.
+    pub fn header(&self) -> MavHeader {
+        MavHeader {
+            system_id: u32::from(self.system_id),
+            component_id: self.component_id,
+            sequence: self.sequence,
+        }
+    }
+
+    /// The parsed message.
+    ///
+    /// # Errors
+    /// The message is unknown or holds an enum value that the dialect does not have. A command can still be read with
+    /// [`Packet::command`].
+    pub fn message(&self) -> Result<MavMessage, ParserError> {
+        MavMessage::parse(self.version, self.message_id, self.payload)
+    }
+
+    /// The command of a COMMAND_LONG or COMMAND_INT, whatever its number; `None` for any other message.
+    pub fn command(&self) -> Option<Command> {
+        Command::from_payload(self.message_id, self.payload)
+    }
+
+    /// The acknowledgement of a COMMAND_ACK, whatever its command and result; `None` for any other message.
+    pub fn command_ack(&self) -> Option<CommandAck> {
+        CommandAck::from_payload(self.message_id, self.payload)
+    }
+
+    /// The (system, component) that the message is addressed to; 0 is everybody. `None` when the message has no target
+    /// fields or its target cannot be told (unknown message): by the routing rules that is a broadcast.
+    pub fn target(&self) -> Option<(u8, u8)> {
+        if let Some(command) = self.command() {
+            return Some((command.target_system, command.target_component));
+        }
+        if let Some(ack) = self.command_ack() {
+            return Some((ack.target_system, ack.target_component));
+        }
+        if let Ok(message) = self.message() {
+            return Some((message.target_system_id()?, message.target_component_id().unwrap_or(0)));
+        }
+        self.target_by_layout()
+    }
+
+    /// The target of a message that does not parse, read where the dialect puts the target fields: the offsets show when
+    /// a default message is serialised with the fields set.
+    fn target_by_layout(&self) -> Option<(u8, u8)> {
+        let mut message = MavMessage::default_message_from_id(self.message_id)?;
+        let plain = serialized_payload(&message);
+        *message.target_system_id_mut()? ^= 0xFF;
+        let with_system = serialized_payload(&message);
+        if let Some(component) = message.target_component_id_mut() {
+            *component ^= 0xFF;
+        }
+        let with_component = serialized_payload(&message);
+        let at = |a: &[u8; 255], b: &[u8; 255]| {
+            let offset = a.iter().zip(b).position(|(x, y)| x != y)?;
+            Some(self.payload.get(offset).copied().unwrap_or(0))
+        };
+        Some((
+            at(&plain, &with_system)?,
+            at(&with_system, &with_component).unwrap_or(0),
+        ))
+    }
+}
+
+fn serialized_payload(message: &MavMessage) -> [u8; 255] {
+    let mut payload = [0; 255];
+    message.ser(MavlinkVersion::V2, &mut payload);
+    payload
+}
+
+/// What the scanner found at its place.
+pub(super) enum Found<'a> {
+    Packet(Packet<'a>),
+    /// A packet may begin at the scanner's place, but its end is not here yet.
+    Incomplete,
+    End,
+}
+
+/// Walks over bytes. Bytes of a packet that was refused are searched again for a start marker, because the marker found
+/// may have been garbage; what is found in them is not counted as another refusal.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Scanner {
+    pub at: usize,
+    /// End of the span of the last refused packet.
+    refused_until: usize,
+}
+
+enum Candidate<'a> {
+    Whole(Packet<'a>),
+    Short,
+    BadCrc { len: usize },
+    Incompatible { len: usize },
+}
+
+impl Scanner {
+    /// Finds the next packet. With `whole`, nothing follows after `data`: a packet without its end is truncated.
+    pub fn next<'a>(&mut self, data: &'a [u8], whole: bool, counters: &mut FramingCounters) -> Found<'a> {
+        while let Some(rest) = data.get(self.at..) {
+            let Some(marker) = rest.iter().position(|b| *b == MAV_STX || *b == MAV_STX_V2) else {
+                break;
+            };
+            counters.garbage_bytes += marker as u64;
+            self.at += marker;
+            let rest = rest.get(marker..).unwrap_or_default();
+            let fresh = self.at >= self.refused_until;
+            match candidate(rest) {
+                // Its checksum is unknown: only where a packet is expected, and where another one or nothing follows.
+                Candidate::Whole(p) if !p.known && !(fresh && is_boundary(rest, p.raw.len())) => {
+                    self.refuse(1, counters)
+                }
+                Candidate::Whole(p) => {
+                    self.at += p.raw.len();
+                    counters.packets += 1;
+                    counters.unknown_message += u64::from(!p.known);
+                    return Found::Packet(p);
+                }
+                Candidate::Short if !whole => return Found::Incomplete,
+                Candidate::Short => {
+                    counters.truncated += u64::from(fresh);
+                    self.refuse(rest.len(), counters);
+                }
+                Candidate::BadCrc { len } => {
+                    counters.bad_crc += u64::from(fresh);
+                    self.refuse(len, counters);
+                }
+                Candidate::Incompatible { len } => {
+                    counters.incompatible += u64::from(fresh);
+                    self.refuse(len, counters);
+                }
+            }
+        }
+        counters.garbage_bytes += data.len().saturating_sub(self.at) as u64;
+        self.at = data.len();
+        Found::End
+    }
+
+    fn refuse(&mut self, len: usize, counters: &mut FramingCounters) {
+        self.refused_until = self.refused_until.max(self.at + len);
+        counters.garbage_bytes += 1;
+        self.at += 1;
+    }
+
+    /// The first `n` bytes were dropped from the data.
+    pub fn shift(&mut self, n: usize) {
+        self.at = self.at.saturating_sub(n);
+        self.refused_until = self.refused_until.saturating_sub(n);
+    }
+}
+
+fn is_boundary(rest: &[u8], len: usize) -> bool {
+    matches!(rest.get(len), None | Some(&(MAV_STX | MAV_STX_V2)))
+}
+
+/// Reads a packet that begins at the first byte, which is a start marker.
+fn candidate(bytes: &[u8]) -> Candidate<'_> {
+    let (version, header_len, signature_len, known_flags) = match *bytes {
+        [MAV_STX_V2, _, flags, ..] => (
+            MavlinkVersion::V2,
+            V2_HEADER_LEN,
+            if flags & INCOMPATIBILITY_SIGNED != 0 {
+                SIGNATURE_LEN
+            } else {
+                0
+            },
+            flags & !INCOMPATIBILITY_SIGNED == 0,
+        ),
+        [MAV_STX, ..] => (MavlinkVersion::V1, V1_HEADER_LEN, 0, true),
+        _ => return Candidate::Short,
+    };
+    let payload_len = usize::from(bytes.get(1).copied().unwrap_or(0));
+    let crc_at = header_len + payload_len;
+    let len = crc_at + CRC_LEN + signature_len;
+    let (Some(raw), Some(checked), Some(payload), Some(&[crc_low, crc_high])) = (
+        bytes.get(..len),
+        bytes.get(1..crc_at),
+        bytes.get(header_len..crc_at),
+        bytes.get(crc_at..crc_at + CRC_LEN),
+    ) else {
+        return Candidate::Short;
+    };
+    if !known_flags {
+        return Candidate::Incompatible { len };
+    }
+    let (sequence, system_id, component_id, message_id) = match *bytes {
+        [MAV_STX, _, sequence, system, component, id, ..] => (sequence, system, component, u32::from(id)),
+        [_, _, _, _, sequence, system, component, id0, id1, id2, ..] => {
+            (sequence, system, component, u32::from_le_bytes([id0, id1, id2, 0]))
+        }
+        _ => return Candidate::Short,
+    };
+    let extra_crc = MavMessage::extra_crc(message_id);
+    // One message of the dialect has extra CRC 0, which also stands for an unknown one.
+    let known = extra_crc != 0 || MavMessage::default_message_from_id(message_id).is_some();
+    if known && u16::from_le_bytes([crc_low, crc_high]) != calculate_crc(checked, extra_crc) {
+        return Candidate::BadCrc { len };
+    }
+    Candidate::Whole(Packet {
+        raw,
+        payload,
+        version,
+        system_id,
+        component_id,
+        sequence,
+        message_id,
+        signed: signature_len > 0,
+        known,
+    })
+}
+
+/// The packets of one datagram, in order.
+#[derive(Debug)]
+pub struct Packets<'a, 'c> {
+    datagram: &'a [u8],
+    scanner: Scanner,
+    counters: &'c mut FramingCounters,
+}
+
+impl<'a> Iterator for Packets<'a, '_> {
+    type Item = Packet<'a>;
+
+    fn next(&mut self) -> Option<Packet<'a>> {
+        match self.scanner.next(self.datagram, true, self.counters) {
+            Found::Packet(packet) => Some(packet),
+            Found::Incomplete | Found::End => None,
+        }
+    }
+}
+
+/// Finds the packets of one datagram: MAVLink 2 and 1, garbage skipped, everything refused counted.
+/// A packet may not continue in the next datagram; for a byte stream use [`StreamFramer`](crate::framing::StreamFramer).
+pub fn packets<'a, 'c>(datagram: &'a [u8], counters: &'c mut FramingCounters) -> Packets<'a, 'c> {
+    Packets {
+        datagram,
+        scanner: Scanner::default(),
+        counters,
+    }
+}

@@ -1,0 +1,98 @@
+//! From message to bytes, MAVLink 2.
+
+use mavlink::dialects::common::MavMessage;
+use mavlink::{MAV_STX_V2, MavHeader, MavlinkVersion, Message, calculate_crc};
+
+/// Length of the largest unsigned MAVLink 2 packet: a buffer of this size holds any message.
+pub const MAX_PACKET_LEN: usize = 10 + 255 + 2;
+
+/// Why a message was not serialised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum SerializeError {
+    /// The buffer is smaller than the packet.
+    #[error("buffer holds {available} bytes, the packet needs {needed}: use one of MAX_PACKET_LEN bytes")]
+    BufferTooSmall {
+        /// Bytes of the packet.
+        needed: usize,
+        /// Bytes of the buffer.
+        available: usize,
+    },
+    /// A MAVLink 2 payload has at most 255 bytes.
+    #[error("payload of {len} bytes, at most 255 fit in a packet")]
+    PayloadTooLong {
+        /// Bytes of the payload.
+        len: usize,
+    },
+    /// A system id above 255 does not fit in the header.
+    #[error("system id {system_id} does not fit in a MAVLink 2 header")]
+    SystemId {
+        /// The id.
+        system_id: u32,
+    },
+    /// The dialect does not have the message, so its checksum is unknown.
+    #[error("message {message_id} is not part of the dialect")]
+    UnknownMessage {
+        /// The message's number.
+        message_id: u32,
+    },
+}
+
+/// Writes `message` as an unsigned MAVLink 2 packet into `out` and returns its length.
+///
+/// # Errors
+/// [`SerializeError`]; `out` may hold part of the packet then.
+pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Result<usize, SerializeError> {
+    let mut payload = [0; 255];
+    let len = message.ser(MavlinkVersion::V2, &mut payload);
+    let payload = payload.get(..len).unwrap_or_default();
+    serialize_payload(header, message.message_id(), payload, out)
+}
+
+/// Writes a packet of a raw payload: for what the crate's types cannot hold, such as the acknowledgement of a command
+/// whose number the dialect does not have. Trailing zeros of the payload are cut, as MAVLink 2 demands.
+///
+/// # Errors
+/// [`SerializeError`]; `out` may hold part of the packet then.
+pub fn serialize_payload(
+    header: MavHeader,
+    message_id: u32,
+    payload: &[u8],
+    out: &mut [u8],
+) -> Result<usize, SerializeError> {
+    let system_id = u8::try_from(header.system_id).map_err(|_| SerializeError::SystemId {
+        system_id: header.system_id,
+    })?;
+    let extra_crc = MavMessage::extra_crc(message_id);
+    if extra_crc == 0 && MavMessage::default_message_from_id(message_id).is_none() {
+        return Err(SerializeError::UnknownMessage { message_id });
+    }
+    let significant = payload.iter().rposition(|b| *b != 0).map_or(1, |last| last + 1);
+    let payload = payload.get(..significant).unwrap_or(payload);
+    let payload_len = u8::try_from(payload.len()).map_err(|_| SerializeError::PayloadTooLong { len: payload.len() })?;
+    let needed = 10 + payload.len() + 2;
+    let available = out.len();
+    let too_small = SerializeError::BufferTooSmall { needed, available };
+    let [id0, id1, id2, _] = message_id.to_le_bytes();
+    let head = [
+        MAV_STX_V2,
+        payload_len,
+        0,
+        0,
+        header.sequence,
+        system_id,
+        header.component_id,
+        id0,
+        id1,
+        id2,
+    ];
+    let packet = out.get_mut(..needed).ok_or(too_small)?;
+    let (head_slot, rest) = packet.split_at_mut(10);
+    head_slot.copy_from_slice(&head);
+    let (payload_slot, _) = rest.split_at_mut(payload.len());
+    payload_slot.copy_from_slice(payload);
+    let crc = calculate_crc(packet.get(1..needed - 2).unwrap_or_default(), extra_crc);
+    if let Some(slot) = packet.get_mut(needed - 2..) {
+        slot.copy_from_slice(&crc.to_le_bytes());
+    }
+    Ok(needed)
+}

@@ -1,0 +1,366 @@
+use super::*;
+use crate::{MavHeader, MavMessage, common::*};
+use mavlink::{MAVLinkV1MessageRaw, MAVLinkV2MessageRaw, MavlinkVersion};
+use proptest::prelude::*;
+
+const HEADER: MavHeader = MavHeader {
+    system_id: 1,
+    component_id: 191,
+    sequence: 42,
+};
+
+fn heartbeat() -> MavMessage {
+    MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        custom_mode: 0x0006_0000,
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        base_mode: MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED,
+        system_status: MavState::MAV_STATE_ACTIVE,
+        mavlink_version: 3,
+    })
+}
+
+fn bytes_of(message: &MavMessage) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(HEADER, message, &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+fn arm() -> Vec<u8> {
+    bytes_of(&MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 1.0,
+        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    }))
+}
+
+/// A packet of the message number 12 900 000, which no dialect has.
+fn unknown() -> Vec<u8> {
+    let [a, b, c, _] = 12_900_000u32.to_le_bytes();
+    vec![0xFD, 3, 0, 0, 1, 9, 8, a, b, c, 1, 2, 3, 0x55, 0xAA]
+}
+
+fn scan(bytes: &[u8]) -> (Vec<Packet<'_>>, FramingCounters) {
+    let mut counters = FramingCounters::default();
+    let found = packets(bytes, &mut counters).collect();
+    (found, counters)
+}
+
+#[test]
+fn bytes_are_those_of_the_crates_own_serializer() {
+    for message in [
+        heartbeat(),
+        MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+            text: "guidance: hold (stale frame)".into(),
+            ..Default::default()
+        }),
+        MavMessage::COMMAND_ACK(COMMAND_ACK_DATA::default()),
+    ] {
+        let mut raw = MAVLinkV2MessageRaw::new();
+        raw.serialize_message(HEADER, &message);
+        assert_eq!(bytes_of(&message), raw.raw_bytes());
+    }
+}
+
+#[test]
+fn a_datagram_of_several_packets_yields_each_in_order() {
+    let datagram = [bytes_of(&heartbeat()), arm(), bytes_of(&heartbeat())].concat();
+    let (found, counters) = scan(&datagram);
+    assert_eq!(found.iter().map(Packet::message_id).collect::<Vec<_>>(), [0, 76, 0]);
+    assert_eq!(
+        counters,
+        FramingCounters {
+            packets: 3,
+            ..Default::default()
+        }
+    );
+    let first = &found[0];
+    assert_eq!(
+        (
+            first.system_id(),
+            first.component_id(),
+            first.sequence(),
+            first.is_signed(),
+            first.version()
+        ),
+        (1, 191, 42, false, MavlinkVersion::V2)
+    );
+    assert_eq!(first.message().unwrap(), heartbeat());
+    assert_eq!(first.header(), HEADER);
+    assert_eq!(
+        found.iter().flat_map(|p| p.raw().to_vec()).collect::<Vec<_>>(),
+        datagram
+    );
+}
+
+#[test]
+fn mavlink_1_packets_are_understood() {
+    let mut raw = MAVLinkV1MessageRaw::new();
+    raw.serialize_message(HEADER, &heartbeat());
+    let (found, counters) = scan(raw.raw_bytes());
+    assert_eq!(found[0].message().unwrap(), heartbeat());
+    assert_eq!((found[0].version(), counters.packets), (MavlinkVersion::V1, 1));
+}
+
+#[test]
+fn garbage_is_skipped_and_counted() {
+    let datagram = [b"ab\xFD\x01 no packet \xFE\x02".to_vec(), arm(), vec![1, 2, 3]].concat();
+    let (found, counters) = scan(&datagram);
+    assert_eq!(found.len(), 1);
+    assert_eq!(counters.packets, 1);
+    assert_eq!(counters.garbage_bytes as usize, datagram.len() - arm().len());
+}
+
+#[test]
+fn an_altered_packet_is_one_bad_crc_and_the_next_is_found() {
+    let mut altered = arm();
+    altered[14] ^= 0xFD;
+    let (datagram, good) = ([altered, bytes_of(&heartbeat())].concat(), bytes_of(&heartbeat()));
+    let (found, counters) = scan(&datagram);
+    assert_eq!(found.iter().map(|p| p.raw()).collect::<Vec<_>>(), [&good[..]]);
+    assert_eq!((counters.bad_crc, counters.truncated), (1, 0));
+}
+
+#[test]
+fn a_packet_cut_by_the_end_of_its_datagram_is_truncated() {
+    let whole = arm();
+    for len in 1..whole.len() {
+        let (found, counters) = scan(&whole[..len]);
+        assert_eq!((found.len(), counters.truncated), (0, 1), "{len}");
+    }
+}
+
+#[test]
+fn an_unknown_message_is_yielded_raw_and_counted() {
+    let datagram = [unknown(), bytes_of(&heartbeat())].concat();
+    let (found, counters) = scan(&datagram);
+    assert_eq!(found.len(), 2);
+    assert_eq!(
+        (found[0].message_id(), found[0].is_known(), found[0].payload()),
+        (12_900_000, false, &[1, 2, 3][..])
+    );
+    assert!(found[0].message().is_err() && found[0].target().is_none());
+    assert_eq!((counters.unknown_message, counters.packets), (1, 2));
+}
+
+#[test]
+fn a_packet_with_an_unknown_incompatibility_flag_is_discarded() {
+    let mut packet = arm();
+    packet[2] = 0x04;
+    let (found, counters) = scan(&packet);
+    assert_eq!((found.len(), counters.incompatible), (0, 1));
+}
+
+#[test]
+fn a_signed_packet_is_yielded_with_its_signature() {
+    let mut packet = arm();
+    packet[2] = 0x01;
+    let crc_at = packet.len() - 2;
+    let crc = mavlink::calculate_crc(&packet[1..crc_at], COMMAND_LONG_DATA_EXTRA_CRC);
+    packet[crc_at..].copy_from_slice(&crc.to_le_bytes());
+    packet.extend([7; 13]);
+    packet.extend(bytes_of(&heartbeat()));
+    let (found, counters) = scan(&packet);
+    assert!(found[0].is_signed() && !found[1].is_signed());
+    assert_eq!((found[0].raw().len(), counters.packets), (crc_at + 15, 2));
+}
+
+/// From the message definition, as every dialect's generated code has it.
+const COMMAND_LONG_DATA_EXTRA_CRC: u8 = 152;
+
+#[test]
+fn a_command_of_unknown_number_can_be_read_and_answered() {
+    let mut payload = [0u8; 33];
+    payload[..4].copy_from_slice(&2.5f32.to_le_bytes());
+    payload[28..30].copy_from_slice(&54_321u16.to_le_bytes());
+    (payload[30], payload[31], payload[32]) = (1, 191, 3);
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize_payload(HEADER, 76, &payload, &mut out).unwrap();
+    let (found, _) = scan(&out[..len]);
+    assert!(found[0].message().is_err(), "the crate has no such command");
+    let command = found[0].command().unwrap();
+    assert_eq!(
+        (command.number, command.target_system, command.target_component),
+        (54_321, 1, 191)
+    );
+    assert_eq!(
+        (command.param(1), command.form),
+        (Some(2.5), CommandForm::Long { confirmation: 3 })
+    );
+
+    let ack = CommandAck {
+        command: command.number,
+        result: 3,
+        target_system: 255,
+        target_component: 190,
+        ..Default::default()
+    };
+    let len = ack.serialize(HEADER, &mut out).unwrap();
+    let (found, counters) = scan(&out[..len]);
+    assert_eq!(
+        (found[0].command_ack(), found[0].target(), counters.bad_crc),
+        (Some(ack), Some((255, 190)), 0)
+    );
+}
+
+#[test]
+fn commands_read_raw_equal_those_of_the_crates_parser() {
+    let int = COMMAND_INT_DATA {
+        param1: -1.0,
+        param2: 1.0,
+        param3: 0.0,
+        param4: f32::NAN,
+        x: 473_977_420,
+        y: -200_000,
+        z: -3.5,
+        command: MavCmd::MAV_CMD_DO_REPOSITION,
+        target_system: 1,
+        target_component: 191,
+        frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    let bytes = bytes_of(&MavMessage::COMMAND_INT(int));
+    let (found, _) = scan(&bytes);
+    let c = found[0].command().unwrap();
+    assert_eq!(
+        (c.number, c.target_system, c.target_component, c.frame()),
+        (192, 1, 191, 1)
+    );
+    assert_eq!(
+        (c.param(2), c.param(4), c.param(5), c.param(7)),
+        (Some(1.0), None, None, Some(-3.5))
+    );
+    assert_eq!(c.param(0), None);
+    let (lat, lon) = c.latitude_longitude_deg().unwrap();
+    assert!((lat - 47.397742).abs() < 1e-9 && (lon + 0.02).abs() < 1e-9);
+    assert!((c.local_x_y_m().unwrap().1 + 20.0).abs() < 1e-5);
+    assert_eq!(found[0].target(), Some((1, 191)));
+}
+
+#[test]
+fn trailing_zeros_that_were_cut_read_as_zero() {
+    let bytes = bytes_of(&MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 1.0,
+        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        ..Default::default()
+    }));
+    let (found, _) = scan(&bytes);
+    assert!(found[0].payload().len() < 33);
+    let c = found[0].command().unwrap();
+    assert_eq!((c.number, c.target_system, c.param(7)), (400, 0, Some(0.0)));
+}
+
+#[test]
+fn the_target_of_a_message_that_does_not_parse_is_found_by_its_layout() {
+    // MISSION_ITEM_INT (73): target_system at byte 32, target_component at 33, command (u16) at 30.
+    let mut payload = [0u8; 38];
+    payload[28..30].copy_from_slice(&7u16.to_le_bytes());
+    payload[30..32].copy_from_slice(&54_321u16.to_le_bytes());
+    (payload[32], payload[33]) = (1, 190);
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize_payload(HEADER, 73, &payload, &mut out).unwrap();
+    let (found, _) = scan(&out[..len]);
+    assert!(found[0].message().is_err());
+    assert_eq!(found[0].target(), Some((1, 190)));
+    let bytes = bytes_of(&heartbeat());
+    assert_eq!(scan(&bytes).0[0].target(), None);
+}
+
+#[test]
+fn what_cannot_be_serialised_is_an_error() {
+    let mut out = [0; 8];
+    assert!(matches!(
+        serialize(HEADER, &heartbeat(), &mut out),
+        Err(SerializeError::BufferTooSmall { available: 8, .. })
+    ));
+    let mut out = [0; 600];
+    let header = MavHeader {
+        system_id: 300,
+        ..HEADER
+    };
+    assert_eq!(
+        serialize(header, &heartbeat(), &mut out),
+        Err(SerializeError::SystemId { system_id: 300 })
+    );
+    assert_eq!(
+        serialize_payload(HEADER, 12_900_000, &[1], &mut out),
+        Err(SerializeError::UnknownMessage { message_id: 12_900_000 })
+    );
+    assert_eq!(
+        serialize_payload(HEADER, 0, &[1; 300], &mut out),
+        Err(SerializeError::PayloadTooLong { len: 300 })
+    );
+}
+
+#[test]
+fn a_stream_may_be_cut_anywhere() {
+    let all = [
+        b"x\xFDy".to_vec(),
+        arm(),
+        bytes_of(&heartbeat()),
+        b"\xFE".to_vec(),
+        arm(),
+        arm(),
+    ]
+    .concat();
+    for chunk in [1, 2, 7, 40, 1000] {
+        let (mut framer, mut counters, mut ids) = (StreamFramer::default(), FramingCounters::default(), Vec::new());
+        for part in all.chunks(chunk) {
+            framer.feed(part, &mut counters, |p| ids.push(p.message_id()));
+        }
+        // A false start marker may swallow bytes until its supposed end is here, then they are searched again.
+        framer.feed(&[0; 300], &mut counters, |p| ids.push(p.message_id()));
+        assert_eq!(ids, [76, 0, 76, 76], "chunks of {chunk}");
+    }
+}
+
+#[test]
+fn a_long_stream_in_one_piece_is_read_in_fixed_memory() {
+    let all = arm().repeat(500);
+    let (mut framer, mut counters, mut n) = (StreamFramer::default(), FramingCounters::default(), 0);
+    framer.feed(&all, &mut counters, |_| n += 1);
+    assert_eq!((n, counters.packets, counters.garbage_bytes), (500, 500, 0));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Any bytes: no panic, and every byte belongs to exactly one packet or is counted as garbage.
+    #[test]
+    fn no_bytes_are_lost_or_counted_twice(bytes in proptest::collection::vec(prop_oneof![3 => any::<u8>(), 1 => Just(0xFD), 1 => Just(0xFE)], 0..700)) {
+        let (found, counters) = scan(&bytes);
+        let in_packets: usize = found.iter().map(|p| p.raw().len()).sum();
+        prop_assert_eq!(in_packets + counters.garbage_bytes as usize, bytes.len());
+        for p in &found {
+            let _ = (p.message(), p.command(), p.command_ack(), p.target());
+        }
+    }
+
+    /// Valid packets with altered bytes: never a panic, never an altered packet passed off as the original.
+    #[test]
+    fn an_altered_known_packet_is_never_yielded(at in 0usize..200, to in any::<u8>()) {
+        let original = [arm(), bytes_of(&heartbeat()), arm()].concat();
+        let mut altered = original.clone();
+        let at = at % altered.len();
+        prop_assume!(altered[at] != to);
+        altered[at] = to;
+        let (found, _) = scan(&altered);
+        for p in found.iter().filter(|p| p.is_known()) {
+            prop_assert!(original.windows(p.raw().len()).any(|w| w == p.raw()));
+        }
+    }
+
+    /// The stream framer finds what the datagram scanner finds, however the bytes are cut.
+    #[test]
+    fn stream_and_datagram_agree_on_valid_packets(order in proptest::collection::vec(0u8..3, 1..20), chunk in 1usize..400) {
+        let bytes: Vec<u8> = order.iter().flat_map(|k| match k { 0 => arm(), 1 => bytes_of(&heartbeat()), _ => unknown() }).collect();
+        let ids: Vec<u32> = scan(&bytes).0.iter().map(Packet::message_id).collect();
+        let (mut framer, mut counters, mut streamed) = (StreamFramer::default(), FramingCounters::default(), Vec::new());
+        for part in bytes.chunks(chunk) {
+            framer.feed(part, &mut counters, |p| streamed.push(p.message_id()));
+        }
+        prop_assert_eq!(streamed, ids);
+    }
+}
