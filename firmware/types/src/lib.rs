@@ -9,6 +9,7 @@
 mod action;
 mod depth;
 mod guidance;
+mod handover;
 mod step;
 mod telemetry;
 mod vector;
@@ -19,6 +20,7 @@ pub use depth::{
     PIXEL_PITCH_RAD, VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
 };
 pub use guidance::{GuidanceState, Reason, Reasons};
+pub use handover::{HandoverProgress, OperatorRequest, RequestOutcome, VehicleRequest};
 pub use step::{Datagrams, StepReport, StepTiming};
 pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};

@@ -103,6 +103,11 @@ impl Datagrams {
         self.count
     }
 
+    /// Bytes that still fit.
+    pub fn free_bytes(&self) -> usize {
+        Self::CAPACITY - self.used()
+    }
+
     /// Datagrams dropped since start because a step held too many.
     pub fn dropped(&self) -> u64 {
         self.dropped
@@ -160,7 +165,9 @@ mod tests {
         }
         assert!(!d.push(0, b"x"));
         assert_eq!((d.len(), d.dropped()), (16, 1));
+        assert_eq!(d.free_bytes(), 0);
         d.clear();
+        assert_eq!(d.free_bytes(), Datagrams::CAPACITY);
         for _ in 0..Datagrams::MAX_COUNT {
             assert!(d.push(3, b"1"));
         }

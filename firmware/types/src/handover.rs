@@ -1,0 +1,65 @@
+//! What guidance asks of the vehicle, what an operator asks of guidance, and the answers: the seam between guidance and
+//! the link, whatever protocol or autopilot is behind it.
+
+/// What an operator asks of guidance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum OperatorRequest {
+    /// Take the vehicle and fly to the goal.
+    Engage,
+    /// Stop flying: hover until engaged again or until the vehicle's mode is changed.
+    Disengage,
+    /// Land where the vehicle is.
+    Land,
+    /// Fly to this place from now on.
+    Goal {
+        /// Metres north of the local origin.
+        north_m: f32,
+        /// Metres east of the local origin.
+        east_m: f32,
+        /// Metres above the local origin; `None` keeps the height flown now.
+        height_m: Option<f32>,
+    },
+}
+
+/// What became of an [`OperatorRequest`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RequestOutcome {
+    /// It is done or begun.
+    Accepted,
+    /// Not now: guidance's reasons tell what is missing.
+    TemporarilyRejected,
+    /// Never: its values are not permitted.
+    Denied,
+}
+
+/// What guidance asks of the vehicle in this step; the link repeats, tracks and translates it for the autopilot.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum VehicleRequest {
+    /// Nothing; an unfinished request is dropped.
+    #[default]
+    None,
+    /// Arm, take off and obey setpoints, as far as the vehicle does not already.
+    FlyExternal {
+        /// Height to take off to when it is on the ground, metres above the local origin.
+        takeoff_height_m: f32,
+    },
+    /// Land.
+    Land,
+}
+
+/// How far the vehicle is with [`VehicleRequest::FlyExternal`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum HandoverProgress {
+    /// Nothing was asked.
+    #[default]
+    Idle,
+    /// Begun.
+    InProgress {
+        /// The autopilot wants (or at least bears) zero setpoints at this stage.
+        stream_setpoints: bool,
+    },
+    /// Armed, in the air and in its external mode, by its own telemetry.
+    Done,
+    /// Refused, or not answered; the link has told why.
+    Failed,
+}
