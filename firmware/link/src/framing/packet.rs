@@ -197,7 +197,7 @@ impl Scanner {
             let fresh = self.at >= self.refused_until;
             match candidate(rest) {
                 // Its checksum is unknown: only where a packet is expected, and where another one or nothing follows.
-                Candidate::Whole(p) if !p.known && !(fresh && is_boundary(rest, p.raw.len())) => {
+                Candidate::Whole(p) if !(p.known || fresh && is_boundary(rest, p.raw.len())) => {
                     self.refuse(1, counters)
                 }
                 Candidate::Whole(p) => {
