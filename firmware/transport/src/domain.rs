@@ -1,0 +1,180 @@
+//! Who can meet whom: the instance number and the user separate whole sets of processes.
+
+use iceoryx2::prelude::*;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::path::PathBuf;
+
+/// Why a [`Domain`] could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum DomainError {
+    /// The directory for the transport's files could not be made.
+    #[error("cannot make {path} for the transport's files: {source}")]
+    Directory {
+        /// The directory.
+        path: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The directory is somebody else's, or others may write to it.
+    #[error(
+        "{path} must belong to user {uid} with mode 0700 but belongs to user {owner} with mode {mode:04o}: remove it or \
+         fix its owner and mode, then start again"
+    )]
+    NotPrivate {
+        /// The directory.
+        path: String,
+        /// This process's user.
+        uid: u32,
+        /// The directory's owner.
+        owner: u32,
+        /// The directory's permission bits.
+        mode: u32,
+    },
+    /// The path does not suit the transport.
+    #[error("{path} cannot hold the transport's files ({reason}): set TMPDIR to a short path")]
+    Path {
+        /// The directory.
+        path: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// iceoryx2 refused.
+    #[error("cannot join instance {instance} as `{role}`: {reason}; the transport's files are in {path}")]
+    Node {
+        /// The instance.
+        instance: u32,
+        /// The name of this process's part.
+        role: String,
+        /// iceoryx2's error.
+        reason: String,
+        /// The directory.
+        path: String,
+    },
+}
+
+/// A process's membership in one instance. Instances share nothing: other directory, other shared-memory names.
+///
+/// Files lie in `vigil-<uid>/<instance>` of the system's temporary directory, mode 0700, and in shared memory with
+/// mode 0600: only processes of the same user meet. At opening, what killed processes of this instance left is removed.
+pub struct Domain {
+    node: Node<ipc::Service>,
+    instance: u32,
+}
+
+impl std::fmt::Debug for Domain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Domain").field("instance", &self.instance).finish()
+    }
+}
+
+impl Domain {
+    /// Joins `instance`; `role` ("firmware", "simulator", …) names this process in the transport's own records.
+    ///
+    /// # Errors
+    /// [`DomainError`], each telling what to do.
+    pub fn open(instance: u32, role: &str) -> Result<Self, DomainError> {
+        // iceoryx2 reports every refusal on the console as well; the errors here say it once. IOX2_LOG_LEVEL overrides.
+        set_log_level_from_env_or(LogLevel::Fatal);
+        let (config, shown) = instance_config(instance)?;
+        let node_error = |reason: String| DomainError::Node {
+            instance,
+            role: role.to_owned(),
+            reason,
+            path: shown.clone(),
+        };
+        let name = NodeName::new(role).map_err(|e| node_error(format!("{e:?}")))?;
+        let node = NodeBuilder::new()
+            .name(&name)
+            .config(&config)
+            // Signals belong to the program.
+            .signal_handling_mode(SignalHandlingMode::Disabled)
+            .create::<ipc::Service>()
+            .map_err(|e| node_error(e.to_string()))?;
+        Ok(Self { node, instance })
+    }
+
+    /// The instance number.
+    pub fn instance(&self) -> u32 {
+        self.instance
+    }
+
+    /// Removes what killed processes of this instance left behind. Creation does this too.
+    pub fn clean_up(&self) {
+        self.node.try_cleanup_dead_nodes();
+    }
+
+    pub(crate) fn node(&self) -> &Node<ipc::Service> {
+        &self.node
+    }
+}
+
+/// Removes the files of an instance in which no process runs any more, for one-off instances such as those of tests.
+/// Returns whether nothing is left; `false` means that a process still runs there and nothing was touched.
+///
+/// # Errors
+/// [`DomainError`] when the directory cannot be used.
+pub fn remove_leftovers(instance: u32) -> Result<bool, DomainError> {
+    let (config, shown) = instance_config(instance)?;
+    let mut alive = false;
+    // A listing that fails lists nothing: then there is nothing alive either.
+    let _ = Node::<ipc::Service>::list(&config, |state| {
+        alive |= matches!(state, NodeState::Alive(_) | NodeState::Inaccessible(_));
+        CallbackProgression::Continue
+    });
+    if alive {
+        return Ok(false);
+    }
+    let _ = std::fs::remove_dir_all(format!("{shown}/{instance}"));
+    let prefix = config.global.prefix.to_string();
+    for entry in std::fs::read_dir(SHARED_MEMORY).into_iter().flatten().flatten() {
+        if entry.file_name().to_string_lossy().starts_with(&prefix) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
+    Ok(true)
+}
+
+/// Where Linux keeps POSIX shared memory.
+const SHARED_MEMORY: &str = "/dev/shm";
+
+/// iceoryx2's configuration that keeps an instance apart, and the directory it lies in.
+fn instance_config(instance: u32) -> Result<(Config, String), DomainError> {
+    let uid = rustix::process::getuid().as_raw();
+    let directory = private_directory(uid)?.display().to_string();
+    let path_error = |e: SemanticStringError| DomainError::Path {
+        path: directory.clone(),
+        reason: format!("{e:?}"),
+    };
+    let mut config = Config::default();
+    let root = Path::new(format!("{directory}/{instance}").as_bytes()).map_err(path_error)?;
+    config.global.set_root_path(&root);
+    config.global.prefix = FileName::new(format!("vigil{uid}_{instance}_").as_bytes()).map_err(path_error)?;
+    Ok((config, directory))
+}
+
+/// The user's own directory, made if missing, refused if anybody else could tamper with it.
+fn private_directory(uid: u32) -> Result<PathBuf, DomainError> {
+    let directory = std::env::temp_dir().join(format!("vigil-{uid}"));
+    let shown = directory.display().to_string();
+    let io_error = |source| DomainError::Directory {
+        path: shown.clone(),
+        source,
+    };
+    match std::fs::DirBuilder::new().mode(0o700).create(&directory) {
+        Ok(()) => {}
+        Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
+        Err(e) => return Err(io_error(e)),
+    }
+    // Not following a link: it could be swapped for another directory later.
+    let metadata = std::fs::symlink_metadata(&directory).map_err(io_error)?;
+    let mode = metadata.mode() & 0o7777;
+    if !metadata.is_dir() || metadata.uid() != uid || mode & 0o077 != 0 {
+        return Err(DomainError::NotPrivate {
+            path: shown,
+            uid,
+            owner: metadata.uid(),
+            mode,
+        });
+    }
+    Ok(directory)
+}
