@@ -3,6 +3,17 @@
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
+pub mod apf;
+mod geometric;
+mod governor;
+mod memory;
+pub mod surroundings;
+mod way;
+
+pub use apf::NearestObstacle;
+pub use geometric::{GeometricConfig, GeometricPilot};
+pub use surroundings::{Scan, Surroundings};
+
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
 
 /// What a pilot may look at in one step. All of it was checked (size, checksum, finite, fresh) before it got here.

@@ -1,0 +1,59 @@
+//! What a decision of the geometric pilot costs, and reading a frame alone: `cargo bench -p vigil-policy`.
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use common::{Scene, block, column, input};
+use divan::Bencher;
+use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, Surroundings};
+use vigil_types::{Attitude, DepthFrame, NedVector};
+
+fn main() {
+    divan::main();
+}
+
+/// Frames of a walk forward through clutter, so that search and memory have work.
+fn frames() -> Vec<DepthFrame> {
+    let mut solids = vec![block([9.0, 9.3], [-3.0, 6.0]), block([6.0, 7.0], [-7.0, -5.0])];
+    solids.extend((0..10_i16).map(|i| column(3.0 + f32::from(i), f32::from(i * 37 % 11) - 5.0, 0.15)));
+    let scene = Scene::new(solids);
+    (0..40_u16)
+        .map(|i| {
+            let mut frame = DepthFrame::EMPTY;
+            let attitude = Attitude::from_euler_rad(0.02, -0.05, 0.01 * f32::from(i));
+            let stamp_ns = u64::from(i) * 50_000_000;
+            scene.render(
+                NedVector::new(0.05 * f32::from(i), 0.0, -1.5),
+                attitude,
+                stamp_ns,
+                &mut frame,
+            );
+            frame.header.sequence = u64::from(i);
+            frame
+        })
+        .collect()
+}
+
+#[divan::bench]
+fn surroundings_of_a_frame(bencher: Bencher) {
+    let frames = frames();
+    let mut surroundings = Surroundings::new();
+    let mut i = 0;
+    bencher.bench_local(|| {
+        i = (i + 1) % frames.len();
+        surroundings
+            .observe(&input(&frames[i], frames[i].header.attitude))
+            .range_m[0]
+    });
+}
+
+#[divan::bench]
+fn decide(bencher: Bencher) {
+    let frames = frames();
+    let mut pilot = Box::new(GeometricPilot::new(GeometricConfig::default()));
+    let mut i = 0;
+    bencher.bench_local(|| {
+        i = (i + 1) % frames.len();
+        pilot.decide(&input(&frames[i], frames[i].header.attitude))
+    });
+}

@@ -1,0 +1,212 @@
+//! The paper's artificial potential field, in action units (PAPER.md, "Attractive field" and "Repulsive field").
+//!
+//! Both fields are functions of one bearing and one distance. All results are clipped to ±[`vigil_types::ACTION_LIMIT`]. An input
+//! that is not finite or a negative distance yields no force, so that a field can never be the source of a NaN.
+
+use core::f32::consts::{FRAC_PI_2, PI};
+use vigil_types::{Action, GoalRelative};
+
+/// Distance below which an obstacle repels: the paper's equation says 3 m, its text 5 m (PAPER.md, "contradicts itself", 2).
+pub const REPULSIVE_RANGE_M: f32 = 3.0;
+
+/// Distance below which the attractive field pulls harder and turns at any bearing.
+const NEAR_GOAL_M: f32 = 5.0;
+
+/// Keeps 1/d² finite; the force is at its limit long before.
+const MIN_DISTANCE_M: f32 = 1e-3;
+
+/// The nearest point of an obstacle, as the repulsive field takes it: the paper's `d_ob` and `θ_ob`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NearestObstacle {
+    /// Horizontal distance in metres.
+    pub distance_m: f32,
+    /// Bearing relative to the heading, positive to the right, in (−π, π].
+    pub bearing_rad: f32,
+}
+
+/// The attractive field of a goal at bearing θ and distance d:
+///
+/// - `F(v_x)` = 20 cos θ / d² for d < 5 m, else 2 cos θ / d
+/// - `F(ω)` = tan(2θ/5) for d < 5 m; (tan(θ/3))³ for d ≥ 5 m and |θ| > π/2; else 0
+///
+/// Clipped to ±[`vigil_types::ACTION_LIMIT`]. A bearing outside [−π, π] is limited to it.
+pub fn attraction(goal: GoalRelative) -> Action {
+    let (theta, d) = (goal.bearing_rad, goal.distance_m);
+    if !theta.is_finite() || !d.is_finite() || d < 0.0 {
+        return Action::HOVER;
+    }
+    let theta = theta.clamp(-PI, PI);
+    let d = d.max(MIN_DISTANCE_M);
+    let cos = libm::cosf(theta);
+    let near = d < NEAR_GOAL_M;
+    let yaw = if near {
+        libm::tanf(2.0 * theta / 5.0)
+    } else if theta.abs() > FRAC_PI_2 {
+        let t = libm::tanf(theta / 3.0);
+        t * t * t
+    } else {
+        0.0
+    };
+    Action {
+        forward_m_s: if near { 20.0 * cos / (d * d) } else { 2.0 * cos / d },
+        yaw,
+    }
+    .clipped()
+}
+
+/// The repulsive field of the nearest point of an obstacle at bearing θ and distance d, which acts on the yaw only:
+///
+/// - `F(ω)` = −3 + 3 tan(θ/2) for d < `range_m`, 0 < θ < π/2 (the obstacle is to the right: turn left)
+/// - `F(ω)` = 3 + 3 tan(θ/2) for d < `range_m`, −π/2 < θ < 0
+/// - else 0: also dead ahead, where the paper names no side
+///
+/// Clipped to ±[`vigil_types::ACTION_LIMIT`].
+pub fn repulsion(obstacle: NearestObstacle, range_m: f32) -> Action {
+    let (theta, d) = (obstacle.bearing_rad, obstacle.distance_m);
+    // Written so that a NaN in any of the three is "not within range".
+    let within = d >= 0.0 && d < range_m && theta.abs() < FRAC_PI_2;
+    let side = if !within || theta == 0.0 {
+        return Action::HOVER;
+    } else if theta > 0.0 {
+        -3.0
+    } else {
+        3.0
+    };
+    Action {
+        forward_m_s: 0.0,
+        yaw: side + 3.0 * libm::tanf(0.5 * theta),
+    }
+    .clipped()
+}
+
+/// Both fields added and clipped to ±[`vigil_types::ACTION_LIMIT`], with the repulsive range at [`REPULSIVE_RANGE_M`]: the "APF force
+/// added to the action" of the paper's Algorithm 1.
+pub fn force(goal: GoalRelative, obstacle: Option<NearestObstacle>) -> Action {
+    let pull = attraction(goal);
+    let push = obstacle.map_or(Action::HOVER, |o| repulsion(o, REPULSIVE_RANGE_M));
+    add(pull, push)
+}
+
+/// The sum of two actions, clipped to ±[`vigil_types::ACTION_LIMIT`].
+pub fn add(a: Action, b: Action) -> Action {
+    Action {
+        forward_m_s: a.forward_m_s + b.forward_m_s,
+        yaw: a.yaw + b.yaw,
+    }
+    .clipped()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn goal(distance_m: f32, bearing_deg: f32) -> GoalRelative {
+        GoalRelative {
+            distance_m,
+            bearing_rad: bearing_deg.to_radians(),
+        }
+    }
+
+    fn obstacle(distance_m: f32, bearing_deg: f32) -> NearestObstacle {
+        NearestObstacle {
+            distance_m,
+            bearing_rad: bearing_deg.to_radians(),
+        }
+    }
+
+    #[track_caller]
+    fn close(a: f32, b: f32) {
+        assert!((a - b).abs() < 1e-4, "{a} is not {b}");
+    }
+
+    #[test]
+    fn far_goals_pull_with_two_over_d_and_turn_only_when_behind() {
+        // 2 cos 60° / 8 = 0.125
+        let f = attraction(goal(8.0, 60.0));
+        close(f.forward_m_s, 0.125);
+        close(f.yaw, 0.0);
+        // 2 cos 120° / 10 = −0.1; tan³ 40° = 0.83910³ = 0.59080
+        let f = attraction(goal(10.0, 120.0));
+        close(f.forward_m_s, -0.1);
+        close(f.yaw, 0.590_80);
+        close(attraction(goal(10.0, -120.0)).yaw, -0.590_80);
+        // tan³ 60° = 5.196: clipped
+        close(attraction(goal(10.0, 180.0)).yaw, 1.5);
+        // π/2 itself belongs to "else".
+        close(attraction(goal(10.0, 89.9)).yaw, 0.0);
+    }
+
+    #[test]
+    fn near_goals_pull_with_twenty_over_d_squared_and_turn_always() {
+        // 20 cos 60° / 16 = 0.625; tan 24° = 0.44523
+        let f = attraction(goal(4.0, 60.0));
+        close(f.forward_m_s, 0.625);
+        close(f.yaw, 0.445_23);
+        // tan 72° = 3.078: clipped; 20 cos 180° / 16 = −1.25
+        let f = attraction(goal(4.0, -180.0));
+        close(f.forward_m_s, -1.25);
+        close(f.yaw, -1.5);
+        // The branch changes at 5 m: 20/25 = 0.8 just inside, 2/5 = 0.4 at it.
+        close(attraction(goal(4.999_9, 0.0)).forward_m_s, 0.800_03);
+        close(attraction(goal(5.0, 0.0)).forward_m_s, 0.4);
+    }
+
+    #[test]
+    fn at_the_goal_itself_the_pull_is_its_limit_and_finite() {
+        for d in [0.0, 1e-30, 1e-3, 0.1] {
+            close(attraction(goal(d, 0.0)).forward_m_s, 1.5);
+            close(attraction(goal(d, 180.0)).forward_m_s, -1.5);
+            assert!(attraction(goal(d, 90.0)).is_finite());
+        }
+    }
+
+    #[test]
+    fn an_obstacle_turns_the_vehicle_away_from_itself() {
+        // −3 + 3 tan 30° = −1.26795
+        close(repulsion(obstacle(2.0, 60.0), 3.0).yaw, -1.267_95);
+        close(repulsion(obstacle(2.0, -60.0), 3.0).yaw, 1.267_95);
+        // −3 + 3 tan 5° = −2.7375: clipped
+        close(repulsion(obstacle(2.0, 10.0), 3.0).yaw, -1.5);
+        close(repulsion(obstacle(0.0, -10.0), 3.0).yaw, 1.5);
+        assert_eq!(repulsion(obstacle(2.0, 60.0), 3.0).forward_m_s, 0.0);
+    }
+
+    #[test]
+    fn repulsion_fades_at_the_beam_and_ends_at_its_range() {
+        assert!(repulsion(obstacle(1.0, 89.99), 3.0).yaw.abs() < 1e-3);
+        assert!(repulsion(obstacle(1.0, -89.99), 3.0).yaw.abs() < 1e-3);
+        for o in [
+            obstacle(1.0, 90.0),
+            obstacle(1.0, -120.0),
+            obstacle(3.0, 20.0),
+            obstacle(1.0, 0.0),
+        ] {
+            assert_eq!(repulsion(o, 3.0), Action::HOVER, "{o:?}");
+        }
+        // The limits towards dead ahead are the two sides.
+        close(repulsion(obstacle(1.0, 1e-4), 3.0).yaw, -1.5);
+        close(repulsion(obstacle(1.0, -1e-4), 3.0).yaw, 1.5);
+        close(repulsion(obstacle(4.0, 10.0), 5.0).yaw, -1.5);
+    }
+
+    #[test]
+    fn the_sum_is_clipped_not_its_parts_alone() {
+        let f = force(goal(10.0, 120.0), Some(obstacle(1.0, 60.0)));
+        close(f.yaw, 0.590_80 - 1.267_95);
+        close(f.forward_m_s, -0.1);
+        close(force(goal(2.0, 180.0), Some(obstacle(1.0, -5.0))).yaw, 1.5);
+        assert_eq!(force(goal(10.0, 20.0), None), attraction(goal(10.0, 20.0)));
+    }
+
+    #[test]
+    fn nothing_that_is_not_finite_becomes_a_force() {
+        for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+            assert_eq!(attraction(goal(bad, 10.0)), Action::HOVER);
+            assert_eq!(attraction(goal(2.0, bad)), Action::HOVER);
+            assert_eq!(repulsion(obstacle(bad, 10.0), 3.0), Action::HOVER);
+            assert_eq!(repulsion(obstacle(1.0, bad), 3.0), Action::HOVER);
+        }
+        assert_eq!(attraction(goal(-1.0, 10.0)), Action::HOVER);
+        assert_eq!(repulsion(obstacle(-1.0, 10.0), 3.0), Action::HOVER);
+    }
+}

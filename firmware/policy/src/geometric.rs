@@ -1,0 +1,247 @@
+//! The geometric pilot: goal seeking plus the paper's potential field, on what the depth frames show.
+//!
+//! `docs/pilot.md` explains the design. In short, one step: read the [`Surroundings`], enter them into the memory, search
+//! the way to the goal, take the farthest point of the way that can be flown to in a straight line as the waypoint, add
+//! seeking and field, and let the governor limit the speed.
+
+use crate::governor::{self, Motion};
+use crate::memory::Memory;
+use crate::way::{Search, Way};
+use crate::{NearestObstacle, Pilot, PilotInput, Surroundings, apf};
+use core::f32::consts::{FRAC_PI_4, PI};
+use vigil_types::{ACTION_LIMIT, Action, GoalRelative, HeadingVector, NedVector, YAW_RATE_PER_UNIT_RAD_S, wrap_pi};
+
+/// What can be set of the geometric pilot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GeometricConfig {
+    /// Fastest forward speed in metres per second, at most [`ACTION_LIMIT`].
+    pub cruise_m_s: f32,
+    /// Range of the repulsive field in metres.
+    pub repulsive_range_m: f32,
+}
+
+impl Default for GeometricConfig {
+    fn default() -> Self {
+        Self {
+            cruise_m_s: ACTION_LIMIT,
+            repulsive_range_m: apf::REPULSIVE_RANGE_M,
+        }
+    }
+}
+
+/// Yaw output per radian between nose and waypoint.
+const YAW_GAIN: f32 = 3.0;
+/// Full speed up to this angle between nose and waypoint, none from [`TURN_IN_PLACE_RAD`] on.
+const ALIGNED_RAD: f32 = 12.0 * PI / 180.0;
+const TURN_IN_PLACE_RAD: f32 = 60.0 * PI / 180.0;
+/// Farthest waypoint along the way, metres.
+const LOOKAHEAD_M: f32 = 6.0;
+/// Nearest waypoint: taken even where the straight line to it is tight.
+const SHORT_LOOKAHEAD_M: f32 = 0.9;
+/// Clearance that a straight line to a waypoint needs; squared cells, 0.61 m.
+const SIGHT_SQUARED_CELLS: u8 = 6;
+/// Around the vehicle itself the line may be as tight as it is, metres.
+const SIGHT_FROM_M: f32 = 0.5;
+/// The repulsive field takes obstacles within this of the nose (FACTS.md, "limiting the repulsion").
+const REPULSIVE_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
+/// ... that the vehicle would pass nearer than this: its radius and 0.20 m.
+const REPULSIVE_HALF_WIDTH_M: f32 = 0.50;
+/// A waypoint farther off the nose than this has chosen the side to pass on; the field does not overrule it.
+const SIDE_CHOSEN_RAD: f32 = 10.0 * PI / 180.0;
+/// Cells that the search settles in one step.
+const SEARCH_BUDGET: usize = 1500;
+/// A position that jumps by more makes the memory worthless, metres.
+const JUMP_M: f32 = 2.0;
+/// Yaw output while looking around for a way.
+const LOOK_AROUND_YAW: f32 = 1.0;
+
+/// The pilot. A large value (about 100 kB) without pointers; no allocation.
+#[derive(Debug, Clone)]
+pub struct GeometricPilot {
+    config: GeometricConfig,
+    surroundings: Surroundings,
+    memory: Memory,
+    way: Way,
+    last_position_ned_m: Option<NedVector>,
+    last_sequence: Option<u64>,
+}
+
+impl GeometricPilot {
+    /// A pilot that remembers nothing.
+    pub fn new(config: GeometricConfig) -> Self {
+        Self {
+            config,
+            surroundings: Surroundings::new(),
+            memory: Memory::new(),
+            way: Way::new(),
+            last_position_ned_m: None,
+            last_sequence: None,
+        }
+    }
+
+    /// The last step's scan.
+    pub fn surroundings(&self) -> &Surroundings {
+        &self.surroundings
+    }
+
+    /// The last way found, from the vehicle towards the goal, as NED (north, east) metres.
+    pub fn way_points_m(&self) -> &[(f32, f32)] {
+        self.way.points()
+    }
+
+    /// The farthest point of the way that can be flown to in a straight line; `None` without a way.
+    fn waypoint(&self, here: NedVector, goal: NedVector) -> Option<NedVector> {
+        let at = |&(north, east): &(f32, f32)| NedVector::new(north, east, here.z);
+        let from_here = |p: NedVector| (p - here).horizontal_norm();
+        let points = self.way.points();
+        let end = at(points.last()?);
+        if from_here(goal) < LOOKAHEAD_M && self.in_sight(here, goal) {
+            return Some(goal);
+        }
+        // The way began where the vehicle was when the search began: drop what lies behind.
+        let (nearest, _) = points
+            .iter()
+            .enumerate()
+            .min_by(|(_, a), (_, b)| from_here(at(a)).total_cmp(&from_here(at(b))))?;
+        let mut best = None;
+        for point in points.iter().skip(nearest).map(at).step_by(2) {
+            let distance_m = from_here(point);
+            if distance_m > LOOKAHEAD_M {
+                break;
+            }
+            if best.is_none() && distance_m >= SHORT_LOOKAHEAD_M {
+                best = Some(point);
+            } else if distance_m > SHORT_LOOKAHEAD_M {
+                if !self.in_sight(here, point) {
+                    break;
+                }
+                best = Some(point);
+            }
+        }
+        Some(best.unwrap_or(if from_here(goal) < from_here(end) + 1.0 {
+            goal
+        } else {
+            end
+        }))
+    }
+
+    /// Whether the straight line between two points is clear by [`SIGHT_SQUARED_CELLS`].
+    fn in_sight(&self, from: NedVector, to: NedVector) -> bool {
+        const SAMPLE_M: f32 = 0.2;
+        let line = to - from;
+        let length_m = line.horizontal_norm();
+        let samples = (length_m / SAMPLE_M).min(64.0) as usize;
+        (1..=samples).all(|i| {
+            let along_m = i as f32 * SAMPLE_M;
+            let point = from + line * (along_m / length_m);
+            along_m < SIGHT_FROM_M || self.memory.clearance_squared_at(point.x, point.y) >= SIGHT_SQUARED_CELLS
+        })
+    }
+
+    /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
+    fn repulsion(&self, bearing_rad: f32) -> Action {
+        let mut nearest: Option<(f32, f32, f32)> = None;
+        for (x, y, range_m) in self.surroundings.scan().points() {
+            let ahead = x > 0.0 && y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
+            if ahead && nearest.is_none_or(|(_, _, r)| range_m < r) {
+                nearest = Some((x, y, range_m));
+            }
+        }
+        let Some((x, y, distance_m)) = nearest else {
+            return Action::HOVER;
+        };
+        let bearing_of_obstacle = libm::atan2f(y, x);
+        debug_assert!(bearing_of_obstacle.abs() <= REPULSIVE_HALF_ANGLE_RAD + 1e-3);
+        let push = apf::repulsion(
+            NearestObstacle {
+                distance_m,
+                bearing_rad: bearing_of_obstacle,
+            },
+            self.config.repulsive_range_m,
+        );
+        if bearing_rad.abs() > SIDE_CHOSEN_RAD && push.yaw * bearing_rad < 0.0 {
+            return Action::HOVER;
+        }
+        push
+    }
+}
+
+impl Pilot for GeometricPilot {
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        let yaw_rad = input.attitude.yaw_rad();
+        let header = &input.depth.header;
+        let here = header.position_ned_m + Surroundings::moved_since_capture_m(input);
+        if self
+            .last_position_ned_m
+            .is_some_and(|last| (here - last).horizontal_norm() > JUMP_M)
+        {
+            self.reset();
+        }
+        self.last_position_ned_m = Some(here);
+
+        let scan = self.surroundings.observe(input);
+        if self.memory.follow(here) {
+            self.way.abandon_search();
+        }
+        if self.last_sequence != Some(header.sequence) {
+            self.last_sequence = Some(header.sequence);
+            self.memory.observe(scan, here, yaw_rad);
+        }
+
+        let (sin, cos) = (libm::sinf(input.goal.bearing_rad), libm::cosf(input.goal.bearing_rad));
+        let goal = here + (HeadingVector::new(cos, sin, 0.0) * input.goal.distance_m).to_ned(yaw_rad);
+        if !self.way.is_searching() {
+            self.memory.measure_clearance();
+            self.way.start(&self.memory, here, goal);
+        }
+        if self.way.advance(&self.memory, SEARCH_BUDGET) == Search::NoWay {
+            self.way.clear();
+        }
+
+        let Some(waypoint) = self.waypoint(here, goal) else {
+            return Action {
+                forward_m_s: 0.0,
+                yaw: if input.goal.bearing_rad < 0.0 {
+                    -LOOK_AROUND_YAW
+                } else {
+                    LOOK_AROUND_YAW
+                },
+            };
+        };
+        let to_waypoint = waypoint - here;
+        let target = GoalRelative {
+            distance_m: to_waypoint.horizontal_norm(),
+            bearing_rad: wrap_pi(libm::atan2f(to_waypoint.y, to_waypoint.x) - yaw_rad),
+        };
+        let seeking = Action {
+            forward_m_s: self.config.cruise_m_s,
+            yaw: YAW_GAIN * target.bearing_rad,
+        };
+        let field = apf::add(apf::attraction(target), self.repulsion(target.bearing_rad));
+        let wanted = apf::add(seeking.clipped(), field);
+
+        let alignment = (TURN_IN_PLACE_RAD - target.bearing_rad.abs()) / (TURN_IN_PLACE_RAD - ALIGNED_RAD);
+        let near_goal_m_s = 0.6 + 0.6 * input.goal.distance_m;
+        let wanted_m_s = wanted
+            .forward_m_s
+            .min(self.config.cruise_m_s * alignment.clamp(0.0, 1.0))
+            .min(near_goal_m_s);
+        let motion = Motion {
+            position_ned_m: here,
+            yaw_rad,
+            velocity_m_s: input.velocity_m_s,
+            yaw_rate_rad_s: wanted.yaw * YAW_RATE_PER_UNIT_RAD_S,
+        };
+        Action {
+            forward_m_s: governor::admissible_speed_m_s(&motion, self.surroundings.scan(), &self.memory, wanted_m_s),
+            yaw: wanted.yaw,
+        }
+    }
+
+    fn reset(&mut self) {
+        self.memory.clear();
+        self.way.clear();
+        self.last_position_ned_m = None;
+        self.last_sequence = None;
+    }
+}

@@ -1,0 +1,287 @@
+//! A short memory of obstacles around the vehicle: a grid in NED that moves along with it.
+//!
+//! The LiDAR sees 120°; what the vehicle passes is beside it, unseen. The grid keeps it, forgets what the vehicle has
+//! left behind by more than half the grid's side, and frees a cell again when rays are seen to pass through it.
+
+use crate::surroundings::Scan;
+use vigil_types::NedVector;
+
+/// Edge of a cell in metres.
+pub const CELL_M: f32 = 0.25;
+/// Cells along one side; the grid covers ±12 m.
+pub const SIDE: usize = 96;
+/// Cells of the grid.
+pub const CELLS: usize = SIDE * SIDE;
+
+/// Clearance is exact up to this many cells and reported as this beyond it.
+const CLEARANCE_LIMIT_CELLS: usize = 6;
+const CLEARANCE_LIMIT_SQUARED: u8 = (CLEARANCE_LIMIT_CELLS * CLEARANCE_LIMIT_CELLS) as u8;
+
+/// What a surface adds to a cell's score, and the most a score can be: a cell is free again after as many rays.
+const HIT: i8 = 4;
+const SCORE_LIMIT: i8 = 12;
+/// Farther surfaces are left to later frames.
+const MARK_RANGE_M: f32 = 11.0;
+/// Nearer than this, the band of heights is not wholly within the vertical field of view (0.35 m / tan 30°, and tilt):
+/// a ray there does not prove that a cell is free.
+const FREE_FROM_M: f32 = 1.0;
+/// A ray proves cells free up to this far before its surface.
+const FREE_SHORT_OF_SURFACE_M: f32 = 0.4;
+/// The grid is moved when the vehicle is this many cells off its middle.
+const RECENTRE_CELLS: i32 = 8;
+
+/// A cell by its column (north) and row (east) within the grid.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cell {
+    /// Cells north of the grid's south-western corner.
+    pub north: i32,
+    /// Cells east of it.
+    pub east: i32,
+}
+
+impl Cell {
+    /// Index into the grid's arrays, if the cell is within the grid.
+    #[inline]
+    pub fn index(self) -> Option<usize> {
+        let side = 0..SIDE as i32;
+        (side.contains(&self.north) && side.contains(&self.east))
+            .then(|| self.north as usize * SIDE + self.east as usize)
+    }
+
+    /// The cell of an index.
+    #[inline]
+    pub fn of_index(index: usize) -> Self {
+        Self {
+            north: (index / SIDE) as i32,
+            east: (index % SIDE) as i32,
+        }
+    }
+}
+
+/// The grid. Fixed size, no allocation.
+#[derive(Debug, Clone)]
+pub struct Memory {
+    /// Cell coordinates (NED divided by [`CELL_M`]) of the grid's south-western corner; `None` before the first frame.
+    corner: Option<(i32, i32)>,
+    /// Evidence of an obstacle; 0 is free or never seen, [`HIT`] and more is an obstacle.
+    score: [i8; CELLS],
+    /// Squared distance to the nearest obstacle, in cells, at most [`CLEARANCE_LIMIT_SQUARED`].
+    clearance_squared: [u8; CELLS],
+    /// Alternates which sectors' rays free cells, to halve the work.
+    parity: bool,
+}
+
+impl Default for Memory {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Memory {
+    /// An empty memory.
+    pub const fn new() -> Self {
+        Self {
+            corner: None,
+            score: [0; CELLS],
+            clearance_squared: [CLEARANCE_LIMIT_SQUARED; CELLS],
+            parity: false,
+        }
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.corner = None;
+        self.score.fill(0);
+        self.clearance_squared.fill(CLEARANCE_LIMIT_SQUARED);
+    }
+
+    /// The cell of a NED position; it may lie outside the grid.
+    pub fn cell_of(&self, north_m: f32, east_m: f32) -> Cell {
+        let (n0, e0) = self.corner.unwrap_or((0, 0));
+        // `as` saturates, and a corner is a few cells from a finite position.
+        Cell {
+            north: floor(north_m / CELL_M).saturating_sub(n0),
+            east: floor(east_m / CELL_M).saturating_sub(e0),
+        }
+    }
+
+    /// NED metres (north, east) of a cell's middle.
+    pub fn middle_of(&self, cell: Cell) -> (f32, f32) {
+        let (n0, e0) = self.corner.unwrap_or((0, 0));
+        (
+            (cell.north.saturating_add(n0) as f32 + 0.5) * CELL_M,
+            (cell.east.saturating_add(e0) as f32 + 0.5) * CELL_M,
+        )
+    }
+
+    /// Moves the grid so that the vehicle is near its middle. Returns whether it moved: indices of cells then changed.
+    pub fn follow(&mut self, position_ned_m: NedVector) -> bool {
+        let half = SIDE as i32 / 2;
+        let vehicle = self.cell_of(position_ned_m.x, position_ned_m.y);
+        let (north, east) = (vehicle.north.saturating_sub(half), vehicle.east.saturating_sub(half));
+        match self.corner {
+            Some(_) if north.abs() <= RECENTRE_CELLS && east.abs() <= RECENTRE_CELLS => false,
+            Some((n0, e0)) => {
+                shift(&mut self.score, north, east);
+                self.corner = Some((n0.saturating_add(north), e0.saturating_add(east)));
+                self.measure_clearance();
+                true
+            }
+            None => {
+                self.corner = Some((north, east));
+                true
+            }
+        }
+    }
+
+    /// Enters what a scan shows from `position_ned_m` with heading `yaw_rad`.
+    pub fn observe(&mut self, scan: &Scan, position_ned_m: NedVector, yaw_rad: f32) {
+        let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
+        let to_ned = |x: f32, y: f32| (cos * x - sin * y, sin * x + cos * y);
+        let (n0, e0) = self.corner.unwrap_or((0, 0));
+        // Rays first, surfaces after: a ray that grazes a wall must not erase it.
+        self.parity = !self.parity;
+        let directions = scan.direction_forward.iter().zip(&scan.direction_right);
+        for ((&dx, &dy), &range_m) in directions.zip(&scan.range_m).skip(usize::from(self.parity)).step_by(2) {
+            let (north, east) = to_ned(dx, dy);
+            let reach_m = smaller(range_m - FREE_SHORT_OF_SURFACE_M, MARK_RANGE_M);
+            let steps = ((reach_m - FREE_FROM_M) / CELL_M).max(0.0) as usize;
+            // Cells in 16.16 fixed point: a step is one addition, a cell one shift.
+            let (mut n, mut e) = (
+                fixed((position_ned_m.x + north * FREE_FROM_M) / CELL_M - n0 as f32),
+                fixed((position_ned_m.y + east * FREE_FROM_M) / CELL_M - e0 as f32),
+            );
+            let (step_n, step_e) = (fixed(north), fixed(east));
+            for _ in 0..steps {
+                let cell = Cell {
+                    north: n >> 16,
+                    east: e >> 16,
+                };
+                if let Some(score) = cell.index().and_then(|i| self.score.get_mut(i)) {
+                    *score = (*score - 1).max(0);
+                }
+                n = n.wrapping_add(step_n);
+                e = e.wrapping_add(step_e);
+            }
+        }
+        for (x, y, range_m) in scan.points() {
+            if range_m < MARK_RANGE_M {
+                let (north, east) = to_ned(x, y);
+                if let Some(score) = self.score_at(position_ned_m.x + north, position_ned_m.y + east) {
+                    *score = score.saturating_add(HIT).min(SCORE_LIMIT);
+                }
+            }
+        }
+    }
+
+    fn score_at(&mut self, north_m: f32, east_m: f32) -> Option<&mut i8> {
+        let index = self.cell_of(north_m, east_m).index()?;
+        self.score.get_mut(index)
+    }
+
+    /// Computes each cell's distance to the nearest obstacle, exactly, from the scores: along rows, then across them.
+    pub fn measure_clearance(&mut self) {
+        let mut along = [[CLEARANCE_LIMIT_SQUARED; SIDE]; SIDE];
+        for (row, out) in self.score.as_chunks::<SIDE>().0.iter().zip(&mut along) {
+            // Squared distance to the nearest obstacle to the west, then to the east.
+            let mut distance = CLEARANCE_LIMIT_CELLS as u8;
+            for (score, o) in row.iter().zip(out.iter_mut()) {
+                distance = if *score >= HIT {
+                    0
+                } else {
+                    (distance + 1).min(CLEARANCE_LIMIT_CELLS as u8)
+                };
+                *o = distance * distance;
+            }
+            distance = CLEARANCE_LIMIT_CELLS as u8;
+            for (score, o) in row.iter().zip(out.iter_mut()).rev() {
+                distance = if *score >= HIT {
+                    0
+                } else {
+                    (distance + 1).min(CLEARANCE_LIMIT_CELLS as u8)
+                };
+                *o = (*o).min(distance * distance);
+            }
+        }
+        let out = self.clearance_squared.as_chunks_mut::<SIDE>().0;
+        for (i, out) in out.iter_mut().enumerate() {
+            let from = i.saturating_sub(CLEARANCE_LIMIT_CELLS);
+            *out = [CLEARANCE_LIMIT_SQUARED; SIDE];
+            for (k, row) in along
+                .iter()
+                .enumerate()
+                .skip(from)
+                .take(i + CLEARANCE_LIMIT_CELLS + 1 - from)
+            {
+                let across = k.abs_diff(i) as u8;
+                let across = across * across;
+                for (o, a) in out.iter_mut().zip(row) {
+                    *o = (*o).min(a + across);
+                }
+            }
+        }
+    }
+
+    /// Squared clearance in cells by index; 0 outside the grid.
+    #[inline]
+    pub fn clearance_squared(&self, index: usize) -> u8 {
+        self.clearance_squared.get(index).copied().unwrap_or(0)
+    }
+
+    /// Squared clearance in cells at a NED position, as of the last [`Memory::measure_clearance`]: between the middles of
+    /// its cell and of the nearest obstacle's, at most [`CLEARANCE_LIMIT_SQUARED`], which is also the answer outside the grid.
+    pub fn clearance_squared_at(&self, north_m: f32, east_m: f32) -> u8 {
+        match self.cell_of(north_m, east_m).index() {
+            Some(index) => self.clearance_squared(index),
+            None => CLEARANCE_LIMIT_SQUARED,
+        }
+    }
+}
+
+/// Moves a grid's content so that cell (i + north, j + east) becomes (i, j); what enters is 0.
+pub(crate) fn shift<T: Copy + Default>(grid: &mut [T; CELLS], north: i32, east: i32) {
+    let (rows, columns) = (north.unsigned_abs() as usize, east.unsigned_abs() as usize);
+    if rows >= SIDE || columns >= SIDE {
+        grid.fill(T::default());
+        return;
+    }
+    if north > 0 {
+        grid.copy_within(rows * SIDE.., 0);
+    } else if north < 0 {
+        grid.copy_within(..(SIDE - rows) * SIDE, rows * SIDE);
+    }
+    for (i, row) in grid.as_chunks_mut::<SIDE>().0.iter_mut().enumerate() {
+        let entered = if north > 0 { i >= SIDE - rows } else { i < rows };
+        if entered {
+            row.fill(T::default());
+        } else if east > 0 {
+            row.rotate_left(columns);
+            row.iter_mut().rev().take(columns).for_each(|c| *c = T::default());
+        } else if east < 0 {
+            row.rotate_right(columns);
+            row.iter_mut().take(columns).for_each(|c| *c = T::default());
+        }
+    }
+}
+
+/// The next integer below; saturates. (libm's `floorf` costs several times as much and this runs thousands of times a step.)
+#[inline]
+fn floor(x: f32) -> i32 {
+    let truncated = x as i32;
+    if x < truncated as f32 {
+        truncated.saturating_sub(1)
+    } else {
+        truncated
+    }
+}
+
+/// 16.16 fixed point; saturates.
+#[inline]
+fn fixed(x: f32) -> i32 {
+    (x * 65_536.0) as i32
+}
+
+#[inline]
+fn smaller(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}

@@ -1,0 +1,259 @@
+//! The nearest surface at each bearing, taken from one depth frame.
+//!
+//! Each pixel becomes a level 3-D point with the attitude at capture. A point counts if it lies within the vertical band
+//! that the vehicle sweeps, so floor, ceiling, low boxes and high beams drop out by geometry and not by image row.
+
+use crate::PilotInput;
+use crate::apf::NearestObstacle;
+use vigil_types::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HeadingVector, NedVector, column_bearing_rad,
+    row_elevation_rad,
+};
+
+/// Sectors over the horizontal field of view: two image columns, 0.94°, each.
+pub const SECTORS: usize = DEPTH_COLS / 2;
+
+/// Half height of the band around the vehicle's height within which a surface is an obstacle: the vehicle's own 0.10 m,
+/// its tilt (0.30 m · sin 17° = 0.09 m), height keeping and noise.
+pub const BAND_HALF_HEIGHT_M: f32 = 0.35;
+
+/// Returns from farther away are ignored: the band is thinner than two rows there, and "no return" is farther still.
+pub const USEFUL_RANGE_M: f32 = 30.0;
+
+/// Where a sector's point is put when nothing was seen in it, metres.
+pub const FAR_M: f32 = 1e4;
+
+/// Columns handled together: one cache line of pixels.
+const BLOCK: usize = 16;
+const BLOCKS: usize = DEPTH_COLS / BLOCK;
+/// Squared normalised range that stands for "nothing".
+const NOTHING: f32 = 4.0;
+/// A frame older than this is never extrapolated further (the caller refuses it anyway).
+const MAX_EXTRAPOLATION_NS: u64 = 500_000_000;
+
+/// The nearest surfaces in level axes along the heading now. Index 0 is the leftmost sector.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Scan {
+    /// Metres ahead of the vehicle; [`FAR_M`] along the sector where no surface was seen.
+    pub forward_m: [f32; SECTORS],
+    /// Metres to the right of the vehicle; [`FAR_M`] along the sector where no surface was seen.
+    pub right_m: [f32; SECTORS],
+    /// Horizontal distance in metres; infinite where no surface was seen.
+    pub range_m: [f32; SECTORS],
+    /// Unit vector of the sector, forward component; always valid.
+    pub direction_forward: [f32; SECTORS],
+    /// Unit vector of the sector, right component; always valid.
+    pub direction_right: [f32; SECTORS],
+}
+
+impl Scan {
+    /// Nothing seen.
+    pub const EMPTY: Self = Self {
+        forward_m: [FAR_M; SECTORS],
+        right_m: [0.0; SECTORS],
+        range_m: [f32::INFINITY; SECTORS],
+        direction_forward: [1.0; SECTORS],
+        direction_right: [0.0; SECTORS],
+    };
+
+    /// The surfaces seen: (forward, right, distance) in metres, left to right.
+    pub fn points(&self) -> impl Iterator<Item = (f32, f32, f32)> {
+        self.forward_m
+            .iter()
+            .zip(&self.right_m)
+            .zip(&self.range_m)
+            .filter(|(_, range_m)| range_m.is_finite())
+            .map(|((&x, &y), &r)| (x, y, r))
+    }
+
+    /// The nearest surface within ±`half_angle_rad` of the nose: what the repulsive field takes.
+    pub fn nearest_within(&self, half_angle_rad: f32) -> Option<NearestObstacle> {
+        let mut best: Option<(f32, f32, f32)> = None;
+        let cos_limit = libm::cosf(half_angle_rad.clamp(0.0, core::f32::consts::PI));
+        for (x, y, r) in self.points() {
+            if x >= r * cos_limit && best.is_none_or(|(_, _, nearest)| r < nearest) {
+                best = Some((x, y, r));
+            }
+        }
+        best.map(|(x, y, r)| NearestObstacle {
+            distance_m: r,
+            bearing_rad: libm::atan2f(y, x),
+        })
+    }
+}
+
+/// Turns depth frames into [`Scan`]s; holds the direction tables. No allocation.
+#[derive(Debug, Clone)]
+pub struct Surroundings {
+    cos_column: [f32; DEPTH_COLS],
+    sin_column: [f32; DEPTH_COLS],
+    /// Cosine and sine of each row's elevation.
+    rows: [(f32, f32); DEPTH_ROWS],
+    scan: Scan,
+}
+
+impl Default for Surroundings {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Surroundings {
+    /// Computes the tables.
+    pub fn new() -> Self {
+        let mut s = Self {
+            cos_column: [0.0; DEPTH_COLS],
+            sin_column: [0.0; DEPTH_COLS],
+            rows: [(0.0, 0.0); DEPTH_ROWS],
+            scan: Scan::EMPTY,
+        };
+        for (c, (cos, sin)) in s.cos_column.iter_mut().zip(&mut s.sin_column).enumerate() {
+            let bearing = column_bearing_rad(c as f32);
+            *cos = libm::cosf(bearing);
+            *sin = libm::sinf(bearing);
+        }
+        for (r, row) in s.rows.iter_mut().enumerate() {
+            let elevation = row_elevation_rad(r as f32);
+            *row = (libm::cosf(elevation), libm::sinf(elevation));
+        }
+        s
+    }
+
+    /// The last scan.
+    pub fn scan(&self) -> &Scan {
+        &self.scan
+    }
+
+    /// Where the vehicle has moved since the frame was taken, NED metres.
+    pub fn moved_since_capture_m(input: &PilotInput<'_>) -> NedVector {
+        let age_ns = input.now_ns.saturating_sub(input.depth.header.stamp_ns);
+        let age_s = age_ns.min(MAX_EXTRAPOLATION_NS) as f32 * 1e-9;
+        input.velocity_m_s.to_ned(input.attitude.yaw_rad()) * age_s
+    }
+
+    /// Reads the frame: its points are levelled with the attitude at capture, then turned and shifted into the vehicle's
+    /// heading frame now.
+    pub fn observe(&mut self, input: &PilotInput<'_>) -> &Scan {
+        let yaw_rad = input.attitude.yaw_rad();
+        let capture = input.depth.header.attitude;
+        // Body axes at capture, seen in level axes along the heading now.
+        let axis = |x: f32, y: f32, z: f32| capture.to_ned(FrdVector::new(x, y, z)).to_heading(yaw_rad);
+        let axes = Axes {
+            forward: axis(1.0, 0.0, 0.0),
+            right: axis(0.0, 1.0, 0.0),
+            down: axis(0.0, 0.0, 1.0),
+        };
+        let moved = Self::moved_since_capture_m(input).to_heading(yaw_rad);
+        self.read(input.depth, &axes, moved);
+        &self.scan
+    }
+
+    fn read(&mut self, frame: &DepthFrame, axes: &Axes, moved: HeadingVector) {
+        let nearest = self.nearest_by_column(frame, axes);
+        // The down axis of a flying vehicle never gets near level; the limit only keeps the division finite.
+        let down_z = if axes.down.z > 0.1 { axes.down.z } else { 0.1 };
+        let cos = self.cos_column.as_chunks::<2>().0.iter();
+        let sin = self.sin_column.as_chunks::<2>().0.iter();
+        let scan = &mut self.scan;
+        let out = scan
+            .range_m
+            .iter_mut()
+            .zip(&mut scan.forward_m)
+            .zip(&mut scan.right_m)
+            .zip(scan.direction_forward.iter_mut().zip(&mut scan.direction_right));
+        let columns = nearest.as_chunks::<2>().0.iter().zip(cos.zip(sin));
+        for ((((range_m, forward_m), right_m), (dir_x, dir_y)), ([a, b], (cos, sin))) in out.zip(columns) {
+            let (cos, sin) = (0.5 * (cos[0] + cos[1]), 0.5 * (sin[0] + sin[1]));
+            // The direction within this column that is level: its component along the body's down axis cancels the drop.
+            let along_down = -(axes.forward.z * cos + axes.right.z * sin) / down_z;
+            let x = axes.forward.x * cos + axes.right.x * sin + axes.down.x * along_down;
+            let y = axes.forward.y * cos + axes.right.y * sin + axes.down.y * along_down;
+            let scale = 1.0 / libm::sqrtf(x * x + y * y).max(1e-6);
+            (*dir_x, *dir_y) = (x * scale, y * scale);
+            let squared = third_smallest(*a, *b);
+            if squared < NOTHING {
+                let range = libm::sqrtf(squared) * DEPTH_FULL_SCALE_M;
+                *forward_m = range * *dir_x - moved.x;
+                *right_m = range * *dir_y - moved.y;
+                *range_m = libm::sqrtf(*forward_m * *forward_m + *right_m * *right_m);
+            } else {
+                (*forward_m, *right_m, *range_m) = (FAR_M * *dir_x, FAR_M * *dir_y, f32::INFINITY);
+            }
+        }
+    }
+
+    /// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
+    /// Three, because one alone could be a stray return.
+    fn nearest_by_column(&self, frame: &DepthFrame, axes: &Axes) -> [[f32; 3]; DEPTH_COLS] {
+        let mut nearest = [[NOTHING; 3]; DEPTH_COLS];
+        let band = BAND_HALF_HEIGHT_M / DEPTH_FULL_SCALE_M;
+        let farthest = USEFUL_RANGE_M / DEPTH_FULL_SCALE_M;
+        let columns = self
+            .cos_column
+            .as_chunks::<BLOCK>()
+            .0
+            .iter()
+            .zip(self.sin_column.as_chunks::<BLOCK>().0)
+            .zip(nearest.as_chunks_mut::<BLOCK>().0);
+        for (block, ((cos, sin), out)) in columns.enumerate() {
+            let mut drop = [0.0_f32; BLOCK];
+            for ((k, c), s) in drop.iter_mut().zip(cos).zip(sin) {
+                *k = axes.forward.z * c + axes.right.z * s;
+            }
+            let (mut first, mut second, mut third) = ([NOTHING; BLOCK], [NOTHING; BLOCK], [NOTHING; BLOCK]);
+            let pixels = frame.depth.as_chunks::<BLOCK>().0.iter().skip(block).step_by(BLOCKS);
+            for (pixels, &(cos_row, sin_row)) in pixels.zip(&self.rows) {
+                let rise = axes.down.z * sin_row;
+                for i in 0..BLOCK {
+                    // All arrays have BLOCK items.
+                    #[allow(clippy::indexing_slicing)]
+                    {
+                        let depth = pixels[i];
+                        let below = depth * (cos_row * drop[i] - rise);
+                        let squared = depth * depth - below * below;
+                        let v = if below.abs() < band && depth < farthest {
+                            squared
+                        } else {
+                            NOTHING
+                        };
+                        let v1 = larger(first[i], v);
+                        first[i] = smaller(first[i], v);
+                        let v2 = larger(second[i], v1);
+                        second[i] = smaller(second[i], v1);
+                        third[i] = smaller(third[i], v2);
+                    }
+                }
+            }
+            for (((o, a), b), c) in out.iter_mut().zip(first).zip(second).zip(third) {
+                *o = [a, b, c];
+            }
+        }
+        nearest
+    }
+}
+
+/// Body axes in level axes along the heading.
+struct Axes {
+    forward: HeadingVector,
+    right: HeadingVector,
+    down: HeadingVector,
+}
+
+// `f32::min` and `max` also settle NaN, which frames here never hold, at several times the cost.
+#[inline]
+fn smaller(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+#[inline]
+fn larger(a: f32, b: f32) -> f32 {
+    if a < b { b } else { a }
+}
+
+/// The third smallest of two ascending triples.
+fn third_smallest(a: [f32; 3], b: [f32; 3]) -> f32 {
+    let [a1, a2, a3] = a;
+    let [b1, b2, b3] = b;
+    // Of the six, the third smallest takes i from one triple and 3 − i from the other: the split with the least maximum.
+    smaller(smaller(a3, b3), smaller(larger(a1, b2), larger(a2, b1)))
+}

@@ -1,0 +1,388 @@
+//! The way to the goal around remembered obstacles: an A* search over the memory's grid, a slice per step.
+//!
+//! The search runs from the goal to the vehicle, so that each settled cell knows its next cell towards the goal. A goal
+//! outside the grid enters through the grid's border, each border cell at its straight distance to the goal. Costs are
+//! integers and the open list is an array of buckets threaded through fixed arrays: no allocation, bounded work, and the
+//! same way for the same input on any machine.
+
+use crate::memory::{CELL_M, CELLS, Cell, Memory, SIDE};
+use vigil_types::NedVector;
+
+/// Cost of one cell straight ahead; a diagonal costs 14. One unit is [`CELL_M`] / 10.
+const STRAIGHT: u32 = 10;
+const DIAGONAL: u32 = 14;
+/// Extra cost of each cell off the way found before: a new way must be some 10 % shorter to replace it.
+const OFF_WAY: u32 = 1;
+/// The vehicle's middle does not go nearer to an obstacle than this by choice: its radius of 0.30 m and 0.15 m.
+pub const LETHAL_CLEARANCE_M: f32 = 0.45;
+/// Clearance from which on more is no better.
+const WANTED_CLEARANCE_M: f32 = 1.25;
+/// What the narrowest passage costs more than an open one, per metre.
+const NARROW_FACTOR: f32 = 5.0;
+/// Cost factor within [`LETHAL_CLEARANCE_M`], where only the ends of the way may lie.
+const LETHAL_FACTOR: u16 = 20 << FACTOR_SHIFT;
+/// Around vehicle and goal, cells within [`LETHAL_CLEARANCE_M`] of an obstacle may be passed: cells, squared.
+const END_RADIUS_SQUARED: i32 = 9;
+/// Cost factors are in quarters: 2 bits after the point.
+const FACTOR_SHIFT: u32 = 2;
+/// Squared clearances that have a factor of their own.
+const FACTORS: usize = 64;
+
+const BUCKETS: usize = 8192;
+const NO_CELL: u16 = u16::MAX;
+const UNREACHED: u16 = u16::MAX;
+/// Direction code of a cell where the way ends.
+const END: u8 = 8;
+/// Flag beside the direction: the cell's cost is final.
+const SETTLED: u8 = 0x80;
+/// Longest way kept, in cells.
+pub const WAY_POINTS: usize = 320;
+
+/// Eight neighbours: (north, east, cost).
+const NEIGHBOURS: [(i32, i32, u32); 8] = [
+    (1, 0, STRAIGHT),
+    (1, 1, DIAGONAL),
+    (0, 1, STRAIGHT),
+    (-1, 1, DIAGONAL),
+    (-1, 0, STRAIGHT),
+    (-1, -1, DIAGONAL),
+    (0, -1, STRAIGHT),
+    (1, -1, DIAGONAL),
+];
+
+/// Where a search stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Search {
+    /// None is under way.
+    Idle,
+    /// Slices remain.
+    Working,
+    /// Just ended: the way was replaced.
+    Found,
+    /// Just ended: no way leads to the goal.
+    NoWay,
+}
+
+/// The search and the last way found.
+#[derive(Debug, Clone)]
+pub struct Way {
+    /// Cost from the goal to each cell.
+    cost: [u16; CELLS],
+    /// Direction code towards the goal, and [`SETTLED`].
+    towards: [u8; CELLS],
+    /// Doubly linked open lists, one per bucket of estimated total cost.
+    next: [u16; CELLS],
+    previous: [u16; CELLS],
+    bucket: [u16; BUCKETS],
+    /// Lowest bucket that may hold a cell.
+    lowest: usize,
+    /// Estimated total cost of bucket 0.
+    base: u32,
+    working: bool,
+    vehicle: Cell,
+    goal: Cell,
+    /// Cost factor by squared clearance, in quarters; 0 where nothing passes.
+    factor: [u16; FACTORS],
+    /// Squared clearance below which only the ends of a way may lie.
+    lethal_squared: u8,
+    on_way: [bool; CELLS],
+    points: [(f32, f32); WAY_POINTS],
+    len: usize,
+}
+
+impl Default for Way {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Way {
+    /// No way yet.
+    pub fn new() -> Self {
+        let mut way = Self {
+            cost: [UNREACHED; CELLS],
+            towards: [END; CELLS],
+            next: [NO_CELL; CELLS],
+            previous: [NO_CELL; CELLS],
+            bucket: [NO_CELL; BUCKETS],
+            lowest: 0,
+            base: 0,
+            working: false,
+            vehicle: Cell { north: 0, east: 0 },
+            goal: Cell { north: 0, east: 0 },
+            factor: [0; FACTORS],
+            lethal_squared: 0,
+            on_way: [false; CELLS],
+            points: [(0.0, 0.0); WAY_POINTS],
+            len: 0,
+        };
+        for (squared, factor) in way.factor.iter_mut().enumerate() {
+            let clearance_m = libm::sqrtf(squared as f32) * CELL_M;
+            *factor = if squared == 0 {
+                0
+            } else if clearance_m < LETHAL_CLEARANCE_M {
+                way.lethal_squared = squared as u8 + 1;
+                LETHAL_FACTOR
+            } else {
+                let lack = (WANTED_CLEARANCE_M - clearance_m) / (WANTED_CLEARANCE_M - LETHAL_CLEARANCE_M);
+                let lack = lack.max(0.0);
+                ((1.0 + NARROW_FACTOR * lack * lack) * (1 << FACTOR_SHIFT) as f32) as u16
+            };
+        }
+        way
+    }
+
+    /// Forgets the way and the search.
+    pub fn clear(&mut self) {
+        self.working = false;
+        self.len = 0;
+    }
+
+    /// Whether a search is under way.
+    pub fn is_searching(&self) -> bool {
+        self.working
+    }
+
+    /// Stops the search under way, because the grid was moved beneath it; the last way stays.
+    pub fn abandon_search(&mut self) {
+        self.working = false;
+    }
+
+    /// The last way found, from the vehicle to the goal (or to the grid's border), as NED (north, east) metres.
+    pub fn points(&self) -> &[(f32, f32)] {
+        self.points.get(..self.len).unwrap_or(&[])
+    }
+
+    /// Begins a search from the vehicle's position to the goal's.
+    pub fn start(&mut self, memory: &Memory, position_ned_m: NedVector, goal_ned_m: NedVector) {
+        self.cost.fill(UNREACHED);
+        self.towards.fill(END);
+        self.bucket.fill(NO_CELL);
+        self.lowest = BUCKETS - 1;
+        self.working = true;
+        self.vehicle = memory.cell_of(position_ned_m.x, position_ned_m.y);
+        self.goal = memory.cell_of(goal_ned_m.x, goal_ned_m.y);
+        self.mark_way(memory);
+        if interior(self.goal) {
+            // The goal may lie within an obstacle's cell: any free cell around it will do.
+            let around = || (-2..=2).flat_map(|north| (-2..=2).map(move |east| (north, east)));
+            let goal = self.goal;
+            let cells = around().map(|(north, east)| Cell {
+                north: goal.north + north,
+                east: goal.east + east,
+            });
+            self.open_ends(memory, cells);
+        } else {
+            let last = SIDE as i32 - 2;
+            let border = (1..=last).flat_map(|i| [(1, i), (last, i), (i, 1), (i, last)]);
+            self.open_ends(memory, border.map(|(north, east)| Cell { north, east }));
+        }
+    }
+
+    /// Settles up to `budget` cells.
+    pub fn advance(&mut self, memory: &Memory, budget: usize) -> Search {
+        if !self.working {
+            return Search::Idle;
+        }
+        for _ in 0..budget {
+            let Some(index) = self.take_lowest() else {
+                self.working = false;
+                return Search::NoWay;
+            };
+            let cell = Cell::of_index(index);
+            if cell == self.vehicle {
+                self.working = false;
+                self.keep_way(memory);
+                return Search::Found;
+            }
+            let cost = u32::from(self.cost.get(index).copied().unwrap_or(UNREACHED));
+            for (towards, &(north, east, length)) in (0_u8..).zip(&NEIGHBOURS) {
+                // From the neighbour, the way leads back here: the opposite direction.
+                let towards = (towards + 4) % 8;
+                let neighbour = Cell {
+                    north: cell.north + north,
+                    east: cell.east + east,
+                };
+                let Some(index) = neighbour.index() else { continue };
+                if self.towards.get(index).is_none_or(|t| t & SETTLED != 0) {
+                    continue;
+                }
+                let factor = self.factor_of(memory, index, neighbour);
+                if factor == 0 {
+                    continue;
+                }
+                let off_way = if self.on_way.get(index) == Some(&true) {
+                    0
+                } else {
+                    OFF_WAY
+                };
+                let through = cost + ((length * factor) >> FACTOR_SHIFT) + off_way;
+                self.open(index, neighbour, through, towards);
+            }
+        }
+        Search::Working
+    }
+
+    /// Opens the cells where a way may end, each at its straight distance from the goal.
+    fn open_ends(&mut self, memory: &Memory, cells: impl Iterator<Item = Cell> + Clone) {
+        // Costs count from the nearest end, so that a goal kilometres away costs no more bits.
+        let (goal, vehicle) = (self.goal, self.vehicle);
+        let nearest = cells.clone().map(|c| octile(c, goal)).min().unwrap_or(0);
+        let total = |c: Cell| (octile(c, goal) - nearest).saturating_add(octile(c, vehicle));
+        self.base = cells.clone().map(total).min().unwrap_or(0);
+        for cell in cells {
+            let Some(index) = cell.index() else { continue };
+            if self.factor_of(memory, index, cell) != 0 {
+                self.open(index, cell, octile(cell, goal) - nearest, END);
+            }
+        }
+    }
+
+    /// Enters a cell into the open list at this cost, or moves it there if it is in the list at a higher one.
+    fn open(&mut self, index: usize, cell: Cell, cost: u32, towards: u8) {
+        let (Ok(cost16), Some(known)) = (u16::try_from(cost), self.cost.get(index).copied()) else {
+            return;
+        };
+        if cost16 >= known {
+            return;
+        }
+        if known != UNREACHED {
+            self.unlink(index, self.bucket_of(u32::from(known), cell));
+        }
+        let bucket = self.bucket_of(cost, cell);
+        self.lowest = self.lowest.min(bucket);
+        let Some(head) = self.bucket.get_mut(bucket) else {
+            return;
+        };
+        let following = core::mem::replace(head, index as u16);
+        put(&mut self.previous, usize::from(following), index as u16);
+        put(&mut self.next, index, following);
+        put(&mut self.previous, index, NO_CELL);
+        put(&mut self.cost, index, cost16);
+        put(&mut self.towards, index, towards);
+    }
+
+    /// Bucket of an open cell: its estimated total cost above the least possible one.
+    #[inline]
+    fn bucket_of(&self, cost: u32, cell: Cell) -> usize {
+        let total = cost + octile(cell, self.vehicle);
+        (total.saturating_sub(self.base) as usize).min(BUCKETS - 1)
+    }
+
+    fn unlink(&mut self, index: usize, bucket: usize) {
+        let previous = self.previous.get(index).copied().unwrap_or(NO_CELL);
+        let next = self.next.get(index).copied().unwrap_or(NO_CELL);
+        put(&mut self.previous, usize::from(next), previous);
+        if previous == NO_CELL {
+            put(&mut self.bucket, bucket, next);
+        } else {
+            put(&mut self.next, usize::from(previous), next);
+        }
+    }
+
+    /// Takes an open cell of least estimated total cost and settles it.
+    fn take_lowest(&mut self) -> Option<usize> {
+        let (skipped, head) = self
+            .bucket
+            .get(self.lowest..)?
+            .iter()
+            .copied()
+            .enumerate()
+            .find(|&(_, head)| head != NO_CELL)?;
+        self.lowest += skipped;
+        let index = usize::from(head);
+        self.unlink(index, self.lowest);
+        if let Some(t) = self.towards.get_mut(index) {
+            *t |= SETTLED;
+        }
+        Some(index)
+    }
+
+    /// Cost factor of a cell, in quarters; 0 where the vehicle must not go.
+    #[inline]
+    fn factor_of(&self, memory: &Memory, index: usize, cell: Cell) -> u32 {
+        if !interior(cell) {
+            return 0;
+        }
+        let squared = memory.clearance_squared(index);
+        let factor = u32::from(self.factor.get(usize::from(squared)).copied().unwrap_or(0));
+        if squared >= self.lethal_squared {
+            return factor;
+        }
+        let (to_vehicle, to_goal) = (squared_distance(cell, self.vehicle), squared_distance(cell, self.goal));
+        if to_vehicle <= 2 {
+            // The vehicle is here, whatever the memory says.
+            u32::from(LETHAL_FACTOR)
+        } else if to_vehicle <= END_RADIUS_SQUARED || to_goal <= END_RADIUS_SQUARED {
+            factor
+        } else {
+            0
+        }
+    }
+
+    /// Walks from the vehicle to the end of the way and keeps the cells' middles.
+    fn keep_way(&mut self, memory: &Memory) {
+        self.len = 0;
+        let mut cell = self.vehicle;
+        for point in &mut self.points {
+            let Some(&towards) = cell.index().and_then(|i| self.towards.get(i)) else {
+                break;
+            };
+            *point = memory.middle_of(cell);
+            self.len += 1;
+            let Some(&(north, east, _)) = NEIGHBOURS.get(usize::from(towards & !SETTLED)) else {
+                break;
+            };
+            cell = Cell {
+                north: cell.north + north,
+                east: cell.east + east,
+            };
+        }
+    }
+
+    /// Marks the cells of the last way and their neighbours, for the search to prefer.
+    fn mark_way(&mut self, memory: &Memory) {
+        self.on_way.fill(false);
+        for &(north_m, east_m) in self.points.iter().take(self.len) {
+            let cell = memory.cell_of(north_m, east_m);
+            for (north, east) in NEIGHBOURS.iter().map(|n| (n.0, n.1)).chain([(0, 0)]) {
+                let near = Cell {
+                    north: cell.north + north,
+                    east: cell.east + east,
+                };
+                if let Some(index) = near.index() {
+                    put(&mut self.on_way, index, true);
+                }
+            }
+        }
+    }
+}
+
+/// Whether a cell is within the grid and not of its outermost frame, which the search never enters.
+#[inline]
+fn interior(cell: Cell) -> bool {
+    let inner = 1..SIDE as i32 - 1;
+    inner.contains(&cell.north) && inner.contains(&cell.east)
+}
+
+fn squared_distance(a: Cell, b: Cell) -> i32 {
+    let (dn, de) = (a.north.saturating_sub(b.north), a.east.saturating_sub(b.east));
+    dn.saturating_mul(dn).saturating_add(de.saturating_mul(de))
+}
+
+/// Writes an item; an index out of range (such as [`NO_CELL`]) writes nothing.
+#[inline]
+fn put<T>(items: &mut [T], index: usize, value: T) {
+    if let Some(slot) = items.get_mut(index) {
+        *slot = value;
+    }
+}
+
+/// Length of the shortest way over free cells.
+fn octile(a: Cell, b: Cell) -> u32 {
+    let (dn, de) = (a.north.abs_diff(b.north), a.east.abs_diff(b.east));
+    let (long, short) = (dn.max(de), dn.min(de));
+    (long - short)
+        .saturating_mul(STRAIGHT)
+        .saturating_add(short.saturating_mul(DIAGONAL))
+}
