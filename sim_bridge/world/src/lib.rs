@@ -1,1 +1,31 @@
 //! Courses, ray casting, collision and the LiDAR that looks at them.
+//!
+//! ```
+//! use vigil_world::{Family, World, generate};
+//!
+//! let course = generate(Family::Validation, 7);
+//! let world = World::new(&course);
+//! assert!(world.clearance_m(course.start_ned_m()) > 1.0);
+//! ```
+
+mod check;
+mod corridor;
+mod course;
+mod file;
+mod generate;
+mod referee;
+mod solid;
+mod vehicle;
+mod world;
+
+pub use check::{FieldProblem, MAX_COORDINATE_M, MAX_OBSTACLES};
+pub use corridor::CORRIDOR_MARGIN_M;
+pub use course::{
+    Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
+};
+pub use file::CourseError;
+pub use generate::generate;
+pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
+pub use solid::Solid;
+pub use vehicle::{VEHICLE, VehicleSolid};
+pub use world::World;

@@ -1,0 +1,191 @@
+//! The shapes a course is made of, and distances to them.
+
+use glamx::{Pose3, Quat, Vec3};
+use parry3d::shape::SharedShape;
+use vigil_types::NedVector;
+
+/// An obstacle as plain geometry, in NED metres from home. Cuboids turn about the vertical only; cylinders stand upright.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Solid {
+    /// A box.
+    Cuboid {
+        /// Centre.
+        centre_ned_m: NedVector,
+        /// Half of length, width and height. At yaw 0 length lies north and width east.
+        half_extents_m: [f32; 3],
+        /// Direction of the length axis, clockwise from north.
+        yaw_rad: f32,
+    },
+    /// An upright cylinder.
+    Cylinder {
+        /// Centre.
+        centre_ned_m: NedVector,
+        /// Radius.
+        radius_m: f32,
+        /// Half of the height.
+        half_height_m: f32,
+    },
+}
+
+impl Solid {
+    /// A box that stands on `bottom_m` and ends at `top_m` (heights above ground).
+    pub(crate) fn cuboid(
+        (north_m, east_m): (f32, f32),
+        length_m: f32,
+        width_m: f32,
+        bottom_m: f32,
+        top_m: f32,
+        yaw_rad: f32,
+    ) -> Self {
+        Self::Cuboid {
+            centre_ned_m: NedVector::new(north_m, east_m, -0.5 * (bottom_m + top_m)),
+            half_extents_m: [0.5 * length_m, 0.5 * width_m, 0.5 * (top_m - bottom_m)],
+            yaw_rad,
+        }
+    }
+
+    /// Centre, NED metres.
+    pub fn centre_ned_m(&self) -> NedVector {
+        match *self {
+            Self::Cuboid { centre_ned_m, .. } | Self::Cylinder { centre_ned_m, .. } => centre_ned_m,
+        }
+    }
+
+    fn half_height_m(&self) -> f32 {
+        match *self {
+            Self::Cuboid { half_extents_m, .. } => half_extents_m[2],
+            Self::Cylinder { half_height_m, .. } => half_height_m,
+        }
+    }
+
+    /// Height of the lowest face above ground.
+    pub fn bottom_m(&self) -> f32 {
+        -self.centre_ned_m().z - self.half_height_m()
+    }
+
+    /// Height of the highest face above ground.
+    pub fn top_m(&self) -> f32 {
+        -self.centre_ned_m().z + self.half_height_m()
+    }
+
+    /// Distance in the plan view from a point to the solid's outline; negative inside.
+    pub fn plan_distance_m(&self, north_m: f32, east_m: f32) -> f32 {
+        let centre = self.centre_ned_m();
+        let (x, y) = (north_m - centre.x, east_m - centre.y);
+        match *self {
+            Self::Cuboid {
+                half_extents_m: [hx, hy, _],
+                yaw_rad,
+                ..
+            } => {
+                let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
+                let qx = (c * x + s * y).abs() - hx;
+                let qy = (c * y - s * x).abs() - hy;
+                libm::hypotf(qx.max(0.0), qy.max(0.0)) + qx.max(qy).min(0.0)
+            }
+            Self::Cylinder { radius_m, .. } => libm::hypotf(x, y) - radius_m,
+        }
+    }
+
+    /// Distance from a point to the solid; 0 inside.
+    pub fn distance_m(&self, point_ned_m: NedVector) -> f32 {
+        let plan = self.plan_distance_m(point_ned_m.x, point_ned_m.y).max(0.0);
+        let vertical = ((point_ned_m.z - self.centre_ned_m().z).abs() - self.half_height_m()).max(0.0);
+        libm::hypotf(plan, vertical)
+    }
+
+    /// Half extents of the plan view's bounding box: (north, east).
+    pub fn plan_half_extents_m(&self) -> (f32, f32) {
+        match *self {
+            Self::Cuboid {
+                half_extents_m: [hx, hy, _],
+                yaw_rad,
+                ..
+            } => {
+                let (s, c) = (libm::sinf(yaw_rad).abs(), libm::cosf(yaw_rad).abs());
+                (c * hx + s * hy, s * hx + c * hy)
+            }
+            Self::Cylinder { radius_m, .. } => (radius_m, radius_m),
+        }
+    }
+
+    /// The same solid as a parry shape at its pose; the one geometry behind collision and reference ray casting.
+    pub(crate) fn shape(&self) -> (Pose3, SharedShape) {
+        let c = self.centre_ned_m();
+        let at = Vec3::new(c.x, c.y, c.z);
+        match *self {
+            Self::Cuboid {
+                half_extents_m: [hx, hy, hz],
+                yaw_rad,
+                ..
+            } => {
+                let half = 0.5 * yaw_rad;
+                let turn = Quat::from_xyzw(0.0, 0.0, libm::sinf(half), libm::cosf(half));
+                (Pose3::from_parts(at, turn), SharedShape::cuboid(hx, hy, hz))
+            }
+            Self::Cylinder {
+                radius_m,
+                half_height_m,
+                ..
+            } => (
+                Pose3::from_parts(at, UPRIGHT),
+                SharedShape::cylinder(half_height_m, radius_m),
+            ),
+        }
+    }
+}
+
+/// Turns parry's cylinder axis (y) into the vertical (z): a quarter turn about x.
+pub(crate) const UPRIGHT: Quat = Quat::from_xyzw(
+    core::f32::consts::FRAC_1_SQRT_2,
+    0.0,
+    0.0,
+    core::f32::consts::FRAC_1_SQRT_2,
+);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A wall 4 m long and 0.2 m thick, turned by 90°: its length lies east.
+    fn wall_to_the_east() -> Solid {
+        Solid::cuboid((5.0, 0.0), 4.0, 0.2, 0.0, 3.0, core::f32::consts::FRAC_PI_2)
+    }
+
+    #[test]
+    fn a_wall_turned_east_is_long_to_the_east() {
+        let wall = wall_to_the_east();
+        let (north, east) = wall.plan_half_extents_m();
+        assert!((north - 0.1).abs() < 1e-5 && (east - 2.0).abs() < 1e-5);
+        assert!((wall.plan_distance_m(4.0, 1.9) - 0.9).abs() < 1e-5);
+        assert!((wall.plan_distance_m(5.0, 3.0) - 1.0).abs() < 1e-5);
+        assert!(wall.plan_distance_m(5.0, 1.0) < 0.0);
+        assert!((wall.bottom_m()).abs() < 1e-6 && (wall.top_m() - 3.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn distances_agree_with_parry() {
+        let solids = [
+            wall_to_the_east(),
+            Solid::cuboid((3.0, -2.0), 1.0, 2.0, 1.0, 1.8, 0.7),
+            Solid::Cylinder {
+                centre_ned_m: NedVector::new(-2.0, 4.0, -1.5),
+                radius_m: 0.4,
+                half_height_m: 1.5,
+            },
+        ];
+        for solid in solids {
+            let (pose, shape) = solid.shape();
+            for k in 0..200 {
+                let f = k as f32;
+                let p = NedVector::new(
+                    6.0 * libm::sinf(f),
+                    6.0 * libm::cosf(1.7 * f),
+                    -2.0 + 2.0 * libm::sinf(0.3 * f),
+                );
+                let theirs = shape.distance_to_point(&pose, Vec3::new(p.x, p.y, p.z), true);
+                assert!((solid.distance_m(p) - theirs).abs() < 1e-4, "{solid:?} {p:?} {theirs}");
+            }
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! When a flight ends, and how.
+
+use vigil_types::{Attitude, NedVector};
+use vigil_world::{Course, Outcome, Referee, World};
+
+const LEVEL: Attitude = Attitude::LEVEL_NORTH;
+const MS: u64 = 1_000_000;
+
+fn course(obstacles: &str) -> Course {
+    let text = format!(
+        r#"
+name = "test"
+time_limit_s = 30.0
+goal = {{ north_m = 20.0, east_m = 0.0 }}
+bounds = {{ north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }}
+checkpoint = [
+    {{ north_m = 5.0, east_m = 0.0, heading_deg = 0.0 }},
+    {{ north_m = 15.0, east_m = 0.0, heading_deg = 0.0 }},
+]
+{obstacles}
+"#
+    );
+    Course::from_toml_str(&text, "test").expect("valid")
+}
+
+fn with_wall(thickness_m: f32) -> Course {
+    course(&format!(
+        "[[wall]]\nfrom_m = [10.0, -5.0]\nto_m = [10.0, 5.0]\nthickness_m = {thickness_m:?}\nheight_m = 3.0"
+    ))
+}
+
+/// Flies through `points` in straight lines at `speed_m_s`, a truth every `period_ms`; the outcome and where it came.
+fn fly(course: &Course, points: &[[f32; 3]], speed_m_s: f32, period_ms: u64) -> (Option<Outcome>, NedVector, Referee) {
+    let world = World::new(course);
+    let mut referee = Referee::new(course);
+    let mut now_ms = 0;
+    let mut at = NedVector::ZERO;
+    for leg in points.windows(2) {
+        let from = NedVector::new(leg[0][0], leg[0][1], leg[0][2]);
+        let way = NedVector::new(leg[1][0], leg[1][1], leg[1][2]) - from;
+        let steps = (way.norm() / (speed_m_s * period_ms as f32 * 1e-3)).ceil().max(1.0);
+        let velocity = way * (speed_m_s / way.norm().max(1e-6));
+        for k in 0..=steps as usize {
+            at = from + way * (k as f32 / steps);
+            if let Some(outcome) = referee.observe(&world, now_ms * MS, at, LEVEL, velocity) {
+                return (Some(outcome), at, referee);
+            }
+            now_ms += period_ms;
+        }
+    }
+    (None, at, referee)
+}
+
+#[test]
+fn a_straight_flight_over_an_open_field_succeeds_at_the_goals_rim() {
+    let (outcome, at, referee) = fly(
+        &course(""),
+        &[[0.0, 0.0, 0.0], [0.0, 0.0, -1.5], [20.0, 0.0, -1.5]],
+        1.5,
+        4,
+    );
+    assert_eq!(outcome, Some(Outcome::Success));
+    assert!((at.x - 19.0).abs() < 0.02, "{at:?}");
+    assert_eq!(referee.checkpoints_passed(), 2);
+    let duration_s = referee.duration_s().expect("ended");
+    assert!((duration_s - (1.5 + 19.0) / 1.5).abs() < 0.1, "{duration_s}");
+}
+
+#[test]
+fn a_wall_in_the_way_is_hit_when_the_rim_touches_it() {
+    let (outcome, at, referee) = fly(&with_wall(0.2), &[[0.0, 0.0, -1.5], [20.0, 0.0, -1.5]], 1.5, 4);
+    assert_eq!(outcome, Some(Outcome::Collision));
+    assert!((at.x - (10.0 - 0.1 - 0.3)).abs() < 0.02, "{at:?}");
+    assert_eq!(referee.checkpoints_passed(), 1);
+}
+
+#[test]
+fn a_thin_wall_is_not_tunnelled_however_rarely_the_truth_is_shown() {
+    for period_ms in [1, 20, 100, 1000] {
+        let (outcome, ..) = fly(
+            &with_wall(0.02),
+            &[[0.0, 0.0, -1.5], [20.0, 0.0, -1.5]],
+            15.0,
+            period_ms,
+        );
+        assert_eq!(outcome, Some(Outcome::Collision), "every {period_ms} ms");
+    }
+}
+
+#[test]
+fn a_column_is_passed_at_35_cm_from_its_rim_and_hit_at_25() {
+    let column = course("[[column]]\nnorth_m = 10.0\neast_m = 0.0\nradius_m = 0.5\nheight_m = 3.0");
+    for (east_m, expected) in [(0.85, None), (0.75, Some(Outcome::Collision))] {
+        let (outcome, ..) = fly(&column, &[[0.0, east_m, -1.5], [18.0, east_m, -1.5]], 1.5, 4);
+        assert_eq!(outcome, expected, "{east_m}");
+    }
+}
+
+#[test]
+fn an_overhang_is_flown_under_but_not_through() {
+    let beam = |bottom: f32| {
+        course(&format!(
+            "[[overhang]]\nnorth_m = 10.0\neast_m = 0.0\nlength_m = 0.4\nwidth_m = 8.0\nbottom_m = {bottom:?}\ntop_m = 3.0"
+        ))
+    };
+    let way = [[0.0, 0.0, -1.5], [18.0, 0.0, -1.5]];
+    assert_eq!(fly(&beam(1.65), &way, 1.5, 4).0, None);
+    assert_eq!(fly(&beam(1.55), &way, 1.5, 4).0, Some(Outcome::Collision));
+}
+
+#[test]
+fn a_tilted_vehicle_reaches_higher_than_a_level_one() {
+    let low = course("ceiling_height_m = 2.0");
+    let world = World::new(&low);
+    let at = NedVector::new(3.0, 0.0, -1.85);
+    let mut referee = Referee::new(&low);
+    assert_eq!(referee.observe(&world, 0, at, LEVEL, NedVector::ZERO), None);
+    let tilted = Attitude::from_euler_rad(0.4, 0.0, 0.0);
+    assert_eq!(
+        referee.observe(&world, MS, at, tilted, NedVector::ZERO),
+        Some(Outcome::Collision)
+    );
+}
+
+#[test]
+fn a_soft_landing_is_no_collision_and_a_fall_is() {
+    let c = course("");
+    let way = [[3.0, 0.0, -1.5], [3.0, 0.0, -0.05]];
+    assert_eq!(fly(&c, &way, 0.5, 4).0, None);
+    assert_eq!(fly(&c, &way, 4.0, 4).0, Some(Outcome::Collision));
+    let world = World::new(&c);
+    let on_its_side = Attitude::from_euler_rad(1.5, 0.0, 0.0);
+    let mut referee = Referee::new(&c);
+    let at = NedVector::new(3.0, 0.0, -0.2);
+    assert_eq!(
+        referee.observe(&world, 0, at, on_its_side, NedVector::ZERO),
+        Some(Outcome::Collision)
+    );
+}
+
+#[test]
+fn leaving_sideways_or_upwards_is_out_of_bounds_and_so_is_no_position() {
+    let c = course("");
+    assert_eq!(
+        fly(&c, &[[3.0, 0.0, -1.5], [3.0, 12.0, -1.5]], 2.0, 4).0,
+        Some(Outcome::OutOfBounds)
+    );
+    assert_eq!(
+        fly(&c, &[[3.0, 0.0, -1.5], [3.0, 0.0, -8.0]], 2.0, 4).0,
+        Some(Outcome::OutOfBounds)
+    );
+    let nowhere = NedVector::new(f32::NAN, 0.0, -1.5);
+    let outcome = Referee::new(&c).observe(&World::new(&c), 0, nowhere, LEVEL, NedVector::ZERO);
+    assert_eq!(outcome, Some(Outcome::OutOfBounds));
+}
+
+#[test]
+fn hovering_past_the_time_limit_is_a_time_out_counted_from_the_first_truth() {
+    let c = course("");
+    let world = World::new(&c);
+    let mut referee = Referee::new(&c);
+    let at = NedVector::new(3.0, 0.0, -1.5);
+    let start = 1_000_000 * MS;
+    assert_eq!(referee.observe(&world, start, at, LEVEL, NedVector::ZERO), None);
+    assert_eq!(
+        referee.observe(&world, start + 29_999 * MS, at, LEVEL, NedVector::ZERO),
+        None
+    );
+    let end = referee.observe(&world, start + 30_000 * MS, at, LEVEL, NedVector::ZERO);
+    assert_eq!(end, Some(Outcome::TimeOut));
+    // What comes after the end changes nothing.
+    let goal = c.goal_ned_m();
+    assert_eq!(
+        referee.observe(&world, start + 30_001 * MS, goal, LEVEL, NedVector::ZERO),
+        Some(Outcome::TimeOut)
+    );
+    assert!((referee.duration_s().expect("ended") - 30.0).abs() < 1e-6);
+}
