@@ -1,0 +1,443 @@
+//! Between the loop's data and the messages on disk, bit for bit in both directions.
+//!
+//! Towards disk every struct is taken apart by name, so that a field added to the loop's data fails to compile here
+//! until the log records it.
+
+use crate::wire;
+use crate::{TickRecord, wire::Tick};
+use vigil_types::{
+    Action, Attitude, AttitudeSample, Datagrams, FrameHeader, Goal, GoalRelative, GuidanceState, Heartbeat, Kinematics,
+    Landed, Reasons, StepReport, StepTiming, Vector, VehicleMode, VehicleTelemetry, VelocitySetpoint,
+};
+
+/// A message that decodes as protobuf and yet is no step: which field, and what is wrong with it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum RecordDefect {
+    /// A field that every record has is not there.
+    #[error("field `{0}` is missing")]
+    Missing(&'static str),
+    /// A number is outside what its field can hold.
+    #[error("field `{field}` has the impossible value {value}")]
+    Impossible {
+        /// Name of the field.
+        field: &'static str,
+        /// What was found.
+        value: u32,
+    },
+    /// More datagrams than a step can hold.
+    #[error("field `{0}` holds more datagrams than a step can")]
+    TooManyDatagrams(&'static str),
+}
+
+const MODES: [VehicleMode; 8] = [
+    VehicleMode::Unknown,
+    VehicleMode::External,
+    VehicleMode::Hold,
+    VehicleMode::Takeoff,
+    VehicleMode::Land,
+    VehicleMode::Return,
+    VehicleMode::Mission,
+    VehicleMode::Other,
+];
+
+const LANDED: [Landed; 5] = [
+    Landed::Unknown,
+    Landed::OnGround,
+    Landed::TakingOff,
+    Landed::InAir,
+    Landed::Landing,
+];
+
+const fn mode_code(mode: VehicleMode) -> u32 {
+    match mode {
+        VehicleMode::Unknown => 0,
+        VehicleMode::External => 1,
+        VehicleMode::Hold => 2,
+        VehicleMode::Takeoff => 3,
+        VehicleMode::Land => 4,
+        VehicleMode::Return => 5,
+        VehicleMode::Mission => 6,
+        VehicleMode::Other => 7,
+    }
+}
+
+/// Name of a vehicle mode as the log shows it.
+pub(crate) const fn mode_name(mode: VehicleMode) -> &'static str {
+    match mode {
+        VehicleMode::Unknown => "unknown",
+        VehicleMode::External => "external",
+        VehicleMode::Hold => "hold",
+        VehicleMode::Takeoff => "take-off",
+        VehicleMode::Land => "land",
+        VehicleMode::Return => "return",
+        VehicleMode::Mission => "mission",
+        VehicleMode::Other => "other",
+    }
+}
+
+const fn landed_code(landed: Landed) -> u32 {
+    match landed {
+        Landed::Unknown => 0,
+        Landed::OnGround => 1,
+        Landed::TakingOff => 2,
+        Landed::InAir => 3,
+        Landed::Landing => 4,
+    }
+}
+
+/// The message of a record; the frame's pixels are not in it.
+pub(crate) fn to_wire(record: &TickRecord) -> Tick {
+    Tick {
+        now_ns: record.now_ns,
+        timing: Some(timing_to_wire(record.timing)),
+        frame: record.frame().map(|f| header_to_wire(&f.header)),
+        received: datagrams_to_wire(&record.received),
+        sent: datagrams_to_wire(&record.sent),
+        report: Some(report_to_wire(&record.report)),
+        dropped_before: record.dropped_before,
+    }
+}
+
+/// Fills `record` from its message. Returns whether the step had a frame: its header is then in place, its pixels are
+/// the caller's to fill.
+pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, RecordDefect> {
+    record.now_ns = tick.now_ns;
+    record.timing = timing_from_wire(tick.timing.as_ref(), "timing")?;
+    record.dropped_before = tick.dropped_before;
+    record.report = report_from_wire(need(tick.report.as_ref(), "report")?)?;
+    datagrams_from_wire(&tick.received, &mut record.received, "received")?;
+    datagrams_from_wire(&tick.sent, &mut record.sent, "sent")?;
+    let header = tick.frame.as_ref().map(header_from_wire).transpose()?;
+    record.frame_slot(header.is_some()).header = header.unwrap_or_default();
+    Ok(header.is_some())
+}
+
+fn need<T>(value: Option<T>, field: &'static str) -> Result<T, RecordDefect> {
+    value.ok_or(RecordDefect::Missing(field))
+}
+
+fn small<T: TryFrom<u32>>(value: u32, field: &'static str) -> Result<T, RecordDefect> {
+    T::try_from(value).map_err(|_| RecordDefect::Impossible { field, value })
+}
+
+fn code<T: Copy>(table: &[T], value: u32, field: &'static str) -> Result<T, RecordDefect> {
+    usize::try_from(value)
+        .ok()
+        .and_then(|i| table.get(i).copied())
+        .ok_or(RecordDefect::Impossible { field, value })
+}
+
+fn timing_to_wire(timing: StepTiming) -> wire::Timing {
+    let StepTiming {
+        step,
+        previous_execution_ns,
+        wake_late_ns,
+        slips,
+    } = timing;
+    wire::Timing {
+        step,
+        previous_execution_ns,
+        wake_late_ns,
+        slips,
+    }
+}
+
+fn timing_from_wire(timing: Option<&wire::Timing>, field: &'static str) -> Result<StepTiming, RecordDefect> {
+    let t = need(timing, field)?;
+    Ok(StepTiming {
+        step: t.step,
+        previous_execution_ns: t.previous_execution_ns,
+        wake_late_ns: t.wake_late_ns,
+        slips: t.slips,
+    })
+}
+
+fn header_to_wire(header: &FrameHeader) -> wire::Frame {
+    let FrameHeader {
+        stamp_ns,
+        sequence,
+        sensor_id,
+        rows,
+        cols,
+        position_ned_m,
+        attitude,
+        reserved,
+        checksum,
+    } = *header;
+    wire::Frame {
+        stamp_ns,
+        sequence,
+        sensor_id,
+        rows: rows.into(),
+        cols: cols.into(),
+        position_ned_m: Some(xyz_to_wire(position_ned_m)),
+        attitude: Some(attitude_to_wire(attitude)),
+        reserved,
+        checksum,
+    }
+}
+
+fn header_from_wire(frame: &wire::Frame) -> Result<FrameHeader, RecordDefect> {
+    Ok(FrameHeader {
+        stamp_ns: frame.stamp_ns,
+        sequence: frame.sequence,
+        sensor_id: frame.sensor_id,
+        rows: small(frame.rows, "frame.rows")?,
+        cols: small(frame.cols, "frame.cols")?,
+        position_ned_m: xyz_from_wire(frame.position_ned_m.as_ref(), "frame.position_ned_m")?,
+        attitude: attitude_from_wire(frame.attitude.as_ref(), "frame.attitude")?,
+        reserved: frame.reserved,
+        checksum: frame.checksum,
+    })
+}
+
+fn datagrams_to_wire(datagrams: &Datagrams) -> Vec<wire::Datagram> {
+    datagrams
+        .iter()
+        .map(|(link, bytes)| wire::Datagram {
+            link: link.into(),
+            data: bytes.to_vec(),
+        })
+        .collect()
+}
+
+fn datagrams_from_wire(from: &[wire::Datagram], to: &mut Datagrams, field: &'static str) -> Result<(), RecordDefect> {
+    to.clear();
+    for datagram in from {
+        if !to.push(small(datagram.link, field)?, &datagram.data) {
+            return Err(RecordDefect::TooManyDatagrams(field));
+        }
+    }
+    Ok(())
+}
+
+fn report_to_wire(report: &StepReport) -> wire::Report {
+    let StepReport {
+        now_ns,
+        timing,
+        state,
+        reasons,
+        telemetry,
+        goal,
+        goal_relative,
+        action,
+        setpoint,
+        frame_sequence,
+        frame_age_ns,
+        frames_refused,
+    } = *report;
+    wire::Report {
+        now_ns,
+        timing: Some(timing_to_wire(timing)),
+        state: state as u32,
+        reasons: reasons.0,
+        telemetry: Some(telemetry_to_wire(&telemetry)),
+        goal_position_ned_m: goal.map(|Goal { position_ned_m }| xyz_to_wire(position_ned_m)),
+        goal_relative: goal_relative.map(
+            |GoalRelative {
+                 distance_m,
+                 bearing_rad,
+             }| wire::GoalRelative {
+                distance_m: Some(distance_m),
+                bearing_rad: Some(bearing_rad),
+            },
+        ),
+        action: action.map(|Action { forward_m_s, yaw }| wire::Action {
+            forward_m_s: Some(forward_m_s),
+            yaw: Some(yaw),
+        }),
+        setpoint: setpoint.map(
+            |VelocitySetpoint {
+                 velocity_m_s,
+                 yaw_rate_rad_s,
+             }| wire::Setpoint {
+                velocity_heading_m_s: Some(xyz_to_wire(velocity_m_s)),
+                yaw_rate_rad_s: Some(yaw_rate_rad_s),
+            },
+        ),
+        frame_sequence,
+        frame_age_ns,
+        frames_refused,
+    }
+}
+
+fn report_from_wire(report: &wire::Report) -> Result<StepReport, RecordDefect> {
+    let goal = report.goal_position_ned_m.as_ref();
+    Ok(StepReport {
+        now_ns: report.now_ns,
+        timing: timing_from_wire(report.timing.as_ref(), "report.timing")?,
+        state: code(&GuidanceState::ALL, report.state, "report.state")?,
+        reasons: Reasons(report.reasons),
+        telemetry: telemetry_from_wire(need(report.telemetry.as_ref(), "report.telemetry")?)?,
+        goal: goal
+            .map(|_| xyz_from_wire(goal, "report.goal_position_ned_m").map(|position_ned_m| Goal { position_ned_m }))
+            .transpose()?,
+        goal_relative: report
+            .goal_relative
+            .as_ref()
+            .map(|g| {
+                Ok(GoalRelative {
+                    distance_m: need(g.distance_m, "report.goal_relative.distance_m")?,
+                    bearing_rad: need(g.bearing_rad, "report.goal_relative.bearing_rad")?,
+                })
+            })
+            .transpose()?,
+        action: report
+            .action
+            .as_ref()
+            .map(|a| {
+                Ok(Action {
+                    forward_m_s: need(a.forward_m_s, "report.action.forward_m_s")?,
+                    yaw: need(a.yaw, "report.action.yaw")?,
+                })
+            })
+            .transpose()?,
+        setpoint: report
+            .setpoint
+            .as_ref()
+            .map(|s| {
+                Ok(VelocitySetpoint {
+                    velocity_m_s: xyz_from_wire(
+                        s.velocity_heading_m_s.as_ref(),
+                        "report.setpoint.velocity_heading_m_s",
+                    )?,
+                    yaw_rate_rad_s: need(s.yaw_rate_rad_s, "report.setpoint.yaw_rate_rad_s")?,
+                })
+            })
+            .transpose()?,
+        frame_sequence: report.frame_sequence,
+        frame_age_ns: report.frame_age_ns,
+        frames_refused: report.frames_refused,
+    })
+}
+
+fn telemetry_to_wire(telemetry: &VehicleTelemetry) -> wire::Telemetry {
+    let VehicleTelemetry {
+        heartbeat,
+        kinematics,
+        attitude,
+        landed,
+        battery_remaining,
+    } = *telemetry;
+    wire::Telemetry {
+        heartbeat: heartbeat.map(
+            |Heartbeat {
+                 at_ns,
+                 armed,
+                 mode,
+                 failsafe,
+             }| wire::Heartbeat {
+                at_ns,
+                armed,
+                mode: mode_code(mode),
+                failsafe,
+            },
+        ),
+        kinematics: kinematics.map(
+            |Kinematics {
+                 at_ns,
+                 position_ned_m,
+                 velocity_ned_m_s,
+             }| wire::Kinematics {
+                at_ns,
+                position_ned_m: Some(xyz_to_wire(position_ned_m)),
+                velocity_ned_m_s: Some(xyz_to_wire(velocity_ned_m_s)),
+            },
+        ),
+        attitude: attitude.map(
+            |AttitudeSample {
+                 at_ns,
+                 attitude,
+                 rates_frd_rad_s,
+             }| wire::AttitudeSample {
+                at_ns,
+                attitude: Some(attitude_to_wire(attitude)),
+                rates_frd_rad_s: Some(xyz_to_wire(rates_frd_rad_s)),
+            },
+        ),
+        landed: landed_code(landed),
+        battery_remaining,
+    }
+}
+
+fn telemetry_from_wire(telemetry: &wire::Telemetry) -> Result<VehicleTelemetry, RecordDefect> {
+    Ok(VehicleTelemetry {
+        heartbeat: telemetry
+            .heartbeat
+            .as_ref()
+            .map(|h| {
+                Ok(Heartbeat {
+                    at_ns: h.at_ns,
+                    armed: h.armed,
+                    mode: code(&MODES, h.mode, "report.telemetry.heartbeat.mode")?,
+                    failsafe: h.failsafe,
+                })
+            })
+            .transpose()?,
+        kinematics: telemetry
+            .kinematics
+            .as_ref()
+            .map(|k| {
+                Ok(Kinematics {
+                    at_ns: k.at_ns,
+                    position_ned_m: xyz_from_wire(
+                        k.position_ned_m.as_ref(),
+                        "report.telemetry.kinematics.position_ned_m",
+                    )?,
+                    velocity_ned_m_s: xyz_from_wire(
+                        k.velocity_ned_m_s.as_ref(),
+                        "report.telemetry.kinematics.velocity_ned_m_s",
+                    )?,
+                })
+            })
+            .transpose()?,
+        attitude: telemetry
+            .attitude
+            .as_ref()
+            .map(|a| {
+                Ok(AttitudeSample {
+                    at_ns: a.at_ns,
+                    attitude: attitude_from_wire(a.attitude.as_ref(), "report.telemetry.attitude.attitude")?,
+                    rates_frd_rad_s: xyz_from_wire(
+                        a.rates_frd_rad_s.as_ref(),
+                        "report.telemetry.attitude.rates_frd_rad_s",
+                    )?,
+                })
+            })
+            .transpose()?,
+        landed: code(&LANDED, telemetry.landed, "report.telemetry.landed")?,
+        battery_remaining: telemetry.battery_remaining,
+    })
+}
+
+fn xyz_to_wire<F: vigil_types::Frame>(v: Vector<F>) -> wire::Xyz {
+    wire::Xyz {
+        x: Some(v.x),
+        y: Some(v.y),
+        z: Some(v.z),
+    }
+}
+
+fn xyz_from_wire<F: vigil_types::Frame>(v: Option<&wire::Xyz>, field: &'static str) -> Result<Vector<F>, RecordDefect> {
+    let v = need(v, field)?;
+    Ok(Vector::new(need(v.x, field)?, need(v.y, field)?, need(v.z, field)?))
+}
+
+fn attitude_to_wire(q: Attitude) -> wire::Wxyz {
+    wire::Wxyz {
+        w: Some(q.w),
+        x: Some(q.x),
+        y: Some(q.y),
+        z: Some(q.z),
+    }
+}
+
+fn attitude_from_wire(q: Option<&wire::Wxyz>, field: &'static str) -> Result<Attitude, RecordDefect> {
+    let q = need(q, field)?;
+    Ok(Attitude {
+        w: need(q.w, field)?,
+        x: need(q.x, field)?,
+        y: need(q.y, field)?,
+        z: need(q.z, field)?,
+    })
+}

@@ -1,0 +1,409 @@
+//! What a viewer is shown of a record: standard Foxglove messages and the flat status row.
+//!
+//! Viewers draw with z up, so everything spatial is turned from NED into the `map` frame (x east, y north, z up, origin
+//! at home) and from FRD into `base_link` (x forward, y left, z up). The record beside it keeps the loop's own NED bits.
+
+use crate::TickRecord;
+use crate::convert::mode_name;
+use crate::wire::Status;
+use foxglove::messages::{
+    FrameTransform, Log, Pose, PoseInFrame, PosesInFrame, Quaternion, RawImage, Timestamp, Vector3,
+};
+use std::f64::consts::FRAC_1_SQRT_2;
+use vigil_types::{
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState, NedVector, Reasons, VehicleMode,
+};
+
+/// x east, y north, z up, origin at home.
+pub(crate) const MAP_FRAME: &str = "map";
+/// x forward, y left, z up.
+const BODY_FRAME: &str = "base_link";
+/// Bytes of one image row.
+const ROW_BYTES: usize = DEPTH_COLS * 4;
+
+/// A viewer's time stamp of nanoseconds since the UNIX epoch.
+pub(crate) fn timestamp(at_ns: u64) -> Timestamp {
+    let second = 1_000_000_000;
+    u32::try_from(at_ns / second).map_or(Timestamp::MAX, |sec| Timestamp::new(sec, (at_ns % second) as u32))
+}
+
+/// NED → map.
+pub(crate) fn map_point(ned: NedVector) -> Vector3 {
+    Vector3 {
+        x: ned.y.into(),
+        y: ned.x.into(),
+        z: -f64::from(ned.z),
+    }
+}
+
+/// FRD-to-NED rotation → `base_link`-to-`map` rotation: q(map ← NED) ⊗ q ⊗ q(FRD ← FLU), with the half turns about
+/// (x + y)/√2 and x multiplied out.
+fn map_rotation(q: Attitude) -> Quaternion {
+    let (w, x, y, z) = (f64::from(q.w), f64::from(q.x), f64::from(q.y), f64::from(q.z));
+    Quaternion {
+        w: FRAC_1_SQRT_2 * (w + z),
+        x: FRAC_1_SQRT_2 * (x + y),
+        y: FRAC_1_SQRT_2 * (x - y),
+        z: FRAC_1_SQRT_2 * (w - z),
+    }
+}
+
+/// Where the vehicle believes to be, if it told so with finite numbers.
+pub(crate) fn vehicle_pose(record: &TickRecord) -> Option<Pose> {
+    let telemetry = &record.report.telemetry;
+    let (k, a) = (telemetry.kinematics.as_ref()?, telemetry.attitude.as_ref()?);
+    (k.position_ned_m.is_finite() && a.attitude.is_valid()).then(|| Pose {
+        position: Some(map_point(k.position_ned_m)),
+        orientation: Some(map_rotation(a.attitude)),
+    })
+}
+
+pub(crate) fn transform(pose: Pose, at_ns: u64) -> FrameTransform {
+    FrameTransform {
+        timestamp: Some(timestamp(at_ns)),
+        parent_frame_id: MAP_FRAME.to_owned(),
+        child_frame_id: BODY_FRAME.to_owned(),
+        translation: pose.position,
+        rotation: pose.orientation,
+    }
+}
+
+pub(crate) fn pose_in_map(pose: Pose, at_ns: u64) -> PoseInFrame {
+    PoseInFrame {
+        timestamp: Some(timestamp(at_ns)),
+        frame_id: MAP_FRAME.to_owned(),
+        pose: Some(pose),
+    }
+}
+
+pub(crate) fn goal_in_map(goal: Goal, at_ns: u64) -> PoseInFrame {
+    pose_in_map(
+        Pose {
+            position: Some(map_point(goal.position_ned_m)),
+            orientation: Some(map_rotation(Attitude::LEVEL_NORTH)),
+        },
+        at_ns,
+    )
+}
+
+/// The frame as an image with the exact bits of its pixels: 32FC1 is little-endian.
+pub(crate) fn depth_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
+    let mut data = vec![0; DEPTH_PIXELS * 4];
+    for (bytes, value) in data.chunks_exact_mut(4).zip(&frame.depth) {
+        bytes.copy_from_slice(&value.to_le_bytes());
+    }
+    RawImage {
+        timestamp: Some(timestamp(at_ns)),
+        frame_id: "depth_sensor".to_owned(),
+        width: DEPTH_COLS as u32,
+        height: DEPTH_ROWS as u32,
+        encoding: "32FC1".to_owned(),
+        step: ROW_BYTES as u32,
+        data: data.into(),
+    }
+}
+
+/// Fills pixels from an image that [`depth_image`] made; `false` for an image of another kind.
+pub(crate) fn read_depth_image(image: &RawImage, depth: &mut [f32; DEPTH_PIXELS]) -> bool {
+    let ours = image.width as usize == DEPTH_COLS
+        && image.height as usize == DEPTH_ROWS
+        && image.step as usize == ROW_BYTES
+        && image.encoding == "32FC1"
+        && image.data.len() == DEPTH_PIXELS * 4;
+    if ours {
+        for (value, bytes) in depth.iter_mut().zip(image.data.chunks_exact(4)) {
+            *value = f32::from_le_bytes(bytes.try_into().unwrap_or_default());
+        }
+    }
+    ours
+}
+
+/// The path flown so far, thinned so that it never grows beyond [`PathTrail::MAX_POSES`].
+#[derive(Debug)]
+pub(crate) struct PathTrail {
+    poses: Vec<Pose>,
+    /// Takes every n-th pose offered.
+    stride: u64,
+    offered: u64,
+}
+
+impl PathTrail {
+    const MAX_POSES: usize = 600;
+
+    pub(crate) fn new() -> Self {
+        Self {
+            poses: Vec::new(),
+            stride: 4,
+            offered: 0,
+        }
+    }
+
+    pub(crate) fn offer(&mut self, pose: Pose) {
+        if self.offered.is_multiple_of(self.stride) {
+            if self.poses.len() >= Self::MAX_POSES {
+                let mut keep = false;
+                self.poses.retain(|_| {
+                    keep = !keep;
+                    keep
+                });
+                self.stride *= 2;
+            }
+            self.poses.push(pose);
+        }
+        self.offered += 1;
+    }
+
+    pub(crate) fn message(&self, at_ns: u64) -> PosesInFrame {
+        PosesInFrame {
+            timestamp: Some(timestamp(at_ns)),
+            frame_id: MAP_FRAME.to_owned(),
+            poses: self.poses.clone(),
+        }
+    }
+}
+
+/// The flat row for plots.
+pub(crate) fn status(record: &TickRecord) -> Status {
+    let report = &record.report;
+    let telemetry = &report.telemetry;
+    let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
+    let degrees = |value: Option<f32>| number(value).to_degrees();
+    let milliseconds = |ns: Option<u64>| ns.map_or(f64::NAN, |ns| ns as f64 / 1e6);
+    let position = telemetry.kinematics.map(|k| k.position_ned_m);
+    let velocity = telemetry.kinematics.map(|k| k.velocity_ned_m_s);
+    let attitude = telemetry.attitude.map(|a| a.attitude);
+    let setpoint = report.setpoint.map(|s| s.velocity_m_s);
+    let mode = telemetry.heartbeat.map_or(VehicleMode::Unknown, |h| h.mode);
+    Status {
+        step: record.timing.step,
+        state: report.state.name().to_owned(),
+        state_code: report.state as u32,
+        reasons: reason_names(report.reasons),
+        reason_bits: report.reasons.0,
+        goal_distance_m: number(report.goal_relative.map(|g| g.distance_m)),
+        goal_bearing_deg: degrees(report.goal_relative.map(|g| g.bearing_rad)),
+        action_forward_m_s: number(report.action.map(|a| a.forward_m_s)),
+        action_yaw: number(report.action.map(|a| a.yaw)),
+        setpoint_forward_m_s: number(setpoint.map(|v| v.x)),
+        setpoint_right_m_s: number(setpoint.map(|v| v.y)),
+        setpoint_down_m_s: number(setpoint.map(|v| v.z)),
+        setpoint_yaw_rate_deg_s: degrees(report.setpoint.map(|s| s.yaw_rate_rad_s)),
+        north_m: number(position.map(|p| p.x)),
+        east_m: number(position.map(|p| p.y)),
+        height_m: number(position.map(|p| -p.z)),
+        speed_m_s: number(velocity.map(|v| v.horizontal_norm())),
+        climb_m_s: number(velocity.map(|v| -v.z)),
+        roll_deg: degrees(attitude.map(|a| a.roll_rad())),
+        pitch_deg: degrees(attitude.map(|a| a.pitch_rad())),
+        heading_deg: degrees(attitude.map(|a| a.yaw_rad())),
+        yaw_rate_deg_s: degrees(telemetry.attitude.map(|a| a.rates_frd_rad_s.z)),
+        battery_percent: 100.0 * number(telemetry.battery_remaining),
+        armed: telemetry.heartbeat.is_some_and(|h| h.armed),
+        vehicle_mode: mode_name(mode).to_owned(),
+        step_time_ms: milliseconds(Some(record.timing.previous_execution_ns)),
+        wake_late_ms: milliseconds(Some(record.timing.wake_late_ns)),
+        slips: record.timing.slips,
+        frame_age_ms: milliseconds(report.frame_age_ns),
+        telemetry_age_ms: milliseconds(telemetry.flight_data_age_ns(record.now_ns)),
+        frames_refused: report.frames_refused,
+        received_datagrams: record.received.len() as u32,
+        sent_datagrams: record.sent.len() as u32,
+        records_dropped: record.dropped_before,
+    }
+}
+
+fn reason_names(reasons: Reasons) -> String {
+    let names: Vec<_> = reasons.iter().map(|r| r.name()).collect();
+    names.join(", ")
+}
+
+/// Turns changes between records into lines for a viewer's log panel.
+#[derive(Debug, Default)]
+pub(crate) struct Narrator {
+    last: Option<Told>,
+}
+
+/// What the last line was about.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Told {
+    state: GuidanceState,
+    reasons: Reasons,
+    armed: bool,
+    mode: VehicleMode,
+    dropped: u64,
+}
+
+impl Narrator {
+    /// Hands every line that this record calls for to `tell`, with its level.
+    pub(crate) fn lines(&mut self, record: &TickRecord, mut tell: impl FnMut(foxglove::messages::log::Level, String)) {
+        use foxglove::messages::log::Level;
+        let report = &record.report;
+        let heartbeat = report.telemetry.heartbeat;
+        let now = Told {
+            state: report.state,
+            reasons: report.reasons,
+            armed: heartbeat.is_some_and(|h| h.armed),
+            mode: heartbeat.map_or(VehicleMode::Unknown, |h| h.mode),
+            dropped: record.dropped_before,
+        };
+        let before = self.last.replace(now);
+        if before.is_none_or(|b| (b.state, b.reasons) != (now.state, now.reasons)) {
+            let level = match now.state {
+                GuidanceState::Hold if !now.reasons.contains(vigil_types::Reason::GoalReached) => Level::Warning,
+                _ => Level::Info,
+            };
+            let from = match before {
+                Some(b) if b.state != now.state => format!("{} → ", b.state.name()),
+                _ => String::new(),
+            };
+            let why = match reason_names(now.reasons) {
+                names if names.is_empty() => names,
+                names => format!(" ({names})"),
+            };
+            tell(level, format!("guidance: {from}{}{why}", now.state.name()));
+        }
+        if before.is_some_and(|b| b.armed != now.armed) {
+            let word = if now.armed { "armed" } else { "disarmed" };
+            tell(Level::Info, format!("vehicle: {word}"));
+        }
+        if before.is_some_and(|b| b.mode != now.mode) {
+            tell(Level::Info, format!("vehicle: mode {}", mode_name(now.mode)));
+        }
+        let lost = now.dropped.saturating_sub(before.map_or(0, |b| b.dropped));
+        if lost > 0 {
+            tell(
+                Level::Error,
+                format!("log: {lost} records were dropped before this one"),
+            );
+        }
+    }
+}
+
+pub(crate) fn log_line(level: foxglove::messages::log::Level, message: String, at_ns: u64) -> Log {
+    Log {
+        timestamp: Some(timestamp(at_ns)),
+        level: level as i32,
+        message,
+        name: "vigil".to_owned(),
+        file: String::new(),
+        line: 0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_types::{AttitudeSample, FrdVector, Heartbeat, Kinematics, Reason};
+
+    fn turn(q: Quaternion, v: [f64; 3]) -> [f64; 3] {
+        // v + 2w (u × v) + 2 u × (u × v)
+        let u = [q.x, q.y, q.z];
+        let cross = |a: [f64; 3], b: [f64; 3]| {
+            [
+                a[1] * b[2] - a[2] * b[1],
+                a[2] * b[0] - a[0] * b[2],
+                a[0] * b[1] - a[1] * b[0],
+            ]
+        };
+        let t = cross(u, v);
+        let tt = cross(u, t);
+        [0, 1, 2].map(|i| v[i] + 2.0 * q.w * t[i] + 2.0 * tt[i])
+    }
+
+    #[test]
+    fn the_body_axes_of_the_map_are_those_of_the_loop() {
+        let attitude = Attitude::from_euler_rad(0.3, -0.2, 2.1);
+        let rotation = map_rotation(attitude);
+        for (frd, flu) in [
+            (FrdVector::new(1.0, 0.0, 0.0), [1.0, 0.0, 0.0]),
+            (FrdVector::new(0.0, 1.0, 0.0), [0.0, -1.0, 0.0]),
+            (FrdVector::new(0.0, 0.0, 1.0), [0.0, 0.0, -1.0]),
+        ] {
+            let expected = map_point(attitude.to_ned(frd));
+            let [x, y, z] = turn(rotation, flu);
+            let error = (expected.x - x).abs() + (expected.y - y).abs() + (expected.z - z).abs();
+            assert!(error < 1e-6, "{frd:?}: {expected:?} against {x} {y} {z}");
+        }
+    }
+
+    #[test]
+    fn a_long_flights_path_stays_small_and_keeps_its_start_and_its_end() {
+        let mut trail = PathTrail::new();
+        let at = |x: f64| Pose {
+            position: Some(Vector3 { x, y: 0.0, z: 0.0 }),
+            orientation: None,
+        };
+        for i in 0..200_000 {
+            trail.offer(at(f64::from(i)));
+        }
+        let poses = trail.message(0).poses;
+        assert!(poses.len() <= PathTrail::MAX_POSES && poses.len() > PathTrail::MAX_POSES / 3);
+        let x = |p: &Pose| p.position.unwrap().x;
+        assert_eq!(x(&poses[0]), 0.0);
+        assert!(x(poses.last().unwrap()) > 199_000.0);
+        let steps: Vec<f64> = poses.windows(2).map(|w| x(&w[1]) - x(&w[0])).collect();
+        assert!(steps.iter().all(|s| *s == steps[0]), "evenly thinned");
+    }
+
+    #[test]
+    fn changes_are_told_once_and_a_hold_for_cause_is_a_warning() {
+        use foxglove::messages::log::Level;
+        let mut narrator = Narrator::default();
+        let mut record = TickRecord::default();
+        let mut told = |record: &TickRecord| {
+            let mut lines = Vec::new();
+            narrator.lines(record, |level, line| lines.push((level, line)));
+            lines
+        };
+        assert_eq!(told(&record), [(Level::Info, "guidance: standby".to_owned())]);
+        assert_eq!(told(&record), []);
+        record.report.state = GuidanceState::Hold;
+        record.report.reasons = Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip);
+        record.report.telemetry.heartbeat = Some(Heartbeat {
+            at_ns: 0,
+            armed: true,
+            mode: VehicleMode::External,
+            failsafe: false,
+        });
+        record.dropped_before = 3;
+        assert_eq!(
+            told(&record),
+            [
+                (
+                    Level::Warning,
+                    "guidance: standby → hold (stale frame, slip)".to_owned()
+                ),
+                (Level::Info, "vehicle: armed".to_owned()),
+                (Level::Info, "vehicle: mode external".to_owned()),
+                (Level::Error, "log: 3 records were dropped before this one".to_owned()),
+            ]
+        );
+        record.report.reasons = Reasons::of(Reason::GoalReached);
+        assert_eq!(
+            told(&record),
+            [(Level::Info, "guidance: hold (goal reached)".to_owned())]
+        );
+    }
+
+    #[test]
+    fn the_status_row_shows_what_was_never_received_as_a_gap() {
+        let mut record = TickRecord::default();
+        let row = status(&record);
+        assert!(row.north_m.is_nan() && row.goal_distance_m.is_nan() && row.frame_age_ms.is_nan());
+        record.now_ns = 5_000_000;
+        record.report.telemetry.kinematics = Some(Kinematics {
+            at_ns: 2_000_000,
+            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
+            velocity_ned_m_s: NedVector::new(3.0, 4.0, 0.5),
+        });
+        record.report.telemetry.attitude = Some(AttitudeSample {
+            at_ns: 4_000_000,
+            attitude: Attitude::from_euler_rad(0.0, 0.0, std::f32::consts::FRAC_PI_2),
+            rates_frd_rad_s: FrdVector::ZERO,
+        });
+        let row = status(&record);
+        assert_eq!((row.north_m, row.east_m, row.height_m), (1.0, 2.0, 3.0));
+        assert_eq!((row.speed_m_s, row.climb_m_s, row.telemetry_age_ms), (5.0, -0.5, 3.0));
+        assert!((row.heading_deg - 90.0).abs() < 1e-4);
+    }
+}

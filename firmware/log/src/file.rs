@@ -1,0 +1,234 @@
+//! Writes records into an MCAP file: which channels there are, what goes to which, and when it is flushed.
+
+use crate::display::{self, Narrator, PathTrail};
+use crate::{FlightInfo, Scene, TickRecord, convert, wire};
+use foxglove::messages::log::Level;
+use foxglove::messages::{FrameTransform, Log, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Compression, McapError, McapResult, WriteOptions};
+use prost::Message;
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+use vigil_types::{Goal, Nanos};
+
+/// Version of what a replay reads: [`META`], [`topic::TICK`] and [`topic::DEPTH`]. Raised when an older reader would
+/// misread a newer log; a field added to a message does not raise it.
+pub const LOG_FORMAT: u32 = 1;
+
+/// Name of the metadata record at the start of a log.
+pub(crate) const META: &str = "vigil";
+/// Name of the metadata record at the end of a log that was closed.
+pub(crate) const META_END: &str = "vigil.end";
+
+/// At least this often in log time, what was recorded goes to the file as a complete chunk.
+const FLUSH_NS: Nanos = 1_000_000_000;
+/// The path and the goal are repeated this often.
+const SLOW_NS: Nanos = 1_000_000_000;
+
+/// Names of the channels.
+pub(crate) mod topic {
+    pub(crate) const DEPTH: &str = "/depth";
+    pub(crate) const TICK: &str = "/vigil/tick";
+    pub(crate) const STATUS: &str = "/status";
+    pub(crate) const TRANSFORM: &str = "/tf";
+    pub(crate) const POSE: &str = "/pose";
+    pub(crate) const PATH: &str = "/path";
+    pub(crate) const GOAL: &str = "/goal";
+    pub(crate) const SCENE: &str = "/scene";
+    pub(crate) const LOG: &str = "/log";
+}
+
+struct Channels {
+    depth: u16,
+    tick: u16,
+    status: u16,
+    transform: u16,
+    pose: u16,
+    path: u16,
+    goal: u16,
+    scene: u16,
+    log: u16,
+}
+
+impl Channels {
+    fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
+        let own_schemas = wire::file_descriptor_set();
+        Ok(Self {
+            depth: standard::<RawImage, W>(writer, topic::DEPTH)?,
+            tick: protobuf(writer, topic::TICK, &wire::schema_name("Tick"), &own_schemas)?,
+            status: protobuf(writer, topic::STATUS, &wire::schema_name("Status"), &own_schemas)?,
+            transform: standard::<FrameTransform, W>(writer, topic::TRANSFORM)?,
+            pose: standard::<PoseInFrame, W>(writer, topic::POSE)?,
+            path: standard::<PosesInFrame, W>(writer, topic::PATH)?,
+            goal: standard::<PoseInFrame, W>(writer, topic::GOAL)?,
+            scene: standard::<SceneUpdate, W>(writer, topic::SCENE)?,
+            log: standard::<Log, W>(writer, topic::LOG)?,
+        })
+    }
+}
+
+fn standard<T: foxglove::Encode, W: Write + Seek>(writer: &mut mcap::Writer<W>, topic: &str) -> McapResult<u16> {
+    let schema = T::get_schema().ok_or_else(|| McapError::UnknownSchema(topic.to_owned(), 0))?;
+    protobuf(writer, topic, &schema.name, &schema.data)
+}
+
+fn protobuf<W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    topic: &str,
+    schema_name: &str,
+    schema: &[u8],
+) -> McapResult<u16> {
+    let schema = writer.add_schema(schema_name, "protobuf", schema)?;
+    writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
+}
+
+/// An open log. Everything up to the last flush can be read even if nothing more is ever written.
+pub(crate) struct LogFile<W: Write + Seek> {
+    writer: mcap::Writer<W>,
+    channels: Channels,
+    epoch_offset_ns: u64,
+    scene: Option<Scene>,
+    buffer: Vec<u8>,
+    narrator: Narrator,
+    trail: PathTrail,
+    goal: Option<Goal>,
+    last_flush_ns: Option<Nanos>,
+    last_slow_ns: Option<Nanos>,
+}
+
+impl<W: Write + Seek> LogFile<W> {
+    /// Writes what stands before the first record (who flies with which settings, the channels) and flushes it.
+    pub(crate) fn create(sink: W, info: &FlightInfo, epoch_offset_ns: u64, scene: Option<Scene>) -> McapResult<Self> {
+        let mut writer = WriteOptions::new()
+            .library(concat!("vigil-log/", env!("CARGO_PKG_VERSION")))
+            .compression(Some(Compression::Lz4))
+            // Chunks are put together in memory and written whole: a kill leaves complete chunks, not half a one.
+            .disable_seeking(true)
+            .create(sink)?;
+        writer.write_metadata(&Metadata {
+            name: META.to_owned(),
+            metadata: info.to_metadata(epoch_offset_ns),
+        })?;
+        let channels = Channels::register(&mut writer)?;
+        writer.flush()?;
+        Ok(Self {
+            writer,
+            channels,
+            epoch_offset_ns,
+            scene,
+            buffer: Vec::new(),
+            narrator: Narrator::default(),
+            trail: PathTrail::new(),
+            goal: None,
+            last_flush_ns: None,
+            last_slow_ns: None,
+        })
+    }
+
+    /// Writes a record into the present chunk. `true` when that made a flush due and it was done: all records so far
+    /// are then in the file.
+    pub(crate) fn write(&mut self, record: &TickRecord) -> McapResult<bool> {
+        let at_ns = record.now_ns.saturating_add(self.epoch_offset_ns);
+        // Wraps after 2³² steps, as the MCAP field does.
+        let sequence = record.timing.step as u32;
+        let mut messages = Messages {
+            writer: &mut self.writer,
+            buffer: &mut self.buffer,
+            at_ns,
+            sequence,
+        };
+        if let Some(scene) = self.scene.take() {
+            messages.put(self.channels.scene, &scene.to_update(at_ns))?;
+        }
+        if let Some(frame) = record.frame() {
+            messages.put(self.channels.depth, &display::depth_image(frame, at_ns))?;
+        }
+        messages.put(self.channels.tick, &convert::to_wire(record))?;
+        messages.put(self.channels.status, &display::status(record))?;
+
+        let slow_due = due(&mut self.last_slow_ns, record.now_ns, SLOW_NS);
+        if let Some(pose) = display::vehicle_pose(record) {
+            self.trail.offer(pose);
+            messages.put(self.channels.transform, &display::transform(pose, at_ns))?;
+            messages.put(self.channels.pose, &display::pose_in_map(pose, at_ns))?;
+            if slow_due {
+                messages.put(self.channels.path, &self.trail.message(at_ns))?;
+            }
+        }
+        let goal = record.report.goal.filter(|g| g.position_ned_m.is_finite());
+        if let Some(goal) = goal
+            && (slow_due || self.goal != Some(goal))
+        {
+            messages.put(self.channels.goal, &display::goal_in_map(goal, at_ns))?;
+        }
+        self.goal = goal;
+
+        let mut told = Ok(());
+        self.narrator.lines(record, |level: Level, line| {
+            if told.is_ok() {
+                told = messages.put(self.channels.log, &display::log_line(level, line, at_ns));
+            }
+        });
+        told?;
+
+        let first = self.last_flush_ns.is_none();
+        if due(&mut self.last_flush_ns, record.now_ns, FLUSH_NS) && !first {
+            self.writer.flush()?;
+            return Ok(true);
+        }
+        Ok(false)
+    }
+
+    /// Puts everything written so far into the file as a complete chunk.
+    pub(crate) fn flush(&mut self) -> McapResult<()> {
+        self.writer.flush()
+    }
+
+    /// Closes the log: notes how it ended and writes the index that lets viewers seek.
+    pub(crate) fn finish(mut self, records: u64, dropped: u64) -> McapResult<W> {
+        self.writer.write_metadata(&Metadata {
+            name: META_END.to_owned(),
+            metadata: BTreeMap::from([
+                ("records".to_owned(), records.to_string()),
+                ("dropped".to_owned(), dropped.to_string()),
+            ]),
+        })?;
+        self.writer.finish()?;
+        Ok(self.writer.into_inner())
+    }
+}
+
+/// Whether `period_ns` passed since `last`, which is then set to `now_ns`. A clock that went back counts as passed.
+fn due(last: &mut Option<Nanos>, now_ns: Nanos, period_ns: Nanos) -> bool {
+    let is_due = last.is_none_or(|then| then.abs_diff(now_ns) >= period_ns);
+    if is_due {
+        *last = Some(now_ns);
+    }
+    is_due
+}
+
+/// Puts messages of one instant into the file.
+struct Messages<'a, W: Write + Seek> {
+    writer: &'a mut mcap::Writer<W>,
+    buffer: &'a mut Vec<u8>,
+    at_ns: u64,
+    sequence: u32,
+}
+
+impl<W: Write + Seek> Messages<'_, W> {
+    fn put(&mut self, channel_id: u16, message: &impl Message) -> McapResult<()> {
+        self.buffer.clear();
+        message
+            .encode(self.buffer)
+            .map_err(|error| McapError::Io(std::io::Error::other(error)))?;
+        self.writer.write_to_known_channel(
+            &MessageHeader {
+                channel_id,
+                sequence: self.sequence,
+                log_time: self.at_ns,
+                publish_time: self.at_ns,
+            },
+            self.buffer,
+        )
+    }
+}

@@ -1,0 +1,63 @@
+//! Who flew with which settings: the metadata at the start of a log.
+
+use crate::file::LOG_FORMAT;
+use std::collections::BTreeMap;
+
+/// What a log says about its flight besides the records.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct FlightInfo {
+    /// Name and version of the program that flew, for example `firmware 0.1.0`.
+    pub program: String,
+    /// Source revision it was built from, if known.
+    pub git_commit: Option<String>,
+    /// Number of the vehicle instance.
+    pub instance: u32,
+    /// Seed of the simulated flight, if it has one.
+    pub seed: Option<u64>,
+    /// The whole configuration as TOML: what a replay builds its flight stack from.
+    pub config_toml: String,
+}
+
+const FORMAT: &str = "format";
+const EPOCH_OFFSET: &str = "epoch_offset_ns";
+
+impl FlightInfo {
+    pub(crate) fn to_metadata(&self, epoch_offset_ns: u64) -> BTreeMap<String, String> {
+        let mut map = BTreeMap::from([
+            (FORMAT.to_owned(), LOG_FORMAT.to_string()),
+            (EPOCH_OFFSET.to_owned(), epoch_offset_ns.to_string()),
+            ("program".to_owned(), self.program.clone()),
+            ("instance".to_owned(), self.instance.to_string()),
+            ("config".to_owned(), self.config_toml.clone()),
+        ]);
+        if let Some(commit) = &self.git_commit {
+            map.insert("git_commit".to_owned(), commit.clone());
+        }
+        if let Some(seed) = self.seed {
+            map.insert("seed".to_owned(), seed.to_string());
+        }
+        map
+    }
+
+    /// Format version, flight information and epoch offset of a metadata record; `Err` names the first bad entry.
+    pub(crate) fn from_metadata(map: &BTreeMap<String, String>) -> Result<(Self, u64), &'static str> {
+        let text = |key: &'static str| map.get(key).ok_or(key);
+        let info = Self {
+            program: text("program")?.clone(),
+            git_commit: map.get("git_commit").cloned(),
+            instance: number(map, "instance")?.ok_or("instance")?,
+            seed: number(map, "seed")?,
+            config_toml: text("config")?.clone(),
+        };
+        Ok((info, number(map, EPOCH_OFFSET)?.ok_or(EPOCH_OFFSET)?))
+    }
+
+    /// Format version of a metadata record, if it has one.
+    pub(crate) fn format_version(map: &BTreeMap<String, String>) -> Option<u32> {
+        number(map, FORMAT).ok().flatten()
+    }
+}
+
+fn number<T: std::str::FromStr>(map: &BTreeMap<String, String>, key: &'static str) -> Result<Option<T>, &'static str> {
+    map.get(key).map(|text| text.parse().map_err(|_| key)).transpose()
+}

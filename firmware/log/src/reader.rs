@@ -1,0 +1,411 @@
+//! Reads a log back, record by record and bit for bit.
+
+use crate::file::{LOG_FORMAT, META, META_END, topic};
+use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, wire};
+use foxglove::messages::RawImage;
+use mcap::McapError;
+use mcap::records::{MessageHeader, Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use prost::Message;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+/// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
+const LENGTH_LIMIT: usize = 64 << 20;
+
+/// Why a log cannot be read, or cannot be read any further.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file cannot be opened or read.
+    #[error("log file {path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// Not an MCAP file.
+    #[error("{path} is no MCAP file; give the .mcap file of a flight")]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An MCAP file of another program.
+    #[error("{path} is an MCAP file but no flight log of Vigil: it does not begin with the metadata \"vigil\"")]
+    NotALog {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file ends before its first record.
+    #[error("{path} ends within its first bytes: the recording was stopped before anything was written")]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A log of another format version.
+    #[error(
+        "{path} has log format {found}, this program reads {LOG_FORMAT}; read it with the version of Vigil that wrote it{}",
+        .program.as_deref().map(|p| format!(" ({p})")).unwrap_or_default()
+    )]
+    Version {
+        /// The file.
+        path: PathBuf,
+        /// Its format version.
+        found: u32,
+        /// What wrote it.
+        program: Option<String>,
+    },
+    /// The metadata at the start lacks an entry or has one that is no number.
+    #[error("{path}: metadata \"vigil\" has a missing or invalid entry `{key}`")]
+    Metadata {
+        /// The file.
+        path: PathBuf,
+        /// The entry.
+        key: &'static str,
+    },
+    /// The file is damaged; the records before are good.
+    #[error("{path} is damaged after record {records}: {what}; the records before it are good")]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// Records read before the damage.
+        records: u64,
+        /// What is wrong.
+        what: Damage,
+    },
+}
+
+/// What is wrong in a damaged log.
+#[derive(Debug, thiserror::Error)]
+pub enum Damage {
+    /// The MCAP container does not hold together (length, checksum, compression).
+    #[error("{0}")]
+    Container(McapError),
+    /// A message does not decode.
+    #[error("a message of {topic} does not decode: {source}")]
+    Message {
+        /// The channel.
+        topic: &'static str,
+        /// What the decoder said.
+        source: prost::DecodeError,
+    },
+    /// A tick's message decodes but is no step.
+    #[error("a message of /vigil/tick is no step: {0}")]
+    Record(RecordDefect),
+    /// A step speaks of a frame and the depth channel has none for it, or the reverse.
+    #[error("step {step} and the depth channel disagree on whether it had a frame")]
+    FrameMissing {
+        /// The step.
+        step: u64,
+    },
+    /// The depth image has another size or encoding than this program's frames.
+    #[error("the depth image of step {step} is no {rows} x {cols} image in 32FC1", rows = vigil_types::DEPTH_ROWS, cols = vigil_types::DEPTH_COLS)]
+    Image {
+        /// The step.
+        step: u64,
+    },
+    /// The log's end counts other records than there are.
+    #[error("the log ends with a count of {counted} records")]
+    Count {
+        /// Records by the log's own count.
+        counted: u64,
+    },
+}
+
+/// How a log ends, known once all its records were read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LogEnd {
+    /// The recorder closed it.
+    Closed {
+        /// Records missing because they were dropped.
+        dropped: u64,
+    },
+    /// The recorder did not close it: its process was killed, or the disk was full.
+    Interrupted {
+        /// Records that could be read.
+        records: u64,
+    },
+}
+
+impl std::fmt::Display for LogEnd {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Closed { dropped: 0 } => write!(f, "the log is complete"),
+            Self::Closed { dropped } => write!(f, "the log was closed; {dropped} records were dropped while recording"),
+            Self::Interrupted { records } => write!(
+                f,
+                "the log was not closed (process killed or disk full): {records} records were recovered, at most the \
+                 last second is missing"
+            ),
+        }
+    }
+}
+
+/// A log being read.
+pub struct Reader {
+    path: PathBuf,
+    source: Box<dyn Read + Send>,
+    inner: LinearReader,
+    info: FlightInfo,
+    epoch_offset_ns: u64,
+    /// The channels that a replay needs, by their number in this file.
+    channels: BTreeMap<u16, Channel>,
+    /// The image that waits for its step.
+    image: Option<(MessageHeader, RawImage)>,
+    records: u64,
+    counted: Option<(u64, u64)>,
+    end: Option<LogEnd>,
+    done: bool,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Channel {
+    Depth,
+    Tick,
+}
+
+/// One step of reading the container.
+enum Next {
+    /// Something that the log's reader looks at.
+    Record(Record<'static>),
+    /// The footer was reached.
+    End,
+    /// The file ends before the footer.
+    Cut,
+}
+
+impl Reader {
+    /// Opens a log and reads its metadata.
+    ///
+    /// # Errors
+    /// [`ReadError`] when the file is missing, of another kind or of another format version.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let file = File::open(path).map_err(|source| ReadError::Io {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_source(Box::new(BufReader::new(file)), path)
+    }
+
+    fn from_source(source: Box<dyn Read + Send>, path: &Path) -> Result<Self, ReadError> {
+        let options = LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(LENGTH_LIMIT);
+        let mut reader = Self {
+            path: path.to_owned(),
+            source,
+            inner: LinearReader::new_with_options(options),
+            info: FlightInfo::default(),
+            epoch_offset_ns: 0,
+            channels: BTreeMap::new(),
+            image: None,
+            records: 0,
+            counted: None,
+            end: None,
+            done: false,
+        };
+        reader.read_start()?;
+        Ok(reader)
+    }
+
+    fn read_start(&mut self) -> Result<(), ReadError> {
+        let path = self.path.clone();
+        let meta = match self.next_container_record() {
+            Ok(Next::Record(Record::Metadata(meta))) if meta.name == META => meta.metadata,
+            Ok(Next::Record(_) | Next::End) => return Err(ReadError::NotALog { path }),
+            Ok(Next::Cut) => return Err(ReadError::Empty { path }),
+            Err(Damage::Container(McapError::BadMagic)) => return Err(ReadError::NotMcap { path }),
+            Err(Damage::Container(McapError::Io(source))) => return Err(ReadError::Io { path, source }),
+            Err(what) => return Err(self.damaged(what)),
+        };
+        match FlightInfo::format_version(&meta) {
+            Some(LOG_FORMAT) => (),
+            Some(found) => {
+                let program = meta.get("program").cloned();
+                return Err(ReadError::Version { path, found, program });
+            }
+            None => return Err(ReadError::Metadata { path, key: "format" }),
+        }
+        (self.info, self.epoch_offset_ns) =
+            FlightInfo::from_metadata(&meta).map_err(|key| ReadError::Metadata { path, key })?;
+        Ok(())
+    }
+
+    /// Who flew with which settings.
+    pub fn info(&self) -> &FlightInfo {
+        &self.info
+    }
+
+    /// What the recorder added to the loop's time to give the time stamps that viewers show.
+    pub fn epoch_offset_ns(&self) -> u64 {
+        self.epoch_offset_ns
+    }
+
+    /// How the log ends; `None` until all records were read.
+    pub fn end(&self) -> Option<LogEnd> {
+        self.end
+    }
+
+    /// Reads the next record into `record`. `false` means that there is none: [`Reader::end`] then tells how the log
+    /// ends. A log that was not closed is read as far as it is complete.
+    ///
+    /// # Errors
+    /// [`ReadError`] when the file is damaged; reading then ends.
+    pub fn read_next(&mut self, record: &mut TickRecord) -> Result<bool, ReadError> {
+        if self.done {
+            return Ok(false);
+        }
+        let result = self.try_next(record).map_err(|what| match what {
+            Damage::Container(McapError::Io(source)) => ReadError::Io {
+                path: self.path.clone(),
+                source,
+            },
+            what => self.damaged(what),
+        });
+        self.done = !matches!(result, Ok(true));
+        result
+    }
+
+    fn damaged(&self, what: Damage) -> ReadError {
+        ReadError::Damaged {
+            path: self.path.clone(),
+            records: self.records,
+            what,
+        }
+    }
+
+    fn try_next(&mut self, record: &mut TickRecord) -> Result<bool, Damage> {
+        loop {
+            let next = match self.next_container_record()? {
+                Next::Record(next) => next,
+                Next::End => {
+                    return match self.counted {
+                        Some((counted, _)) if counted != self.records => Err(Damage::Count { counted }),
+                        counted => {
+                            self.end = Some(
+                                counted.map_or(LogEnd::Interrupted { records: self.records }, |(_, dropped)| {
+                                    LogEnd::Closed { dropped }
+                                }),
+                            );
+                            Ok(false)
+                        }
+                    };
+                }
+                Next::Cut => {
+                    self.end = Some(LogEnd::Interrupted { records: self.records });
+                    return Ok(false);
+                }
+            };
+            match next {
+                Record::Channel(channel) => {
+                    let kind = match channel.topic.as_str() {
+                        topic::DEPTH => Channel::Depth,
+                        topic::TICK => Channel::Tick,
+                        _ => continue,
+                    };
+                    self.channels.insert(channel.id, kind);
+                }
+                Record::Metadata(meta) if meta.name == META_END => {
+                    let number = |key| meta.metadata.get(key).and_then(|text| text.parse().ok());
+                    self.counted = number("records").zip(number("dropped"));
+                }
+                Record::Message { header, data } => match self.channels.get(&header.channel_id) {
+                    Some(Channel::Depth) => {
+                        let image = RawImage::decode(data.as_ref()).map_err(|source| Damage::Message {
+                            topic: topic::DEPTH,
+                            source,
+                        })?;
+                        self.image = Some((header, image));
+                    }
+                    Some(Channel::Tick) => {
+                        self.take_tick(&data, record)?;
+                        self.records += 1;
+                        return Ok(true);
+                    }
+                    None => (),
+                },
+                _ => (),
+            }
+        }
+    }
+
+    fn take_tick(&mut self, data: &[u8], record: &mut TickRecord) -> Result<(), Damage> {
+        let tick = wire::Tick::decode(data).map_err(|source| Damage::Message {
+            topic: topic::TICK,
+            source,
+        })?;
+        let has_frame = convert::from_wire(&tick, record).map_err(Damage::Record)?;
+        let step = record.timing.step;
+        match (has_frame, self.image.take()) {
+            (false, None) => Ok(()),
+            (true, Some((header, image))) if header.sequence == step as u32 => {
+                if display::read_depth_image(&image, &mut record.frame_slot(true).depth) {
+                    Ok(())
+                } else {
+                    Err(Damage::Image { step })
+                }
+            }
+            _ => Err(Damage::FrameMissing { step }),
+        }
+    }
+
+    /// The next channel, metadata or message of interest.
+    fn next_container_record(&mut self) -> Result<Next, Damage> {
+        while let Some(event) = self.inner.next_event() {
+            match event {
+                Ok(LinearReadEvent::ReadRequest(need)) => {
+                    let read = loop {
+                        match self.source.read(self.inner.insert(need)) {
+                            Err(error) if error.kind() == io::ErrorKind::Interrupted => (),
+                            result => break result.map_err(|e| Damage::Container(e.into()))?,
+                        }
+                    };
+                    self.inner.notify_read(read);
+                }
+                Ok(LinearReadEvent::Record { opcode, data }) => {
+                    let wanted = match opcode {
+                        op::CHANNEL | op::METADATA => true,
+                        op::MESSAGE => match data.split_first_chunk() {
+                            Some((id, _)) => self.channels.contains_key(&u16::from_le_bytes(*id)),
+                            None => true,
+                        },
+                        _ => false,
+                    };
+                    if wanted {
+                        let record = mcap::parse_record(opcode, data).map_err(Damage::Container)?;
+                        return Ok(Next::Record(record.into_owned()));
+                    }
+                }
+                Err(McapError::UnexpectedEof) => return Ok(Next::Cut),
+                Err(error) => return Err(Damage::Container(error)),
+            }
+        }
+        Ok(Next::End)
+    }
+}
+
+impl std::fmt::Debug for Reader {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Reader")
+            .field("path", &self.path)
+            .field("info", &self.info)
+            .field("records", &self.records)
+            .field("end", &self.end)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Iterator for Reader {
+    type Item = Result<Box<TickRecord>, ReadError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let mut record = Box::default();
+        match self.read_next(&mut record) {
+            Ok(true) => Some(Ok(record)),
+            Ok(false) => None,
+            Err(error) => Some(Err(error)),
+        }
+    }
+}

@@ -1,0 +1,678 @@
+//! The loop's side of the log: a handle that never waits, and the thread behind it that writes.
+
+use crate::file::LogFile;
+use crate::tlog::Tlog;
+use crate::{FlightInfo, Scene, TickRecord};
+use mcap::McapError;
+use rtrb::{Consumer, Producer, RingBuffer};
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Where the log goes. The tlog stands beside it, with the extension `tlog`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum LogPlace {
+    /// Exactly this file; it must not exist yet.
+    File(PathBuf),
+    /// The next free `flight-0001.mcap`, `flight-0002.mcap`, … in this directory, which is made if it is missing.
+    Directory(PathBuf),
+}
+
+/// What to do when the recorder thread has fallen behind and no slot is free.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WhenFull {
+    /// Drop the record and count it: for flying in real time, where the loop must never wait.
+    Drop,
+    /// Wait for a slot: for lockstep, where no record may be missing.
+    Wait,
+}
+
+/// How to record.
+#[derive(Debug, Clone)]
+pub struct RecorderConfig {
+    /// Where the log goes.
+    pub place: LogPlace,
+    /// What to do when no slot is free.
+    pub when_full: WhenFull,
+    /// Slots of about 200 kB each, all made at start; 100 of them bridge 5 s of a stalled disk at 20 Hz.
+    pub slots: usize,
+    /// Added to the loop's time to give nanoseconds since the UNIX epoch ([`epoch_offset_ns`]); 0 shows simulated time
+    /// as it is.
+    pub epoch_offset_ns: u64,
+    /// What the log says about the flight.
+    pub info: FlightInfo,
+    /// Obstacles to show.
+    pub scene: Option<Scene>,
+}
+
+impl RecorderConfig {
+    /// Records to `place` as in real time: drops when full, 100 slots, time shown as it is.
+    pub fn new(place: LogPlace, info: FlightInfo) -> Self {
+        Self {
+            place,
+            when_full: WhenFull::Drop,
+            slots: 100,
+            epoch_offset_ns: 0,
+            info,
+            scene: None,
+        }
+    }
+}
+
+/// The present epoch offset of a clock that shows `now_ns`: reads the machine's wall clock, so it is for the start only.
+pub fn epoch_offset_ns(now_ns: u64) -> u64 {
+    let wall = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .map_or(0, |d| u64::try_from(d.as_nanos()).unwrap_or(0));
+    wall.saturating_sub(now_ns)
+}
+
+/// Why recording could not start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The directory cannot be made or read.
+    #[error("log directory {path}: {source}; give a directory that can be written")]
+    Directory {
+        /// The directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A log of that name is already there; nothing was touched.
+    #[error("log file {path} already exists and is kept; give another name")]
+    Exists {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file cannot be made.
+    #[error("log file {path}: {source}; give a place that can be written")]
+    Create {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file was made and its first bytes could not be written, for example on a full disk.
+    #[error(
+        "log file {path} cannot be written: {}; free some space or give another place",
+        describe(source)
+    )]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        source: McapError,
+    },
+    /// No slots were asked for.
+    #[error("a recorder needs at least one slot")]
+    NoSlots,
+    /// The recorder thread could not be started.
+    #[error("the recorder thread could not be started: {0}")]
+    Thread(io::Error),
+}
+
+/// How recording goes, at any time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct RecorderStatus {
+    /// Records that were handed to the file.
+    pub written: u64,
+    /// Records that are in the file for certain: what a killed process leaves.
+    pub flushed: u64,
+    /// Records dropped because no slot was free.
+    pub dropped: u64,
+    /// Records lost because the file could not be written any more.
+    pub lost: u64,
+    /// The file could not be written any more; the flight goes on without a log.
+    pub failed: bool,
+}
+
+/// How recording ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Summary {
+    /// The log.
+    pub path: PathBuf,
+    /// The tlog beside it.
+    pub tlog_path: PathBuf,
+    /// Size of the log.
+    pub bytes: u64,
+    /// Records in the log.
+    pub records: u64,
+    /// Records that are missing, whether dropped or lost.
+    pub dropped: u64,
+    /// Why the log or the tlog is incomplete, if it is.
+    pub failure: Option<String>,
+}
+
+#[derive(Debug, Default)]
+struct Shared {
+    /// Set when recording ends.
+    dropped: AtomicU64,
+    written: AtomicU64,
+    flushed: AtomicU64,
+    lost: AtomicU64,
+    failed: AtomicBool,
+}
+
+/// The loop's handle. Start it before the loop's thread raises its priority: the recorder thread inherits the
+/// scheduling of the thread that starts it.
+#[derive(Debug)]
+pub struct Recorder {
+    free: Consumer<Box<TickRecord>>,
+    /// `None` once finished; dropping it tells the thread to finish.
+    full: Option<Producer<Box<TickRecord>>>,
+    when_full: WhenFull,
+    dropped: u64,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<Option<String>>>,
+    path: PathBuf,
+    tlog_path: PathBuf,
+}
+
+impl Recorder {
+    /// Creates the files, writes their beginning and starts the recorder thread.
+    ///
+    /// # Errors
+    /// [`StartError`] when nothing can be recorded there; the message says what to do.
+    pub fn start(config: RecorderConfig) -> Result<Self, StartError> {
+        if config.slots == 0 {
+            return Err(StartError::NoSlots);
+        }
+        let (file, path) = create_log(&config.place)?;
+        let tlog_path = path.with_extension("tlog");
+        let started = create_new(&tlog_path).and_then(|tlog| {
+            let started = Self::start_on(file, tlog, path.clone(), tlog_path.clone(), config);
+            if started.is_err() {
+                // Made above and empty: no data is lost. A failure to remove leaves an empty file.
+                let _ = std::fs::remove_file(&tlog_path);
+            }
+            started
+        });
+        if started.is_err() {
+            let _ = std::fs::remove_file(&path);
+        }
+        started
+    }
+
+    fn start_on<W, T>(
+        log_sink: W,
+        tlog_sink: T,
+        path: PathBuf,
+        tlog_path: PathBuf,
+        config: RecorderConfig,
+    ) -> Result<Self, StartError>
+    where
+        W: Write + Seek + Send + 'static,
+        T: Write + Send + 'static,
+    {
+        let file = LogFile::create(
+            BufWriter::new(log_sink),
+            &config.info,
+            config.epoch_offset_ns,
+            config.scene,
+        )
+        .map_err(|source| StartError::Write {
+            path: path.clone(),
+            source,
+        })?;
+        let (mut free_in, free) = RingBuffer::new(config.slots);
+        let (full, full_out) = RingBuffer::new(config.slots);
+        while !free_in.is_full() {
+            // The ring has room: that is the loop's condition.
+            let _ = free_in.push(Box::default());
+        }
+        let shared = Arc::new(Shared::default());
+        let scribe = Scribe {
+            full: full_out,
+            free: free_in,
+            tlog: Some(Tlog::new(BufWriter::new(tlog_sink))),
+            file: Some(file),
+            shared: Arc::clone(&shared),
+            epoch_offset_ns: config.epoch_offset_ns,
+            failure: None,
+            path: path.clone(),
+            pause: match config.when_full {
+                WhenFull::Drop => Duration::from_millis(10),
+                WhenFull::Wait => Duration::from_millis(1),
+            },
+            flushed_at: Instant::now(),
+        };
+        let thread = std::thread::Builder::new()
+            .name("vigil-log".to_owned())
+            .spawn(move || scribe.run())
+            .map_err(StartError::Thread)?;
+        Ok(Self {
+            free,
+            full: Some(full),
+            when_full: config.when_full,
+            dropped: 0,
+            shared,
+            thread: Some(thread),
+            path,
+            tlog_path,
+        })
+    }
+
+    /// Has `fill` write one step into a free slot and hands it to the recorder thread; see [`TickRecord::fill`]. With
+    /// [`WhenFull::Drop`] there is no wait, lock, allocation or system call, and `false` means that no slot was free:
+    /// `fill` was not called and the record is counted as dropped.
+    pub fn record(&mut self, fill: impl FnOnce(&mut TickRecord)) -> bool {
+        let recorded = self.take_slot().is_some_and(|mut slot| {
+            fill(&mut slot);
+            slot.dropped_before = self.dropped;
+            // There are as many places as slots, so this ring is never full.
+            self.full.as_mut().is_some_and(|full| full.push(slot).is_ok())
+        });
+        if !recorded {
+            self.dropped += 1;
+        }
+        recorded
+    }
+
+    fn take_slot(&mut self) -> Option<Box<TickRecord>> {
+        loop {
+            match self.free.pop() {
+                Ok(slot) => return Some(slot),
+                // A recorder thread that ended gives no slot back any more.
+                Err(_) if self.when_full == WhenFull::Drop || self.free.is_abandoned() => return None,
+                Err(_) => std::thread::sleep(Duration::from_micros(200)),
+            }
+        }
+    }
+
+    /// How recording goes.
+    pub fn status(&self) -> RecorderStatus {
+        RecorderStatus {
+            written: self.shared.written.load(Ordering::Relaxed),
+            flushed: self.shared.flushed.load(Ordering::Relaxed),
+            dropped: self.dropped,
+            lost: self.shared.lost.load(Ordering::Relaxed),
+            failed: self.shared.failed.load(Ordering::Relaxed),
+        }
+    }
+
+    /// The log's path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Writes what is still queued, closes the files and says what came of it. Waits for the disk.
+    pub fn finish(mut self) -> Summary {
+        let failure = self.close();
+        let status = self.status();
+        Summary {
+            path: self.path.clone(),
+            tlog_path: self.tlog_path.clone(),
+            bytes: std::fs::metadata(&self.path).map_or(0, |m| m.len()),
+            records: status.written,
+            dropped: status.dropped + status.lost,
+            failure,
+        }
+    }
+
+    fn close(&mut self) -> Option<String> {
+        self.shared.dropped.store(self.dropped, Ordering::Relaxed);
+        // Dropping the producer publishes the store above to the thread.
+        self.full = None;
+        let thread = self.thread.take()?;
+        thread.thread().unpark();
+        thread
+            .join()
+            .unwrap_or_else(|_| Some("the recorder thread ended by itself".to_owned()))
+    }
+}
+
+impl Drop for Recorder {
+    /// Closes the log properly on every way out.
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+fn create_new(path: &Path) -> Result<File, StartError> {
+    File::create_new(path).map_err(|source| match source.kind() {
+        io::ErrorKind::AlreadyExists => StartError::Exists { path: path.to_owned() },
+        _ => StartError::Create {
+            path: path.to_owned(),
+            source,
+        },
+    })
+}
+
+fn create_log(place: &LogPlace) -> Result<(File, PathBuf), StartError> {
+    let directory = match place {
+        LogPlace::File(path) => return Ok((create_new(path)?, path.clone())),
+        LogPlace::Directory(directory) => directory,
+    };
+    let error = |source| StartError::Directory {
+        path: directory.clone(),
+        source,
+    };
+    std::fs::create_dir_all(directory).map_err(error)?;
+    let mut last = 0;
+    for entry in std::fs::read_dir(directory).map_err(error)? {
+        let name = entry.map_err(error)?.file_name();
+        let number = name
+            .to_str()
+            .and_then(|n| n.strip_prefix("flight-"))
+            .and_then(|n| n.split('.').next())
+            .and_then(|n| n.parse::<u32>().ok());
+        last = last.max(number.unwrap_or(0));
+    }
+    // Another instance may take the same number at the same time; the one that comes second goes on to the next.
+    loop {
+        last = last.saturating_add(1);
+        let path = directory.join(format!("flight-{last:04}.mcap"));
+        match create_new(&path) {
+            Err(StartError::Exists { .. }) if last < u32::MAX => (),
+            result => return result.map(|file| (file, path)),
+        }
+    }
+}
+
+/// The recorder thread.
+struct Scribe<W: Write + Seek, T: Write> {
+    full: Consumer<Box<TickRecord>>,
+    free: Producer<Box<TickRecord>>,
+    /// `None` after a failure.
+    file: Option<LogFile<W>>,
+    /// `None` after a failure.
+    tlog: Option<Tlog<T>>,
+    shared: Arc<Shared>,
+    epoch_offset_ns: u64,
+    failure: Option<String>,
+    path: PathBuf,
+    /// How long to sleep when there is nothing to do. The loop never wakes this thread: waking is a system call.
+    pause: Duration,
+    flushed_at: Instant,
+}
+
+impl<W: Write + Seek, T: Write> Scribe<W, T> {
+    /// A quiet loop's records go to the file after this time.
+    const IDLE_FLUSH: Duration = Duration::from_secs(1);
+
+    fn run(mut self) -> Option<String> {
+        loop {
+            // Looked at before the queue: what was pushed before the end is then in the queue.
+            let ended = self.full.is_abandoned();
+            let mut idle = true;
+            while let Ok(slot) = self.full.pop() {
+                idle = false;
+                self.write(&slot);
+                // There are as many places as slots.
+                let _ = self.free.push(slot);
+            }
+            if ended {
+                return self.finish();
+            }
+            if idle {
+                self.flush_when_quiet();
+                std::thread::park_timeout(self.pause);
+            }
+        }
+    }
+
+    fn write(&mut self, record: &TickRecord) {
+        if let Some(tlog) = &mut self.tlog {
+            let at_ns = record.now_ns.saturating_add(self.epoch_offset_ns);
+            let result = tlog
+                .write(at_ns, &record.received)
+                .and_then(|()| tlog.write(at_ns, &record.sent));
+            self.check_tlog(result);
+        }
+        let Some(file) = &mut self.file else {
+            self.shared.lost.fetch_add(1, Ordering::Relaxed);
+            return;
+        };
+        match file.write(record) {
+            Ok(flushed) => {
+                self.shared.written.fetch_add(1, Ordering::Relaxed);
+                if flushed {
+                    self.note_flush();
+                }
+            }
+            Err(error) => {
+                self.shared.lost.fetch_add(1, Ordering::Relaxed);
+                self.fail(&error);
+            }
+        }
+    }
+
+    fn flush_when_quiet(&mut self) {
+        let behind = self.shared.flushed.load(Ordering::Relaxed) < self.shared.written.load(Ordering::Relaxed);
+        if !behind || self.flushed_at.elapsed() < Self::IDLE_FLUSH {
+            return;
+        }
+        if let Some(file) = &mut self.file {
+            match file.flush() {
+                Ok(()) => self.note_flush(),
+                Err(error) => self.fail(&error),
+            }
+        }
+    }
+
+    fn note_flush(&mut self) {
+        let written = self.shared.written.load(Ordering::Relaxed);
+        self.shared.flushed.store(written, Ordering::Relaxed);
+        self.flushed_at = Instant::now();
+        let result = self.tlog.as_mut().map_or(Ok(()), Tlog::flush);
+        self.check_tlog(result);
+    }
+
+    fn check_tlog(&mut self, result: io::Result<()>) {
+        if let Err(error) = result {
+            self.tlog = None;
+            self.report(format!(
+                "the tlog beside {} cannot be written any more: {error}",
+                self.path.display()
+            ));
+        }
+    }
+
+    /// The file is given up: what was not flushed is lost, the flight goes on.
+    fn fail(&mut self, error: &McapError) {
+        self.file = None;
+        let written = self.shared.written.load(Ordering::Relaxed);
+        let flushed = self.shared.flushed.load(Ordering::Relaxed);
+        self.shared.lost.fetch_add(written - flushed, Ordering::Relaxed);
+        self.shared.written.store(flushed, Ordering::Relaxed);
+        self.report(format!(
+            "log file {} cannot be written any more: {}; its first {flushed} records can be read; the flight goes on \
+             without a log",
+            self.path.display(),
+            describe(error)
+        ));
+    }
+
+    fn report(&mut self, message: String) {
+        self.shared.failed.store(true, Ordering::Relaxed);
+        tracing::error!("{message}");
+        match &mut self.failure {
+            Some(failure) => {
+                failure.push_str("; ");
+                failure.push_str(&message);
+            }
+            None => self.failure = Some(message),
+        }
+    }
+
+    fn finish(mut self) -> Option<String> {
+        if let Some(file) = self.file.take() {
+            let dropped = self.shared.dropped.load(Ordering::Relaxed);
+            let written = self.shared.written.load(Ordering::Relaxed);
+            match file.finish(written, dropped) {
+                Ok(_) => self.note_flush(),
+                Err(error) => self.fail(&error),
+            }
+        }
+        self.failure
+    }
+}
+
+/// An error with its cause: MCAP's own text hides what the system said.
+fn describe(error: &McapError) -> String {
+    match error {
+        McapError::Io(source) => source.to_string(),
+        other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{LogEnd, Reader};
+    use std::io::{Cursor, SeekFrom};
+    use std::sync::Mutex;
+
+    fn config(when_full: WhenFull, slots: usize) -> RecorderConfig {
+        RecorderConfig {
+            when_full,
+            slots,
+            ..RecorderConfig::new(LogPlace::File(PathBuf::new()), FlightInfo::default())
+        }
+    }
+
+    fn start<W: Write + Seek + Send + 'static>(sink: W, config: RecorderConfig) -> Result<Recorder, StartError> {
+        let path = PathBuf::from("flight.mcap");
+        Recorder::start_on(sink, Vec::new(), path, PathBuf::from("flight.tlog"), config)
+    }
+
+    /// A disk that others can look at: full after `limit` bytes, and blocked while its gate is held.
+    #[derive(Clone)]
+    struct Disk {
+        content: Arc<Mutex<Cursor<Vec<u8>>>>,
+        gate: Arc<Mutex<()>>,
+        limit: usize,
+    }
+
+    impl Disk {
+        fn new(limit: usize) -> Self {
+            Self {
+                content: Arc::default(),
+                gate: Arc::default(),
+                limit,
+            }
+        }
+
+        fn read_back(&self) -> (Vec<Box<TickRecord>>, Option<LogEnd>) {
+            let bytes = self.content.lock().unwrap().get_ref().clone();
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("flight.mcap");
+            std::fs::write(&path, bytes).unwrap();
+            let mut reader = Reader::open(&path).unwrap();
+            let records = reader.by_ref().map(Result::unwrap).collect();
+            (records, reader.end())
+        }
+    }
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            let _open = self.gate.lock().unwrap();
+            let mut content = self.content.lock().unwrap();
+            let room = self.limit.saturating_sub(content.get_ref().len());
+            match bytes.split_at_checked(room) {
+                Some((_, rest)) if room == 0 && !rest.is_empty() => Err(io::ErrorKind::StorageFull.into()),
+                Some((fits, _)) => content.write(fits),
+                None => content.write(bytes),
+            }
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Seek for Disk {
+        fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+            self.content.lock().unwrap().seek(to)
+        }
+    }
+
+    fn step(recorder: &mut Recorder, step: u64, apart_ns: u64) -> bool {
+        recorder.record(|slot| {
+            slot.now_ns = step * apart_ns;
+            slot.timing.step = step;
+            slot.set_frame(None);
+        })
+    }
+
+    #[test]
+    fn a_disk_that_is_full_at_start_is_a_clear_error() {
+        let error = start(Disk::new(100), config(WhenFull::Drop, 4))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("no storage space") && error.contains("free some space"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_disk_that_fills_in_flight_costs_the_log_its_end_and_the_flight_nothing() {
+        let disk = Disk::new(60_000);
+        let mut recorder = start(disk.clone(), config(WhenFull::Wait, 4)).unwrap();
+        let total = 3_000;
+        for i in 0..total {
+            assert!(step(&mut recorder, i, 50_000_000), "the loop is served on");
+        }
+        let summary = recorder.finish();
+        let failure = summary.failure.unwrap();
+        assert_eq!(
+            failure.matches("no storage space").count(),
+            1,
+            "reported once: {failure}"
+        );
+        assert_eq!(summary.records + summary.dropped, total);
+        assert!(summary.records > 0 && summary.dropped > 0);
+
+        let (records, end) = disk.read_back();
+        assert!(records.len() as u64 >= summary.records);
+        assert!(records.iter().zip(0..).all(|(r, i)| r.timing.step == i));
+        assert!(matches!(end, Some(LogEnd::Interrupted { .. })));
+    }
+
+    #[test]
+    fn a_stalled_disk_drops_records_and_the_log_says_how_many() {
+        let disk = Disk::new(usize::MAX);
+        let mut recorder = start(disk.clone(), config(WhenFull::Drop, 4)).unwrap();
+        let stalled = disk.gate.lock().unwrap();
+        // Two seconds apart: every record is flushed, and the first flush stalls.
+        let mut taken = 0;
+        for i in 0..50 {
+            taken += u64::from(step(&mut recorder, i, 2_000_000_000));
+        }
+        // Four slots, and one that was written before the disk was needed.
+        assert!((4..=5).contains(&taken), "{taken}");
+        assert_eq!(recorder.status().dropped, 50 - taken);
+        drop(stalled);
+        while !step(&mut recorder, 50, 2_000_000_000) {
+            std::thread::yield_now();
+        }
+        let dropped = recorder.status().dropped;
+        let summary = recorder.finish();
+        assert_eq!(
+            (summary.records, summary.dropped, summary.failure),
+            (taken + 1, dropped, None)
+        );
+
+        let (records, end) = disk.read_back();
+        assert_eq!(end, Some(LogEnd::Closed { dropped }));
+        let last = records.last().unwrap();
+        assert_eq!((last.timing.step, last.dropped_before), (50, dropped));
+    }
+
+    #[test]
+    fn a_loop_that_falls_silent_has_its_last_records_on_disk() {
+        let disk = Disk::new(usize::MAX);
+        let mut recorder = start(disk.clone(), config(WhenFull::Drop, 4)).unwrap();
+        assert!(step(&mut recorder, 0, 0) && step(&mut recorder, 1, 0));
+        while recorder.status().flushed < 2 {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        assert_eq!(disk.read_back().0.len(), 2);
+        drop(recorder);
+    }
+}

@@ -1,0 +1,169 @@
+//! A file that is cut, altered, of another kind or of another version: an error or a note, never a panic, never a
+//! wrong record.
+
+mod common;
+
+use common::{Draw, bits, drawn, lockstep};
+use mcap::records::Metadata;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+use std::path::Path;
+use vigil_log::{LOG_FORMAT, LogEnd, LogPlace, ReadError, Reader, Recorder};
+
+const STEPS: u64 = 6;
+
+/// A small closed log. Steps lie 0.4 s apart, so that it has several chunks.
+fn small_log(dir: &Path) -> Vec<u8> {
+    let path = dir.join("good.mcap");
+    let mut recorder = Recorder::start(lockstep(LogPlace::File(path.clone()))).unwrap();
+    for step in 0..STEPS {
+        assert!(recorder.record(|slot| {
+            Draw(step).record(step, step * 400_000_000, slot);
+            // One frame is enough, and keeps the file small.
+            if step != 1 {
+                slot.set_frame(None);
+            }
+        }));
+    }
+    assert_eq!(recorder.finish().failure, None);
+    std::fs::read(path).unwrap()
+}
+
+fn expected(step: u64) -> Vec<u64> {
+    let mut record = drawn(step);
+    record.now_ns = step * 400_000_000;
+    if step != 1 {
+        record.set_frame(None);
+    }
+    bits(&record)
+}
+
+/// Reads all that can be read; every record must be the true one. Returns their number and how it ended.
+fn read_all(path: &Path) -> Result<(u64, Option<LogEnd>), ReadError> {
+    let mut reader = Reader::open(path)?;
+    let mut records = 0;
+    for record in reader.by_ref() {
+        let record = record?;
+        assert!(bits(&record) == expected(records), "record {records} is wrong");
+        records += 1;
+    }
+    Ok((records, reader.end()))
+}
+
+#[test]
+fn a_log_cut_anywhere_gives_its_complete_part_and_says_so() {
+    assert!(drawn(1).frame().is_some(), "the step that is to have a frame has one");
+    let dir = tempfile::tempdir().unwrap();
+    let good = small_log(dir.path());
+    let path = dir.path().join("cut.mcap");
+    let mut last = 0;
+    let mut counts = Vec::new();
+    for cut in (0..good.len()).step_by(good.len() / 150) {
+        std::fs::write(&path, &good[..cut]).unwrap();
+        match read_all(&path) {
+            Ok((records, end)) => {
+                assert_eq!(end, Some(LogEnd::Interrupted { records }), "cut at {cut}");
+                assert!(records >= last, "a longer part gives no fewer records");
+                last = records;
+                counts.push(records);
+            }
+            // Only where not even the metadata is whole.
+            Err(error) => {
+                assert!(cut < 1000 && counts.is_empty(), "cut at {cut}: {error}");
+                assert!(matches!(error, ReadError::Empty { .. }), "cut at {cut}: {error}");
+            }
+        }
+    }
+    counts.dedup();
+    assert!(counts.len() >= 3 && last == STEPS, "several chunks: {counts:?}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn an_altered_log_never_gives_a_wrong_record(edits in prop::collection::vec((any::<prop::sample::Index>(), 1_u8..), 1..4)) {
+        thread_local! {
+            static GOOD: (tempfile::TempDir, Vec<u8>) = {
+                let dir = tempfile::tempdir().unwrap();
+                let good = small_log(dir.path());
+                (dir, good)
+            };
+        }
+        GOOD.with(|(dir, good)| {
+            let mut bad = good.clone();
+            for (index, flip) in &edits {
+                let at = index.index(bad.len());
+                bad[at] ^= flip;
+            }
+            let path = dir.path().join("altered.mcap");
+            std::fs::write(&path, &bad).unwrap();
+            // Ok where the bytes do not matter to a replay (the viewers' index, the library's name), else an error.
+            let _ = read_all(&path);
+        });
+    }
+}
+
+#[test]
+fn a_flipped_bit_in_a_step_is_found_by_its_chunks_checksum() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut bad = small_log(dir.path());
+    // The frame of step 1 fills most of the file: its middle is pixels.
+    let middle = bad.len() / 2;
+    bad[middle] ^= 0x10;
+    let path = dir.path().join("bad.mcap");
+    std::fs::write(&path, &bad).unwrap();
+    let error = read_all(&path).unwrap_err();
+    assert!(matches!(error, ReadError::Damaged { .. }), "{error}");
+    assert!(error.to_string().contains("damaged after record"), "{error}");
+}
+
+/// An MCAP file with one metadata record.
+fn with_metadata(path: &Path, name: &str, entries: &[(&str, &str)]) {
+    let mut writer = mcap::Writer::new(std::fs::File::create(path).unwrap()).unwrap();
+    let metadata: BTreeMap<String, String> = entries.iter().map(|(k, v)| ((*k).into(), (*v).into())).collect();
+    writer
+        .write_metadata(&Metadata {
+            name: name.to_owned(),
+            metadata,
+        })
+        .unwrap();
+    writer.finish().unwrap();
+}
+
+#[test]
+fn a_wrong_file_is_named_for_what_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("file.mcap");
+    let error = |path: &Path| Reader::open(path).unwrap_err();
+
+    assert!(matches!(error(&path), ReadError::Io { .. }));
+    std::fs::write(&path, "").unwrap();
+    assert!(matches!(error(&path), ReadError::Empty { .. }));
+    std::fs::write(&path, "[pilot]\nkind = 'geometric' and a long text\n").unwrap();
+    assert!(matches!(error(&path), ReadError::NotMcap { .. }));
+    assert!(matches!(error(dir.path()), ReadError::Io { .. }));
+    with_metadata(&path, "somebody else's", &[]);
+    assert!(matches!(error(&path), ReadError::NotALog { .. }));
+    with_metadata(&path, "vigil", &[("program", "x")]);
+    assert!(matches!(error(&path), ReadError::Metadata { key: "format", .. }));
+
+    let next = (LOG_FORMAT + 1).to_string();
+    with_metadata(&path, "vigil", &[("format", &next), ("program", "firmware 9.9.9")]);
+    let version = error(&path);
+    assert!(matches!(version, ReadError::Version { found, .. } if found == LOG_FORMAT + 1));
+    assert!(version.to_string().contains("firmware 9.9.9"), "{version}");
+
+    let format = LOG_FORMAT.to_string();
+    with_metadata(
+        &path,
+        "vigil",
+        &[
+            ("format", &format),
+            ("program", "x"),
+            ("config", ""),
+            ("instance", "zero"),
+        ],
+    );
+    assert!(matches!(error(&path), ReadError::Metadata { key: "instance", .. }));
+}
