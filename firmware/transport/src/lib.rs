@@ -13,4 +13,4 @@ mod wire;
 
 pub use domain::{Domain, DomainError, remove_leftovers};
 pub use frames::{BorrowedFrame, DEPTH_TOPIC, FrameError, FramePublisher, FrameSubscriber};
-pub use lockstep::{LockstepClient, LockstepError, LockstepServer, MAX_REPORT_BYTES, Served, StepAnswer, StepRequest};
+pub use lockstep::{LockstepClient, LockstepError, LockstepServer, Served, StepRequest};

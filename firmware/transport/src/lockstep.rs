@@ -12,9 +12,6 @@ use iceoryx2::service::port_factory::{client::ClientCreateError, request_respons
 use std::time::{Duration, Instant};
 use vigil_types::{Datagrams, DepthFrame, Nanos};
 
-/// Bytes that a step's report may take; their meaning is the firmware's and the simulator's affair.
-pub const MAX_REPORT_BYTES: usize = 1024;
-
 const SERVICE: &str = "lockstep";
 const REQUEST_EVENT: &str = "lockstep-request";
 const ANSWER_EVENT: &str = "lockstep-answer";
@@ -176,7 +173,6 @@ pub struct LockstepClient {
     bell: Bell,
     instance: u32,
     timeout: Duration,
-    report: Vec<u8>,
 }
 
 impl LockstepClient {
@@ -202,7 +198,6 @@ impl LockstepClient {
             bell,
             instance,
             timeout,
-            report: Vec::with_capacity(MAX_REPORT_BYTES),
         };
         let deadline = Instant::now() + timeout;
         while this.factory.dynamic_config().number_of_servers() == 0 {
@@ -218,7 +213,7 @@ impl LockstepClient {
     }
 
     /// One step: hands time, a new frame if there is one, and the received datagrams to the firmware; fills `sent`
-    /// with its answer and returns its report.
+    /// with its answer.
     ///
     /// # Errors
     /// [`LockstepError::FirmwareSilent`] names the step; [`LockstepError::Malformed`].
@@ -229,7 +224,7 @@ impl LockstepClient {
         frame: Option<&DepthFrame>,
         received: &Datagrams,
         sent: &mut Datagrams,
-    ) -> Result<&[u8], LockstepError> {
+    ) -> Result<(), LockstepError> {
         let error = |action, reason| transport_error(self.instance, action, reason);
         let request = self
             .client
@@ -252,14 +247,11 @@ impl LockstepClient {
         let deadline = Instant::now() + self.timeout;
         loop {
             if let Some(answer) = pending.receive().map_err(|e| error("receive", e.to_string()))? {
-                let bytes = answer.report.get(..answer.report_len as usize);
-                let malformed = LockstepError::Malformed { who: "firmware", step };
-                let (true, Some(bytes)) = (answer.step == step && answer.sent.read_into(sent), bytes) else {
-                    return Err(malformed);
+                return if answer.step == step && answer.sent.read_into(sent) {
+                    Ok(())
+                } else {
+                    Err(LockstepError::Malformed { who: "firmware", step })
                 };
-                self.report.clear();
-                self.report.extend_from_slice(bytes);
-                return Ok(&self.report);
             }
             if Instant::now() >= deadline {
                 return Err(LockstepError::FirmwareSilent {
@@ -323,15 +315,6 @@ pub struct StepRequest<'a> {
     pub received: &'a Datagrams,
 }
 
-/// A step's answer as the firmware gives it.
-#[derive(Debug, Clone, Copy)]
-pub struct StepAnswer<'a> {
-    /// What is to be sent on the links.
-    pub sent: &'a Datagrams,
-    /// The step's report, at most [`MAX_REPORT_BYTES`].
-    pub report: &'a [u8],
-}
-
 /// How a wait for a step ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Served {
@@ -379,7 +362,7 @@ impl LockstepServer {
         })
     }
 
-    /// Waits for one step, at most `timeout`, and answers it with what `tick` gives. `cancelled` is asked a few times
+    /// Waits for one step, at most `timeout`, and answers it with the datagrams that `tick` gives. `cancelled` is asked a few times
     /// a second.
     ///
     /// # Errors
@@ -388,7 +371,7 @@ impl LockstepServer {
         &mut self,
         timeout: Duration,
         mut cancelled: impl FnMut() -> bool,
-        tick: impl FnOnce(StepRequest<'_>) -> StepAnswer<'a>,
+        tick: impl FnOnce(StepRequest<'_>) -> &'a Datagrams,
     ) -> Result<Served, LockstepError> {
         let deadline = Instant::now() + timeout;
         let request = loop {
@@ -416,9 +399,6 @@ impl LockstepServer {
             .map_err(|e| transport_error(self.instance, "loan memory", e))?;
         let mut response = response.write_payload(WireResponse {
             step,
-            report_len: 0,
-            reserved: 0,
-            report: [0; MAX_REPORT_BYTES],
             sent: WireDatagrams::EMPTY,
         });
         let served = if request.kind == KIND_FINISH {
@@ -427,19 +407,13 @@ impl LockstepServer {
             if !request.received.read_into(&mut self.received) {
                 return Err(LockstepError::Malformed { who: "simulator", step });
             }
-            let answer = tick(StepRequest {
+            let sent = tick(StepRequest {
                 step,
                 now_ns: request.now_ns,
                 frame: (request.has_frame != 0).then_some(&request.frame),
                 received: &self.received,
             });
-            let payload = response.payload_mut();
-            payload.sent.fill(answer.sent);
-            let slot = payload.report.get_mut(..answer.report.len());
-            slot.ok_or(LockstepError::Malformed { who: "firmware", step })?
-                .copy_from_slice(answer.report);
-            // At most MAX_REPORT_BYTES.
-            payload.report_len = answer.report.len() as u32;
+            response.payload_mut().sent.fill(sent);
             Served::Step
         };
         response.send().map_err(|e| transport_error(self.instance, "send", e))?;

@@ -1,7 +1,6 @@
 //! Layouts of what crosses between processes in lockstep.
 
 use crate::frames::ShmFrame;
-use crate::lockstep::MAX_REPORT_BYTES;
 use iceoryx2::prelude::ZeroCopySend;
 use vigil_types::{Datagrams, DepthFrame};
 
@@ -81,9 +80,6 @@ pub(crate) struct WireRequest {
 #[repr(C)]
 pub(crate) struct WireResponse {
     pub(crate) step: u64,
-    pub(crate) report_len: u32,
-    pub(crate) reserved: u32,
-    pub(crate) report: [u8; MAX_REPORT_BYTES],
     pub(crate) sent: WireDatagrams,
 }
 

@@ -2,7 +2,7 @@
 
 use std::thread;
 use std::time::Duration;
-use vigil_transport::{Domain, LockstepClient, LockstepError, LockstepServer, Served, StepAnswer};
+use vigil_transport::{Domain, LockstepClient, LockstepError, LockstepServer, Served, StepRequest};
 use vigil_types::{Datagrams, DepthFrame};
 
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -22,36 +22,36 @@ impl Drop for Instance {
     }
 }
 
-/// A firmware that echoes: sends back what it received and reports the frame's sequence. Ends when told, returns the
-/// number of steps it answered.
-fn echo(instance: u32, steps: u64) -> u64 {
+/// A firmware that echoes: sends back what it received, then a datagram with the time and the frame's sequence. Ends
+/// when told, returns the number of steps it answered.
+fn echo(instance: u32) -> u64 {
     let domain = Domain::open(instance, "test-firmware").unwrap();
     let mut server = LockstepServer::create(&domain).unwrap();
     let mut sent = Datagrams::default();
-    for answered in 0..steps {
-        let mut report = [0; 16];
-        let (sent, report) = (&mut sent, &mut report);
-        let served = server
-            .serve(
-                PATIENCE,
-                || false,
-                move |request| {
-                    sent.clear();
-                    for (link, bytes) in request.received.iter() {
-                        assert!(sent.push(link, bytes));
-                    }
-                    report[..8].copy_from_slice(&request.now_ns.to_le_bytes());
-                    let sequence = request.frame.map_or(u64::MAX, |f| f.header.sequence);
-                    report[8..].copy_from_slice(&sequence.to_le_bytes());
-                    StepAnswer { sent, report }
-                },
-            )
-            .unwrap();
-        if served == Served::Finished {
+    for answered in 0.. {
+        let sent = &mut sent;
+        let served = server.serve(
+            PATIENCE,
+            || false,
+            move |request: StepRequest<'_>| {
+                sent.clear();
+                for (link, bytes) in request.received.iter() {
+                    assert!(sent.push(link, bytes));
+                }
+                assert!(sent.push(9, &summary(request.now_ns, request.frame)));
+                &*sent
+            },
+        );
+        if served.unwrap() == Served::Finished {
             return answered;
         }
     }
-    steps
+    unreachable!()
+}
+
+fn summary(now_ns: u64, frame: Option<&DepthFrame>) -> Vec<u8> {
+    let sequence = frame.map_or(u64::MAX, |f| f.header.sequence);
+    [now_ns.to_le_bytes(), sequence.to_le_bytes()].concat()
 }
 
 #[test]
@@ -59,7 +59,7 @@ fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_o
     let instance = Instance::own(0);
     let firmware = thread::spawn({
         let instance = instance.0;
-        move || echo(instance, u64::MAX)
+        move || echo(instance)
     });
     let domain = Domain::open(instance.0, "test-simulator").unwrap();
     let mut client = LockstepClient::connect(&domain, PATIENCE).unwrap();
@@ -72,11 +72,10 @@ fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_o
         }
         frame.header.sequence = step;
         let new_frame = (step % 2 == 0).then_some(&*frame);
-        let report = client
+        client
             .exchange(step, step * 50, new_frame, &received, &mut sent)
             .unwrap();
-        let sequence = if step % 2 == 0 { step } else { u64::MAX };
-        assert_eq!(*report, [(step * 50).to_le_bytes(), sequence.to_le_bytes()].concat());
+        assert!(received.push(9, &summary(step * 50, new_frame)));
         assert_eq!(sent, received);
     }
     client.finish(200).unwrap();
@@ -99,11 +98,7 @@ fn a_time_out_names_who_is_missing() {
         let domain = Domain::open(number, "test-firmware").unwrap();
         let mut server = LockstepServer::create(&domain).unwrap();
         let sent = Datagrams::default();
-        let answer = StepAnswer {
-            sent: &sent,
-            report: b"",
-        };
-        assert_eq!(server.serve(PATIENCE, || false, |_| answer).unwrap(), Served::Step);
+        assert_eq!(server.serve(PATIENCE, || false, |_| &sent).unwrap(), Served::Step);
         until_quit.recv().unwrap();
     });
     let client = LockstepClient::connect(&domain, PATIENCE);
@@ -117,7 +112,7 @@ fn a_time_out_names_who_is_missing() {
     firmware.join().unwrap();
 
     let mut server = LockstepServer::create(&domain).unwrap();
-    let unused = |_: vigil_transport::StepRequest<'_>| -> StepAnswer<'_> { panic!("no step was sent") };
+    let unused = |_: StepRequest<'_>| -> &Datagrams { panic!("no step was sent") };
     let absent = server.serve(Duration::from_millis(60), || false, unused).unwrap_err();
     assert_eq!(absent.to_string(), "simulator did not send step 0 within 0.06 s");
     assert_eq!(server.serve(PATIENCE, || true, unused).unwrap(), Served::Cancelled);
