@@ -12,10 +12,13 @@ use crate::shaping::{Limits, Shaped, advance_horizontal, square_root_law};
 const LEASH_M: f64 = 1.0;
 /// The same for the heading, radians.
 const YAW_LEASH_RAD: f64 = 0.5;
-/// A wanted climb faster than this takes off from the ground, m/s.
-const TAKEOFF_CLIMB_M_S: f64 = 0.05;
+/// A wanted climb faster than this takes off from the ground, m/s. It is above what the wander of the estimated height
+/// asks of a vehicle that holds its position on the ground.
+const TAKEOFF_CLIMB_M_S: f64 = 0.15;
 /// Largest acceleration that the velocity integral may hold against wind and drag, m/s².
 const INTEGRAL_MAX_M_S2: f64 = 4.0;
+/// Fastest rate about any axis that a rates command may ask for (PX4's acro limit, 720 °/s), rad/s.
+const RATE_MAX_RAD_S: f64 = 4.0 * core::f64::consts::PI;
 /// Largest angular acceleration that the rate integral may hold, rad/s².
 const RATE_INTEGRAL_MAX_RAD_S2: f64 = 5.0;
 
@@ -157,7 +160,7 @@ impl Controller {
             } if rates_frd_rad_s.is_finite() && thrust.is_finite() => {
                 self.stage = Stage::Rates;
                 self.thrust_wanted_n = self.thrust_for(thrust);
-                self.rates_wanted_rad_s = from_frd(rates_frd_rad_s);
+                self.rates_wanted_rad_s = from_frd(rates_frd_rad_s).map(|r| r.clamp(-RATE_MAX_RAD_S, RATE_MAX_RAD_S));
             }
             _ => {
                 self.enter_path(belief);
@@ -234,14 +237,25 @@ impl Controller {
         2.0 * self.weight_n() * f64::from(thrust.clamp(0.0, 1.0))
     }
 
+    /// The path begins where the vehicle is and as fast as it moves, but no faster than it may fly: from a fall or a
+    /// throw the velocity controller brakes with all thrust, not within the shaping limits.
     fn reset_reference(&mut self, belief: &Belief) {
+        let mut velocity_ned_m_s = belief.velocity_ned_m_s;
+        self.limit_velocity(&mut velocity_ned_m_s);
         self.reference = Reference {
             position_ned_m: belief.position_ned_m,
-            velocity_ned_m_s: belief.velocity_ned_m_s,
+            velocity_ned_m_s,
             acceleration_ned_m_s2: Vec3::zeros(),
             yaw_rad: belief.yaw_rad,
             yaw_rate: Shaped::default(),
         };
+    }
+
+    fn limit_velocity(&self, velocity_ned_m_s: &mut Vec3) {
+        limit_horizontal(velocity_ned_m_s, self.params.speed_max_m_s);
+        velocity_ned_m_s.z = velocity_ned_m_s
+            .z
+            .clamp(-self.params.climb_max_m_s, self.params.descent_max_m_s);
     }
 
     fn enter_path(&mut self, belief: &Belief) {
@@ -253,7 +267,7 @@ impl Controller {
 
     /// The velocity that goes to a position and stops there.
     fn velocity_towards(&self, goal_ned_m: &Vec3, feed_forward: &Vec3, speed_limit_m_s: f64) -> Vec3 {
-        let [horizontal_gain, vertical_gain] = self.params.position_gain_per_s;
+        let [horizontal_gain, vertical_gain] = self.params.approach_gain_per_s;
         let error = goal_ned_m - self.reference.position_ned_m;
         // Half the acceleration limit: the other half is for what the jerk limit delays.
         let distance = (error.x * error.x + error.y * error.y).sqrt();
@@ -270,8 +284,7 @@ impl Controller {
     fn follow(&mut self, velocity_ned_m_s: &Vec3, yaw: YawCommand, belief: &Belief, on_ground: bool, dt_s: f64) {
         let p = self.params;
         let mut target = *velocity_ned_m_s;
-        limit_horizontal(&mut target, p.speed_max_m_s);
-        target.z = target.z.clamp(-p.climb_max_m_s, p.descent_max_m_s);
+        self.limit_velocity(&mut target);
 
         if on_ground && target.z > -TAKEOFF_CLIMB_M_S {
             self.stop(Stage::Idle);

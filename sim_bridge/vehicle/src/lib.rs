@@ -14,11 +14,13 @@ mod params;
 mod rotors;
 mod sensors;
 mod shaping;
+mod validate;
 mod vehicle;
 
 pub use interface::{ControlCommand, Estimate, Sensors, Truth, VehicleView, YawCommand};
 pub use params::{
-    AirframeParams, BatteryParams, ControlParams, GRAVITY_M_S2, GroundParams, MotorParams, ParamsError, SensorParams,
-    VehicleParams, Wind,
+    AirframeParams, BatteryParams, ControlParams, GRAVITY_M_S2, GroundParams, MotorParams, SensorParams, VehicleParams,
+    Wind,
 };
+pub use validate::ParamsError;
 pub use vehicle::{STEP_NS, Vehicle};
