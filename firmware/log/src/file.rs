@@ -82,6 +82,15 @@ fn protobuf<W: Write + Seek>(
     writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
 }
 
+/// How all logs are written.
+pub(crate) fn write_options() -> WriteOptions {
+    WriteOptions::new()
+        .library(concat!("vigil-log/", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Lz4))
+        // Chunks are put together in memory and written whole: a kill leaves complete chunks, not half a one.
+        .disable_seeking(true)
+}
+
 /// An open log. Everything up to the last flush can be read even if nothing more is ever written.
 pub(crate) struct LogFile<W: Write + Seek> {
     writer: mcap::Writer<W>,
@@ -99,12 +108,7 @@ pub(crate) struct LogFile<W: Write + Seek> {
 impl<W: Write + Seek> LogFile<W> {
     /// Writes what stands before the first record (who flies with which settings, the channels) and flushes it.
     pub(crate) fn create(sink: W, info: &FlightInfo, epoch_offset_ns: u64, scene: Option<Scene>) -> McapResult<Self> {
-        let mut writer = WriteOptions::new()
-            .library(concat!("vigil-log/", env!("CARGO_PKG_VERSION")))
-            .compression(Some(Compression::Lz4))
-            // Chunks are put together in memory and written whole: a kill leaves complete chunks, not half a one.
-            .disable_seeking(true)
-            .create(sink)?;
+        let mut writer = write_options().create(sink)?;
         writer.write_metadata(&Metadata {
             name: META.to_owned(),
             metadata: info.to_metadata(epoch_offset_ns),

@@ -5,6 +5,7 @@
 //! back bit for bit. `docs/log.md` describes the channels and the format.
 #![forbid(unsafe_code)]
 
+mod container;
 mod convert;
 mod display;
 mod file;
@@ -12,6 +13,7 @@ mod info;
 mod reader;
 mod record;
 mod recorder;
+mod recover;
 mod scene;
 mod tlog;
 mod wire;
@@ -24,4 +26,5 @@ pub use record::TickRecord;
 pub use recorder::{
     LogPlace, Recorder, RecorderConfig, RecorderStatus, StartError, Summary, WhenFull, epoch_offset_ns,
 };
+pub use recover::{RecoverError, recover};
 pub use scene::{Scene, SceneError, SceneSolid};

@@ -1,19 +1,15 @@
 //! Reads a log back, record by record and bit for bit.
 
+use crate::container::{Container, Next};
 use crate::file::{LOG_FORMAT, META, META_END, topic};
 use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, wire};
 use foxglove::messages::RawImage;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message;
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{self, BufReader, Read};
+use std::io;
 use std::path::{Path, PathBuf};
-
-/// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
-const LENGTH_LIMIT: usize = 64 << 20;
 
 /// Why a log cannot be read, or cannot be read any further.
 #[derive(Debug, thiserror::Error)]
@@ -146,8 +142,7 @@ impl std::fmt::Display for LogEnd {
 /// A log being read.
 pub struct Reader {
     path: PathBuf,
-    source: Box<dyn Read + Send>,
-    inner: LinearReader,
+    container: Container,
     info: FlightInfo,
     epoch_offset_ns: u64,
     /// The channels that a replay needs, by their number in this file.
@@ -166,37 +161,19 @@ enum Channel {
     Tick,
 }
 
-/// One step of reading the container.
-enum Next {
-    /// Something that the log's reader looks at.
-    Record(Record<'static>),
-    /// The footer was reached.
-    End,
-    /// The file ends before the footer.
-    Cut,
-}
-
 impl Reader {
     /// Opens a log and reads its metadata.
     ///
     /// # Errors
     /// [`ReadError`] when the file is missing, of another kind or of another format version.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let file = File::open(path).map_err(|source| ReadError::Io {
+        let container = Container::open(path).map_err(|source| ReadError::Io {
             path: path.to_owned(),
             source,
         })?;
-        Self::from_source(Box::new(BufReader::new(file)), path)
-    }
-
-    fn from_source(source: Box<dyn Read + Send>, path: &Path) -> Result<Self, ReadError> {
-        let options = LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(LENGTH_LIMIT);
         let mut reader = Self {
             path: path.to_owned(),
-            source,
-            inner: LinearReader::new_with_options(options),
+            container,
             info: FlightInfo::default(),
             epoch_offset_ns: 0,
             channels: BTreeMap::new(),
@@ -353,36 +330,15 @@ impl Reader {
 
     /// The next channel, metadata or message of interest.
     fn next_container_record(&mut self) -> Result<Next, Damage> {
-        while let Some(event) = self.inner.next_event() {
-            match event {
-                Ok(LinearReadEvent::ReadRequest(need)) => {
-                    let read = loop {
-                        match self.source.read(self.inner.insert(need)) {
-                            Err(error) if error.kind() == io::ErrorKind::Interrupted => (),
-                            result => break result.map_err(|e| Damage::Container(e.into()))?,
-                        }
-                    };
-                    self.inner.notify_read(read);
-                }
-                Ok(LinearReadEvent::Record { opcode, data }) => {
-                    let wanted = match opcode {
-                        op::CHANNEL | op::METADATA => true,
-                        op::MESSAGE => match data.split_first_chunk() {
-                            Some((id, _)) => self.channels.contains_key(&u16::from_le_bytes(*id)),
-                            None => true,
-                        },
-                        _ => false,
-                    };
-                    if wanted {
-                        let record = mcap::parse_record(opcode, data).map_err(Damage::Container)?;
-                        return Ok(Next::Record(record.into_owned()));
-                    }
-                }
-                Err(McapError::UnexpectedEof) => return Ok(Next::Cut),
-                Err(error) => return Err(Damage::Container(error)),
-            }
-        }
-        Ok(Next::End)
+        let channels = &self.channels;
+        let wanted = |opcode, data: &[u8]| match opcode {
+            op::CHANNEL | op::METADATA => true,
+            op::MESSAGE => data
+                .split_first_chunk()
+                .is_none_or(|(id, _)| channels.contains_key(&u16::from_le_bytes(*id))),
+            _ => false,
+        };
+        self.container.next(wanted).map_err(Damage::Container)
     }
 }
 

@@ -8,7 +8,7 @@ use mcap::records::Metadata;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
-use vigil_log::{LOG_FORMAT, LogEnd, LogPlace, ReadError, Reader, Recorder};
+use vigil_log::{LOG_FORMAT, LogEnd, LogPlace, ReadError, Reader, Recorder, RecoverError, recover};
 
 const STEPS: u64 = 6;
 
@@ -76,6 +76,33 @@ fn a_log_cut_anywhere_gives_its_complete_part_and_says_so() {
     }
     counts.dedup();
     assert!(counts.len() >= 3 && last == STEPS, "several chunks: {counts:?}");
+}
+
+#[test]
+fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = small_log(dir.path());
+    let (cut, closed) = (dir.path().join("cut.mcap"), dir.path().join("closed.mcap"));
+    std::fs::write(&cut, &good[..good.len() * 9 / 10]).unwrap();
+    assert!(mcap::Summary::read(&std::fs::read(&cut).unwrap()).is_err());
+    let (records, _) = read_all(&cut).unwrap();
+    assert!(records > 2);
+
+    assert_eq!(recover(&cut, &closed).unwrap(), LogEnd::Interrupted { records });
+    assert_eq!(read_all(&closed).unwrap().0, records);
+    let index = mcap::Summary::read(&std::fs::read(&closed).unwrap()).unwrap().unwrap();
+    let tick = index.channels.values().find(|c| c.topic == "/vigil/tick").unwrap();
+    assert_eq!(index.stats.unwrap().channel_message_counts[&tick.id], records);
+
+    // What is there is never overwritten, and a damaged log is not made to look good.
+    assert!(matches!(recover(&cut, &closed), Err(RecoverError::Exists { .. })));
+    let (damaged, other) = (dir.path().join("damaged.mcap"), dir.path().join("other.mcap"));
+    let mut bytes = good;
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&damaged, bytes).unwrap();
+    assert!(matches!(recover(&damaged, &other), Err(RecoverError::Read(_))));
+    assert!(!other.exists());
 }
 
 proptest! {
