@@ -17,7 +17,7 @@ const YAW_LEASH_RAD: f64 = 0.5;
 const TAKEOFF_CLIMB_M_S: f64 = 0.15;
 /// Largest acceleration that the velocity integral may hold against wind and drag, m/s².
 const INTEGRAL_MAX_M_S2: f64 = 4.0;
-/// Fastest rate about any axis that a rates command may ask for (PX4's acro limit, 720 °/s), rad/s.
+/// Fastest rate about any axis that a rates command may ask for: 720 °/s, in rad/s.
 const RATE_MAX_RAD_S: f64 = 4.0 * core::f64::consts::PI;
 /// Largest angular acceleration that the rate integral may hold, rad/s².
 const RATE_INTEGRAL_MAX_RAD_S2: f64 = 5.0;
