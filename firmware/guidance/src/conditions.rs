@@ -1,0 +1,186 @@
+//! The named conditions: what each one means, demands, and how it clears.
+
+use vigil_types::{Reason, Reasons};
+
+/// What a condition demands while it is present. In order of precedence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Demand {
+    /// Land.
+    Land,
+    /// Hold: zero setpoints.
+    Hold,
+    /// Ends the flight: back to standby.
+    End,
+    /// Delays engaging.
+    Wait,
+}
+
+/// One named condition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Condition {
+    /// Its name.
+    pub reason: Reason,
+    /// What it demands in flight.
+    pub demand: Demand,
+    /// Whether it keeps guidance from becoming ready.
+    pub blocks_ready: bool,
+    /// When it is present. `{field}` stands for the threshold in the configuration.
+    pub present: &'static str,
+    /// When it clears.
+    pub clears: &'static str,
+}
+
+const fn condition(
+    reason: Reason,
+    demand: Demand,
+    blocks_ready: bool,
+    present: &'static str,
+    clears: &'static str,
+) -> Condition {
+    Condition {
+        reason,
+        demand,
+        blocks_ready,
+        present,
+        clears,
+    }
+}
+
+/// All conditions, in the order of [`Reason`].
+pub static CONDITIONS: [Condition; 16] = [
+    condition(
+        Reason::StaleFrame,
+        Demand::Hold,
+        true,
+        "no valid depth frame yet, or the newest is older than {frame_age_limit}",
+        "a fresh valid frame",
+    ),
+    condition(
+        Reason::BadFrame,
+        Demand::Hold,
+        true,
+        "a frame was refused in this step (size, sensor, checksum, range, pose)",
+        "a step in which no frame is refused",
+    ),
+    condition(
+        Reason::StaleTelemetry,
+        Demand::Hold,
+        true,
+        "position or attitude never received, or older than {telemetry_age_limit}",
+        "both fresh",
+    ),
+    condition(
+        Reason::LinkLost,
+        Demand::Hold,
+        true,
+        "no heartbeat of the vehicle yet, or the last is older than {heartbeat_age_limit}",
+        "a heartbeat",
+    ),
+    condition(
+        Reason::NotFinite,
+        Demand::Hold,
+        true,
+        "a received position, velocity, attitude or rate, or the pilot's action, is NaN or infinite, or the pilot gave no action although it could",
+        "all finite",
+    ),
+    condition(
+        Reason::ModeLost,
+        Demand::Hold,
+        false,
+        "guided, hold: the vehicle is not in its external mode",
+        "it is again; or the next engagement",
+    ),
+    condition(
+        Reason::Disarmed,
+        Demand::End,
+        false,
+        "guided, hold, land: the vehicle says that it is disarmed",
+        "at once in standby",
+    ),
+    condition(
+        Reason::Slip,
+        Demand::Hold,
+        true,
+        "{slip_limit} or more steps missed within {slip_window}",
+        "fewer missed within the window",
+    ),
+    condition(
+        Reason::Geofence,
+        Demand::Hold,
+        true,
+        "outside the permitted region (if one is configured); below its least height only in guided and hold",
+        "0.5 m inside",
+    ),
+    condition(
+        Reason::GoalReached,
+        Demand::Hold,
+        false,
+        "guided, hold: horizontally within {goal_radius} of the goal; with at-goal *land* demands landing after {goal_dwell}",
+        "another goal; the end of the flight",
+    ),
+    condition(Reason::NoGoal, Demand::Hold, true, "no goal was given", "a goal"),
+    condition(
+        Reason::Operator,
+        Demand::Hold,
+        false,
+        "an operator disengaged, or told to land (then it demands landing)",
+        "an operator engages",
+    ),
+    condition(
+        Reason::HandoverFailed,
+        Demand::Wait,
+        false,
+        "the vehicle refused or did not answer, or the hand-over took longer than {handover_limit}",
+        "after {handover_pause}; an operator engages",
+    ),
+    condition(
+        Reason::LowBattery,
+        Demand::Land,
+        true,
+        "the vehicle reports less charge than {battery_limit}",
+        "more charge, but a landing that began goes on",
+    ),
+    condition(
+        Reason::VehicleFailsafe,
+        Demand::Hold,
+        false,
+        "the vehicle's heartbeat says CRITICAL, EMERGENCY or FLIGHT_TERMINATION",
+        "it says otherwise",
+    ),
+    condition(
+        Reason::TimeLimit,
+        Demand::Land,
+        false,
+        "the flight is longer than the configured limit (none by default)",
+        "the end of the flight",
+    ),
+];
+
+/// Metres inside the fence at which [`Reason::Geofence`] clears.
+pub const FENCE_CLEAR_MARGIN_M: f32 = 0.5;
+
+/// The conditions that demand `demand` in flight.
+pub fn demanding(demand: Demand) -> Reasons {
+    collect(|c| c.demand == demand)
+}
+
+/// The conditions that keep guidance from becoming ready.
+pub fn blocking_ready() -> Reasons {
+    collect(|c| c.blocks_ready)
+}
+
+fn collect(of: impl Fn(&Condition) -> bool) -> Reasons {
+    CONDITIONS
+        .iter()
+        .fold(Reasons::NONE, |set, c| set.with_if(of(c), c.reason))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_has_its_condition_at_its_place() {
+        assert!(CONDITIONS.iter().map(|c| c.reason).eq(Reason::ALL));
+    }
+}

@@ -1,0 +1,487 @@
+//! The state machine: evaluates conditions, takes the first transition that fits, says what is sent.
+
+use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
+use crate::config::{AtGoal, ConfigError, EngagePolicy, GuidanceConfig};
+use crate::table::{Guard, Intent, TRANSITIONS, Transition};
+use vigil_types::{
+    Action, Goal, GuidanceState, HandoverProgress, HeadingVector, Nanos, NedVector, OperatorRequest, Reason, Reasons,
+    RequestOutcome, StepTiming, VehicleMode, VehicleRequest, VehicleTelemetry, VelocitySetpoint,
+};
+
+/// Farthest goal from the local origin, metres north or east: beyond it f32 no longer holds centimetres well.
+const GOAL_LIMIT_M: f32 = 10_000.0;
+/// Missed steps that are remembered; [`GuidanceConfig::slip_limit`] is at most this.
+const SLIPS_REMEMBERED: usize = 8;
+
+/// What became of the depth frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FrameStatus {
+    /// Age of the newest valid frame; `None` when there never was one.
+    pub age_ns: Option<Nanos>,
+    /// A frame was refused in this step.
+    pub refused: bool,
+}
+
+/// Everything guidance looks at in one step.
+#[derive(Debug, Clone, Copy)]
+pub struct GuidanceInput<'a> {
+    /// Time of the step.
+    pub now_ns: Nanos,
+    /// What is known of the vehicle.
+    pub telemetry: &'a VehicleTelemetry,
+    /// Depth frames.
+    pub frame: FrameStatus,
+    /// The pilot's action. The pilot is asked in every step, whatever the state, in which there are a fresh frame, fresh
+    /// finite telemetry and a goal; `None` when it was not asked.
+    pub action: Option<Action>,
+    /// Steps missed.
+    pub timing: StepTiming,
+    /// How far the vehicle is with the hand-over.
+    pub handover: HandoverProgress,
+    /// How often the autopilot was seen to start anew.
+    pub vehicle_restarts: u32,
+}
+
+/// What guidance decided.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GuidanceOutput {
+    /// State after the step.
+    pub state: GuidanceState,
+    /// Conditions present in the step, those that caused its transition included.
+    pub reasons: Reasons,
+    /// The transition taken, if one was.
+    pub transition: Option<&'static Transition>,
+    /// What to send; `None` is silence.
+    pub setpoint: Option<VelocitySetpoint>,
+    /// What to ask of the vehicle.
+    pub request: VehicleRequest,
+}
+
+/// The state machine. Plain data; time only comes in as an argument.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Guidance {
+    config: GuidanceConfig,
+    hold_conditions: Reasons,
+    ready_conditions: Reasons,
+    state: GuidanceState,
+    since_ns: Nanos,
+    goal: Option<Goal>,
+    /// Guidance wants to fly.
+    intent: bool,
+    /// An operator disengaged or told to land.
+    operator: bool,
+    operator_land: bool,
+    outside_fence: bool,
+    /// The vehicle was taken over in the last flight.
+    mode_lost: bool,
+    /// The vehicle was in its landing mode since this landing began.
+    landing_seen: bool,
+    reached_ns: Option<Nanos>,
+    /// The goal was reached long enough ago.
+    dwelt: bool,
+    handover_failed_ns: Option<Nanos>,
+    flight_started_ns: Option<Nanos>,
+    /// Conditions of the last step.
+    reasons: Reasons,
+    restarts: Option<u32>,
+    slips: Option<u64>,
+    slip_times_ns: [Option<Nanos>; SLIPS_REMEMBERED],
+    /// Consecutive steps: without a condition that keeps from leaving standby or hold; the same with the vehicle's mode
+    /// and failsafe left aside; out of the external mode.
+    clear_steps: u16,
+    regain_steps: u16,
+    released_steps: u16,
+}
+
+impl Guidance {
+    /// Guidance in standby, without a goal.
+    ///
+    /// # Errors
+    /// [`ConfigError`] when the configuration must not fly.
+    pub fn new(config: GuidanceConfig) -> Result<Self, ConfigError> {
+        config.check()?;
+        Ok(Self {
+            config,
+            hold_conditions: demanding(Demand::Hold),
+            ready_conditions: blocking_ready(),
+            state: GuidanceState::Standby,
+            since_ns: 0,
+            goal: None,
+            intent: config.engage == EngagePolicy::Auto,
+            operator: false,
+            operator_land: false,
+            outside_fence: false,
+            mode_lost: false,
+            landing_seen: false,
+            reached_ns: None,
+            dwelt: false,
+            handover_failed_ns: None,
+            flight_started_ns: None,
+            reasons: Reasons::NONE,
+            restarts: None,
+            slips: None,
+            slip_times_ns: [None; SLIPS_REMEMBERED],
+            clear_steps: 0,
+            regain_steps: 0,
+            released_steps: 0,
+        })
+    }
+
+    /// The present state.
+    pub fn state(&self) -> GuidanceState {
+        self.state
+    }
+
+    /// The goal in force.
+    pub fn goal(&self) -> Option<Goal> {
+        self.goal
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &GuidanceConfig {
+        &self.config
+    }
+
+    /// Takes what an operator asks; it has its effect in the next [`Guidance::step`].
+    pub fn request(&mut self, request: OperatorRequest) -> RequestOutcome {
+        match request {
+            OperatorRequest::Goal {
+                north_m,
+                east_m,
+                height_m,
+            } => self.request_goal(north_m, east_m, height_m),
+            OperatorRequest::Engage => self.request_engage(),
+            OperatorRequest::Disengage => {
+                self.intent = false;
+                self.operator = true;
+                RequestOutcome::Accepted
+            }
+            OperatorRequest::Land => match self.state {
+                // Before guidance has the vehicle, landing it is not guidance's to do.
+                GuidanceState::Standby | GuidanceState::Ready => RequestOutcome::TemporarilyRejected,
+                _ => {
+                    self.intent = false;
+                    self.operator = true;
+                    self.operator_land = true;
+                    RequestOutcome::Accepted
+                }
+            },
+        }
+    }
+
+    fn request_goal(&mut self, north_m: f32, east_m: f32, height_m: Option<f32>) -> RequestOutcome {
+        let height_m = height_m.unwrap_or(match self.goal {
+            Some(goal) => -goal.position_ned_m.z,
+            None => self.config.default_height_m,
+        });
+        let position_ned_m = NedVector::new(north_m, east_m, -height_m);
+        let permitted = position_ned_m.is_finite()
+            && north_m.abs() <= GOAL_LIMIT_M
+            && east_m.abs() <= GOAL_LIMIT_M
+            && height_m > 0.0
+            && height_m <= GOAL_LIMIT_M
+            && self.config.geofence.is_none_or(|fence| {
+                fence.contains(position_ned_m, FENCE_CLEAR_MARGIN_M)
+                    && fence.is_high_enough(position_ned_m, FENCE_CLEAR_MARGIN_M)
+            });
+        if !permitted {
+            return RequestOutcome::Denied;
+        }
+        self.goal = Some(Goal { position_ned_m });
+        self.reached_ns = None;
+        self.dwelt = false;
+        RequestOutcome::Accepted
+    }
+
+    fn request_engage(&mut self) -> RequestOutcome {
+        let not_now = match self.state {
+            // Not kept for later: nobody expects a flight to begin minutes after it was asked for.
+            GuidanceState::Standby => true,
+            GuidanceState::Hold => self.reasons.contains(Reason::ModeLost),
+            GuidanceState::Land => self.must_land(self.reasons),
+            GuidanceState::Ready | GuidanceState::Engaging | GuidanceState::Guided => false,
+        };
+        if not_now {
+            return RequestOutcome::TemporarilyRejected;
+        }
+        self.intent = true;
+        self.operator = false;
+        self.operator_land = false;
+        self.handover_failed_ns = None;
+        RequestOutcome::Accepted
+    }
+
+    /// One step of the loop.
+    pub fn step(&mut self, input: &GuidanceInput<'_>) -> GuidanceOutput {
+        let restarted =
+            self.restarts.replace(input.vehicle_restarts) != Some(input.vehicle_restarts) && input.vehicle_restarts > 0;
+        self.note_slips(input);
+        self.note_hand_over(input);
+        let reasons = self.conditions(input);
+        self.reasons = reasons;
+        self.count_steps(input, reasons);
+        let transition = TRANSITIONS
+            .iter()
+            .find(|row| row.from.contains(&self.state) && self.holds(row.when, input, reasons, restarted));
+        if let Some(row) = transition {
+            self.enter(row, input.now_ns);
+        }
+        GuidanceOutput {
+            state: self.state,
+            reasons,
+            transition,
+            setpoint: self.setpoint(input),
+            request: self.vehicle_request(input),
+        }
+    }
+
+    fn in_flight(&self) -> bool {
+        matches!(
+            self.state,
+            GuidanceState::Guided | GuidanceState::Hold | GuidanceState::Land
+        )
+    }
+
+    fn flying_to_goal(&self) -> bool {
+        matches!(self.state, GuidanceState::Guided | GuidanceState::Hold)
+    }
+
+    fn note_slips(&mut self, input: &GuidanceInput<'_>) {
+        let before = self.slips.replace(input.timing.slips).unwrap_or(input.timing.slips);
+        let missed = input.timing.slips.saturating_sub(before);
+        for _ in 0..missed.min(SLIPS_REMEMBERED as u64) {
+            self.slip_times_ns.rotate_right(1);
+            if let Some(newest) = self.slip_times_ns.first_mut() {
+                *newest = Some(input.now_ns);
+            }
+        }
+    }
+
+    fn note_hand_over(&mut self, input: &GuidanceInput<'_>) {
+        if self.state == GuidanceState::Engaging {
+            let too_long = input.now_ns.saturating_sub(self.since_ns) > self.config.handover_limit_ns;
+            if input.handover == HandoverProgress::Failed || too_long {
+                self.handover_failed_ns = Some(input.now_ns);
+            }
+        } else if let Some(failed_ns) = self.handover_failed_ns
+            && input.now_ns.saturating_sub(failed_ns) >= self.config.handover_pause_ns
+        {
+            self.handover_failed_ns = None;
+        }
+    }
+
+    /// The conditions present in this step; [`crate::conditions::CONDITIONS`] states them in words.
+    fn conditions(&mut self, input: &GuidanceInput<'_>) -> Reasons {
+        let GuidanceInput { now_ns, telemetry, .. } = *input;
+        let older = |age_ns: Option<Nanos>, limit_ns| age_ns.is_none_or(|age_ns| age_ns > limit_ns);
+        let stale_frame = older(input.frame.age_ns, self.config.frame_age_limit_ns);
+        let stale_telemetry = older(telemetry.flight_data_age_ns(now_ns), self.config.telemetry_age_limit_ns);
+        let heartbeat_age_ns = telemetry.heartbeat.map(|h| now_ns.saturating_sub(h.at_ns));
+        let link_lost = older(heartbeat_age_ns, self.config.heartbeat_age_limit_ns);
+        let received = telemetry.kinematics.is_some() && telemetry.attitude.is_some();
+        let bad_telemetry = received && !telemetry.is_finite();
+        let pilot_could =
+            !stale_frame && !input.frame.refused && !stale_telemetry && !bad_telemetry && self.goal.is_some();
+        let bad_action = input.action.map_or(pilot_could, |action| !action.is_finite());
+        let usable = !stale_telemetry && !bad_telemetry;
+        if let (true, Some(kinematics)) = (usable, telemetry.kinematics) {
+            self.note_fence(kinematics.position_ned_m);
+            self.note_goal(now_ns, kinematics.position_ned_m);
+        }
+        self.dwelt = self
+            .reached_ns
+            .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.goal_dwell_ns);
+        let mode_lost = match self.state {
+            GuidanceState::Guided | GuidanceState::Hold => !self.obeys(input),
+            GuidanceState::Standby | GuidanceState::Ready => self.mode_lost,
+            GuidanceState::Engaging | GuidanceState::Land => false,
+        };
+        let recent_slips = self
+            .slip_times_ns
+            .iter()
+            .flatten()
+            .filter(|at_ns| now_ns.saturating_sub(**at_ns) <= self.config.slip_window_ns)
+            .count();
+        let flown_ns = self.flight_started_ns.map(|start_ns| now_ns.saturating_sub(start_ns));
+        let too_long = matches!((flown_ns, self.config.time_limit_ns), (Some(flown), Some(limit)) if flown > limit);
+        let low_battery = telemetry
+            .battery_remaining
+            .is_some_and(|charge| charge < self.config.battery_limit);
+        Reasons::NONE
+            .with_if(stale_frame, Reason::StaleFrame)
+            .with_if(input.frame.refused, Reason::BadFrame)
+            .with_if(stale_telemetry, Reason::StaleTelemetry)
+            .with_if(link_lost, Reason::LinkLost)
+            .with_if(bad_telemetry || bad_action, Reason::NotFinite)
+            .with_if(mode_lost, Reason::ModeLost)
+            .with_if(self.in_flight() && self.disarmed(input), Reason::Disarmed)
+            .with_if(recent_slips >= usize::from(self.config.slip_limit), Reason::Slip)
+            .with_if(self.outside_fence, Reason::Geofence)
+            .with_if(self.reached_ns.is_some(), Reason::GoalReached)
+            .with_if(self.goal.is_none(), Reason::NoGoal)
+            .with_if(self.operator, Reason::Operator)
+            .with_if(self.handover_failed_ns.is_some(), Reason::HandoverFailed)
+            .with_if(low_battery, Reason::LowBattery)
+            .with_if(telemetry.heartbeat.is_some_and(|h| h.failsafe), Reason::VehicleFailsafe)
+            .with_if(too_long, Reason::TimeLimit)
+    }
+
+    fn note_fence(&mut self, position_ned_m: NedVector) {
+        let Some(fence) = self.config.geofence else { return };
+        let margin_m = if self.outside_fence { FENCE_CLEAR_MARGIN_M } else { 0.0 };
+        let high_enough = !self.flying_to_goal() || fence.is_high_enough(position_ned_m, margin_m);
+        self.outside_fence = !(fence.contains(position_ned_m, margin_m) && high_enough);
+    }
+
+    fn note_goal(&mut self, now_ns: Nanos, position_ned_m: NedVector) {
+        if let (true, None, Some(goal)) = (self.flying_to_goal(), self.reached_ns, self.goal)
+            && (goal.position_ned_m - position_ned_m).horizontal_norm() <= self.config.goal_radius_m
+        {
+            self.reached_ns = Some(now_ns);
+        }
+    }
+
+    fn obeys(&self, input: &GuidanceInput<'_>) -> bool {
+        input
+            .telemetry
+            .heartbeat
+            .is_some_and(|h| h.mode == VehicleMode::External)
+    }
+
+    fn disarmed(&self, input: &GuidanceInput<'_>) -> bool {
+        input.telemetry.heartbeat.is_some_and(|h| !h.armed)
+    }
+
+    fn count_steps(&mut self, input: &GuidanceInput<'_>, reasons: Reasons) {
+        let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
+        let relevant = match self.state {
+            GuidanceState::Standby => self.ready_conditions,
+            _ => self.hold_conditions,
+        };
+        let mode_aside =
+            Reasons(relevant.0 & !(Reasons::of(Reason::ModeLost).0 | Reasons::of(Reason::VehicleFailsafe).0));
+        count(&mut self.clear_steps, !reasons.intersects(relevant));
+        count(&mut self.regain_steps, !reasons.intersects(mode_aside));
+        let released = self.state == GuidanceState::Hold && !reasons.contains(Reason::LinkLost) && !self.obeys(input);
+        count(&mut self.released_steps, released);
+    }
+
+    /// Whether a transition's condition holds.
+    fn holds(&self, guard: Guard, input: &GuidanceInput<'_>, reasons: Reasons, restarted: bool) -> bool {
+        let heartbeat = input.telemetry.heartbeat;
+        let unclear = reasons.intersects(self.hold_conditions);
+        let done = input.handover == HandoverProgress::Done && self.obeys(input) && !self.disarmed(input);
+        let failsafe_hold = self.config.engage == EngagePolicy::Auto
+            && self.intent
+            && heartbeat.is_some_and(|h| h.failsafe && h.armed && h.mode == VehicleMode::Hold);
+        match guard {
+            Guard::VehicleRestarted => restarted,
+            Guard::MotorsOff => reasons.contains(Reason::Disarmed),
+            Guard::LandDemanded => self.operator_land || self.must_land(reasons),
+            Guard::LandingTakenOver => {
+                self.landing_seen
+                    && !reasons.contains(Reason::LinkLost)
+                    && heartbeat.is_some_and(|h| h.mode != VehicleMode::Land)
+            }
+            Guard::Reengaged => self.intent && !self.must_land(reasons),
+            Guard::HandoverFailed => reasons.contains(Reason::HandoverFailed),
+            Guard::Disengaged => reasons.contains(Reason::Operator),
+            Guard::HandedOver => done && !unclear,
+            Guard::HandedOverUnclear => done && unclear,
+            Guard::HoldDemanded => unclear,
+            Guard::FailsafeHoldRegainable => failsafe_hold && self.regain_steps >= self.config.clear_steps,
+            Guard::VehicleTaken => !failsafe_hold && self.released_steps >= self.config.release_steps,
+            Guard::ClearLongEnough | Guard::InputsGood => self.clear_steps >= self.config.clear_steps,
+            Guard::InputsMissing => reasons.intersects(self.ready_conditions),
+            Guard::EngageWanted => self.intent && !reasons.contains(Reason::HandoverFailed),
+        }
+    }
+
+    /// Whether landing is demanded by something that an operator's engage does not lift.
+    fn must_land(&self, reasons: Reasons) -> bool {
+        self.config.at_goal == AtGoal::Land && self.dwelt
+            || reasons.contains(Reason::LowBattery)
+            || reasons.contains(Reason::TimeLimit)
+    }
+
+    fn enter(&mut self, row: &Transition, now_ns: Nanos) {
+        self.state = row.to;
+        self.since_ns = now_ns;
+        (self.clear_steps, self.regain_steps, self.released_steps) = (0, 0, 0);
+        self.landing_seen = false;
+        self.mode_lost = row.when == Guard::VehicleTaken || self.mode_lost && row.to != GuidanceState::Engaging;
+        match row.intent {
+            Intent::Keep => {}
+            Intent::Clear => self.intent = false,
+            Intent::Spend => self.intent &= self.config.engage == EngagePolicy::Auto,
+            Intent::Renew => self.intent = self.config.engage == EngagePolicy::Auto,
+        }
+        match row.to {
+            GuidanceState::Standby => {
+                self.operator_land = false;
+                self.operator &= row.when != Guard::VehicleRestarted;
+                self.reached_ns = None;
+                self.flight_started_ns = None;
+            }
+            GuidanceState::Guided => self.flight_started_ns = self.flight_started_ns.or(Some(now_ns)),
+            _ => {}
+        }
+    }
+
+    fn setpoint(&self, input: &GuidanceInput<'_>) -> Option<VelocitySetpoint> {
+        match self.state {
+            GuidanceState::Standby | GuidanceState::Ready => None,
+            GuidanceState::Engaging => matches!(
+                input.handover,
+                HandoverProgress::Done | HandoverProgress::InProgress { stream_setpoints: true }
+            )
+            .then_some(VelocitySetpoint::HOLD),
+            GuidanceState::Guided => Some(self.guided_setpoint(input)),
+            GuidanceState::Hold => Some(VelocitySetpoint::HOLD),
+            // Zeros until the vehicle lands by itself: an autopilot may keep the last velocity for seconds.
+            GuidanceState::Land => input
+                .telemetry
+                .heartbeat
+                .is_none_or(|h| h.mode == VehicleMode::External)
+                .then_some(VelocitySetpoint::HOLD),
+        }
+    }
+
+    /// The clipped action, plus a bounded vertical speed that keeps the goal's height.
+    fn guided_setpoint(&self, input: &GuidanceInput<'_>) -> VelocitySetpoint {
+        let (Some(action), Some(goal), Some(kinematics)) = (input.action, self.goal, input.telemetry.kinematics) else {
+            return VelocitySetpoint::HOLD;
+        };
+        let action = action.clipped();
+        let below_m = goal.position_ned_m.z - kinematics.position_ned_m.z;
+        let limit_m_s = self.config.vertical_limit_m_s;
+        let down_m_s = (self.config.height_gain_per_s * below_m).clamp(-limit_m_s, limit_m_s);
+        let setpoint = VelocitySetpoint {
+            velocity_m_s: HeadingVector::new(action.forward_m_s, 0.0, down_m_s),
+            yaw_rate_rad_s: action.yaw_rate_rad_s(),
+        };
+        if setpoint.is_finite() {
+            setpoint
+        } else {
+            VelocitySetpoint::HOLD
+        }
+    }
+
+    fn vehicle_request(&mut self, input: &GuidanceInput<'_>) -> VehicleRequest {
+        match (self.state, self.goal) {
+            (GuidanceState::Engaging, Some(goal)) => VehicleRequest::FlyExternal {
+                takeoff_height_m: -goal.position_ned_m.z,
+            },
+            (GuidanceState::Land, _) => {
+                let landing = input.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Land);
+                self.landing_seen |= landing;
+                if landing {
+                    VehicleRequest::None
+                } else {
+                    VehicleRequest::Land
+                }
+            }
+            _ => VehicleRequest::None,
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! The transition table: data, not code.
+
+use vigil_types::GuidanceState::{self, Engaging, Guided, Hold, Land, Ready, Standby};
+
+/// A named condition of a transition; [`Guard::name`] is what the documentation calls it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Guard {
+    /// The autopilot started anew.
+    VehicleRestarted,
+    /// The motors are disarmed.
+    MotorsOff,
+    /// A condition that demands landing is present.
+    LandDemanded,
+    /// The vehicle was landing and is now in another mode.
+    LandingTakenOver,
+    /// An operator wants to fly, and nothing demands landing.
+    Reengaged,
+    /// The hand-over failed.
+    HandoverFailed,
+    /// An operator disengaged.
+    Disengaged,
+    /// The hand-over is done, no condition demands hold.
+    HandedOver,
+    /// The hand-over is done, a condition demands hold.
+    HandedOverUnclear,
+    /// A condition demands hold.
+    HoldDemanded,
+    /// The vehicle is in its own failsafe hold, guidance engages by itself, and everything else has been clear long enough.
+    FailsafeHoldRegainable,
+    /// The vehicle has been out of its external mode for long enough, and it is not a failsafe hold to be regained.
+    VehicleTaken,
+    /// No condition has demanded hold for long enough.
+    ClearLongEnough,
+    /// Nothing that guidance needs has been missing for long enough.
+    InputsGood,
+    /// Something that guidance needs is missing.
+    InputsMissing,
+    /// An operator, or the policy, wants to fly, and no failed hand-over has to be waited for.
+    EngageWanted,
+}
+
+impl Guard {
+    /// What the documentation calls the condition.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::VehicleRestarted => "vehicle restarted",
+            Self::MotorsOff => "motors off",
+            Self::LandDemanded => "land demanded",
+            Self::LandingTakenOver => "landing taken over",
+            Self::Reengaged => "re-engaged",
+            Self::HandoverFailed => "hand-over failed",
+            Self::Disengaged => "disengaged",
+            Self::HandedOver => "handed over",
+            Self::HandedOverUnclear => "handed over, not clear",
+            Self::HoldDemanded => "hold demanded",
+            Self::FailsafeHoldRegainable => "failsafe hold regainable",
+            Self::VehicleTaken => "vehicle taken over",
+            Self::ClearLongEnough => "clear long enough",
+            Self::InputsGood => "inputs good",
+            Self::InputsMissing => "inputs missing",
+            Self::EngageWanted => "engage wanted",
+        }
+    }
+}
+
+/// Whether guidance still wants to fly after a transition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Intent {
+    /// As before.
+    Keep,
+    /// Only an operator's engage brings it back.
+    Clear,
+    /// Kept by the policy *auto*; an operator's engage is spent with the policy *command*.
+    Spend,
+    /// As after the start: yes with the policy *auto*, no with *command*.
+    Renew,
+}
+
+impl Intent {
+    /// What the documentation calls it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Keep => "kept",
+            Self::Clear => "cleared",
+            Self::Spend => "kept by *auto*, cleared by *command*",
+            Self::Renew => "as after the start",
+        }
+    }
+}
+
+/// One row: from any of `from`, when `when` holds, to `to`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Transition {
+    /// States in which the row counts.
+    pub from: &'static [GuidanceState],
+    /// The condition.
+    pub when: Guard,
+    /// The state afterwards.
+    pub to: GuidanceState,
+    /// Whether guidance still wants to fly afterwards.
+    pub intent: Intent,
+    /// Why.
+    pub why: &'static str,
+}
+
+const fn row(
+    from: &'static [GuidanceState],
+    when: Guard,
+    to: GuidanceState,
+    intent: Intent,
+    why: &'static str,
+) -> Transition {
+    Transition {
+        from,
+        when,
+        to,
+        intent,
+        why,
+    }
+}
+
+/// All transitions in order of precedence: in each step the first row whose state and condition fit is taken, at most one.
+/// What ends a flight comes before landing, landing before hold, hold before guided.
+pub static TRANSITIONS: [Transition; 16] = [
+    row(
+        &[Standby, Ready, Engaging, Guided, Hold, Land],
+        Guard::VehicleRestarted,
+        Standby,
+        Intent::Renew,
+        "nothing of the hand-over is left",
+    ),
+    row(
+        &[Guided, Hold, Land],
+        Guard::MotorsOff,
+        Standby,
+        Intent::Clear,
+        "the flight is over; nobody but an operator may arm again",
+    ),
+    row(
+        &[Engaging, Guided, Hold],
+        Guard::LandDemanded,
+        Land,
+        Intent::Clear,
+        "on the ground is safer than in the air",
+    ),
+    row(
+        &[Land],
+        Guard::LandingTakenOver,
+        Standby,
+        Intent::Clear,
+        "somebody else has the vehicle",
+    ),
+    row(
+        &[Land],
+        Guard::Reengaged,
+        Engaging,
+        Intent::Keep,
+        "an operator may go around",
+    ),
+    row(
+        &[Engaging],
+        Guard::HandoverFailed,
+        Standby,
+        Intent::Spend,
+        "the vehicle does not obey; with the policy auto it is asked again after a pause",
+    ),
+    row(
+        &[Engaging],
+        Guard::Disengaged,
+        Hold,
+        Intent::Keep,
+        "the vehicle may be in the air",
+    ),
+    row(
+        &[Engaging],
+        Guard::HandedOver,
+        Guided,
+        Intent::Keep,
+        "armed, in the air, in its external mode, all inputs good",
+    ),
+    row(
+        &[Engaging],
+        Guard::HandedOverUnclear,
+        Hold,
+        Intent::Keep,
+        "the vehicle obeys, but an input is bad",
+    ),
+    row(
+        &[Guided],
+        Guard::HoldDemanded,
+        Hold,
+        Intent::Keep,
+        "a bad input is never answered with the last command",
+    ),
+    row(
+        &[Hold],
+        Guard::FailsafeHoldRegainable,
+        Engaging,
+        Intent::Keep,
+        "what made the vehicle hold is over",
+    ),
+    row(
+        &[Hold],
+        Guard::VehicleTaken,
+        Standby,
+        Intent::Clear,
+        "somebody else has the vehicle",
+    ),
+    row(
+        &[Hold],
+        Guard::ClearLongEnough,
+        Guided,
+        Intent::Keep,
+        "every condition has cleared",
+    ),
+    row(
+        &[Standby],
+        Guard::InputsGood,
+        Ready,
+        Intent::Keep,
+        "everything needed is here",
+    ),
+    row(
+        &[Ready],
+        Guard::InputsMissing,
+        Standby,
+        Intent::Spend,
+        "something needed is missing; an operator's engage is not kept for later",
+    ),
+    row(
+        &[Ready],
+        Guard::EngageWanted,
+        Engaging,
+        Intent::Keep,
+        "take the vehicle",
+    ),
+];

@@ -1,0 +1,152 @@
+//! A loop around guidance with inputs that a story can spoil.
+#![allow(dead_code)] // each test program uses a part of it
+
+use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
+use vigil_types::{
+    Action, Attitude, AttitudeSample, FrdVector, GuidanceState, HandoverProgress, Heartbeat, Kinematics, Landed, Nanos,
+    NedVector, OperatorRequest, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleTelemetry,
+};
+
+/// Inputs as they are in a good flight; change a field to spoil one.
+pub struct Story {
+    pub guidance: Guidance,
+    pub now_ns: Nanos,
+    pub armed: bool,
+    pub mode: VehicleMode,
+    pub failsafe: bool,
+    pub position_ned_m: NedVector,
+    pub battery: Option<f32>,
+    pub frame: FrameStatus,
+    pub telemetry_age_ns: Nanos,
+    pub heartbeat_age_ns: Option<Nanos>,
+    pub action: Option<Action>,
+    pub handover: HandoverProgress,
+    pub slips: u64,
+    pub restarts: u32,
+    pub last: Option<GuidanceOutput>,
+}
+
+pub const GOAL: OperatorRequest = OperatorRequest::Goal {
+    north_m: 20.0,
+    east_m: 5.0,
+    height_m: Some(3.0),
+};
+
+impl Story {
+    /// A vehicle on the ground, everything fresh, a goal 20 m ahead.
+    pub fn begin(config: GuidanceConfig) -> Self {
+        let mut guidance = Guidance::new(config).expect("the configuration is valid");
+        assert_eq!(guidance.request(GOAL), RequestOutcome::Accepted);
+        Self {
+            guidance,
+            now_ns: 10_000_000_000,
+            armed: false,
+            mode: VehicleMode::Hold,
+            failsafe: false,
+            position_ned_m: NedVector::ZERO,
+            battery: Some(0.9),
+            frame: FrameStatus {
+                age_ns: Some(STEP_NS),
+                refused: false,
+            },
+            telemetry_age_ns: 10_000_000,
+            heartbeat_age_ns: Some(400_000_000),
+            action: Some(Action {
+                forward_m_s: 1.0,
+                yaw: 0.5,
+            }),
+            handover: HandoverProgress::Idle,
+            slips: 0,
+            restarts: 0,
+            last: None,
+        }
+    }
+
+    /// The same, already flying to the goal.
+    pub fn guided(config: GuidanceConfig) -> Self {
+        let mut story = Self::begin(config);
+        story.run(20);
+        if story.guidance.state() == GuidanceState::Ready {
+            assert_eq!(
+                story.guidance.request(OperatorRequest::Engage),
+                RequestOutcome::Accepted
+            );
+            story.step();
+        }
+        story.hand_over();
+        assert_eq!(story.step().state, GuidanceState::Guided);
+        story
+    }
+
+    /// The vehicle obeys.
+    pub fn hand_over(&mut self) {
+        self.armed = true;
+        self.mode = VehicleMode::External;
+        self.failsafe = false;
+        self.position_ned_m.z = -3.0;
+        self.handover = HandoverProgress::Done;
+    }
+
+    pub fn telemetry(&self) -> VehicleTelemetry {
+        let at_ns = self.now_ns - self.telemetry_age_ns;
+        VehicleTelemetry {
+            heartbeat: self.heartbeat_age_ns.map(|age_ns| Heartbeat {
+                at_ns: self.now_ns - age_ns,
+                armed: self.armed,
+                mode: self.mode,
+                failsafe: self.failsafe,
+            }),
+            kinematics: Some(Kinematics {
+                at_ns,
+                position_ned_m: self.position_ned_m,
+                velocity_ned_m_s: NedVector::ZERO,
+            }),
+            attitude: Some(AttitudeSample {
+                at_ns,
+                attitude: Attitude::LEVEL_NORTH,
+                rates_frd_rad_s: FrdVector::ZERO,
+            }),
+            landed: Landed::Unknown,
+            battery_remaining: self.battery,
+        }
+    }
+
+    pub fn step(&mut self) -> GuidanceOutput {
+        self.now_ns += STEP_NS;
+        let telemetry = self.telemetry();
+        let output = self.guidance.step(&GuidanceInput {
+            now_ns: self.now_ns,
+            telemetry: &telemetry,
+            frame: self.frame,
+            action: self.action,
+            timing: StepTiming {
+                slips: self.slips,
+                ..Default::default()
+            },
+            handover: self.handover,
+            vehicle_restarts: self.restarts,
+        });
+        self.last = Some(output);
+        output
+    }
+
+    /// Several steps with the same inputs; the last output.
+    pub fn run(&mut self, steps: usize) -> GuidanceOutput {
+        assert!(steps > 0);
+        (0..steps).map(|_| self.step()).last().expect("at least one step")
+    }
+
+    /// Steps until the state is reached; how many it took.
+    pub fn until(&mut self, state: GuidanceState) -> usize {
+        for n in 1..=400 {
+            if self.step().state == state {
+                return n;
+            }
+        }
+        panic!("{} was not reached: {:?}", state.name(), self.last);
+    }
+
+    pub fn ask(&mut self, request: OperatorRequest) -> RequestOutcome {
+        self.guidance.request(request)
+    }
+}

@@ -1,0 +1,129 @@
+//! `docs/guidance.md` holds exactly what the tables say. `UPDATE_DOCS=1 cargo test --release -p vigil-guidance` writes it.
+
+use std::fmt::Write;
+use std::path::Path;
+use vigil_guidance::GuidanceConfig;
+use vigil_guidance::conditions::{CONDITIONS, Demand};
+use vigil_guidance::table::TRANSITIONS;
+use vigil_types::GuidanceState;
+
+fn thresholds(text: &str) -> String {
+    let c = GuidanceConfig::default();
+    let seconds = |ns: u64| format!("{} s", (ns / 1_000_000) as f64 / 1000.0);
+    [
+        ("{frame_age_limit}", seconds(c.frame_age_limit_ns)),
+        ("{telemetry_age_limit}", seconds(c.telemetry_age_limit_ns)),
+        ("{heartbeat_age_limit}", seconds(c.heartbeat_age_limit_ns)),
+        ("{slip_limit}", c.slip_limit.to_string()),
+        ("{slip_window}", seconds(c.slip_window_ns)),
+        ("{goal_radius}", format!("{} m", c.goal_radius_m)),
+        ("{goal_dwell}", seconds(c.goal_dwell_ns)),
+        ("{handover_limit}", seconds(c.handover_limit_ns)),
+        ("{handover_pause}", seconds(c.handover_pause_ns)),
+        ("{battery_limit}", format!("{} %", (c.battery_limit * 100.0).round())),
+    ]
+    .iter()
+    .fold(text.to_owned(), |text, (name, value)| text.replace(name, value))
+}
+
+fn conditions() -> String {
+    let mut out = String::from(
+        "| Bit | Condition | In flight | Blocks *ready* | Present when | Clears with |\n| --- | --- | --- | --- | --- | --- |\n",
+    );
+    for c in &CONDITIONS {
+        let demand = match c.demand {
+            Demand::Land => "land",
+            Demand::Hold => "hold",
+            Demand::End => "end of flight",
+            Demand::Wait => "wait",
+        };
+        let blocks = if c.blocks_ready { "yes" } else { "" };
+        let (bit, name) = (c.reason as u8, c.reason.name());
+        let (present, clears) = (thresholds(c.present), thresholds(c.clears));
+        writeln!(out, "| {bit} | {name} | {demand} | {blocks} | {present} | {clears} |").unwrap();
+    }
+    out
+}
+
+fn names(states: &[GuidanceState]) -> String {
+    match states.len() {
+        6 => "any".to_owned(),
+        _ => states.iter().map(|s| s.name()).collect::<Vec<_>>().join(", "),
+    }
+}
+
+fn transitions() -> String {
+    let mut out = String::from("| | From | When | To | Wish to fly | Why |\n| --- | --- | --- | --- | --- | --- |\n");
+    for (n, row) in TRANSITIONS.iter().enumerate() {
+        let (from, when, to) = (names(row.from), row.when.name(), row.to.name());
+        writeln!(
+            out,
+            "| {} | {from} | {when} | {to} | {} | {} |",
+            n + 1,
+            row.intent.name(),
+            row.why
+        )
+        .unwrap();
+    }
+    out
+}
+
+fn diagram() -> String {
+    let mut out = String::from("```mermaid\nstateDiagram-v2\n    [*] --> standby\n");
+    for row in &TRANSITIONS {
+        for from in row.from.iter().filter(|from| **from != row.to) {
+            writeln!(out, "    {} --> {}: {}", from.name(), row.to.name(), row.when.name()).unwrap();
+        }
+    }
+    out + "```\n"
+}
+
+/// The text between the markers of a section replaced by what the tables say.
+fn with_section(text: &str, section: &str, content: &str) -> String {
+    let (begin, end) = (
+        format!("<!-- {section}: generated -->\n"),
+        format!("<!-- {section}: end -->"),
+    );
+    let (head, rest) = text
+        .split_once(&begin)
+        .unwrap_or_else(|| panic!("docs/guidance.md has no line {begin:?}"));
+    let (_, tail) = rest
+        .split_once(&end)
+        .unwrap_or_else(|| panic!("docs/guidance.md has no line {end:?}"));
+    format!("{head}{begin}{content}{end}{tail}")
+}
+
+#[test]
+fn the_page_holds_the_tables_as_they_are() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/guidance.md");
+    let page = std::fs::read_to_string(&path).expect("docs/guidance.md can be read");
+    let expected = with_section(&page, "conditions", &conditions());
+    let expected = with_section(&expected, "transitions", &transitions());
+    let expected = with_section(&expected, "diagram", &diagram());
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(&path, &expected).expect("docs/guidance.md can be written");
+        return;
+    }
+    assert!(
+        page == expected,
+        "docs/guidance.md differs from the tables: UPDATE_DOCS=1 cargo test --release -p vigil-guidance"
+    );
+}
+
+/// The drawing in the page is made by hand; it must name every state and every pair of states that a row connects.
+#[test]
+fn every_state_can_be_reached_and_left() {
+    for state in GuidanceState::ALL {
+        assert!(
+            TRANSITIONS
+                .iter()
+                .any(|row| row.to == state && !row.from.contains(&state))
+                || state == GuidanceState::Standby
+        );
+        assert!(
+            TRANSITIONS
+                .iter()
+                .any(|row| row.from.contains(&state) && row.to != state)
+        );
+    }
+}

@@ -1,0 +1,230 @@
+//! What holds for any sequence of inputs, however mad.
+
+mod common;
+
+use common::Story;
+use proptest::prelude::*;
+use vigil_guidance::{AtGoal, EngagePolicy, FenceShape, FrameStatus, Geofence, GuidanceConfig};
+use vigil_types::{
+    Action, GuidanceState, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, STEP_NS, VehicleMode,
+    VelocitySetpoint,
+};
+
+#[derive(Debug, Clone)]
+enum Event {
+    Mode(VehicleMode),
+    Armed(bool),
+    Failsafe(bool),
+    Position([f32; 3]),
+    Battery(Option<f32>),
+    Frame(Option<u64>, bool),
+    TelemetryAge(u64),
+    HeartbeatAge(Option<u64>),
+    Action(Option<[f32; 2]>),
+    Handover(HandoverProgress),
+    Slips(u64),
+    Restart,
+    Request(OperatorRequest),
+    Good,
+    Steps(usize),
+}
+
+fn number() -> impl Strategy<Value = f32> {
+    prop_oneof![6 => -30.0f32..30.0, 1 => any::<f32>(), 1 => Just(f32::NAN), 1 => Just(f32::INFINITY)]
+}
+
+fn event() -> impl Strategy<Value = Event> {
+    let mode = prop_oneof![
+        3 => Just(VehicleMode::External),
+        1 => Just(VehicleMode::Hold),
+        1 => Just(VehicleMode::Land),
+        1 => Just(VehicleMode::Unknown),
+        1 => Just(VehicleMode::Other),
+    ];
+    let handover = prop_oneof![
+        Just(HandoverProgress::Idle),
+        Just(HandoverProgress::InProgress {
+            stream_setpoints: false
+        }),
+        Just(HandoverProgress::InProgress { stream_setpoints: true }),
+        Just(HandoverProgress::Failed),
+        Just(HandoverProgress::Done),
+    ];
+    let request = prop_oneof![
+        Just(OperatorRequest::Engage),
+        Just(OperatorRequest::Disengage),
+        Just(OperatorRequest::Land),
+        (number(), number(), proptest::option::of(number())).prop_map(|(north_m, east_m, height_m)| {
+            OperatorRequest::Goal {
+                north_m,
+                east_m,
+                height_m,
+            }
+        }),
+    ];
+    prop_oneof![
+        2 => mode.prop_map(Event::Mode),
+        1 => any::<bool>().prop_map(Event::Armed),
+        1 => any::<bool>().prop_map(Event::Failsafe),
+        2 => [number(), number(), number()].prop_map(Event::Position),
+        1 => proptest::option::of(0.0f32..1.0).prop_map(Event::Battery),
+        2 => (proptest::option::of(0u64..500_000_000), any::<bool>()).prop_map(|(age, refused)| Event::Frame(age, refused)),
+        1 => (0u64..600_000_000).prop_map(Event::TelemetryAge),
+        1 => proptest::option::of(0u64..3_000_000_000).prop_map(Event::HeartbeatAge),
+        3 => proptest::option::of([number(), number()]).prop_map(Event::Action),
+        2 => handover.prop_map(Event::Handover),
+        1 => (0u64..9).prop_map(Event::Slips),
+        1 => Just(Event::Restart),
+        3 => request.prop_map(Event::Request),
+        8 => Just(Event::Good),
+        6 => (1usize..45).prop_map(Event::Steps),
+    ]
+}
+
+fn config() -> impl Strategy<Value = GuidanceConfig> {
+    (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>()).prop_map(|(auto, land, fence, limit)| GuidanceConfig {
+        engage: if auto {
+            EngagePolicy::Auto
+        } else {
+            EngagePolicy::Command
+        },
+        at_goal: if land { AtGoal::Land } else { AtGoal::Hold },
+        geofence: fence.then_some(Geofence {
+            shape: FenceShape::Cylinder {
+                center_m: [10.0, 0.0],
+                radius_m: 40.0,
+            },
+            min_height_m: 0.5,
+            max_height_m: 20.0,
+        }),
+        time_limit_ns: limit.then_some(5_000_000_000),
+        ..Default::default()
+    })
+}
+
+/// Makes every input good again, in the air.
+fn good(s: &mut Story) {
+    s.hand_over();
+    s.position_ned_m = NedVector::new(5.0, 0.0, -3.0);
+    s.frame = FrameStatus {
+        age_ns: Some(STEP_NS),
+        refused: false,
+    };
+    (s.telemetry_age_ns, s.heartbeat_age_ns, s.battery) = (0, Some(0), Some(0.9));
+    s.action = Some(Action {
+        forward_m_s: 1.2,
+        yaw: -0.7,
+    });
+}
+
+fn apply(s: &mut Story, event: &Event) -> usize {
+    match *event {
+        Event::Mode(mode) => s.mode = mode,
+        Event::Armed(armed) => s.armed = armed,
+        Event::Failsafe(failsafe) => s.failsafe = failsafe,
+        Event::Position([x, y, z]) => s.position_ned_m = NedVector::new(x, y, z),
+        Event::Battery(battery) => s.battery = battery,
+        Event::Frame(age_ns, refused) => s.frame = FrameStatus { age_ns, refused },
+        Event::TelemetryAge(age_ns) => s.telemetry_age_ns = age_ns,
+        Event::HeartbeatAge(age_ns) => s.heartbeat_age_ns = age_ns,
+        Event::Action(action) => {
+            s.action = action.map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
+        }
+        Event::Handover(handover) => s.handover = handover,
+        Event::Slips(slips) => s.slips += slips,
+        Event::Restart => s.restarts += 1,
+        Event::Request(request) => {
+            s.ask(request);
+        }
+        Event::Good => good(s),
+        Event::Steps(steps) => return steps,
+    }
+    1
+}
+
+/// Every condition that must stop motion, judged anew from the inputs, without the state machine's code.
+fn something_is_wrong(s: &Story) -> bool {
+    let t = s.telemetry();
+    let p = s.position_ned_m;
+    s.frame.refused
+        || s.frame.age_ns.is_none_or(|age| age > 250_000_000)
+        || s.telemetry_age_ns > 300_000_000
+        || s.heartbeat_age_ns.is_none_or(|age| age > 1_500_000_000)
+        || !(p.x.is_finite() && p.y.is_finite() && p.z.is_finite())
+        || !s.action.is_some_and(|a| a.forward_m_s.is_finite() && a.yaw.is_finite())
+        || t.heartbeat
+            .is_none_or(|h| !h.armed || h.failsafe || h.mode != VehicleMode::External)
+        || s.battery.is_some_and(|b| b < 0.15)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn motion_needs_guided_and_guided_needs_every_input(config in config(), flying in any::<bool>(), events in proptest::collection::vec(event(), 1..80)) {
+        let mut s = if flying { Story::guided(config) } else { Story::begin(config) };
+        prop_assert_eq!(s.step().setpoint.is_some_and(|v| v != VelocitySetpoint::HOLD), flying);
+        for event in &events {
+            for _ in 0..apply(&mut s, event) {
+                let out = s.step();
+                prop_assert_eq!(out.state, s.guidance.state());
+                if let Some(v) = out.setpoint {
+                    prop_assert!(v.is_finite());
+                    prop_assert!(v.velocity_m_s.x.abs() <= 1.5 && v.velocity_m_s.y == 0.0 && v.velocity_m_s.z.abs() <= 0.5);
+                    prop_assert!(v.yaw_rate_rad_s.to_degrees().abs() <= 45.001);
+                    if v != VelocitySetpoint::HOLD {
+                        prop_assert_eq!(out.state, GuidanceState::Guided);
+                        prop_assert!(!something_is_wrong(&s), "moves although {:?}", out.reasons);
+                    }
+                }
+                match out.state {
+                    GuidanceState::Standby | GuidanceState::Ready => prop_assert!(out.setpoint.is_none()),
+                    GuidanceState::Guided | GuidanceState::Hold => prop_assert!(out.setpoint.is_some()),
+                    GuidanceState::Engaging | GuidanceState::Land => {}
+                }
+                if out.state == GuidanceState::Hold && out.transition.is_some() {
+                    prop_assert!(!out.reasons.is_empty(), "a hold names its reason");
+                }
+            }
+        }
+    }
+
+    /// The same inputs give the same outputs: the machine holds nothing but its own state.
+    #[test]
+    fn the_same_story_has_the_same_end(config in config(), events in proptest::collection::vec(event(), 1..60)) {
+        let (mut a, mut b) = (Story::begin(config), Story::begin(config));
+        for event in &events {
+            for _ in 0..apply(&mut a, event) {
+                a.step();
+            }
+            for _ in 0..apply(&mut b, event) {
+                b.step();
+            }
+            prop_assert_eq!(a.last, b.last);
+        }
+    }
+
+    /// Whatever happened before: with good inputs and an operator's goal and engage, guidance flies again within a minute.
+    #[test]
+    fn no_history_locks_guidance_up(config in config(), events in proptest::collection::vec(event(), 1..60)) {
+        let mut s = Story::begin(GuidanceConfig { time_limit_ns: None, ..config });
+        for event in &events {
+            for _ in 0..apply(&mut s, event) {
+                s.step();
+            }
+        }
+        good(&mut s);
+        for n in 0..1200 {
+            if n % 20 == 0 {
+                s.ask(common::GOAL);
+                s.ask(OperatorRequest::Engage);
+            }
+            if s.step().state == GuidanceState::Guided {
+                break;
+            }
+        }
+        prop_assert_eq!(s.guidance.state(), GuidanceState::Guided, "{:?}", s.last);
+        prop_assert_eq!(s.run(3).reasons, Reasons::NONE);
+        prop_assert!(!s.last.is_some_and(|o| o.reasons.contains(Reason::Operator)));
+    }
+}

@@ -1,0 +1,674 @@
+//! Stories of flights, each told step by step.
+
+mod common;
+
+use common::{GOAL, Story};
+use vigil_guidance::{AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
+use vigil_types::{
+    Action, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS, VehicleMode,
+    VehicleRequest, VelocitySetpoint,
+};
+
+fn auto() -> GuidanceConfig {
+    GuidanceConfig {
+        engage: EngagePolicy::Auto,
+        ..Default::default()
+    }
+}
+
+fn seconds(s: f64) -> usize {
+    (s / 0.05).round() as usize
+}
+
+#[test]
+fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
+    let mut s = Story::begin(GuidanceConfig::default());
+    let first = s.step();
+    assert_eq!(
+        (first.state, first.setpoint),
+        (Standby, None),
+        "not before half a second of good inputs"
+    );
+    assert_eq!(s.until(Ready) + 1, 10);
+    let waiting = s.run(seconds(30.0));
+    assert_eq!(
+        (waiting.state, waiting.setpoint, waiting.request),
+        (Ready, None, VehicleRequest::None)
+    );
+
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    let engaging = s.step();
+    assert_eq!(engaging.state, Engaging);
+    assert_eq!(engaging.request, VehicleRequest::FlyExternal { takeoff_height_m: 3.0 });
+    s.handover = HandoverProgress::InProgress {
+        stream_setpoints: false,
+    };
+    assert_eq!(
+        s.run(seconds(5.0)).setpoint,
+        None,
+        "an ArduPilot that climbs must not get setpoints"
+    );
+    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    assert_eq!(
+        s.step().setpoint,
+        Some(VelocitySetpoint::HOLD),
+        "a PX4 wants zeros before it changes its mode"
+    );
+
+    s.hand_over();
+    s.position_ned_m = NedVector::new(0.0, 0.0, -2.5);
+    let guided = s.step();
+    assert_eq!((guided.state, guided.request), (Guided, VehicleRequest::None));
+    let setpoint = guided.setpoint.unwrap();
+    assert_eq!(setpoint.velocity_m_s.x, 1.0);
+    assert!((setpoint.yaw_rate_rad_s.to_degrees() - 15.0).abs() < 1e-4);
+    assert!(
+        (setpoint.velocity_m_s.z + 0.4).abs() < 1e-6,
+        "half a metre too low: climbs at 0.8 / s x 0.5 m"
+    );
+
+    s.position_ned_m = NedVector::new(19.2, 4.6, -3.0);
+    let arrived = s.step();
+    assert_eq!(
+        (arrived.state, arrived.reasons),
+        (Hold, Reasons::of(Reason::GoalReached))
+    );
+    assert_eq!(arrived.setpoint, Some(VelocitySetpoint::HOLD));
+    s.position_ned_m.x = 17.0;
+    assert_eq!(
+        s.run(seconds(60.0)).state,
+        Hold,
+        "a gust that moves it away does not start it again"
+    );
+
+    let next = OperatorRequest::Goal {
+        north_m: -5.0,
+        east_m: 0.0,
+        height_m: None,
+    };
+    assert_eq!(s.ask(next), RequestOutcome::Accepted);
+    assert_eq!(
+        s.guidance.goal().unwrap().position_ned_m,
+        NedVector::new(-5.0, 0.0, -3.0)
+    );
+    assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn a_stale_frame_means_hold_in_the_same_step_and_flight_goes_on_half_a_second_after_the_frames() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.frame.age_ns = Some(250_000_000);
+    assert_eq!(s.step().state, Guided, "the limit itself is not stale");
+    s.frame.age_ns = Some(250_000_001);
+    s.action = None;
+    let hold = s.step();
+    assert_eq!((hold.state, hold.reasons), (Hold, Reasons::of(Reason::StaleFrame)));
+    assert_eq!(hold.setpoint, Some(VelocitySetpoint::HOLD));
+
+    s.frame.age_ns = Some(STEP_NS);
+    s.action = Some(Action::HOVER);
+    s.run(9);
+    s.frame.age_ns = Some(300_000_000);
+    assert_eq!(s.step().state, Hold);
+    s.frame.age_ns = Some(STEP_NS);
+    assert_eq!(s.until(Guided), 10, "the steps must be consecutive");
+}
+
+#[test]
+fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
+    type Spoil = fn(&mut Story);
+    let stories: [(Spoil, Reason); 12] = [
+        (|s| s.frame.age_ns = None, Reason::StaleFrame),
+        (|s| s.frame.refused = true, Reason::BadFrame),
+        (|s| s.telemetry_age_ns = 300_000_001, Reason::StaleTelemetry),
+        (|s| s.heartbeat_age_ns = Some(1_500_000_001), Reason::LinkLost),
+        (|s| s.position_ned_m.x = f32::NAN, Reason::NotFinite),
+        (
+            |s| {
+                s.action = Some(Action {
+                    forward_m_s: f32::INFINITY,
+                    yaw: 0.0,
+                })
+            },
+            Reason::NotFinite,
+        ),
+        (
+            |s| {
+                s.action = Some(Action {
+                    forward_m_s: 0.0,
+                    yaw: f32::NAN,
+                })
+            },
+            Reason::NotFinite,
+        ),
+        (|s| s.action = None, Reason::NotFinite),
+        (|s| s.mode = VehicleMode::Hold, Reason::ModeLost),
+        (|s| s.slips += 3, Reason::Slip),
+        (|s| s.failsafe = true, Reason::VehicleFailsafe),
+        (
+            |s| assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted),
+            Reason::Operator,
+        ),
+    ];
+    for (spoil, reason) in stories {
+        let mut s = Story::guided(GuidanceConfig::default());
+        spoil(&mut s);
+        let out = s.step();
+        assert_eq!(
+            (out.state, out.reasons),
+            (Hold, Reasons::of(reason)),
+            "{}",
+            reason.name()
+        );
+        assert_eq!(out.setpoint, Some(VelocitySetpoint::HOLD), "{}", reason.name());
+    }
+}
+
+#[test]
+fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
+    type Spoil = fn(&mut Story);
+    let stories: [(Spoil, Reason); 7] = [
+        (|s| s.frame.age_ns = None, Reason::StaleFrame),
+        (|s| s.frame.refused = true, Reason::BadFrame),
+        (|s| s.telemetry_age_ns = 2_000_000_000, Reason::StaleTelemetry),
+        (|s| s.heartbeat_age_ns = None, Reason::LinkLost),
+        (|s| s.position_ned_m.y = f32::INFINITY, Reason::NotFinite),
+        (
+            |s| {
+                s.action = Some(Action {
+                    forward_m_s: f32::NAN,
+                    yaw: 0.0,
+                })
+            },
+            Reason::NotFinite,
+        ),
+        (|s| s.battery = Some(0.14), Reason::LowBattery),
+    ];
+    for (spoil, reason) in stories {
+        let mut s = Story::begin(auto());
+        spoil(&mut s);
+        for _ in 0..100 {
+            let out = s.step();
+            assert_eq!(
+                (out.state, out.setpoint, out.request),
+                (Standby, None, VehicleRequest::None)
+            );
+            assert!(out.reasons.contains(reason), "{}", reason.name());
+        }
+        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::TemporarilyRejected);
+    }
+}
+
+#[test]
+fn two_missed_steps_are_borne_three_within_a_second_are_not() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.slips += 2;
+    assert_eq!(s.run(seconds(1.1)).state, Guided);
+    s.slips += 2;
+    assert_eq!(s.step().state, Guided, "the first two are more than a second ago");
+    s.slips += 1;
+    assert_eq!(s.step().state, Hold);
+    assert_eq!(s.until(Guided), 29, "the window passes, then ten clear steps");
+}
+
+#[test]
+fn slips_before_the_first_step_are_not_held_against_the_flight() {
+    let mut s = Story::begin(GuidanceConfig::default());
+    s.slips = 500;
+    assert!(!s.step().reasons.contains(Reason::Slip));
+}
+
+#[test]
+fn with_policy_auto_guidance_takes_the_vehicle_back_after_a_failsafe_hold() {
+    let mut s = Story::guided(auto());
+    // The vehicle missed setpoints and holds by itself; it says so.
+    (s.mode, s.failsafe, s.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
+    let hold = s.step();
+    assert_eq!(
+        hold.reasons,
+        Reasons::of(Reason::ModeLost).with_if(true, Reason::VehicleFailsafe)
+    );
+    assert_eq!(
+        (hold.setpoint, hold.request),
+        (Some(VelocitySetpoint::HOLD), VehicleRequest::None)
+    );
+    assert_eq!(s.until(Engaging), 10);
+    assert_eq!(
+        s.last.unwrap().request,
+        VehicleRequest::FlyExternal { takeoff_height_m: 3.0 }
+    );
+    s.hand_over();
+    assert_eq!(s.until(Guided), 1);
+}
+
+#[test]
+fn a_failsafe_hold_is_not_regained_while_frames_are_still_missing() {
+    let mut s = Story::guided(auto());
+    (s.mode, s.failsafe, s.frame.age_ns) = (VehicleMode::Hold, true, Some(5_000_000_000));
+    s.action = None;
+    assert_eq!(s.run(seconds(20.0)).state, Hold);
+    s.frame.age_ns = Some(STEP_NS);
+    s.action = Some(Action::HOVER);
+    assert_eq!(s.until(Engaging), 10);
+}
+
+#[test]
+fn a_person_who_changes_the_mode_keeps_the_vehicle() {
+    for mode in [
+        VehicleMode::Hold,
+        VehicleMode::Land,
+        VehicleMode::Return,
+        VehicleMode::Mission,
+        VehicleMode::Other,
+    ] {
+        let mut s = Story::guided(auto());
+        (s.mode, s.handover) = (mode, HandoverProgress::Idle);
+        let hold = s.step();
+        assert_eq!(
+            (hold.state, hold.setpoint),
+            (Hold, Some(VelocitySetpoint::HOLD)),
+            "zeros before silence"
+        );
+        assert_eq!(s.until(Standby), 10);
+        let out = s.run(seconds(20.0));
+        assert_eq!(
+            (out.state, out.setpoint, out.reasons),
+            (Ready, None, Reasons::of(Reason::ModeLost))
+        );
+        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+        assert_eq!(s.step().state, Engaging);
+    }
+}
+
+#[test]
+fn with_policy_command_even_a_failsafe_hold_waits_for_an_operator() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    (s.mode, s.failsafe) = (VehicleMode::Hold, true);
+    s.step();
+    assert_eq!(
+        s.ask(OperatorRequest::Engage),
+        RequestOutcome::TemporarilyRejected,
+        "guidance still lets go"
+    );
+    s.until(Ready);
+    assert_eq!(s.run(seconds(20.0)).state, Ready);
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    s.until(Engaging);
+}
+
+#[test]
+fn a_mode_that_comes_back_by_itself_is_flown_again() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.mode = VehicleMode::Hold;
+    s.run(5);
+    s.mode = VehicleMode::External;
+    assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn disarming_ends_the_flight_and_nothing_arms_again_by_itself() {
+    let mut s = Story::guided(auto());
+    (s.armed, s.mode, s.handover) = (false, VehicleMode::Hold, HandoverProgress::Idle);
+    let out = s.step();
+    assert_eq!((out.state, out.setpoint), (Standby, None));
+    assert!(out.reasons.contains(Reason::Disarmed));
+    let later = s.run(seconds(60.0));
+    assert_eq!((later.state, later.reasons), (Ready, Reasons::NONE));
+}
+
+#[test]
+fn a_simulator_that_is_killed_and_started_again_is_flown_again() {
+    let mut s = Story::guided(auto());
+    for n in 1..=40u64 {
+        s.frame.age_ns = Some(n * STEP_NS);
+        s.telemetry_age_ns = n * STEP_NS;
+        s.heartbeat_age_ns = Some(n * STEP_NS);
+        if n > 5 {
+            s.action = None;
+        }
+        let out = s.step();
+        assert_eq!(out.state, if n > 5 { Hold } else { Guided }, "0.25 s without a frame");
+        assert_eq!(out.setpoint == Some(VelocitySetpoint::HOLD), n > 5);
+    }
+    assert!(s.last.unwrap().reasons.contains(Reason::LinkLost));
+
+    let fresh = Story::begin(auto());
+    (s.armed, s.mode, s.position_ned_m, s.handover) = (fresh.armed, fresh.mode, fresh.position_ned_m, fresh.handover);
+    (s.frame, s.telemetry_age_ns, s.heartbeat_age_ns, s.action) = (
+        fresh.frame,
+        fresh.telemetry_age_ns,
+        fresh.heartbeat_age_ns,
+        fresh.action,
+    );
+    // Its heartbeat says disarmed one step before its clock is seen to have started anew.
+    assert_eq!(s.step().state, Standby);
+    s.restarts += 1;
+    s.step();
+    s.until(Engaging);
+    s.hand_over();
+    s.until(Guided);
+}
+
+#[test]
+fn at_the_goal_it_lands_when_configured_and_is_silent_once_the_vehicle_lands_by_itself() {
+    let mut s = Story::guided(GuidanceConfig {
+        at_goal: AtGoal::Land,
+        ..auto()
+    });
+    s.position_ned_m = NedVector::new(20.3, 4.8, -3.0);
+    assert_eq!(s.step().state, Hold);
+    assert_eq!(s.until(Land), 40, "hovers for two seconds first");
+    let land = s.last.unwrap();
+    assert_eq!(
+        (land.request, land.setpoint),
+        (VehicleRequest::Land, Some(VelocitySetpoint::HOLD))
+    );
+    s.mode = VehicleMode::Land;
+    let landing = s.step();
+    assert_eq!(
+        (landing.state, landing.request, landing.setpoint),
+        (Land, VehicleRequest::None, None)
+    );
+    s.run(seconds(8.0));
+    s.armed = false;
+    assert_eq!(s.step().state, Standby);
+    assert_eq!(
+        s.run(seconds(60.0)).state,
+        Ready,
+        "one flight; the next needs an operator"
+    );
+}
+
+#[test]
+fn an_operator_lands_it_goes_around_and_lands_again() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    assert_eq!(s.ask(OperatorRequest::Land), RequestOutcome::Accepted);
+    let out = s.step();
+    assert_eq!((out.state, out.reasons), (Land, Reasons::of(Reason::Operator)));
+    s.mode = VehicleMode::Land;
+    s.run(5);
+    s.handover = HandoverProgress::Idle;
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.step().state, Engaging);
+    s.hand_over();
+    s.until(Guided);
+    assert_eq!(s.ask(OperatorRequest::Land), RequestOutcome::Accepted);
+    assert_eq!(s.until(Land), 1);
+    s.mode = VehicleMode::Land;
+    s.run(3);
+    s.mode = VehicleMode::Other;
+    assert_eq!(s.until(Standby), 1, "a pilot took the landing over");
+}
+
+#[test]
+fn low_battery_and_the_time_limit_land_the_vehicle_and_an_engage_does_not_lift_that() {
+    let limit = GuidanceConfig {
+        time_limit_ns: Some(10_000_000_000),
+        ..Default::default()
+    };
+    let mut s = Story::guided(limit);
+    assert_eq!(s.run(seconds(10.0)).state, Guided);
+    assert_eq!(
+        (s.step().state, s.last.unwrap().reasons),
+        (Land, Reasons::of(Reason::TimeLimit))
+    );
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::TemporarilyRejected);
+
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.frame.refused = true;
+    s.battery = Some(0.1);
+    let out = s.step();
+    assert_eq!(out.state, Land, "landing comes before hold");
+    assert!(out.reasons.contains(Reason::LowBattery) && out.reasons.contains(Reason::BadFrame));
+    s.battery = Some(0.2);
+    assert_eq!(s.run(20).state, Land, "a landing that began goes on");
+}
+
+#[test]
+fn a_failed_hand_over_is_tried_again_by_policy_auto_after_a_pause_and_never_by_policy_command() {
+    for (config, tries) in [(auto(), true), (GuidanceConfig::default(), false)] {
+        let mut s = Story::begin(config);
+        s.until(Ready);
+        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+        s.until(Engaging);
+        s.handover = HandoverProgress::Failed;
+        let out = s.step();
+        assert_eq!((out.state, out.request), (Standby, VehicleRequest::None));
+        assert!(out.reasons.contains(Reason::HandoverFailed));
+        s.handover = HandoverProgress::Idle;
+        assert_eq!(s.run(seconds(4.0)).state, Ready);
+        assert_eq!(s.run(seconds(2.0)).state, if tries { Engaging } else { Ready });
+        if !tries {
+            assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+            assert_eq!(s.step().state, Engaging);
+        }
+    }
+}
+
+#[test]
+fn a_hand_over_that_never_ends_fails_after_a_minute() {
+    let mut s = Story::begin(GuidanceConfig::default());
+    s.until(Ready);
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    s.until(Engaging);
+    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    assert_eq!(s.run(seconds(60.0)).state, Engaging);
+    assert_eq!(s.step().state, Standby);
+}
+
+#[test]
+fn an_operator_who_disengages_during_the_hand_over_gets_a_hovering_vehicle() {
+    let mut s = Story::begin(auto());
+    s.until(Engaging);
+    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    (s.armed, s.mode) = (true, VehicleMode::Takeoff);
+    s.run(10);
+    assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
+    let out = s.step();
+    assert_eq!(
+        (out.state, out.setpoint, out.request),
+        (Hold, Some(VelocitySetpoint::HOLD), VehicleRequest::None)
+    );
+    s.until(Standby);
+    assert_eq!(
+        s.run(seconds(30.0)).state,
+        Ready,
+        "the policy auto does not overrule a person"
+    );
+}
+
+#[test]
+fn a_glitch_on_the_ground_does_not_renew_the_wish_to_fly_that_a_person_ended() {
+    let mut s = Story::guided(auto());
+    assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
+    s.run(5);
+    (s.mode, s.handover) = (VehicleMode::Land, HandoverProgress::Idle);
+    s.until(Ready);
+    s.frame.refused = true;
+    assert_eq!(s.run(3).state, Standby);
+    s.frame.refused = false;
+    assert_eq!(s.run(seconds(60.0)).state, Ready);
+}
+
+#[test]
+fn a_disengaged_vehicle_hovers_until_it_is_engaged_again() {
+    let mut s = Story::guided(auto());
+    assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
+    assert_eq!(s.run(seconds(60.0)).state, Hold);
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn an_engage_that_was_accepted_is_not_kept_when_an_input_fails_before_it_takes_effect() {
+    let mut s = Story::begin(GuidanceConfig::default());
+    s.until(Ready);
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    s.frame.refused = true;
+    assert_eq!(s.step().state, Standby);
+    s.frame.refused = false;
+    assert_eq!(s.run(seconds(60.0)).state, Ready);
+}
+
+#[test]
+fn the_fence_holds_the_vehicle_and_refuses_goals_outside() {
+    let fence = |shape| GuidanceConfig {
+        geofence: Some(Geofence {
+            shape,
+            min_height_m: 0.8,
+            max_height_m: 6.0,
+        }),
+        ..Default::default()
+    };
+    for shape in [
+        FenceShape::Box {
+            min_m: [-5.0, -10.0],
+            max_m: [25.0, 10.0],
+        },
+        FenceShape::Cylinder {
+            center_m: [10.0, 0.0],
+            radius_m: 15.0,
+        },
+    ] {
+        let mut s = Story::guided(fence(shape));
+        let goal = |north_m, height_m| OperatorRequest::Goal {
+            north_m,
+            east_m: 0.0,
+            height_m: Some(height_m),
+        };
+        for bad in [
+            goal(24.8, 3.0),
+            goal(5.0, 5.8),
+            goal(5.0, 0.9),
+            goal(f32::NAN, 3.0),
+            goal(5.0, -1.0),
+        ] {
+            assert_eq!(s.ask(bad), RequestOutcome::Denied, "{bad:?}");
+        }
+        assert_eq!(s.ask(goal(5.0, 3.0)), RequestOutcome::Accepted);
+        for (x, height, inside) in [
+            (24.9, 3.0, true),
+            (25.1, 3.0, false),
+            (10.0, 6.1, false),
+            (10.0, 0.7, false),
+        ] {
+            let mut s = Story::guided(fence(shape));
+            s.position_ned_m = NedVector::new(x, 0.0, -height);
+            let out = s.step();
+            assert_eq!(
+                (out.state == Guided, out.reasons.contains(Reason::Geofence)),
+                (inside, !inside),
+                "{x} {height}"
+            );
+            s.position_ned_m = NedVector::new(24.7, 0.0, -3.0);
+            assert_eq!(
+                s.run(30).state,
+                if inside { Guided } else { Hold },
+                "clears half a metre inside"
+            );
+            s.position_ned_m = NedVector::new(24.0, 0.0, -3.0);
+            assert_eq!(s.run(30).state, Guided);
+        }
+    }
+}
+
+#[test]
+fn on_the_ground_the_least_height_of_the_fence_does_not_count() {
+    let shape = FenceShape::Cylinder {
+        center_m: [10.0, 0.0],
+        radius_m: 15.0,
+    };
+    let geofence = Some(Geofence {
+        shape,
+        min_height_m: 0.8,
+        max_height_m: 6.0,
+    });
+    let mut s = Story::begin(GuidanceConfig {
+        geofence,
+        ..Default::default()
+    });
+    assert_eq!(s.run(20).state, Ready);
+}
+
+#[test]
+fn a_handed_over_vehicle_is_held_while_an_input_is_bad() {
+    let mut s = Story::begin(auto());
+    s.until(Engaging);
+    s.hand_over();
+    s.frame.age_ns = Some(1_000_000_000);
+    s.action = None;
+    assert_eq!(
+        (s.step().state, s.last.unwrap().setpoint),
+        (Hold, Some(VelocitySetpoint::HOLD))
+    );
+    s.frame.age_ns = Some(STEP_NS);
+    s.action = Some(Action::HOVER);
+    assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn a_firmware_that_starts_in_the_air_takes_the_vehicle_over() {
+    let mut s = Story::begin(auto());
+    (s.armed, s.mode, s.failsafe, s.position_ned_m.z) = (true, VehicleMode::Hold, true, -3.0);
+    assert_eq!(s.until(Engaging), 11);
+    s.hand_over();
+    assert_eq!(s.until(Guided), 1);
+}
+
+#[test]
+fn actions_beyond_the_limits_are_clipped() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.action = Some(Action {
+        forward_m_s: -9.0,
+        yaw: 4.0,
+    });
+    s.position_ned_m.z = -30.0;
+    let v = s.step().setpoint.unwrap();
+    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y, v.velocity_m_s.z), (-1.5, 0.0, 0.5));
+    assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);
+}
+
+#[test]
+fn without_a_goal_there_is_no_flight() {
+    let mut s = Story::begin(auto());
+    s.guidance = vigil_guidance::Guidance::new(auto()).unwrap();
+    s.action = None;
+    let out = s.run(40);
+    assert_eq!((out.state, out.reasons), (Standby, Reasons::of(Reason::NoGoal)));
+    assert_eq!(s.ask(GOAL), RequestOutcome::Accepted);
+    s.action = Some(Action::HOVER);
+    s.until(Engaging);
+}
+
+#[test]
+fn a_configuration_that_must_not_fly_is_refused_by_field() {
+    let refused = |config: GuidanceConfig| vigil_guidance::Guidance::new(config).unwrap_err().to_string();
+    let d = GuidanceConfig::default();
+    let radius = refused(GuidanceConfig {
+        goal_radius_m: f32::NAN,
+        ..d
+    });
+    assert!(
+        radius.contains("goal_radius_m is NaN") && radius.contains("0.1 to 100"),
+        "{radius}"
+    );
+    assert!(refused(GuidanceConfig { slip_limit: 9, ..d }).contains("slip_limit is 9"));
+    assert!(
+        refused(GuidanceConfig {
+            frame_age_limit_ns: 0,
+            ..d
+        })
+        .contains("frame_age_limit is 0")
+    );
+    let shape = FenceShape::Box {
+        min_m: [5.0, 0.0],
+        max_m: [5.0, 9.0],
+    };
+    let geofence = Some(Geofence {
+        shape,
+        min_height_m: 0.0,
+        max_height_m: 9.0,
+    });
+    assert!(refused(GuidanceConfig { geofence, ..d }).contains("geofence"));
+}
