@@ -390,7 +390,7 @@ impl Builder {
             || self
                 .placed
                 .iter()
-                .any(|(_, other)| plan_gap_m(&solid, other) < self.gap_m)
+                .any(|(_, other)| plan_gap_m(&solid, other) < self.gap_to(&solid, other))
         {
             return false;
         }

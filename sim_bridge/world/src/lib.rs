@@ -13,6 +13,7 @@ mod corridor;
 mod course;
 mod file;
 mod generate;
+mod lidar;
 mod referee;
 mod solid;
 mod vehicle;
@@ -25,6 +26,10 @@ pub use course::{
 };
 pub use file::CourseError;
 pub use generate::generate;
+pub use lidar::{
+    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,
+    beam_direction_frd, pixel_of, ring_row,
+};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub use solid::Solid;
 pub use vehicle::{VEHICLE, VehicleSolid};

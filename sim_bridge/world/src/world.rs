@@ -54,6 +54,10 @@ impl World {
         self.ceiling_height_m
     }
 
+    pub(crate) fn bvh(&self) -> &Bvh {
+        &self.bvh
+    }
+
     /// Whether the vehicle's solid at this pose touches an obstacle or the ceiling. The ground is not asked: whether touching
     /// it is a landing or a crash depends on the motion ([`Referee`](crate::Referee)).
     pub fn collides(&self, vehicle: &VehicleSolid, position_ned_m: NedVector, attitude: Attitude) -> bool {

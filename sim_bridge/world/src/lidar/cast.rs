@@ -1,0 +1,169 @@
+//! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
+
+use super::beams::{BeamTable, LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS};
+use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, Ray, Rotation, lesser, plane_range_m};
+use super::simd::{Simd, vectorised};
+use super::tiles::{TILE_FIRINGS, TILE_RINGS, Tiles};
+use crate::world::World;
+use glamx::Vec3;
+use vigil_types::{Attitude, NedVector};
+
+/// Range along every beam in metres, infinite where it meets nothing; beam `ring × LIDAR_FIRINGS + firing`.
+pub type Ranges = [f32; LIDAR_BEAMS];
+
+/// What the sensor sees, relative to it.
+pub(crate) struct Scene {
+    pub(crate) rotation: Rotation,
+    /// Ground and ceiling, metres below the sensor; a missing ceiling is infinitely high.
+    planes_z_m: [f32; 2],
+    pub(crate) leaves: Vec<Leaf>,
+}
+
+impl Scene {
+    pub(crate) fn new() -> Self {
+        Self {
+            rotation: Rotation::of(Attitude::LEVEL_NORTH),
+            planes_z_m: [f32::INFINITY, f32::NEG_INFINITY],
+            leaves: Vec::new(),
+        }
+    }
+
+    /// Places the sensor in a world.
+    pub(crate) fn place(&mut self, world: &World, sensor_ned_m: NedVector, attitude: Attitude) {
+        self.rotation = Rotation::of(attitude);
+        let ceiling_z_m = world
+            .ceiling_height_m()
+            .map_or(f32::NEG_INFINITY, |height| -height - sensor_ned_m.z);
+        self.planes_z_m = [-sensor_ned_m.z, ceiling_z_m];
+        self.leaves.clear();
+        self.leaves
+            .extend(world.solids().iter().map(|solid| Leaf::of(solid, sensor_ned_m)));
+    }
+
+    #[inline(always)]
+    fn planes_range_m(&self, ray: &Ray) -> f32 {
+        lesser(
+            plane_range_m(self.planes_z_m[0], ray),
+            plane_range_m(self.planes_z_m[1], ray),
+        )
+    }
+}
+
+/// The simple way: every beam walks parry's tree.
+pub(crate) fn cast_by_tree(
+    world: &World,
+    sensor_ned_m: NedVector,
+    scene: &Scene,
+    beams: &BeamTable,
+    ranges: &mut Ranges,
+) {
+    let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
+    for ring in 0..LIDAR_RINGS {
+        for firing in 0..LIDAR_FIRINGS {
+            let direction = scene.rotation.beam(
+                beams.sin_elevation[ring],
+                beams.cos_elevation[ring],
+                beams.sin_bearing[firing],
+                beams.cos_bearing[firing],
+            );
+            let ray = Ray::new(direction);
+            let nearest_plane = scene.planes_range_m(&ray);
+            let tree_ray = parry3d::query::Ray::new(origin, Vec3::new(direction.0, direction.1, direction.2));
+            let hit = world
+                .bvh()
+                .cast_ray(&tree_ray, nearest_plane.min(f32::MAX), |leaf, nearest| {
+                    let t = scene.leaves[leaf as usize].range_m(&ray);
+                    (t < nearest).then_some(t)
+                });
+            ranges[ring * LIDAR_FIRINGS + firing] = hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane));
+        }
+    }
+}
+
+/// The fast way: beams in tiles, each with the list of solids that can be seen in it, 16 beams at a time.
+pub(crate) struct TileCaster {
+    tiles: Tiles,
+    cuboids: Vec<CuboidLeaf>,
+    cylinders: Vec<CylinderLeaf>,
+}
+
+impl TileCaster {
+    pub(crate) fn new() -> Self {
+        Self {
+            tiles: Tiles::new(),
+            cuboids: Vec::new(),
+            cylinders: Vec::new(),
+        }
+    }
+
+    pub(crate) fn cast(&mut self, simd: Simd, scene: &Scene, beams: &BeamTable, ranges: &mut Ranges) {
+        let Self {
+            tiles,
+            cuboids,
+            cylinders,
+        } = self;
+        tiles.cull(scene, |strip, band, visible| {
+            cuboids.clear();
+            cylinders.clear();
+            for leaf in visible {
+                match leaf {
+                    Leaf::Cuboid(leaf) => cuboids.push(*leaf),
+                    Leaf::Cylinder(leaf) => cylinders.push(*leaf),
+                }
+            }
+            cast_tile(simd, scene, beams, (strip, band), cuboids, cylinders, ranges);
+        });
+    }
+}
+
+vectorised! {
+    /// Casts the beams of one tile against the solids that may be seen in it.
+    fn cast_tile(
+        scene: &Scene,
+        beams: &BeamTable,
+        tile: (usize, usize),
+        cuboids: &[CuboidLeaf],
+        cylinders: &[CylinderLeaf],
+        ranges: &mut Ranges,
+    ) = cast_tile_body;
+}
+
+#[inline(always)]
+fn cast_tile_body(
+    scene: &Scene,
+    beams: &BeamTable,
+    (strip, band): (usize, usize),
+    cuboids: &[CuboidLeaf],
+    cylinders: &[CylinderLeaf],
+    ranges: &mut Ranges,
+) {
+    let first = strip * TILE_FIRINGS;
+    let sin_bearing: &[f32; TILE_FIRINGS] = beams.sin_bearing[first..].first_chunk().expect("a whole tile");
+    let cos_bearing: &[f32; TILE_FIRINGS] = beams.cos_bearing[first..].first_chunk().expect("a whole tile");
+    for ring in band * TILE_RINGS..(band + 1) * TILE_RINGS {
+        let (sin_elevation, cos_elevation) = (beams.sin_elevation[ring], beams.cos_elevation[ring]);
+        let rays: [Ray; TILE_FIRINGS] = core::array::from_fn(|k| {
+            Ray::new(
+                scene
+                    .rotation
+                    .beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k]),
+            )
+        });
+        let out: &mut [f32; TILE_FIRINGS] = ranges[ring * LIDAR_FIRINGS + first..]
+            .first_chunk_mut()
+            .expect("a whole tile");
+        for k in 0..TILE_FIRINGS {
+            out[k] = scene.planes_range_m(&rays[k]);
+        }
+        for leaf in cuboids {
+            for k in 0..TILE_FIRINGS {
+                out[k] = lesser(leaf.range_m(&rays[k]), out[k]);
+            }
+        }
+        for leaf in cylinders {
+            for k in 0..TILE_FIRINGS {
+                out[k] = lesser(leaf.range_m(&rays[k]), out[k]);
+            }
+        }
+    }
+}

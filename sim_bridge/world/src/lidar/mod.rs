@@ -1,0 +1,231 @@
+//! A scanning LiDAR with 64 rings and the depth image made of its point cloud.
+
+mod beams;
+mod cast;
+mod image;
+mod leaf;
+mod noise;
+mod simd;
+mod tiles;
+
+pub use beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, beam_direction_frd, pixel_of, ring_row};
+pub use cast::Ranges;
+
+use crate::world::World;
+use beams::BeamTable;
+use cast::{Scene, TileCaster, cast_by_tree};
+use noise::NoiseKeys;
+use serde::{Deserialize, Serialize};
+use simd::Simd;
+use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrameHeader, FrdVector, Nanos, NedVector};
+
+/// The sensor's properties. Field of view and resolution are fixed, since the policy's input depends on them (`vigil-types`).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LidarConfig {
+    /// Standard deviation of a range measurement in metres; 0.02 is typical of automotive sensors.
+    pub range_noise_sigma_m: f32,
+    /// Share of beams that lose their return, 0 to 1.
+    pub dropout_probability: f32,
+    /// Nothing further away gives a return.
+    pub max_range_m: f32,
+    /// Surfaces nearer than this are measured at this range.
+    pub min_range_m: f32,
+    /// Neighbouring beams whose ranges differ by no more than this see one surface.
+    pub surface_tolerance_m: f32,
+}
+
+impl Default for LidarConfig {
+    fn default() -> Self {
+        Self {
+            range_noise_sigma_m: 0.02,
+            dropout_probability: 0.01,
+            max_range_m: 60.0,
+            min_range_m: 0.1,
+            surface_tolerance_m: 0.2,
+        }
+    }
+}
+
+/// A value of a [`LidarConfig`] that cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("lidar: `{field}` is {value}, must be from {low} to {high}")]
+pub struct LidarConfigError {
+    /// The field.
+    pub field: &'static str,
+    /// Its value.
+    pub value: f32,
+    /// Lowest value allowed.
+    pub low: f32,
+    /// Highest value allowed.
+    pub high: f32,
+}
+
+impl LidarConfig {
+    /// A sensor without noise and dropouts.
+    pub fn ideal() -> Self {
+        Self {
+            range_noise_sigma_m: 0.0,
+            dropout_probability: 0.0,
+            ..Self::default()
+        }
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first field that is out of its range.
+    pub fn check(&self) -> Result<(), LidarConfigError> {
+        let fields = [
+            ("range_noise_sigma_m", self.range_noise_sigma_m, 0.0, 10.0),
+            ("dropout_probability", self.dropout_probability, 0.0, 1.0),
+            ("max_range_m", self.max_range_m, 1.0, 100.0),
+            ("min_range_m", self.min_range_m, 0.01, 1.0),
+            ("surface_tolerance_m", self.surface_tolerance_m, 0.0, 10.0),
+        ];
+        for (field, value, low, high) in fields {
+            if !(low..=high).contains(&value) {
+                return Err(LidarConfigError {
+                    field,
+                    value,
+                    low,
+                    high,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How ranges are computed. Both give the same bits.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Method {
+    /// Each beam walks the bounding volume tree of parry3d.
+    Reference,
+    /// Tiles of beams against the few solids that can be seen in them, vectorised.
+    #[default]
+    Fast,
+}
+
+/// Where and when a frame is taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shot {
+    /// Where the sensor is.
+    pub position_ned_m: NedVector,
+    /// How the sensor is turned.
+    pub attitude: Attitude,
+    /// Where the vehicle believes it is; goes into the frame's header.
+    pub estimated_position_ned_m: NedVector,
+    /// How the vehicle believes it is turned; goes into the frame's header.
+    pub estimated_attitude: Attitude,
+    /// Time of capture.
+    pub stamp_ns: Nanos,
+    /// Number of the frame; the noise depends on it.
+    pub sequence: u64,
+    /// The sensor's number.
+    pub sensor_id: u32,
+}
+
+/// The sensor. It keeps its working storage; a capture allocates nothing once the largest world was seen.
+pub struct Lidar {
+    config: LidarConfig,
+    seed: u64,
+    method: Method,
+    simd: Simd,
+    beams: BeamTable,
+    scene: Scene,
+    caster: TileCaster,
+    ranges: Box<Ranges>,
+    inverse: Box<Ranges>,
+    filled: Box<Ranges>,
+}
+
+impl Lidar {
+    /// A sensor; the seed fixes its noise.
+    ///
+    /// # Errors
+    /// [`LidarConfigError`] names the field that is out of range.
+    pub fn new(config: LidarConfig, seed: u64) -> Result<Self, LidarConfigError> {
+        config.check()?;
+        let buffer = || Box::new([0.0; LIDAR_BEAMS]);
+        Ok(Self {
+            config,
+            seed,
+            method: Method::default(),
+            simd: Simd::best(),
+            beams: BeamTable::new(),
+            scene: Scene::new(),
+            caster: TileCaster::new(),
+            ranges: buffer(),
+            inverse: buffer(),
+            filled: buffer(),
+        })
+    }
+
+    /// The same sensor with another way to compute ranges.
+    pub fn with_method(mut self, method: Method) -> Self {
+        self.method = method;
+        self
+    }
+
+    /// The sensor's properties.
+    pub fn config(&self) -> &LidarConfig {
+        &self.config
+    }
+
+    /// Takes a frame: ranges, noise, image, header, checksum.
+    pub fn capture(&mut self, world: &World, shot: &Shot, frame: &mut DepthFrame) {
+        self.cast(world, shot.position_ned_m, shot.attitude);
+        self.measure(shot.sequence);
+        self.project(frame);
+        frame.header = FrameHeader {
+            stamp_ns: shot.stamp_ns,
+            sequence: shot.sequence,
+            sensor_id: shot.sensor_id,
+            rows: DEPTH_ROWS as u16,
+            cols: DEPTH_COLS as u16,
+            position_ned_m: shot.estimated_position_ned_m,
+            attitude: shot.estimated_attitude,
+            reserved: 0,
+            checksum: 0,
+        };
+        frame.seal();
+    }
+
+    /// First stage of a capture: the true range along every beam, infinite where there is nothing.
+    pub fn cast(&mut self, world: &World, position_ned_m: NedVector, attitude: Attitude) -> &Ranges {
+        self.scene.place(world, position_ned_m, attitude);
+        match self.method {
+            Method::Reference => {
+                cast_by_tree(world, position_ned_m, &self.scene, &self.beams, &mut self.ranges);
+            }
+            Method::Fast => self.caster.cast(self.simd, &self.scene, &self.beams, &mut self.ranges),
+        }
+        &self.ranges
+    }
+
+    /// Second stage: noise, limits and dropouts on the ranges of the last [`cast`](Self::cast).
+    pub fn measure(&mut self, sequence: u64) {
+        let keys = NoiseKeys::new(self.seed, sequence);
+        noise::measure(self.simd, &self.config, keys, &self.ranges, &mut self.inverse);
+    }
+
+    /// Third stage: the image of what was last measured. The header is left as it is.
+    pub fn project(&mut self, frame: &mut DepthFrame) {
+        let tolerance_m = self.config.surface_tolerance_m;
+        image::fill_gaps(self.simd, tolerance_m, &self.inverse, &mut self.filled);
+        image::project(self.simd, tolerance_m, &self.filled, &mut frame.depth);
+    }
+
+    /// The point cloud that was last measured, in body axes: one point per beam that returned.
+    pub fn points_frd_m(&self) -> impl Iterator<Item = FrdVector> + '_ {
+        self.inverse
+            .iter()
+            .enumerate()
+            .filter(|(_, q)| **q > 0.0)
+            .map(|(beam, q)| beam_direction_frd(beam / LIDAR_FIRINGS, beam % LIDAR_FIRINGS) * (1.0 / q))
+    }
+}
+
+#[cfg(test)]
+mod tests;
