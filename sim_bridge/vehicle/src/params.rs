@@ -54,7 +54,7 @@ impl Default for AirframeParams {
             arm_right_m: 0.174,
             drag_linear_n_s_m: [0.24, 0.24, 0.12],
             drag_quadratic_n_s2_m2: 0.04,
-            gear_height_m: 0.12,
+            gear_height_m: 0.10,
             gear_half_track_m: 0.13,
         }
     }
