@@ -1,0 +1,174 @@
+//! How an endpoint is set up.
+
+use crate::parameters::ParameterError;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A link of the vehicle: index into [`EndpointConfig::links`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LinkId(pub u8);
+
+/// What a link is for; decides which telemetry streams on it unasked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum LinkRole {
+    /// The companion computer: what guidance needs, at 50 Hz.
+    Onboard,
+    /// Scripts.
+    Api,
+    /// Ground stations.
+    Gcs,
+}
+
+impl LinkRole {
+    /// All roles, in the order of the default links.
+    pub const ALL: [Self; 3] = [Self::Onboard, Self::Api, Self::Gcs];
+
+    pub(crate) fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// Where the local origin lies on the globe.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HomePosition {
+    /// Latitude in degrees.
+    pub latitude_deg: f64,
+    /// Longitude in degrees.
+    pub longitude_deg: f64,
+    /// Height above mean sea level in metres.
+    pub altitude_m: f64,
+}
+
+impl Default for HomePosition {
+    /// Where PX4's simulation starts.
+    fn default() -> Self {
+        Self {
+            latitude_deg: 47.397_742,
+            longitude_deg: 8.545_594,
+            altitude_m: 488.0,
+        }
+    }
+}
+
+/// An endpoint's configuration. Every field has a default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EndpointConfig {
+    /// MAVLink system id of the vehicle; its component id is always 1.
+    pub system_id: u8,
+    /// The local origin.
+    pub home: HomePosition,
+    /// The links, in the order of their [`LinkId`].
+    pub links: Vec<LinkRole>,
+    /// Parameters that differ from their defaults, by name (`MIS_TAKEOFF_ALT = 4.0`).
+    pub parameters: BTreeMap<String, f64>,
+    /// Unix time in microseconds at time 0 of the clock, for SYSTEM_TIME. Fixed by default: the endpoint reads no clock.
+    pub unix_time_at_zero_us: u64,
+}
+
+impl Default for EndpointConfig {
+    fn default() -> Self {
+        Self {
+            system_id: 1,
+            home: HomePosition::default(),
+            links: LinkRole::ALL.to_vec(),
+            parameters: BTreeMap::new(),
+            // 2026-01-01T00:00:00Z.
+            unix_time_at_zero_us: 1_767_225_600_000_000,
+        }
+    }
+}
+
+impl EndpointConfig {
+    /// Most links an endpoint can have.
+    pub const MAX_LINKS: usize = 8;
+
+    /// One onboard link and nothing else: for lockstep, where no socket listens.
+    pub fn companion_only() -> Self {
+        Self {
+            links: vec![LinkRole::Onboard],
+            ..Self::default()
+        }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), ConfigError> {
+        if self.system_id == 0 {
+            return Err(ConfigError::SystemId);
+        }
+        if self.links.is_empty() || self.links.len() > Self::MAX_LINKS {
+            return Err(ConfigError::Links {
+                count: self.links.len(),
+            });
+        }
+        let home = &self.home;
+        let sound =
+            home.latitude_deg.abs() <= 85.0 && home.longitude_deg.abs() <= 180.0 && home.altitude_m.abs() <= 9000.0;
+        if !sound {
+            return Err(ConfigError::Home { home: self.home });
+        }
+        Ok(())
+    }
+}
+
+/// Why an endpoint cannot be set up.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// 0 means "everybody" in MAVLink.
+    #[error("system_id is 0, which means everybody: use 1 to 255")]
+    SystemId,
+    /// No link, or too many.
+    #[error("links has {count} entries: use 1 to {max}", max = EndpointConfig::MAX_LINKS)]
+    Links {
+        /// Entries given.
+        count: usize,
+    },
+    /// Home is not a place where local coordinates work.
+    #[error(
+        "home {home:?} is not usable: latitude within 85 degrees, longitude within 180 degrees, altitude_m within 9000"
+    )]
+    Home {
+        /// The position given.
+        home: HomePosition,
+    },
+    /// A parameter's name or value.
+    #[error("parameters: {0}")]
+    Parameter(#[from] ParameterError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Endpoint;
+
+    fn refusal(config: EndpointConfig) -> String {
+        Endpoint::new(config).err().map(|e| e.to_string()).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_bad_configuration_is_refused_with_what_to_do() {
+        let with = |change: fn(&mut EndpointConfig)| {
+            let mut config = EndpointConfig::default();
+            change(&mut config);
+            refusal(config)
+        };
+        assert!(with(|c| c.system_id = 0).contains("use 1 to 255"));
+        assert!(with(|c| c.links.clear()).contains("use 1 to 8"));
+        assert!(with(|c| c.home.latitude_deg = f64::NAN).contains("latitude"));
+        assert!(with(|c| c.parameters.extend([("MIS_TAKEOFF_ATL".into(), 3.0)])).contains("MIS_TAKEOFF_ATL"));
+        assert!(with(|c| c.parameters.extend([("MIS_TAKEOFF_ALT".into(), -3.0)])).contains("0.5"));
+    }
+
+    #[test]
+    fn a_file_needs_to_name_only_what_differs() {
+        let config: EndpointConfig =
+            toml::from_str("system_id = 7\n[parameters]\nMIS_TAKEOFF_ALT = 4.0\n").expect("valid");
+        assert_eq!(config.system_id, 7);
+        assert_eq!(config.links, LinkRole::ALL);
+        let error = toml::from_str::<EndpointConfig>("sysid = 7")
+            .err()
+            .map(|e| e.to_string());
+        assert!(error.is_some_and(|e| e.contains("sysid")));
+    }
+}

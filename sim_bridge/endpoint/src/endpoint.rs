@@ -1,0 +1,179 @@
+//! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
+
+use crate::core::{ComponentId, Core, EndpointStatus};
+use crate::routing::Routing;
+use crate::service::{Answer, Service, Source};
+use crate::streams::Streams;
+use crate::{ConfigError, EndpointConfig, LinkId, services};
+use vigil_link::common::MavResult;
+use vigil_link::framing::{self, Command, CommandAck, Packet};
+use vigil_types::Nanos;
+use vigil_vehicle::{ControlCommand, VehicleView};
+
+/// A PX4-flavoured MAVLink vehicle, sans IO.
+///
+/// Call [`Endpoint::receive`] for every datagram that came, [`Endpoint::step`] once per millisecond of simulated time, and
+/// [`Endpoint::transmit`] whenever datagrams can go out (at least once per 50 ms step).
+pub struct Endpoint {
+    core: Core,
+    services: Vec<Box<dyn Service + Send>>,
+    streams: Streams,
+    routing: Routing,
+    /// Earliest time at which a service or stream wants to run.
+    due_ns: Nanos,
+    last_step_ns: Option<Nanos>,
+}
+
+impl core::fmt::Debug for Endpoint {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Endpoint")
+            .field("status", &self.status())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Endpoint {
+    /// A vehicle on the ground, disarmed, in Hold.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the field and what it may be.
+    pub fn new(config: EndpointConfig) -> Result<Self, ConfigError> {
+        let core = Core::new(&config)?;
+        let services = services::all();
+        let produced = services.iter().flat_map(|s| s.messages().iter().copied());
+        let streams = Streams::new(&config.links, produced);
+        Ok(Self {
+            core,
+            services,
+            streams,
+            routing: Routing::default(),
+            due_ns: 0,
+            last_step_ns: None,
+        })
+    }
+
+    /// Takes one datagram that came on `link`. Whatever it holds, it is obeyed, passed on or counted; never a panic.
+    /// A link that the configuration does not have is ignored.
+    pub fn receive(&mut self, now_ns: Nanos, link: LinkId, datagram: &[u8]) {
+        if usize::from(link.0) >= self.core.outbox.links() {
+            return;
+        }
+        self.core.now_ns = self.core.now_ns.max(now_ns);
+        let mut counters = self.core.framing;
+        for packet in framing::packets(datagram, &mut counters) {
+            self.packet(link, &packet);
+        }
+        self.core.framing = counters;
+        self.streams.send_wanted(&mut self.core);
+        self.due_ns = self.next_due_ns();
+    }
+
+    fn packet(&mut self, link: LinkId, packet: &Packet<'_>) {
+        let id = ComponentId {
+            system: packet.system_id(),
+            component: packet.component_id(),
+        };
+        if id == self.core.id {
+            self.core.refusals.own_identity += 1;
+            return;
+        }
+        // The checksum of an unknown message cannot be verified: it is passed on, but teaches nothing.
+        if packet.is_known() {
+            self.routing.note(self.core.now_ns, id, link.0);
+        }
+        let target = packet.target();
+        let onward = self
+            .routing
+            .onward(self.core.id, target, link.0, self.core.outbox.links());
+        for to in (0..8).filter(|to| onward & (1 << to) != 0) {
+            self.core.outbox.forward(to, packet.raw());
+            self.core.forwarded += 1;
+        }
+        let for_us = target.is_none_or(|(system, component)| {
+            system == 0 || (system == self.core.id.system && (component == 0 || component == self.core.id.component))
+        });
+        if !for_us || !packet.is_known() {
+            return;
+        }
+        let source = Source { link, id };
+        if let Some(command) = packet.command() {
+            self.command(&command, source);
+        } else {
+            for service in &mut self.services {
+                service.receive(packet, source, &mut self.core);
+            }
+        }
+    }
+
+    fn command(&mut self, command: &Command, source: Source) {
+        let core = &mut self.core;
+        let answer = services::message_interval(command, source, core, &mut self.streams)
+            .or_else(|| self.services.iter_mut().find_map(|s| s.command(command, source, core)))
+            .unwrap_or(Answer::UNSUPPORTED);
+        match answer.result {
+            MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
+            MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
+                core.refusals.command_denied += 1
+            }
+            _ => {}
+        }
+        let ack = CommandAck {
+            command: command.number,
+            result: answer.result as u8,
+            progress: 0,
+            result_param2: answer.result_param2,
+            target_system: source.id.system,
+            target_component: source.id.component,
+        };
+        core.outbox.acknowledge(source.link, &ack);
+    }
+
+    fn next_due_ns(&self) -> Nanos {
+        self.services
+            .iter()
+            .fold(self.streams.due_ns(), |due, service| due.min(service.due_ns()))
+    }
+
+    /// Advances to `now_ns` and gives the command for the vehicle's controllers until the next call.
+    pub fn step(&mut self, now_ns: Nanos, view: &VehicleView) -> ControlCommand {
+        let core = &mut self.core;
+        let elapsed_ns = now_ns.saturating_sub(self.last_step_ns.unwrap_or(now_ns));
+        self.last_step_ns = Some(now_ns);
+        // A pause of the caller must not become a jump of a ramp.
+        let dt_s = (elapsed_ns as f32 * 1e-9).min(0.05);
+        core.now_ns = core.now_ns.max(now_ns);
+        core.boot_ns.get_or_insert(now_ns);
+        core.view = *view;
+        let command = core.fly(dt_s);
+        if self.due_ns <= now_ns {
+            for service in &mut self.services {
+                if service.due_ns() <= now_ns {
+                    service.step(&mut self.core);
+                }
+            }
+            self.streams.step(&mut self.core);
+            self.due_ns = self.next_due_ns();
+        }
+        self.streams.send_wanted(&mut self.core);
+        command
+    }
+
+    /// Hands out the datagrams that wait, in order.
+    pub fn transmit(&mut self, send: impl FnMut(LinkId, &[u8])) {
+        if !self.core.outbox.is_empty() {
+            self.core.outbox.drain(send);
+        }
+    }
+
+    /// What is going on.
+    pub fn status(&self) -> EndpointStatus {
+        self.core.status()
+    }
+
+    /// Arms and puts the vehicle into Hold in the air at `height_m` above home: for campaigns that begin in flight. The
+    /// caller places the vehicle there; it holds where the next step finds it.
+    pub fn start_airborne(&mut self, now_ns: Nanos, height_m: f32) {
+        self.core.now_ns = self.core.now_ns.max(now_ns);
+        self.core.start_airborne(height_m);
+    }
+}

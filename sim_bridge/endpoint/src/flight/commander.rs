@@ -1,0 +1,401 @@
+//! Arming, mode changes, failsafes and the landed state: the decisions that PX4's commander takes.
+
+use crate::core::{ComponentId, Core};
+use crate::flight::control::Maneuver;
+use crate::flight::{Claim, FlightMode, Setpoints};
+use crate::parameters::ParamId;
+use crate::services::message_ids;
+use vigil_link::common::MavSeverity;
+use vigil_types::{Nanos, NedVector};
+use vigil_vehicle::YawCommand;
+
+/// Contact that lasts this long is "on the ground"; a bounce is not.
+const LANDED_AFTER_NS: Nanos = 300_000_000;
+/// No contact for this long is "in the air".
+const AIRBORNE_AFTER_NS: Nanos = 50_000_000;
+/// Tilt beyond which the vehicle does not arm: it lies on its side.
+const ARMING_TILT_RAD: f32 = core::f32::consts::FRAC_PI_4;
+
+/// Whether the vehicle is on the ground, as EXTENDED_SYS_STATE tells it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LandedState {
+    /// Weight on the ground.
+    #[default]
+    OnGround,
+    /// Climbing in a take-off.
+    TakingOff,
+    /// In the air.
+    InAir,
+    /// Descending in a landing.
+    Landing,
+}
+
+/// A failsafe in force: the vehicle acts by itself until a new mode command comes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Failsafe {
+    /// The owner's setpoints stopped in OFFBOARD.
+    SetpointLost,
+}
+
+/// Why arming, disarming or a mode change is refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Denial {
+    #[error("arming denied: flight terminated, reboot first")]
+    Terminated,
+    #[error("arming denied: vehicle is tilted")]
+    Tilted,
+    #[error("disarming denied: not landed")]
+    NotLanded,
+    #[error("offboard denied: no setpoints")]
+    NoSetpoints,
+    #[error("offboard denied: setpoints from {}", list(.0))]
+    SeveralSources(Vec<ComponentId>),
+    #[error("offboard denied: {0} owns it")]
+    OwnedByOther(ComponentId),
+    #[error("goto denied: not in the air")]
+    NotInAir,
+}
+
+fn list(sources: &[ComponentId]) -> String {
+    let names: Vec<String> = sources.iter().map(ToString::to_string).collect();
+    names.join(", ")
+}
+
+/// Flight state.
+#[derive(Debug, Default)]
+pub(crate) struct Commander {
+    armed: bool,
+    terminated: bool,
+    mode: FlightMode,
+    pub(super) maneuver: Maneuver,
+    failsafe: Option<Failsafe>,
+    landed: LandedState,
+    /// Contact with the ground (or its absence) and since when.
+    contact: bool,
+    contact_since_ns: Nanos,
+    /// Was in the air since it was armed.
+    has_flown: bool,
+    /// Since when it is armed on the ground.
+    idle_since_ns: Nanos,
+}
+
+impl Commander {
+    pub fn mode(&self) -> FlightMode {
+        self.mode
+    }
+
+    pub fn is_armed(&self) -> bool {
+        self.armed
+    }
+
+    pub fn is_terminated(&self) -> bool {
+        self.terminated
+    }
+
+    pub fn failsafe(&self) -> Option<Failsafe> {
+        self.failsafe
+    }
+
+    pub fn landed(&self) -> LandedState {
+        self.landed
+    }
+
+    pub fn is_on_ground(&self) -> bool {
+        self.landed == LandedState::OnGround
+    }
+}
+
+impl Core {
+    /// Whether the vehicle could be armed now.
+    pub fn arming_check(&self) -> Result<(), Denial> {
+        if self.commander.terminated {
+            return Err(Denial::Terminated);
+        }
+        let attitude = self.view.estimate.attitude;
+        if attitude.roll_rad().abs() > ARMING_TILT_RAD || attitude.pitch_rad().abs() > ARMING_TILT_RAD {
+            return Err(Denial::Tilted);
+        }
+        Ok(())
+    }
+
+    /// Arms. Armed already is accepted.
+    pub fn arm(&mut self) -> Result<(), Denial> {
+        self.arming_check()?;
+        if !self.commander.armed {
+            self.commander.armed = true;
+            self.commander.has_flown = !self.commander.is_on_ground();
+            self.commander.idle_since_ns = self.now_ns;
+            if self.commander.mode == FlightMode::Takeoff {
+                self.begin_climb(None);
+            }
+            self.text(MavSeverity::MAV_SEVERITY_INFO, "armed");
+            self.announce(message_ids::HEARTBEAT);
+        }
+        Ok(())
+    }
+
+    /// Disarms; in the air only when forced.
+    pub fn disarm(&mut self, forced: bool) -> Result<(), Denial> {
+        if !self.commander.armed {
+            return Ok(());
+        }
+        if !forced && !self.commander.is_on_ground() && !self.commander.terminated {
+            return Err(Denial::NotLanded);
+        }
+        self.disarm_with(if forced { "disarmed: kill" } else { "disarmed" });
+        Ok(())
+    }
+
+    fn disarm_with(&mut self, text: &str) {
+        self.commander.armed = false;
+        self.commander.failsafe = None;
+        self.enter(FlightMode::Hold, Maneuver::default());
+        self.text(MavSeverity::MAV_SEVERITY_INFO, text);
+        self.announce(message_ids::HEARTBEAT);
+    }
+
+    /// Stops the motors for good: only a reboot ends it.
+    pub fn terminate(&mut self) {
+        if !self.commander.terminated {
+            self.commander.terminated = true;
+            self.text(MavSeverity::MAV_SEVERITY_EMERGENCY, "flight terminated");
+            self.announce(message_ids::HEARTBEAT);
+        }
+    }
+
+    /// Starts the autopilot anew; the caller has checked that the vehicle is disarmed or terminated.
+    pub fn reboot(&mut self) {
+        let landed = self.commander.landed;
+        self.commander = Commander {
+            landed,
+            contact: self.commander.contact,
+            contact_since_ns: self.commander.contact_since_ns,
+            ..Commander::default()
+        };
+        self.setpoints = Setpoints::default();
+        self.text(MavSeverity::MAV_SEVERITY_INFO, "rebooted");
+        self.announce(message_ids::HEARTBEAT);
+        self.announce(message_ids::NAMED_VALUE_FLOAT);
+    }
+
+    /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
+    pub fn change_mode(&mut self, mode: FlightMode, commander: ComponentId) -> Result<(), Denial> {
+        if mode == FlightMode::Offboard {
+            return self.enter_offboard(commander);
+        }
+        self.clear_failsafe();
+        match mode {
+            FlightMode::Takeoff => self.take_off(None),
+            FlightMode::Return => self.begin_return(),
+            FlightMode::Land => self.enter(mode, Maneuver::Descend),
+            FlightMode::Hold | FlightMode::Offboard => self.enter(FlightMode::Hold, Maneuver::default()),
+        }
+        Ok(())
+    }
+
+    fn enter_offboard(&mut self, commander: ComponentId) -> Result<(), Denial> {
+        let max_age_ns = self.setpoint_max_age_ns();
+        if self.commander.mode == FlightMode::Offboard
+            && let Some(owner) = self.setpoints.owner()
+        {
+            // Whoever streams itself and is not the owner wants something else than what is flown.
+            let claim = self.setpoints.claim(self.now_ns, max_age_ns, commander);
+            return if claim == Claim::Owner(commander) && commander != owner {
+                Err(Denial::OwnedByOther(owner))
+            } else {
+                Ok(())
+            };
+        }
+        match self.setpoints.claim(self.now_ns, max_age_ns, commander) {
+            Claim::Nobody => Err(Denial::NoSetpoints),
+            Claim::Several(sources) => Err(Denial::SeveralSources(sources)),
+            Claim::Owner(owner) => {
+                self.clear_failsafe();
+                self.enter(FlightMode::Offboard, Maneuver::Offboard);
+                self.setpoints.set_owner(Some(owner));
+                self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("setpoint owner: {owner}"));
+                self.announce(message_ids::NAMED_VALUE_FLOAT);
+                Ok(())
+            }
+        }
+    }
+
+    /// Climbs to `height_m` above home, or to MIS_TAKEOFF_ALT where none is given or it is not above the vehicle.
+    pub fn take_off(&mut self, height_m: Option<f32>) {
+        self.clear_failsafe();
+        if self.commander.armed {
+            self.begin_climb(height_m);
+        } else {
+            self.enter(FlightMode::Takeoff, Maneuver::Grounded { height_m });
+        }
+    }
+
+    pub(super) fn begin_climb(&mut self, height_m: Option<f32>) {
+        let waiting = match self.commander.maneuver {
+            Maneuver::Grounded { height_m } => height_m,
+            _ => None,
+        };
+        let here = self.view.estimate.position_ned_m;
+        let default_m = self.param(ParamId::TakeoffAltitudeM);
+        let height_m = match height_m.or(waiting) {
+            Some(wanted) if wanted > -here.z + 0.3 => wanted,
+            Some(_) => {
+                self.text(
+                    MavSeverity::MAV_SEVERITY_WARNING,
+                    "take-off height not above vehicle: default",
+                );
+                default_m
+            }
+            None => default_m,
+        }
+        .max(-here.z);
+        let rate_m_s = self.param(ParamId::TakeoffSpeedMS);
+        self.enter(FlightMode::Takeoff, Maneuver::climb(here, -height_m, rate_m_s));
+        self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("take-off to {height_m:.1} m"));
+    }
+
+    fn begin_return(&mut self) {
+        let here = self.view.estimate.position_ned_m;
+        let maneuver = if self.commander.is_on_ground() || here.horizontal_norm() < 2.0 {
+            Maneuver::Descend
+        } else {
+            let height_m = self.param(ParamId::ReturnAltitudeM).max(-here.z);
+            Maneuver::climb(here, -height_m, self.param(ParamId::MaxUpMS))
+        };
+        self.enter(FlightMode::Return, maneuver);
+    }
+
+    /// Goes to a position and holds there.
+    pub fn go_to(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_m_s: Option<f32>) -> Result<(), Denial> {
+        if !self.commander.armed || self.commander.is_on_ground() {
+            return Err(Denial::NotInAir);
+        }
+        self.clear_failsafe();
+        let cruise_m_s = self.param(ParamId::CruiseSpeedMS);
+        let speed_limit_m_s = speed_m_s.map_or(cruise_m_s, |s| s.clamp(0.5, self.param(ParamId::MaxSpeedMS)));
+        self.enter(
+            FlightMode::Hold,
+            Maneuver::Station {
+                position_ned_m,
+                yaw,
+                speed_limit_m_s,
+            },
+        );
+        Ok(())
+    }
+
+    /// Changes mode and maneuver; leaving OFFBOARD clears its owner.
+    pub(super) fn enter(&mut self, mode: FlightMode, maneuver: Maneuver) {
+        self.commander.maneuver = maneuver;
+        if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
+            self.setpoints.set_owner(None);
+            self.text(MavSeverity::MAV_SEVERITY_INFO, "setpoint owner: none");
+            self.announce(message_ids::NAMED_VALUE_FLOAT);
+        }
+        if self.commander.mode != mode {
+            self.commander.mode = mode;
+            self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("mode: {}", mode.name()));
+            self.announce(message_ids::HEARTBEAT);
+        }
+    }
+
+    fn clear_failsafe(&mut self) {
+        if self.commander.failsafe.take().is_some() {
+            self.announce(message_ids::HEARTBEAT);
+        }
+    }
+
+    pub(super) fn setpoint_max_age_ns(&self) -> Nanos {
+        (f64::from(self.param(ParamId::OffboardLossS)) * 1e9) as Nanos
+    }
+
+    /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until the next mode command.
+    pub(super) fn lose_setpoints(&mut self) {
+        let action = match self.param(ParamId::OffboardLossAction) as i32 {
+            3 => FlightMode::Return,
+            4 => FlightMode::Land,
+            _ => FlightMode::Hold,
+        };
+        let text = format!("setpoint lost: {}", action.name());
+        self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+        match action {
+            FlightMode::Return => self.begin_return(),
+            FlightMode::Land => self.enter(action, Maneuver::Descend),
+            _ => self.enter(FlightMode::Hold, Maneuver::default()),
+        }
+        self.commander.failsafe = Some(Failsafe::SetpointLost);
+        self.announce(message_ids::HEARTBEAT);
+    }
+
+    /// Follows contact with the ground, and disarms by itself after a landing or a wait.
+    pub(super) fn watch_ground(&mut self) {
+        let now_ns = self.now_ns;
+        let c = &mut self.commander;
+        if self.view.on_ground != c.contact {
+            c.contact = self.view.on_ground;
+            c.contact_since_ns = now_ns;
+        }
+        let lasted_ns = now_ns.saturating_sub(c.contact_since_ns);
+        let was_on_ground = c.is_on_ground();
+        let on_ground = if c.contact {
+            was_on_ground || lasted_ns >= LANDED_AFTER_NS
+        } else {
+            was_on_ground && lasted_ns < AIRBORNE_AFTER_NS
+        };
+        let landed = if on_ground {
+            LandedState::OnGround
+        } else {
+            match (c.mode, c.maneuver) {
+                (FlightMode::Takeoff, _) => LandedState::TakingOff,
+                (_, Maneuver::Descend) => LandedState::Landing,
+                _ => LandedState::InAir,
+            }
+        };
+        if on_ground && !was_on_ground {
+            c.idle_since_ns = now_ns;
+        }
+        if !on_ground {
+            c.has_flown = true;
+        }
+        if landed != c.landed {
+            c.landed = landed;
+            self.announce(message_ids::EXTENDED_SYS_STATE);
+        }
+        if self.commander.armed && on_ground {
+            self.disarm_when_idle();
+        }
+    }
+
+    /// The vehicle is about to leave the ground: the time until it disarms itself begins anew.
+    pub(super) fn expect_lift_off(&mut self) {
+        self.commander.idle_since_ns = self.now_ns;
+    }
+
+    fn disarm_when_idle(&mut self) {
+        let (limit_s, text) = if self.commander.has_flown {
+            (self.param(ParamId::DisarmLandS), "disarmed: landed")
+        } else {
+            (self.param(ParamId::DisarmPreflightS), "disarmed: no take-off")
+        };
+        let idle_ns = self.now_ns.saturating_sub(self.commander.idle_since_ns);
+        if limit_s > 0.0 && idle_ns >= (f64::from(limit_s) * 1e9) as Nanos {
+            self.disarm_with(text);
+        }
+    }
+
+    /// See [`crate::Endpoint::start_airborne`].
+    pub fn start_airborne(&mut self, height_m: f32) {
+        self.commander.armed = true;
+        self.commander.has_flown = true;
+        self.commander.landed = LandedState::InAir;
+        self.commander.contact = false;
+        self.commander.contact_since_ns = self.now_ns;
+        self.enter(
+            FlightMode::Hold,
+            Maneuver::Brake {
+                began_ns: None,
+                height_m: Some(height_m),
+            },
+        );
+    }
+}

@@ -1,0 +1,335 @@
+//! From mode to the command for the vehicle's controllers, once per millisecond.
+
+use crate::core::Core;
+use crate::flight::FlightMode;
+use crate::parameters::ParamId;
+use vigil_link::common::{MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask};
+use vigil_types::{HeadingVector, Nanos, NedVector};
+use vigil_vehicle::{ControlCommand, YawCommand};
+
+/// Acceleration of the climb's ramp.
+const CLIMB_ACCELERATION_M_S2: f32 = 1.0;
+/// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
+const BRAKE_NS: Nanos = 3_000_000_000;
+
+/// A climb along a ramp that is accelerated and braked smoothly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Climb {
+    /// Where the ramp is now.
+    at_ned_m: NedVector,
+    speed_m_s: f32,
+    target_z_m: f32,
+    rate_m_s: f32,
+}
+
+/// What is being flown. The mode decides what follows when it is done.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Maneuver {
+    /// Stop, then hold where it stopped, at `height_m` if given.
+    Brake {
+        began_ns: Option<Nanos>,
+        height_m: Option<f32>,
+    },
+    /// Waits for arming to take off to this height.
+    Grounded { height_m: Option<f32> },
+    /// Climbs straight up.
+    Climb(Climb),
+    /// Goes to a position and holds it.
+    Station {
+        position_ned_m: NedVector,
+        yaw: YawCommand,
+        speed_limit_m_s: f32,
+    },
+    /// Descends straight down until on the ground.
+    Descend,
+    /// Obeys the owner's setpoints.
+    Offboard,
+}
+
+impl Default for Maneuver {
+    fn default() -> Self {
+        Self::Brake {
+            began_ns: None,
+            height_m: None,
+        }
+    }
+}
+
+impl Maneuver {
+    pub fn climb(from_ned_m: NedVector, target_z_m: f32, rate_m_s: f32) -> Self {
+        Self::Climb(Climb {
+            at_ned_m: from_ned_m,
+            speed_m_s: 0.0,
+            target_z_m,
+            rate_m_s,
+        })
+    }
+}
+
+impl Climb {
+    /// Moves the ramp on; its end is reached exactly.
+    fn advance(&mut self, dt_s: f32) {
+        let left_m = (self.at_ned_m.z - self.target_z_m).max(0.0);
+        let braking_m_s = libm::sqrtf(2.0 * CLIMB_ACCELERATION_M_S2 * left_m);
+        let faster_m_s = self.speed_m_s + CLIMB_ACCELERATION_M_S2 * dt_s;
+        // Never below a crawl, so that the square root's tail ends.
+        self.speed_m_s = faster_m_s.min(self.rate_m_s).min(braking_m_s.max(0.05));
+        let step_m = self.speed_m_s * dt_s;
+        if step_m >= left_m {
+            self.at_ned_m.z = self.at_ned_m.z.min(self.target_z_m);
+            self.speed_m_s = 0.0;
+        } else {
+            self.at_ned_m.z -= step_m;
+        }
+    }
+
+    fn is_at_end(&self) -> bool {
+        self.at_ned_m.z <= self.target_z_m
+    }
+}
+
+impl Core {
+    /// One step of flight: ground contact, failsafes, maneuver.
+    pub fn fly(&mut self, dt_s: f32) -> ControlCommand {
+        self.watch_ground();
+        if !self.commander.is_armed() || self.commander.is_terminated() {
+            return ControlCommand::MotorsOff;
+        }
+        let on_ground = self.commander.is_on_ground();
+        match self.commander.maneuver {
+            Maneuver::Climb(climb) => {
+                self.expect_lift_off();
+                self.fly_climb(climb, dt_s)
+            }
+            Maneuver::Offboard => self.fly_offboard(on_ground),
+            _ if on_ground => ControlCommand::Idle,
+            Maneuver::Brake { began_ns, height_m } => self.fly_brake(began_ns, height_m),
+            Maneuver::Station {
+                position_ned_m,
+                yaw,
+                speed_limit_m_s,
+            } => self.fly_station(position_ned_m, yaw, speed_limit_m_s),
+            Maneuver::Descend => ControlCommand::Descend {
+                rate_m_s: self.descent_rate_m_s(),
+            },
+            // In the air there is nothing to wait for.
+            Maneuver::Grounded { .. } => self.fly_brake(None, None),
+        }
+    }
+
+    fn fly_brake(&mut self, began_ns: Option<Nanos>, height_m: Option<f32>) -> ControlCommand {
+        let began = began_ns.unwrap_or(self.now_ns);
+        let velocity = self.view.estimate.velocity_ned_m_s;
+        let stopped = velocity.horizontal_norm() < 0.2 && velocity.z.abs() < 0.2;
+        if !stopped && self.now_ns.saturating_sub(began) < BRAKE_NS {
+            self.commander.maneuver = Maneuver::Brake {
+                began_ns: Some(began),
+                height_m,
+            };
+            return ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::ZERO,
+                yaw: YawCommand::Hold,
+            };
+        }
+        let mut position_ned_m = self.view.estimate.position_ned_m;
+        if let Some(height_m) = height_m {
+            position_ned_m.z = -height_m;
+        }
+        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        self.commander.maneuver = Maneuver::Station {
+            position_ned_m,
+            yaw: YawCommand::Hold,
+            speed_limit_m_s,
+        };
+        self.fly_station(position_ned_m, YawCommand::Hold, speed_limit_m_s)
+    }
+
+    fn fly_station(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> ControlCommand {
+        if self.commander.mode() == FlightMode::Return {
+            let off = self.view.estimate.position_ned_m - position_ned_m;
+            if off.horizontal_norm() < 0.5 && self.view.estimate.velocity_ned_m_s.horizontal_norm() < 0.5 {
+                self.commander.maneuver = Maneuver::Descend;
+            }
+        }
+        ControlCommand::Position {
+            position_ned_m,
+            velocity_m_s: NedVector::ZERO,
+            speed_limit_m_s,
+            yaw,
+        }
+    }
+
+    fn fly_climb(&mut self, mut climb: Climb, dt_s: f32) -> ControlCommand {
+        climb.advance(dt_s);
+        self.commander.maneuver = Maneuver::Climb(climb);
+        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        let estimate = &self.view.estimate;
+        let arrived =
+            (estimate.position_ned_m.z - climb.target_z_m).abs() < 0.3 && estimate.velocity_ned_m_s.z.abs() < 0.3;
+        if climb.is_at_end() && arrived {
+            let station = |position_ned_m| Maneuver::Station {
+                position_ned_m,
+                yaw: YawCommand::Hold,
+                speed_limit_m_s,
+            };
+            match self.commander.mode() {
+                FlightMode::Return => {
+                    self.commander.maneuver = station(NedVector::new(0.0, 0.0, climb.at_ned_m.z));
+                }
+                _ => self.enter(FlightMode::Hold, station(climb.at_ned_m)),
+            }
+        }
+        ControlCommand::Position {
+            position_ned_m: climb.at_ned_m,
+            velocity_m_s: NedVector::new(0.0, 0.0, -climb.speed_m_s),
+            speed_limit_m_s,
+            yaw: YawCommand::Hold,
+        }
+    }
+
+    fn descent_rate_m_s(&self) -> f32 {
+        let height_m = -self.view.estimate.position_ned_m.z;
+        let slow_m_s = self.param(ParamId::LandSpeedMS);
+        if height_m > self.param(ParamId::LandSlowHeightM) {
+            self.param(ParamId::MaxDownMS).max(slow_m_s)
+        } else {
+            slow_m_s
+        }
+    }
+
+    fn fly_offboard(&mut self, on_ground: bool) -> ControlCommand {
+        let Some(command) = self.setpoints.current(self.now_ns, self.setpoint_max_age_ns()) else {
+            self.lose_setpoints();
+            return if on_ground {
+                ControlCommand::Idle
+            } else {
+                ControlCommand::VelocityNed {
+                    velocity_m_s: NedVector::ZERO,
+                    yaw: YawCommand::Hold,
+                }
+            };
+        };
+        if on_ground {
+            if !self.lifts(&command) {
+                return ControlCommand::Idle;
+            }
+            self.expect_lift_off();
+        }
+        self.limited(command)
+    }
+
+    /// Whether a setpoint means to leave the ground.
+    fn lifts(&self, command: &ControlCommand) -> bool {
+        match command {
+            ControlCommand::VelocityHeading { velocity_m_s, .. } => velocity_m_s.z < -0.1,
+            ControlCommand::VelocityNed { velocity_m_s, .. } => velocity_m_s.z < -0.1,
+            ControlCommand::Position { position_ned_m, .. } => {
+                position_ned_m.z < self.view.estimate.position_ned_m.z - 0.3
+            }
+            // The thrust is the sender's.
+            ControlCommand::Attitude { .. } | ControlCommand::Rates { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// Velocities within MPC_XY_VEL_MAX and MPC_Z_VEL_MAX_*; the direction is kept.
+    fn limited(&self, command: ControlCommand) -> ControlCommand {
+        let max_m_s = self.param(ParamId::MaxSpeedMS);
+        let (up, down) = (self.param(ParamId::MaxUpMS), self.param(ParamId::MaxDownMS));
+        let scale = |norm: f32| if norm > max_m_s { max_m_s / norm } else { 1.0 };
+        match command {
+            ControlCommand::VelocityHeading { velocity_m_s: v, yaw } => {
+                let k = scale(v.horizontal_norm());
+                ControlCommand::VelocityHeading {
+                    velocity_m_s: HeadingVector::new(v.x * k, v.y * k, v.z.clamp(-up, down)),
+                    yaw,
+                }
+            }
+            ControlCommand::VelocityNed { velocity_m_s: v, yaw } => {
+                let k = scale(v.horizontal_norm());
+                ControlCommand::VelocityNed {
+                    velocity_m_s: NedVector::new(v.x * k, v.y * k, v.z.clamp(-up, down)),
+                    yaw,
+                }
+            }
+            other => other,
+        }
+    }
+}
+
+/// What OFFBOARD or a maneuver flies to, as POSITION_TARGET_LOCAL_NED reports it; `None` where there is no such target.
+pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_DATA> {
+    const VELOCITY_ONLY: u16 = 0xDC7;
+    const POSITION_ONLY: u16 = 0xDF8;
+    let command = match core.commander.maneuver {
+        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.setpoint_max_age_ns())?,
+        Maneuver::Station { position_ned_m, .. } => ControlCommand::Position {
+            position_ned_m,
+            velocity_m_s: NedVector::ZERO,
+            speed_limit_m_s: 0.0,
+            yaw: YawCommand::Hold,
+        },
+        _ => return None,
+    };
+    let yaw_rad = core.view.estimate.attitude.yaw_rad();
+    let (position, velocity, mask, yaw) = match command {
+        ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
+            (NedVector::ZERO, velocity_m_s.to_ned(yaw_rad), VELOCITY_ONLY, yaw)
+        }
+        ControlCommand::VelocityNed { velocity_m_s, yaw } => (NedVector::ZERO, velocity_m_s, VELOCITY_ONLY, yaw),
+        ControlCommand::Position {
+            position_ned_m,
+            velocity_m_s,
+            yaw,
+            ..
+        } => (position_ned_m, velocity_m_s, POSITION_ONLY, yaw),
+        _ => return None,
+    };
+    let (yaw, yaw_rate, mask) = match yaw {
+        YawCommand::Hold => (0.0, 0.0, mask),
+        YawCommand::Angle { yaw_rad } => (yaw_rad, 0.0, mask & !0x400),
+        YawCommand::Rate { yaw_rate_rad_s } => (0.0, yaw_rate_rad_s, mask & !0x800),
+    };
+    Some(POSITION_TARGET_LOCAL_NED_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        x: position.x,
+        y: position.y,
+        z: position.z,
+        vx: velocity.x,
+        vy: velocity.y,
+        vz: velocity.z,
+        yaw,
+        yaw_rate,
+        type_mask: PositionTargetTypemask::from_bits_truncate(mask),
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_climb_is_smooth_and_ends_exactly() {
+        let Maneuver::Climb(mut climb) = Maneuver::climb(NedVector::ZERO, -3.0, 1.5) else {
+            unreachable!("climb() makes a Climb");
+        };
+        let mut before_m_s = 0.0;
+        let mut steps = 0;
+        let mut fastest_m_s: f32 = 0.0;
+        while !climb.is_at_end() {
+            climb.advance(0.001);
+            let jump = (climb.speed_m_s - before_m_s).abs();
+            assert!(jump < 0.06, "speed jumps by {jump} at {:?}", climb.at_ned_m);
+            before_m_s = climb.speed_m_s;
+            fastest_m_s = fastest_m_s.max(climb.speed_m_s);
+            steps += 1;
+            assert!(steps < 10_000);
+        }
+        assert_eq!(climb.at_ned_m.z, -3.0);
+        // 1.125 m to reach 1.5 m/s, the same to brake, 0.75 m between: 3.5 s.
+        assert!((3_300..3_800).contains(&steps), "{steps}");
+        assert!((fastest_m_s - 1.5).abs() < 0.01);
+    }
+}

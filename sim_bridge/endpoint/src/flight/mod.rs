@@ -1,0 +1,14 @@
+//! What the vehicle does: arming, modes, failsafes, and the command for its controllers.
+
+mod commander;
+mod control;
+mod mode;
+mod setpoints;
+
+pub use commander::{Failsafe, LandedState};
+pub use mode::FlightMode;
+
+pub(crate) use commander::{Commander, Denial};
+pub(crate) use control::position_target;
+pub(crate) use mode::Requested;
+pub(crate) use setpoints::{Claim, SetpointDefect, Setpoints, Taken, attitude_setpoint, position_setpoint};

@@ -1,0 +1,241 @@
+//! The vehicle's parameters: every one of them acts; the protocol that reads and sets them is `services::parameters`.
+
+use std::collections::BTreeMap;
+
+/// A parameter's wire type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ParameterType {
+    /// MAV_PARAM_TYPE_INT32.
+    Int32,
+    /// MAV_PARAM_TYPE_REAL32.
+    Real32,
+}
+
+/// A parameter's value with its type.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParameterValue {
+    /// An integer.
+    Int32(i32),
+    /// A float.
+    Real32(f32),
+}
+
+impl ParameterValue {
+    /// The value as a float.
+    pub fn as_f32(self) -> f32 {
+        match self {
+            Self::Int32(v) => v as f32,
+            Self::Real32(v) => v,
+        }
+    }
+
+    /// Its type.
+    pub fn parameter_type(self) -> ParameterType {
+        match self {
+            Self::Int32(_) => ParameterType::Int32,
+            Self::Real32(_) => ParameterType::Real32,
+        }
+    }
+}
+
+/// What is known of a parameter besides its value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ParameterInfo {
+    /// Name, at most 16 characters.
+    pub name: &'static str,
+    /// Default value; its type is the parameter's.
+    pub default: ParameterValue,
+    /// Smallest value.
+    pub min: f32,
+    /// Largest value.
+    pub max: f32,
+    /// Unit, empty if none.
+    pub unit: &'static str,
+    /// One line.
+    pub description: &'static str,
+}
+
+/// Why a parameter was not set.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ParameterError {
+    /// No such parameter.
+    #[error("there is no parameter {name}")]
+    Unknown {
+        /// The name asked for.
+        name: String,
+    },
+    /// The value's type is not the parameter's.
+    #[error("{name} is of another type")]
+    WrongType {
+        /// The parameter.
+        name: &'static str,
+    },
+    /// The value lies outside the limits or is not finite.
+    #[error("{name}: {value} is not within {min} to {max}")]
+    OutOfRange {
+        /// The parameter.
+        name: &'static str,
+        /// The value asked for.
+        value: f64,
+        /// Smallest value.
+        min: f32,
+        /// Largest value.
+        max: f32,
+    },
+}
+
+macro_rules! parameters {
+    ($($variant:ident = $name:literal, $kind:ident($default:expr), $min:expr, $max:expr, $unit:literal, $description:literal;)*) => {
+        /// Index of a parameter.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub(crate) enum ParamId { $($variant),* }
+
+        const TABLE: &[ParameterInfo] = &[$(ParameterInfo {
+            name: $name,
+            default: ParameterValue::$kind($default),
+            min: $min,
+            max: $max,
+            unit: $unit,
+            description: $description,
+        }),*];
+    };
+}
+
+// In alphabetical order of their names: the index on the wire.
+parameters! {
+    DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
+        "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";
+    DisarmPreflightS = "COM_DISARM_PRFLT", Real32(10.0), -1.0, 60.0, "s",
+        "Time armed on the ground without a take-off until the vehicle disarms itself; 0 or less: never";
+    OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 3.0, 5.0, "",
+        "What follows a lost setpoint stream: 3 return, 4 land, 5 hold";
+    OffboardLossS = "COM_OF_LOSS_T", Real32(0.4), 0.1, 10.0, "s",
+        "Age of the owner's last setpoint at which OFFBOARD is left (PX4's default is 1.0)";
+    TakeoffAltitudeM = "MIS_TAKEOFF_ALT", Real32(2.5), 0.5, 80.0, "m",
+        "Height above home that a take-off climbs to when the command gives none";
+    LandSlowHeightM = "MPC_LAND_ALT2", Real32(5.0), 1.0, 50.0, "m",
+        "Height above home below which a landing descends with MPC_LAND_SPEED";
+    LandSpeedMS = "MPC_LAND_SPEED", Real32(0.7), 0.3, 2.0, "m/s",
+        "Rate of descent of the last metres of a landing";
+    TakeoffSpeedMS = "MPC_TKO_SPEED", Real32(1.5), 0.3, 5.0, "m/s",
+        "Rate of climb of a take-off";
+    CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 12.0, "m/s",
+        "Horizontal speed of go-to and return";
+    MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(12.0), 0.5, 12.0, "m/s",
+        "Limit of horizontal speed of offboard setpoints";
+    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 4.0, "m/s",
+        "Limit of the rate of descent";
+    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(3.0), 0.3, 8.0, "m/s",
+        "Limit of the rate of climb of offboard setpoints";
+    ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
+        "Height above home that a return climbs to before it flies home";
+}
+
+/// All parameters in the order of their index.
+pub fn parameter_table() -> &'static [ParameterInfo] {
+    TABLE
+}
+
+/// The values in force.
+#[derive(Debug, Clone)]
+pub(crate) struct Parameters {
+    values: Vec<ParameterValue>,
+}
+
+impl Parameters {
+    /// Defaults, then the given values by name.
+    pub fn new(overrides: &BTreeMap<String, f64>) -> Result<Self, ParameterError> {
+        let mut parameters = Self {
+            values: TABLE.iter().map(|info| info.default).collect(),
+        };
+        for (name, value) in overrides {
+            let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown { name: name.clone() })?;
+            let typed = match TABLE[index].default {
+                ParameterValue::Int32(_) if value.fract() == 0.0 => ParameterValue::Int32(*value as i32),
+                ParameterValue::Int32(_) => {
+                    return Err(ParameterError::WrongType {
+                        name: TABLE[index].name,
+                    });
+                }
+                ParameterValue::Real32(_) => ParameterValue::Real32(*value as f32),
+            };
+            parameters.set(index, typed)?;
+        }
+        Ok(parameters)
+    }
+
+    /// A parameter's value as a float.
+    #[inline]
+    pub fn get(&self, id: ParamId) -> f32 {
+        self.values[id as usize].as_f32()
+    }
+
+    /// The value at an index of the table.
+    pub fn at(&self, index: usize) -> Option<(&'static ParameterInfo, ParameterValue)> {
+        Some((TABLE.get(index)?, *self.values.get(index)?))
+    }
+
+    /// Number of parameters.
+    pub fn count() -> usize {
+        TABLE.len()
+    }
+
+    /// Index of a name.
+    pub fn index_of(name: &str) -> Option<usize> {
+        TABLE.iter().position(|info| info.name == name)
+    }
+
+    /// Sets a value after checking its type and limits.
+    pub fn set(&mut self, index: usize, value: ParameterValue) -> Result<(), ParameterError> {
+        let info = TABLE.get(index).ok_or_else(|| ParameterError::Unknown {
+            name: format!("#{index}"),
+        })?;
+        if info.default.parameter_type() != value.parameter_type() {
+            return Err(ParameterError::WrongType { name: info.name });
+        }
+        // NaN is in no range.
+        if !(info.min..=info.max).contains(&value.as_f32()) {
+            return Err(ParameterError::OutOfRange {
+                name: info.name,
+                value: f64::from(value.as_f32()),
+                min: info.min,
+                max: info.max,
+            });
+        }
+        self.values[index] = value;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_is_sorted_fits_the_wire_and_holds_valid_defaults() {
+        assert!(TABLE.is_sorted_by(|a, b| a.name < b.name));
+        let mut parameters = Parameters::new(&BTreeMap::new()).expect("defaults");
+        for (index, info) in TABLE.iter().enumerate() {
+            assert!(info.name.len() <= 16, "{}", info.name);
+            assert_eq!(parameters.set(index, info.default), Ok(()), "{}", info.name);
+            assert!(!info.description.is_empty());
+        }
+        assert_eq!(parameters.get(ParamId::TakeoffAltitudeM), 2.5);
+        assert_eq!(TABLE[ParamId::ReturnAltitudeM as usize].name, "RTL_RETURN_ALT");
+    }
+
+    #[test]
+    fn a_value_of_the_wrong_type_or_out_of_range_changes_nothing() {
+        let mut parameters = Parameters::new(&BTreeMap::new()).expect("defaults");
+        let index = Parameters::index_of("COM_OF_LOSS_T").expect("known");
+        for bad in [
+            ParameterValue::Real32(f32::NAN),
+            ParameterValue::Real32(-1.0),
+            ParameterValue::Real32(f32::INFINITY),
+            ParameterValue::Int32(1),
+        ] {
+            assert!(parameters.set(index, bad).is_err());
+            assert_eq!(parameters.get(ParamId::OffboardLossS), 0.4);
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! What a protocol service is.
+
+use crate::LinkId;
+use crate::core::{ComponentId, Core};
+use vigil_link::MavMessage;
+use vigil_link::common::MavResult;
+use vigil_link::framing::{Command, Packet};
+use vigil_types::Nanos;
+
+/// Who sent a packet and on which link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Source {
+    pub link: LinkId,
+    pub id: ComponentId,
+}
+
+/// The answer to a command.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Answer {
+    pub result: MavResult,
+    pub result_param2: i32,
+}
+
+impl Answer {
+    pub const ACCEPTED: Self = Self::of(MavResult::MAV_RESULT_ACCEPTED);
+    pub const DENIED: Self = Self::of(MavResult::MAV_RESULT_DENIED);
+    /// Not now: the same command may be accepted in another state.
+    pub const REJECTED: Self = Self::of(MavResult::MAV_RESULT_TEMPORARILY_REJECTED);
+    pub const UNSUPPORTED: Self = Self::of(MavResult::MAV_RESULT_UNSUPPORTED);
+
+    pub const fn of(result: MavResult) -> Self {
+        Self {
+            result,
+            result_param2: 0,
+        }
+    }
+}
+
+/// A message that a service can produce: streamed, requested once (512) or at an interval (511).
+#[derive(Clone, Copy)]
+pub(crate) struct Produced {
+    /// MAVLink message id.
+    pub id: u32,
+    /// Messages per second on an onboard, API and GCS link; 0 is on request only.
+    pub rate_hz: [f32; 3],
+    /// Builds it; `None` if there is nothing to tell.
+    pub build: fn(&Core) -> Option<MavMessage>,
+}
+
+/// One protocol service. All methods have a default, so that a service implements what it needs.
+pub(crate) trait Service {
+    /// A packet that is addressed to the vehicle or to everybody, except commands.
+    fn receive(&mut self, _packet: &Packet<'_>, _source: Source, _core: &mut Core) {}
+
+    /// A command addressed to the vehicle; `None` if it is not this service's. The dispatcher sends the acknowledgement.
+    fn command(&mut self, _command: &Command, _source: Source, _core: &mut Core) -> Option<Answer> {
+        None
+    }
+
+    /// The messages it can produce.
+    fn messages(&self) -> &'static [Produced] {
+        &[]
+    }
+
+    /// When [`Service::step`] wants to run next.
+    fn due_ns(&self) -> Nanos {
+        Nanos::MAX
+    }
+
+    /// Runs in the first step at or after [`Service::due_ns`].
+    fn step(&mut self, _core: &mut Core) {}
+}

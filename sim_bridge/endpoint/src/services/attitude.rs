@@ -1,0 +1,54 @@
+//! ATTITUDE and ATTITUDE_QUATERNION.
+
+use crate::core::Core;
+use crate::service::{Produced, Service};
+use vigil_link::MavMessage;
+use vigil_link::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA};
+use vigil_link::mavlink::MessageData;
+
+pub(crate) struct Attitude;
+
+impl Service for Attitude {
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: ATTITUDE_DATA::ID,
+                rate_hz: [50.0, 50.0, 20.0],
+                build: attitude,
+            },
+            Produced {
+                id: ATTITUDE_QUATERNION_DATA::ID,
+                rate_hz: [50.0, 20.0, 10.0],
+                build: attitude_quaternion,
+            },
+        ]
+    }
+}
+
+fn attitude(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    Some(MavMessage::ATTITUDE(ATTITUDE_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        roll: e.attitude.roll_rad(),
+        pitch: e.attitude.pitch_rad(),
+        yaw: e.attitude.yaw_rad(),
+        rollspeed: e.rates_frd_rad_s.x,
+        pitchspeed: e.rates_frd_rad_s.y,
+        yawspeed: e.rates_frd_rad_s.z,
+    }))
+}
+
+fn attitude_quaternion(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    Some(MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        q1: e.attitude.w,
+        q2: e.attitude.x,
+        q3: e.attitude.y,
+        q4: e.attitude.z,
+        rollspeed: e.rates_frd_rad_s.x,
+        pitchspeed: e.rates_frd_rad_s.y,
+        yawspeed: e.rates_frd_rad_s.z,
+        ..Default::default()
+    }))
+}

@@ -1,0 +1,419 @@
+//! A bench for tests: the endpoint, a simple vehicle that does what it is told, and clients that read what comes back.
+
+use crate::core::{ComponentId, EndpointStatus};
+use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId};
+use vigil_link::MavMessage;
+use vigil_link::common::{
+    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, PositionTargetTypemask,
+    SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+};
+use vigil_link::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
+use vigil_link::mavlink::{MavHeader, Message};
+use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
+use vigil_vehicle::{ControlCommand, Estimate, Sensors, VehicleView, YawCommand};
+
+pub const ONBOARD: LinkId = LinkId(0);
+pub const API: LinkId = LinkId(1);
+pub const GCS: LinkId = LinkId(2);
+pub const COMPANION: ComponentId = ComponentId {
+    system: 1,
+    component: 191,
+};
+pub const SCRIPT: ComponentId = ComponentId {
+    system: 245,
+    component: 190,
+};
+pub const STATION: ComponentId = ComponentId {
+    system: 255,
+    component: 190,
+};
+
+/// A packet that the endpoint sent.
+#[derive(Debug, Clone)]
+pub struct Sent {
+    pub at_ns: Nanos,
+    pub link: LinkId,
+    pub from: ComponentId,
+    pub raw: Vec<u8>,
+    pub message: Option<MavMessage>,
+    pub ack: Option<CommandAck>,
+}
+
+/// A point that follows the command with a first-order lag; it cannot sink below the ground.
+#[derive(Debug, Clone)]
+struct Follower {
+    position: [f32; 3],
+    velocity: [f32; 3],
+    yaw: f32,
+    command: ControlCommand,
+}
+
+impl Follower {
+    fn step(&mut self, dt: f32) {
+        let toward = |target: NedVector, limit: f32, position: &[f32; 3]| {
+            let mut v = target.to_array();
+            for (v, p) in v.iter_mut().zip(position) {
+                *v = (1.2 * (*v - p)).clamp(-limit, limit);
+            }
+            v
+        };
+        let mut yaw_rate = 0.0;
+        let mut turn = |yaw: &YawCommand, heading: &mut f32| match yaw {
+            YawCommand::Hold => {}
+            YawCommand::Angle { yaw_rad } => *heading = *yaw_rad,
+            YawCommand::Rate { yaw_rate_rad_s } => yaw_rate = *yaw_rate_rad_s,
+        };
+        let wanted = match &self.command {
+            // Falls, slowly enough for a test to watch.
+            ControlCommand::MotorsOff => [0.0, 0.0, 5.0],
+            ControlCommand::Idle => [0.0, 0.0, 1.0],
+            ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
+                turn(yaw, &mut self.yaw);
+                velocity_m_s.to_ned(self.yaw).to_array()
+            }
+            ControlCommand::VelocityNed { velocity_m_s, yaw } => {
+                turn(yaw, &mut self.yaw);
+                velocity_m_s.to_array()
+            }
+            ControlCommand::Position {
+                position_ned_m,
+                velocity_m_s,
+                speed_limit_m_s,
+                yaw,
+            } => {
+                turn(yaw, &mut self.yaw);
+                let mut v = toward(*position_ned_m, *speed_limit_m_s, &self.position);
+                for (v, f) in v.iter_mut().zip(velocity_m_s.to_array()) {
+                    *v += f;
+                }
+                v
+            }
+            ControlCommand::Descend { rate_m_s } => [0.0, 0.0, *rate_m_s],
+            ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => {
+                [0.0, 0.0, 4.0 * (0.5 - *thrust)]
+            }
+        };
+        self.yaw += yaw_rate * dt;
+        for (i, wanted) in wanted.into_iter().enumerate() {
+            self.velocity[i] += (wanted - self.velocity[i]) * (dt / 0.2);
+            self.position[i] += self.velocity[i] * dt;
+        }
+        if self.position[2] >= 0.0 {
+            self.position[2] = 0.0;
+            self.velocity = [0.0; 3];
+        }
+    }
+
+    fn view(&self, at_ns: Nanos) -> VehicleView {
+        let [x, y, z] = self.position;
+        let [vx, vy, vz] = self.velocity;
+        VehicleView {
+            estimate: Estimate {
+                at_ns,
+                position_ned_m: NedVector::new(x, y, z),
+                velocity_ned_m_s: NedVector::new(vx, vy, vz),
+                acceleration_ned_m_s2: NedVector::ZERO,
+                attitude: Attitude::from_euler_rad(0.0, 0.0, self.yaw),
+                rates_frd_rad_s: FrdVector::ZERO,
+            },
+            sensors: Sensors {
+                accelerometer_frd_m_s2: FrdVector::new(0.0, 0.0, -9.81),
+                gyroscope_frd_rad_s: FrdVector::ZERO,
+                gps_position_ned_m: NedVector::new(x, y, z),
+                gps_velocity_ned_m_s: NedVector::new(vx, vy, vz),
+                barometer_height_m: -z,
+                battery_voltage_v: 16.0,
+                battery_current_a: 12.5,
+                battery_remaining: 0.87,
+                throttle: 0.5,
+            },
+            on_ground: z >= 0.0,
+            armed: self.command != ControlCommand::MotorsOff,
+        }
+    }
+}
+
+/// The bench.
+pub struct Bench {
+    pub endpoint: Endpoint,
+    pub now_ns: Nanos,
+    pub sent: Vec<Sent>,
+    pub command: ControlCommand,
+    vehicle: Follower,
+    sequence: u8,
+    /// Components that stream velocity setpoints at 20 Hz, with the velocity along the heading.
+    streaming: Vec<(LinkId, ComponentId, [f32; 3])>,
+}
+
+impl Bench {
+    pub fn new() -> Self {
+        Self::with(EndpointConfig::default())
+    }
+
+    pub fn with(config: EndpointConfig) -> Self {
+        let mut bench = Self {
+            endpoint: Endpoint::new(config).expect("valid configuration"),
+            now_ns: 1_000_000_000,
+            sent: Vec::new(),
+            command: ControlCommand::MotorsOff,
+            vehicle: Follower {
+                position: [0.0; 3],
+                velocity: [0.0; 3],
+                yaw: 0.0,
+                command: ControlCommand::MotorsOff,
+            },
+            sequence: 0,
+            streaming: Vec::new(),
+        };
+        bench.run_ms(500);
+        bench
+    }
+
+    /// A vehicle that hovers at 3 m in Hold.
+    pub fn airborne() -> Self {
+        let mut bench = Self::new();
+        bench.vehicle.position[2] = -3.0;
+        bench.endpoint.start_airborne(bench.now_ns, 3.0);
+        bench.run_ms(500);
+        bench.sent.clear();
+        bench
+    }
+
+    pub fn status(&self) -> EndpointStatus {
+        self.endpoint.status()
+    }
+
+    pub fn view(&self) -> VehicleView {
+        self.vehicle.view(self.now_ns)
+    }
+
+    pub fn height_m(&self) -> f32 {
+        -self.vehicle.position[2]
+    }
+
+    pub fn position_m(&self) -> [f32; 3] {
+        self.vehicle.position
+    }
+
+    /// Lets simulated time pass.
+    pub fn run_ms(&mut self, ms: u64) {
+        for _ in 0..ms {
+            self.now_ns += 1_000_000;
+            if self.now_ns.is_multiple_of(50_000_000) {
+                for (link, from, velocity) in self.streaming.clone() {
+                    self.send_velocity(link, from, velocity);
+                }
+            }
+            self.vehicle.step(0.001);
+            self.command = self.endpoint.step(self.now_ns, &self.vehicle.view(self.now_ns));
+            self.vehicle.command = self.command;
+            self.collect();
+        }
+    }
+
+    /// Lets time pass until `done`; fails after `limit_s` simulated seconds.
+    pub fn run_until(&mut self, limit_s: u64, what: &str, done: impl Fn(&Self) -> bool) {
+        for _ in 0..limit_s * 100 {
+            if done(self) {
+                return;
+            }
+            self.run_ms(10);
+        }
+        panic!("not within {limit_s} s: {what}; {:?}", self.status());
+    }
+
+    fn collect(&mut self) {
+        let (sent, at_ns) = (&mut self.sent, self.now_ns);
+        self.endpoint.transmit(|link, datagram| {
+            let mut counters = FramingCounters::default();
+            let packets: Vec<_> = framing::packets(datagram, &mut counters).collect();
+            assert_eq!(packets.len(), 1, "one packet per datagram");
+            for packet in packets {
+                sent.push(Sent {
+                    at_ns,
+                    link,
+                    from: ComponentId {
+                        system: packet.system_id(),
+                        component: packet.component_id(),
+                    },
+                    raw: packet.raw().to_vec(),
+                    message: packet.message().ok(),
+                    ack: packet.command_ack(),
+                });
+            }
+        });
+    }
+
+    /// Hands raw bytes to the endpoint.
+    pub fn send_raw(&mut self, link: LinkId, bytes: &[u8]) {
+        self.endpoint.receive(self.now_ns, link, bytes);
+        self.collect();
+    }
+
+    pub fn packet(&mut self, from: ComponentId, message: &MavMessage) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: u32::from(from.system),
+            component_id: from.component,
+            sequence: self.sequence,
+        };
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = framing::serialize(header, message, &mut out).expect("fits");
+        out[..len].to_vec()
+    }
+
+    pub fn send(&mut self, link: LinkId, from: ComponentId, message: &MavMessage) {
+        let packet = self.packet(from, message);
+        self.send_raw(link, &packet);
+    }
+
+    pub fn send_heartbeat(&mut self, link: LinkId, from: ComponentId) {
+        self.send(link, from, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    }
+
+    /// Sends a COMMAND_LONG to the vehicle and returns the result of the acknowledgement that came back.
+    pub fn command_long(&mut self, link: LinkId, from: ComponentId, number: u16, params: [f32; 7]) -> u8 {
+        let mut payload = Vec::with_capacity(33);
+        for p in params {
+            payload.extend_from_slice(&p.to_le_bytes());
+        }
+        payload.extend_from_slice(&number.to_le_bytes());
+        payload.extend_from_slice(&[1, 1, 0]);
+        self.command_payload(link, from, number, COMMAND_LONG_ID, &payload)
+    }
+
+    fn command_payload(&mut self, link: LinkId, from: ComponentId, number: u16, id: u32, payload: &[u8]) -> u8 {
+        let header = MavHeader {
+            system_id: u32::from(from.system),
+            component_id: from.component,
+            sequence: self.sequence,
+        };
+        self.sequence = self.sequence.wrapping_add(1);
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = framing::serialize_payload(header, id, payload, &mut out).expect("fits");
+        let before = self.sent.len();
+        self.send_raw(link, &out[..len]);
+        let acks: Vec<_> = self.sent[before..]
+            .iter()
+            .filter(|s| s.link == link)
+            .filter_map(|s| s.ack)
+            .filter(|a| a.command == number)
+            .collect();
+        assert_eq!(acks.len(), 1, "command {number} has one answer");
+        assert_eq!(
+            (acks[0].target_system, acks[0].target_component),
+            (from.system, from.component)
+        );
+        acks[0].result
+    }
+
+    /// Sends a COMMAND_INT DO_REPOSITION and returns the result.
+    pub fn reposition(&mut self, frame: MavFrame, lat: f64, lon: f64, alt: f32, yaw: f32) -> u8 {
+        let data = COMMAND_INT_DATA {
+            param1: -1.0,
+            param2: 1.0,
+            param4: yaw,
+            x: (lat * 1e7).round() as i32,
+            y: (lon * 1e7).round() as i32,
+            z: alt,
+            command: MavCmd::MAV_CMD_DO_REPOSITION,
+            target_system: 1,
+            target_component: 1,
+            frame,
+            ..Default::default()
+        };
+        let before = self.sent.len();
+        self.send(API, SCRIPT, &MavMessage::COMMAND_INT(data));
+        self.sent[before..].iter().find_map(|s| s.ack).expect("answered").result
+    }
+
+    pub fn arm(&mut self) -> u8 {
+        self.command_long(API, SCRIPT, 400, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    }
+
+    pub fn disarm(&mut self, force: f32) -> u8 {
+        self.command_long(API, SCRIPT, 400, [0.0, force, 0.0, 0.0, 0.0, 0.0, 0.0])
+    }
+
+    /// Sends DO_SET_MODE and returns the result.
+    pub fn set_mode(&mut self, link: LinkId, from: ComponentId, main: u8, sub: u8) -> u8 {
+        let params = [129.0, f32::from(main), f32::from(sub), 0.0, 0.0, 0.0, 0.0];
+        self.command_long(link, from, 176, params)
+    }
+
+    /// Arms and takes off by MAVSDK's commands; ends in Hold.
+    pub fn take_off(&mut self) {
+        assert_eq!(self.arm(), ACCEPTED);
+        assert_eq!(self.command_long(API, SCRIPT, 22, [f32::NAN; 7]), ACCEPTED);
+        self.run_until(20, "take-off", |b| {
+            b.status().mode == FlightMode::Hold && b.status().landed == LandedState::InAir
+        });
+    }
+
+    pub fn send_velocity(&mut self, link: LinkId, from: ComponentId, velocity: [f32; 3]) {
+        let message = velocity_message(velocity);
+        self.send(link, from, &message);
+    }
+
+    /// Starts or changes a stream of setpoints.
+    pub fn stream(&mut self, link: LinkId, from: ComponentId, velocity: [f32; 3]) {
+        self.stop_stream(from);
+        self.streaming.push((link, from, velocity));
+    }
+
+    pub fn stop_stream(&mut self, from: ComponentId) {
+        self.streaming.retain(|s| s.1 != from);
+    }
+
+    /// The messages of the vehicle on a link since the last `sent.clear()`.
+    pub fn messages(&self, link: LinkId) -> impl DoubleEndedIterator<Item = &MavMessage> {
+        self.sent
+            .iter()
+            .filter(move |s| s.link == link && (s.from.system, s.from.component) == (1, 1))
+            .filter_map(|s| s.message.as_ref())
+    }
+
+    pub fn count(&self, link: LinkId, message_id: u32) -> usize {
+        self.messages(link).filter(|m| m.message_id() == message_id).count()
+    }
+
+    pub fn texts(&self) -> Vec<String> {
+        self.messages(API)
+            .filter_map(|m| match m {
+                MavMessage::STATUSTEXT(STATUSTEXT_DATA { text, .. }) => text.to_str().ok().map(str::to_owned),
+                _ => None,
+            })
+            .collect()
+    }
+
+    /// The last heartbeat on a link.
+    pub fn heartbeat(&self, link: LinkId) -> HEARTBEAT_DATA {
+        self.messages(link)
+            .rev()
+            .find_map(|m| match m {
+                MavMessage::HEARTBEAT(h) => Some(h.clone()),
+                _ => None,
+            })
+            .expect("a heartbeat was sent")
+    }
+}
+
+pub const ACCEPTED: u8 = 0;
+pub const REJECTED: u8 = 1;
+pub const DENIED: u8 = 2;
+pub const UNSUPPORTED: u8 = 3;
+const COMMAND_LONG_ID: u32 = <COMMAND_LONG_DATA as vigil_link::mavlink::MessageData>::ID;
+
+/// Frame 8, mask 0x5C7: what MAVSDK and the companion send.
+pub fn velocity_message([vx, vy, vz]: [f32; 3]) -> MavMessage {
+    MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+        vx,
+        vy,
+        vz,
+        type_mask: PositionTargetTypemask::from_bits_retain(0x5C7),
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
+        ..Default::default()
+    })
+}

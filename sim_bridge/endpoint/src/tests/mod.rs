@@ -1,0 +1,7 @@
+//! Stories of the whole endpoint.
+
+mod flight;
+mod ownership;
+mod protocol;
+mod rejection;
+mod routing;
