@@ -8,6 +8,15 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LinkId(pub u8);
 
+impl LinkId {
+    /// The companion computer's link among the default links.
+    pub const ONBOARD: Self = Self(0);
+    /// The scripts' link among the default links.
+    pub const API: Self = Self(1);
+    /// The ground stations' link among the default links.
+    pub const GCS: Self = Self(2);
+}
+
 /// What a link is for; decides which telemetry streams on it unasked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

@@ -12,9 +12,9 @@ use vigil_link::mavlink::{MavHeader, Message};
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, Estimate, Sensors, VehicleView, YawCommand};
 
-pub const ONBOARD: LinkId = LinkId(0);
-pub const API: LinkId = LinkId(1);
-pub const GCS: LinkId = LinkId(2);
+pub const ONBOARD: LinkId = LinkId::ONBOARD;
+pub const API: LinkId = LinkId::API;
+pub const GCS: LinkId = LinkId::GCS;
 pub const COMPANION: ComponentId = ComponentId {
     system: 1,
     component: 191,
