@@ -3,7 +3,7 @@
 use crate::display::{self, Narrator, PathTrail};
 use crate::{FlightInfo, Scene, TickRecord, convert, wire};
 use foxglove::messages::log::Level;
-use foxglove::messages::{FrameTransform, Log, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
+use foxglove::messages::{FrameTransform, Log, PointCloud, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions};
 use prost::Message;
@@ -35,6 +35,7 @@ pub(crate) mod topic {
     pub(crate) const PATH: &str = "/path";
     pub(crate) const GOAL: &str = "/goal";
     pub(crate) const SCENE: &str = "/scene";
+    pub(crate) const SCENE_POINTS: &str = "/scene/points";
     pub(crate) const LOG: &str = "/log";
 }
 
@@ -47,6 +48,7 @@ struct Channels {
     path: u16,
     goal: u16,
     scene: u16,
+    scene_points: u16,
     log: u16,
 }
 
@@ -62,6 +64,7 @@ impl Channels {
             path: standard::<PosesInFrame, W>(writer, topic::PATH)?,
             goal: standard::<PoseInFrame, W>(writer, topic::GOAL)?,
             scene: standard::<SceneUpdate, W>(writer, topic::SCENE)?,
+            scene_points: standard::<PointCloud, W>(writer, topic::SCENE_POINTS)?,
             log: standard::<Log, W>(writer, topic::LOG)?,
         })
     }
@@ -143,6 +146,7 @@ impl<W: Write + Seek> LogFile<W> {
         };
         if let Some(scene) = self.scene.take() {
             messages.put(self.channels.scene, &scene.to_update(at_ns))?;
+            messages.put(self.channels.scene_points, &scene.to_point_cloud(at_ns))?;
         }
         if let Some(frame) = record.frame() {
             messages.put(self.channels.depth, &display::depth_image(frame, at_ns))?;

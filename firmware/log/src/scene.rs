@@ -1,8 +1,10 @@
 //! The obstacles for display: a list of solids that the caller hands in; nothing in flight depends on it.
 
 use crate::display::{map_point, timestamp};
+use foxglove::messages::packed_element_field::NumericType;
 use foxglove::messages::{
-    Color, CubePrimitive, CylinderPrimitive, Pose, Quaternion, SceneEntity, SceneUpdate, Vector3,
+    Color, CubePrimitive, CylinderPrimitive, PackedElementField, PointCloud, Pose, Quaternion, SceneEntity,
+    SceneUpdate, Vector3,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -69,6 +71,20 @@ pub enum SceneError {
         /// What is wrong and where.
         source: serde_json::Error,
     },
+    /// A number that no solid can have.
+    #[error("scene file {path}: solid {index} has {field} = {value}; {expected}")]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Which solid, counted from 0.
+        index: usize,
+        /// The field.
+        field: &'static str,
+        /// What it holds.
+        value: f32,
+        /// What it may hold.
+        expected: &'static str,
+    },
 }
 
 impl Scene {
@@ -81,10 +97,22 @@ impl Scene {
             path: path.to_owned(),
             source,
         })?;
-        serde_json::from_str(&text).map_err(|source| SceneError::Format {
+        let scene: Self = serde_json::from_str(&text).map_err(|source| SceneError::Format {
             path: path.to_owned(),
             source,
-        })
+        })?;
+        for (index, solid) in scene.solids.iter().enumerate() {
+            if let Some((field, value, expected)) = solid.bad_value() {
+                return Err(SceneError::Value {
+                    path: path.to_owned(),
+                    index,
+                    field,
+                    value,
+                    expected,
+                });
+            }
+        }
+        Ok(scene)
     }
 
     /// Writes a scene file.
@@ -149,6 +177,116 @@ impl Scene {
             entities: vec![entity],
         }
     }
+
+    /// The solids' surfaces as points in the `map` frame, for viewers that show no [`SceneUpdate`].
+    pub(crate) fn to_point_cloud(&self, at_ns: u64) -> PointCloud {
+        let coordinate = |name: &str, offset| PackedElementField {
+            name: name.to_owned(),
+            offset,
+            r#type: NumericType::Float32 as i32,
+        };
+        let mut data = Vec::new();
+        for [north, east, down] in self.solids.iter().flat_map(SceneSolid::surface_points) {
+            for value in [east, north, -down] {
+                data.extend(value.to_le_bytes());
+            }
+        }
+        PointCloud {
+            timestamp: Some(timestamp(at_ns)),
+            frame_id: crate::display::MAP_FRAME.to_owned(),
+            pose: Some(Pose {
+                position: Some(Vector3::default()),
+                orientation: Some(Quaternion {
+                    w: 1.0,
+                    ..Default::default()
+                }),
+            }),
+            point_stride: 12,
+            fields: vec![coordinate("x", 0), coordinate("y", 4), coordinate("z", 8)],
+            data: data.into(),
+        }
+    }
+}
+
+impl SceneSolid {
+    /// The first number that is not finite or, for a size, not positive: field, value, what is allowed.
+    fn bad_value(&self) -> Option<(&'static str, f32, &'static str)> {
+        let (centre, turn, sizes): (_, _, &[(&'static str, f32)]) = match self {
+            Self::Cuboid {
+                centre_ned_m,
+                half_extents_m: [x, y, z],
+                yaw_rad,
+            } => {
+                let field = "half_extents_m";
+                (centre_ned_m, *yaw_rad, &[(field, *x), (field, *y), (field, *z)])
+            }
+            Self::Cylinder {
+                centre_ned_m,
+                radius_m,
+                half_height_m,
+            } => (
+                centre_ned_m,
+                0.0,
+                &[("radius_m", *radius_m), ("half_height_m", *half_height_m)],
+            ),
+        };
+        let anywhere = centre.iter().map(|v| ("centre_ned_m", *v)).chain([("yaw_rad", turn)]);
+        let endless = anywhere
+            .filter(|(_, v)| !v.is_finite())
+            .map(|(field, v)| (field, v, "give a finite number"));
+        let shapeless = sizes
+            .iter()
+            .filter(|(_, v)| !(v.is_finite() && *v > 0.0))
+            .map(|(field, v)| (*field, *v, "give a positive number"));
+        endless.chain(shapeless).next()
+    }
+
+    /// Points on the solid's faces (the bottom left out), NED metres: some viewers show point clouds and no solids.
+    fn surface_points(&self) -> Vec<[f32; 3]> {
+        let mut points = Vec::new();
+        match *self {
+            Self::Cuboid {
+                centre_ned_m: [north, east, down],
+                half_extents_m: [hx, hy, hz],
+                yaw_rad,
+            } => {
+                let (sin, cos) = yaw_rad.sin_cos();
+                let mut put = |x: f32, y: f32, z: f32| {
+                    points.push([north + cos * x - sin * y, east + sin * x + cos * y, down + z])
+                };
+                for (x, y) in grid(hx, hy) {
+                    put(x, y, -hz);
+                }
+                for (x, z) in grid(hx, hz) {
+                    put(x, -hy, z);
+                    put(x, hy, z);
+                }
+                for (y, z) in grid(hy, hz) {
+                    put(-hx, y, z);
+                    put(hx, y, z);
+                }
+            }
+            Self::Cylinder {
+                centre_ned_m: [north, east, down],
+                radius_m,
+                half_height_m,
+            } => {
+                for (angle, z) in grid(std::f32::consts::PI, half_height_m) {
+                    let (sin, cos) = angle.sin_cos();
+                    points.push([north + radius_m * cos, east + radius_m * sin, down + z]);
+                }
+            }
+        }
+        points
+    }
+}
+
+/// A grid over ±`half_a` × ±`half_b`, about 0.3 apart and never more than 17 × 17, so that no scene is too large.
+fn grid(half_a: f32, half_b: f32) -> impl Iterator<Item = (f32, f32)> {
+    let steps = |half: f32| ((half / 0.15) as u8).clamp(1, 16);
+    let (na, nb) = (steps(half_a), steps(half_b));
+    let at = |i: u8, n: u8, half: f32| half * (2.0 * f32::from(i) / f32::from(n) - 1.0);
+    (0..=na).flat_map(move |i| (0..=nb).map(move |j| (at(i, na, half_a), at(j, nb, half_b))))
 }
 
 fn size(half_x: f32, half_y: f32, half_z: f32) -> Vector3 {
@@ -206,6 +344,16 @@ mod tests {
         std::fs::write(&path, "{ \"solids\": [\n{ \"cylinder\": { \"radius\": 1 } } ] }").unwrap();
         let error = Scene::load(&path).unwrap_err().to_string();
         assert!(error.contains("radius") && error.contains("line 2"), "{error}");
+        std::fs::write(
+            &path,
+            r#"{ "solids": [ { "cylinder": { "centre_ned_m": [0, 0, 1], "radius_m": 0, "half_height_m": 1 } } ] }"#,
+        )
+        .unwrap();
+        let error = Scene::load(&path).unwrap_err().to_string();
+        assert!(
+            error.contains("solid 0 has radius_m = 0; give a positive number"),
+            "{error}"
+        );
         assert!(matches!(
             Scene::load(&dir.path().join("none.json")),
             Err(SceneError::Io { .. })
@@ -224,5 +372,36 @@ mod tests {
         assert!((turn.w - 1.0).abs() < 1e-6 && turn.z.abs() < 1e-6, "{turn:?}");
         assert_eq!(wall.size.unwrap().x, 4.0);
         assert_eq!(update.entities[0].cylinders[0].size.unwrap().z, 4.0);
+    }
+
+    #[test]
+    fn the_points_lie_on_the_solids_faces() {
+        let solid = SceneSolid::Cuboid {
+            centre_ned_m: [8.0, -2.0, -1.5],
+            half_extents_m: [2.0, 0.1, 1.5],
+            yaw_rad: 0.7,
+        };
+        let (sin, cos) = 0.7_f32.sin_cos();
+        for [north, east, down] in solid.surface_points() {
+            let (n, e) = (north - 8.0, east + 2.0);
+            // Back into the box's own axes, as shares of its half extents.
+            let shares = [(cos * n + sin * e) / 2.0, (cos * e - sin * n) / 0.1, (down + 1.5) / 1.5];
+            let largest = shares.into_iter().fold(0.0, |m: f32, s| m.max(s.abs()));
+            assert!((largest - 1.0).abs() < 1e-4, "{shares:?}");
+        }
+        let cylinder = scene().solids[1];
+        assert!(cylinder.surface_points().len() > 100);
+        for [north, east, down] in cylinder.surface_points() {
+            assert!(((north - 5.0).hypot(east - 1.0) - 0.4).abs() < 1e-5 && (down + 2.0).abs() <= 2.0);
+        }
+        let cloud = scene().to_point_cloud(0);
+        let points: usize = scene().solids.iter().map(|s| s.surface_points().len()).sum();
+        assert_eq!(cloud.data.len(), 12 * points);
+        let huge = SceneSolid::Cylinder {
+            centre_ned_m: [0.0; 3],
+            radius_m: f32::INFINITY,
+            half_height_m: f32::NAN,
+        };
+        assert!(huge.surface_points().len() < 300);
     }
 }

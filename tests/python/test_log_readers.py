@@ -1,0 +1,206 @@
+"""Independent readers decode a flight log: the mcap package with the schemas in the file, and pymavlink the tlog.
+
+Without an argument the log is a made-up flight whose every number is known. VIGIL_LOG=FILE.mcap checks any other log,
+as far as its numbers need not be known.
+"""
+
+import math
+import os
+import struct
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("mcap", reason="runs in the environment of requirements-log.txt")
+
+from mcap.exceptions import EndOfFile  # noqa: E402
+from mcap.reader import make_reader  # noqa: E402
+from mcap.records import Message  # noqa: E402
+from mcap.stream_reader import StreamReader  # noqa: E402
+from mcap_protobuf.decoder import DecoderFactory  # noqa: E402
+from pymavlink import mavutil  # noqa: E402
+
+TOP = Path(__file__).resolve().parents[2]
+ROWS, COLS = 128, 256
+SCHEMAS = {
+    "/depth": "foxglove.RawImage",
+    "/tf": "foxglove.FrameTransform",
+    "/pose": "foxglove.PoseInFrame",
+    "/path": "foxglove.PosesInFrame",
+    "/goal": "foxglove.PoseInFrame",
+    "/scene": "foxglove.SceneUpdate",
+    "/scene/points": "foxglove.PointCloud",
+    "/log": "foxglove.Log",
+    "/status": "vigil.log.Status",
+    "/vigil/tick": "vigil.log.Tick",
+}
+STEPS = 240
+EPOCH_NS = 1_767_323_045_000_000_000
+STEP_NS = 50_000_000
+
+
+@pytest.fixture(scope="module")
+def sample_path(tmp_path_factory):
+    """A log of the made-up flight; its formulas are in firmware/log/examples/sample_log.rs."""
+    directory = tmp_path_factory.mktemp("log")
+    command = ["cargo", "run", "--quiet", "--release", "-p", "vigil-log", "--example", "sample_log"]
+    out = subprocess.run([*command, "--", str(directory)], cwd=TOP, check=True, capture_output=True, text=True)
+    return Path(out.stdout.strip())
+
+
+@pytest.fixture(scope="module")
+def any_path(request):
+    given = os.environ.get("VIGIL_LOG")
+    return Path(given) if given else request.getfixturevalue("sample_path")
+
+
+def read(path):
+    """Per topic, all messages as (MCAP message, decoded message)."""
+    topics = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert SCHEMAS[channel.topic] == schema.name
+            topics[channel.topic].append((message, decoded))
+        metadata = {m.name: m.metadata for m in reader.iter_metadata()}
+        statistics = reader.get_summary().statistics
+    return topics, metadata, statistics
+
+
+def mavlink_packets(tlog):
+    """Packets and bad bytes of a tlog as pymavlink reads it, with their times."""
+    log = mavutil.mavlink_connection(str(tlog))
+    while (message := log.recv_match()) is not None:
+        yield log.timestamp, message
+
+
+def test_any_log_is_decoded_by_the_schemas_it_carries(any_path):
+    topics, metadata, statistics = read(any_path)
+    ticks = topics["/vigil/tick"]
+    assert int(metadata["vigil.end"]["records"]) == len(ticks) == len(topics["/status"])
+    assert statistics.message_count == sum(map(len, topics.values()))
+    assert metadata["vigil"]["format"] == "1"
+    with_frame = [tick for _, tick in ticks if tick.HasField("frame")]
+    assert len(with_frame) == len(topics["/depth"]) > 0
+    for tick, (_, image) in zip(with_frame, topics["/depth"]):
+        assert (image.width, image.height, image.step, image.encoding) == (COLS, ROWS, 4 * COLS, "32FC1")
+        assert len(image.data) == 4 * ROWS * COLS
+        assert (tick.frame.rows, tick.frame.cols) == (ROWS, COLS)
+    for _, pose in topics["/pose"]:
+        q = pose.pose.orientation
+        assert math.isclose(q.w**2 + q.x**2 + q.y**2 + q.z**2, 1, abs_tol=0.05)
+
+
+def test_any_tlog_holds_the_packets_of_the_log(any_path):
+    topics, metadata, _ = read(any_path)
+    offset = int(metadata["vigil"]["epoch_offset_ns"])
+    datagrams = b"".join(d.data for _, tick in topics["/vigil/tick"] for d in [*tick.received, *tick.sent])
+    packets = 0
+    last = 0
+    for time, message in mavlink_packets(any_path.with_suffix(".tlog")):
+        assert bytes(message.get_msgbuf()) in datagrams
+        assert time >= last
+        last = time
+        packets += message.get_type() != "BAD_DATA"
+    first = topics["/vigil/tick"][0][1]
+    assert packets > len(topics["/vigil/tick"])
+    assert last >= (first.now_ns + offset) / 1e9 - 1e-3
+
+
+def test_the_depth_images_bits_are_the_frames(sample_path):
+    images = read(sample_path)[0]["/depth"]
+    assert len(images) == STEPS // 2
+    for n, (message, image) in enumerate(images):
+        step = 2 * n
+        expected = struct.pack(f"<{ROWS * COLS}f", *(((i + step) % 1000) / 1000 for i in range(ROWS * COLS)))
+        assert image.data == expected
+        assert message.sequence == step
+        assert message.log_time == EPOCH_NS + step * STEP_NS
+        assert image.timestamp.ToNanoseconds() == message.log_time
+
+
+def test_poses_are_in_a_z_up_map(sample_path):
+    topics = read(sample_path)[0]
+    assert len(topics["/pose"]) == len(topics["/tf"]) == STEPS
+    for step, ((_, pose), (_, tf)) in enumerate(zip(topics["/pose"], topics["/tf"])):
+        p, q = pose.pose.position, pose.pose.orientation
+        assert (p.x, p.z) == (0.5, 1.5) and math.isclose(p.y, 0.1 * step, rel_tol=1e-6, abs_tol=1e-9)
+        # Heading east with x pointing east: no turn.
+        assert math.isclose(abs(q.w), 1, rel_tol=1e-6)
+        assert (tf.parent_frame_id, tf.child_frame_id) == (pose.frame_id, "base_link")
+        assert tf.translation.x == p.x and tf.rotation.w == q.w
+    goal = topics["/goal"][0][1].pose.position
+    assert (goal.x, goal.y, goal.z) == (5, 20, 1.5)
+    path = topics["/path"][-1][1].poses
+    assert path[0].position.y == 0 and path[-1].position.y > 20 and len(path) > 50
+
+
+def test_the_scene_stands_where_the_solids_are(sample_path):
+    topics = read(sample_path)[0]
+    ((_, scene),) = topics["/scene"]
+    (entity,) = scene.entities
+    (cube,), (cylinder,) = entity.cubes, entity.cylinders
+    assert (cube.pose.position.x, cube.pose.position.y, cube.pose.position.z) == (-2, 8, 1.5)
+    assert (cube.size.y, cube.size.z) == (6, 3)
+    turn = 2 * math.atan2(cube.pose.orientation.z, cube.pose.orientation.w)
+    assert math.isclose(turn, math.pi / 2 - 0.4, rel_tol=1e-6)
+    assert (cylinder.pose.position.x, cylinder.size.z) == (3, 4)
+    ((_, cloud),) = topics["/scene/points"]
+    assert [(f.name, f.offset) for f in cloud.fields] == [("x", 0), ("y", 4), ("z", 8)] and cloud.point_stride == 12
+    points = list(struct.iter_unpack("<3f", cloud.data))
+    on_cylinder = [p for p in points if math.isclose(math.hypot(p[0] - 3, p[1] - 12), 0.4, rel_tol=1e-5)]
+    assert len(points) > 500 and len(on_cylinder) > 100
+    assert all(-1e-6 <= z <= 4.000001 for _, _, z in points)
+
+
+def test_ticks_and_status_tell_the_flight(sample_path):
+    topics, metadata, _ = read(sample_path)
+    assert metadata["vigil"]["config"] == "goal = [20.0, 5.0, 1.5]\n"
+    assert (metadata["vigil"]["seed"], metadata["vigil"]["instance"]) == ("42", "2")
+    for step, ((_, tick), (_, status)) in enumerate(zip(topics["/vigil/tick"], topics["/status"])):
+        guided = 20 <= step < 220
+        assert (tick.now_ns, tick.timing.step, status.step) == (step * STEP_NS, step, step)
+        assert tick.report.HasField("setpoint") == guided
+        assert math.isnan(status.setpoint_forward_m_s) != guided
+        assert status.state == ("ready" if step < 20 else "guided" if guided else "hold")
+        assert status.reasons == ("" if step < 220 else "goal reached")
+        assert tick.report.telemetry.kinematics.position_ned_m.z == -1.5
+        if guided:
+            assert tick.report.setpoint.yaw_rate_rad_s == -0.125
+            assert math.isclose(status.setpoint_yaw_rate_deg_s, math.degrees(-0.125))
+    lines = [line.message for _, line in topics["/log"]]
+    assert "guidance: ready → guided" in lines and "guidance: guided → hold (goal reached)" in lines
+
+
+def test_mavlogdump_reads_the_tlog(sample_path):
+    tlog = sample_path.with_suffix(".tlog")
+    counts = defaultdict(int)
+    for time, message in mavlink_packets(tlog):
+        counts[message.get_type()] += 1
+        if message.get_type() == "LOCAL_POSITION_NED":
+            assert math.isclose(time, EPOCH_NS / 1e9 + message.time_boot_ms / 1e3, abs_tol=1e-4)
+            assert math.isclose(message.x, message.time_boot_ms / 500, rel_tol=1e-6)
+    # One packet of every fiftieth step has a wrong checksum; it disturbs none of the others.
+    assert counts["HEARTBEAT"] == counts["LOCAL_POSITION_NED"] == STEPS
+    assert counts["SET_POSITION_TARGET_LOCAL_NED"] == STEPS
+    assert counts["BAD_DATA"] == 5
+    # The tool itself, not only its library.
+    tool = Path(sys.executable).with_name("mavlogdump.py")
+    command = [sys.executable, tool, "--types", "HEARTBEAT", tlog]
+    out = subprocess.run(command, env={**os.environ, "TZ": "UTC"}, check=True, capture_output=True, text=True)
+    assert len(out.stdout.splitlines()) == STEPS
+    assert out.stdout.startswith("2026-01-02")
+
+
+def test_a_cut_log_is_read_as_far_as_it_goes(sample_path, tmp_path):
+    whole = sample_path.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    messages = 0
+    with cut.open("rb") as file, pytest.raises(EndOfFile):
+        for record in StreamReader(file).records:
+            messages += isinstance(record, Message)
+    assert messages > 500
