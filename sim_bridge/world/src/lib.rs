@@ -11,6 +11,7 @@
 mod check;
 mod corridor;
 mod course;
+mod draw;
 mod file;
 mod generate;
 mod lidar;
@@ -24,6 +25,7 @@ pub use corridor::CORRIDOR_MARGIN_M;
 pub use course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
 };
+pub use draw::{FlightPath, Image, ImageError, draw};
 pub use file::CourseError;
 pub use generate::generate;
 pub use lidar::{

@@ -1,0 +1,227 @@
+//! A raster to draw on: shapes several times too large, for smooth edges, and text at its own size.
+
+use core::convert::Infallible;
+use embedded_graphics::pixelcolor::Rgb888;
+use embedded_graphics::prelude::*;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+/// Shapes are drawn this much larger in both directions and averaged.
+const OVERSAMPLING: usize = 3;
+
+/// An RGB picture, 8 bits a channel.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Image {
+    width: usize,
+    height: usize,
+    rgb: Vec<u8>,
+}
+
+/// Why a picture could not be written.
+#[derive(Debug, thiserror::Error)]
+#[error("cannot write picture {}: {source}", path.display())]
+pub struct ImageError {
+    /// The file.
+    pub path: PathBuf,
+    /// What went wrong.
+    pub source: png::EncodingError,
+}
+
+impl Image {
+    pub(crate) fn new(width: usize, height: usize, background: Rgb888) -> Self {
+        let pixel = [background.r(), background.g(), background.b()];
+        Self {
+            width,
+            height,
+            rgb: pixel.repeat(width * height),
+        }
+    }
+
+    /// A picture whose pixel in column `x`, row `y` is `colour(x, y)`: red, green, blue.
+    pub fn from_fn(width: usize, height: usize, colour: impl Fn(usize, usize) -> [u8; 3]) -> Self {
+        let rgb = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).flat_map(|(x, y)| colour(x, y)).collect();
+        Self { width, height, rgb }
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    /// Red, green and blue of each pixel, row by row from the top left.
+    pub fn rgb(&self) -> &[u8] {
+        &self.rgb
+    }
+
+    /// Writes the picture as a PNG file.
+    ///
+    /// # Errors
+    /// [`ImageError`] names the file and what the system said.
+    pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
+        let failed = |source| ImageError {
+            path: path.to_owned(),
+            source,
+        };
+        let file = File::create(path).map_err(|e| failed(e.into()))?;
+        // The sizes are a few thousand pixels at most.
+        let mut encoder = png::Encoder::new(BufWriter::new(file), self.width as u32, self.height as u32);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header().map_err(failed)?;
+        writer.write_image_data(&self.rgb).map_err(failed)?;
+        writer.finish().map_err(failed)
+    }
+}
+
+/// A picture in the making and the layer that shapes go to first.
+pub(crate) struct Canvas {
+    pub(crate) image: Image,
+    layer: Layer,
+}
+
+impl Canvas {
+    pub(crate) fn new(width: usize, height: usize, background: Rgb888) -> Self {
+        let (layer_width, layer_height) = (width * OVERSAMPLING, height * OVERSAMPLING);
+        Self {
+            image: Image::new(width, height, background),
+            layer: Layer {
+                width: layer_width,
+                height: layer_height,
+                pixels: vec![None; layer_width * layer_height],
+                touched: Touched::NOTHING,
+            },
+        }
+    }
+
+    /// Lays what `shapes` draws over the picture at an opacity of 0 to 1. Shapes of one layer do not shine through each other.
+    pub(crate) fn layer(&mut self, opacity: f32, shapes: impl FnOnce(&mut Layer)) {
+        shapes(&mut self.layer);
+        let touched = core::mem::replace(&mut self.layer.touched, Touched::NOTHING);
+        let whole = |from: usize, to: usize| from / OVERSAMPLING..to.div_ceil(OVERSAMPLING);
+        for y in whole(touched.top, touched.bottom) {
+            for x in whole(touched.left, touched.right) {
+                self.average(x, y, opacity);
+            }
+        }
+    }
+
+    /// Blends one pixel of the layer into the picture and clears it.
+    fn average(&mut self, x: usize, y: usize, opacity: f32) {
+        let mut sum = [0u32; 3];
+        let mut count = 0u32;
+        for dy in 0..OVERSAMPLING {
+            let start = (y * OVERSAMPLING + dy) * self.layer.width + x * OVERSAMPLING;
+            for sample in &mut self.layer.pixels[start..start + OVERSAMPLING] {
+                if let Some(c) = sample.take() {
+                    count += 1;
+                    for (total, channel) in sum.iter_mut().zip([c.r(), c.g(), c.b()]) {
+                        *total += u32::from(channel);
+                    }
+                }
+            }
+        }
+        if count == 0 {
+            return;
+        }
+        let share = opacity * count as f32 / (OVERSAMPLING * OVERSAMPLING) as f32;
+        let pixel = &mut self.image.rgb[3 * (y * self.image.width + x)..][..3];
+        for (old, total) in pixel.iter_mut().zip(sum) {
+            let new = total as f32 / count as f32;
+            *old = (f32::from(*old) + share * (new - f32::from(*old))).round() as u8;
+        }
+    }
+}
+
+/// The part of a layer that was drawn on; right and bottom are one beyond.
+struct Touched {
+    left: usize,
+    right: usize,
+    top: usize,
+    bottom: usize,
+}
+
+impl Touched {
+    const NOTHING: Self = Self {
+        left: usize::MAX,
+        right: 0,
+        top: usize::MAX,
+        bottom: 0,
+    };
+}
+
+/// Text and everything that needs no smoothing is drawn right onto the picture.
+impl DrawTarget for Image {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        for Pixel(at, colour) in pixels {
+            if let (Ok(x), Ok(y)) = (usize::try_from(at.x), usize::try_from(at.y))
+                && x < self.width
+                && y < self.height
+            {
+                self.rgb[3 * (y * self.width + x)..][..3].copy_from_slice(&[colour.r(), colour.g(), colour.b()]);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl OriginDimensions for Image {
+    fn size(&self) -> Size {
+        Size::new(self.width as u32, self.height as u32)
+    }
+}
+
+/// One layer of shapes, oversampled. Coordinates are those of the picture, as fractions of pixels.
+pub(crate) struct Layer {
+    width: usize,
+    height: usize,
+    pixels: Vec<Option<Rgb888>>,
+    touched: Touched,
+}
+
+impl Layer {
+    /// A point of the picture on this layer.
+    pub(crate) fn point(&self, [x, y]: [f32; 2]) -> Point {
+        let scale = OVERSAMPLING as f32;
+        Point::new((x * scale).round() as i32, (y * scale).round() as i32)
+    }
+
+    /// A length of the picture on this layer, at least one pixel.
+    pub(crate) fn length(&self, pixels: f32) -> u32 {
+        (pixels * OVERSAMPLING as f32).round().max(1.0) as u32
+    }
+}
+
+impl DrawTarget for Layer {
+    type Color = Rgb888;
+    type Error = Infallible;
+
+    fn draw_iter<I: IntoIterator<Item = Pixel<Rgb888>>>(&mut self, pixels: I) -> Result<(), Infallible> {
+        for Pixel(at, colour) in pixels {
+            if let (Ok(x), Ok(y)) = (usize::try_from(at.x), usize::try_from(at.y))
+                && x < self.width
+                && y < self.height
+            {
+                self.pixels[y * self.width + x] = Some(colour);
+                let t = &mut self.touched;
+                (t.left, t.right) = (t.left.min(x), t.right.max(x + 1));
+                (t.top, t.bottom) = (t.top.min(y), t.bottom.max(y + 1));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl OriginDimensions for Layer {
+    fn size(&self) -> Size {
+        Size::new(self.width as u32, self.height as u32)
+    }
+}
