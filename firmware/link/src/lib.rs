@@ -1,13 +1,28 @@
 //! Sans-IO MAVLink: framing and the guidance computer's side of the protocol.
 //!
-//! Bytes in, bytes out; time is an argument. Both ends of Vigil's link use [`framing`].
+//! Bytes in, bytes out; time is an argument. Both ends of Vigil's link use [`framing`]; [`Companion`] is the guidance
+//! computer's end.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
+mod autopilot;
+mod companion;
 pub mod framing;
+mod geography;
+mod handover;
+mod operator;
+mod report;
+mod sender;
+mod streams;
+mod time;
+mod tracker;
+mod vehicle;
 
+pub use autopilot::Flavour;
+pub use companion::{Companion, CompanionConfig, LinkCounters};
 pub use mavlink;
 pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};
+pub use operator::PendingRequest;

@@ -65,6 +65,48 @@ impl Command {
         })
     }
 
+    /// A COMMAND_LONG to component 1 (the autopilot) of `system`.
+    pub const fn to_autopilot(system: u8, number: u16, params: [f32; 7], confirmation: u8) -> Self {
+        Self {
+            number,
+            target_system: system,
+            target_component: 1,
+            params,
+            form: CommandForm::Long { confirmation },
+        }
+    }
+
+    /// Writes the command as a MAVLink 2 packet and returns its length.
+    ///
+    /// # Errors
+    /// [`SerializeError`].
+    pub fn serialize(&self, header: MavHeader, out: &mut [u8]) -> Result<usize, SerializeError> {
+        let mut payload = [0; 35];
+        let mut put = |offset: usize, bytes: &[u8]| {
+            if let Some(slot) = payload.get_mut(offset..offset + bytes.len()) {
+                slot.copy_from_slice(bytes);
+            }
+        };
+        for (i, p) in self.params.iter().enumerate() {
+            put(4 * i, &p.to_le_bytes());
+        }
+        put(28, &self.number.to_le_bytes());
+        put(30, &[self.target_system, self.target_component]);
+        let (message_id, len) = match self.form {
+            CommandForm::Long { confirmation } => {
+                put(32, &[confirmation]);
+                (COMMAND_LONG_DATA::ID, 33)
+            }
+            CommandForm::Int { frame, x, y } => {
+                put(16, &x.to_le_bytes());
+                put(20, &y.to_le_bytes());
+                put(32, &[frame]);
+                (COMMAND_INT_DATA::ID, 35)
+            }
+        };
+        serialize_payload(header, message_id, payload.get(..len).unwrap_or_default(), out)
+    }
+
     /// Parameter `number` (1 to 7), or `None` where there is no such parameter, it is NaN, or it is the integer of a
     /// COMMAND_INT.
     pub fn param(&self, number: usize) -> Option<f32> {

@@ -36,6 +36,10 @@ impl Zeroed<'_> {
         u16::from_le_bytes(self.bytes(offset))
     }
 
+    pub fn u32(&self, offset: usize) -> u32 {
+        u32::from_le_bytes(self.bytes(offset))
+    }
+
     pub fn i32(&self, offset: usize) -> i32 {
         i32::from_le_bytes(self.bytes(offset))
     }

@@ -240,6 +240,28 @@ fn commands_read_raw_equal_those_of_the_crates_parser() {
 }
 
 #[test]
+fn a_command_survives_the_way_to_bytes_and_back() {
+    let long = Command::to_autopilot(3, 54_321, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0], 2);
+    let int = Command {
+        form: CommandForm::Int {
+            frame: 6,
+            x: -7,
+            y: 473_977_420,
+        },
+        ..long
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = long.serialize(HEADER, &mut out).unwrap();
+    assert_eq!(scan(&out[..len]).0[0].command(), Some(long));
+    let len = int.serialize(HEADER, &mut out).unwrap();
+    let read = scan(&out[..len]).0[0].command().unwrap();
+    assert_eq!(
+        (read.form, read.number, read.params[6]),
+        (int.form, int.number, int.params[6])
+    );
+}
+
+#[test]
 fn trailing_zeros_that_were_cut_read_as_zero() {
     let bytes = bytes_of(&MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
         param1: 1.0,

@@ -1,0 +1,154 @@
+//! What differs between autopilots: mode numbers and the form of the hand-over's commands.
+
+use vigil_types::VehicleMode;
+
+/// MAV_CMD numbers that the guidance computer sends.
+pub(crate) mod command_number {
+    pub const NAV_LAND: u16 = 21;
+    pub const NAV_TAKEOFF: u16 = 22;
+    pub const DO_SET_MODE: u16 = 176;
+    pub const COMPONENT_ARM_DISARM: u16 = 400;
+    pub const SET_MESSAGE_INTERVAL: u16 = 511;
+    pub const REQUEST_MESSAGE: u16 = 512;
+
+    /// Name for a person.
+    pub fn name(number: u16) -> &'static str {
+        match number {
+            NAV_LAND => "land",
+            NAV_TAKEOFF => "take-off",
+            DO_SET_MODE => "mode",
+            COMPONENT_ARM_DISARM => "arm",
+            _ => "command",
+        }
+    }
+}
+
+/// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED: `custom_mode` means something.
+const CUSTOM_MODE_ENABLED: u8 = 1;
+
+/// Which autopilot flies the vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Flavour {
+    /// PX4, or a vehicle that speaks like it.
+    #[default]
+    Px4,
+    /// ArduPilot's Copter.
+    ArduPilot,
+}
+
+impl Flavour {
+    /// Name for a person.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Px4 => "PX4",
+            Self::ArduPilot => "ArduPilot",
+        }
+    }
+
+    /// The flavour that a heartbeat's MAV_AUTOPILOT names; `None` for generic and others.
+    pub const fn of_autopilot(mav_autopilot: u8) -> Option<Self> {
+        match mav_autopilot {
+            3 => Some(Self::ArduPilot),
+            12 => Some(Self::Px4),
+            _ => None,
+        }
+    }
+
+    /// The mode that a heartbeat tells.
+    pub const fn mode(self, base_mode: u8, custom_mode: u32) -> VehicleMode {
+        if base_mode & CUSTOM_MODE_ENABLED == 0 {
+            return VehicleMode::Other;
+        }
+        match self {
+            Self::Px4 => px4_mode(custom_mode),
+            Self::ArduPilot => copter_mode(custom_mode),
+        }
+    }
+
+    /// DO_SET_MODE's parameters 1 to 3 for the mode that obeys setpoints.
+    pub const fn external_mode(self) -> [f32; 3] {
+        match self {
+            // MAV_MODE_FLAG armed | custom, PX4's OFFBOARD.
+            Self::Px4 => [129.0, 6.0, 0.0],
+            // Copter's GUIDED.
+            Self::ArduPilot => [1.0, 4.0, 0.0],
+        }
+    }
+
+    /// What stands in command parameters that are not used.
+    pub const fn unused(self) -> f32 {
+        match self {
+            Self::Px4 => f32::NAN,
+            Self::ArduPilot => 0.0,
+        }
+    }
+}
+
+/// PX4: `main << 16 | sub << 24` (MAVLINK.md; px4_custom_mode.h).
+const fn px4_mode(custom_mode: u32) -> VehicleMode {
+    const OFFBOARD: u8 = 6;
+    const AUTO: u8 = 4;
+    let [_, _, main, sub] = custom_mode.to_le_bytes();
+    match (main, sub) {
+        (OFFBOARD, _) => VehicleMode::External,
+        (AUTO, 2) => VehicleMode::Takeoff,
+        (AUTO, 3) => VehicleMode::Hold,
+        (AUTO, 4) => VehicleMode::Mission,
+        (AUTO, 5) => VehicleMode::Return,
+        (AUTO, 6) => VehicleMode::Land,
+        _ => VehicleMode::Other,
+    }
+}
+
+/// Copter mode numbers: <https://ardupilot.org/copter/docs/parameters.html#fltmode1>.
+const fn copter_mode(custom_mode: u32) -> VehicleMode {
+    match custom_mode {
+        3 => VehicleMode::Mission,
+        4 => VehicleMode::External,
+        // LOITER, POSHOLD, BRAKE: hold their position when nobody moves the sticks.
+        5 | 16 | 17 => VehicleMode::Hold,
+        // RTL, SMART_RTL, AUTO_RTL.
+        6 | 21 | 27 => VehicleMode::Return,
+        9 => VehicleMode::Land,
+        _ => VehicleMode::Other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn px4_modes_are_told_apart() {
+        let mode = |main: u32, sub: u32| Flavour::Px4.mode(0x81, main << 16 | sub << 24);
+        assert_eq!(mode(6, 0), VehicleMode::External);
+        assert_eq!(mode(4, 3), VehicleMode::Hold);
+        assert_eq!(mode(4, 2), VehicleMode::Takeoff);
+        assert_eq!(mode(4, 4), VehicleMode::Mission);
+        assert_eq!(mode(4, 5), VehicleMode::Return);
+        assert_eq!(mode(4, 6), VehicleMode::Land);
+        assert_eq!(mode(3, 0), VehicleMode::Other);
+        assert_eq!(
+            Flavour::Px4.mode(0x80, 6 << 16),
+            VehicleMode::Other,
+            "without the flag the number means nothing"
+        );
+    }
+
+    #[test]
+    fn copter_modes_are_told_apart() {
+        let mode = |custom| Flavour::ArduPilot.mode(0x81, custom);
+        assert_eq!(mode(4), VehicleMode::External);
+        assert_eq!(mode(3), VehicleMode::Mission);
+        assert_eq!((mode(5), mode(17)), (VehicleMode::Hold, VehicleMode::Hold));
+        assert_eq!(
+            (mode(6), mode(9), mode(0)),
+            (VehicleMode::Return, VehicleMode::Land, VehicleMode::Other)
+        );
+        assert_eq!(
+            mode(4 << 16),
+            VehicleMode::Other,
+            "a PX4 number is not an ArduPilot number"
+        );
+    }
+}

@@ -1,0 +1,337 @@
+//! The guidance computer as a MAVLink component.
+
+use crate::autopilot::Flavour;
+use crate::framing::{Command, CommandAck, FramingCounters, Packet, packets};
+use crate::handover::Handover;
+use crate::operator::{PendingRequest, ReplyTo, decode, result, result_of};
+use crate::report;
+use crate::sender::Sender;
+use crate::streams::Streams;
+use crate::time;
+use crate::vehicle::Vehicle;
+use heapless::{Deque, Vec};
+use mavlink::MessageData;
+use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage, MavState};
+use vigil_types::{
+    Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, StepReport, VehicleRequest,
+    VehicleTelemetry, VelocitySetpoint,
+};
+
+/// The autopilot's component.
+const AUTOPILOT: u8 = 1;
+/// MAV_AUTOPILOT_INVALID: not a vehicle.
+const NO_AUTOPILOT: u8 = 8;
+const HEARTBEAT_NS: Nanos = 1_000_000_000;
+const VALUES_NS: Nanos = 250_000_000;
+/// Answers that one step can owe.
+const REPLIES: usize = 32;
+/// Requests that guidance can owe an answer to.
+const REQUESTS: usize = 8;
+
+/// Identity and vehicle of the guidance computer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CompanionConfig {
+    /// The vehicle's system; `None` takes the first vehicle whose heartbeat is heard.
+    pub system_id: Option<u8>,
+    /// The guidance computer's component.
+    pub component_id: u8,
+    /// The vehicle's autopilot.
+    pub flavour: Flavour,
+    /// Link to the vehicle; answers go back on the link that the question came from.
+    pub link: u8,
+}
+
+impl Default for CompanionConfig {
+    fn default() -> Self {
+        Self {
+            system_id: None,
+            // MAV_COMP_ID_ONBOARD_COMPUTER
+            component_id: 191,
+            flavour: Flavour::Px4,
+            link: 0,
+        }
+    }
+}
+
+/// What the link refused or dropped, since start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LinkCounters {
+    /// What the framing refused.
+    pub framing: FramingCounters,
+    /// Messages of interest that could not be read.
+    pub unreadable: u64,
+    /// Telemetry that came after newer telemetry.
+    pub late: u64,
+    /// Commands of operators answered with anything but ACCEPTED.
+    pub commands_refused: u64,
+    /// Answers dropped because one step owed too many.
+    pub replies_dropped: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Reply {
+    Ack(ReplyTo, u16, u8),
+    Time(u8, time::Answer),
+}
+
+/// The guidance computer's end of the link: keeps what the vehicle told, hands operators' requests to guidance, writes
+/// each step's packets. No clock, no allocation; one datagram may hold several packets, a packet is never split.
+#[derive(Debug, Clone)]
+pub struct Companion {
+    config: CompanionConfig,
+    sender: Sender,
+    vehicle: Vehicle,
+    handover: Handover,
+    streams: Streams,
+    counters: LinkCounters,
+    replies: Vec<Reply, REPLIES>,
+    requests: Deque<PendingRequest, REQUESTS>,
+    /// The vehicle's system, once known.
+    system_id: Option<u8>,
+    said: Option<(GuidanceState, Reasons)>,
+    heartbeat_ns: Option<Nanos>,
+    values_ns: Option<Nanos>,
+    streaming: bool,
+}
+
+impl Companion {
+    /// A companion that has heard nothing yet.
+    pub fn new(config: CompanionConfig) -> Self {
+        Self {
+            config,
+            // Until the vehicle is heard, 1: what a vehicle's system is unless somebody changed it.
+            sender: Sender::new(config.system_id.unwrap_or(1), config.component_id),
+            vehicle: Vehicle::new(config.flavour),
+            handover: Handover::new(config.flavour),
+            streams: Streams::new(config.flavour),
+            counters: LinkCounters::default(),
+            replies: Vec::new(),
+            requests: Deque::new(),
+            system_id: config.system_id,
+            said: None,
+            heartbeat_ns: None,
+            values_ns: None,
+            streaming: false,
+        }
+    }
+
+    /// What is known of the vehicle.
+    pub fn telemetry(&self) -> &VehicleTelemetry {
+        &self.vehicle.telemetry
+    }
+
+    /// How far the vehicle is with the hand-over.
+    pub fn handover(&self) -> HandoverProgress {
+        self.handover.progress()
+    }
+
+    /// How often the autopilot was seen to start anew.
+    pub fn vehicle_restarts(&self) -> u32 {
+        self.vehicle.restarts
+    }
+
+    /// The vehicle's system, once it is known.
+    pub fn system_id(&self) -> Option<u8> {
+        self.system_id
+    }
+
+    /// What was refused or dropped.
+    pub fn counters(&self) -> LinkCounters {
+        LinkCounters {
+            late: self.vehicle.late,
+            ..self.counters
+        }
+    }
+
+    /// Takes a datagram.
+    pub fn receive(&mut self, now_ns: Nanos, link: u8, datagram: &[u8]) {
+        let mut framing = self.counters.framing;
+        for packet in packets(datagram, &mut framing) {
+            self.packet(now_ns, link, &packet);
+        }
+        self.counters.framing = framing;
+    }
+
+    fn packet(&mut self, now_ns: Nanos, link: u8, packet: &Packet<'_>) {
+        self.learn_vehicle(packet);
+        if self.system_id == Some(packet.system_id()) && packet.component_id() == AUTOPILOT {
+            self.streams.note(now_ns, packet.message_id());
+            if !self.vehicle.receive(now_ns, packet) {
+                self.counters.unreadable += 1;
+            }
+            if let Some(ack) = packet.command_ack()
+                && self.is_for_me_or_all(ack.target_system, ack.target_component)
+            {
+                self.handover.acknowledge(now_ns, &ack);
+            }
+        }
+        let from = ReplyTo {
+            link,
+            system: packet.system_id(),
+            component: packet.component_id(),
+        };
+        if let Some(command) = packet.command() {
+            // Only what is addressed to this very component: a broadcast command is the vehicle's to answer.
+            if command.target_system == self.sender.system_id && command.target_component == self.sender.component_id {
+                self.command(&command, from);
+            }
+            return;
+        }
+        let me = (self.sender.system_id, self.sender.component_id);
+        if let Some(answer) = time::answer(now_ns, packet, me) {
+            self.reply(Reply::Time(link, answer));
+        }
+    }
+
+    /// The first autopilot whose heartbeat comes is the vehicle, unless its system is configured.
+    fn learn_vehicle(&mut self, packet: &Packet<'_>) {
+        // A heartbeat's sixth byte is its MAV_AUTOPILOT.
+        let names_autopilot = packet
+            .payload()
+            .get(5)
+            .is_some_and(|autopilot| *autopilot != NO_AUTOPILOT);
+        if self.system_id.is_none()
+            && packet.message_id() == HEARTBEAT_DATA::ID
+            && packet.component_id() == AUTOPILOT
+            && packet.system_id() != 0
+            && names_autopilot
+        {
+            self.system_id = Some(packet.system_id());
+            self.sender.system_id = packet.system_id();
+        }
+    }
+
+    fn is_for_me_or_all(&self, system: u8, component: u8) -> bool {
+        (system == 0 || system == self.sender.system_id) && (component == 0 || component == self.sender.component_id)
+    }
+
+    fn command(&mut self, command: &Command, reply: ReplyTo) {
+        match decode(command, &self.vehicle) {
+            Ok(request) => {
+                let pending = PendingRequest {
+                    request,
+                    command: command.number,
+                    reply,
+                };
+                if self.requests.push_back(pending).is_err() {
+                    self.acknowledge(reply, command.number, result::TEMPORARILY_REJECTED);
+                }
+            }
+            Err(mav_result) => self.acknowledge(reply, command.number, mav_result),
+        }
+    }
+
+    fn acknowledge(&mut self, reply: ReplyTo, command: u16, mav_result: u8) {
+        self.counters.commands_refused += u64::from(mav_result != result::ACCEPTED);
+        self.reply(Reply::Ack(reply, command, mav_result));
+    }
+
+    fn reply(&mut self, reply: Reply) {
+        if self.replies.push(reply).is_err() {
+            self.counters.replies_dropped += 1;
+        }
+    }
+
+    /// The next request of an operator; give guidance's answer to [`Companion::answer`].
+    pub fn take_request(&mut self) -> Option<PendingRequest> {
+        self.requests.pop_front()
+    }
+
+    /// Acknowledges a request.
+    pub fn answer(&mut self, pending: &PendingRequest, outcome: RequestOutcome) {
+        self.acknowledge(pending.reply, pending.command, result_of(outcome));
+    }
+
+    /// Writes this step's packets: `report` is what was decided, `request` what guidance asks of the vehicle.
+    pub fn emit(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
+        let now_ns = report.now_ns;
+        self.emit_replies(out);
+        if self
+            .heartbeat_ns
+            .is_none_or(|at_ns| now_ns.saturating_sub(at_ns) >= HEARTBEAT_NS)
+        {
+            self.heartbeat_ns = Some(now_ns);
+            self.say(out, &report::heartbeat(report::mav_state(report.state, report.reasons)));
+        }
+        self.streaming = report.setpoint.is_some() && self.system_id.is_some();
+        if let (Some(setpoint), Some(system)) = (&report.setpoint, self.system_id) {
+            self.say(out, &report::setpoint(now_ns, system, setpoint));
+        }
+        self.emit_commands(now_ns, request, out);
+        self.emit_status(report, out);
+    }
+
+    fn say(&mut self, out: &mut Datagrams, message: &MavMessage) {
+        self.sender.message(out, self.config.link, message);
+    }
+
+    fn emit_replies(&mut self, out: &mut Datagrams) {
+        let replies = core::mem::take(&mut self.replies);
+        for reply in &replies {
+            match reply {
+                Reply::Ack(to, command, mav_result) => {
+                    let ack = CommandAck {
+                        command: *command,
+                        result: *mav_result,
+                        target_system: to.system,
+                        target_component: to.component,
+                        ..CommandAck::default()
+                    };
+                    self.sender.ack(out, to.link, &ack);
+                }
+                Reply::Time(link, (message_id, payload)) => self.sender.payload(out, *link, *message_id, payload),
+            }
+        }
+    }
+
+    fn emit_commands(&mut self, now_ns: Nanos, request: VehicleRequest, out: &mut Datagrams) {
+        let action = self.handover.step(now_ns, request, self.streaming, &self.vehicle);
+        let Some(system) = self.system_id else { return };
+        if let Some((number, params, confirmation)) = action.send {
+            let command = Command::to_autopilot(system, number, params, confirmation);
+            self.sender.command(out, self.config.link, &command);
+        }
+        if let Some(trouble) = action.trouble {
+            self.say(out, &report::trouble_text(trouble, self.config.flavour));
+        }
+        if let Some((number, params)) = self.streams.step(now_ns, &self.vehicle) {
+            let command = Command::to_autopilot(system, number, params, 0);
+            self.sender.command(out, self.config.link, &command);
+        }
+    }
+
+    fn emit_status(&mut self, report: &StepReport, out: &mut Datagrams) {
+        let (now_ns, now) = (report.now_ns, (report.state, report.reasons));
+        let before = self.said.replace(now);
+        let due = self
+            .values_ns
+            .is_none_or(|at_ns| now_ns.saturating_sub(at_ns) >= VALUES_NS);
+        if due || before != Some(now) {
+            for message in &report::state_values(report) {
+                self.say(out, message);
+            }
+        }
+        if due {
+            self.values_ns = Some(now_ns);
+            for message in report::values(report) {
+                self.say(out, &message);
+            }
+        }
+        if before.map(|(state, _)| state) != Some(report.state) {
+            self.say(out, &report::state_text(report.state, report.reasons));
+        }
+    }
+
+    /// The last packets before the guidance computer falls silent: a zero setpoint, three times against loss, if it was
+    /// streaming (an autopilot may keep the last velocity for seconds), and word of it.
+    pub fn shutdown(&mut self, now_ns: Nanos, out: &mut Datagrams) {
+        if let (true, Some(system)) = (self.streaming, self.system_id) {
+            for _ in 0..3 {
+                self.say(out, &report::setpoint(now_ns, system, &VelocitySetpoint::HOLD));
+            }
+        }
+        self.streaming = false;
+        self.say(out, &report::heartbeat(MavState::MAV_STATE_POWEROFF));
+        self.say(out, &report::shutdown_text());
+    }
+}

@@ -1,0 +1,304 @@
+//! The hand-over of the vehicle to the guidance computer, and the way back to the ground.
+//!
+//! What to ask next follows in each step from the vehicle's own telemetry; nothing is assumed to have happened because it
+//! was acknowledged. The autopilots differ in the order of stages and in when they bear setpoints ([`Flavour`]).
+
+use crate::autopilot::{Flavour, command_number};
+use crate::framing::CommandAck;
+use crate::tracker::{Failure, Next, Tracker, Wanted};
+use crate::vehicle::Vehicle;
+use vigil_types::{HandoverProgress, Heartbeat, Landed, Nanos, VehicleMode, VehicleRequest};
+
+/// PX4 wants setpoints for this long before it changes to OFFBOARD.
+const PRE_STREAM_NS: Nanos = 1_000_000_000;
+/// Heartbeats come at 1 Hz: an accepted command may take this long to show.
+const EFFECT_NS: Nanos = 3_000_000_000;
+/// Motors spin up before a take-off shows.
+const TAKEOFF_EFFECT_NS: Nanos = 10_000_000_000;
+/// A land command that failed is asked again after this pause; there is nothing better to do.
+const LAND_PAUSE_NS: Nanos = 2_000_000_000;
+/// Height at which a vehicle that does not tell whether it has landed counts as being in the air.
+const AIRBORNE_HEIGHT_M: f32 = 0.5;
+/// How far below the asked height a climb counts as finished.
+const CLIMB_TOLERANCE_M: f32 = 0.3;
+
+/// What a failed command says of itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Trouble {
+    Command {
+        number: u16,
+        failure: Failure,
+    },
+    /// The vehicle names another autopilot than the configured one.
+    OtherAutopilot(Flavour),
+}
+
+/// What the hand-over wants in this step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Action {
+    /// A command to send: number, parameters, confirmation.
+    pub send: Option<(u16, [f32; 7], u8)>,
+    /// Something to tell people, once.
+    pub trouble: Option<Trouble>,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Stage {
+    Ask(Wanted),
+    Wait,
+    Done,
+}
+
+/// Follows one request of guidance.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Handover {
+    flavour: Flavour,
+    progress: HandoverProgress,
+    tracker: Tracker,
+    /// Whether the request of the last step was of this kind.
+    flying: bool,
+    landing: bool,
+    streaming_since_ns: Option<Nanos>,
+    /// A take-off was seen or accepted and has not reached its height.
+    climbing: bool,
+    land_failed_ns: Option<Nanos>,
+}
+
+impl Handover {
+    pub fn new(flavour: Flavour) -> Self {
+        Self {
+            flavour,
+            progress: HandoverProgress::Idle,
+            tracker: Tracker::default(),
+            flying: false,
+            landing: false,
+            streaming_since_ns: None,
+            climbing: false,
+            land_failed_ns: None,
+        }
+    }
+
+    pub fn progress(&self) -> HandoverProgress {
+        self.progress
+    }
+
+    pub fn acknowledge(&mut self, now_ns: Nanos, ack: &CommandAck) {
+        self.tracker.acknowledge(now_ns, ack);
+    }
+
+    /// One step. `streaming`: a setpoint is sent in it.
+    pub fn step(&mut self, now_ns: Nanos, request: VehicleRequest, streaming: bool, vehicle: &Vehicle) -> Action {
+        self.streaming_since_ns = if streaming {
+            self.streaming_since_ns.or(Some(now_ns))
+        } else {
+            None
+        };
+        match request {
+            VehicleRequest::None => {
+                self.end();
+                Action::default()
+            }
+            VehicleRequest::FlyExternal { takeoff_height_m } => {
+                if !self.flying {
+                    self.end();
+                    self.flying = true;
+                }
+                self.fly(now_ns, takeoff_height_m, vehicle)
+            }
+            VehicleRequest::Land => {
+                if !self.landing {
+                    self.end();
+                    self.landing = true;
+                }
+                self.land(now_ns, vehicle)
+            }
+        }
+    }
+
+    fn end(&mut self) {
+        self.tracker.reset();
+        self.progress = HandoverProgress::Idle;
+        (self.flying, self.landing, self.climbing) = (false, false, false);
+        self.land_failed_ns = None;
+    }
+
+    fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Action {
+        if self.progress == HandoverProgress::Failed {
+            return Action::default();
+        }
+        if let (true, Some(named)) = (vehicle.is_other_autopilot(), vehicle.named) {
+            return self.fail(Trouble::OtherAutopilot(named));
+        }
+        let stage = match self.flavour {
+            Flavour::Px4 => self.px4_stage(now_ns, takeoff_height_m, vehicle),
+            Flavour::ArduPilot => self.copter_stage(takeoff_height_m, vehicle),
+        };
+        self.progress = match stage {
+            Stage::Done => HandoverProgress::Done,
+            Stage::Ask(_) | Stage::Wait => HandoverProgress::InProgress {
+                // A Copter's take-off ends with the first setpoint.
+                stream_setpoints: self.flavour == Flavour::Px4,
+            },
+        };
+        let Stage::Ask(wanted) = stage else {
+            return Action::default();
+        };
+        match self.tracker.next(now_ns, &wanted) {
+            Next::Wait => Action::default(),
+            Next::Send(confirmation) => Action {
+                send: Some((wanted.number, wanted.params, confirmation)),
+                trouble: None,
+            },
+            Next::Failed(failure) => self.fail(Trouble::Command {
+                number: wanted.number,
+                failure,
+            }),
+        }
+    }
+
+    fn fail(&mut self, trouble: Trouble) -> Action {
+        self.progress = HandoverProgress::Failed;
+        Action {
+            send: None,
+            trouble: Some(trouble),
+        }
+    }
+
+    /// Arm, take off, stream, OFFBOARD.
+    fn px4_stage(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Stage {
+        let Some(heartbeat) = vehicle.telemetry.heartbeat else {
+            return Stage::Wait;
+        };
+        let airborne = is_airborne(vehicle);
+        if heartbeat.armed && airborne && heartbeat.mode == VehicleMode::External {
+            return Stage::Done;
+        }
+        if !heartbeat.armed {
+            return Stage::Ask(self.arm());
+        }
+        self.note_climb(takeoff_height_m, vehicle, &heartbeat);
+        if !airborne && heartbeat.mode != VehicleMode::Takeoff {
+            return Stage::Ask(self.take_off(takeoff_height_m, vehicle));
+        }
+        // A climb that ended below the asked height (the vehicle took its own) shows by its mode.
+        if heartbeat.mode == VehicleMode::Takeoff && self.climbing {
+            return Stage::Wait;
+        }
+        match self.streaming_since_ns {
+            Some(since_ns) if now_ns.saturating_sub(since_ns) >= PRE_STREAM_NS => Stage::Ask(self.external_mode()),
+            _ => Stage::Wait,
+        }
+    }
+
+    /// GUIDED, arm, take off.
+    fn copter_stage(&mut self, takeoff_height_m: f32, vehicle: &Vehicle) -> Stage {
+        let Some(heartbeat) = vehicle.telemetry.heartbeat else {
+            return Stage::Wait;
+        };
+        if heartbeat.mode != VehicleMode::External {
+            return Stage::Ask(self.external_mode());
+        }
+        if !heartbeat.armed {
+            return Stage::Ask(self.arm());
+        }
+        self.note_climb(takeoff_height_m, vehicle, &heartbeat);
+        match (is_airborne(vehicle), self.climbing) {
+            (false, _) => Stage::Ask(self.take_off(takeoff_height_m, vehicle)),
+            (true, true) => Stage::Wait,
+            (true, false) => Stage::Done,
+        }
+    }
+
+    fn note_climb(&mut self, takeoff_height_m: f32, vehicle: &Vehicle, heartbeat: &Heartbeat) {
+        self.climbing |= heartbeat.mode == VehicleMode::Takeoff
+            || vehicle.telemetry.landed == Landed::TakingOff
+            || self.tracker.is_accepted(command_number::NAV_TAKEOFF);
+        if height_m(vehicle).is_some_and(|height_m| height_m >= takeoff_height_m - CLIMB_TOLERANCE_M) {
+            self.climbing = false;
+        }
+    }
+
+    fn wanted(&self, number: u16, effect_ns: Nanos, set: &[(usize, f32)]) -> Wanted {
+        let mut params = [self.flavour.unused(); 7];
+        for (param, value) in set {
+            if let Some(slot) = param.checked_sub(1).and_then(|i| params.get_mut(i)) {
+                *slot = *value;
+            }
+        }
+        Wanted {
+            number,
+            params,
+            effect_ns,
+        }
+    }
+
+    fn arm(&self) -> Wanted {
+        // Parameter 2 set would force it.
+        self.wanted(command_number::COMPONENT_ARM_DISARM, EFFECT_NS, &[(1, 1.0), (2, 0.0)])
+    }
+
+    fn external_mode(&self) -> Wanted {
+        let [base, main, sub] = self.flavour.external_mode();
+        self.wanted(
+            command_number::DO_SET_MODE,
+            EFFECT_NS,
+            &[(1, base), (2, main), (3, sub)],
+        )
+    }
+
+    fn take_off(&self, takeoff_height_m: f32, vehicle: &Vehicle) -> Wanted {
+        let altitude_m = match self.flavour {
+            // Above sea level; unknown, the vehicle takes its own height.
+            Flavour::Px4 => vehicle.origin.map_or(f32::NAN, |origin| {
+                (origin.altitude_m + f64::from(takeoff_height_m)) as f32
+            }),
+            // Above home.
+            Flavour::ArduPilot => takeoff_height_m - vehicle.home_height_m,
+        };
+        self.wanted(command_number::NAV_TAKEOFF, TAKEOFF_EFFECT_NS, &[(7, altitude_m)])
+    }
+
+    fn land(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Action {
+        if vehicle.is_other_autopilot() {
+            return Action::default();
+        }
+        if let Some(failed_ns) = self.land_failed_ns {
+            if now_ns.saturating_sub(failed_ns) < LAND_PAUSE_NS {
+                return Action::default();
+            }
+            self.land_failed_ns = None;
+            self.tracker.reset();
+        }
+        let wanted = self.wanted(command_number::NAV_LAND, EFFECT_NS, &[]);
+        match self.tracker.next(now_ns, &wanted) {
+            Next::Wait => Action::default(),
+            Next::Send(confirmation) => Action {
+                send: Some((wanted.number, wanted.params, confirmation)),
+                trouble: None,
+            },
+            Next::Failed(failure) => {
+                self.land_failed_ns = Some(now_ns);
+                Action {
+                    send: None,
+                    trouble: Some(Trouble::Command {
+                        number: wanted.number,
+                        failure,
+                    }),
+                }
+            }
+        }
+    }
+}
+
+fn height_m(vehicle: &Vehicle) -> Option<f32> {
+    vehicle.telemetry.kinematics.map(|k| -k.position_ned_m.z)
+}
+
+/// Whether the vehicle is off the ground, by its own word, or by its height when it does not say.
+fn is_airborne(vehicle: &Vehicle) -> bool {
+    match vehicle.telemetry.landed {
+        Landed::OnGround => false,
+        Landed::InAir | Landed::TakingOff | Landed::Landing => true,
+        Landed::Unknown => height_m(vehicle).is_some_and(|height_m| height_m > AIRBORNE_HEIGHT_M),
+    }
+}

@@ -1,0 +1,62 @@
+//! Numbers and serialises what the guidance computer says.
+
+use crate::framing::{Command, CommandAck, MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
+use mavlink::MavHeader;
+use mavlink::dialects::common::MavMessage;
+use vigil_types::Datagrams;
+
+/// The guidance computer's identity and packet counter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Sender {
+    pub system_id: u8,
+    pub component_id: u8,
+    sequence: u8,
+}
+
+impl Sender {
+    pub fn new(system_id: u8, component_id: u8) -> Self {
+        Self {
+            system_id,
+            component_id,
+            sequence: 0,
+        }
+    }
+
+    pub fn message(&mut self, out: &mut Datagrams, link: u8, message: &MavMessage) {
+        self.push(out, link, |header, buffer| serialize(header, message, buffer));
+    }
+
+    pub fn command(&mut self, out: &mut Datagrams, link: u8, command: &Command) {
+        self.push(out, link, |header, buffer| command.serialize(header, buffer));
+    }
+
+    pub fn ack(&mut self, out: &mut Datagrams, link: u8, ack: &CommandAck) {
+        self.push(out, link, |header, buffer| ack.serialize(header, buffer));
+    }
+
+    pub fn payload(&mut self, out: &mut Datagrams, link: u8, message_id: u32, payload: &[u8]) {
+        self.push(out, link, |header, buffer| {
+            serialize_payload(header, message_id, payload, buffer)
+        });
+    }
+
+    /// One packet is one datagram. What does not fit is counted by `out`.
+    fn push(
+        &mut self,
+        out: &mut Datagrams,
+        link: u8,
+        serialize: impl FnOnce(MavHeader, &mut [u8]) -> Result<usize, SerializeError>,
+    ) {
+        let header = MavHeader {
+            system_id: self.system_id.into(),
+            component_id: self.component_id,
+            sequence: self.sequence,
+        };
+        let mut buffer = [0; MAX_PACKET_LEN];
+        // Cannot fail: the buffer holds any packet, the messages are the dialect's, the system id is a byte.
+        if let Ok(len) = serialize(header, &mut buffer) {
+            self.sequence = self.sequence.wrapping_add(1);
+            out.push(link, buffer.get(..len).unwrap_or_default());
+        }
+    }
+}
