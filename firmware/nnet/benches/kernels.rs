@@ -1,0 +1,170 @@
+//! Layer and actor timings: `cargo bench --profile release -p vigil-nnet`.
+
+use divan::counter::ItemsCount;
+use divan::{Bencher, black_box};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use vigil_nnet::{Activation, Actor, ActorSpec, Conv2d, Graph, Gru, Isa, Purpose};
+
+fn main() {
+    println!(
+        "processor offers: {:?}",
+        isas().iter().map(|i| i.name()).collect::<Vec<_>>()
+    );
+    divan::main();
+}
+
+fn isas() -> Vec<Isa> {
+    Isa::available().collect()
+}
+
+fn uniform(rng: &mut impl Rng, len: usize, limit: f32) -> Vec<f32> {
+    (0..len).map(|_| rng.random_range(-limit..limit)).collect()
+}
+
+fn values(len: usize, limit: f32) -> Vec<f32> {
+    uniform(&mut ChaCha8Rng::seed_from_u64(1), len, limit)
+}
+
+/// Names an instruction set in the table.
+#[derive(Clone, Copy)]
+struct Named(Isa);
+
+impl std::fmt::Display for Named {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.0.name())
+    }
+}
+
+fn sets() -> Vec<Named> {
+    isas().into_iter().map(Named).collect()
+}
+
+/// One convolution of the encoder on one instruction set.
+struct Layer(usize, Isa);
+
+impl std::fmt::Display for Layer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "conv {} {}", self.0 + 1, self.1.name())
+    }
+}
+
+fn layers() -> Vec<Layer> {
+    let each = |isa: Isa| (0..5).map(move |i| Layer(i, isa));
+    isas().into_iter().rev().flat_map(each).collect()
+}
+
+fn layer(i: usize) -> Conv2d {
+    ActorSpec::FULL.convolutions()[i]
+}
+
+// Items are floating-point operations, so that the throughput column reads in FLOP/s.
+fn flops(layer: &Conv2d) -> ItemsCount {
+    ItemsCount::new(2 * layer.macs())
+}
+
+#[divan::bench(args = layers())]
+fn convolution_forward(bencher: Bencher, case: &Layer) {
+    let layer = layer(case.0);
+    let (params, x) = (values(layer.param_len(), 0.1), values(layer.input_len(), 1.0));
+    let mut y = vec![0.0; layer.output_len()];
+    bencher.counter(flops(&layer)).bench_local(|| {
+        layer
+            .forward(case.1, &params, Activation::Identity, black_box(&x), None, &mut y)
+            .unwrap();
+    });
+}
+
+#[divan::bench(args = layers())]
+fn convolution_input_gradient(bencher: Bencher, case: &Layer) {
+    let layer = layer(case.0);
+    let (packed, dy) = (values(layer.param_len(), 0.1), values(layer.output_len(), 1.0));
+    let mut dx = vec![0.0; layer.input_len()];
+    let mut scratch = vec![0.0; layer.input_gradient_scratch_len()];
+    bencher.counter(flops(&layer)).bench_local(|| {
+        layer
+            .input_gradient(case.1, &packed, black_box(&dy), &mut dx, &mut scratch)
+            .unwrap();
+    });
+}
+
+#[divan::bench(args = layers())]
+fn convolution_weight_gradient(bencher: Bencher, case: &Layer) {
+    let layer = layer(case.0);
+    let (x, dy) = (values(layer.input_len(), 1.0), values(layer.output_len(), 1.0));
+    let mut d_params = vec![0.0; layer.param_len()];
+    bencher.counter(flops(&layer)).bench_local(|| {
+        layer
+            .weight_gradient(case.1, black_box(&x), &dy, &mut d_params)
+            .unwrap();
+    });
+}
+
+#[divan::bench(args = sets())]
+fn elu_of_131072(bencher: Bencher, isa: Named) {
+    let (x, mut y) = (values(131_072, 2.0), vec![0.0; 131_072]);
+    bencher.bench_local(|| Activation::Elu.apply(isa.0, black_box(&x), &mut y).unwrap());
+}
+
+#[divan::bench(args = sets())]
+fn gru_projection(bencher: Bencher, isa: Named) {
+    let gru = ActorSpec::FULL.gru();
+    let (params, x) = (values(gru.param_len(), 0.1), values(gru.inputs, 1.0));
+    let mut projection = vec![0.0; gru.projection_len()];
+    bencher.bench_local(|| gru.project(isa.0, &params, black_box(&x), &mut projection).unwrap());
+}
+
+#[divan::bench(args = sets())]
+fn gru_step(bencher: Bencher, isa: Named) {
+    let gru = Gru { inputs: 1, hidden: 48 };
+    let (params, projection) = (values(gru.param_len(), 0.1), values(gru.projection_len(), 1.0));
+    let (h, mut gates, mut out) = (values(48, 1.0), vec![0.0; gru.gates_len()], vec![0.0; 48]);
+    bencher.bench_local(|| {
+        gru.step(isa.0, &params, &projection, black_box(&h), &mut gates, &mut out)
+            .unwrap();
+    });
+}
+
+fn initial(graph: &Graph) -> Vec<f32> {
+    values(graph.param_len(), 0.08)
+}
+
+#[divan::bench(args = sets())]
+fn encoder_one_frame(bencher: Bencher, isa: Named) {
+    let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false).unwrap();
+    let (params, frame) = (initial(&graph), values(ActorSpec::FULL.frame_len(), 0.5));
+    let mut tape = vec![0.0; graph.tape_len()];
+    bencher.bench_local(|| graph.forward(isa.0, &params, &[black_box(&frame)], &mut tape).unwrap());
+}
+
+#[divan::bench(args = sets())]
+fn actor_one_new_frame(bencher: Bencher, isa: Named) {
+    let graph = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
+    let frame = values(ActorSpec::FULL.frame_len(), 0.5);
+    let mut actor = Actor::new(ActorSpec::FULL, isa.0, &initial(&graph)).unwrap();
+    bencher.bench_local(|| actor.decide(black_box(&frame), [0.3, 0.1]).unwrap());
+}
+
+/// 32 states of 5 frames, forward and backward with weight gradients, on one core: the actor's part of an update.
+#[divan::bench(args = sets(), sample_count = 5, sample_size = 1)]
+fn batch_32_forward_and_backward(bencher: Bencher, isa: Named) {
+    let graph = ActorSpec::FULL.graph(Purpose::Gradients, false).unwrap();
+    let params = initial(&graph);
+    let mut packed = vec![0.0; graph.param_len()];
+    let mut d_params = vec![0.0; graph.param_len()];
+    let mut tape = vec![0.0; graph.tape_len()];
+    let mut work = vec![0.0; graph.work_len()];
+    let frames: Vec<_> = (0..5).map(|_| values(ActorSpec::FULL.frame_len(), 0.5)).collect();
+    let position = [0.3, 0.1];
+    let mut inputs: Vec<&[f32]> = frames.iter().map(Vec::as_slice).collect();
+    inputs.push(&position);
+    bencher.bench_local(|| {
+        graph.pack(&params, &mut packed).unwrap();
+        for _ in 0..32 {
+            graph.forward(isa.0, &params, black_box(&inputs), &mut tape).unwrap();
+            graph
+                .backward(isa.0, &packed, &tape, &[1.0, -1.0], Some(&mut d_params), &mut work)
+                .unwrap();
+        }
+    });
+}

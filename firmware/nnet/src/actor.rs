@@ -1,0 +1,344 @@
+//! The actor: five depth frames and two positional values in, two outputs in ±1.5.
+//!
+//! Encoder per frame: convolution 5×5 of 16 filters, then four of 3×3 and 32 filters, all with stride 2 and ELU; GRU of
+//! 48 over the five frames' features; then, behind the split point of the paper, `tanh` of the state beside a positional
+//! branch (2 → 6, tanh), 32 ELU, and `1.5 · tanh` of two outputs: x-velocity, yaw.
+
+use crate::error::{ShapeError, expect, part, part_mut};
+use crate::graph::{Graph, GraphBuilder, NodeId, Params, Purpose};
+use crate::{Activation, Conv2d, Dense, Gru, Isa};
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Frames in one state (PAPER.md, "State").
+pub const ACTOR_FRAMES: usize = 5;
+/// Length of the split point (PAPER.md, "Actor").
+pub const ACTOR_HIDDEN: usize = 48;
+/// Positional inputs: distance and bearing of the goal, as normalised by whoever trained the actor.
+pub const ACTOR_POSITIONAL: usize = 2;
+/// Outputs: x-velocity and yaw in ±[`ACTOR_LIMIT`].
+pub const ACTOR_OUTPUTS: usize = 2;
+/// Limit of both outputs.
+pub const ACTOR_LIMIT: f32 = 1.5;
+
+/// Kernel, filters of each convolution; all have stride 2 and half the kernel as padding.
+const ENCODER: [(usize, usize); 5] = [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)];
+const POSITIONAL_UNITS: usize = 6;
+const DENSE_UNITS: usize = 32;
+
+/// The actor's dimensions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ActorSpec {
+    /// Rows of a frame.
+    pub rows: usize,
+    /// Columns of a frame.
+    pub cols: usize,
+    /// Whether the first layer turns normalised range into `1 / (1 + range / 3 m)` ([`Activation::NEAR_CONTRAST`]).
+    pub near_contrast: bool,
+}
+
+/// Where the actor's layers keep their parameters; all graphs of one actor share one parameter slice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ActorParams {
+    /// The five convolutions.
+    pub convolutions: [Params; 5],
+    /// The GRU.
+    pub gru: Params,
+    /// The positional branch, 2 → 6.
+    pub positional: Params,
+    /// 54 → 32.
+    pub dense: Params,
+    /// 32 → 2.
+    pub output: Params,
+}
+
+impl ActorSpec {
+    /// The actor for the depth frames of this project, 128 × 256.
+    pub const FULL: Self = Self {
+        rows: 128,
+        cols: 256,
+        near_contrast: true,
+    };
+
+    /// The five convolutions.
+    pub fn convolutions(&self) -> [Conv2d; 5] {
+        let (mut rows, mut cols, mut channels) = (self.rows, self.cols, 1);
+        ENCODER.map(|(kernel, filters)| {
+            let layer = Conv2d {
+                rows,
+                cols,
+                channels,
+                filters,
+                kernel,
+                stride: 2,
+                padding: kernel / 2,
+            };
+            (rows, cols, channels) = (rows.div_ceil(2), cols.div_ceil(2), filters);
+            layer
+        })
+    }
+
+    /// Values in a frame.
+    pub fn frame_len(&self) -> usize {
+        self.rows * self.cols
+    }
+
+    /// Values that the encoder makes of a frame, `[row][column][channel]`.
+    pub fn features(&self) -> usize {
+        let [.., last] = self.convolutions();
+        last.output_len()
+    }
+
+    /// The recurrent layer.
+    pub fn gru(&self) -> Gru {
+        Gru {
+            inputs: self.features(),
+            hidden: ACTOR_HIDDEN,
+        }
+    }
+
+    /// Reserves the parameters, in the order of the fields of [`ActorParams`].
+    pub fn reserve(&self, builder: &mut GraphBuilder) -> ActorParams {
+        ActorParams {
+            convolutions: self.convolutions().map(|layer| builder.params(layer.param_len())),
+            gru: builder.params(self.gru().param_len()),
+            positional: builder.params(POSITIONAL.param_len()),
+            dense: builder.params(DENSE.param_len()),
+            output: builder.params(OUTPUT.param_len()),
+        }
+    }
+
+    /// Adds the encoder of one frame; returns its features.
+    ///
+    /// # Errors
+    /// A frame of another size.
+    pub fn encode(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &ActorParams,
+        frame: NodeId,
+    ) -> Result<NodeId, ShapeError> {
+        let mut x = frame;
+        if self.near_contrast {
+            x = builder.activation(x, Activation::NEAR_CONTRAST)?;
+        }
+        for (layer, params) in self.convolutions().into_iter().zip(params.convolutions) {
+            x = builder.conv2d(x, layer, Activation::Elu, params)?;
+        }
+        Ok(x)
+    }
+
+    /// Adds the GRU over several frames' features, oldest first, from a zero state; returns its last state.
+    ///
+    /// # Errors
+    /// Features of another length.
+    pub fn recur(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &ActorParams,
+        features: &[NodeId],
+    ) -> Result<NodeId, ShapeError> {
+        let mut h = builder.zeros(ACTOR_HIDDEN)?;
+        for x in features {
+            h = builder.gru(*x, h, self.gru(), params.gru)?;
+        }
+        Ok(h)
+    }
+
+    /// Adds the second half model: GRU state and positional values to the outputs.
+    ///
+    /// # Errors
+    /// Nodes of other lengths.
+    pub fn head(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &ActorParams,
+        state: NodeId,
+        position: NodeId,
+    ) -> Result<NodeId, ShapeError> {
+        let state = builder.activation(state, Activation::TANH)?;
+        let position = builder.dense(position, POSITIONAL, Activation::TANH, params.positional)?;
+        let joined = builder.concat(&[state, position])?;
+        let hidden = builder.dense(joined, DENSE, Activation::Elu, params.dense)?;
+        let limit = Activation::Tanh { scale: ACTOR_LIMIT };
+        builder.dense(hidden, OUTPUT, limit, params.output)
+    }
+
+    /// The whole actor: inputs are the frames, oldest first, then the positional values.
+    ///
+    /// # Errors
+    /// A frame too small for the encoder.
+    pub fn graph(&self, purpose: Purpose, explained: bool) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let mut features = Vec::with_capacity(ACTOR_FRAMES);
+        for _ in 0..ACTOR_FRAMES {
+            let frame = b.input(self.frame_len(), explained)?;
+            features.push(self.encode(&mut b, &params, frame)?);
+        }
+        let position = b.input(ACTOR_POSITIONAL, explained)?;
+        let state = self.recur(&mut b, &params, &features)?;
+        let output = self.head(&mut b, &params, state, position)?;
+        b.finish(output, purpose)
+    }
+
+    /// Encoder and positional values only: one frame to its features.
+    ///
+    /// # Errors
+    /// A frame too small for the encoder.
+    pub fn encoder_graph(&self, purpose: Purpose, explained: bool) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let frame = b.input(self.frame_len(), explained)?;
+        let features = self.encode(&mut b, &params, frame)?;
+        b.finish(features, purpose)
+    }
+
+    /// The second half model: inputs are the GRU's state and the positional values.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn head_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let state = b.input(ACTOR_HIDDEN, true)?;
+        let position = b.input(ACTOR_POSITIONAL, true)?;
+        let output = self.head(&mut b, &params, state, position)?;
+        b.finish(output, purpose)
+    }
+}
+
+const POSITIONAL: Dense = Dense {
+    inputs: ACTOR_POSITIONAL,
+    outputs: POSITIONAL_UNITS,
+};
+const DENSE: Dense = Dense {
+    inputs: ACTOR_HIDDEN + POSITIONAL_UNITS,
+    outputs: DENSE_UNITS,
+};
+const OUTPUT: Dense = Dense {
+    inputs: DENSE_UNITS,
+    outputs: ACTOR_OUTPUTS,
+};
+
+/// A frozen actor in flight: encodes only the new frame and remembers what the four older ones gave the GRU.
+#[derive(Debug, Clone)]
+pub struct Actor {
+    spec: ActorSpec,
+    isa: Isa,
+    params: Vec<f32>,
+    layout: ActorParams,
+    encoder: Graph,
+    encoder_tape: Vec<f32>,
+    head: Graph,
+    head_tape: Vec<f32>,
+    /// What each remembered frame contributes to the GRU's gates; a ring of [`ACTOR_FRAMES`].
+    projections: Vec<f32>,
+    /// A frame was seen since the last reset.
+    started: bool,
+    /// Slot of the oldest frame.
+    oldest: usize,
+    gates: Vec<f32>,
+    state: [f32; ACTOR_HIDDEN],
+}
+
+impl Actor {
+    /// Takes the parameters (in the order of [`ActorSpec::reserve`]). Allocates; nothing after it does.
+    ///
+    /// # Errors
+    /// A parameter slice of another length.
+    pub fn new(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
+        let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
+        let head = spec.head_graph(Purpose::Gradients)?;
+        expect("actor parameters", params, head.param_len())?;
+        let layout = spec.reserve(&mut GraphBuilder::new());
+        Ok(Self {
+            isa,
+            params: params.to_vec(),
+            layout,
+            encoder_tape: vec![0.0; encoder.tape_len()],
+            encoder,
+            head_tape: vec![0.0; head.tape_len()],
+            head,
+            projections: vec![0.0; ACTOR_FRAMES * spec.gru().projection_len()],
+            started: false,
+            oldest: 0,
+            gates: vec![0.0; spec.gru().gates_len()],
+            state: [0.0; ACTOR_HIDDEN],
+            spec,
+        })
+    }
+
+    /// Forgets the frames.
+    pub fn reset(&mut self) {
+        self.started = false;
+        self.oldest = 0;
+    }
+
+    /// One decision: x-velocity and yaw in ±[`ACTOR_LIMIT`]. The first frame after a reset stands for the missing older
+    /// ones as well.
+    ///
+    /// # Errors
+    /// A frame of another size; nothing is remembered of it.
+    pub fn decide(
+        &mut self,
+        frame: &[f32],
+        position: [f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        let gru = self.spec.gru();
+        let len = gru.projection_len();
+        self.encoder
+            .forward(self.isa, &self.params, &[frame], &mut self.encoder_tape)?;
+        let features = self.encoder.output(&self.encoder_tape)?;
+        let gru_params = part(
+            "actor parameters",
+            &self.params,
+            self.layout.gru.at,
+            self.layout.gru.len,
+        )?;
+        let slot = part_mut("actor memory", &mut self.projections, self.oldest * len, len)?;
+        gru.project(self.isa, gru_params, features, slot)?;
+        if !self.started {
+            let newest = self.oldest * len..self.oldest * len + len;
+            for slot in 0..ACTOR_FRAMES {
+                self.projections.copy_within(newest.clone(), slot * len);
+            }
+            self.started = true;
+        }
+        self.oldest = (self.oldest + 1) % ACTOR_FRAMES;
+        self.state.fill(0.0);
+        for age in 0..ACTOR_FRAMES {
+            let slot = (self.oldest + age) % ACTOR_FRAMES;
+            let projection = part("actor memory", &self.projections, slot * len, len)?;
+            let previous = self.state;
+            gru.step(
+                self.isa,
+                gru_params,
+                projection,
+                &previous,
+                &mut self.gates,
+                &mut self.state,
+            )?;
+        }
+        self.head
+            .forward(self.isa, &self.params, &[&self.state, &position], &mut self.head_tape)?;
+        let mut action = [0.0; ACTOR_OUTPUTS];
+        action.copy_from_slice(self.head.output(&self.head_tape)?);
+        Ok(action)
+    }
+
+    /// The GRU's state of the last decision: the split point, input of the second half model.
+    pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
+        &self.state
+    }
+
+    /// The parameters.
+    pub fn params(&self) -> &[f32] {
+        &self.params
+    }
+
+    /// The dimensions.
+    pub fn spec(&self) -> ActorSpec {
+        self.spec
+    }
+}

@@ -1,0 +1,67 @@
+//! What can be wrong with a caller's buffers or a network's description.
+
+/// A buffer or a description that does not fit. Nothing was computed; the message says what to change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum ShapeError {
+    /// A slice is not as long as the layer's description says.
+    #[error("{what} holds {got} values, expected {expected}")]
+    Length {
+        /// Which slice.
+        what: &'static str,
+        /// Length required.
+        expected: usize,
+        /// Length given.
+        got: usize,
+    },
+    /// A layer's description is not usable (a zero size, a window larger than its padded input, an unknown node).
+    #[error("{what} is not a usable layer description: {why}")]
+    Description {
+        /// Which layer or node.
+        what: &'static str,
+        /// What is wrong.
+        why: &'static str,
+    },
+}
+
+/// Checks a slice's length.
+pub(crate) fn expect(what: &'static str, slice: &[f32], expected: usize) -> Result<(), ShapeError> {
+    if slice.len() == expected {
+        Ok(())
+    } else {
+        Err(ShapeError::Length {
+            what,
+            expected,
+            got: slice.len(),
+        })
+    }
+}
+
+/// `slice[offset..offset + len]`, or which slice is too short.
+pub(crate) fn part<'a>(
+    what: &'static str,
+    slice: &'a [f32],
+    offset: usize,
+    len: usize,
+) -> Result<&'a [f32], ShapeError> {
+    let got = slice.len();
+    slice.get(offset..offset + len).ok_or(ShapeError::Length {
+        what,
+        expected: offset + len,
+        got,
+    })
+}
+
+/// Like [`part`], writable.
+pub(crate) fn part_mut<'a>(
+    what: &'static str,
+    slice: &'a mut [f32],
+    offset: usize,
+    len: usize,
+) -> Result<&'a mut [f32], ShapeError> {
+    let got = slice.len();
+    slice.get_mut(offset..offset + len).ok_or(ShapeError::Length {
+        what,
+        expected: offset + len,
+        got,
+    })
+}

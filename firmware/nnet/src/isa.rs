@@ -1,0 +1,65 @@
+//! Which instruction set the kernels use.
+
+/// An instruction set that this processor is known to have.
+///
+/// The field is private, so that a value other than [`Isa::PORTABLE`] can only come from [`Isa::detect`] or
+/// [`Isa::available`]: the kernels rely on it when they run instructions the build's target does not promise.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Isa(pub(crate) Level);
+
+/// The kernels there are. On a target without vector kernels of its own only [`Level::Portable`] exists in practice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub(crate) enum Level {
+    /// Multiply, then add, four lanes at a time in whatever the target's baseline offers.
+    Portable,
+    /// 256-bit vectors with fused multiply-add.
+    #[cfg(target_arch = "x86_64")]
+    Avx2Fma,
+    /// 512-bit vectors with fused multiply-add and lane masks.
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Isa {
+    /// Runs everywhere.
+    pub const PORTABLE: Self = Self(Level::Portable);
+
+    /// The fastest kernels for this processor. Call it once at start and pass the value on.
+    #[cfg(feature = "std")]
+    pub fn detect() -> Self {
+        let mut best = Self::PORTABLE;
+        for isa in Self::available() {
+            best = isa;
+        }
+        best
+    }
+
+    /// All kernels that this processor can run, slowest first.
+    #[cfg(feature = "std")]
+    pub fn available() -> impl Iterator<Item = Self> {
+        #[cfg(target_arch = "x86_64")]
+        let vectors = {
+            let avx2 = std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma");
+            // The AVX-512 kernels are compiled with AVX2 and FMA as well, for what is not 512 bits wide.
+            let avx512 = avx2 && std::arch::is_x86_feature_detected!("avx512f");
+            [
+                avx2.then_some(Self(Level::Avx2Fma)),
+                avx512.then_some(Self(Level::Avx512)),
+            ]
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let vectors: [Option<Self>; 0] = [];
+        core::iter::once(Self::PORTABLE).chain(vectors.into_iter().flatten())
+    }
+
+    /// Name for logs and benchmarks.
+    pub fn name(self) -> &'static str {
+        match self.0 {
+            Level::Portable => "portable",
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx2Fma => "avx2+fma",
+            #[cfg(target_arch = "x86_64")]
+            Level::Avx512 => "avx512",
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! The only module with `unsafe`: one product kernel and a way to compile element-wise loops for each instruction set.
+//!
+//! Every layer that multiplies (convolution, dense, recurrent; forward, input gradient, weight gradient, multipliers)
+//! is one or a few [`Product`]s. A product checks, before it touches memory, that the furthest elements its strides can
+//! reach lie inside the slices it was given; the tiles below it work on raw pointers within that range.
+//!
+//! Each output is summed in the same order on every instruction set and for every tile shape, so AVX2 and AVX-512 give
+//! the same bits (both fuse), and the portable kernels differ from them only by the rounding of each product.
+
+#![allow(unsafe_code)]
+
+mod product;
+mod simd;
+
+pub(crate) use product::{Product, Start};
+
+use crate::isa::{Isa, Level};
+
+/// Element-wise work that is compiled once for each instruction set. [`Task::run`] is plain Rust, to be marked
+/// `#[inline(always)]`: the compiler vectorises its loops with what each set has and does not fuse, so all sets give the
+/// same bits.
+pub(crate) trait Task {
+    /// Does the work.
+    fn run(self);
+}
+
+/// Runs a task compiled for the instruction set.
+pub(crate) fn run<T: Task>(isa: Isa, task: T) {
+    match isa.0 {
+        Level::Portable => task.run(),
+        // SAFETY: an `Isa` of this level exists only where the processor has these features: its field is private and
+        // is set only after detection.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2Fma => unsafe { run_avx2(task) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 => unsafe { run_avx512(task) },
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn run_avx2<T: Task>(task: T) {
+    task.run();
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx2,fma")]
+fn run_avx512<T: Task>(task: T) {
+    task.run();
+}

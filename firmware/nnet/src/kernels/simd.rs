@@ -1,0 +1,184 @@
+//! Vectors of three widths behind one trait.
+
+/// A vector of [`Simd::LANES`] float32.
+///
+/// # Safety
+/// All methods may only be called where the implementor's instruction set exists; pointers must be valid for the lanes
+/// that are read or written (all of them, or the first `n`). No alignment is required.
+pub(super) trait Simd {
+    /// Register type.
+    type V: Copy;
+    /// Lanes in one register.
+    const LANES: usize;
+    /// Largest number of rows of accumulators beside two vectors of columns that the register file holds.
+    const ROWS_2: usize;
+    /// Largest number of rows beside one vector of columns.
+    const ROWS_1: usize;
+
+    unsafe fn splat(x: f32) -> Self::V;
+    unsafe fn load(p: *const f32) -> Self::V;
+    unsafe fn store(p: *mut f32, v: Self::V);
+    /// Reads the first `n` lanes; the rest are zero.
+    unsafe fn load_first(p: *const f32, n: usize) -> Self::V;
+    /// Writes the first `n` lanes.
+    unsafe fn store_first(p: *mut f32, v: Self::V, n: usize);
+    /// `a · b + c`, fused where the instruction set fuses.
+    unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+}
+
+/// Four lanes of plain Rust: SSE2 or NEON registers after optimisation.
+pub(super) struct Portable;
+
+impl Simd for Portable {
+    type V = [f32; 4];
+    const LANES: usize = 4;
+    const ROWS_2: usize = 4;
+    const ROWS_1: usize = 8;
+
+    #[inline(always)]
+    unsafe fn splat(x: f32) -> Self::V {
+        [x; 4]
+    }
+
+    #[inline(always)]
+    unsafe fn load(p: *const f32) -> Self::V {
+        // SAFETY: the caller vouches for four readable floats; an array of f32 has the alignment of f32.
+        unsafe { p.cast::<[f32; 4]>().read() }
+    }
+
+    #[inline(always)]
+    unsafe fn store(p: *mut f32, v: Self::V) {
+        // SAFETY: the caller vouches for four writable floats.
+        unsafe { p.cast::<[f32; 4]>().write(v) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
+        let mut v = [0.0; 4];
+        for (i, lane) in v.iter_mut().enumerate() {
+            if i < n {
+                // SAFETY: the caller vouches for the first `n`.
+                *lane = unsafe { p.add(i).read() };
+            }
+        }
+        v
+    }
+
+    #[inline(always)]
+    unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
+        for (i, lane) in v.iter().enumerate() {
+            if i < n {
+                // SAFETY: the caller vouches for the first `n`.
+                unsafe { p.add(i).write(*lane) };
+            }
+        }
+    }
+
+    #[inline(always)]
+    unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+        let [a0, a1, a2, a3] = a;
+        let [b0, b1, b2, b3] = b;
+        let [c0, c1, c2, c3] = c;
+        [a0 * b0 + c0, a1 * b1 + c1, a2 * b2 + c2, a3 * b3 + c3]
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub(super) use x86::{Avx2Fma, Avx512};
+
+#[cfg(target_arch = "x86_64")]
+mod x86 {
+    use super::Simd;
+    use core::arch::x86_64::*;
+
+    /// Eight lanes; sixteen registers.
+    pub(in super::super) struct Avx2Fma;
+
+    /// All ones in the first `n` of eight lanes.
+    #[inline(always)]
+    unsafe fn first(n: usize) -> __m256i {
+        // SAFETY: AVX2 exists where this is called.
+        unsafe {
+            let lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+            _mm256_cmpgt_epi32(_mm256_set1_epi32(n as i32), lane)
+        }
+    }
+
+    // SAFETY of the bodies below: the trait's contract gives the instruction set and the valid lanes.
+    impl Simd for Avx2Fma {
+        type V = __m256;
+        const LANES: usize = 8;
+        const ROWS_2: usize = 6;
+        const ROWS_1: usize = 8;
+
+        #[inline(always)]
+        unsafe fn splat(x: f32) -> Self::V {
+            unsafe { _mm256_set1_ps(x) }
+        }
+
+        #[inline(always)]
+        unsafe fn load(p: *const f32) -> Self::V {
+            unsafe { _mm256_loadu_ps(p) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(p: *mut f32, v: Self::V) {
+            unsafe { _mm256_storeu_ps(p, v) }
+        }
+
+        #[inline(always)]
+        unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
+            unsafe { _mm256_maskload_ps(p, first(n)) }
+        }
+
+        #[inline(always)]
+        unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
+            unsafe { _mm256_maskstore_ps(p, first(n), v) }
+        }
+
+        #[inline(always)]
+        unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            unsafe { _mm256_fmadd_ps(a, b, c) }
+        }
+    }
+
+    /// Sixteen lanes; thirty-two registers.
+    pub(in super::super) struct Avx512;
+
+    impl Simd for Avx512 {
+        type V = __m512;
+        const LANES: usize = 16;
+        const ROWS_2: usize = 8;
+        const ROWS_1: usize = 8;
+
+        #[inline(always)]
+        unsafe fn splat(x: f32) -> Self::V {
+            unsafe { _mm512_set1_ps(x) }
+        }
+
+        #[inline(always)]
+        unsafe fn load(p: *const f32) -> Self::V {
+            unsafe { _mm512_loadu_ps(p) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(p: *mut f32, v: Self::V) {
+            unsafe { _mm512_storeu_ps(p, v) }
+        }
+
+        #[inline(always)]
+        unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
+            unsafe { _mm512_maskz_loadu_ps(((1u32 << n) - 1) as u16, p) }
+        }
+
+        #[inline(always)]
+        unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
+            unsafe { _mm512_mask_storeu_ps(p, ((1u32 << n) - 1) as u16, v) }
+        }
+
+        #[inline(always)]
+        unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            unsafe { _mm512_fmadd_ps(a, b, c) }
+        }
+    }
+}

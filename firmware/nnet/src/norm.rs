@@ -1,0 +1,242 @@
+//! Batch normalisation.
+
+use crate::error::{ShapeError, expect, part, part_mut};
+use crate::isa::Isa;
+use crate::kernels::{self, Task};
+
+/// Normalises each channel (the fastest-running index).
+///
+/// Parameters, in this order: scale γ, shift β, running mean, running variance, `channels` each. In flight the running
+/// statistics are used, so the layer is affine and its multipliers are its gradient.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BatchNorm {
+    /// Channels.
+    pub channels: usize,
+    /// Added to the variance.
+    pub epsilon: f32,
+}
+
+/// The four rows of parameters.
+#[derive(Clone, Copy)]
+struct Params<'a> {
+    scale: &'a [f32],
+    shift: &'a [f32],
+    mean: &'a [f32],
+    variance: &'a [f32],
+}
+
+impl BatchNorm {
+    /// Number of parameters, running statistics included.
+    pub fn param_len(&self) -> usize {
+        4 * self.channels
+    }
+
+    fn split<'a>(&self, params: &'a [f32]) -> Result<Params<'a>, ShapeError> {
+        expect("batch norm parameters", params, self.param_len())?;
+        let row = |i: usize| part("batch norm parameters", params, i * self.channels, self.channels);
+        Ok(Params {
+            scale: row(0)?,
+            shift: row(1)?,
+            mean: row(2)?,
+            variance: row(3)?,
+        })
+    }
+
+    fn rows(&self, x: &[f32]) -> Result<usize, ShapeError> {
+        let rows = x.len() / self.channels.max(1);
+        expect("batch norm input", x, rows * self.channels)?;
+        Ok(rows)
+    }
+
+    /// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn forward(&self, isa: Isa, params: &[f32], x: &[f32], y: &mut [f32]) -> Result<(), ShapeError> {
+        let p = self.split(params)?;
+        self.rows(x)?;
+        expect("batch norm output", y, x.len())?;
+        let epsilon = self.epsilon;
+        kernels::run(isa, Affine { p, epsilon, x, y });
+        Ok(())
+    }
+
+    /// `dx = dy γ / √(variance + ε)`: the gradient, and the multipliers, of [`Self::forward`].
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn input_gradient(&self, isa: Isa, params: &[f32], dy: &[f32], dx: &mut [f32]) -> Result<(), ShapeError> {
+        let p = self.split(params)?;
+        self.rows(dy)?;
+        expect("batch norm input gradient", dx, dy.len())?;
+        let epsilon = self.epsilon;
+        kernels::run(isa, Slopes { p, epsilon, dy, dx });
+        Ok(())
+    }
+
+    /// Adds to `d_params` the gradient of [`Self::forward`] with respect to γ and β; running statistics are not learned.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn weight_gradient(
+        &self,
+        params: &[f32],
+        x: &[f32],
+        dy: &[f32],
+        d_params: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        let p = self.split(params)?;
+        self.rows(x)?;
+        expect("batch norm output gradient", dy, x.len())?;
+        expect("batch norm parameter gradient", d_params, self.param_len())?;
+        let (d_scale, rest) = d_params.split_at_mut_checked(self.channels).unwrap_or_default();
+        let d_shift = part_mut("batch norm parameter gradient", rest, 0, self.channels)?;
+        let width = self.channels.max(1);
+        for (x, dy) in x.chunks_exact(width).zip(dy.chunks_exact(width)) {
+            let statistics = p.mean.iter().zip(p.variance);
+            let slots = d_scale.iter_mut().zip(d_shift.iter_mut());
+            for ((x, dy), ((mean, variance), (d_scale, d_shift))) in x.iter().zip(dy).zip(statistics.zip(slots)) {
+                *d_scale += dy * (x - mean) / libm::sqrtf(variance + self.epsilon);
+                *d_shift += dy;
+            }
+        }
+        Ok(())
+    }
+
+    /// Training: normalises by the statistics of this batch, moves the running statistics in `params` towards them by
+    /// `momentum`, and leaves in `statistics` (2 `channels`: mean, 1/√(variance + ε)) what [`Self::train_backward`]
+    /// needs. The running variance is the unbiased one, as in PyTorch.
+    ///
+    /// # Errors
+    /// Slices that do not fit, or fewer than two rows.
+    pub fn train_forward(
+        &self,
+        params: &mut [f32],
+        momentum: f32,
+        x: &[f32],
+        y: &mut [f32],
+        statistics: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        self.split(params)?;
+        let rows = self.rows(x)?;
+        expect("batch norm output", y, x.len())?;
+        expect("batch norm statistics", statistics, 2 * self.channels)?;
+        if rows < 2 {
+            return Err(ShapeError::Description {
+                what: "batch norm",
+                why: "training needs at least two rows",
+            });
+        }
+        let width = self.channels;
+        for channel in 0..width {
+            let column = |x| <[f32]>::iter(x).skip(channel).step_by(width);
+            let mean = column(x).map(|x| f64::from(*x)).sum::<f64>() / rows as f64;
+            let square = column(x).map(|x| (f64::from(*x) - mean) * (f64::from(*x) - mean));
+            let sum = square.sum::<f64>();
+            let inverse = 1.0 / libm::sqrt(sum / rows as f64 + f64::from(self.epsilon));
+            let (mean, inverse, unbiased) = (mean as f32, inverse as f32, (sum / (rows - 1) as f64) as f32);
+            let mut params_of = params.iter_mut().skip(channel).step_by(width);
+            let (Some(scale), Some(shift), Some(run_mean), Some(run_variance)) =
+                (params_of.next(), params_of.next(), params_of.next(), params_of.next())
+            else {
+                continue;
+            };
+            *run_mean += momentum * (mean - *run_mean);
+            *run_variance += momentum * (unbiased - *run_variance);
+            for (slot, value) in statistics.iter_mut().skip(channel).step_by(width).zip([mean, inverse]) {
+                *slot = value;
+            }
+            for (y, x) in y.iter_mut().skip(channel).step_by(width).zip(column(x)) {
+                *y = *scale * (x - mean) * inverse + *shift;
+            }
+        }
+        Ok(())
+    }
+
+    /// Training: the gradient of [`Self::train_forward`], through the batch's statistics. Writes `dx`, adds to
+    /// `d_params`.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn train_backward(
+        &self,
+        params: &[f32],
+        statistics: &[f32],
+        x: &[f32],
+        dy: &[f32],
+        dx: &mut [f32],
+        d_params: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        let p = self.split(params)?;
+        let rows = self.rows(x)?;
+        expect("batch norm statistics", statistics, 2 * self.channels)?;
+        expect("batch norm output gradient", dy, x.len())?;
+        expect("batch norm input gradient", dx, x.len())?;
+        expect("batch norm parameter gradient", d_params, self.param_len())?;
+        let width = self.channels;
+        for (channel, scale) in p.scale.iter().enumerate() {
+            let column = |x| <[f32]>::iter(x).skip(channel).step_by(width);
+            let mut of = column(statistics);
+            let (Some(mean), Some(inverse)) = (of.next(), of.next()) else {
+                continue;
+            };
+            let (mut sum, mut along) = (0.0f64, 0.0f64);
+            for (x, dy) in column(x).zip(column(dy)) {
+                sum += f64::from(*dy);
+                along += f64::from(*dy) * f64::from((x - mean) * inverse);
+            }
+            for (slot, value) in d_params.iter_mut().skip(channel).step_by(width).zip([along, sum]) {
+                *slot += value as f32;
+            }
+            let (mean_d, mean_along) = ((sum / rows as f64) as f32, (along / rows as f64) as f32);
+            let slots = dx.iter_mut().skip(channel).step_by(width);
+            for (dx, (x, dy)) in slots.zip(column(x).zip(column(dy))) {
+                *dx = scale * inverse * (dy - mean_d - (x - mean) * inverse * mean_along);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// [`BatchNorm::forward`].
+struct Affine<'a> {
+    p: Params<'a>,
+    epsilon: f32,
+    x: &'a [f32],
+    y: &'a mut [f32],
+}
+
+impl Task for Affine<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let (p, epsilon) = (self.p, self.epsilon);
+        let width = p.scale.len().max(1);
+        for (x, y) in self.x.chunks_exact(width).zip(self.y.chunks_exact_mut(width)) {
+            let curve = p.scale.iter().zip(p.shift).zip(p.mean.iter().zip(p.variance));
+            for ((x, y), ((scale, shift), (mean, variance))) in x.iter().zip(y).zip(curve) {
+                *y = scale * (x - mean) / libm::sqrtf(variance + epsilon) + shift;
+            }
+        }
+    }
+}
+
+/// [`BatchNorm::input_gradient`].
+struct Slopes<'a> {
+    p: Params<'a>,
+    epsilon: f32,
+    dy: &'a [f32],
+    dx: &'a mut [f32],
+}
+
+impl Task for Slopes<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let (p, epsilon) = (self.p, self.epsilon);
+        let width = p.scale.len().max(1);
+        for (dy, dx) in self.dy.chunks_exact(width).zip(self.dx.chunks_exact_mut(width)) {
+            for ((dy, dx), (scale, variance)) in dy.iter().zip(dx).zip(p.scale.iter().zip(p.variance)) {
+                *dx = dy * scale / libm::sqrtf(variance + epsilon);
+            }
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Max pooling.
+
+use crate::error::{ShapeError, expect, part, part_mut};
+use crate::isa::Isa;
+use crate::kernels::{self, Task};
+
+/// The largest value of each window of one image `[row][column][channel]`, without padding; windows do not overlap.
+/// Rows and columns left over at the end are not looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MaxPool2d {
+    /// Input rows.
+    pub rows: usize,
+    /// Input columns.
+    pub cols: usize,
+    /// Channels.
+    pub channels: usize,
+    /// Side of a window, and the step between windows.
+    pub window: usize,
+}
+
+impl MaxPool2d {
+    /// Checks the description.
+    ///
+    /// # Errors
+    /// A zero size or a window larger than the image.
+    pub fn validate(&self) -> Result<(), ShapeError> {
+        if self.channels * self.window == 0 || self.window > self.rows.min(self.cols) {
+            return Err(ShapeError::Description {
+                what: "max pool",
+                why: "a size is zero or the window is larger than the image",
+            });
+        }
+        Ok(())
+    }
+
+    /// Output rows.
+    pub fn out_rows(&self) -> usize {
+        self.rows / self.window
+    }
+
+    /// Output columns.
+    pub fn out_cols(&self) -> usize {
+        self.cols / self.window
+    }
+
+    /// Values in the input image.
+    pub fn input_len(&self) -> usize {
+        self.rows * self.cols * self.channels
+    }
+
+    /// Values in the output image.
+    pub fn output_len(&self) -> usize {
+        self.out_rows() * self.out_cols() * self.channels
+    }
+
+    fn check(&self, x: &[f32], y: &[f32]) -> Result<(), ShapeError> {
+        self.validate()?;
+        expect("max pool input", x, self.input_len())?;
+        expect("max pool output", y, self.output_len())
+    }
+
+    /// Offsets of the window of each output pixel: its number and where its first value is.
+    fn windows(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let (cols, window, row) = (self.out_cols(), self.window, self.cols * self.channels);
+        let channels = self.channels;
+        (0..self.out_rows() * cols).map(move |o| (o, o / cols * window * row + o % cols * window * channels))
+    }
+
+    /// Offsets of the pixels within a window.
+    fn taps(&self) -> impl Iterator<Item = usize> + use<> {
+        let (window, row, channels) = (self.window, self.cols * self.channels, self.channels);
+        (0..window * window).map(move |t| t / window * row + t % window * channels)
+    }
+
+    /// `y`: the maximum of each window.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn forward(&self, isa: Isa, x: &[f32], y: &mut [f32]) -> Result<(), ShapeError> {
+        self.check(x, y)?;
+        for (o, first) in self.windows() {
+            let best = part_mut("max pool output", y, o * self.channels, self.channels)?;
+            best.copy_from_slice(part("max pool input", x, first, self.channels)?);
+            for tap in self.taps().skip(1) {
+                let x = part("max pool input", x, first + tap, self.channels)?;
+                kernels::run(isa, Larger { x, best });
+            }
+        }
+        Ok(())
+    }
+
+    /// Where in `x` the maximum of a window lies for one channel: the first of equals.
+    fn winner(&self, x: &[f32], first: usize, channel: usize, best: f32) -> usize {
+        self.taps()
+            .map(|tap| first + tap + channel)
+            .find(|at| x.get(*at).is_some_and(|x| *x == best))
+            .unwrap_or(first + channel)
+    }
+
+    /// `dx`: each output's gradient at the input that was the maximum.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn input_gradient(&self, x: &[f32], y: &[f32], dy: &[f32], dx: &mut [f32]) -> Result<(), ShapeError> {
+        self.check(x, y)?;
+        expect("max pool output gradient", dy, self.output_len())?;
+        expect("max pool input gradient", dx, self.input_len())?;
+        dx.fill(0.0);
+        for (o, first) in self.windows() {
+            for channel in 0..self.channels {
+                let at = o * self.channels + channel;
+                if let (Some(best), Some(d)) = (y.get(at), dy.get(at))
+                    && let Some(slot) = dx.get_mut(self.winner(x, first, channel, *best))
+                {
+                    *slot += d;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Multipliers: the change of a window's maximum is given to the pixel that is the maximum where the maximum is
+    /// larger (in `x` or in `x_ref`), divided by that pixel's change. This is the rule of the `shap` package's
+    /// PyTorch explainer, and additive.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn multipliers(
+        &self,
+        (x, y): (&[f32], &[f32]),
+        (x_ref, y_ref): (&[f32], &[f32]),
+        m_out: &[f32],
+        m_in: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        self.check(x, y)?;
+        self.check(x_ref, y_ref)?;
+        expect("max pool output multipliers", m_out, self.output_len())?;
+        expect("max pool input multipliers", m_in, self.input_len())?;
+        m_in.fill(0.0);
+        for (o, first) in self.windows() {
+            for channel in 0..self.channels {
+                let at = o * self.channels + channel;
+                let (Some(y), Some(y_ref), Some(m)) = (y.get(at), y_ref.get(at), m_out.get(at)) else {
+                    continue;
+                };
+                let winner = if y >= y_ref {
+                    self.winner(x, first, channel, *y)
+                } else {
+                    self.winner(x_ref, first, channel, *y_ref)
+                };
+                if let (Some(x), Some(x_ref), Some(slot)) = (x.get(winner), x_ref.get(winner), m_in.get_mut(winner)) {
+                    let dx = x - x_ref;
+                    *slot += if dx.abs() < crate::activation::RESCALE_THRESHOLD {
+                        0.0
+                    } else {
+                        m * (y - y_ref) / dx
+                    };
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// `best = max(best, x)`.
+struct Larger<'a> {
+    x: &'a [f32],
+    best: &'a mut [f32],
+}
+
+impl Task for Larger<'_> {
+    #[inline(always)]
+    fn run(self) {
+        for (best, x) in self.best.iter_mut().zip(self.x) {
+            // A value that is not a number wins, so that it is not hidden.
+            *best = if *x > *best || x.is_nan() { *x } else { *best };
+        }
+    }
+}

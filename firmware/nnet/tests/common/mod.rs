@@ -1,0 +1,169 @@
+//! What the tests share: a plain float64 implementation of every layer, and seeded values.
+#![allow(dead_code, reason = "each test binary uses its own part")]
+
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
+
+pub fn rng(seed: u64) -> ChaCha8Rng {
+    ChaCha8Rng::seed_from_u64(seed)
+}
+
+pub fn uniform(rng: &mut impl Rng, len: usize, limit: f32) -> Vec<f32> {
+    (0..len).map(|_| rng.random_range(-limit..limit)).collect()
+}
+
+pub fn wide(x: &[f32]) -> Vec<f64> {
+    x.iter().map(|x| f64::from(*x)).collect()
+}
+
+pub fn largest(x: &[f64]) -> f64 {
+    x.iter().fold(0.0, |m, x| m.max(x.abs()))
+}
+
+/// Largest absolute difference.
+pub fn distance(a: &[f32], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    a.iter().zip(b).fold(0.0, |m, (a, b)| {
+        if a.is_nan() {
+            f64::NAN
+        } else {
+            m.max((f64::from(*a) - b).abs())
+        }
+    })
+}
+
+pub fn activation(act: Activation, x: &[f64]) -> Vec<f64> {
+    let f = |x: f64| match act {
+        Activation::Identity => x,
+        Activation::Relu => x.max(0.0),
+        Activation::Elu => {
+            if x > 0.0 {
+                x
+            } else {
+                x.exp_m1()
+            }
+        }
+        Activation::Tanh { scale } => f64::from(scale) * x.tanh(),
+        Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+        Activation::NearContrast { gain } => 1.0 / (1.0 + f64::from(gain) * x),
+    };
+    x.iter().map(|x| f(*x)).collect()
+}
+
+pub fn dense(d: Dense, act: Activation, p: &[f64], x: &[f64]) -> Vec<f64> {
+    let (w, b) = p.split_at(d.inputs * d.outputs);
+    let mut y = Vec::new();
+    for row in x.chunks_exact(d.inputs) {
+        for o in 0..d.outputs {
+            y.push(b[o] + (0..d.inputs).map(|i| row[i] * w[i * d.outputs + o]).sum::<f64>());
+        }
+    }
+    activation(act, &y)
+}
+
+pub fn conv2d(c: Conv2d, act: Activation, p: &[f64], x: &[f64]) -> Vec<f64> {
+    let (w, b) = p.split_at(c.kernel * c.kernel * c.channels * c.filters);
+    let mut y = Vec::new();
+    for oy in 0..c.out_rows() {
+        for ox in 0..c.out_cols() {
+            for f in 0..c.filters {
+                let mut sum = b[f];
+                for ky in 0..c.kernel {
+                    for kx in 0..c.kernel {
+                        let (iy, ix) = (oy * c.stride + ky, ox * c.stride + kx);
+                        if iy < c.padding || ix < c.padding || iy >= c.rows + c.padding || ix >= c.cols + c.padding {
+                            continue;
+                        }
+                        let at = ((iy - c.padding) * c.cols + ix - c.padding) * c.channels;
+                        for ch in 0..c.channels {
+                            sum += x[at + ch] * w[((ky * c.kernel + kx) * c.channels + ch) * c.filters + f];
+                        }
+                    }
+                }
+                y.push(sum);
+            }
+        }
+    }
+    activation(act, &y)
+}
+
+pub fn max_pool(m: MaxPool2d, x: &[f64]) -> Vec<f64> {
+    let mut y = Vec::new();
+    for oy in 0..m.rows / m.window {
+        for ox in 0..m.cols / m.window {
+            for ch in 0..m.channels {
+                let pixels = (0..m.window * m.window).map(|t| {
+                    let (iy, ix) = (oy * m.window + t / m.window, ox * m.window + t % m.window);
+                    x[(iy * m.cols + ix) * m.channels + ch]
+                });
+                y.push(pixels.fold(f64::NEG_INFINITY, f64::max));
+            }
+        }
+    }
+    y
+}
+
+pub fn batch_norm(b: BatchNorm, p: &[f64], x: &[f64]) -> Vec<f64> {
+    let n = b.channels;
+    let at = |i: usize, x: f64| p[i] * (x - p[2 * n + i]) / (p[3 * n + i] + f64::from(b.epsilon)).sqrt() + p[n + i];
+    x.iter().enumerate().map(|(i, x)| at(i % n, *x)).collect()
+}
+
+/// `x M + b` with `M` row-major.
+fn affine(x: &[f64], m: &[f64], b: &[f64]) -> Vec<f64> {
+    let column = |o: usize| x.iter().enumerate().map(|(i, x)| x * m[i * b.len() + o]).sum::<f64>();
+    (0..b.len()).map(|o| b[o] + column(o)).collect()
+}
+
+pub fn sigmoid(x: f64) -> f64 {
+    1.0 / (1.0 + (-x).exp())
+}
+
+pub fn gru(g: Gru, p: &[f64], x: &[f64], h: &[f64]) -> Vec<f64> {
+    let n = g.hidden;
+    let (w, rest) = p.split_at(g.inputs * 3 * n);
+    let (u, rest) = rest.split_at(n * 3 * n);
+    let (b, c) = rest.split_at(3 * n);
+    let (a, s) = (affine(x, w, b), affine(h, u, c));
+    (0..n)
+        .map(|i| {
+            let (r, z) = (sigmoid(a[i] + s[i]), sigmoid(a[n + i] + s[n + i]));
+            let candidate = (a[2 * n + i] + r * s[2 * n + i]).tanh();
+            (1.0 - z) * candidate + z * h[i]
+        })
+        .collect()
+}
+
+pub fn lstm(l: Lstm, p: &[f64], x: &[f64], state: &[f64]) -> Vec<f64> {
+    let n = l.hidden;
+    let (h, c) = state.split_at(n);
+    let (w, rest) = p.split_at(l.inputs * 4 * n);
+    let (u, b) = rest.split_at(n * 4 * n);
+    let (a, s) = (affine(x, w, b), affine(h, u, &vec![0.0; 4 * n]));
+    let gate = |k: usize, i: usize| a[k * n + i] + s[k * n + i];
+    let curve = |x: f64| activation(l.cell, &[x])[0];
+    let c_out: Vec<f64> = (0..n)
+        .map(|i| sigmoid(gate(1, i)) * c[i] + sigmoid(gate(0, i)) * curve(gate(2, i)))
+        .collect();
+    let h_out = (0..n).map(|i| sigmoid(gate(3, i)) * curve(c_out[i]));
+    h_out.chain(c_out.iter().copied()).collect()
+}
+
+/// Central differences of `Σ weights · f` over every element of `at`.
+pub fn finite_differences(f: impl Fn(&[f64]) -> Vec<f64>, weights: &[f64], at: &[f64]) -> Vec<f64> {
+    let value = |x: &[f64]| -> f64 { f(x).iter().zip(weights).map(|(y, w)| y * w).sum() };
+    let mut x = at.to_vec();
+    (0..x.len())
+        .map(|i| {
+            let keep = x[i];
+            let h = 1e-5;
+            x[i] = keep + h;
+            let above = value(&x);
+            x[i] = keep - h;
+            let below = value(&x);
+            x[i] = keep;
+            (above - below) / (2.0 * h)
+        })
+        .collect()
+}

@@ -1,0 +1,107 @@
+//! Reference tensors in PyTorch's order, and their reordering into this crate's.
+#![allow(dead_code, reason = "each test binary uses its own part")]
+
+use safetensors::{Dtype, SafeTensors};
+use std::path::Path;
+use vigil_nnet::ActorSpec;
+
+/// The actor of the reference vectors: raw range, no contrast layer.
+pub const SPEC: ActorSpec = ActorSpec {
+    rows: 128,
+    cols: 256,
+    near_contrast: false,
+};
+
+/// One file of reference tensors.
+pub struct Tensors(Vec<u8>);
+
+impl Tensors {
+    pub fn load(name: &str) -> Self {
+        let own = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let data = [own.join("tests/data"), own.join("../firmware/nnet/tests/data")];
+        let file = data
+            .iter()
+            .map(|dir| dir.join(format!("{name}.safetensors")))
+            .find(|f| f.exists());
+        Self(std::fs::read(file.expect("reference vectors of the nnet crate")).unwrap())
+    }
+
+    pub fn get(&self, name: &str) -> Vec<f32> {
+        let file = SafeTensors::deserialize(&self.0).unwrap();
+        let tensor = file.tensor(name).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let pairs = || tensor.data().chunks_exact(2).map(|b| [b[0], b[1]]);
+        match tensor.dtype() {
+            Dtype::F32 => {
+                let words = tensor.data().chunks_exact(4);
+                words.map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+            }
+            Dtype::U16 => pairs().map(|b| f32::from(u16::from_le_bytes(b)) / 65535.0).collect(),
+            Dtype::I16 => pairs().map(|b| f32::from(i16::from_le_bytes(b)) * 1e-6).collect(),
+            other => panic!("{name} is {other:?}"),
+        }
+    }
+
+    pub fn shape(&self, name: &str) -> Vec<usize> {
+        let file = SafeTensors::deserialize(&self.0).unwrap();
+        file.tensor(name).unwrap().shape().to_vec()
+    }
+
+    /// A `Linear`'s weights and bias as `[inputs][outputs]`, bias.
+    pub fn dense(&self, name: &str) -> Vec<f32> {
+        let weights = transposed(
+            &self.get(&format!("{name}_weight")),
+            self.shape(&format!("{name}_weight"))[0],
+        );
+        [weights, self.get(&format!("{name}_bias"))].concat()
+    }
+
+    /// A `Conv2d`'s weights and bias as `[row][column][input][output]`, bias.
+    fn conv2d(&self, name: &str) -> Vec<f32> {
+        let weight = format!("{name}_weight");
+        let (w, shape) = (self.get(&weight), self.shape(&weight));
+        let (inputs, taps) = (shape[1], shape[2] * shape[3]);
+        let mut out = Vec::new();
+        for tap in 0..taps {
+            for i in 0..inputs {
+                for o in 0..shape[0] {
+                    out.push(w[(o * inputs + i) * taps + tap]);
+                }
+            }
+        }
+        [out, self.get(&format!("{name}_bias"))].concat()
+    }
+}
+
+/// `[rows][n]` to `[n][rows]`.
+pub fn transposed(w: &[f32], rows: usize) -> Vec<f32> {
+    let n = w.len() / rows;
+    (0..w.len()).map(|i| w[i % rows * n + i / rows]).collect()
+}
+
+/// Features of one frame from `[channel][pixel]` to `[pixel][channel]`.
+pub fn features(torch: &[f32]) -> Vec<f32> {
+    transposed(torch, 32)
+}
+
+/// All parameters of the reference actor in this crate's order.
+pub fn actor_params() -> Vec<f32> {
+    let t = Tensors::load("actor_weights");
+    let mut all: Vec<f32> = [0, 2, 4, 6, 8]
+        .iter()
+        .flat_map(|i| t.conv2d(&format!("first_enc_{i}")))
+        .collect();
+    // Each of the 144 rows holds 1024 features in channel-first order.
+    let input: Vec<f32> = t
+        .get("first_rnn_weight_ih_l0")
+        .chunks_exact(1024)
+        .flat_map(features)
+        .collect();
+    all.extend(transposed(&input, 144));
+    all.extend(transposed(&t.get("first_rnn_weight_hh_l0"), 144));
+    all.extend(t.get("first_rnn_bias_ih_l0"));
+    all.extend(t.get("first_rnn_bias_hh_l0"));
+    for layer in ["second_dp", "second_d1", "second_d2"] {
+        all.extend(t.dense(layer));
+    }
+    all
+}

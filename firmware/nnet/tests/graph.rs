@@ -1,0 +1,252 @@
+//! Networks: shared weights, shared nodes, what is computed, what is refused.
+
+mod common;
+
+use common::*;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use vigil_nnet::{Activation, ActorSpec, Dense, GraphBuilder, Gru, Isa, Lstm, Params, Purpose};
+
+/// Two windows over shared features, a shared GRU, a node used three times: every way an edge can meet another.
+#[test]
+fn gradients_of_shared_nodes_and_weights_add_up() {
+    let (first, gru_layer) = (Dense { inputs: 4, outputs: 3 }, Gru { inputs: 3, hidden: 3 });
+    let lstm_layer = Lstm {
+        inputs: 3,
+        hidden: 2,
+        cell: Activation::TANH,
+    };
+    let mut b = GraphBuilder::new();
+    let (p1, p2) = (b.params(first.param_len()), b.params(gru_layer.param_len()));
+    let p3 = b.params(lstm_layer.param_len());
+    let x: Vec<_> = (0..3).map(|_| b.input(4, true).unwrap()).collect();
+    let f: Vec<_> = x
+        .iter()
+        .map(|x| b.dense(*x, first, Activation::Elu, p1).unwrap())
+        .collect();
+    let zero = b.zeros(3).unwrap();
+    let h1 = b.gru(f[0], zero, gru_layer, p2).unwrap();
+    let h2 = b.gru(f[1], h1, gru_layer, p2).unwrap();
+    let h3 = b.gru(f[2], h2, gru_layer, p2).unwrap();
+    // A state as an input, an input as a state.
+    let h4 = b.gru(h2, f[1], gru_layer, p2).unwrap();
+    let cell = b.zeros(4).unwrap();
+    let s1 = b.lstm(f[2], cell, lstm_layer, p3).unwrap();
+    let s2 = b.lstm(h3, s1, lstm_layer, p3).unwrap();
+    let part = b.slice(s2, 1, 2).unwrap();
+    let output = b.concat(&[h4, part, h3, f[1], h2]).unwrap();
+    let graph = b.finish(output, Purpose::Multipliers).unwrap();
+
+    let oracle = |p: &[f64], x: &[f64]| -> Vec<f64> {
+        let (d, rest) = p.split_at(first.param_len());
+        let (g, l) = rest.split_at(gru_layer.param_len());
+        let f: Vec<_> = x.chunks_exact(4).map(|x| dense(first, Activation::Elu, d, x)).collect();
+        let h1 = gru(gru_layer, g, &f[0], &[0.0; 3]);
+        let h2 = gru(gru_layer, g, &f[1], &h1);
+        let h3 = gru(gru_layer, g, &f[2], &h2);
+        let h4 = gru(gru_layer, g, &h2, &f[1]);
+        let s1 = lstm(lstm_layer, l, &f[2], &[0.0; 4]);
+        let s2 = lstm(lstm_layer, l, &h3, &s1);
+        [h4, s2[1..3].to_vec(), h3, f[1].clone(), h2].concat()
+    };
+    let mut rng = rng(5);
+    let params = uniform(&mut rng, graph.param_len(), 0.7);
+    let (x, x_ref) = (uniform(&mut rng, 12, 1.0), uniform(&mut rng, 12, 1.0));
+    let weights = uniform(&mut rng, graph.output_len(), 1.0);
+    let isa = Isa::detect();
+    let mut packed = vec![0.0; graph.param_len()];
+    graph.pack(&params, &mut packed).unwrap();
+    let evaluate = |x: &[f32]| {
+        let mut tape = vec![f32::NAN; graph.tape_len()];
+        let views: Vec<&[f32]> = x.chunks_exact(4).collect();
+        graph.forward(isa, &params, &views, &mut tape).unwrap();
+        tape
+    };
+    let (tape, reference) = (evaluate(&x), evaluate(&x_ref));
+    let mut work = vec![f32::NAN; graph.work_len()];
+    let mut d_params = vec![0.0; graph.param_len()];
+    graph
+        .backward(isa, &packed, &tape, &weights, Some(&mut d_params), &mut work)
+        .unwrap();
+    let want = finite_differences(|p| oracle(p, &wide(&x)), &wide(&weights), &wide(&params));
+    assert!(distance(&d_params, &want) < 1e-5 * largest(&want).max(1.0));
+    let want = finite_differences(|x| oracle(&wide(&params), x), &wide(&weights), &wide(&x));
+    let got: Vec<f32> = (0..3)
+        .flat_map(|i| graph.input_gradient(&work, i).unwrap().to_vec())
+        .collect();
+    assert!(distance(&got, &want) < 1e-5 * largest(&want).max(1.0));
+
+    graph
+        .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
+        .unwrap();
+    let m: Vec<f32> = (0..3)
+        .flat_map(|i| graph.input_gradient(&work, i).unwrap().to_vec())
+        .collect();
+    let sum: f64 = m
+        .iter()
+        .zip(x.iter().zip(&x_ref))
+        .map(|(m, (x, r))| f64::from(m * (x - r)))
+        .sum();
+    let (now, then) = (oracle(&wide(&params), &wide(&x)), oracle(&wide(&params), &wide(&x_ref)));
+    let change: f64 = now
+        .iter()
+        .zip(&then)
+        .zip(&weights)
+        .map(|((a, b), w)| (a - b) * f64::from(*w))
+        .sum();
+    assert!((sum - change).abs() < 1e-5, "{sum} against {change}");
+}
+
+#[test]
+fn what_the_output_does_not_need_is_not_computed() {
+    let layer = Dense { inputs: 2, outputs: 2 };
+    let mut b = GraphBuilder::new();
+    let p = b.params(layer.param_len());
+    let (x, unused) = (b.input(2, true).unwrap(), b.input(2, true).unwrap());
+    let y = b.dense(x, layer, Activation::Identity, p).unwrap();
+    b.dense(unused, layer, Activation::Elu, p).unwrap();
+    let graph = b.finish(y, Purpose::Gradients).unwrap();
+    assert!(graph.is_explained(0) && !graph.is_explained(1));
+    let params = [1.0, 0.0, 0.0, 1.0, 0.5, 0.5];
+    let mut tape = vec![f32::NAN; graph.tape_len()];
+    // An input that nobody needs may hold anything, but not be left out.
+    graph
+        .forward(Isa::PORTABLE, &params, &[&[1.0, 2.0], &[f32::NAN; 2]], &mut tape)
+        .unwrap();
+    assert_eq!(graph.output(&tape).unwrap(), [1.5, 2.5]);
+    assert!(
+        graph
+            .forward(Isa::PORTABLE, &params, &[&[1.0, 2.0]], &mut tape)
+            .is_err()
+    );
+}
+
+#[test]
+fn an_input_that_is_not_explained_costs_no_gradient_but_weights_still_learn() {
+    let spec = ActorSpec {
+        rows: 32,
+        cols: 64,
+        near_contrast: true,
+    };
+    let gradient = |explained| {
+        let graph = spec.graph(Purpose::Gradients, explained).unwrap();
+        let mut rng = rng(9);
+        let params = uniform(&mut rng, graph.param_len(), 0.2);
+        let inputs: Vec<Vec<f32>> = (0..6).map(|i| uniform(&mut rng, graph.input_len(i), 0.9)).collect();
+        let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+        let (mut tape, mut packed) = (vec![0.0; graph.tape_len()], vec![0.0; graph.param_len()]);
+        graph.forward(Isa::detect(), &params, &views, &mut tape).unwrap();
+        graph.pack(&params, &mut packed).unwrap();
+        let mut work = vec![7.0; graph.work_len()];
+        let mut d_params = vec![0.0; graph.param_len()];
+        graph
+            .backward(
+                Isa::detect(),
+                &packed,
+                &tape,
+                &[1.0, 1.0],
+                Some(&mut d_params),
+                &mut work,
+            )
+            .unwrap();
+        (d_params, graph.input_gradient(&work, 0).unwrap().to_vec())
+    };
+    let ((with, reached), (without, left)) = (gradient(true), gradient(false));
+    assert_eq!(with, without);
+    assert!(reached.iter().all(|d| *d != 7.0) && left.iter().all(|d| *d == 7.0));
+}
+
+#[test]
+fn descriptions_that_do_not_fit_are_refused_with_the_numbers() {
+    let mut b = GraphBuilder::new();
+    let x = b.input(5, true).unwrap();
+    let layer = Dense { inputs: 4, outputs: 2 };
+    let p = b.params(layer.param_len());
+    let error = b.dense(x, layer, Activation::Elu, p).unwrap_err();
+    assert_eq!(error.to_string(), "dense input holds 5 values, expected 4");
+    let other = Params { at: 6, len: 10 };
+    let y = b.input(4, true).unwrap();
+    assert!(
+        b.dense(y, layer, Activation::Elu, other).is_err(),
+        "parameters past the end"
+    );
+    assert!(b.slice(x, 3, 3).is_err());
+    assert!(b.zeros(0).is_err());
+    let mut foreign = GraphBuilder::new();
+    assert!(
+        foreign.activation(x, Activation::Relu).is_err(),
+        "a node of another graph"
+    );
+    let layer = vigil_nnet::Conv2d {
+        rows: 2,
+        cols: 2,
+        channels: 1,
+        filters: 1,
+        kernel: 5,
+        stride: 1,
+        padding: 1,
+    };
+    assert!(layer.validate().is_err());
+    let out = b.dense(y, Dense { inputs: 4, outputs: 2 }, Activation::Elu, p).unwrap();
+    let graph = b.finish(out, Purpose::Gradients).unwrap();
+    let (tape, mut work) = (vec![0.0; graph.tape_len()], vec![0.0; graph.work_len()]);
+    let error = graph.multipliers(Isa::PORTABLE, &[0.0; 10], &tape, &tape, &[1.0; 2], &mut work);
+    assert!(
+        error.is_err(),
+        "tapes without values before the curves cannot give multipliers"
+    );
+}
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+/// The system's allocator, counting per thread.
+struct Counting;
+
+// SAFETY: passes everything on to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|n| n.set(n.get() + 1));
+        // SAFETY: the caller's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: the caller's.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn evaluating_a_network_does_not_allocate() {
+    let spec = ActorSpec {
+        rows: 32,
+        cols: 64,
+        near_contrast: true,
+    };
+    let graph = spec.graph(Purpose::Multipliers, true).unwrap();
+    let params = uniform(&mut rng(1), graph.param_len(), 0.2);
+    let frame = vec![0.3; spec.frame_len()];
+    let position = [0.1, 0.2];
+    let inputs: [&[f32]; 6] = [&frame, &frame, &frame, &frame, &frame, &position];
+    let (mut tape, mut packed) = (vec![0.0; graph.tape_len()], vec![0.0; graph.param_len()]);
+    let (mut work, mut d_params) = (vec![0.0; graph.work_len()], vec![0.0; graph.param_len()]);
+    let mut actor = vigil_nnet::Actor::new(spec, Isa::detect(), &params).unwrap();
+    for isa in Isa::available() {
+        let before = ALLOCATIONS.with(Cell::get);
+        graph.pack(&params, &mut packed).unwrap();
+        graph.forward(isa, &params, &inputs, &mut tape).unwrap();
+        graph
+            .backward(isa, &packed, &tape, &[1.0, 0.0], Some(&mut d_params), &mut work)
+            .unwrap();
+        graph
+            .multipliers(isa, &packed, &tape, &tape, &[0.0, 1.0], &mut work)
+            .unwrap();
+        actor.decide(&frame, position).unwrap();
+        assert_eq!(ALLOCATIONS.with(Cell::get), before, "{}", isa.name());
+    }
+}

@@ -1,0 +1,349 @@
+//! Each layer against a plain float64 implementation of its definition, on every instruction set: its value, its
+//! gradients against finite differences of that implementation, and the additivity of its multipliers.
+
+mod common;
+
+use common::*;
+use vigil_nnet::{
+    Activation, BatchNorm, Conv2d, Dense, GraphBuilder, Gru, Isa, Lstm, MaxPool2d, NodeId, Params, Purpose, ShapeError,
+};
+
+type Build = dyn Fn(&mut GraphBuilder, &[NodeId], Params) -> Result<NodeId, ShapeError>;
+/// Of parameters and inputs.
+type Oracle = dyn Fn(&[f64], &[&[f64]]) -> Vec<f64>;
+
+/// A layer under test: lengths of its inputs and parameters, and how to build it.
+struct Case<'a> {
+    name: &'a str,
+    inputs: &'a [usize],
+    params: usize,
+    /// How many of them, from the first, are learned (a running statistic is not).
+    learned: usize,
+    build: &'a Build,
+    /// Its definition in float64.
+    oracle: &'a Oracle,
+    /// Makes parameters valid (a variance is positive).
+    tame: &'a dyn Fn(&mut [f32]),
+}
+
+/// Relative to the largest value of the compared slice.
+const TOLERANCE: f64 = 5e-6;
+
+fn close(what: &str, got: &[f32], want: &[f64]) {
+    let scale = largest(want).max(1e-3);
+    let error = distance(got, want) / scale;
+    assert!(error < TOLERANCE, "{what}: off by {error:e} of {scale}");
+}
+
+impl Case<'_> {
+    fn check(&self) {
+        let mut b = GraphBuilder::new();
+        let params = b.params(self.params);
+        let nodes: Vec<NodeId> = self.inputs.iter().map(|len| b.input(*len, true).unwrap()).collect();
+        let output = (self.build)(&mut b, &nodes, params).unwrap();
+        let graph = b.finish(output, Purpose::Multipliers).unwrap();
+        let mut rng = rng(7);
+        let mut params = uniform(&mut rng, self.params, 0.3);
+        (self.tame)(&mut params);
+        let inputs: Vec<Vec<f32>> = self.inputs.iter().map(|n| uniform(&mut rng, *n, 1.0)).collect();
+        let references: Vec<Vec<f32>> = self.inputs.iter().map(|n| uniform(&mut rng, *n, 1.0)).collect();
+        let weights = uniform(&mut rng, graph.output_len(), 1.0);
+        let (params_wide, weights_wide) = (wide(&params), wide(&weights));
+        let inputs_wide: Vec<Vec<f64>> = inputs.iter().map(|x| wide(x)).collect();
+        let wide_slices = || inputs_wide.iter().map(Vec::as_slice).collect::<Vec<_>>();
+        let value = (self.oracle)(&params_wide, &wide_slices());
+        let d_params_want = finite_differences(|p| (self.oracle)(p, &wide_slices()), &weights_wide, &params_wide);
+        for isa in Isa::available() {
+            let name = format!("{} on {}", self.name, isa.name());
+            let mut tape = vec![f32::NAN; graph.tape_len()];
+            let mut reference = tape.clone();
+            let mut work = vec![f32::NAN; graph.work_len()];
+            let mut packed = vec![f32::NAN; graph.param_len()];
+            graph.pack(&params, &mut packed).unwrap();
+            let run = |inputs: &Vec<Vec<f32>>, tape: &mut [f32]| {
+                let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+                graph.forward(isa, &params, &views, tape).unwrap();
+            };
+            run(&inputs, &mut tape);
+            run(&references, &mut reference);
+            close(&format!("{name}: value"), graph.output(&tape).unwrap(), &value);
+
+            // Gradients are added to what is there.
+            let mut d_params = vec![1.0; self.params];
+            graph
+                .backward(isa, &packed, &tape, &weights, Some(&mut d_params), &mut work)
+                .unwrap();
+            d_params.iter_mut().for_each(|d| *d -= 1.0);
+            let (learned, fixed) = d_params.split_at(self.learned);
+            close(
+                &format!("{name}: weight gradient"),
+                learned,
+                &d_params_want[..self.learned],
+            );
+            assert!(
+                fixed.iter().all(|d| *d == 0.0),
+                "{name}: a running statistic got a gradient"
+            );
+            for (i, at) in inputs_wide.iter().enumerate() {
+                let of_input = |x: &[f64]| {
+                    let mut all = wide_slices();
+                    all[i] = x;
+                    (self.oracle)(&params_wide, &all)
+                };
+                let want = finite_differences(of_input, &weights_wide, at);
+                let got = graph.input_gradient(&work, i).unwrap();
+                close(&format!("{name}: gradient of input {i}"), got, &want);
+            }
+
+            graph
+                .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
+                .unwrap();
+            let mut sum = 0.0;
+            for (i, (x, x_ref)) in inputs.iter().zip(&references).enumerate() {
+                let m = graph.input_gradient(&work, i).unwrap();
+                for ((x, x_ref), m) in x.iter().zip(x_ref).zip(m) {
+                    sum += f64::from(*m) * (f64::from(*x) - f64::from(*x_ref));
+                }
+            }
+            let outputs = graph
+                .output(&tape)
+                .unwrap()
+                .iter()
+                .zip(graph.output(&reference).unwrap());
+            let change: f64 = outputs
+                .zip(&weights_wide)
+                .map(|((y, y0), w)| f64::from(y - y0) * w)
+                .sum();
+            assert!(
+                (sum - change).abs() < 1e-5,
+                "{name}: multipliers add up to {sum}, not {change}"
+            );
+
+            // Against itself every ratio is a derivative: the multipliers are the gradient.
+            let d = wide(graph.input_gradient(&work, 0).unwrap());
+            assert!(largest(&d) > 0.0, "{name}: all multipliers are zero");
+            graph
+                .multipliers(isa, &packed, &tape, &tape, &weights, &mut work)
+                .unwrap();
+            if self.name != "max pool" {
+                let of_input = |x: &[f64]| {
+                    let mut all = wide_slices();
+                    all[0] = x;
+                    (self.oracle)(&params_wide, &all)
+                };
+                let want = finite_differences(of_input, &weights_wide, &inputs_wide[0]);
+                close(
+                    &format!("{name}: multipliers against itself"),
+                    graph.input_gradient(&work, 0).unwrap(),
+                    &want,
+                );
+            }
+        }
+    }
+}
+
+fn curves() -> [Activation; 6] {
+    [
+        Activation::Identity,
+        Activation::Relu,
+        Activation::Elu,
+        Activation::Tanh { scale: 1.5 },
+        Activation::Sigmoid,
+        Activation::NearContrast { gain: 0.5 },
+    ]
+}
+
+#[test]
+fn dense_layers_of_odd_sizes_match_their_definition() {
+    for ((inputs, outputs, rows), act) in [(3, 2, 1), (17, 48, 1), (54, 33, 3), (5, 150, 2), (40, 1, 4), (6, 6, 2)]
+        .into_iter()
+        .zip(curves())
+    {
+        let layer = Dense { inputs, outputs };
+        Case {
+            name: "dense",
+            inputs: &[inputs * rows],
+            params: layer.param_len(),
+            learned: layer.param_len(),
+            build: &|b, x, p| b.dense(x[0], layer, act, p),
+            oracle: &|p, x| dense(layer, act, p, x[0]),
+            tame: &|_| {},
+        }
+        .check();
+    }
+}
+
+#[test]
+fn convolutions_of_many_shapes_match_their_definition() {
+    // rows, cols, channels, filters, kernel, stride, padding
+    let shapes = [
+        (12, 20, 1, 16, 5, 2, 2),
+        (9, 11, 3, 5, 3, 1, 1),
+        (4, 6, 16, 32, 3, 2, 1),
+        (5, 9, 5, 19, 3, 2, 1),
+        (6, 6, 2, 4, 4, 4, 0),
+        (2, 37, 6, 33, 1, 1, 0),
+        (3, 3, 7, 8, 3, 2, 2),
+        (9, 9, 2, 3, 3, 3, 1),
+        (4, 5, 1, 3, 2, 3, 1),
+    ];
+    for (i, (rows, cols, channels, filters, kernel, stride, padding)) in shapes.into_iter().enumerate() {
+        let layer = Conv2d {
+            rows,
+            cols,
+            channels,
+            filters,
+            kernel,
+            stride,
+            padding,
+        };
+        let act = curves()[i % 6];
+        Case {
+            name: &format!("{layer:?} {act:?}"),
+            inputs: &[layer.input_len()],
+            params: layer.param_len(),
+            learned: layer.param_len(),
+            build: &|b, x, p| b.conv2d(x[0], layer, act, p),
+            oracle: &|p, x| conv2d(layer, act, p, x[0]),
+            tame: &|_| {},
+        }
+        .check();
+    }
+}
+
+#[test]
+fn recurrent_steps_match_their_definition() {
+    let layer = Gru { inputs: 11, hidden: 7 };
+    Case {
+        name: "GRU",
+        inputs: &[11, 7],
+        params: layer.param_len(),
+        learned: layer.param_len(),
+        build: &|b, x, p| b.gru(x[0], x[1], layer, p),
+        oracle: &|p, x| gru(layer, p, x[0], x[1]),
+        tame: &|_| {},
+    }
+    .check();
+    for cell in [Activation::TANH, Activation::Relu] {
+        let layer = Lstm {
+            inputs: 9,
+            hidden: 5,
+            cell,
+        };
+        Case {
+            name: "LSTM",
+            inputs: &[9, 10],
+            params: layer.param_len(),
+            learned: layer.param_len(),
+            build: &|b, x, p| b.lstm(x[0], x[1], layer, p),
+            oracle: &|p, x| lstm(layer, p, x[0], x[1]),
+            tame: &|_| {},
+        }
+        .check();
+    }
+}
+
+#[test]
+fn pooling_and_normalisation_match_their_definition() {
+    let layer = MaxPool2d {
+        rows: 7,
+        cols: 10,
+        channels: 9,
+        window: 2,
+    };
+    Case {
+        name: "max pool",
+        inputs: &[layer.input_len()],
+        params: 0,
+        learned: 0,
+        build: &|b, x, _| b.max_pool2d(x[0], layer),
+        oracle: &|_, x| max_pool(layer, x[0]),
+        tame: &|_| {},
+    }
+    .check();
+    let layer = BatchNorm {
+        channels: 3,
+        epsilon: 1e-3,
+    };
+    Case {
+        name: "batch norm",
+        inputs: &[12],
+        params: layer.param_len(),
+        learned: 2 * layer.channels,
+        build: &|b, x, p| b.batch_norm(x[0], layer, p),
+        oracle: &|p, x| batch_norm(layer, p, x[0]),
+        tame: &|p| p[9..].iter_mut().for_each(|variance| *variance = variance.abs() + 0.1),
+    }
+    .check();
+}
+
+#[test]
+fn element_wise_curves_match_their_definition() {
+    for act in curves() {
+        Case {
+            name: "curve",
+            inputs: &[37],
+            params: 0,
+            learned: 0,
+            build: &|b, x, _| b.activation(x[0], act),
+            oracle: &|_, x| activation(act, x[0]),
+            tame: &|_| {},
+        }
+        .check();
+    }
+}
+
+#[test]
+fn normalisation_in_training_uses_and_remembers_the_batch() {
+    let layer = BatchNorm {
+        channels: 3,
+        epsilon: 1e-3,
+    };
+    let rows = 5;
+    let mut rng = rng(11);
+    let x = uniform(&mut rng, rows * 3, 1.0);
+    let weights = uniform(&mut rng, rows * 3, 1.0);
+    let mut params = uniform(&mut rng, 12, 1.0);
+    let before = params.clone();
+    let column = |x: &[f64], c: usize| x.iter().skip(c).step_by(3).copied().collect::<Vec<_>>();
+    let moments = |x: &[f64], c: usize| {
+        let column = column(x, c);
+        let mean = column.iter().sum::<f64>() / rows as f64;
+        (mean, column.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>())
+    };
+    let oracle = |p: &[f64], x: &[f64]| -> Vec<f64> {
+        let at = |(i, x_i): (usize, &f64)| {
+            let (mean, squares) = moments(x, i % 3);
+            p[i % 3] * (x_i - mean) / (squares / rows as f64 + 1e-3f32 as f64).sqrt() + p[3 + i % 3]
+        };
+        x.iter().enumerate().map(at).collect()
+    };
+    let (mut y, mut statistics) = (vec![0.0; 15], vec![0.0; 6]);
+    layer
+        .train_forward(&mut params, 0.1, &x, &mut y, &mut statistics)
+        .unwrap();
+    close("batch norm value", &y, &oracle(&wide(&params), &wide(&x)));
+    for c in 0..3 {
+        let (mean, squares) = moments(&wide(&x), c);
+        let running = |old: f32, new: f64| 0.9 * f64::from(old) + 0.1 * new;
+        close("running mean", &params[6 + c..7 + c], &[running(before[6 + c], mean)]);
+        close(
+            "running variance",
+            &params[9 + c..10 + c],
+            &[running(before[9 + c], squares / 4.0)],
+        );
+    }
+    let (mut dx, mut d_params) = (vec![0.0; 15], vec![0.0; 12]);
+    layer
+        .train_backward(&params, &statistics, &x, &weights, &mut dx, &mut d_params)
+        .unwrap();
+    let want = finite_differences(|x| oracle(&wide(&params), x), &wide(&weights), &wide(&x));
+    close("batch norm input gradient", &dx, &want);
+    let want = finite_differences(|p| oracle(p, &wide(&x)), &wide(&weights), &wide(&params));
+    close("batch norm weight gradient", &d_params[..6], &want[..6]);
+    assert!(
+        layer
+            .train_forward(&mut params, 0.1, &x[..3], &mut y[..3], &mut statistics)
+            .is_err()
+    );
+}
