@@ -40,7 +40,10 @@ impl Image {
 
     /// A picture whose pixel in column `x`, row `y` is `colour(x, y)`: red, green, blue.
     pub fn from_fn(width: usize, height: usize, colour: impl Fn(usize, usize) -> [u8; 3]) -> Self {
-        let rgb = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).flat_map(|(x, y)| colour(x, y)).collect();
+        let rgb = (0..height)
+            .flat_map(|y| (0..width).map(move |x| (x, y)))
+            .flat_map(|(x, y)| colour(x, y))
+            .collect();
         Self { width, height, rgb }
     }
 

@@ -14,7 +14,7 @@ use embedded_graphics::mono_font::ascii::{FONT_6X10, FONT_8X13, FONT_10X20};
 use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use embedded_graphics::primitives::{Circle, Line, Polyline, PrimitiveStyle, PrimitiveStyleBuilder, Triangle};
+use embedded_graphics::primitives::{Circle, Line, PrimitiveStyle, PrimitiveStyleBuilder, Triangle};
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 use vigil_types::NedVector;
 
@@ -403,14 +403,14 @@ fn path_colour(path: &FlightPath, index: usize) -> Rgb888 {
 }
 
 fn draw_path(layer: &mut Layer, view: &View, path: &FlightPath, colour: Rgb888) {
+    let (width, height) = (view.width as f32, view.height as f32);
     let finite = path.points_ned_m.iter().filter(|p| p.is_finite());
-    let points: Vec<[f32; 2]> = finite.map(|p| view.at(p.x, p.y)).collect();
-    let pixels: Vec<Point> = points.iter().map(|p| layer.point(*p)).collect();
-    drawn(
-        Polyline::new(&pixels)
-            .into_styled(stroke(layer, colour, 2.4))
-            .draw(layer),
-    );
+    // A flight that left the picture runs along its rim.
+    let points: Vec<[f32; 2]> = finite
+        .map(|p| view.at(p.x, p.y))
+        .map(|[x, y]| [x.clamp(0.0, width), y.clamp(0.0, height)])
+        .collect();
+    band(layer, &points, colour, 2.4);
     let Some(&[x, y]) = points.last() else {
         return;
     };

@@ -116,6 +116,39 @@ impl TileCaster {
     }
 }
 
+/// The rays of one ring of a tile, field by field, so that vector code loads them without shuffling.
+#[derive(Default)]
+struct Rays {
+    x: [f32; TILE_FIRINGS],
+    y: [f32; TILE_FIRINGS],
+    inverse_z: [f32; TILE_FIRINGS],
+    plan2: [f32; TILE_FIRINGS],
+    inverse_plan2: [f32; TILE_FIRINGS],
+}
+
+impl Rays {
+    #[inline(always)]
+    fn set(&mut self, k: usize, direction: (f32, f32, f32)) {
+        let ray = Ray::new(direction);
+        self.x[k] = ray.x;
+        self.y[k] = ray.y;
+        self.inverse_z[k] = ray.inverse_z;
+        self.plan2[k] = ray.plan2;
+        self.inverse_plan2[k] = ray.inverse_plan2;
+    }
+
+    #[inline(always)]
+    fn get(&self, k: usize) -> Ray {
+        Ray {
+            x: self.x[k],
+            y: self.y[k],
+            inverse_z: self.inverse_z[k],
+            plan2: self.plan2[k],
+            inverse_plan2: self.inverse_plan2[k],
+        }
+    }
+}
+
 vectorised! {
     /// Casts the beams of one tile against the solids that may be seen in it.
     fn cast_tile(
@@ -142,27 +175,29 @@ fn cast_tile_body(
     let cos_bearing: &[f32; TILE_FIRINGS] = beams.cos_bearing[first..].first_chunk().expect("a whole tile");
     for ring in band * TILE_RINGS..(band + 1) * TILE_RINGS {
         let (sin_elevation, cos_elevation) = (beams.sin_elevation[ring], beams.cos_elevation[ring]);
-        let rays: [Ray; TILE_FIRINGS] = core::array::from_fn(|k| {
-            Ray::new(
+        let mut rays = Rays::default();
+        for k in 0..TILE_FIRINGS {
+            rays.set(
+                k,
                 scene
                     .rotation
                     .beam(sin_elevation, cos_elevation, sin_bearing[k], cos_bearing[k]),
-            )
-        });
+            );
+        }
         let out: &mut [f32; TILE_FIRINGS] = ranges[ring * LIDAR_FIRINGS + first..]
             .first_chunk_mut()
             .expect("a whole tile");
         for k in 0..TILE_FIRINGS {
-            out[k] = scene.planes_range_m(&rays[k]);
+            out[k] = scene.planes_range_m(&rays.get(k));
         }
         for leaf in cuboids {
             for k in 0..TILE_FIRINGS {
-                out[k] = lesser(leaf.range_m(&rays[k]), out[k]);
+                out[k] = lesser(leaf.range_m(&rays.get(k)), out[k]);
             }
         }
         for leaf in cylinders {
             for k in 0..TILE_FIRINGS {
-                out[k] = lesser(leaf.range_m(&rays[k]), out[k]);
+                out[k] = lesser(leaf.range_m(&rays.get(k)), out[k]);
             }
         }
     }

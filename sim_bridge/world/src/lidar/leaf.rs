@@ -80,11 +80,11 @@ pub(crate) struct Ray {
     pub(crate) x: f32,
     pub(crate) y: f32,
     /// 1 / z.
-    inverse_z: f32,
+    pub(crate) inverse_z: f32,
     /// x² + y².
-    plan2: f32,
+    pub(crate) plan2: f32,
     /// 1 / (x² + y²).
-    inverse_plan2: f32,
+    pub(crate) inverse_plan2: f32,
 }
 
 impl Ray {
