@@ -1,1 +1,12 @@
-//! The simulator: world, vehicle, LiDAR and MAVLink endpoint in one clock.
+//! The simulator: world, vehicle, LiDAR and MAVLink endpoint in one clock, in lockstep or in real time.
+
+mod companion_view;
+mod config;
+pub mod lockstep;
+pub mod program;
+mod simulator;
+mod udp;
+
+pub use companion_view::CompanionView;
+pub use config::{ConfigError, CourseChoice, FamilyName, Models, SimConfig, Start};
+pub use simulator::{Ending, LIDAR_SENSOR_ID, STEP_MS, Simulator};

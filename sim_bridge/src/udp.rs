@@ -69,13 +69,19 @@ pub struct UdpLinks {
 
 impl std::fmt::Debug for UdpLinks {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_list().entries(self.links.iter().map(|l| (l.id, l.peer, l.learned.len()))).finish()
+        f.debug_list()
+            .entries(self.links.iter().map(|l| (l.id, l.peer, l.learned.len())))
+            .finish()
     }
 }
 
 /// Local and peer port of a link of an instance.
 fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
-    let own_peer = if link == LinkId::ONBOARD { instance } else { instance.min(LAST_OWN_PEER) };
+    let own_peer = if link == LinkId::ONBOARD {
+        instance
+    } else {
+        instance.min(LAST_OWN_PEER)
+    };
     // Instances end at 99: the sums fit.
     (local + instance as u16, peer + own_peer as u16)
 }
@@ -100,7 +106,10 @@ impl UdpLinks {
                 learned: Vec::new(),
             });
         }
-        Ok(Self { links, buffer: vec![0; 65_536] })
+        Ok(Self {
+            links,
+            buffer: vec![0; 65_536],
+        })
     }
 
     /// Hands over every datagram that has come, without waiting.
@@ -186,7 +195,9 @@ mod tests {
         let companion = UdpSocket::bind(loopback(14030 + 97)).expect("free port");
         let stranger = UdpSocket::bind(loopback(0)).expect("free port");
         for socket in [&companion, &stranger] {
-            socket.set_read_timeout(Some(Duration::from_secs(5))).expect("a time-out can be set");
+            socket
+                .set_read_timeout(Some(Duration::from_secs(5)))
+                .expect("a time-out can be set");
         }
         let mut buffer = [0; 16];
 
@@ -196,7 +207,10 @@ mod tests {
         stranger.send_to(b"hello", loopback(14280 + 97)).expect("sent");
         stranger.send_to(b"", loopback(14280 + 97)).expect("sent");
         let got = wait_for(&mut links, 2);
-        assert_eq!(got, [(LinkId::ONBOARD, b"hello".to_vec()), (LinkId::ONBOARD, Vec::new())]);
+        assert_eq!(
+            got,
+            [(LinkId::ONBOARD, b"hello".to_vec()), (LinkId::ONBOARD, Vec::new())]
+        );
         links.send(LinkId::ONBOARD, b"two");
         assert_eq!(companion.recv(&mut buffer).expect("heard"), 3);
         assert_eq!(stranger.recv(&mut buffer).expect("heard"), 3);
@@ -239,7 +253,11 @@ mod tests {
             stranger.send_to(b"x", loopback(14580 + 96)).expect("sent");
             assert_eq!(wait_for(&mut links, 1).len(), 1);
         }
-        let api = links.links.iter().find(|l| l.id == LinkId::API).expect("there is an API link");
+        let api = links
+            .links
+            .iter()
+            .find(|l| l.id == LinkId::API)
+            .expect("there is an API link");
         assert_eq!(api.learned.len(), MAX_LEARNED);
     }
 }

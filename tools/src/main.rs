@@ -1,1 +1,77 @@
-fn main() {}
+//! The `vigil` command line: everything a person does with Vigil starts here.
+
+mod courses;
+mod evaluate;
+mod fly;
+mod output;
+mod recover;
+mod replay;
+mod scene;
+mod statistics;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Fly a quadcopter through obstacles in simulation, or any PX4 or ArduPilot vehicle.
+///
+/// Without a command, `vigil` flies one random validation course in real time (`vigil fly`).
+#[derive(Parser)]
+#[command(name = "vigil", version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+
+    /// Log more: -v for what happens, -vv for details. RUST_LOG overrides it.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  vigil                                   fly a random validation course in real time
+  vigil fly --seed 7 --log runs/          fly validation course 7 and keep the log
+  vigil evaluate --flights 200 --seed 1   200 flights, faster than real time, with confidence intervals
+  vigil replay runs/flight.mcap           run the tick over recorded inputs and compare every byte
+  vigil courses draw --seed 7 -o 7.png    see a course
+  vigil sim                               the simulated vehicle alone, for MAVSDK and pymavlink scripts
+  vigil firmware --link udpin://0.0.0.0:14540 --vehicle px4
+                                          the 20 Hz loop alone, on any vehicle";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fly one course in real time: starts simulator and firmware, shows progress, ends both.
+    Fly(fly::FlyArgs),
+    /// Run the simulated vehicle alone.
+    Sim(vigil_sim::program::SimArgs),
+    /// Run the 20 Hz loop alone (the same as the `firmware` program).
+    Firmware(vigil_firmware::program::FirmwareArgs),
+    /// Fly many seeded courses in lockstep, faster than real time, and tabulate the outcomes.
+    Evaluate(evaluate::EvaluateArgs),
+    /// Run the tick over a flight log's recorded inputs and compare every output byte.
+    Replay(replay::ReplayArgs),
+    /// Close a flight log that was cut off when its process was killed.
+    Recover(recover::RecoverArgs),
+    /// Draw, write or check courses.
+    Courses(courses::CoursesArgs),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    output::start_tracing(cli.verbose);
+    let result = match cli.command.unwrap_or_else(|| Command::Fly(fly::FlyArgs::default())) {
+        Command::Fly(args) => fly::run(&args),
+        Command::Sim(args) => vigil_sim::program::run(args),
+        Command::Firmware(args) => vigil_firmware::program::run(args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Recover(args) => recover::run(&args),
+        Command::Courses(args) => courses::run(&args),
+    };
+    match result {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("vigil: {error:#}");
+            ExitCode::from(output::EXIT_ERROR)
+        }
+    }
+}

@@ -1,0 +1,39 @@
+//! What the guidance computer says of itself, read from its own telemetry as any ground station would.
+
+use mavlink::dialects::common::MavMessage;
+use vigil_link::framing::{self, FramingCounters};
+
+/// The last values heard from the guidance computer.
+#[derive(Debug, Clone, Default)]
+pub struct CompanionView {
+    counters: FramingCounters,
+    /// Guidance state's number, see [`vigil_types::GuidanceState`].
+    pub state_code: Option<u8>,
+    /// Bits of [`vigil_types::Reasons`].
+    pub reason_bits: u32,
+    /// Execution time of the last reported step, microseconds.
+    pub step_us: f32,
+    /// Missed steps since its start.
+    pub slips: u64,
+    /// Last STATUSTEXT.
+    pub text: String,
+}
+
+impl CompanionView {
+    /// Looks at a datagram that came from the guidance computer.
+    pub fn observe(&mut self, datagram: &[u8]) {
+        for packet in framing::packets(datagram, &mut self.counters) {
+            match packet.message() {
+                Ok(MavMessage::NAMED_VALUE_FLOAT(m)) => match m.name.to_str().unwrap_or_default() {
+                    "gd_state" => self.state_code = Some(m.value as u8),
+                    "gd_reason" => self.reason_bits = m.value as u32,
+                    "step_us" => self.step_us = m.value,
+                    "slips" => self.slips = m.value as u64,
+                    _ => {}
+                },
+                Ok(MavMessage::STATUSTEXT(m)) => self.text = m.text.to_str().unwrap_or_default().to_owned(),
+                _ => {}
+            }
+        }
+    }
+}

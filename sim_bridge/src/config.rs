@@ -1,0 +1,192 @@
+//! What one simulated flight is made of, and the file that changes the defaults.
+
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use vigil_endpoint::EndpointConfig;
+use vigil_vehicle::{ParamsError, VehicleParams, Wind};
+use vigil_world::{Course, CourseError, Family, LidarConfig, generate};
+
+/// Where the vehicle is at time zero.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Start {
+    /// On the ground, disarmed.
+    #[default]
+    Ground,
+    /// Hovering at the course's flight height, armed, in Hold: campaigns begin here.
+    Airborne,
+}
+
+/// Everything that determines a simulated flight.
+#[derive(Debug, Clone)]
+pub struct SimConfig {
+    /// Obstacles, goal, bounds.
+    pub course: Course,
+    /// Seed of all noise: LiDAR, sensors, wind.
+    pub seed: u64,
+    /// On the ground or in the air.
+    pub start: Start,
+    /// The vehicle's MAVLink side; by default only the guidance computer's link, as in lockstep.
+    pub endpoint: EndpointConfig,
+    /// LiDAR model.
+    pub lidar: LidarConfig,
+    /// Airframe, controllers, sensors, battery.
+    pub vehicle: VehicleParams,
+    /// Wind and gusts.
+    pub wind: Wind,
+}
+
+/// Why a flight cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimError {
+    /// A vehicle or wind parameter.
+    #[error(transparent)]
+    Vehicle(#[from] ParamsError),
+    /// A LiDAR parameter.
+    #[error(transparent)]
+    Lidar(#[from] vigil_world::LidarConfigError),
+    /// A MAVLink setting.
+    #[error(transparent)]
+    Endpoint(#[from] vigil_endpoint::ConfigError),
+}
+
+impl SimConfig {
+    /// The default models on `course`.
+    pub fn new(course: Course, seed: u64) -> Self {
+        Self::with_models(course, seed, Models::default())
+    }
+
+    /// The given models on `course`.
+    pub fn with_models(course: Course, seed: u64, models: Models) -> Self {
+        let Models { lidar, vehicle, wind } = models;
+        let endpoint = EndpointConfig::companion_only();
+        Self {
+            course,
+            seed,
+            start: Start::Ground,
+            endpoint,
+            lidar,
+            vehicle,
+            wind,
+        }
+    }
+}
+
+/// The simulation file: one table per model, each with documented defaults (docs/simulation.md). Unknown keys are errors.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Models {
+    /// LiDAR.
+    pub lidar: LidarConfig,
+    /// Airframe, controllers, sensors, battery.
+    pub vehicle: VehicleParams,
+    /// Wind.
+    pub wind: Wind,
+}
+
+/// Why a simulation or course file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The simulation file is not valid; the message names line and field.
+    #[error("{path}: {source}")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Where and what.
+        source: toml::de::Error,
+    },
+    /// The course file is not valid.
+    #[error(transparent)]
+    Course(#[from] CourseError),
+}
+
+fn read(path: &Path) -> Result<String, ConfigError> {
+    std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+impl Models {
+    /// Reads a simulation file.
+    ///
+    /// # Errors
+    /// [`ConfigError::Read`], [`ConfigError::Parse`].
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        toml::from_str(&read(path)?).map_err(|source| ConfigError::Parse {
+            path: path.to_owned(),
+            source,
+        })
+    }
+}
+
+/// Which course to fly: a file, or a family and a seed. Shared by all commands that need one.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CourseChoice {
+    /// Course file (TOML); see docs/courses.md.
+    #[arg(long, value_name = "FILE", conflicts_with = "family")]
+    pub course: Option<PathBuf>,
+
+    /// Family of generated courses.
+    #[arg(long, value_enum, default_value_t = FamilyName::Validation)]
+    pub family: FamilyName,
+
+    /// Seed of course, noise and wind; a random one when absent.
+    #[arg(long)]
+    pub seed: Option<u64>,
+}
+
+impl Default for CourseChoice {
+    fn default() -> Self {
+        Self {
+            course: None,
+            family: FamilyName::Validation,
+            seed: None,
+        }
+    }
+}
+
+/// A family of generated courses, as named on the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum FamilyName {
+    /// What pilots are developed on.
+    Training,
+    /// Other layouts and densities, for measuring.
+    Validation,
+}
+
+impl From<FamilyName> for Family {
+    fn from(name: FamilyName) -> Self {
+        match name {
+            FamilyName::Training => Self::Training,
+            FamilyName::Validation => Self::Validation,
+        }
+    }
+}
+
+impl CourseChoice {
+    /// The seed in force: the one given, or one from the operating system's entropy.
+    pub fn seed_or_random(&self) -> u64 {
+        use std::hash::{BuildHasher, RandomState};
+        self.seed
+            .unwrap_or_else(|| RandomState::new().hash_one(0u8) % 1_000_000)
+    }
+
+    /// Reads or generates the course for `seed`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the file, line and field.
+    pub fn load(&self, seed: u64) -> Result<Course, ConfigError> {
+        match &self.course {
+            Some(path) => Ok(Course::load(path)?),
+            None => Ok(generate(self.family.into(), seed)),
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! A whole flight in lockstep: simulator and firmware take turns, faster than real time, the same bits for the same seed.
+
+use crate::Simulator;
+use serde::Serialize;
+use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
+use vigil_world::Outcome;
+
+/// The firmware's side of a step, in the same process or in another.
+pub trait FirmwarePort {
+    /// Why a step failed.
+    type Error;
+
+    /// Step number `step` at `now_ns`: gives the frame and the vehicle's datagrams, gets the firmware's datagrams.
+    ///
+    /// # Errors
+    /// Whatever keeps the firmware from answering; the flight ends there.
+    fn step(
+        &mut self,
+        step: u64,
+        now_ns: Nanos,
+        frame: &DepthFrame,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> Result<(), Self::Error>;
+}
+
+/// What a lockstep flight came to.
+#[derive(Debug, Clone, Serialize)]
+pub struct FlightRecord {
+    /// How it ended; absent when the vehicle never took off.
+    #[serde(serialize_with = "outcome_name")]
+    pub outcome: Option<Outcome>,
+    /// Simulated seconds from lift-off (or from the airborne start) to the ending.
+    pub flight_time_s: f64,
+    /// Metres flown.
+    pub path_length_m: f64,
+    /// Smallest horizontal distance to the goal.
+    pub closest_goal_m: f32,
+    /// Steps taken.
+    pub steps: u64,
+    /// Digest of everything that happened, see [`Simulator::state_hash`]; hexadecimal.
+    #[serde(serialize_with = "hexadecimal")]
+    pub state_hash: u64,
+    /// True positions, one in [`PATH_STRIDE`] steps, NED metres; for drawing.
+    #[serde(skip)]
+    pub path_ned_m: Vec<NedVector>,
+}
+
+fn outcome_name<S: serde::Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
+    match outcome {
+        Some(outcome) => s.collect_str(outcome),
+        None => s.serialize_none(),
+    }
+}
+
+fn hexadecimal<S: serde::Serializer>(hash: &u64, s: S) -> Result<S::Ok, S::Error> {
+    s.collect_str(&format_args!("{hash:016x}"))
+}
+
+impl FlightRecord {
+    /// Whether the goal was reached.
+    pub fn is_success(&self) -> bool {
+        self.outcome == Some(Outcome::Success)
+    }
+}
+
+/// Steps between two points of [`FlightRecord::path_ned_m`].
+pub const PATH_STRIDE: u64 = 4;
+
+/// Flies until the referee ends the flight, and `linger_s` longer (to see a landing, or a hold after a crash).
+///
+/// # Errors
+/// The firmware port's error.
+pub fn fly_lockstep<P: FirmwarePort>(
+    simulator: &mut Simulator,
+    port: &mut P,
+    time_limit_s: f64,
+    linger_s: f64,
+) -> Result<FlightRecord, P::Error> {
+    // A vehicle that never lifts off is never seen by the referee: 60 s are ample for arming and take-off.
+    let most_steps = ((time_limit_s + 60.0) / f64::from(STEP_S)) as u64;
+    let mut last_step = most_steps;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut path_ned_m = Vec::with_capacity((most_steps / PATH_STRIDE) as usize + 1);
+    let mut step = 0;
+    while step < last_step {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        from_firmware.clear();
+        port.step(step, simulator.now_ns(), &frame, &to_firmware, &mut from_firmware)?;
+        if simulator.ending().is_none() && step.is_multiple_of(PATH_STRIDE) {
+            path_ned_m.push(simulator.truth().position_ned_m);
+        }
+        if simulator.ending().is_some() && last_step == most_steps {
+            path_ned_m.push(simulator.truth().position_ned_m);
+            last_step = step + 1 + (linger_s * 1e9 / STEP_NS as f64) as u64;
+        }
+        step += 1;
+    }
+    let ending = simulator.ending();
+    Ok(FlightRecord {
+        outcome: ending.map(|e| e.outcome),
+        flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
+        path_length_m: simulator.path_length_m(),
+        closest_goal_m: simulator.closest_goal_m(),
+        steps: step,
+        state_hash: simulator.state_hash(),
+        path_ned_m,
+    })
+}

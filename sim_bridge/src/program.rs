@@ -1,0 +1,276 @@
+//! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
+
+use crate::lockstep::{FirmwarePort, fly_lockstep};
+use crate::udp::UdpLinks;
+use crate::{CompanionView, ConfigError, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use vigil_endpoint::{EndpointConfig, LinkId};
+use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS};
+use vigil_world::Outcome;
+
+/// Real time between two looks at the sockets, in milliseconds of physics.
+const SLICE_MS: u64 = 2;
+/// Steps between two status lines: five a second.
+const STATUS_STEPS: u64 = 4;
+/// How long lockstep waits for the firmware before it names it as missing.
+const LOCKSTEP_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Arguments of `vigil sim`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil sim                             a vehicle on the ground of a random validation course, MAVLink on 14540 and 14550
+  vigil sim --course my.toml            on your own course
+  vigil sim --instance 1                a second one beside it, on ports 14541 and 14551
+  vigil sim --lockstep --seed 7         lockstep with `vigil firmware --lockstep`; prints the flight's record")]
+pub struct SimArgs {
+    /// Course to fly.
+    #[command(flatten)]
+    pub course: CourseChoice,
+
+    /// Number of this set of processes; ports and shared memory follow from it.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    pub instance: u32,
+
+    /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind; see docs/simulation.md.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+
+    /// Begin hovering at flight height, armed, in Hold.
+    #[arg(long)]
+    pub airborne: bool,
+
+    /// Take turns with a firmware process instead of running in real time, and end with the flight.
+    #[arg(long)]
+    pub lockstep: bool,
+
+    /// Print one JSON status line five times a second to standard output.
+    #[arg(long)]
+    pub status: bool,
+
+    /// End this many seconds after the flight ended (the default is to go on until Ctrl-C).
+    #[arg(long, value_name = "SECONDS")]
+    pub end_after: Option<f64>,
+}
+
+/// One status line of a real-time simulation.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Status {
+    /// Simulated seconds since the simulator's start.
+    pub time_s: f64,
+    /// True position, metres from home.
+    pub position_ned_m: [f32; 3],
+    /// True speed.
+    pub speed_m_s: f32,
+    /// Horizontal distance to the goal.
+    pub goal_distance_m: f32,
+    /// The vehicle's flight mode.
+    pub mode: String,
+    /// Motors armed.
+    pub armed: bool,
+    /// Guidance state as the firmware's telemetry tells it; absent while nothing was heard.
+    pub guidance: Option<String>,
+    /// Reasons as the firmware's telemetry tells them.
+    pub reasons: Vec<String>,
+    /// Execution time of a recent firmware step, microseconds.
+    pub step_us: f32,
+    /// Steps the firmware missed.
+    pub slips: u64,
+    /// How the flight ended, once it has.
+    pub outcome: Option<String>,
+    /// Seconds from lift-off to the ending.
+    pub flight_time_s: f64,
+    /// Metres flown from lift-off to the ending.
+    pub path_length_m: f64,
+}
+
+/// Runs the simulator until its end or Ctrl-C.
+///
+/// # Errors
+/// Course and configuration errors (file, line, field), a port in use, a second simulator on the same instance, a
+/// firmware missing in lockstep.
+pub fn run(args: SimArgs) -> Result<ExitCode> {
+    let config = configure(&args)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let domain = Domain::open(args.instance, "simulator")?;
+    if args.lockstep {
+        run_lockstep(&config, &domain)
+    } else {
+        run_real_time(&args, &config, &domain, &stop)
+    }
+}
+
+fn configure(args: &SimArgs) -> Result<SimConfig, ConfigError> {
+    let seed = args.course.seed_or_random();
+    let models = args
+        .config
+        .as_deref()
+        .map(Models::load)
+        .transpose()?
+        .unwrap_or_default();
+    let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
+    config.start = if args.airborne { Start::Airborne } else { Start::Ground };
+    if !args.lockstep {
+        config.endpoint = EndpointConfig::default();
+    }
+    config.endpoint.system_id = (args.instance + 1) as u8;
+    Ok(config)
+}
+
+struct OtherProcess {
+    client: LockstepClient,
+}
+
+impl FirmwarePort for OtherProcess {
+    type Error = LockstepError;
+
+    fn step(
+        &mut self,
+        step: u64,
+        now_ns: Nanos,
+        frame: &DepthFrame,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> Result<(), LockstepError> {
+        self.client.exchange(step, now_ns, Some(frame), received, sent)
+    }
+}
+
+fn run_lockstep(config: &SimConfig, domain: &Domain) -> Result<ExitCode> {
+    let mut simulator = Simulator::new(config, 0)?;
+    let mut port = OtherProcess {
+        client: LockstepClient::connect(domain, LOCKSTEP_TIMEOUT)?,
+    };
+    let record = fly_lockstep(&mut simulator, &mut port, f64::from(config.course.time_limit_s), 0.0)?;
+    port.client.finish(record.steps)?;
+    println!("{}", serde_json::to_string(&record)?);
+    Ok(ExitCode::from(ending_code(simulator.ending().map(|e| e.outcome))))
+}
+
+/// Exit code of a flight: 0 success, 10 collision, 11 out of bounds, 12 time-out, 13 no flight.
+pub fn ending_code(outcome: Option<Outcome>) -> u8 {
+    match outcome {
+        Some(Outcome::Success) => 0,
+        Some(Outcome::Collision) => 10,
+        Some(Outcome::OutOfBounds) => 11,
+        Some(Outcome::TimeOut) => 12,
+        None => 13,
+    }
+}
+
+/// The monotonic clock that frame stamps and the firmware share.
+fn monotonic_ns() -> Nanos {
+    let t = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
+    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
+}
+
+fn sleep_until(deadline_ns: Nanos) {
+    let now_ns = monotonic_ns();
+    if deadline_ns > now_ns {
+        std::thread::sleep(Duration::from_nanos(deadline_ns - now_ns));
+    }
+}
+
+fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
+    let mut links = UdpLinks::bind(args.instance)?;
+    let mut publisher = FramePublisher::create(domain, DEPTH_TOPIC)?;
+    // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
+    let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
+    let mut simulator = Simulator::new(config, epoch_ns)?;
+    let mut companion = CompanionView::default();
+    let mut elapsed_ms = 0u64;
+    let mut ended_at_ms = None;
+    tracing::info!(
+        course = config.course.name,
+        seed = config.seed,
+        instance = args.instance,
+        "simulator is running"
+    );
+
+    while !stop.load(Ordering::Relaxed) {
+        sleep_until(epoch_ns + elapsed_ms * 1_000_000);
+        links.receive(|link, datagram| {
+            if link == LinkId::ONBOARD {
+                companion.observe(datagram);
+            }
+            simulator.receive(link.0, datagram);
+        });
+        for _ in 0..SLICE_MS {
+            simulator.advance_1ms();
+        }
+        elapsed_ms += SLICE_MS;
+        simulator.transmit(|link, datagram| links.send(LinkId(link), datagram));
+        if elapsed_ms.is_multiple_of(u64::from(STEP_MS)) {
+            // A reader that is not there is no fault of the simulator's: frames are published regardless.
+            publisher.publish_with(|frame| simulator.capture(frame))?;
+            if args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS) {
+                print_status(&status(&simulator, &companion, elapsed_ms))?;
+            }
+        }
+        if let Some(ending) = simulator.ending() {
+            let since_ms = *ended_at_ms.get_or_insert_with(|| {
+                tracing::info!(outcome = %ending.outcome, time_s = ending.flight_time_s, "the flight ended");
+                elapsed_ms
+            });
+            if args
+                .end_after
+                .is_some_and(|s| (elapsed_ms - since_ms) as f64 >= s * 1e3)
+            {
+                break;
+            }
+        }
+    }
+    if args.status {
+        print_status(&status(&simulator, &companion, elapsed_ms))?;
+    }
+    Ok(ExitCode::from(
+        args.end_after
+            .map_or(0, |_| ending_code(simulator.ending().map(|e| e.outcome))),
+    ))
+}
+
+fn status(simulator: &Simulator, companion: &CompanionView, elapsed_ms: u64) -> Status {
+    let truth = simulator.truth();
+    let endpoint = simulator.status();
+    let ending = simulator.ending();
+    Status {
+        time_s: elapsed_ms as f64 * 1e-3,
+        position_ned_m: truth.position_ned_m.to_array(),
+        speed_m_s: truth.velocity_ned_m_s.norm(),
+        goal_distance_m: simulator.goal_distance_m(),
+        mode: endpoint.mode.name().to_owned(),
+        armed: endpoint.armed,
+        guidance: companion
+            .state_code
+            .and_then(GuidanceState::from_code)
+            .map(|s| s.name().to_owned()),
+        reasons: Reasons(companion.reason_bits)
+            .iter()
+            .map(|r| r.name().to_owned())
+            .collect(),
+        step_us: companion.step_us,
+        slips: companion.slips,
+        outcome: ending.map(|e| e.outcome.to_string()),
+        flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
+        path_length_m: simulator.path_length_m(),
+    }
+}
+
+/// A closed pipe means that nobody reads any more: that ends the simulator like Ctrl-C.
+fn print_status(status: &Status) -> Result<()> {
+    let mut out = std::io::stdout().lock();
+    serde_json::to_writer(&mut out, status)?;
+    writeln!(out)
+        .and_then(|()| out.flush())
+        .context("standard output was closed")
+}

@@ -1,0 +1,211 @@
+//! World, vehicle, LiDAR, MAVLink endpoint and referee on one simulated clock.
+
+use crate::config::{SimConfig, SimError, Start};
+use twox_hash::XxHash3_64;
+use vigil_endpoint::{Endpoint, EndpointStatus, LinkId};
+use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS};
+use vigil_vehicle::{ControlCommand, Truth, Vehicle};
+use vigil_world::{Lidar, Outcome, Referee, Shot, World};
+
+const MILLISECOND_NS: Nanos = 1_000_000;
+
+/// Milliseconds of physics in one step of the loop.
+pub const STEP_MS: u32 = (STEP_NS / MILLISECOND_NS) as u32;
+
+/// The LiDAR's id in frame headers; the one that the firmware accepts by default.
+pub const LIDAR_SENSOR_ID: u32 = 1;
+
+/// How a flight ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ending {
+    /// The referee's verdict.
+    pub outcome: Outcome,
+    /// Simulated time from the vehicle's first lift-off.
+    pub flight_time_s: f64,
+}
+
+/// One flight's simulation. It reads no clock and owns no socket: the caller passes bytes in and takes bytes out, so the
+/// same code serves real time, lockstep and tests.
+pub struct Simulator {
+    world: World,
+    referee: Referee,
+    vehicle: Vehicle,
+    lidar: Lidar,
+    endpoint: Endpoint,
+    goal_ned_m: NedVector,
+    epoch_ns: Nanos,
+    elapsed_ms: u64,
+    lifted_off_ms: Option<u64>,
+    next_sequence: u64,
+    ending: Option<Ending>,
+    path_length_m: f64,
+    closest_goal_m: f32,
+    hash: u64,
+}
+
+impl Simulator {
+    /// Sets up the flight of `config.course`. `epoch_ns` is the shared clock's reading at simulated time zero: 0 in
+    /// lockstep, the monotonic clock when live, so that frame stamps compare with the firmware's clock.
+    ///
+    /// # Errors
+    /// A model parameter that cannot be simulated; the message names it.
+    pub fn new(config: &SimConfig, epoch_ns: Nanos) -> Result<Self, SimError> {
+        let course = &config.course;
+        let mut vehicle = Vehicle::new(config.vehicle, config.wind, config.seed)?;
+        let mut endpoint = Endpoint::new(config.endpoint.clone())?;
+        let airborne = config.start == Start::Airborne;
+        let start_ned_m = course.start_ned_m() + NedVector::new(0.0, 0.0, -course.flight_height_m);
+        vehicle.place(start_ned_m, course.start_heading_rad(), airborne);
+        if airborne {
+            endpoint.start_airborne(epoch_ns, course.flight_height_m);
+        }
+        Ok(Self {
+            world: World::new(course),
+            referee: Referee::new(course),
+            vehicle,
+            lidar: Lidar::new(config.lidar, config.seed)?,
+            endpoint,
+            goal_ned_m: course.goal_ned_m(),
+            epoch_ns,
+            elapsed_ms: 0,
+            lifted_off_ms: None,
+            next_sequence: 0,
+            ending: None,
+            path_length_m: 0.0,
+            closest_goal_m: f32::INFINITY,
+            hash: 0,
+        })
+    }
+
+    /// Now, on the shared clock.
+    pub fn now_ns(&self) -> Nanos {
+        self.epoch_ns + self.elapsed_ms * MILLISECOND_NS
+    }
+
+    /// Hands a datagram to the vehicle's MAVLink endpoint.
+    pub fn receive(&mut self, link: u8, datagram: &[u8]) {
+        self.endpoint.receive(self.now_ns(), LinkId(link), datagram);
+    }
+
+    /// Takes the datagrams that the vehicle wants to send.
+    pub fn transmit(&mut self, mut send: impl FnMut(u8, &[u8])) {
+        self.endpoint.transmit(|link, datagram| send(link.0, datagram));
+    }
+
+    /// Advances physics, autopilot and referee by one millisecond.
+    pub fn advance_1ms(&mut self) {
+        self.elapsed_ms += 1;
+        let view = self.vehicle.view();
+        let command = self.endpoint.step(self.now_ns(), &view);
+        // A vehicle that hit something has broken propellers, whatever its autopilot asks.
+        let crashed = matches!(
+            self.ending,
+            Some(Ending {
+                outcome: Outcome::Collision,
+                ..
+            })
+        );
+        let before = self.vehicle.truth();
+        self.vehicle
+            .step(if crashed { &ControlCommand::MotorsOff } else { &command });
+        let truth = self.vehicle.truth();
+
+        if self.lifted_off_ms.is_none() && !self.vehicle.view().on_ground {
+            self.lifted_off_ms = Some(self.elapsed_ms);
+        }
+        if let Some(lifted_off_ms) = self.lifted_off_ms {
+            if self.ending.is_none() {
+                self.path_length_m += f64::from((truth.position_ned_m - before.position_ned_m).norm());
+                self.closest_goal_m = self
+                    .closest_goal_m
+                    .min((self.goal_ned_m - truth.position_ned_m).horizontal_norm());
+            }
+            if self.ending.is_none()
+                && let Some(outcome) = self.referee.observe(
+                    &self.world,
+                    self.elapsed_ms * MILLISECOND_NS,
+                    truth.position_ned_m,
+                    truth.attitude,
+                    truth.velocity_ned_m_s,
+                )
+            {
+                let flight_time_s = (self.elapsed_ms - lifted_off_ms) as f64 * 1e-3;
+                self.ending = Some(Ending { outcome, flight_time_s });
+            }
+        }
+    }
+
+    /// Captures a depth frame into `frame` and seals it.
+    pub fn capture(&mut self, frame: &mut DepthFrame) {
+        let truth = self.vehicle.truth();
+        let estimate = self.vehicle.view().estimate;
+        let shot = Shot {
+            position_ned_m: truth.position_ned_m,
+            attitude: truth.attitude,
+            estimated_position_ned_m: estimate.position_ned_m,
+            estimated_attitude: estimate.attitude,
+            stamp_ns: self.now_ns(),
+            sequence: self.next_sequence,
+            sensor_id: LIDAR_SENSOR_ID,
+        };
+        self.lidar.capture(&self.world, &shot, frame);
+        self.next_sequence += 1;
+    }
+
+    /// One step of lockstep: takes the firmware's datagrams of the previous step, advances [`STEP_MS`], captures a frame
+    /// and collects the datagrams for the firmware. Mixes all of it into [`Self::state_hash`].
+    pub fn lockstep(&mut self, from_firmware: &Datagrams, frame: &mut DepthFrame, to_firmware: &mut Datagrams) {
+        for (link, datagram) in from_firmware.iter() {
+            self.receive(link, datagram);
+            self.hash = XxHash3_64::oneshot_with_seed(self.hash, datagram);
+        }
+        to_firmware.clear();
+        for _ in 0..STEP_MS {
+            self.advance_1ms();
+        }
+        self.endpoint.transmit(|link, datagram| {
+            if link == LinkId::ONBOARD {
+                to_firmware.push(link.0, datagram);
+            }
+        });
+        self.capture(frame);
+        self.hash = XxHash3_64::oneshot_with_seed(self.hash, &frame.header.checksum.to_le_bytes());
+        self.hash = XxHash3_64::oneshot_with_seed(self.hash, &self.vehicle.state_hash().to_le_bytes());
+    }
+
+    /// A digest of everything that happened in lockstep so far: the firmware's bytes, every frame, the vehicle's full
+    /// state at each step. Two flights with the same digest were the same flight.
+    pub fn state_hash(&self) -> u64 {
+        self.hash
+    }
+
+    /// How the flight ended, once it has.
+    pub fn ending(&self) -> Option<Ending> {
+        self.ending
+    }
+
+    /// The true state.
+    pub fn truth(&self) -> Truth {
+        self.vehicle.truth()
+    }
+
+    /// What the vehicle's MAVLink side is doing.
+    pub fn status(&self) -> EndpointStatus {
+        self.endpoint.status()
+    }
+
+    /// Metres flown from lift-off to the ending.
+    pub fn path_length_m(&self) -> f64 {
+        self.path_length_m
+    }
+
+    /// Smallest horizontal distance to the goal so far.
+    pub fn closest_goal_m(&self) -> f32 {
+        self.closest_goal_m
+    }
+
+    /// Horizontal distance to the goal now.
+    pub fn goal_distance_m(&self) -> f32 {
+        (self.goal_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()
+    }
+}

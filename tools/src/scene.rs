@@ -1,0 +1,33 @@
+//! A course's obstacles in the form that the flight log shows.
+
+use vigil_log::{Scene, SceneSolid};
+use vigil_world::{Course, Solid};
+
+/// The obstacles for display in the log.
+pub fn of(course: &Course) -> Scene {
+    let solids = course
+        .solids()
+        .into_iter()
+        .map(|solid| match solid {
+            Solid::Cuboid {
+                centre_ned_m,
+                half_extents_m,
+                yaw_rad,
+            } => SceneSolid::Cuboid {
+                centre_ned_m: centre_ned_m.to_array(),
+                half_extents_m,
+                yaw_rad,
+            },
+            Solid::Cylinder {
+                centre_ned_m,
+                radius_m,
+                half_height_m,
+            } => SceneSolid::Cylinder {
+                centre_ned_m: centre_ned_m.to_array(),
+                radius_m,
+                half_height_m,
+            },
+        })
+        .collect();
+    Scene { solids }
+}
