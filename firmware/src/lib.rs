@@ -1,1 +1,23 @@
 //! The 20 Hz rate loop, its wiring, and the firmware program.
+//!
+//! [`stack::FlightStack::tick`] is the whole of a step, pure and without allocation. [`step::Firmware`] runs it over
+//! [`ports`]: [`live`] at a fixed rate, [`lockstep`] driven by a simulator, [`replay`] driven by a log.
+
+pub mod config;
+mod console;
+mod frame_keeper;
+pub mod link_url;
+pub mod live;
+pub mod lockstep;
+pub mod ports;
+pub mod program;
+pub mod rate;
+pub mod realtime;
+pub mod replay;
+pub mod stack;
+pub mod step;
+pub mod timing;
+
+pub use config::FirmwareConfig;
+pub use lockstep::LockstepFirmware;
+pub use replay::{ReplayReport, replay};

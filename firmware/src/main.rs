@@ -1,1 +1,31 @@
-fn main() {}
+//! The `firmware` program: the 20 Hz loop on a vehicle.
+
+use clap::Parser;
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+/// Fly a vehicle by its depth frames: the fixed-rate loop between shared-memory frames and MAVLink.
+#[derive(Parser)]
+#[command(name = "firmware", version)]
+struct Cli {
+    #[command(flatten)]
+    args: vigil_firmware::program::FirmwareArgs,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_target(false)
+        .without_time()
+        .init();
+    match vigil_firmware::program::run(cli.args) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("firmware: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,551 @@
+//! Configuration of the firmware: a TOML file, command-line flags over it, and what the flight stack makes of both.
+
+use crate::link_url::LinkUrl;
+use crate::stack::StackConfig;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use std::path::{Path, PathBuf};
+use vigil_guidance::{AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+use vigil_link::{CompanionConfig, Flavour};
+use vigil_log::FlightInfo;
+use vigil_policy::GeometricConfig;
+use vigil_types::{Goal, NedVector};
+
+/// Highest instance number: the ports of the next one would be the simulator's own.
+pub const MAX_INSTANCE: u32 = 99;
+/// The port on which instance 0 meets the simulator, as PX4's SITL has it for an onboard computer.
+const COMPANION_PORT: u16 = 14030;
+
+/// Everything that can be set of the firmware. `docs/firmware.md` is the reference.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FirmwareConfig {
+    /// Number of this set of processes; 0 to [`MAX_INSTANCE`].
+    #[serde(deserialize_with = "instance")]
+    pub instance: u32,
+    /// Where the vehicle's MAVLink is; absent means the simulator of this instance.
+    #[serde(skip_serializing_if = "Option::is_none", with = "url")]
+    pub link: Option<LinkUrl>,
+    /// Which autopilot the vehicle has.
+    pub vehicle: Vehicle,
+    /// The sensor whose frames are accepted.
+    pub sensor_id: u32,
+    /// Who starts a flight.
+    pub engage: Engage,
+    /// What to do at the goal.
+    pub at_goal: AtGoalChoice,
+    /// Height of goals that do not tell theirs, metres above home.
+    #[serde(deserialize_with = "height")]
+    pub height_m: f32,
+    /// Where to fly; absent means that an operator sets it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goal: Option<GoalConfig>,
+    /// When to hold or land.
+    pub limits: Limits,
+    /// Who decides.
+    pub pilot: PilotConfig,
+    /// The loop.
+    pub rate: RateConfig,
+    /// The flight log.
+    pub log: LogConfig,
+}
+
+/// Which autopilot the vehicle has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Vehicle {
+    /// PX4, and the simulator.
+    #[default]
+    Px4,
+    /// ArduPilot (Copter).
+    #[value(name = "ardupilot")]
+    ArduPilot,
+}
+
+/// Who starts a flight.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Engage {
+    /// Guidance itself, as soon as it is ready.
+    Auto,
+    /// An operator, by MAVLink.
+    #[default]
+    Command,
+}
+
+/// What to do at the goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum AtGoalChoice {
+    /// Hover.
+    #[default]
+    Hold,
+    /// Hover for a moment, then land.
+    Land,
+}
+
+/// The goal in the local frame.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GoalConfig {
+    /// Metres north of home.
+    #[serde(deserialize_with = "coordinate")]
+    pub north_m: f32,
+    /// Metres east of home.
+    #[serde(deserialize_with = "coordinate")]
+    pub east_m: f32,
+    /// Metres above home at which to fly there; absent means [`FirmwareConfig::height_m`].
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "some_height")]
+    pub height_m: Option<f32>,
+}
+
+/// When to hold or land.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Greatest age of the newest valid depth frame.
+    #[serde(deserialize_with = "age")]
+    pub frame_age_s: f64,
+    /// Greatest age of position and attitude.
+    #[serde(deserialize_with = "age")]
+    pub telemetry_age_s: f64,
+    /// Greatest age of the vehicle's heartbeat.
+    #[serde(deserialize_with = "age")]
+    pub heartbeat_age_s: f64,
+    /// Missed steps within a second that are too many.
+    #[serde(deserialize_with = "slips")]
+    pub slips: u8,
+    /// Horizontal distance at which the goal is reached.
+    #[serde(deserialize_with = "goal_radius")]
+    pub goal_radius_m: f32,
+    /// Battery charge, 0 to 1, below which to land.
+    #[serde(deserialize_with = "fraction")]
+    pub battery: f32,
+    /// Longest flight in seconds; absent means no limit.
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "flight_time")]
+    pub flight_time_s: Option<f64>,
+    /// Permitted region; absent means none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub geofence: Option<GeofenceConfig>,
+}
+
+/// The permitted region: a cylinder around home.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GeofenceConfig {
+    /// Horizontal distance from home.
+    #[serde(deserialize_with = "positive_length")]
+    pub radius_m: f32,
+    /// Lowest height in flight, metres above home.
+    #[serde(default, deserialize_with = "coordinate")]
+    pub min_height_m: f32,
+    /// Greatest height, metres above home.
+    #[serde(deserialize_with = "positive_length")]
+    pub max_height_m: f32,
+}
+
+/// Who decides.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PilotConfig {
+    /// Which pilot.
+    pub kind: PilotKind,
+    /// Fastest forward speed of the geometric pilot.
+    #[serde(deserialize_with = "cruise")]
+    pub cruise_m_s: f32,
+    /// Range of the geometric pilot's repulsive field.
+    #[serde(deserialize_with = "repulsive_range")]
+    pub repulsive_range_m: f32,
+}
+
+/// The pilots there are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum PilotKind {
+    /// Goal seeking and potential field on the depth frame.
+    #[default]
+    Geometric,
+}
+
+/// The loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RateConfig {
+    /// FIFO priority of the loop's thread; 0 asks for neither FIFO scheduling nor locked memory.
+    #[serde(deserialize_with = "priority")]
+    pub priority: u8,
+    /// How long after each multiple of 50 ms on the monotonic clock a step is due. The simulator publishes at the
+    /// multiples, so this is what a frame ages before it is used.
+    #[serde(deserialize_with = "offset")]
+    pub offset_ms: u8,
+}
+
+/// The flight log.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct LogConfig {
+    /// Where the log files go; absent means no log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub directory: Option<PathBuf>,
+    /// A file with the obstacles, for display only.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub scene: Option<PathBuf>,
+}
+
+impl Default for FirmwareConfig {
+    fn default() -> Self {
+        Self {
+            instance: 0,
+            link: None,
+            vehicle: Vehicle::default(),
+            sensor_id: 1,
+            engage: Engage::default(),
+            at_goal: AtGoalChoice::default(),
+            height_m: GuidanceConfig::default().default_height_m,
+            goal: None,
+            limits: Limits::default(),
+            pilot: PilotConfig::default(),
+            rate: RateConfig::default(),
+            log: LogConfig::default(),
+        }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        let d = GuidanceConfig::default();
+        Self {
+            frame_age_s: seconds(d.frame_age_limit_ns),
+            telemetry_age_s: seconds(d.telemetry_age_limit_ns),
+            heartbeat_age_s: seconds(d.heartbeat_age_limit_ns),
+            slips: d.slip_limit,
+            goal_radius_m: d.goal_radius_m,
+            battery: d.battery_limit,
+            flight_time_s: None,
+            geofence: None,
+        }
+    }
+}
+
+impl Default for PilotConfig {
+    fn default() -> Self {
+        let d = GeometricConfig::default();
+        Self {
+            kind: PilotKind::default(),
+            cruise_m_s: d.cruise_m_s,
+            repulsive_range_m: d.repulsive_range_m,
+        }
+    }
+}
+
+impl Default for RateConfig {
+    fn default() -> Self {
+        Self {
+            priority: 50,
+            offset_ms: 5,
+        }
+    }
+}
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file's content is not accepted; `message` names line, field and what is allowed.
+    #[error("{path}: {message}")]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// The parser's report, several lines.
+        message: String,
+    },
+}
+
+impl FirmwareConfig {
+    /// Reads a file; what it does not mention keeps its default.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: an unknown key or a bad value with file, line and field.
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_toml(&text).map_err(|message| ConfigError::Content {
+            path: path.to_owned(),
+            message,
+        })
+    }
+
+    /// Reads TOML.
+    ///
+    /// # Errors
+    /// The parser's report: line, field and what is allowed.
+    pub fn from_toml(text: &str) -> Result<Self, String> {
+        toml::from_str(text).map_err(|e| e.to_string())
+    }
+
+    /// Writes TOML that [`Self::from_toml`] reads back unchanged.
+    pub fn to_toml(&self) -> String {
+        // Plain maps and numbers; serialisation fails for other types only.
+        toml::to_string(self).unwrap_or_default()
+    }
+
+    /// What the log says about a flight with this configuration.
+    pub fn flight_info(&self) -> FlightInfo {
+        FlightInfo {
+            program: concat!("firmware ", env!("CARGO_PKG_VERSION")).to_owned(),
+            git_commit: None,
+            instance: self.instance,
+            seed: None,
+            config_toml: self.to_toml(),
+        }
+    }
+
+    /// Where the vehicle's MAVLink is, the default resolved.
+    pub fn link_url(&self) -> LinkUrl {
+        // Instances go up to MAX_INSTANCE.
+        let port = COMPANION_PORT + self.instance as u16;
+        self.link.unwrap_or(LinkUrl::UdpIn(([127, 0, 0, 1], port).into()))
+    }
+
+    /// What the flight stack needs of this.
+    pub fn stack(&self) -> StackConfig {
+        let limits = &self.limits;
+        let guidance = GuidanceConfig {
+            engage: match self.engage {
+                Engage::Auto => EngagePolicy::Auto,
+                Engage::Command => EngagePolicy::Command,
+            },
+            at_goal: match self.at_goal {
+                AtGoalChoice::Hold => AtGoal::Hold,
+                AtGoalChoice::Land => AtGoal::Land,
+            },
+            frame_age_limit_ns: nanos(limits.frame_age_s),
+            telemetry_age_limit_ns: nanos(limits.telemetry_age_s),
+            heartbeat_age_limit_ns: nanos(limits.heartbeat_age_s),
+            slip_limit: limits.slips,
+            goal_radius_m: limits.goal_radius_m,
+            battery_limit: limits.battery,
+            default_height_m: self.height_m,
+            time_limit_ns: limits.flight_time_s.map(nanos),
+            geofence: limits.geofence.map(|fence| Geofence {
+                shape: FenceShape::Cylinder {
+                    center_m: [0.0, 0.0],
+                    radius_m: fence.radius_m,
+                },
+                min_height_m: fence.min_height_m,
+                max_height_m: fence.max_height_m,
+            }),
+            ..GuidanceConfig::default()
+        };
+        StackConfig {
+            sensor_id: self.sensor_id,
+            guidance,
+            companion: CompanionConfig {
+                flavour: match self.vehicle {
+                    Vehicle::Px4 => Flavour::Px4,
+                    Vehicle::ArduPilot => Flavour::ArduPilot,
+                },
+                ..CompanionConfig::default()
+            },
+            pilot: GeometricConfig {
+                cruise_m_s: self.pilot.cruise_m_s,
+                repulsive_range_m: self.pilot.repulsive_range_m,
+            },
+            goal: self.goal.map(|goal| Goal {
+                position_ned_m: NedVector::new(goal.north_m, goal.east_m, -goal.height_m.unwrap_or(self.height_m)),
+            }),
+        }
+    }
+}
+
+fn seconds(ns: u64) -> f64 {
+    ns as f64 * 1e-9
+}
+
+fn nanos(s: f64) -> u64 {
+    (s * 1e9).round() as u64
+}
+
+/// Accepts numbers within a range and tells the range otherwise; the parser adds line and field.
+fn within<'de, D, T>(deserializer: D, low: f64, high: f64, unit: &str) -> Result<T, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de> + Copy + TryInto<f64>,
+{
+    let value = T::deserialize(deserializer)?;
+    // NaN is in no range.
+    match value.try_into() {
+        Ok(v) if v >= low && v <= high => Ok(value),
+        Ok(v) => Err(D::Error::custom(format_args!(
+            "{v} is not allowed: {low} to {high}{unit}"
+        ))),
+        Err(_) => Err(D::Error::custom(format_args!("allowed: {low} to {high}{unit}"))),
+    }
+}
+
+fn instance<'de, D: Deserializer<'de>>(d: D) -> Result<u32, D::Error> {
+    within(d, 0.0, MAX_INSTANCE.into(), "")
+}
+
+fn coordinate<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, -10_000.0, 10_000.0, " m")
+}
+
+fn height<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.1, 1000.0, " m")
+}
+
+fn some_height<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f32>, D::Error> {
+    height(d).map(Some)
+}
+
+fn positive_length<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.1, 100_000.0, " m")
+}
+
+fn age<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    within(d, 0.05, 10.0, " s")
+}
+
+fn slips<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
+    within(d, 1.0, 8.0, " steps")
+}
+
+fn goal_radius<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.1, 100.0, " m")
+}
+
+fn fraction<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.0, 1.0, "")
+}
+
+fn flight_time<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
+    within(d, 1.0, 86_400.0, " s").map(Some)
+}
+
+fn cruise<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.1, vigil_types::ACTION_LIMIT.into(), " m/s")
+}
+
+fn repulsive_range<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.0, 20.0, " m")
+}
+
+fn priority<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
+    within(d, 0.0, 99.0, "")
+}
+
+fn offset<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
+    within(d, 0.0, 49.0, " ms")
+}
+
+/// Link URLs as strings.
+mod url {
+    use super::LinkUrl;
+    use serde::de::Error as _;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<LinkUrl>, D::Error> {
+        let text = String::deserialize(d)?;
+        text.parse().map(Some).map_err(D::Error::custom)
+    }
+
+    pub fn serialize<S: Serializer>(url: &Option<LinkUrl>, s: S) -> Result<S::Ok, S::Error> {
+        match url {
+            Some(url) => s.collect_str(url),
+            None => s.serialize_none(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_empty_file_is_the_default_and_every_configuration_survives_its_own_toml() {
+        assert_eq!(FirmwareConfig::from_toml(""), Ok(FirmwareConfig::default()));
+        let config = FirmwareConfig {
+            instance: 7,
+            link: Some("udpin://0.0.0.0:14540".parse().unwrap()),
+            vehicle: Vehicle::ArduPilot,
+            engage: Engage::Auto,
+            goal: Some(GoalConfig {
+                north_m: 19.97,
+                east_m: -5.013,
+                height_m: Some(2.3),
+            }),
+            limits: Limits {
+                frame_age_s: 0.1 + 0.2,
+                battery: 0.1,
+                flight_time_s: Some(300.0),
+                geofence: Some(GeofenceConfig {
+                    radius_m: 0.3,
+                    min_height_m: -1.7,
+                    max_height_m: 12.0,
+                }),
+                ..Limits::default()
+            },
+            log: LogConfig {
+                directory: Some("runs/with \"quotes\"".into()),
+                scene: None,
+            },
+            ..FirmwareConfig::default()
+        };
+        assert_eq!(FirmwareConfig::from_toml(&config.to_toml()), Ok(config));
+    }
+
+    #[test]
+    fn the_defaults_are_those_of_the_parts() {
+        let stack = FirmwareConfig::default().stack();
+        assert_eq!(stack.guidance, GuidanceConfig::default());
+        assert_eq!(stack.pilot, GeometricConfig::default());
+        assert_eq!(stack.goal, None);
+    }
+
+    #[test]
+    fn the_simulator_of_an_instance_is_the_default_link() {
+        let config = FirmwareConfig {
+            instance: 3,
+            ..FirmwareConfig::default()
+        };
+        assert_eq!(config.link_url().to_string(), "udpin://127.0.0.1:14033");
+    }
+
+    #[test]
+    fn what_is_not_accepted_is_told_with_line_and_field_and_what_is_allowed() {
+        for (text, line, expected) in [
+            ("sensor_id = 1\nsensorid = 2", "line 2", "sensorid"),
+            ("[limits]\nframe_age = 0.2", "line 2", "frame_age_s"),
+            ("vehicle = \"px5\"", "line 1", "px4"),
+            ("\n\n[limits]\nframe_age_s = 99", "line 4", "0.05 to 10 s"),
+            ("[limits]\nframe_age_s = nan", "line 2", "0.05 to 10 s"),
+            ("[goal]\nnorth_m = inf\neast_m = 0", "line 2", "-10000 to 10000 m"),
+            ("[goal]\nnorth_m = 20", "line 1", "east_m"),
+            ("instance = 100", "line 1", "0 to 99"),
+            ("instance = -1", "line 1", "integer"),
+            ("link = \"serial:///dev/ttyS0\"", "line 1", "udpout://"),
+            ("[rate]\npriority = 100", "line 2", "0 to 99"),
+            ("goal = 5", "line 1", "GoalConfig"),
+            ("engage = \"auto", "line 1", "string"),
+        ] {
+            let report = FirmwareConfig::from_toml(text).unwrap_err();
+            assert!(report.contains(line) && report.contains(expected), "{text}\n{report}");
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_named() {
+        let error = FirmwareConfig::load(Path::new("no/such/file.toml")).unwrap_err();
+        assert!(error.to_string().contains("no/such/file.toml"), "{error}");
+    }
+}

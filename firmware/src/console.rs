@@ -1,0 +1,125 @@
+//! Tells a person what the loop does, from a thread of its own: writing to a terminal may wait, the loop may not.
+
+use rtrb::{Consumer, Producer, RingBuffer};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use vigil_types::{GuidanceState, Nanos, Reasons, StepReport};
+
+/// Announcements that may wait to be printed; more are left out.
+const CAPACITY: usize = 64;
+/// How often the printer looks.
+const PAUSE: Duration = Duration::from_millis(50);
+
+#[derive(Debug, Clone, Copy)]
+enum Announcement {
+    State {
+        at_ns: Nanos,
+        from: GuidanceState,
+        to: GuidanceState,
+        reasons: Reasons,
+    },
+    Slips {
+        at_ns: Nanos,
+        total: u64,
+    },
+}
+
+/// Announces changes of the guidance state and missed steps.
+pub struct Console {
+    // Dropped before the thread is joined: the printer ends when nobody can announce any more.
+    ring: Option<Producer<Announcement>>,
+    printer: Option<JoinHandle<()>>,
+    state: GuidanceState,
+    slips: u64,
+}
+
+impl Console {
+    /// Starts the printer; times are told relative to `start_ns`.
+    ///
+    /// # Errors
+    /// When the thread cannot be started.
+    pub fn start(start_ns: Nanos) -> std::io::Result<Self> {
+        let (producer, consumer) = RingBuffer::new(CAPACITY);
+        let printer = std::thread::Builder::new()
+            .name("console".to_owned())
+            .spawn(move || print(consumer, start_ns))?;
+        Ok(Self {
+            ring: Some(producer),
+            printer: Some(printer),
+            state: GuidanceState::Standby,
+            slips: 0,
+        })
+    }
+
+    /// Looks at a step. Never waits and allocates nothing.
+    pub fn observe(&mut self, report: &StepReport) {
+        let at_ns = report.now_ns;
+        if report.state != self.state {
+            self.announce(Announcement::State {
+                at_ns,
+                from: self.state,
+                to: report.state,
+                reasons: report.reasons,
+            });
+            self.state = report.state;
+        }
+        if report.timing.slips != self.slips {
+            self.slips = report.timing.slips;
+            self.announce(Announcement::Slips {
+                at_ns,
+                total: self.slips,
+            });
+        }
+    }
+
+    fn announce(&mut self, announcement: Announcement) {
+        if let Some(ring) = &mut self.ring {
+            // A full ring loses the announcement; telemetry and log have it.
+            let _ = ring.push(announcement);
+        }
+    }
+}
+
+impl Drop for Console {
+    fn drop(&mut self) {
+        self.ring = None;
+        if let Some(printer) = self.printer.take() {
+            // The printer does not panic; if it did, there is nothing left to print.
+            let _ = printer.join();
+        }
+    }
+}
+
+fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
+    let seconds = |at_ns: Nanos| at_ns.saturating_sub(start_ns) as f64 * 1e-9;
+    loop {
+        let last_look = ring.is_abandoned();
+        while let Ok(announcement) = ring.pop() {
+            match announcement {
+                Announcement::State {
+                    at_ns,
+                    from,
+                    to,
+                    reasons,
+                } => {
+                    let reasons: Vec<_> = reasons.iter().map(|reason| reason.name()).collect();
+                    tracing::info!(
+                        "{:8.2} s  {} → {}{}{}",
+                        seconds(at_ns),
+                        from.name(),
+                        to.name(),
+                        if reasons.is_empty() { "" } else { ": " },
+                        reasons.join(", ")
+                    );
+                }
+                Announcement::Slips { at_ns, total } => {
+                    tracing::warn!("{:8.2} s  {total} steps missed since start", seconds(at_ns));
+                }
+            }
+        }
+        if last_look {
+            return;
+        }
+        std::thread::sleep(PAUSE);
+    }
+}

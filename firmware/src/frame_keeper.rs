@@ -1,0 +1,146 @@
+//! Keeps the newest valid depth frame.
+#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use vigil_types::{DepthFrame, FrameDefect, Nanos, STEP_NS};
+
+/// A stamp may lie this far in the future: the loop reads its clock before it takes the frame.
+const FUTURE_NS: Nanos = STEP_NS;
+
+/// Why a frame was not taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// The frame itself is not acceptable.
+    Defect(FrameDefect),
+    /// Its stamp is later than now: its age would be unknown.
+    FromTheFuture,
+    /// Its stamp is not later than that of the frame before: a repetition, or out of order.
+    NotNewer,
+}
+
+/// The newest valid frame, and room to check the next.
+///
+/// A frame is copied first and checked then: the memory it comes from may belong to another process.
+#[derive(Debug)]
+pub struct FrameKeeper {
+    sensor_id: u32,
+    frames: [DepthFrame; 2],
+    /// The valid frame is the second; the other one is room.
+    valid_is_second: bool,
+    has_valid: bool,
+    refused: u64,
+}
+
+impl FrameKeeper {
+    /// Accepts frames of `sensor_id`; has none yet.
+    pub const fn new(sensor_id: u32) -> Self {
+        Self {
+            sensor_id,
+            frames: [DepthFrame::EMPTY; 2],
+            valid_is_second: false,
+            has_valid: false,
+            refused: 0,
+        }
+    }
+
+    /// Takes a frame, or counts it as refused; the newest valid one then stays.
+    ///
+    /// # Errors
+    /// The first [`Refusal`] found.
+    pub fn take(&mut self, frame: &DepthFrame, now_ns: Nanos) -> Result<(), Refusal> {
+        let newest_ns = self.newest().map(|valid| valid.header.stamp_ns);
+        let [first, second] = &mut self.frames;
+        let candidate = if self.valid_is_second { first } else { second };
+        candidate.header = frame.header;
+        candidate.depth.copy_from_slice(&frame.depth);
+        let checked = check(candidate, self.sensor_id, newest_ns, now_ns);
+        match checked {
+            Ok(()) => {
+                self.valid_is_second = !self.valid_is_second;
+                self.has_valid = true;
+            }
+            Err(_) => self.refused += 1,
+        }
+        checked
+    }
+
+    /// The newest valid frame.
+    pub fn newest(&self) -> Option<&DepthFrame> {
+        let [first, second] = &self.frames;
+        let valid = if self.valid_is_second { second } else { first };
+        self.has_valid.then_some(valid)
+    }
+
+    /// Frames refused so far.
+    pub fn refused(&self) -> u64 {
+        self.refused
+    }
+}
+
+fn check(frame: &DepthFrame, sensor_id: u32, newest_ns: Option<Nanos>, now_ns: Nanos) -> Result<(), Refusal> {
+    frame.check(sensor_id).map_err(Refusal::Defect)?;
+    let stamp_ns = frame.header.stamp_ns;
+    if stamp_ns > now_ns.saturating_add(FUTURE_NS) {
+        return Err(Refusal::FromTheFuture);
+    }
+    if newest_ns.is_some_and(|newest_ns| stamp_ns <= newest_ns) {
+        return Err(Refusal::NotNewer);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sealed(stamp_ns: Nanos, sequence: u64) -> Box<DepthFrame> {
+        let mut frame = Box::new(DepthFrame::EMPTY);
+        frame.header.stamp_ns = stamp_ns;
+        frame.header.sequence = sequence;
+        frame.seal();
+        frame
+    }
+
+    fn keeper() -> Box<FrameKeeper> {
+        Box::new(FrameKeeper::new(0))
+    }
+
+    #[test]
+    fn valid_frames_replace_each_other_and_a_bad_one_leaves_the_newest_in_place() {
+        let mut keeper = keeper();
+        assert!(keeper.newest().is_none());
+        for i in 1..5 {
+            assert_eq!(keeper.take(&sealed(i * STEP_NS, i), i * STEP_NS), Ok(()));
+            assert_eq!(keeper.newest().map(|f| f.header.sequence), Some(i));
+            let mut torn = sealed(i * STEP_NS + 1, 99);
+            torn.depth[7] = 0.5;
+            let refused = keeper.take(&torn, i * STEP_NS + 1);
+            assert_eq!(refused, Err(Refusal::Defect(FrameDefect::BadChecksum)));
+            assert_eq!(keeper.newest(), Some(&*sealed(i * STEP_NS, i)));
+        }
+        assert_eq!(keeper.refused(), 4);
+    }
+
+    #[test]
+    fn a_repeated_frame_does_not_become_fresh_and_a_restarted_publisher_does() {
+        let mut keeper = keeper();
+        assert_eq!(keeper.take(&sealed(100, 41), 100), Ok(()));
+        assert_eq!(keeper.take(&sealed(100, 41), 200), Err(Refusal::NotNewer));
+        assert_eq!(keeper.take(&sealed(90, 42), 200), Err(Refusal::NotNewer));
+        assert_eq!(
+            keeper.take(&sealed(300, 0), 300),
+            Ok(()),
+            "sequences start again, stamps go on"
+        );
+    }
+
+    #[test]
+    fn a_stamp_from_the_future_would_stay_fresh_for_ever_and_is_refused() {
+        let mut keeper = keeper();
+        assert_eq!(
+            keeper.take(&sealed(100 + FUTURE_NS + 1, 0), 100),
+            Err(Refusal::FromTheFuture)
+        );
+        assert_eq!(keeper.take(&sealed(u64::MAX, 0), 100), Err(Refusal::FromTheFuture));
+        assert_eq!(keeper.take(&sealed(100 + FUTURE_NS, 0), 100), Ok(()));
+    }
+}

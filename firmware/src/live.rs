@@ -1,0 +1,276 @@
+//! A real-time flight: the fixed-rate loop over the live ports.
+
+use crate::config::FirmwareConfig;
+use crate::console::Console;
+use crate::ports::live::{LinkError, MonotonicClock, SharedFrames, UdpLink};
+use crate::ports::{Clock, Link};
+use crate::rate::RateSchedule;
+use crate::realtime::{self, Granted};
+use crate::step::Firmware;
+use crate::timing::{Durations, Spread};
+use std::sync::atomic::{AtomicBool, Ordering};
+use vigil_link::LinkCounters;
+use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, StartError, epoch_offset_ns};
+use vigil_transport::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
+use vigil_types::{Datagrams, GuidanceState, Nanos, StepReport};
+
+/// Steps between a request to end and the end: guidance brakes and sends zeros in them.
+const FAREWELL_STEPS: u64 = 5;
+
+/// Why a flight could not begin.
+#[derive(Debug, thiserror::Error)]
+pub enum LiveError {
+    /// Shared memory cannot be used.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// Frames cannot be received.
+    #[error(transparent)]
+    Frames(#[from] FrameError),
+    /// The vehicle's link cannot be opened.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The log cannot be written.
+    #[error(transparent)]
+    Log(#[from] StartError),
+    /// The scene file is not usable.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// The guidance configuration must not fly.
+    #[error(transparent)]
+    Guidance(#[from] vigil_guidance::ConfigError),
+    /// No thread for the console.
+    #[error("cannot start the console thread: {0}")]
+    Console(std::io::Error),
+}
+
+/// What came of a flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlightSummary {
+    /// Steps run.
+    pub steps: u64,
+    /// Steps missed.
+    pub slips: u64,
+    /// Time from wake-up to the end of a step.
+    pub execution: Spread,
+    /// Lateness of wake-ups.
+    pub wake_late: Spread,
+    /// Valid frames used.
+    pub frames: u64,
+    /// Frames refused.
+    pub frames_refused: u64,
+    /// Failures of the transport to receive.
+    pub frame_failures: u64,
+    /// What MAVLink refused or dropped.
+    pub link: LinkCounters,
+    /// Datagrams of strangers, which were not read.
+    pub foreign_datagrams: u64,
+    /// Datagrams that could not be sent.
+    pub unsent_datagrams: u64,
+    /// Guidance state at the end.
+    pub state: GuidanceState,
+    /// What became of the log, if there was one.
+    pub log: Option<vigil_log::Summary>,
+}
+
+impl std::fmt::Display for FlightSummary {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(
+            f,
+            "loop      {} steps, {} missed, ended in {}",
+            self.steps,
+            self.slips,
+            self.state.name()
+        )?;
+        writeln!(f, "step      {}", self.execution)?;
+        writeln!(f, "wake-up   {} late", self.wake_late)?;
+        write!(f, "frames    {} used, {} refused", self.frames, self.frames_refused)?;
+        if self.frame_failures > 0 {
+            write!(f, ", {} times the transport failed", self.frame_failures)?;
+        }
+        if self.foreign_datagrams + self.unsent_datagrams > 0 {
+            write!(
+                f,
+                "\nlink      {} datagrams of strangers not read, {} could not be sent",
+                self.foreign_datagrams, self.unsent_datagrams
+            )?;
+        }
+        match &self.log {
+            None => write!(f, "\nlog       none"),
+            Some(log) => {
+                write!(f, "\nlog       {} ({} records", log.path.display(), log.records)?;
+                if log.dropped > 0 {
+                    write!(f, ", {} missing", log.dropped)?;
+                }
+                write!(f, ")")?;
+                log.failure
+                    .iter()
+                    .try_for_each(|failure| write!(f, "\nlog       {failure}"))
+            }
+        }
+    }
+}
+
+/// Adds datagrams of the program's own to what a link receives: requests of the person at the terminal reach the
+/// flight stack as any operator's do, and are in the log.
+struct OperatorLink<L> {
+    link: L,
+    pending: Box<Datagrams>,
+}
+
+impl<L: Link> Link for OperatorLink<L> {
+    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
+        for (link, datagram) in self.pending.iter() {
+            received.push(link, datagram);
+        }
+        self.pending.clear();
+        self.link.receive(now_ns, received);
+    }
+
+    fn send(&mut self, sent: &Datagrams) {
+        self.link.send(sent);
+    }
+}
+
+/// The loop, ready to step. Not `Send`: it belongs to the thread that made it.
+pub struct LiveLoop {
+    clock: MonotonicClock,
+    schedule: RateSchedule,
+    offset_ns: Nanos,
+    priority: i32,
+    firmware: Firmware,
+    frames: SharedFrames,
+    link: OperatorLink<UdpLink>,
+    execution: Durations,
+    wake_late: Durations,
+    last: StepReport,
+    used_frames: u64,
+    console: Console,
+    _domain: Domain,
+}
+
+impl LiveLoop {
+    /// Opens everything a flight needs; [`LiveLoop::start`] comes next.
+    ///
+    /// # Errors
+    /// [`LiveError`], each telling what to do.
+    pub fn open(config: &FirmwareConfig) -> Result<Self, LiveError> {
+        let mut clock = MonotonicClock;
+        let domain = Domain::open(config.instance, "firmware")?;
+        let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
+        let link = OperatorLink {
+            link: UdpLink::open(config.link_url())?,
+            pending: Box::default(),
+        };
+        let recorder = start_recorder(config, clock.now_ns())?;
+        let firmware = Firmware::new(&config.stack(), recorder)?;
+        let now_ns = clock.now_ns();
+        let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
+        Ok(Self {
+            clock,
+            schedule: RateSchedule::new(now_ns, offset_ns),
+            offset_ns,
+            priority: config.rate.priority.into(),
+            firmware,
+            frames,
+            link,
+            execution: Durations::default(),
+            wake_late: Durations::default(),
+            last: StepReport::default(),
+            used_frames: 0,
+            console: Console::start(now_ns).map_err(LiveError::Console)?,
+            _domain: domain,
+        })
+    }
+
+    /// Asks the system for real-time scheduling and locked memory, and starts the grid of deadlines now.
+    pub fn start(&mut self) -> Granted {
+        // Last of all: everything is allocated, and the recorder's thread was started with its ordinary priority.
+        let granted = realtime::request(self.priority);
+        self.schedule = RateSchedule::new(self.clock.now_ns(), self.offset_ns);
+        granted
+    }
+
+    /// Waits for the next deadline and runs one step. Allocates nothing in steady state.
+    pub fn step(&mut self) -> &StepReport {
+        self.clock.sleep_until(self.schedule.next_deadline_ns());
+        let timing = self.schedule.begin(self.clock.now_ns());
+        let report = *self
+            .firmware
+            .step(timing, &mut self.clock, &mut self.frames, &mut self.link);
+        self.console.observe(&report);
+        if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
+            self.used_frames += 1;
+        }
+        self.last = report;
+        self.wake_late.record(timing.wake_late_ns);
+        let execution_ns = self.schedule.end(self.clock.now_ns());
+        self.execution.record(execution_ns);
+        &self.last
+    }
+
+    /// Brakes, sends zeros for some steps, closes the log.
+    pub fn finish(mut self) -> FlightSummary {
+        self.firmware.disengage_command(&mut self.link.pending);
+        for _ in 0..FAREWELL_STEPS {
+            self.step();
+        }
+        self.firmware.shut_down(self.clock.now_ns(), &mut self.link);
+        FlightSummary {
+            steps: self.schedule.steps(),
+            slips: self.schedule.slips(),
+            execution: self.execution.spread(),
+            wake_late: self.wake_late.spread(),
+            frames: self.used_frames,
+            frames_refused: self.last.frames_refused,
+            frame_failures: self.frames.failures(),
+            link: self.firmware.link_counters(),
+            foreign_datagrams: self.link.link.foreign(),
+            unsent_datagrams: self.link.link.unsent(),
+            state: self.last.state,
+            log: self.firmware.finish(),
+        }
+    }
+}
+
+/// Starts the recorder of a real-time flight, if the configuration wants a log.
+fn start_recorder(config: &FirmwareConfig, now_ns: Nanos) -> Result<Option<Recorder>, LiveError> {
+    let Some(recorder_config) = recorder_config(config)? else {
+        return Ok(None);
+    };
+    let recorder = Recorder::start(RecorderConfig {
+        epoch_offset_ns: epoch_offset_ns(now_ns),
+        ..recorder_config
+    })?;
+    Ok(Some(recorder))
+}
+
+/// What the configuration says about the log.
+///
+/// # Errors
+/// A scene file that is not usable.
+pub fn recorder_config(config: &FirmwareConfig) -> Result<Option<RecorderConfig>, SceneError> {
+    let Some(directory) = &config.log.directory else {
+        return Ok(None);
+    };
+    Ok(Some(RecorderConfig {
+        scene: config.log.scene.as_deref().map(Scene::load).transpose()?,
+        ..RecorderConfig::new(LogPlace::Directory(directory.clone()), config.flight_info())
+    }))
+}
+
+/// Flies until `stop` is set. `started` is told what the system granted, just before the loop begins.
+///
+/// # Errors
+/// [`LiveError`]; once the loop runs nothing ends it but `stop`.
+pub fn fly(
+    config: &FirmwareConfig,
+    stop: &AtomicBool,
+    started: impl FnOnce(&Granted),
+) -> Result<FlightSummary, LiveError> {
+    let mut flight = LiveLoop::open(config)?;
+    started(&flight.start());
+    while !stop.load(Ordering::Relaxed) {
+        flight.step();
+    }
+    Ok(flight.finish())
+}

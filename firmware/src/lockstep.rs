@@ -1,0 +1,96 @@
+//! The firmware driven step by step by a simulator: in the same process by a call, in another through shared memory.
+
+use crate::config::FirmwareConfig;
+use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
+use crate::step::Firmware;
+use std::time::Duration;
+use vigil_guidance::ConfigError;
+use vigil_log::Recorder;
+use vigil_transport::{Domain, LockstepError, LockstepServer, Served};
+use vigil_types::{Datagrams, DepthFrame, Nanos, StepReport, StepTiming};
+
+/// The firmware in the simulator's own process.
+pub struct LockstepFirmware {
+    firmware: Firmware,
+    steps: u64,
+}
+
+impl LockstepFirmware {
+    /// A firmware without a log.
+    ///
+    /// # Errors
+    /// A configuration that must not fly.
+    pub fn new(config: &FirmwareConfig) -> Result<Self, ConfigError> {
+        Self::recording(config, None)
+    }
+
+    /// A firmware with a log, if a recorder is given ([`vigil_log::WhenFull::Wait`] loses no record).
+    ///
+    /// # Errors
+    /// A configuration that must not fly.
+    pub fn recording(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, ConfigError> {
+        Ok(Self {
+            firmware: Firmware::new(&config.stack(), recorder)?,
+            steps: 0,
+        })
+    }
+
+    /// One step at simulated time `now_ns` with the frame that is new in it and what the links received since the last
+    /// step. Overwrites `sent` and returns the report.
+    pub fn step(
+        &mut self,
+        now_ns: Nanos,
+        frame: Option<&DepthFrame>,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> &StepReport {
+        sent.clear();
+        let timing = StepTiming {
+            step: self.steps,
+            ..StepTiming::default()
+        };
+        self.steps += 1;
+        self.firmware.step(
+            timing,
+            &mut HandedClock(now_ns),
+            &mut HandedFrame(frame),
+            &mut HandedDatagrams::new(received, sent),
+        )
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Closes the log, if there is one, and says what became of it.
+    pub fn finish(self) -> Option<vigil_log::Summary> {
+        self.firmware.finish()
+    }
+}
+
+/// Answers a simulator in another process until it says that the flight is over or `cancelled` does; shows each step's
+/// report to `observe`.
+///
+/// # Errors
+/// [`LockstepError::SimulatorSilent`] when no step comes within `timeout`, and others.
+pub fn serve(
+    firmware: &mut LockstepFirmware,
+    domain: &Domain,
+    timeout: Duration,
+    cancelled: impl Fn() -> bool,
+    mut observe: impl FnMut(&StepReport),
+) -> Result<(), LockstepError> {
+    let mut server = LockstepServer::create(domain)?;
+    let mut sent = Box::<Datagrams>::default();
+    loop {
+        let (firmware, sent, observe) = (&mut *firmware, &mut *sent, &mut observe);
+        let served = server.serve(timeout, &cancelled, move |request| {
+            observe(firmware.step(request.now_ns, request.frame, request.received, sent));
+            sent
+        })?;
+        if served != Served::Step || cancelled() {
+            return Ok(());
+        }
+    }
+}

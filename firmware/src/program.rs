@@ -1,0 +1,215 @@
+//! The `firmware` program, which is also `vigil firmware`.
+
+use crate::config::{AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, Vehicle};
+use crate::link_url::LinkUrl;
+use crate::live::{self, recorder_config};
+use crate::lockstep::{self, LockstepFirmware};
+use anyhow::{Context, Result, ensure};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use vigil_log::{Recorder, RecorderConfig, WhenFull};
+use vigil_transport::Domain;
+use vigil_types::StepReport;
+
+/// Arguments of `vigil firmware` and of the `firmware` program.
+#[derive(Debug, Clone, Default, clap::Args)]
+#[command(after_help = "\
+Examples:
+  firmware                                  on the simulator of instance 0, waiting for an operator to engage it
+  firmware --engage auto --goal 20,5        take off and fly to 20 m north, 5 m east of home
+  firmware --link udpin://0.0.0.0:14540 --vehicle ardupilot --goal 50,0 --height 5
+                                            on a vehicle of yours
+  firmware --lockstep                       answer a simulator that sets the pace
+  firmware --config my.toml                 with a configuration file (docs/firmware.md); flags override it
+
+Ctrl-C or SIGTERM: brakes, sends zeros for a quarter of a second, closes the log.
+Exit code: 0 ended on request, 1 error, 2 wrong arguments.")]
+pub struct FirmwareArgs {
+    /// Configuration file (TOML).
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+
+    /// Number of this set of processes; port and shared memory follow from it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_INSTANCE)))]
+    pub instance: Option<u32>,
+
+    /// Where the vehicle's MAVLink is: udpin://ADDRESS:PORT or udpout://HOST:PORT [default: udpin://127.0.0.1:14030,
+    /// the port plus the instance].
+    #[arg(long, value_name = "URL")]
+    pub link: Option<LinkUrl>,
+
+    /// Which autopilot the vehicle has [default: px4].
+    #[arg(long, value_enum)]
+    pub vehicle: Option<Vehicle>,
+
+    /// Who starts a flight: guidance itself as soon as it is ready, or an operator's command [default: command].
+    #[arg(long, value_enum)]
+    pub engage: Option<Engage>,
+
+    /// Where to fly: metres north and east of home.
+    #[arg(long, value_name = "N,E", value_parser = parse_goal, allow_hyphen_values = true)]
+    pub goal: Option<[f32; 2]>,
+
+    /// Height to fly at, metres above home [default: 2.5].
+    #[arg(long, value_name = "METRES", value_parser = parse_height)]
+    pub height: Option<f32>,
+
+    /// What to do at the goal [default: hold].
+    #[arg(long, value_enum)]
+    pub at_goal: Option<AtGoalChoice>,
+
+    /// Who decides [default: geometric].
+    #[arg(long, value_enum)]
+    pub pilot: Option<PilotKind>,
+
+    /// FIFO priority of the loop, 1 to 99; 0 for ordinary scheduling [default: 50].
+    #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(0..=99))]
+    pub priority: Option<u8>,
+
+    /// Folder for the flight log; without it there is none.
+    #[arg(long, value_name = "DIR")]
+    pub log: Option<PathBuf>,
+
+    /// File with the course's obstacles, for display in the log only.
+    #[arg(long, value_name = "FILE", requires = "log")]
+    pub scene: Option<PathBuf>,
+
+    /// Answer a simulator in lockstep instead of running in real time; ends with its flight.
+    #[arg(long)]
+    pub lockstep: bool,
+
+    /// How long lockstep waits for the simulator before it names it as missing.
+    #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_LOCKSTEP_TIMEOUT_S, requires = "lockstep",
+        value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub lockstep_timeout: u64,
+}
+
+const DEFAULT_LOCKSTEP_TIMEOUT_S: u64 = 10;
+
+fn parse_goal(text: &str) -> Result<[f32; 2], String> {
+    let allowed = "give NORTH,EAST in metres, each within ±10000, for example 20,-5";
+    let (north, east) = text.split_once(',').ok_or(allowed)?;
+    let number = |text: &str| match text.trim().parse::<f32>() {
+        Ok(v) if v.abs() <= 10_000.0 => Ok(v),
+        _ => Err(allowed.to_owned()),
+    };
+    Ok([number(north)?, number(east)?])
+}
+
+fn parse_height(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(v) if (0.1..=1000.0).contains(&v) => Ok(v),
+        _ => Err("give metres above home, 0.1 to 1000".to_owned()),
+    }
+}
+
+impl FirmwareArgs {
+    /// The configuration: the file's, with the flags over it.
+    ///
+    /// # Errors
+    /// An unreadable or wrong configuration file, with file, line and field.
+    pub fn resolve(&self) -> Result<FirmwareConfig> {
+        let mut config = match &self.config {
+            Some(path) => FirmwareConfig::load(path)?,
+            None => FirmwareConfig::default(),
+        };
+        config.instance = self.instance.unwrap_or(config.instance);
+        config.link = self.link.or(config.link);
+        config.vehicle = self.vehicle.unwrap_or(config.vehicle);
+        config.engage = self.engage.unwrap_or(config.engage);
+        config.at_goal = self.at_goal.unwrap_or(config.at_goal);
+        config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
+        config.rate.priority = self.priority.unwrap_or(config.rate.priority);
+        if let Some([north_m, east_m]) = self.goal {
+            config.goal = Some(GoalConfig {
+                north_m,
+                east_m,
+                height_m: None,
+            });
+        }
+        if let Some(height_m) = self.height {
+            config.height_m = height_m;
+            config.goal.iter_mut().for_each(|goal| goal.height_m = None);
+        }
+        config.log.directory = self.log.clone().or(config.log.directory);
+        config.log.scene = self.scene.clone().or(config.log.scene);
+        Ok(config)
+    }
+}
+
+/// Runs the firmware until it is told to end (Ctrl-C, SIGTERM; in lockstep also by the simulator).
+///
+/// # Errors
+/// Whatever keeps the flight from beginning, each telling what to do; in lockstep also a simulator that fell silent.
+pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
+    let config = args.resolve()?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    if args.lockstep {
+        ensure!(
+            args.link.is_none(),
+            "--lockstep takes the simulator's MAVLink from shared memory: leave --link out"
+        );
+        run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
+    } else {
+        let summary = live::fly(&config, &stop, |granted| {
+            tracing::info!(
+                "instance {}: {} on {}, {} to engage; {granted}",
+                config.instance,
+                config.vehicle.name(),
+                config.link_url(),
+                config.engage.name(),
+            );
+        })?;
+        println!("{summary}");
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn run_lockstep(config: &FirmwareConfig, timeout: Duration, stop: &AtomicBool) -> Result<()> {
+    let domain = Domain::open(config.instance, "firmware")?;
+    let recorder = recorder_config(config)?
+        .map(|recorder| {
+            Recorder::start(RecorderConfig {
+                when_full: WhenFull::Wait,
+                ..recorder
+            })
+        })
+        .transpose()?;
+    let mut firmware = LockstepFirmware::recording(config, recorder)?;
+    let mut last = StepReport::default();
+    let cancelled = || stop.load(Ordering::Relaxed);
+    let served = lockstep::serve(&mut firmware, &domain, timeout, cancelled, |report| last = *report);
+    let steps = firmware.steps();
+    // The log is closed whatever ended the flight.
+    let log = firmware.finish();
+    served?;
+    println!("lockstep  {steps} steps, ended in {}", last.state.name());
+    if let Some(log) = log {
+        println!("log       {} ({} records)", log.path.display(), log.records);
+        log.failure.iter().for_each(|failure| println!("log       {failure}"));
+    }
+    Ok(())
+}
+
+impl Vehicle {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Px4 => "PX4",
+            Self::ArduPilot => "ArduPilot",
+        }
+    }
+}
+
+impl Engage {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Command => "operator",
+        }
+    }
+}

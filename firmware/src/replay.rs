@@ -1,0 +1,280 @@
+//! Runs the tick over a log's recorded inputs and compares every output.
+
+use crate::config::FirmwareConfig;
+use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
+use crate::step::Firmware;
+use vigil_log::{LogEnd, ReadError, Reader, TickRecord};
+use vigil_types::{Datagrams, Nanos, StepReport};
+
+/// What a replay found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReplayReport {
+    /// Steps that were run and compared.
+    pub steps: u64,
+    /// Bytes sent in these steps.
+    pub sent_bytes: u64,
+    /// The first difference; the replay ends there.
+    pub difference: Option<Difference>,
+    /// Step before which records are missing, because the recorder had to drop them; the replay ends there.
+    pub gap_before_step: Option<u64>,
+    /// How the log ends, when it was read to its end.
+    pub log_end: Option<LogEnd>,
+}
+
+impl ReplayReport {
+    /// Whether every recorded step was run and gave what was recorded.
+    pub fn is_equal(&self) -> bool {
+        self.difference.is_none() && self.gap_before_step.is_none() && self.log_end.is_some()
+    }
+}
+
+/// Where the replay departs from the log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Difference {
+    /// Number of the step.
+    pub step: u64,
+    /// Time of the step.
+    pub now_ns: Nanos,
+    /// What differs.
+    pub what: Departure,
+}
+
+/// What differs between a recorded and a replayed step.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Departure {
+    /// Another number of datagrams was sent.
+    DatagramCount {
+        /// In the log.
+        recorded: usize,
+        /// In the replay.
+        replayed: usize,
+    },
+    /// A datagram went to another link or has another length.
+    DatagramShape {
+        /// Which datagram of the step.
+        datagram: usize,
+        /// Link and length in the log.
+        recorded: (u8, usize),
+        /// Link and length in the replay.
+        replayed: (u8, usize),
+    },
+    /// A byte differs.
+    Byte {
+        /// Which datagram of the step.
+        datagram: usize,
+        /// Which byte of the datagram.
+        byte: usize,
+        /// In the log.
+        recorded: u8,
+        /// In the replay.
+        replayed: u8,
+    },
+    /// The reports differ.
+    Report {
+        /// Name of the first field that differs.
+        field: &'static str,
+        /// In the log.
+        recorded: String,
+        /// In the replay.
+        replayed: String,
+    },
+}
+
+impl std::fmt::Display for Difference {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "step {} (t = {} ns): ", self.step, self.now_ns)?;
+        match &self.what {
+            Departure::DatagramCount { recorded, replayed } => {
+                write!(f, "the log has {recorded} datagrams sent, the replay {replayed}")
+            }
+            Departure::DatagramShape {
+                datagram,
+                recorded,
+                replayed,
+            } => write!(
+                f,
+                "datagram {datagram} is {} bytes for link {} in the log, {} bytes for link {} in the replay",
+                recorded.1, recorded.0, replayed.1, replayed.0
+            ),
+            Departure::Byte {
+                datagram,
+                byte,
+                recorded,
+                replayed,
+            } => write!(
+                f,
+                "datagram {datagram}, byte {byte} is 0x{recorded:02x} in the log, 0x{replayed:02x} in the replay"
+            ),
+            Departure::Report {
+                field,
+                recorded,
+                replayed,
+            } => write!(
+                f,
+                "report: `{field}` is {recorded} in the log, {replayed} in the replay"
+            ),
+        }
+    }
+}
+
+impl std::fmt::Display for ReplayReport {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { steps, sent_bytes, .. } = self;
+        match (&self.difference, self.gap_before_step, self.log_end) {
+            (Some(difference), ..) => write!(f, "{difference}; {steps} steps before it are equal"),
+            (None, Some(step), _) => write!(
+                f,
+                "{steps} steps are equal ({sent_bytes} bytes sent); before step {step} the recorder dropped records, so \
+                 what follows cannot be replayed"
+            ),
+            (None, None, Some(end)) => write!(f, "all {steps} steps are equal ({sent_bytes} bytes sent); {end}"),
+            (None, None, None) => write!(f, "{steps} steps are equal ({sent_bytes} bytes sent)"),
+        }
+    }
+}
+
+/// Why a log cannot be replayed.
+#[derive(Debug, thiserror::Error)]
+pub enum ReplayError {
+    /// The log cannot be read.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// The configuration in the log is not understood: another version of the firmware flew.
+    #[error("the configuration in the log of `{program}` is not understood by this version: {message}")]
+    Config {
+        /// Who flew.
+        program: String,
+        /// The parser's report.
+        message: String,
+    },
+    /// The configuration in the log must not fly.
+    #[error(transparent)]
+    Guidance(#[from] vigil_guidance::ConfigError),
+}
+
+/// Replays a log from its first record with the configuration in the log, up to the first difference.
+///
+/// # Errors
+/// [`ReplayError`] when the log cannot be read or its configuration is not understood. A difference is no error.
+pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
+    let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(|message| ReplayError::Config {
+        program: reader.info().program.clone(),
+        message,
+    })?;
+    let mut firmware = Firmware::new(&config.stack(), None)?;
+    let mut record = Box::<TickRecord>::default();
+    let mut sent = Box::<Datagrams>::default();
+    let mut result = ReplayReport {
+        steps: 0,
+        sent_bytes: 0,
+        difference: None,
+        gap_before_step: None,
+        log_end: None,
+    };
+    while reader.read_next(&mut record)? {
+        if record.dropped_before > 0 {
+            result.gap_before_step = Some(record.timing.step);
+            return Ok(result);
+        }
+        let report = step_again(&mut firmware, &record, &mut sent);
+        if let Some(what) = departure(&record, &sent, report) {
+            result.difference = Some(Difference {
+                step: record.timing.step,
+                now_ns: record.now_ns,
+                what,
+            });
+            return Ok(result);
+        }
+        result.steps += 1;
+        result.sent_bytes += sent.iter().map(|(_, datagram)| datagram.len() as u64).sum::<u64>();
+    }
+    result.log_end = reader.end();
+    Ok(result)
+}
+
+/// Runs a recorded step: its time, frame and datagrams go in again. Overwrites `sent`.
+pub fn step_again<'a>(firmware: &'a mut Firmware, record: &TickRecord, sent: &mut Datagrams) -> &'a StepReport {
+    sent.clear();
+    firmware.step(
+        record.timing,
+        &mut HandedClock(record.now_ns),
+        &mut HandedFrame(record.frame()),
+        &mut HandedDatagrams::new(&record.received, sent),
+    )
+}
+
+fn departure(record: &TickRecord, sent: &Datagrams, report: &StepReport) -> Option<Departure> {
+    for (datagram, (recorded, replayed)) in record.sent.iter().zip(sent.iter()).enumerate() {
+        let shape = |(link, bytes): (u8, &[u8])| (link, bytes.len());
+        if shape(recorded) != shape(replayed) {
+            return Some(Departure::DatagramShape {
+                datagram,
+                recorded: shape(recorded),
+                replayed: shape(replayed),
+            });
+        }
+        let pairs = recorded.1.iter().zip(replayed.1).enumerate();
+        if let Some((byte, (a, b))) = pairs.into_iter().find(|(_, (a, b))| a != b) {
+            return Some(Departure::Byte {
+                datagram,
+                byte,
+                recorded: *a,
+                replayed: *b,
+            });
+        }
+    }
+    if record.sent.len() != sent.len() {
+        return Some(Departure::DatagramCount {
+            recorded: record.sent.len(),
+            replayed: sent.len(),
+        });
+    }
+    report_departure(&record.report, report)
+}
+
+/// Compares by the printed form, which is exact for numbers and takes NaN for equal to itself.
+fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Departure> {
+    let fields = |report: &StepReport| {
+        // Taken apart by name, so that a new field does not compile until it is compared.
+        let StepReport {
+            now_ns,
+            timing,
+            state,
+            reasons,
+            telemetry,
+            goal,
+            goal_relative,
+            action,
+            setpoint,
+            frame_sequence,
+            frame_age_ns,
+            frames_refused,
+        } = report;
+        [
+            ("now_ns", format!("{now_ns:?}")),
+            ("timing", format!("{timing:?}")),
+            ("state", format!("{state:?}")),
+            ("reasons", format!("{reasons:?}")),
+            ("telemetry", format!("{telemetry:?}")),
+            ("goal", format!("{goal:?}")),
+            ("goal_relative", format!("{goal_relative:?}")),
+            ("action", format!("{action:?}")),
+            ("setpoint", format!("{setpoint:?}")),
+            ("frame_sequence", format!("{frame_sequence:?}")),
+            ("frame_age_ns", format!("{frame_age_ns:?}")),
+            ("frames_refused", format!("{frames_refused:?}")),
+        ]
+    };
+    if recorded == replayed {
+        return None;
+    }
+    fields(recorded)
+        .into_iter()
+        .zip(fields(replayed))
+        .find(|((_, a), (_, b))| a != b)
+        .map(|((field, recorded), (_, replayed))| Departure::Report {
+            field,
+            recorded,
+            replayed,
+        })
+}

@@ -1,0 +1,243 @@
+//! The flight stack: everything of one step between what came in and what goes out. No clock, no allocation, no panic,
+//! no standard library: time, frames and datagrams are arguments.
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::std_instead_of_core,
+    clippy::alloc_instead_of_core
+)]
+
+use crate::frame_keeper::FrameKeeper;
+use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
+use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
+use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, framing};
+use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
+use vigil_types::{
+    Action, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, HeadingVector, Nanos, OperatorRequest, StepReport,
+    StepTiming, VehicleTelemetry,
+};
+
+/// MAVLink's usual identity of a ground station.
+const GROUND_STATION: MavHeader = MavHeader {
+    system_id: 255,
+    component_id: 190,
+    sequence: 0,
+};
+/// A vehicle's system unless somebody changed it.
+const DEFAULT_SYSTEM: u8 = 1;
+
+/// What the flight stack is made from.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StackConfig {
+    /// The sensor whose frames are accepted.
+    pub sensor_id: u32,
+    /// Guidance.
+    pub guidance: GuidanceConfig,
+    /// MAVLink towards the vehicle.
+    pub companion: CompanionConfig,
+    /// The pilot.
+    pub pilot: GeometricConfig,
+    /// Where to fly; `None` waits for an operator.
+    pub goal: Option<Goal>,
+}
+
+/// What one step gets.
+#[derive(Debug, Clone, Copy)]
+pub struct TickInput<'a> {
+    /// Time of the step.
+    pub now_ns: Nanos,
+    /// What the loop measured of itself.
+    pub timing: StepTiming,
+    /// The frame that is new since the last step; unchecked.
+    pub frame: Option<&'a DepthFrame>,
+    /// What the links received since the last step.
+    pub received: &'a Datagrams,
+}
+
+/// What one step gives.
+#[derive(Debug, Clone, Default)]
+pub struct TickOutput {
+    /// What was decided and why.
+    pub report: StepReport,
+    /// What to send.
+    pub sent: Datagrams,
+}
+
+/// The flight stack. A large value without pointers: box it once at start.
+pub struct FlightStack {
+    frames: FrameKeeper,
+    companion: Companion,
+    guidance: Guidance,
+    pilot: GeometricPilot,
+    /// The pilot was asked in the step before.
+    pilot_asked: bool,
+    component_id: u8,
+    link: u8,
+}
+
+impl FlightStack {
+    /// A stack that has seen nothing yet.
+    ///
+    /// # Errors
+    /// A guidance configuration that must not fly.
+    pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
+        let mut guidance = Guidance::new(config.guidance)?;
+        if let Some(Goal { position_ned_m }) = config.goal {
+            guidance.request(OperatorRequest::Goal {
+                north_m: position_ned_m.x,
+                east_m: position_ned_m.y,
+                height_m: Some(-position_ned_m.z),
+            });
+        }
+        Ok(Self {
+            frames: FrameKeeper::new(config.sensor_id),
+            companion: Companion::new(config.companion),
+            guidance,
+            pilot: GeometricPilot::new(config.pilot),
+            pilot_asked: false,
+            component_id: config.companion.component_id,
+            link: config.companion.link,
+        })
+    }
+
+    /// One step: what came in, what is known of the vehicle, what the pilot wants, what guidance permits, what goes out.
+    pub fn tick(&mut self, input: &TickInput<'_>, output: &mut TickOutput) {
+        let now_ns = input.now_ns;
+
+        // Acquire.
+        let refused = match input.frame {
+            Some(frame) => self.frames.take(frame, now_ns).is_err(),
+            None => false,
+        };
+        for (link, datagram) in input.received.iter() {
+            self.companion.receive(now_ns, link, datagram);
+        }
+        // As many as were queued: the companion's queue is bounded.
+        while let Some(pending) = self.companion.take_request() {
+            let outcome = self.guidance.request(pending.request());
+            self.companion.answer(&pending, outcome);
+        }
+        let telemetry = *self.companion.telemetry();
+        let frame_age_ns = self.frames.newest().map(|f| now_ns.saturating_sub(f.header.stamp_ns));
+
+        // Pilot.
+        let goal = self.guidance.goal();
+        let view = self.view(now_ns, &telemetry, goal.as_ref(), frame_age_ns);
+        let action = self.decide(now_ns, view);
+
+        // Guide.
+        let guidance = self.guidance.step(&GuidanceInput {
+            now_ns,
+            telemetry: &telemetry,
+            frame: FrameStatus {
+                age_ns: frame_age_ns,
+                refused,
+            },
+            action,
+            timing: input.timing,
+            handover: self.companion.handover(),
+            vehicle_restarts: self.companion.vehicle_restarts(),
+        });
+
+        // Emit.
+        output.report = StepReport {
+            now_ns,
+            timing: input.timing,
+            state: guidance.state,
+            reasons: guidance.reasons,
+            telemetry,
+            goal,
+            goal_relative: view.map(|view| view.goal),
+            action,
+            setpoint: guidance.setpoint,
+            frame_sequence: self.frames.newest().map(|frame| frame.header.sequence),
+            frame_age_ns,
+            frames_refused: self.frames.refused(),
+        };
+        output.sent.clear();
+        self.companion.emit(&output.report, guidance.request, &mut output.sent);
+    }
+
+    /// What the link refused or dropped, since start.
+    pub fn link_counters(&self) -> LinkCounters {
+        self.companion.counters()
+    }
+
+    /// Appends the command of a person at the terminal who disengages guidance. It is meant for [`TickInput::received`]:
+    /// it enters the stack as any operator's does, and the log has it.
+    pub fn disengage_command(&self, received: &mut Datagrams) {
+        let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+            target_system: self.companion.system_id().unwrap_or(DEFAULT_SYSTEM),
+            target_component: self.component_id,
+            ..COMMAND_LONG_DATA::DEFAULT
+        });
+        let mut packet = [0; framing::MAX_PACKET_LEN];
+        // Every packet fits MAX_PACKET_LEN.
+        let len = framing::serialize(GROUND_STATION, &command, &mut packet).unwrap_or(0);
+        if let Some(datagram) = packet.get(..len) {
+            received.push(self.link, datagram);
+        }
+    }
+
+    /// The last packets before the firmware ends, after its last tick.
+    pub fn shut_down(&mut self, now_ns: Nanos, sent: &mut Datagrams) {
+        sent.clear();
+        self.companion.shutdown(now_ns, sent);
+    }
+
+    /// What the pilot needs besides the frame, when everything is there, fresh and finite: then, and only then, guidance
+    /// expects an action of it.
+    fn view(
+        &self,
+        now_ns: Nanos,
+        telemetry: &VehicleTelemetry,
+        goal: Option<&Goal>,
+        frame_age_ns: Option<Nanos>,
+    ) -> Option<View> {
+        let limits = self.guidance.config();
+        let fresh = frame_age_ns? <= limits.frame_age_limit_ns
+            && telemetry.flight_data_age_ns(now_ns)? <= limits.telemetry_age_limit_ns;
+        if !fresh || !telemetry.is_finite() {
+            return None;
+        }
+        let (kinematics, attitude) = (telemetry.kinematics?, telemetry.attitude?);
+        Some(View {
+            goal: goal?.relative_to(&kinematics, &attitude),
+            attitude: attitude.attitude,
+            velocity_m_s: kinematics.velocity_ned_m_s.to_heading(attitude.attitude.yaw_rad()),
+            height_m: -kinematics.position_ned_m.z,
+        })
+    }
+
+    /// Asks the pilot, or tells it once that what it remembers is out of date.
+    fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Option<Action> {
+        let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
+            if self.pilot_asked {
+                self.pilot.reset();
+                self.pilot_asked = false;
+            }
+            return None;
+        };
+        self.pilot_asked = true;
+        Some(self.pilot.decide(&PilotInput {
+            now_ns,
+            depth,
+            goal: view.goal,
+            attitude: view.attitude,
+            velocity_m_s: view.velocity_m_s,
+            height_m: view.height_m,
+        }))
+    }
+}
+
+/// What the pilot may see of the vehicle and the goal.
+#[derive(Debug, Clone, Copy)]
+struct View {
+    goal: GoalRelative,
+    attitude: Attitude,
+    velocity_m_s: HeadingVector,
+    height_m: f32,
+}

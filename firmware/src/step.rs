@@ -1,0 +1,82 @@
+//! One step over the ports, the same live, in lockstep and in replay: receive, tick, send, record.
+
+use crate::ports::{Clock, FrameSource, Link};
+use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
+use vigil_guidance::ConfigError;
+use vigil_link::LinkCounters;
+use vigil_log::Recorder;
+use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
+
+/// The flight stack with its buffers and its log. Allocates nothing after it was made.
+pub struct Firmware {
+    stack: Box<FlightStack>,
+    received: Box<Datagrams>,
+    output: Box<TickOutput>,
+    recorder: Option<Recorder>,
+}
+
+impl Firmware {
+    /// A stack that has flown nothing yet.
+    ///
+    /// # Errors
+    /// A guidance configuration that must not fly.
+    pub fn new(config: &StackConfig, recorder: Option<Recorder>) -> Result<Self, ConfigError> {
+        Ok(Self {
+            stack: Box::new(FlightStack::new(config)?),
+            received: Box::default(),
+            output: Box::default(),
+            recorder,
+        })
+    }
+
+    /// One step. Never waits, unless the recorder was told to ([`vigil_log::WhenFull::Wait`]).
+    pub fn step(
+        &mut self,
+        timing: StepTiming,
+        clock: &mut impl Clock,
+        frames: &mut impl FrameSource,
+        link: &mut impl Link,
+    ) -> &StepReport {
+        let now_ns = clock.now_ns();
+        self.received.clear();
+        link.receive(now_ns, &mut self.received);
+        let frame = frames.newest();
+        let input = TickInput {
+            now_ns,
+            timing,
+            frame,
+            received: &self.received,
+        };
+        self.stack.tick(&input, &mut self.output);
+        link.send(&self.output.sent);
+        if let Some(recorder) = &mut self.recorder {
+            let output = &self.output;
+            // A full recorder counts the record as dropped.
+            recorder.record(|record| {
+                record.fill(now_ns, timing, frame, input.received, &output.sent, &output.report);
+            });
+        }
+        &self.output.report
+    }
+
+    /// The command of a person at the terminal who disengages guidance, for the next step's link to receive.
+    pub fn disengage_command(&self, received: &mut Datagrams) {
+        self.stack.disengage_command(received);
+    }
+
+    /// Sends the last packets before the firmware ends. They belong to no step and are not in the log.
+    pub fn shut_down(&mut self, now_ns: Nanos, link: &mut impl Link) {
+        self.stack.shut_down(now_ns, &mut self.output.sent);
+        link.send(&self.output.sent);
+    }
+
+    /// What the link refused or dropped, since start.
+    pub fn link_counters(&self) -> LinkCounters {
+        self.stack.link_counters()
+    }
+
+    /// Closes the log, if there is one, and says what became of it.
+    pub fn finish(self) -> Option<vigil_log::Summary> {
+        self.recorder.map(Recorder::finish)
+    }
+}

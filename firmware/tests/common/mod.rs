@@ -1,0 +1,266 @@
+//! A vehicle for tests: speaks PX4's MAVLink as the protocol's documentation has it, obeys at once, and sees no obstacle.
+#![allow(dead_code, reason = "each test program uses a part")]
+
+use std::time::Duration;
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::config::{Engage, GoalConfig};
+use vigil_link::MavHeader;
+use vigil_link::common::{
+    ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
+    LOCAL_POSITION_NED_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavResult, MavState,
+    MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
+};
+use vigil_link::framing::{self, FramingCounters};
+use vigil_types::{Attitude, Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
+
+/// Bounds every wait; far above what any of them takes.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// An instance of a test's own, so that tests run side by side, with each other and with flights; dropped last.
+pub struct Instance(pub u32);
+
+impl Instance {
+    pub fn own(number: u32) -> Self {
+        Self(1_000_000 + std::process::id() * 16 + number)
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        let _ = vigil_transport::remove_leftovers(self.0);
+    }
+}
+
+/// A configuration that engages by itself and flies to a goal 20 m ahead and 5 m to the right.
+pub fn config() -> FirmwareConfig {
+    FirmwareConfig {
+        engage: Engage::Auto,
+        goal: Some(GoalConfig {
+            north_m: 20.0,
+            east_m: 5.0,
+            height_m: Some(2.5),
+        }),
+        ..FirmwareConfig::default()
+    }
+}
+
+pub const SENSOR_ID: u32 = 1;
+const SYSTEM_ID: u8 = 1;
+
+/// PX4's flight modes as (main, sub) of its custom mode.
+pub const OFFBOARD: (u8, u8) = (6, 0);
+pub const TAKEOFF: (u8, u8) = (4, 2);
+pub const LOITER: (u8, u8) = (4, 3);
+pub const LAND: (u8, u8) = (4, 6);
+
+pub struct TestVehicle {
+    pub position_ned_m: NedVector,
+    pub velocity_ned_m_s: NedVector,
+    pub yaw_rad: f32,
+    pub mode: (u8, u8),
+    pub armed: bool,
+    /// Setpoints received, newest last.
+    pub setpoints: Vec<SET_POSITION_TARGET_LOCAL_NED_DATA>,
+    /// Everything else received, newest last, with its sender.
+    pub heard: Vec<(MavHeader, MavMessage)>,
+    pub bad_packets: u64,
+    sequence: u8,
+    frames: u64,
+    steps: u64,
+    acks: Vec<COMMAND_ACK_DATA>,
+}
+
+impl TestVehicle {
+    pub fn on_ground() -> Self {
+        Self {
+            position_ned_m: NedVector::ZERO,
+            velocity_ned_m_s: NedVector::ZERO,
+            yaw_rad: 0.0,
+            mode: LOITER,
+            armed: false,
+            setpoints: Vec::new(),
+            heard: Vec::new(),
+            bad_packets: 0,
+            sequence: 0,
+            frames: 0,
+            steps: 0,
+            acks: Vec::new(),
+        }
+    }
+
+    pub fn hovering(height_m: f32) -> Self {
+        Self {
+            position_ned_m: NedVector::new(0.0, 0.0, -height_m),
+            armed: true,
+            ..Self::on_ground()
+        }
+    }
+
+    pub fn is_in_air(&self) -> bool {
+        self.position_ned_m.z < -0.2
+    }
+
+    /// Takes what the firmware sent.
+    pub fn hear(&mut self, datagram: &[u8]) {
+        let mut counters = FramingCounters::default();
+        let mut found = 0;
+        for packet in framing::packets(datagram, &mut counters) {
+            found += 1;
+            let message = packet.message().expect("the firmware sends what the dialect knows");
+            let header = packet.header();
+            match message {
+                MavMessage::SET_POSITION_TARGET_LOCAL_NED(setpoint) => self.setpoints.push(setpoint),
+                MavMessage::COMMAND_LONG(command) => {
+                    self.obey(&command, header);
+                    self.heard.push((header, MavMessage::COMMAND_LONG(command)));
+                }
+                other => self.heard.push((header, other)),
+            }
+        }
+        if found != 1 {
+            self.bad_packets += 1;
+        }
+    }
+
+    fn obey(&mut self, command: &COMMAND_LONG_DATA, from: MavHeader) {
+        let result = match command.command {
+            MavCmd::MAV_CMD_COMPONENT_ARM_DISARM => {
+                self.armed = command.param1 > 0.5;
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            MavCmd::MAV_CMD_NAV_TAKEOFF => {
+                self.mode = TAKEOFF;
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            MavCmd::MAV_CMD_NAV_LAND => {
+                self.mode = LAND;
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            MavCmd::MAV_CMD_DO_SET_MODE if (command.param2, command.param3) == (6.0, 0.0) => {
+                // PX4 refuses OFFBOARD without a stream of setpoints.
+                if self.setpoints.is_empty() {
+                    MavResult::MAV_RESULT_TEMPORARILY_REJECTED
+                } else {
+                    self.mode = OFFBOARD;
+                    MavResult::MAV_RESULT_ACCEPTED
+                }
+            }
+            MavCmd::MAV_CMD_DO_SET_MODE => {
+                self.mode = (command.param2 as u8, command.param3 as u8);
+                MavResult::MAV_RESULT_ACCEPTED
+            }
+            _ => MavResult::MAV_RESULT_UNSUPPORTED,
+        };
+        self.acks.push(COMMAND_ACK_DATA {
+            command: command.command,
+            result,
+            target_system: from.system_id as u8,
+            target_component: from.component_id,
+            ..COMMAND_ACK_DATA::DEFAULT
+        });
+    }
+
+    /// Flies for one step.
+    pub fn advance(&mut self) {
+        self.velocity_ned_m_s = match (self.armed, self.mode) {
+            (false, _) => NedVector::ZERO,
+            (true, TAKEOFF) if self.position_ned_m.z > -2.5 => NedVector::new(0.0, 0.0, -1.0),
+            (true, TAKEOFF) => {
+                self.mode = LOITER;
+                NedVector::ZERO
+            }
+            (true, LAND) if self.is_in_air() => NedVector::new(0.0, 0.0, 0.7),
+            (true, LAND) => {
+                self.armed = false;
+                NedVector::ZERO
+            }
+            (true, OFFBOARD) => self.setpoints.last().map_or(NedVector::ZERO, |s| {
+                self.yaw_rad += s.yaw_rate * STEP_S;
+                vigil_types::HeadingVector::new(s.vx, s.vy, s.vz).to_ned(self.yaw_rad)
+            }),
+            _ => NedVector::ZERO,
+        };
+        self.position_ned_m = self.position_ned_m + self.velocity_ned_m_s * STEP_S;
+        self.steps += 1;
+    }
+
+    /// What it tells in this step: each packet in a datagram of its own.
+    pub fn telemetry(&mut self) -> Datagrams {
+        let mut told = Datagrams::default();
+        let time_boot_ms = (self.steps * STEP_NS / 1_000_000) as u32;
+        let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
+        base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, self.armed);
+        let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+            custom_mode: u32::from(self.mode.0) << 16 | u32::from(self.mode.1) << 24,
+            mavtype: MavType::MAV_TYPE_QUADROTOR,
+            autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+            base_mode,
+            system_status: MavState::MAV_STATE_ACTIVE,
+            mavlink_version: 3,
+        });
+        let (p, v) = (self.position_ned_m, self.velocity_ned_m_s);
+        let q = self.attitude();
+        let landed_state = if self.is_in_air() {
+            MavLandedState::MAV_LANDED_STATE_IN_AIR
+        } else {
+            MavLandedState::MAV_LANDED_STATE_ON_GROUND
+        };
+        let acks = std::mem::take(&mut self.acks);
+        let messages = [
+            heartbeat,
+            MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+                time_boot_ms,
+                x: p.x,
+                y: p.y,
+                z: p.z,
+                vx: v.x,
+                vy: v.y,
+                vz: v.z,
+            }),
+            MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+                time_boot_ms,
+                q1: q.w,
+                q2: q.x,
+                q3: q.y,
+                q4: q.z,
+                ..ATTITUDE_QUATERNION_DATA::DEFAULT
+            }),
+            MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
+                landed_state,
+                ..EXTENDED_SYS_STATE_DATA::DEFAULT
+            }),
+        ];
+        for message in messages
+            .into_iter()
+            .chain(acks.into_iter().map(MavMessage::COMMAND_ACK))
+        {
+            let mut buffer = [0; 300];
+            let header = MavHeader {
+                system_id: SYSTEM_ID.into(),
+                component_id: 1,
+                sequence: self.sequence,
+            };
+            self.sequence = self.sequence.wrapping_add(1);
+            let len = framing::serialize(header, &message, &mut buffer).unwrap();
+            assert!(told.push(0, &buffer[..len]));
+        }
+        told
+    }
+
+    fn attitude(&self) -> Attitude {
+        Attitude::from_euler_rad(0.0, 0.0, self.yaw_rad)
+    }
+
+    /// What it sees: open space.
+    pub fn frame(&mut self, now_ns: Nanos) -> Box<DepthFrame> {
+        let mut frame = Box::new(DepthFrame::EMPTY);
+        frame.header.stamp_ns = now_ns;
+        frame.header.sequence = self.frames;
+        frame.header.sensor_id = SENSOR_ID;
+        frame.header.position_ned_m = self.position_ned_m;
+        frame.header.attitude = self.attitude();
+        frame.seal();
+        self.frames += 1;
+        frame
+    }
+}

@@ -1,0 +1,365 @@
+//! One suite over every implementation of the ports: live, lockstep in one process, lockstep in two, replay.
+
+mod common;
+
+use common::{Instance, PATIENCE, TestVehicle, config};
+use std::net::UdpSocket;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+use vigil_firmware::link_url::LinkUrl;
+use vigil_firmware::ports::Clock;
+use vigil_firmware::ports::live::{MonotonicClock, SharedFrames, UdpLink};
+use vigil_firmware::step::Firmware;
+use vigil_firmware::{LockstepFirmware, lockstep, replay};
+use vigil_link::common::MavMessage;
+use vigil_log::TickRecord;
+use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport, StepTiming};
+
+/// The far end of the ports: the suite puts things there, lets the firmware step, and looks at what came out.
+trait Rig {
+    /// Time as the firmware's clock will show it at the next step, at the latest.
+    fn now_ns(&mut self) -> Nanos;
+    fn put_frame(&mut self, frame: &DepthFrame);
+    fn put_datagrams(&mut self, datagrams: &Datagrams);
+    fn step(&mut self) -> StepReport;
+    /// The datagrams that arrived at the far end since the last call.
+    fn arrived(&mut self) -> Vec<Vec<u8>>;
+}
+
+/// What every implementation owes the flight stack.
+fn suite(mut rig: impl Rig) {
+    let mut vehicle = TestVehicle::hovering(2.5);
+
+    // Nothing came: nothing is known, and that is said.
+    let first = rig.step();
+    assert_eq!(first.state, GuidanceState::Standby);
+    assert!(first.reasons.contains(Reason::StaleFrame) && first.reasons.contains(Reason::LinkLost));
+    assert_eq!((first.frame_sequence, first.frames_refused), (None, 0));
+
+    // A frame arrives, once.
+    let now_ns = rig.now_ns();
+    rig.put_frame(&vehicle.frame(now_ns));
+    let second = rig.step();
+    assert_eq!((second.frame_sequence, second.frames_refused), (Some(0), 0));
+    assert!(second.now_ns >= first.now_ns, "time does not go back");
+    let third = rig.step();
+    assert_eq!(
+        (third.frame_sequence, third.frames_refused),
+        (Some(0), 0),
+        "given once, then only older"
+    );
+    let aged_ns = third.frame_age_ns.unwrap() - second.frame_age_ns.unwrap();
+    assert_eq!(aged_ns, third.now_ns - second.now_ns);
+
+    // Of two frames the newest wins; the one before is not seen at all.
+    let now_ns = rig.now_ns();
+    rig.put_frame(&vehicle.frame(now_ns));
+    rig.put_frame(&vehicle.frame(now_ns + 1));
+    let fourth = rig.step();
+    assert_eq!((fourth.frame_sequence, fourth.frames_refused), (Some(2), 0));
+
+    // A bad frame reaches the stack as it is, which refuses it.
+    let now_ns = rig.now_ns();
+    let mut torn = vehicle.frame(now_ns + 2);
+    torn.depth[1000] = 0.25;
+    rig.put_frame(&torn);
+    let fifth = rig.step();
+    assert_eq!((fifth.frame_sequence, fifth.frames_refused), (Some(2), 1));
+    assert!(fifth.reasons.contains(Reason::BadFrame));
+
+    // Datagrams arrive whole and in order: of two positions the later one counts.
+    rig.arrived();
+    rig.put_datagrams(&vehicle.telemetry());
+    vehicle.position_ned_m.x = 3.25;
+    rig.put_datagrams(&vehicle.telemetry());
+    let sixth = rig.step();
+    assert_eq!(sixth.telemetry.kinematics.unwrap().position_ned_m.x, 3.25);
+    assert_eq!(sixth.telemetry.kinematics.unwrap().at_ns, sixth.now_ns);
+    assert!(sixth.telemetry.heartbeat.unwrap().armed);
+    assert!(!sixth.reasons.contains(Reason::LinkLost));
+    let seventh = rig.step();
+    assert_eq!(seventh.telemetry, sixth.telemetry, "each datagram is given once");
+
+    // What is sent arrives whole, in order, nothing twice: the packets' own sequence numbers say so.
+    for _ in 0..20 {
+        let now_ns = rig.now_ns();
+        rig.put_frame(&vehicle.frame(now_ns));
+        rig.put_datagrams(&vehicle.telemetry());
+        rig.step();
+    }
+    let arrived = rig.arrived();
+    assert!(!arrived.is_empty());
+    let sequences: Vec<u8> = arrived.iter().map(|datagram| datagram[4]).collect();
+    assert!(sequences.is_sorted_by(|a, b| a.wrapping_add(1) == *b), "{sequences:?}");
+    for datagram in &arrived {
+        vehicle.hear(datagram);
+    }
+    assert_eq!(vehicle.bad_packets, 0);
+    assert!(
+        vehicle
+            .heard
+            .iter()
+            .all(|(from, _)| (from.system_id, from.component_id) == (1, 191))
+    );
+    let texts = vehicle
+        .heard
+        .iter()
+        .filter(|(_, message)| matches!(message, MavMessage::STATUSTEXT(_)));
+    assert!(texts.count() >= 1, "its states are told");
+}
+
+/// Shared memory and UDP on this machine.
+struct Live {
+    firmware: Firmware,
+    frames: SharedFrames,
+    link: UdpLink,
+    publisher: FramePublisher,
+    vehicle: UdpSocket,
+    steps: u64,
+    _instance: Instance,
+}
+
+impl Live {
+    fn new() -> Self {
+        let instance = Instance::own(0);
+        let domain = Domain::open(instance.0, "test").unwrap();
+        let link = UdpLink::open(LinkUrl::UdpIn(([127, 0, 0, 1], 0).into())).unwrap();
+        let vehicle = UdpSocket::bind("127.0.0.1:0").unwrap();
+        vehicle.connect(link.local_address().unwrap()).unwrap();
+        vehicle.set_nonblocking(true).unwrap();
+        Self {
+            firmware: Firmware::new(&config().stack(), None).unwrap(),
+            frames: SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap()),
+            publisher: FramePublisher::create(&domain, DEPTH_TOPIC).unwrap(),
+            link,
+            vehicle,
+            steps: 0,
+            _instance: instance,
+        }
+    }
+}
+
+impl Rig for Live {
+    fn now_ns(&mut self) -> Nanos {
+        MonotonicClock.now_ns()
+    }
+
+    fn put_frame(&mut self, frame: &DepthFrame) {
+        self.publisher.publish(frame).unwrap();
+    }
+
+    fn put_datagrams(&mut self, datagrams: &Datagrams) {
+        for (_, datagram) in datagrams.iter() {
+            self.vehicle.send(datagram).unwrap();
+        }
+    }
+
+    fn step(&mut self) -> StepReport {
+        let timing = StepTiming {
+            step: self.steps,
+            ..StepTiming::default()
+        };
+        self.steps += 1;
+        *self
+            .firmware
+            .step(timing, &mut MonotonicClock, &mut self.frames, &mut self.link)
+    }
+
+    fn arrived(&mut self) -> Vec<Vec<u8>> {
+        let mut buffer = [0; 2048];
+        // On the loopback interface a datagram has arrived when its sending returns.
+        std::iter::from_fn(|| self.vehicle.recv(&mut buffer).ok().map(|len| buffer[..len].to_vec())).collect()
+    }
+}
+
+/// A driver's end of lockstep and replay: collects a step's input, remembers the output.
+struct Driver<S> {
+    now_ns: Nanos,
+    frame: Option<Box<DepthFrame>>,
+    received: Datagrams,
+    sent: Datagrams,
+    arrived: Vec<Vec<u8>>,
+    step: S,
+}
+
+/// Runs one step: number, time, frame, datagrams in, datagrams out.
+trait Stepper {
+    fn step(
+        &mut self,
+        now_ns: Nanos,
+        frame: Option<&DepthFrame>,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> StepReport;
+}
+
+impl<S: Stepper> Driver<S> {
+    fn new(step: S) -> Self {
+        Self {
+            now_ns: 0,
+            frame: None,
+            received: Datagrams::default(),
+            sent: Datagrams::default(),
+            arrived: Vec::new(),
+            step,
+        }
+    }
+}
+
+impl<S: Stepper> Rig for Driver<S> {
+    fn now_ns(&mut self) -> Nanos {
+        self.now_ns
+    }
+
+    fn put_frame(&mut self, frame: &DepthFrame) {
+        self.frame = Some(Box::new(frame.clone()));
+    }
+
+    fn put_datagrams(&mut self, datagrams: &Datagrams) {
+        for (link, datagram) in datagrams.iter() {
+            assert!(self.received.push(link, datagram));
+        }
+    }
+
+    fn step(&mut self) -> StepReport {
+        let frame = self.frame.take();
+        let report = self
+            .step
+            .step(self.now_ns, frame.as_deref(), &self.received, &mut self.sent);
+        self.now_ns += STEP_NS;
+        self.received.clear();
+        self.arrived
+            .extend(self.sent.iter().map(|(_, datagram)| datagram.to_vec()));
+        report
+    }
+
+    fn arrived(&mut self) -> Vec<Vec<u8>> {
+        std::mem::take(&mut self.arrived)
+    }
+}
+
+impl Stepper for LockstepFirmware {
+    fn step(
+        &mut self,
+        now_ns: Nanos,
+        frame: Option<&DepthFrame>,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> StepReport {
+        *LockstepFirmware::step(self, now_ns, frame, received, sent)
+    }
+}
+
+struct Replayed {
+    firmware: Firmware,
+    record: Box<TickRecord>,
+    steps: u64,
+}
+
+impl Stepper for Replayed {
+    fn step(
+        &mut self,
+        now_ns: Nanos,
+        frame: Option<&DepthFrame>,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> StepReport {
+        let timing = StepTiming {
+            step: self.steps,
+            ..StepTiming::default()
+        };
+        self.steps += 1;
+        let (nothing, report) = (Datagrams::default(), StepReport::default());
+        self.record.fill(now_ns, timing, frame, received, &nothing, &report);
+        *replay::step_again(&mut self.firmware, &self.record, sent)
+    }
+}
+
+/// The firmware behind shared memory, as in another process.
+struct OtherProcess {
+    client: Option<LockstepClient>,
+    reports: Receiver<StepReport>,
+    firmware: Option<JoinHandle<()>>,
+    steps: u64,
+    _instance: Instance,
+}
+
+impl OtherProcess {
+    fn start() -> Self {
+        let instance = Instance::own(1);
+        let number = instance.0;
+        let (sender, reports) = channel();
+        let firmware = std::thread::spawn(move || {
+            let domain = Domain::open(number, "test-firmware").unwrap();
+            let mut firmware = LockstepFirmware::new(&config()).unwrap();
+            lockstep::serve(
+                &mut firmware,
+                &domain,
+                PATIENCE,
+                || false,
+                |report| sender.send(*report).unwrap(),
+            )
+            .unwrap();
+        });
+        let domain = Domain::open(number, "test-simulator").unwrap();
+        Self {
+            client: Some(LockstepClient::connect(&domain, PATIENCE).unwrap()),
+            reports,
+            firmware: Some(firmware),
+            steps: 0,
+            _instance: instance,
+        }
+    }
+}
+
+impl Stepper for OtherProcess {
+    fn step(
+        &mut self,
+        now_ns: Nanos,
+        frame: Option<&DepthFrame>,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> StepReport {
+        let client = self.client.as_mut().unwrap();
+        client.exchange(self.steps, now_ns, frame, received, sent).unwrap();
+        self.steps += 1;
+        self.reports.recv_timeout(PATIENCE).unwrap()
+    }
+}
+
+impl Drop for OtherProcess {
+    fn drop(&mut self) {
+        let finished = self.client.take().map(|client| client.finish(self.steps));
+        let ended = self.firmware.take().map(JoinHandle::join);
+        // A panic of the suite itself tells more than these.
+        if !std::thread::panicking() {
+            finished.unwrap().unwrap();
+            ended.unwrap().unwrap();
+        }
+    }
+}
+
+#[test]
+fn lockstep_in_two_processes_conforms() {
+    suite(Driver::new(OtherProcess::start()));
+}
+
+#[test]
+fn live_ports_conform() {
+    suite(Live::new());
+}
+
+#[test]
+fn lockstep_in_one_process_conforms() {
+    suite(Driver::new(LockstepFirmware::new(&config()).unwrap()));
+}
+
+#[test]
+fn replay_conforms() {
+    suite(Driver::new(Replayed {
+        firmware: Firmware::new(&config().stack(), None).unwrap(),
+        record: Box::default(),
+        steps: 0,
+    }));
+}
