@@ -9,6 +9,7 @@ pub struct Isa(pub(crate) Level);
 
 /// The kernels there are. On a target without vector kernels of its own only [`Level::Portable`] exists in practice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(not(feature = "std"), allow(dead_code, reason = "only detection makes the others"))]
 pub(crate) enum Level {
     /// Multiply, then add, four lanes at a time in whatever the target's baseline offers.
     Portable,

@@ -8,9 +8,9 @@ use vigil_nnet::{
     Activation, BatchNorm, Conv2d, Dense, GraphBuilder, Gru, Isa, Lstm, MaxPool2d, NodeId, Params, Purpose, ShapeError,
 };
 
-type Build = dyn Fn(&mut GraphBuilder, &[NodeId], Params) -> Result<NodeId, ShapeError>;
+type Build<'a> = dyn Fn(&mut GraphBuilder, &[NodeId], Params) -> Result<NodeId, ShapeError> + 'a;
 /// Of parameters and inputs.
-type Oracle = dyn Fn(&[f64], &[&[f64]]) -> Vec<f64>;
+type Oracle<'a> = dyn Fn(&[f64], &[&[f64]]) -> Vec<f64> + 'a;
 
 /// A layer under test: lengths of its inputs and parameters, and how to build it.
 struct Case<'a> {
@@ -19,9 +19,9 @@ struct Case<'a> {
     params: usize,
     /// How many of them, from the first, are learned (a running statistic is not).
     learned: usize,
-    build: &'a Build,
+    build: &'a Build<'a>,
     /// Its definition in float64.
-    oracle: &'a Oracle,
+    oracle: &'a Oracle<'a>,
     /// Makes parameters valid (a variance is positive).
     tame: &'a dyn Fn(&mut [f32]),
 }

@@ -1,0 +1,251 @@
+//! DeepSHAP against the reference vectors: `shap`'s own values, an independent float64 implementation, exact Shapley
+//! values where they must agree, and additivity everywhere.
+
+#[path = "../../firmware/nnet/tests/common/torch.rs"]
+mod torch;
+
+use torch::{SPEC, Tensors, actor_params, features, transposed};
+use vigil_detector::{DeepShap, ShapError};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, Dense, Graph, GraphBuilder, Isa, Purpose};
+
+/// Largest difference allowed to a reference, and of Σφ to f(x) − mean f(b).
+const TOLERANCE: f32 = 1e-5;
+const FRAME: usize = 128 * 256;
+
+fn pairs<'a>(first: &'a [f32], n: usize, second: &'a [f32], m: usize) -> Vec<Vec<&'a [f32]>> {
+    let rows = first.chunks_exact(n).zip(second.chunks_exact(m));
+    rows.map(|(a, b)| vec![a, b]).collect()
+}
+
+fn close(what: &str, got: &[f32], want: &[f32]) {
+    assert_eq!(got.len(), want.len(), "{what}");
+    for (i, (a, b)) in got.iter().zip(want).enumerate() {
+        assert!((a - b).abs() <= TOLERANCE, "{what}: value {i} is {a}, not {b}");
+    }
+}
+
+/// Σφ against the change of the output.
+fn additive(what: &str, phi: &[f32], change: f32) {
+    let sum: f64 = phi.iter().map(|phi| f64::from(*phi)).sum();
+    let error = (sum - f64::from(change)).abs();
+    assert!(error <= f64::from(TOLERANCE), "{what}: the sum is off by {error:e}");
+}
+
+/// Row `i`, column `output` of a reference with the output running fastest.
+fn column(reference: &[f32], i: usize, n: usize, output: usize) -> Vec<f32> {
+    reference[i * n * 2..(i + 1) * n * 2]
+        .iter()
+        .skip(output)
+        .step_by(2)
+        .copied()
+        .collect()
+}
+
+#[test]
+fn the_second_half_is_explained_as_by_shap_and_in_float64() {
+    let t = Tensors::load("second_half");
+    let (bg_h, bg_pos, x_h, x_pos) = (t.get("bg_h"), t.get("bg_pos"), t.get("x_h"), t.get("x_pos"));
+    for isa in Isa::available() {
+        let graph = SPEC.head_graph(Purpose::Multipliers).unwrap();
+        let mut shap = DeepShap::new(isa, graph, &actor_params(), &pairs(&bg_h, 48, &bg_pos, 2)).unwrap();
+        for (i, inputs) in pairs(&x_h, 48, &x_pos, 2).iter().enumerate() {
+            let f = shap.evaluate(inputs).unwrap().to_vec();
+            for (output, f) in f.iter().enumerate() {
+                let mut phi = vec![0.0; shap.phi_len()];
+                shap.attribute(output, &mut phi).unwrap();
+                for who in ["shap", "np64"] {
+                    let h = column(&t.get(&format!("{who}_h")), i, ACTOR_HIDDEN, output);
+                    let pos = column(&t.get(&format!("{who}_pos")), i, ACTOR_POSITIONAL, output);
+                    close(who, &phi, &[h, pos].concat());
+                }
+                additive("second half", &phi, f - shap.expected()[output]);
+            }
+        }
+    }
+}
+
+/// The second half model with 8 instead of 48 values, or a linear map from the same inputs.
+fn tiny(t: &Tensors) -> (Graph, Vec<f32>) {
+    let layer = |inputs, outputs| Dense { inputs, outputs };
+    let mut b = GraphBuilder::new();
+    let (h, pos) = (b.input(8, true).unwrap(), b.input(2, true).unwrap());
+    let dense = |b: &mut GraphBuilder, x, layer: Dense, act| {
+        let params = b.params(layer.param_len());
+        b.dense(x, layer, act, params).unwrap()
+    };
+    let pos = dense(&mut b, pos, layer(2, 6), Activation::TANH);
+    let h = b.activation(h, Activation::TANH).unwrap();
+    let z = b.concat(&[h, pos]).unwrap();
+    let z = dense(&mut b, z, layer(14, 32), Activation::Elu);
+    let y = dense(&mut b, z, layer(32, 2), Activation::Tanh { scale: 1.5 });
+    let params = ["second_dp", "second_d1", "second_d2"]
+        .map(|name| t.dense(name))
+        .concat();
+    (b.finish(y, Purpose::Multipliers).unwrap(), params)
+}
+
+#[test]
+fn a_small_network_is_explained_as_in_float64() {
+    let t = Tensors::load("tiny10");
+    let (bg_h, bg_pos, x_h, x_pos) = (t.get("bg_h"), t.get("bg_pos"), t.get("x_h"), t.get("x_pos"));
+    let (graph, params) = tiny(&t);
+    let mut shap = DeepShap::new(Isa::detect(), graph, &params, &pairs(&bg_h, 8, &bg_pos, 2)).unwrap();
+    for (i, inputs) in pairs(&x_h, 8, &x_pos, 2).iter().enumerate() {
+        let f = shap.evaluate(inputs).unwrap().to_vec();
+        for (output, f) in f.iter().enumerate() {
+            let mut phi = vec![0.0; 10];
+            shap.attribute(output, &mut phi).unwrap();
+            close("tiny10", &phi, &column(&t.get("deepshap_np64"), i, 10, output));
+            let exact = column(&t.get("exact"), i, 10, output);
+            // DeepSHAP only approximates Shapley values, but both explain the same change.
+            additive("tiny10", &phi, f - shap.expected()[output]);
+            additive("exact Shapley values", &exact, f - shap.expected()[output]);
+        }
+    }
+}
+
+#[test]
+fn for_a_linear_network_deepshap_is_the_exact_shapley_value() {
+    let t = Tensors::load("tiny10");
+    let (bg_h, bg_pos, x_h, x_pos) = (t.get("bg_h"), t.get("bg_pos"), t.get("x_h"), t.get("x_pos"));
+    let layer = Dense { inputs: 10, outputs: 2 };
+    let mut b = GraphBuilder::new();
+    let (h, pos) = (b.input(8, true).unwrap(), b.input(2, true).unwrap());
+    let x = b.concat(&[h, pos]).unwrap();
+    let params = b.params(layer.param_len());
+    let y = b.dense(x, layer, Activation::Identity, params).unwrap();
+    let graph = b.finish(y, Purpose::Multipliers).unwrap();
+    let params = [transposed(&t.get("linear_W"), 2), vec![0.25; 2]].concat();
+    let mut shap = DeepShap::new(Isa::detect(), graph, &params, &pairs(&bg_h, 8, &bg_pos, 2)).unwrap();
+    for (i, inputs) in pairs(&x_h, 8, &x_pos, 2).iter().enumerate() {
+        shap.evaluate(inputs).unwrap();
+        for output in 0..2 {
+            let mut phi = vec![0.0; 10];
+            shap.attribute(output, &mut phi).unwrap();
+            let exact = column(&t.get("linear_exact"), i, 10, output);
+            for (a, b) in phi.iter().zip(exact) {
+                assert!((a - b).abs() < 1e-6, "{a} against {b}");
+            }
+        }
+    }
+}
+
+#[test]
+fn through_the_gru_each_frames_share_is_as_in_float64() {
+    let t = Tensors::load("frames7");
+    let mut b = GraphBuilder::new();
+    let params = SPEC.reserve(&mut b);
+    let frames: Vec<_> = (0..5).map(|_| b.input(1024, true).unwrap()).collect();
+    let position = b.input(2, true).unwrap();
+    let state = SPEC.recur(&mut b, &params, &frames).unwrap();
+    let output = SPEC.head(&mut b, &params, state, position).unwrap();
+    let graph = b.finish(output, Purpose::Multipliers).unwrap();
+    let load = |what: &str| -> Vec<Vec<f32>> { t.get(what).chunks_exact(1024).map(features).collect() };
+    let (bg_feat, x_feat) = (load("bg_feat"), load("x_feat"));
+    let (bg_pos, x_pos) = (t.get("bg_pos"), t.get("x_pos"));
+    let states = |feat: &'_ [Vec<f32>], pos: &'_ [f32]| -> Vec<Vec<Vec<f32>>> {
+        let rows = feat.chunks_exact(5).zip(pos.chunks_exact(2));
+        rows.map(|(f, p)| f.iter().cloned().chain([p.to_vec()]).collect())
+            .collect()
+    };
+    let (backgrounds, inputs) = (states(&bg_feat, &bg_pos), states(&x_feat, &x_pos));
+    let views: Vec<Vec<&[f32]>> = backgrounds
+        .iter()
+        .map(|b| b.iter().map(Vec::as_slice).collect())
+        .collect();
+    let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &views).unwrap();
+    for (i, state) in inputs.iter().enumerate() {
+        let view: Vec<&[f32]> = state.iter().map(Vec::as_slice).collect();
+        let f = shap.evaluate(&view).unwrap().to_vec();
+        for (output, f) in f.iter().enumerate() {
+            let mut phi = vec![0.0; shap.phi_len()];
+            shap.attribute(output, &mut phi).unwrap();
+            let (frames, pos) = phi.split_at(5 * 1024);
+            let mut players: Vec<f32> = frames.chunks_exact(1024).map(|f| f.iter().sum()).collect();
+            players.extend(pos);
+            close("frames", &players, &column(&t.get("deepshap_np64"), i, 7, output));
+            additive("frames", &phi, f - shap.expected()[output]);
+        }
+    }
+}
+
+#[test]
+fn the_whole_actor_is_explained_at_its_pixels_as_in_float64() {
+    let t = Tensors::load("pixel");
+    let (bg_img, bg_pos, x_img, x_pos) = (t.get("bg_img"), t.get("bg_pos"), t.get("x_img"), t.get("x_pos"));
+    let state = |images, position| {
+        <[f32]>::chunks_exact(images, FRAME)
+            .chain([position])
+            .collect::<Vec<_>>()
+    };
+    let rows = bg_img.chunks_exact(5 * FRAME).zip(bg_pos.chunks_exact(2));
+    let backgrounds: Vec<Vec<&[f32]>> = rows.map(|(images, position)| state(images, position)).collect();
+    let graph = SPEC.graph(Purpose::Multipliers, true).unwrap();
+    let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &backgrounds).unwrap();
+    let f = shap.evaluate(&state(&x_img, &x_pos)).unwrap().to_vec();
+    let sampled = t.get("np64_img_every_5th");
+    for (output, f) in f.iter().enumerate() {
+        let mut phi = vec![0.0; shap.phi_len()];
+        shap.attribute(output, &mut phi).unwrap();
+        let change = f - shap.expected()[output];
+        additive("pixels", &phi, change);
+        // The reference saw the images before they were rounded to 1/65535.
+        assert!((change - t.get("f_diff")[output]).abs() < TOLERANCE);
+        let (images, position) = phi.split_at(5 * FRAME);
+        let every_5th: Vec<f32> = images.iter().step_by(5).copied().collect();
+        let n = every_5th.len();
+        close("pixels", &every_5th, &sampled[output * n..(output + 1) * n]);
+        close("position", position, &column(&t.get("np64_pos"), 0, 2, output));
+        let frames: Vec<f32> = images.chunks_exact(FRAME).map(|f| f.iter().sum()).collect();
+        for (a, b) in frames.iter().zip(column(&t.get("np64_img_frame_sums"), 0, 5, output)) {
+            assert!((a - b).abs() < 2e-5, "a frame's share is {a}, not {b}");
+        }
+        let mut on_threads = vec![0.0; phi.len()];
+        shap.attribute_on_threads(output, 2, &mut on_threads).unwrap();
+        let largest = phi
+            .iter()
+            .zip(&on_threads)
+            .fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
+        assert!(largest < 1e-8, "threads change φ by {largest:e}");
+    }
+}
+
+#[test]
+fn what_cannot_be_explained_is_refused_by_name() {
+    let params = actor_params();
+    let (h, pos) = ([0.1f32; 48], [0.2f32; 2]);
+    let background = || vec![vec![&h[..], &pos[..]]];
+    let head = || SPEC.head_graph(Purpose::Multipliers).unwrap();
+    let none: [Vec<&[f32]>; 0] = [];
+    let new = |graph, backgrounds: &[Vec<&[f32]>]| DeepShap::new(Isa::detect(), graph, &params, backgrounds);
+    assert_eq!(new(head(), &none).unwrap_err(), ShapError::NoBackground);
+    let gradients = SPEC.head_graph(Purpose::Gradients).unwrap();
+    assert_eq!(new(gradients, &background()).unwrap_err(), ShapError::Purpose);
+    let encoder = SPEC.encoder_graph(Purpose::Multipliers, false).unwrap();
+    assert_eq!(new(encoder, &background()).unwrap_err(), ShapError::NothingExplained);
+    let broken = [f32::NAN; 48];
+    let with_nan = vec![vec![&h[..], &pos[..]], vec![&broken[..], &pos[..]]];
+    assert_eq!(
+        new(head(), &with_nan).unwrap_err(),
+        ShapError::BackgroundNotFinite { background: 1 }
+    );
+    let short = vec![vec![&h[..47], &pos[..]]];
+    let message = new(head(), &short).unwrap_err().to_string();
+    assert_eq!(message, "network input holds 47 values, expected 48");
+
+    let mut shap = new(head(), &background()).unwrap();
+    let mut phi = vec![0.0; 50];
+    assert_eq!(shap.attribute(0, &mut phi).unwrap_err(), ShapError::NotEvaluated);
+    shap.evaluate(&[&h, &pos]).unwrap();
+    let error = shap.attribute(2, &mut phi).unwrap_err();
+    assert_eq!(error, ShapError::Output { output: 2, outputs: 2 });
+    assert!(shap.attribute(0, &mut phi[1..]).is_err());
+    shap.attribute(0, &mut phi).unwrap();
+    assert!(phi.iter().all(|phi| *phi == 0.0), "a state equal to its background");
+    shap.evaluate(&[&broken, &pos]).unwrap();
+    assert_eq!(shap.attribute(1, &mut phi).unwrap_err(), ShapError::NotFinite);
+    shap.evaluate(&[&h, &pos]).unwrap();
+    shap.attribute(1, &mut phi).unwrap();
+    assert!(shap.evaluate(&[&h]).is_err());
+    assert_eq!(shap.attribute(1, &mut phi).unwrap_err(), ShapError::NotEvaluated);
+}
