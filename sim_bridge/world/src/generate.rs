@@ -387,10 +387,7 @@ impl Builder {
         let goal = self.course.goal;
         if solid.plan_distance_m(0.0, 0.0) < CLEAR_START_M
             || solid.plan_distance_m(goal.north_m, goal.east_m) < CLEAR_GOAL_M
-            || self
-                .placed
-                .iter()
-                .any(|(_, other)| plan_gap_m(&solid, other) < self.gap_to(&solid, other))
+            || self.placed.iter().any(|(_, other)| self.crowds(&solid, other))
         {
             return false;
         }
@@ -398,14 +395,21 @@ impl Builder {
         true
     }
 
-    /// The gap that two obstacles must leave. What is flown over or under needs no room beside it.
-    fn gap_to(&self, a: &Solid, b: &Solid) -> f32 {
+    /// Whether two obstacles are nearer to each other than allowed. What is flown over or under needs no room beside it.
+    fn crowds(&self, a: &Solid, b: &Solid) -> bool {
         let in_the_way = |s: &Solid| s.bottom_m() < 2.2 && s.top_m() > 0.8;
-        if in_the_way(a) && in_the_way(b) {
+        let gap_m = if in_the_way(a) && in_the_way(b) {
             self.gap_m
         } else {
             0.1
-        }
+        };
+        // Circles around both settle most pairs without the exact distance.
+        let around_m = |s: &Solid| {
+            let (north_m, east_m) = s.plan_half_extents_m();
+            libm::hypotf(north_m, east_m)
+        };
+        let centres_m = (a.centre_ned_m() - b.centre_ned_m()).horizontal_norm();
+        centres_m - around_m(a) - around_m(b) < gap_m && plan_gap_m(a, b) < gap_m
     }
 
     /// Takes obstacles back, the last first, until there is a way through.

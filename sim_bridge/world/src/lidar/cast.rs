@@ -187,17 +187,17 @@ fn cast_tile_body(
         let out: &mut [f32; TILE_FIRINGS] = ranges[ring * LIDAR_FIRINGS + first..]
             .first_chunk_mut()
             .expect("a whole tile");
-        for k in 0..TILE_FIRINGS {
-            out[k] = scene.planes_range_m(&rays.get(k));
+        for (k, range_m) in out.iter_mut().enumerate() {
+            *range_m = scene.planes_range_m(&rays.get(k));
         }
         for leaf in cuboids {
-            for k in 0..TILE_FIRINGS {
-                out[k] = lesser(leaf.range_m(&rays.get(k)), out[k]);
+            for (k, range_m) in out.iter_mut().enumerate() {
+                *range_m = lesser(leaf.range_m(&rays.get(k)), *range_m);
             }
         }
         for leaf in cylinders {
-            for k in 0..TILE_FIRINGS {
-                out[k] = lesser(leaf.range_m(&rays.get(k)), out[k]);
+            for (k, range_m) in out.iter_mut().enumerate() {
+                *range_m = lesser(leaf.range_m(&rays.get(k)), *range_m);
             }
         }
     }
