@@ -269,6 +269,20 @@ pub enum ConfigError {
 }
 
 impl FirmwareConfig {
+    /// The default configuration that engages by itself and flies to `goal_ned_m`, at its height.
+    pub fn to_goal(goal_ned_m: NedVector) -> Self {
+        Self {
+            engage: Engage::Auto,
+            height_m: -goal_ned_m.z,
+            goal: Some(GoalConfig {
+                north_m: goal_ned_m.x,
+                east_m: goal_ned_m.y,
+                height_m: None,
+            }),
+            ..Self::default()
+        }
+    }
+
     /// Reads a file; what it does not mention keeps its default.
     ///
     /// # Errors
@@ -311,8 +325,7 @@ impl FirmwareConfig {
 
     /// Where the vehicle's MAVLink is, the default resolved.
     pub fn link_url(&self) -> LinkUrl {
-        // Instances go up to MAX_INSTANCE.
-        let port = COMPANION_PORT + self.instance as u16;
+        let port = COMPANION_PORT + self.instance.min(MAX_INSTANCE) as u16;
         self.link.unwrap_or(LinkUrl::UdpIn(([127, 0, 0, 1], port).into()))
     }
 

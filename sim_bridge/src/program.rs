@@ -121,9 +121,12 @@ fn configure(args: &SimArgs) -> Result<SimConfig, ConfigError> {
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     if !args.lockstep {
-        config.endpoint = EndpointConfig::default();
+        // In lockstep nobody else is on the link, and the flight must not depend on the instance.
+        config.endpoint = EndpointConfig {
+            system_id: (args.instance + 1) as u8,
+            ..EndpointConfig::default()
+        };
     }
-    config.endpoint.system_id = (args.instance + 1) as u8;
     Ok(config)
 }
 

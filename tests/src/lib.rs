@@ -1,1 +1,140 @@
-//! End-to-end tests of the whole stack.
+//! What the end-to-end tests share: the `vigil` program as child processes that never outlive their test.
+
+use std::io::{BufRead, BufReader};
+use std::path::PathBuf;
+use std::process::{Child, Command, Output, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+use vigil_sim::program::Status;
+
+/// Longest wait for anything that happens within seconds on an idle machine.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// The `vigil` program that belongs to this build.
+///
+/// # Panics
+/// When it was not built: `tests/run` and `cargo build --release --bins --workspace` build it.
+pub fn vigil() -> PathBuf {
+    let mut folder = std::env::current_exe().expect("a test has a file");
+    folder.pop();
+    if folder.ends_with("deps") {
+        folder.pop();
+    }
+    let program = folder.join("vigil");
+    assert!(
+        program.is_file(),
+        "{} is missing: run `cargo build --release --workspace --bins`",
+        program.display()
+    );
+    program
+}
+
+/// Runs `vigil` to its end.
+pub fn run(arguments: &[&str]) -> Output {
+    Command::new(vigil())
+        .args(arguments)
+        .stdin(Stdio::null())
+        .output()
+        .expect("vigil starts")
+}
+
+/// Both outputs of a finished program as text.
+pub fn said(output: &Output) -> String {
+    format!(
+        "{}{}",
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    )
+}
+
+/// A running `vigil` command; killed when dropped.
+pub struct Running {
+    child: Child,
+    lines: Receiver<String>,
+}
+
+impl Running {
+    /// Starts `vigil` with `arguments`; its standard output is read line by line.
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut child = Command::new(vigil())
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .spawn()
+            .expect("vigil starts");
+        let pipe = child.stdout.take().expect("standard output is piped");
+        let (sender, lines) = channel();
+        std::thread::spawn(move || {
+            for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+                if sender.send(line).is_err() {
+                    break;
+                }
+            }
+        });
+        Self { child, lines }
+    }
+
+    /// Waits for a line that `wanted` accepts; the lines before it are passed over.
+    ///
+    /// # Panics
+    /// When none comes within [`PATIENCE`], or the program ends; the message says what was awaited and what came last.
+    pub fn wait_for<T>(&self, what: &str, mut wanted: impl FnMut(&str) -> Option<T>) -> T {
+        let begun = Instant::now();
+        let mut last = String::new();
+        loop {
+            match self.lines.recv_timeout(PATIENCE.saturating_sub(begun.elapsed())) {
+                Ok(line) => {
+                    if let Some(found) = wanted(&line) {
+                        return found;
+                    }
+                    last = line;
+                }
+                Err(error) => panic!("waited for {what}: {error}; last line: {last}"),
+            }
+        }
+    }
+
+    /// Waits for a status line of a simulator that `wanted` accepts.
+    pub fn wait_for_status(&self, what: &str, mut wanted: impl FnMut(&Status) -> bool) -> Status {
+        self.wait_for(what, |line| serde_json::from_str(line).ok().filter(|s| wanted(s)))
+    }
+
+    /// SIGKILL: the program gets no chance to say good-bye.
+    pub fn kill(mut self) {
+        self.child.kill().expect("it can be killed");
+        self.child.wait().expect("it can be waited for");
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, signal: rustix::process::Signal) {
+        rustix::process::kill_process(rustix::process::Pid::from_child(&self.child), signal).expect("it is running");
+    }
+
+    /// Waits for the end; returns the exit code.
+    ///
+    /// # Panics
+    /// When it does not end within [`PATIENCE`].
+    pub fn wait(&mut self) -> Option<i32> {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("it can be waited for") {
+                return status.code();
+            }
+            assert!(
+                begun.elapsed() < PATIENCE,
+                "it did not end within {} s",
+                PATIENCE.as_secs()
+            );
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // Already ended is fine; nothing else can be done here.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -10,7 +10,6 @@ use std::convert::Infallible;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use vigil_firmware::config::{Engage, GoalConfig};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep::{FirmwarePort, FlightRecord, fly_lockstep};
 use vigil_sim::{FamilyName, Models, SimConfig, Simulator, Start};
@@ -177,7 +176,9 @@ fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
     let mut config = SimConfig::with_models(course, seed, models);
     config.start = Start::Airborne;
     let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware = SameProcess(LockstepFirmware::new(&firmware_config(&config.course))?);
+    let mut firmware = SameProcess(LockstepFirmware::new(&FirmwareConfig::to_goal(
+        config.course.goal_ned_m(),
+    ))?);
     let Ok(record) = fly_lockstep(
         &mut simulator,
         &mut firmware,
@@ -192,21 +193,6 @@ fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
         )?;
     }
     Ok(Flight { seed, record })
-}
-
-/// The firmware of a campaign: its goal is the course's, and it engages by itself.
-fn firmware_config(course: &Course) -> FirmwareConfig {
-    let goal = course.goal_ned_m();
-    FirmwareConfig {
-        engage: Engage::Auto,
-        height_m: course.flight_height_m,
-        goal: Some(GoalConfig {
-            north_m: goal.x,
-            east_m: goal.y,
-            height_m: None,
-        }),
-        ..FirmwareConfig::default()
-    }
 }
 
 struct SameProcess(LockstepFirmware);

@@ -13,7 +13,8 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_sim::CourseChoice;
 use vigil_sim::program::{Status, ending_code};
-use vigil_world::{Course, Outcome};
+use vigil_types::NedVector;
+use vigil_world::{Course, FlightPath, Outcome};
 
 /// After reaching the goal the vehicle may take this long to land.
 const LANDING_LIMIT: Duration = Duration::from_secs(30);
@@ -105,8 +106,15 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     // The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
     let firmware_said = firmware.end()?;
     simulator.end()?;
-    let flight = watched?;
-    summarise(&course, &flight, &folder, &firmware_said, stop.load(Ordering::Relaxed))
+    let Flight { last, path } = watched?;
+    let outcome = last.as_ref().and_then(|s| s.outcome.as_deref()).and_then(outcome_named);
+    let drawn = FlightPath {
+        label: "flown".to_owned(),
+        points_ned_m: path,
+        outcome,
+    };
+    vigil_world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
+    summarise(&course, &last, &folder, &firmware_said, stop.load(Ordering::Relaxed))
 }
 
 fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {
@@ -204,17 +212,25 @@ fn read_statuses(simulator: &mut Child) -> Result<Receiver<Status>> {
     Ok(receiver)
 }
 
-/// Follows the flight until it is over; returns the last status.
+/// What was seen of a flight.
+#[derive(Default)]
+struct Flight {
+    last: Option<Status>,
+    /// True positions up to the ending.
+    path: Vec<NedVector>,
+}
+
+/// Follows the flight until it is over.
 fn watch(
     title: &str,
     statuses: &Receiver<Status>,
     simulator: &mut Process,
     firmware: &mut Process,
     stop: &AtomicBool,
-) -> Result<Option<Status>> {
+) -> Result<Flight> {
     let live = std::io::stderr().is_terminal();
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{spinner} {msg}")?);
-    let mut last: Option<Status> = None;
+    let mut flight = Flight::default();
     let mut last_printed_s = f64::NEG_INFINITY;
     let mut reached_at: Option<Instant> = None;
     while !stop.load(Ordering::Relaxed) {
@@ -228,7 +244,11 @@ fn watch(
                     eprintln!("{line}");
                     last_printed_s = status.time_s;
                 }
-                last = Some(status);
+                if status.outcome.is_none() {
+                    let [x, y, z] = status.position_ned_m;
+                    flight.path.push(NedVector::new(x, y, z));
+                }
+                flight.last = Some(status);
             }
             Err(RecvTimeoutError::Timeout) => bail!("the simulator said nothing for {} s", SILENCE_LIMIT.as_secs()),
             Err(RecvTimeoutError::Disconnected) => {
@@ -239,7 +259,7 @@ fn watch(
             }
         }
         firmware.check()?;
-        let Some(status) = &last else { continue };
+        let Some(status) = &flight.last else { continue };
         match status.outcome.as_deref() {
             Some("success") => {
                 let since = reached_at.get_or_insert_with(Instant::now);
@@ -252,7 +272,7 @@ fn watch(
         }
     }
     bar.finish_and_clear();
-    Ok(last)
+    Ok(flight)
 }
 
 fn progress_line(title: &str, s: &Status) -> String {
@@ -306,12 +326,12 @@ fn summarise(
     }
     println!("files     {}", folder.display());
     Ok(ExitCode::from(match (&status.outcome, interrupted) {
-        (Some(outcome), _) => outcome_code(outcome),
+        (Some(outcome), _) => ending_code(outcome_named(outcome)),
         (None, true) => 130,
         (None, false) => EXIT_ERROR,
     }))
 }
 
-fn outcome_code(outcome: &str) -> u8 {
-    ending_code(Outcome::ALL.into_iter().find(|o| o.to_string() == outcome))
+fn outcome_named(name: &str) -> Option<Outcome> {
+    Outcome::ALL.into_iter().find(|o| o.to_string() == name)
 }

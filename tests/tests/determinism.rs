@@ -1,0 +1,73 @@
+//! The same seed gives the same flight, bit for bit, wherever and however it runs.
+
+use serde_json::Value;
+use std::path::Path;
+use vigil_tests::{Running, run, said};
+
+/// The state hashes of a small campaign, in the order of its seeds.
+fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<String> {
+    let json = folder.join(name);
+    let json = json.to_str().expect("a UTF-8 path");
+    let output = run(&[&["evaluate", "--flights", "4", "--json", json], arguments].concat());
+    assert!(output.status.success(), "{}", said(&output));
+    let report: Value = serde_json::from_str(&std::fs::read_to_string(json).expect("a report")).expect("JSON");
+    let flights = report["flights"].as_array().expect("flights");
+    flights
+        .iter()
+        .map(|f| f["state_hash"].as_str().expect("a hash").to_owned())
+        .collect()
+}
+
+#[test]
+fn a_campaign_gives_the_same_bits_on_one_thread_and_on_two() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let one = campaign(folder.path(), "one.json", &["--seed", "40", "--threads", "1"]);
+    let two = campaign(folder.path(), "two.json", &["--seed", "40", "--threads", "2"]);
+    let again = campaign(folder.path(), "again.json", &["--seed", "40", "--threads", "2"]);
+    assert_eq!(one, two);
+    assert_eq!(two, again);
+    let others = campaign(folder.path(), "others.json", &["--seed", "41", "--threads", "2"]);
+    assert_eq!(others[..3], one[1..], "flight i uses seed SEED + i");
+    assert_ne!(one[0], one[1], "another seed is another flight");
+}
+
+#[test]
+fn two_processes_in_lockstep_fly_the_same_flight_as_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let one = campaign(folder.path(), "one.json", &["--seed", "42"]);
+
+    let course = run(&["courses", "write", "--seed", "42"]);
+    let course = String::from_utf8(course.stdout).expect("TOML");
+    let course = vigil_world::Course::from_toml_str(&course, "written course").expect("a course");
+    let goal = course.goal_ned_m();
+    let (goal, height) = (
+        format!("--goal={},{}", goal.x, goal.y),
+        course.flight_height_m.to_string(),
+    );
+    let mut firmware = Running::start(&[
+        "firmware",
+        "--lockstep",
+        "--instance",
+        "81",
+        "--engage",
+        "auto",
+        &goal,
+        "--height",
+        &height,
+    ]);
+    let simulator = run(&["sim", "--lockstep", "--airborne", "--instance", "81", "--seed", "42"]);
+    let record: Value = serde_json::from_slice(&simulator.stdout).unwrap_or_else(|_| panic!("{}", said(&simulator)));
+    assert_eq!(record["state_hash"].as_str(), Some(one[0].as_str()));
+    assert_eq!(
+        firmware.wait(),
+        Some(0),
+        "the firmware ends with the simulator's flight"
+    );
+}
+
+#[test]
+fn lockstep_names_who_is_missing() {
+    let alone = run(&["firmware", "--lockstep", "--lockstep-timeout", "1", "--instance", "82"]);
+    assert!(!alone.status.success());
+    assert!(said(&alone).contains("simulator"), "{}", said(&alone));
+}

@@ -1,0 +1,216 @@
+//! SIGKILL to either process in flight: the other reaches a named safe state within half a second, and the pair recovers
+//! when the killed one is started again. Times are those of the stack's own clock and log, not of the test's.
+
+use rustix::process::Signal;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::time::Duration;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_log::{Reader, TickRecord};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_tests::Running;
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, VelocitySetpoint};
+
+const HALF_A_SECOND_NS: Nanos = 500_000_000;
+
+fn simulator(instance: &str) -> Running {
+    Running::start(&[
+        "sim",
+        "--status",
+        "--airborne",
+        "--instance",
+        instance,
+        "--seed",
+        "11",
+        "--family",
+        "training",
+    ])
+}
+
+fn firmware(instance: &str, log: Option<&Path>) -> Running {
+    let mut arguments = vec![
+        "firmware",
+        "--instance",
+        instance,
+        "--engage",
+        "auto",
+        "--goal",
+        "18,4",
+        "--height",
+        "1.5",
+    ];
+    if let Some(folder) = log {
+        arguments.extend(["--log", folder.to_str().expect("a UTF-8 path")]);
+    }
+    Running::start(&arguments)
+}
+
+/// All records of the only log in a folder.
+fn steps(folder: &Path, mut look: impl FnMut(&TickRecord)) {
+    let path = std::fs::read_dir(folder)
+        .expect("a folder")
+        .filter_map(|e| e.ok().map(|e| e.path()))
+        .find(|p| p.extension().is_some_and(|e| e == "mcap"))
+        .expect("a log");
+    let mut reader = Reader::open(&path).expect("a log");
+    let mut record = Box::<TickRecord>::default();
+    while reader.read_next(&mut record).expect("a readable log") {
+        look(&record);
+    }
+}
+
+#[test]
+fn a_killed_simulator_makes_the_firmware_hold_and_its_return_resumes_the_flight() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = simulator("85");
+    let mut firmware = firmware("85", Some(folder.path()));
+    first.wait_for_status("guided flight", |s| {
+        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
+    });
+    first.kill();
+
+    // The vehicle's end of the link is free now: whoever listens there sees what the firmware says without a vehicle.
+    let socket = UdpSocket::bind(("127.0.0.1", 14280 + 85)).expect("the port of a killed simulator is free");
+    socket
+        .set_read_timeout(Some(Duration::from_secs(5)))
+        .expect("a timeout");
+    let mut heard = vigil_sim::CompanionView::default();
+    let mut buffer = [0; 2048];
+    for _ in 0..1000 {
+        let length = socket.recv(&mut buffer).expect("the firmware goes on talking");
+        heard.observe(&buffer[..length]);
+        if heard.state_code.is_some_and(|code| code != GuidanceState::Guided as u8) {
+            break;
+        }
+    }
+    let state = heard.state_code.and_then(GuidanceState::from_code);
+    assert!(
+        matches!(state, Some(GuidanceState::Hold | GuidanceState::Standby)),
+        "telemetry says {state:?}"
+    );
+    drop(socket);
+
+    let second = simulator("85");
+    second.wait_for_status("guided flight again", |s| {
+        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
+    });
+    firmware.signal(Signal::TERM);
+    assert_eq!(firmware.wait(), Some(0));
+
+    // In the log: from the last frame of the first simulator to the first step that was not guided any more.
+    let (mut last_frame_ns, mut left_ns, mut reasons) = (0, None, Default::default());
+    let mut guided = false;
+    steps(folder.path(), |record| {
+        let is_guided = record.report.state == GuidanceState::Guided;
+        if guided && !is_guided && left_ns.is_none() {
+            left_ns = Some(record.now_ns);
+            reasons = record.report.reasons;
+            assert_eq!(
+                record.report.setpoint.map_or(0.0, |s| s.velocity_m_s.x),
+                0.0,
+                "no forward motion is asked for"
+            );
+        }
+        if left_ns.is_none() {
+            guided |= is_guided;
+            if let Some(frame) = record.frame() {
+                last_frame_ns = frame.header.stamp_ns;
+            }
+        }
+    });
+    let delay_ns = left_ns.expect("the firmware left guided flight") - last_frame_ns;
+    println!(
+        "{} ms from the last frame to {:?}",
+        delay_ns / 1_000_000,
+        reasons.iter().collect::<Vec<_>>()
+    );
+    assert!(delay_ns <= HALF_A_SECOND_NS, "{delay_ns} ns");
+    assert!(
+        reasons.contains(Reason::StaleFrame) || reasons.contains(Reason::StaleTelemetry),
+        "{reasons:?}"
+    );
+}
+
+#[test]
+fn a_killed_firmware_makes_the_vehicle_hold_and_its_return_resumes_the_flight() {
+    let simulator = simulator("86");
+    let first = firmware("86", None);
+    simulator.wait_for_status("guided flight", |s| {
+        s.guidance.as_deref() == Some("guided") && s.speed_m_s > 0.5
+    });
+    first.kill();
+    simulator.wait_for_status("the vehicle's own hold", |s| s.mode != "offboard");
+    simulator.wait_for_status("standstill", |s| s.speed_m_s < 0.2);
+    let _second = firmware("86", None);
+    simulator.wait_for_status("guided flight again", |s| s.mode == "offboard" && s.speed_m_s > 0.5);
+}
+
+#[test]
+fn a_silent_firmware_is_noticed_by_the_vehicle_within_half_a_second() {
+    // The same in lockstep, where the delay is exact.
+    let mut config = SimConfig::new(vigil_world::generate(vigil_world::Family::Training, 11), 11);
+    config.start = Start::Airborne;
+    let goal = config.course.goal_ned_m();
+    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
+    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(goal)).expect("a firmware");
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut guided_steps = 0;
+    while guided_steps < 40 {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        guided_steps += u32::from(report.state == GuidanceState::Guided);
+        assert!(simulator.now_ns() < 60 * 1_000_000_000, "guided flight begins");
+    }
+    from_firmware.clear();
+    let silent_since_ns = simulator.now_ns();
+    while simulator.status().mode.name() == "offboard" {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        assert!(
+            simulator.now_ns() - silent_since_ns <= HALF_A_SECOND_NS,
+            "the vehicle still waits"
+        );
+    }
+    assert!(simulator.status().failsafe.is_some(), "and says why");
+}
+
+#[test]
+fn a_blind_firmware_stops_asking_for_motion_in_the_step_that_finds_out() {
+    let mut config = SimConfig::new(vigil_world::generate(vigil_world::Family::Training, 12), 12);
+    config.start = Start::Airborne;
+    let goal = config.course.goal_ned_m();
+    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
+    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(goal)).expect("a firmware");
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let (mut guided_steps, mut blind_since_ns) = (0, None);
+    for _ in 0..2000 {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        let seen = blind_since_ns.is_none().then_some(&*frame);
+        let report = *firmware.step(simulator.now_ns(), seen, &to_firmware, &mut from_firmware);
+        guided_steps += u32::from(report.state == GuidanceState::Guided);
+        match blind_since_ns {
+            None if guided_steps == 40 => blind_since_ns = Some(simulator.now_ns()),
+            Some(since_ns) if report.state == GuidanceState::Hold => {
+                assert!(simulator.now_ns() - since_ns <= HALF_A_SECOND_NS);
+                assert!(report.reasons.contains(Reason::StaleFrame));
+                let setpoint = report.setpoint.unwrap_or(VelocitySetpoint::HOLD);
+                assert_eq!(
+                    (
+                        setpoint.velocity_m_s.x,
+                        setpoint.velocity_m_s.y,
+                        setpoint.yaw_rate_rad_s
+                    ),
+                    (0.0, 0.0, 0.0)
+                );
+                return;
+            }
+            Some(since_ns) => assert!(
+                simulator.now_ns() - since_ns <= HALF_A_SECOND_NS + STEP_NS,
+                "still guided"
+            ),
+            None => {}
+        }
+    }
+    panic!("guided flight never began");
+}

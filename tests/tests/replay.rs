@@ -1,0 +1,106 @@
+//! A flight's log holds everything: the tick run again over it gives the same bytes, and a changed byte is found.
+
+use std::path::{Path, PathBuf};
+use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
+use vigil_tests::{Running, run, said};
+use vigil_types::Datagrams;
+
+/// Flies a course in lockstep in two processes with a log; returns the log's path.
+fn logged_flight(folder: &Path, instance: &str) -> PathBuf {
+    let log = folder.to_str().expect("a UTF-8 path");
+    let mut firmware = Running::start(&[
+        "firmware",
+        "--lockstep",
+        "--instance",
+        instance,
+        "--engage",
+        "auto",
+        "--goal",
+        "12,3",
+        "--height",
+        "1.5",
+        "--log",
+        log,
+    ]);
+    let simulator = run(&[
+        "sim",
+        "--lockstep",
+        "--airborne",
+        "--instance",
+        instance,
+        "--seed",
+        "5",
+        "--family",
+        "training",
+    ]);
+    assert!(!simulator.stdout.is_empty(), "{}", said(&simulator));
+    assert_eq!(firmware.wait(), Some(0));
+    let mut logs = std::fs::read_dir(folder)
+        .expect("a folder")
+        .filter_map(|e| e.ok().map(|e| e.path()));
+    logs.find(|p| p.extension().is_some_and(|e| e == "mcap"))
+        .expect("a log")
+}
+
+/// Writes the records of one log into another, each after `alter` saw it.
+fn copy_log(from: &Path, to: &Path, mut alter: impl FnMut(&mut TickRecord)) {
+    let mut reader = Reader::open(from).expect("a log");
+    let mut config = RecorderConfig::new(LogPlace::File(to.to_owned()), reader.info().clone());
+    config.when_full = WhenFull::Wait;
+    let mut recorder = Recorder::start(config).expect("a second log");
+    let mut record = Box::<TickRecord>::default();
+    while reader.read_next(&mut record).expect("a readable log") {
+        alter(&mut record);
+        let r = &record;
+        assert!(recorder.record(|slot| slot.fill(r.now_ns, r.timing, r.frame(), &r.received, &r.sent, &r.report)));
+    }
+    assert_eq!(recorder.finish().failure, None);
+}
+
+/// Flips the last bit of the last datagram's last byte.
+fn change_one_bit(datagrams: &mut Datagrams) {
+    let mut all: Vec<(u8, Vec<u8>)> = datagrams.iter().map(|(link, bytes)| (link, bytes.to_vec())).collect();
+    *all.last_mut()
+        .and_then(|(_, bytes)| bytes.last_mut())
+        .expect("something was sent") ^= 1;
+    datagrams.clear();
+    for (link, bytes) in &all {
+        assert!(datagrams.push(*link, bytes));
+    }
+}
+
+#[test]
+fn a_flight_is_replayed_byte_for_byte_and_one_changed_byte_is_found() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = logged_flight(folder.path(), "83");
+    let log_path = log.to_str().expect("a UTF-8 path");
+    let equal = run(&["replay", log_path]);
+    assert_eq!(equal.status.code(), Some(0), "{}", said(&equal));
+
+    let altered = folder.path().join("altered.mcap");
+    copy_log(&log, &altered, |record| {
+        if record.timing.step == 60 {
+            change_one_bit(&mut record.sent);
+        }
+    });
+    let differs = run(&["replay", altered.to_str().expect("a UTF-8 path")]);
+    assert_eq!(differs.status.code(), Some(3), "{}", said(&differs));
+    assert!(said(&differs).contains("byte"), "{}", said(&differs));
+}
+
+#[test]
+fn the_log_holds_every_step_with_its_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = logged_flight(folder.path(), "84");
+    let mut reader = Reader::open(&log).expect("a log");
+    let mut record = Box::<TickRecord>::default();
+    let (mut steps, mut frames, mut engaged) = (0u64, 0u64, false);
+    while reader.read_next(&mut record).expect("a readable log") {
+        assert_eq!(record.timing.step, steps, "no step is missing");
+        steps += 1;
+        frames += u64::from(record.frame().is_some());
+        engaged |= record.report.action.is_some();
+    }
+    assert!(steps > 100 && engaged);
+    assert_eq!(frames, steps, "in lockstep every step has a new frame");
+}
