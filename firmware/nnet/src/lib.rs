@@ -22,6 +22,8 @@ mod lstm;
 mod math;
 mod norm;
 mod pool;
+#[cfg(feature = "train")]
+pub mod train;
 
 pub use activation::{Activation, RESCALE_THRESHOLD};
 pub use actor::{

@@ -218,3 +218,11 @@ impl Graph {
         part("work buffer", work, node.gradient_at, node.len)
     }
 }
+
+#[cfg(feature = "train")]
+impl Graph {
+    /// Layers and where their parameters lie, in order of computation.
+    pub(crate) fn layers(&self) -> impl Iterator<Item = (Layer, Params)> {
+        self.nodes.iter().map(|node| (node.layer, node.params))
+    }
+}
