@@ -21,7 +21,6 @@ pub struct Endpoint {
     routing: Routing,
     /// Earliest time at which a service or stream wants to run.
     due_ns: Nanos,
-    last_step_ns: Option<Nanos>,
 }
 
 impl core::fmt::Debug for Endpoint {
@@ -48,7 +47,6 @@ impl Endpoint {
             streams,
             routing: Routing::default(),
             due_ns: 0,
-            last_step_ns: None,
         })
     }
 
@@ -137,14 +135,10 @@ impl Endpoint {
     /// Advances to `now_ns` and gives the command for the vehicle's controllers until the next call.
     pub fn step(&mut self, now_ns: Nanos, view: &VehicleView) -> ControlCommand {
         let core = &mut self.core;
-        let elapsed_ns = now_ns.saturating_sub(self.last_step_ns.unwrap_or(now_ns));
-        self.last_step_ns = Some(now_ns);
-        // A pause of the caller must not become a jump of a ramp.
-        let dt_s = (elapsed_ns as f32 * 1e-9).min(0.05);
         core.now_ns = core.now_ns.max(now_ns);
         core.boot_ns.get_or_insert(now_ns);
         core.view = *view;
-        let command = core.fly(dt_s);
+        let command = core.fly();
         if self.due_ns <= now_ns {
             for service in &mut self.services {
                 if service.due_ns() <= now_ns {

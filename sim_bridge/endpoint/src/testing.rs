@@ -1,4 +1,4 @@
-//! A bench for tests: the endpoint, a simple vehicle that does what it is told, and clients that read what comes back.
+//! A bench for tests: the endpoint, the vehicle, and clients that read what comes back.
 
 use crate::core::{ComponentId, EndpointStatus};
 use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId};
@@ -9,8 +9,8 @@ use vigil_link::common::{
 };
 use vigil_link::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
 use vigil_link::mavlink::{MavHeader, Message};
-use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, Estimate, Sensors, VehicleView, YawCommand};
+use vigil_types::{Nanos, NedVector};
+use vigil_vehicle::{ControlCommand, Vehicle, VehicleParams, VehicleView, Wind};
 
 pub const ONBOARD: LinkId = LinkId::ONBOARD;
 pub const API: LinkId = LinkId::API;
@@ -39,107 +39,13 @@ pub struct Sent {
     pub ack: Option<CommandAck>,
 }
 
-/// A point that follows the command with a first-order lag; it cannot sink below the ground.
-#[derive(Debug, Clone)]
-struct Follower {
-    position: [f32; 3],
-    velocity: [f32; 3],
-    yaw: f32,
-    command: ControlCommand,
-}
-
-impl Follower {
-    fn step(&mut self, dt: f32) {
-        let toward = |target: NedVector, limit: f32, position: &[f32; 3]| {
-            let mut v = target.to_array();
-            for (v, p) in v.iter_mut().zip(position) {
-                *v = (1.2 * (*v - p)).clamp(-limit, limit);
-            }
-            v
-        };
-        let mut yaw_rate = 0.0;
-        let mut turn = |yaw: &YawCommand, heading: &mut f32| match yaw {
-            YawCommand::Hold => {}
-            YawCommand::Angle { yaw_rad } => *heading = *yaw_rad,
-            YawCommand::Rate { yaw_rate_rad_s } => yaw_rate = *yaw_rate_rad_s,
-        };
-        let wanted = match &self.command {
-            // Falls, slowly enough for a test to watch.
-            ControlCommand::MotorsOff => [0.0, 0.0, 5.0],
-            ControlCommand::Idle => [0.0, 0.0, 1.0],
-            ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
-                turn(yaw, &mut self.yaw);
-                velocity_m_s.to_ned(self.yaw).to_array()
-            }
-            ControlCommand::VelocityNed { velocity_m_s, yaw } => {
-                turn(yaw, &mut self.yaw);
-                velocity_m_s.to_array()
-            }
-            ControlCommand::Position {
-                position_ned_m,
-                velocity_m_s,
-                speed_limit_m_s,
-                yaw,
-            } => {
-                turn(yaw, &mut self.yaw);
-                let mut v = toward(*position_ned_m, *speed_limit_m_s, &self.position);
-                for (v, f) in v.iter_mut().zip(velocity_m_s.to_array()) {
-                    *v += f;
-                }
-                v
-            }
-            ControlCommand::Descend { rate_m_s } => [0.0, 0.0, *rate_m_s],
-            ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => {
-                [0.0, 0.0, 4.0 * (0.5 - *thrust)]
-            }
-        };
-        self.yaw += yaw_rate * dt;
-        for (i, wanted) in wanted.into_iter().enumerate() {
-            self.velocity[i] += (wanted - self.velocity[i]) * (dt / 0.2);
-            self.position[i] += self.velocity[i] * dt;
-        }
-        if self.position[2] >= 0.0 {
-            self.position[2] = 0.0;
-            self.velocity = [0.0; 3];
-        }
-    }
-
-    fn view(&self, at_ns: Nanos) -> VehicleView {
-        let [x, y, z] = self.position;
-        let [vx, vy, vz] = self.velocity;
-        VehicleView {
-            estimate: Estimate {
-                at_ns,
-                position_ned_m: NedVector::new(x, y, z),
-                velocity_ned_m_s: NedVector::new(vx, vy, vz),
-                acceleration_ned_m_s2: NedVector::ZERO,
-                attitude: Attitude::from_euler_rad(0.0, 0.0, self.yaw),
-                rates_frd_rad_s: FrdVector::ZERO,
-            },
-            sensors: Sensors {
-                accelerometer_frd_m_s2: FrdVector::new(0.0, 0.0, -9.81),
-                gyroscope_frd_rad_s: FrdVector::ZERO,
-                gps_position_ned_m: NedVector::new(x, y, z),
-                gps_velocity_ned_m_s: NedVector::new(vx, vy, vz),
-                barometer_height_m: -z,
-                battery_voltage_v: 16.0,
-                battery_current_a: 12.5,
-                battery_remaining: 0.87,
-                throttle: 0.5,
-            },
-            on_ground: z >= 0.0,
-            armed: self.command != ControlCommand::MotorsOff,
-        }
-    }
-}
-
 /// The bench.
 pub struct Bench {
     pub endpoint: Endpoint,
     pub now_ns: Nanos,
     pub sent: Vec<Sent>,
     pub command: ControlCommand,
-    vehicle: Follower,
+    vehicle: Vehicle,
     sequence: u8,
     /// Components that stream velocity setpoints at 20 Hz, with the velocity along the heading.
     streaming: Vec<(LinkId, ComponentId, [f32; 3])>,
@@ -156,12 +62,7 @@ impl Bench {
             now_ns: 1_000_000_000,
             sent: Vec::new(),
             command: ControlCommand::MotorsOff,
-            vehicle: Follower {
-                position: [0.0; 3],
-                velocity: [0.0; 3],
-                yaw: 0.0,
-                command: ControlCommand::MotorsOff,
-            },
+            vehicle: Vehicle::new(VehicleParams::default(), Wind::default(), 1).expect("defaults are valid"),
             sequence: 0,
             streaming: Vec::new(),
         };
@@ -172,7 +73,7 @@ impl Bench {
     /// A vehicle that hovers at 3 m in Hold.
     pub fn airborne() -> Self {
         let mut bench = Self::new();
-        bench.vehicle.position[2] = -3.0;
+        bench.vehicle.place(NedVector::new(0.0, 0.0, -3.0), 0.0, true);
         bench.endpoint.start_airborne(bench.now_ns, 3.0);
         bench.run_ms(500);
         bench.sent.clear();
@@ -184,15 +85,15 @@ impl Bench {
     }
 
     pub fn view(&self) -> VehicleView {
-        self.vehicle.view(self.now_ns)
+        self.vehicle.view()
     }
 
     pub fn height_m(&self) -> f32 {
-        -self.vehicle.position[2]
+        -self.vehicle.truth().position_ned_m.z
     }
 
     pub fn position_m(&self) -> [f32; 3] {
-        self.vehicle.position
+        self.vehicle.truth().position_ned_m.to_array()
     }
 
     /// Lets simulated time pass.
@@ -204,9 +105,8 @@ impl Bench {
                     self.send_velocity(link, from, velocity);
                 }
             }
-            self.vehicle.step(0.001);
-            self.command = self.endpoint.step(self.now_ns, &self.vehicle.view(self.now_ns));
-            self.vehicle.command = self.command;
+            self.command = self.endpoint.step(self.now_ns, &self.vehicle.view());
+            self.vehicle.step(&self.command);
             self.collect();
         }
     }

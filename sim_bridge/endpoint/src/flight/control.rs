@@ -7,18 +7,17 @@ use vigil_link::common::{MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTarge
 use vigil_types::{HeadingVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
-/// Acceleration of the climb's ramp.
-const CLIMB_ACCELERATION_M_S2: f32 = 1.0;
+/// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
+const CLIMB_BRAKING_M_S2: f32 = 0.4;
+/// Margin on that distance, for the jerk limit's delay.
+const CLIMB_MARGIN_M: f32 = 0.5;
 /// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
 const BRAKE_NS: Nanos = 3_000_000_000;
 
-/// A climb along a ramp that is accelerated and braked smoothly.
+/// A climb straight up: at a constant rate, then by position control.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Climb {
-    /// Where the ramp is now.
-    at_ned_m: NedVector,
-    speed_m_s: f32,
-    target_z_m: f32,
+    target_ned_m: NedVector,
     rate_m_s: f32,
 }
 
@@ -58,39 +57,23 @@ impl Default for Maneuver {
 impl Maneuver {
     pub fn climb(from_ned_m: NedVector, target_z_m: f32, rate_m_s: f32) -> Self {
         Self::Climb(Climb {
-            at_ned_m: from_ned_m,
-            speed_m_s: 0.0,
-            target_z_m,
+            target_ned_m: NedVector::new(from_ned_m.x, from_ned_m.y, target_z_m),
             rate_m_s,
         })
     }
 }
 
 impl Climb {
-    /// Moves the ramp on; its end is reached exactly.
-    fn advance(&mut self, dt_s: f32) {
-        let left_m = (self.at_ned_m.z - self.target_z_m).max(0.0);
-        let braking_m_s = libm::sqrtf(2.0 * CLIMB_ACCELERATION_M_S2 * left_m);
-        let faster_m_s = self.speed_m_s + CLIMB_ACCELERATION_M_S2 * dt_s;
-        // Never below a crawl, so that the square root's tail ends.
-        self.speed_m_s = faster_m_s.min(self.rate_m_s).min(braking_m_s.max(0.05));
-        let step_m = self.speed_m_s * dt_s;
-        if step_m >= left_m {
-            self.at_ned_m.z = self.at_ned_m.z.min(self.target_z_m);
-            self.speed_m_s = 0.0;
-        } else {
-            self.at_ned_m.z -= step_m;
-        }
-    }
-
-    fn is_at_end(&self) -> bool {
-        self.at_ned_m.z <= self.target_z_m
+    /// Whether what is left of the way is so long that the rate limits the climb.
+    fn is_cruising(&self, z_m: f32) -> bool {
+        let braking_m = self.rate_m_s * self.rate_m_s / (2.0 * CLIMB_BRAKING_M_S2);
+        z_m - self.target_ned_m.z > braking_m + CLIMB_MARGIN_M
     }
 }
 
 impl Core {
     /// One step of flight: ground contact, failsafes, maneuver.
-    pub fn fly(&mut self, dt_s: f32) -> ControlCommand {
+    pub fn fly(&mut self) -> ControlCommand {
         self.watch_ground();
         if !self.commander.is_armed() || self.commander.is_terminated() {
             return ControlCommand::MotorsOff;
@@ -99,7 +82,7 @@ impl Core {
         match self.commander.maneuver {
             Maneuver::Climb(climb) => {
                 self.expect_lift_off();
-                self.fly_climb(climb, dt_s)
+                self.fly_climb(climb)
             }
             Maneuver::Offboard => self.fly_offboard(on_ground),
             _ if on_ground => ControlCommand::Idle,
@@ -159,29 +142,33 @@ impl Core {
         }
     }
 
-    fn fly_climb(&mut self, mut climb: Climb, dt_s: f32) -> ControlCommand {
-        climb.advance(dt_s);
-        self.commander.maneuver = Maneuver::Climb(climb);
-        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
-        let estimate = &self.view.estimate;
-        let arrived =
-            (estimate.position_ned_m.z - climb.target_z_m).abs() < 0.3 && estimate.velocity_ned_m_s.z.abs() < 0.3;
-        if climb.is_at_end() && arrived {
-            let station = |position_ned_m| Maneuver::Station {
-                position_ned_m,
+    fn fly_climb(&mut self, climb: Climb) -> ControlCommand {
+        let (z_m, climbing_m_s) = {
+            let estimate = &self.view.estimate;
+            (estimate.position_ned_m.z, estimate.velocity_ned_m_s.z)
+        };
+        if climb.is_cruising(z_m) {
+            return ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::new(0.0, 0.0, -climb.rate_m_s),
                 yaw: YawCommand::Hold,
-                speed_limit_m_s,
             };
+        }
+        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        let station = |position_ned_m| Maneuver::Station {
+            position_ned_m,
+            yaw: YawCommand::Hold,
+            speed_limit_m_s,
+        };
+        let target = climb.target_ned_m;
+        if (z_m - target.z).abs() < 0.2 && climbing_m_s.abs() < 0.2 {
             match self.commander.mode() {
-                FlightMode::Return => {
-                    self.commander.maneuver = station(NedVector::new(0.0, 0.0, climb.at_ned_m.z));
-                }
-                _ => self.enter(FlightMode::Hold, station(climb.at_ned_m)),
+                FlightMode::Return => self.commander.maneuver = station(NedVector::new(0.0, 0.0, target.z)),
+                _ => self.enter(FlightMode::Hold, station(target)),
             }
         }
         ControlCommand::Position {
-            position_ned_m: climb.at_ned_m,
-            velocity_m_s: NedVector::new(0.0, 0.0, -climb.speed_m_s),
+            position_ned_m: target,
+            velocity_m_s: NedVector::ZERO,
             speed_limit_m_s,
             yaw: YawCommand::Hold,
         }
@@ -304,32 +291,4 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
         ..Default::default()
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_climb_is_smooth_and_ends_exactly() {
-        let Maneuver::Climb(mut climb) = Maneuver::climb(NedVector::ZERO, -3.0, 1.5) else {
-            unreachable!("climb() makes a Climb");
-        };
-        let mut before_m_s = 0.0;
-        let mut steps = 0;
-        let mut fastest_m_s: f32 = 0.0;
-        while !climb.is_at_end() {
-            climb.advance(0.001);
-            let jump = (climb.speed_m_s - before_m_s).abs();
-            assert!(jump < 0.06, "speed jumps by {jump} at {:?}", climb.at_ned_m);
-            before_m_s = climb.speed_m_s;
-            fastest_m_s = fastest_m_s.max(climb.speed_m_s);
-            steps += 1;
-            assert!(steps < 10_000);
-        }
-        assert_eq!(climb.at_ned_m.z, -3.0);
-        // 1.125 m to reach 1.5 m/s, the same to brake, 0.75 m between: 3.5 s.
-        assert!((3_300..3_800).contains(&steps), "{steps}");
-        assert!((fastest_m_s - 1.5).abs() < 0.01);
-    }
 }

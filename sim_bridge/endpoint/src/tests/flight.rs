@@ -29,6 +29,25 @@ fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {
 }
 
 #[test]
+fn a_high_take_off_climbs_at_its_rate_and_does_not_overshoot() {
+    let mut b = Bench::new();
+    b.arm();
+    let mut params = [f32::NAN; 7];
+    params[6] = 488.0 + 12.0;
+    assert_eq!(b.command_long(API, SCRIPT, 22, params), ACCEPTED);
+    let mut fastest_m_s: f32 = 0.0;
+    let mut highest_m: f32 = 0.0;
+    for _ in 0..1500 {
+        b.run_ms(10);
+        fastest_m_s = fastest_m_s.max(-b.view().estimate.velocity_ned_m_s.z);
+        highest_m = highest_m.max(b.height_m());
+    }
+    assert!((fastest_m_s - 1.5).abs() < 0.2, "{fastest_m_s}");
+    assert!((highest_m - 12.0).abs() < 0.2, "{highest_m}");
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+#[test]
 fn taking_off_first_and_arming_later_flies_too() {
     let mut b = Bench::new();
     assert_eq!(b.set_mode(API, SCRIPT, 4, 2), ACCEPTED);
@@ -210,5 +229,5 @@ fn a_campaign_starts_in_the_air_and_holds_its_height() {
     assert!(b.status().armed);
     assert_eq!(b.status().landed, LandedState::InAir);
     b.run_ms(3_000);
-    assert!((b.height_m() - 3.0).abs() < 0.05, "{}", b.height_m());
+    assert!((b.height_m() - 3.0).abs() < 0.2, "{}", b.height_m());
 }
