@@ -54,7 +54,7 @@ pub struct FirmwareArgs {
     pub goal: Option<[f32; 2]>,
 
     /// Height to fly at, metres above home [default: 2.5].
-    #[arg(long, value_name = "METRES", value_parser = parse_height)]
+    #[arg(long, value_name = "METRES", value_parser = parse_height, allow_hyphen_values = true)]
     pub height: Option<f32>,
 
     /// What to do at the goal [default: hold].

@@ -1,0 +1,91 @@
+//! What one step of the flight stack costs, with real frames and telemetry.
+
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use common::{TestVehicle, config};
+use divan::Bencher;
+use std::cell::RefCell;
+use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_NS, StepTiming};
+
+fn main() {
+    divan::main();
+}
+
+/// A stack in flight and its vehicle, which stays where it is, so that every step is a guided one.
+struct Flight {
+    stack: Box<FlightStack>,
+    output: Box<TickOutput>,
+    vehicle: TestVehicle,
+    step: u64,
+}
+
+struct Inputs {
+    step: u64,
+    frame: Option<Box<DepthFrame>>,
+    received: Datagrams,
+}
+
+impl Flight {
+    fn guided() -> Self {
+        let mut flight = Self {
+            stack: Box::new(FlightStack::new(&config().stack()).unwrap()),
+            output: Box::default(),
+            vehicle: TestVehicle::hovering(2.5),
+            step: 0,
+        };
+        while flight.output.report.state != GuidanceState::Guided {
+            let inputs = flight.inputs(true);
+            flight.tick(&inputs);
+            assert!(flight.step < 400);
+        }
+        flight
+    }
+
+    fn inputs(&mut self, with_frame: bool) -> Inputs {
+        for (_, datagram) in self.output.sent.iter() {
+            self.vehicle.hear(datagram);
+        }
+        self.vehicle.heard.clear();
+        self.vehicle.setpoints.truncate(1);
+        self.step += 1;
+        Inputs {
+            step: self.step,
+            frame: with_frame.then(|| self.vehicle.frame(self.step * STEP_NS)),
+            received: self.vehicle.telemetry(),
+        }
+    }
+
+    fn tick(&mut self, inputs: &Inputs) {
+        let input = TickInput {
+            now_ns: inputs.step * STEP_NS,
+            timing: StepTiming {
+                step: inputs.step,
+                ..StepTiming::default()
+            },
+            frame: inputs.frame.as_deref(),
+            received: &inputs.received,
+        };
+        self.stack.tick(&input, &mut self.output);
+    }
+}
+
+fn bench(bencher: Bencher, with_frame: bool) {
+    let flight = RefCell::new(Flight::guided());
+    bencher
+        .with_inputs(|| flight.borrow_mut().inputs(with_frame))
+        .bench_local_refs(|inputs| flight.borrow_mut().tick(inputs));
+}
+
+/// The whole tick in guided flight: frame copied and checked, telemetry parsed, pilot, guidance, packets.
+#[divan::bench(sample_size = 1, sample_count = 2000)]
+fn guided(bencher: Bencher) {
+    bench(bencher, true);
+}
+
+/// A tick without a new frame: telemetry, guidance, packets, and the pilot while the last frame is fresh.
+#[divan::bench(sample_size = 1, sample_count = 2000)]
+fn without_a_new_frame(bencher: Bencher) {
+    bench(bencher, false);
+}

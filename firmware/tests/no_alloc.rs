@@ -1,0 +1,136 @@
+//! The loop allocates nothing after its start.
+
+mod common;
+
+use common::{Instance, TestVehicle, config};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::net::UdpSocket;
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::config::{LogConfig, RateConfig};
+use vigil_firmware::live::LiveLoop;
+use vigil_firmware::ports::Clock;
+use vigil_firmware::ports::live::MonotonicClock;
+use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
+use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_types::{GuidanceState, STEP_NS, StepTiming};
+
+thread_local! {
+    /// Allocations of this thread; other threads may allocate as they like.
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+struct Counting;
+
+// SAFETY: hands everything on to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|n| n.set(n.get() + 1));
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn counted(work: impl FnOnce()) -> u64 {
+    let before = ALLOCATIONS.get();
+    work();
+    ALLOCATIONS.get() - before
+}
+
+#[test]
+fn a_whole_flight_of_ticks_allocates_nothing() {
+    assert_eq!(counted(|| drop(Box::new(1))), 1, "the counter counts");
+    let mut stack = Box::new(FlightStack::new(&config().stack()).unwrap());
+    let mut output = Box::new(TickOutput::default());
+    let mut vehicle = TestVehicle::on_ground();
+    let mut states = Vec::new();
+    let mut sent_bytes = 0;
+    for step in 0..1200 {
+        let now_ns = (step + 1) * STEP_NS;
+        let (frame, received) = (vehicle.frame(now_ns), vehicle.telemetry());
+        let input = TickInput {
+            now_ns,
+            timing: StepTiming {
+                step,
+                ..StepTiming::default()
+            },
+            // Frames stay out for a while in flight, so that the paths of a hold are walked too.
+            frame: (!(500..520).contains(&step)).then_some(&*frame),
+            received: &received,
+        };
+        assert_eq!(counted(|| stack.tick(&input, &mut output)), 0, "step {step}");
+        for (_, datagram) in output.sent.iter() {
+            sent_bytes += datagram.len();
+            vehicle.hear(datagram);
+        }
+        vehicle.advance();
+        if !states.contains(&output.report.state) {
+            states.push(output.report.state);
+        }
+    }
+    for state in [GuidanceState::Engaging, GuidanceState::Guided, GuidanceState::Hold] {
+        assert!(states.contains(&state), "{states:?}");
+    }
+    assert!(sent_bytes > 10_000);
+}
+
+#[test]
+fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
+    let instance = Instance::own(0);
+    let domain = Domain::open(instance.0, "test-simulator").unwrap();
+    let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let port = {
+        // A port that is free at this moment.
+        let probe = UdpSocket::bind("127.0.0.1:0").unwrap();
+        probe.local_addr().unwrap().port()
+    };
+    let config = FirmwareConfig {
+        instance: instance.0,
+        link: Some(format!("udpin://127.0.0.1:{port}").parse().unwrap()),
+        log: LogConfig {
+            directory: Some(folder.path().to_owned()),
+            scene: None,
+        },
+        rate: RateConfig {
+            priority: 0,
+            ..RateConfig::default()
+        },
+        ..config()
+    };
+    let mut flight = LiveLoop::open(&config).unwrap();
+    flight.start();
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.connect(("127.0.0.1", port)).unwrap();
+    socket.set_nonblocking(true).unwrap();
+    let mut vehicle = TestVehicle::hovering(2.5);
+    let mut engaged = false;
+    for step in 0..60 {
+        publisher.publish(&vehicle.frame(MonotonicClock.now_ns())).unwrap();
+        for (_, datagram) in vehicle.telemetry().iter() {
+            socket.send(datagram).unwrap();
+        }
+        let mut state = GuidanceState::Standby;
+        let allocations = counted(|| state = flight.step().state);
+        // In its first steps the transport maps the publisher's memory.
+        assert!(step < 5 || allocations == 0, "step {step}: {allocations} allocations");
+        engaged |= state >= GuidanceState::Engaging;
+        let mut buffer = [0; 512];
+        while let Ok(len) = socket.recv(&mut buffer) {
+            vehicle.hear(&buffer[..len]);
+        }
+        vehicle.advance();
+    }
+    assert!(engaged, "the loop was at work");
+    let summary = flight.finish();
+    assert_eq!(summary.log.unwrap().records, summary.steps);
+    assert!(summary.frames >= 55, "{}", summary.frames);
+}

@@ -1,0 +1,345 @@
+//! The `firmware` program as a process of its own.
+
+mod common;
+
+use common::{PATIENCE, TestVehicle, config};
+use std::fmt::Write as _;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+use vigil_firmware::ports::Clock;
+use vigil_firmware::ports::live::MonotonicClock;
+use vigil_firmware::{LockstepFirmware, replay};
+use vigil_link::common::MavMessage;
+use vigil_log::{LogEnd, Reader, TickRecord};
+use vigil_transport::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, LockstepClient, remove_leftovers};
+use vigil_types::{Datagrams, STEP_NS};
+
+fn firmware(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_firmware"));
+    command
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    command
+}
+
+/// An instance that the program accepts and nobody uses at the moment, with its publisher.
+fn free_instance() -> (u32, Domain, FramePublisher) {
+    let first = std::process::id() % 40;
+    for number in (0..40).map(|i| 60 + (first + i) % 40) {
+        let domain = Domain::open(number, "test-simulator").unwrap();
+        match FramePublisher::create(&domain, DEPTH_TOPIC) {
+            Ok(publisher) => return (number, domain, publisher),
+            Err(FrameError::AlreadyPublished { .. }) => {}
+            Err(other) => panic!("{other}"),
+        }
+    }
+    panic!("every instance is in use");
+}
+
+/// A port that is free at this moment.
+fn free_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// The simulator's side of a flight, and the program.
+struct Flight {
+    vehicle: TestVehicle,
+    socket: UdpSocket,
+    publisher: Option<FramePublisher>,
+    domain: Option<Domain>,
+    instance: u32,
+    child: Option<Child>,
+}
+
+impl Flight {
+    fn start(log: &Path) -> Self {
+        let (instance, domain, publisher) = free_instance();
+        let port = free_port();
+        let child = firmware(&["--engage", "auto", "--goal", "20,5", "--priority", "0"])
+            .args(["--instance", &instance.to_string()])
+            .args(["--link", &format!("udpin://127.0.0.1:{port}")])
+            .arg("--log")
+            .arg(log)
+            .spawn()
+            .unwrap();
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        socket.connect(("127.0.0.1", port)).unwrap();
+        socket.set_nonblocking(true).unwrap();
+        Self {
+            vehicle: TestVehicle::hovering(2.5),
+            socket,
+            publisher: Some(publisher),
+            domain: Some(domain),
+            instance,
+            child: Some(child),
+        }
+    }
+
+    /// A twentieth of a second of flight.
+    fn step(&mut self) {
+        let now_ns = MonotonicClock.now_ns();
+        if let Some(publisher) = &mut self.publisher {
+            publisher.publish(&self.vehicle.frame(now_ns)).unwrap();
+        }
+        for (_, datagram) in self.vehicle.telemetry().iter() {
+            // Refused while the program is not there.
+            let _ = self.socket.send(datagram);
+        }
+        self.hear();
+        self.vehicle.advance();
+        std::thread::sleep(Duration::from_millis(50));
+    }
+
+    fn hear(&mut self) {
+        let mut buffer = [0; 512];
+        while let Ok(len) = self.socket.recv(&mut buffer) {
+            self.vehicle.hear(&buffer[..len]);
+        }
+    }
+
+    fn until(&mut self, what: &str, mut happened: impl FnMut(&TestVehicle) -> bool) {
+        let begun = Instant::now();
+        while !happened(&self.vehicle) {
+            assert!(begun.elapsed() < PATIENCE, "{what}: never");
+            self.step();
+        }
+    }
+
+    fn until_text(&mut self, text: &str) {
+        self.vehicle.heard.clear();
+        self.until(text, |vehicle| {
+            vehicle.heard.iter().any(|(_, message)| match message {
+                MavMessage::STATUSTEXT(m) => m.text.to_str().unwrap().contains(text),
+                _ => false,
+            })
+        });
+    }
+
+    fn signal(&mut self, signal: rustix::process::Signal) -> Output {
+        let child = self.child.take().unwrap();
+        rustix::process::kill_process(rustix::process::Pid::from_child(&child), signal).unwrap();
+        child.wait_with_output().unwrap()
+    }
+}
+
+impl Drop for Flight {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+        self.publisher = None;
+        self.domain = None;
+        let _ = remove_leftovers(self.instance);
+    }
+}
+
+fn moving(vehicle: &TestVehicle) -> bool {
+    vehicle.setpoints.last().is_some_and(|s| s.vx > 0.3)
+}
+
+fn said(output: &Output) -> String {
+    let mut said = String::new();
+    let _ = write!(
+        said,
+        "{}\n{}\n{}",
+        output.status,
+        String::from_utf8_lossy(&output.stdout),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    said
+}
+
+fn only_log(folder: &Path) -> std::path::PathBuf {
+    let mut logs: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|e| e == "mcap"))
+        .collect();
+    assert_eq!(logs.len(), 1, "{logs:?}");
+    logs.remove(0)
+}
+
+#[test]
+fn it_flies_holds_when_the_simulator_goes_flies_on_when_it_returns_and_ends_with_zeros_and_a_whole_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::start(folder.path());
+    flight.until("guided flight", moving);
+
+    // The simulator's frames end: hold, named.
+    flight.publisher = None;
+    flight.until_text("guidance: hold (stale frame)");
+    let stopped = flight.vehicle.setpoints.last().unwrap();
+    assert_eq!((stopped.vx, stopped.vy, stopped.yaw_rate), (0.0, 0.0, 0.0));
+
+    // A new publisher whose sequence starts at 0 again: flight.
+    flight.publisher = Some(FramePublisher::create(flight.domain.as_ref().unwrap(), DEPTH_TOPIC).unwrap());
+    flight.until_text("guidance: guided");
+    flight.until("guided flight again", moving);
+
+    let ended = flight.signal(rustix::process::Signal::TERM);
+    flight.hear();
+    assert!(ended.status.success(), "{}", said(&ended));
+    let last = flight.vehicle.setpoints.last().unwrap();
+    assert_eq!((last.vx, last.vy, last.yaw_rate), (0.0, 0.0, 0.0));
+    let summary = String::from_utf8_lossy(&ended.stdout);
+    for word in [
+        "steps",
+        "missed",
+        "p50",
+        "p99",
+        "max",
+        "frames",
+        "refused",
+        "log",
+        "ended in hold",
+    ] {
+        assert!(summary.contains(word), "`{word}` in {summary}");
+    }
+
+    // A live flight replays to the byte, the request to end included.
+    let report = replay(&mut Reader::open(&only_log(folder.path())).unwrap()).unwrap();
+    assert!(report.is_equal(), "{report}");
+    assert_eq!(report.log_end, Some(LogEnd::Closed { dropped: 0 }));
+}
+
+#[test]
+fn a_killed_firmware_leaves_a_log_that_can_be_read_and_can_be_started_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::start(folder.path());
+    flight.until("guided flight", moving);
+    // The log is flushed each second.
+    for _ in 0..40 {
+        flight.step();
+    }
+    flight.signal(rustix::process::Signal::KILL);
+    let path = only_log(folder.path());
+    let report = replay(&mut Reader::open(&path).unwrap()).unwrap();
+    assert_eq!(report.difference, None, "{report}");
+    assert!(
+        matches!(report.log_end, Some(LogEnd::Interrupted { records }) if records > 20),
+        "{report}"
+    );
+
+    // The same command again, as somebody would type it.
+    let again = tempfile::tempdir().unwrap();
+    let port = flight.socket.peer_addr().unwrap().port();
+    let child = firmware(&["--engage", "auto", "--goal", "20,5", "--priority", "0"])
+        .args(["--instance", &flight.instance.to_string()])
+        .args(["--link", &format!("udpin://127.0.0.1:{port}")])
+        .arg("--log")
+        .arg(again.path())
+        .spawn()
+        .unwrap();
+    flight.child = Some(child);
+    flight.vehicle.setpoints.clear();
+    flight.until("guided flight by the second", moving);
+    let ended = flight.signal(rustix::process::Signal::INT);
+    assert!(ended.status.success(), "{}", said(&ended));
+}
+
+#[test]
+fn what_is_wrong_is_told_in_one_place_with_what_to_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("wrong.toml");
+    std::fs::write(&file, "[limits]\nframe_age_s = 0.25\nframe_age_ms = 250\n").unwrap();
+    let run = |arguments: &[&str]| firmware(arguments).output().unwrap();
+
+    let output = run(&["--config", file.to_str().unwrap()]);
+    let text = said(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("wrong.toml") && text.contains("line 3") && text.contains("frame_age_ms"),
+        "{text}"
+    );
+
+    for (arguments, expected) in [
+        (["--goal", "here"], "NORTH,EAST"),
+        (["--height", "-3"], "0.1 to 1000"),
+        (["--instance", "100"], "0..=99"),
+        (["--link", "14030"], "udpin://"),
+        (["--vehicle", "px5"], "ardupilot"),
+    ] {
+        let output = run(&arguments);
+        assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+        assert!(said(&output).contains(expected), "{}", said(&output));
+    }
+
+    let (instance, _domain, _publisher) = free_instance();
+    let taken = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let url = format!("udpin://{}", taken.local_addr().unwrap());
+    let output = run(&["--instance", &instance.to_string(), "--link", &url]);
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(said(&output).contains("in use by another process"), "{}", said(&output));
+
+    let output = run(&["--instance", &instance.to_string(), "--log", file.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(
+        said(&output).contains("give a directory that can be written"),
+        "{}",
+        said(&output)
+    );
+
+    let output = run(&[
+        "--instance",
+        &instance.to_string(),
+        "--lockstep",
+        "--lockstep-timeout",
+        "1",
+    ]);
+    assert_eq!(output.status.code(), Some(1), "{}", said(&output));
+    assert!(
+        said(&output).contains("simulator did not send step 0 within 1 s"),
+        "{}",
+        said(&output)
+    );
+}
+
+#[test]
+fn lockstep_gives_the_same_bytes_in_two_processes_as_in_one() {
+    const STEPS: u64 = 300;
+    let folder = tempfile::tempdir().unwrap();
+    let (instance, domain, _publisher) = free_instance();
+    let mut arguments = vec!["--lockstep", "--engage", "auto", "--goal", "20,5", "--height", "2.5"];
+    let (number, log) = (instance.to_string(), folder.path().to_str().unwrap().to_owned());
+    arguments.extend(["--instance", &number, "--log", &log]);
+    let child = firmware(&arguments).spawn().unwrap();
+    let mut other = LockstepClient::connect(&domain, PATIENCE).unwrap();
+    let mut same = LockstepFirmware::new(&config()).unwrap();
+
+    let mut vehicle = TestVehicle::on_ground();
+    let (mut theirs, mut ours) = (Datagrams::default(), Datagrams::default());
+    for step in 0..STEPS {
+        let now_ns = step * STEP_NS;
+        let (frame, telemetry) = (vehicle.frame(now_ns), vehicle.telemetry());
+        other
+            .exchange(step, now_ns, Some(&frame), &telemetry, &mut theirs)
+            .unwrap();
+        same.step(now_ns, Some(&frame), &telemetry, &mut ours);
+        assert_eq!(theirs, ours, "step {step}");
+        for (_, datagram) in ours.iter() {
+            vehicle.hear(datagram);
+        }
+        vehicle.advance();
+    }
+    assert!(vehicle.is_in_air());
+    other.finish(STEPS).unwrap();
+    let ended = child.wait_with_output().unwrap();
+    assert!(ended.status.success(), "{}", said(&ended));
+
+    // Its log has every step.
+    let mut reader = Reader::open(&only_log(folder.path())).unwrap();
+    let mut record = Box::<TickRecord>::default();
+    let mut records = 0;
+    while reader.read_next(&mut record).unwrap() {
+        assert_eq!(record.timing.step, records);
+        records += 1;
+    }
+    assert_eq!(records, STEPS);
+    drop(domain);
+    let _ = remove_leftovers(instance);
+}

@@ -1,0 +1,187 @@
+//! A recorded flight runs again to the byte; one byte of difference is found and named.
+
+mod common;
+
+use common::{TestVehicle, config};
+use std::path::{Path, PathBuf};
+use vigil_firmware::replay::{Departure, ReplayError, ReplayReport};
+use vigil_firmware::{LockstepFirmware, replay};
+use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
+use vigil_types::{Datagrams, GuidanceState, STEP_NS};
+
+const STEPS: u64 = 240;
+
+fn recorder(path: &Path, info: FlightInfo) -> Recorder {
+    Recorder::start(RecorderConfig {
+        when_full: WhenFull::Wait,
+        ..RecorderConfig::new(LogPlace::File(path.to_owned()), info)
+    })
+    .unwrap()
+}
+
+/// Flies for [`STEPS`] and records; every third step has no frame, one has a bad one.
+fn record(folder: &Path) -> PathBuf {
+    let path = folder.join("flight.mcap");
+    let mut firmware = LockstepFirmware::recording(&config(), Some(recorder(&path, config().flight_info()))).unwrap();
+    let mut vehicle = TestVehicle::hovering(2.5);
+    let mut sent = Datagrams::default();
+    let mut guided = false;
+    for step in 0..STEPS {
+        let now_ns = step * STEP_NS;
+        let mut frame = vehicle.frame(now_ns);
+        if step == 100 {
+            frame.depth[77] = f32::NAN;
+        }
+        let telemetry = vehicle.telemetry();
+        let report = firmware.step(now_ns, (step % 3 != 0).then_some(&frame), &telemetry, &mut sent);
+        guided |= report.state == GuidanceState::Guided;
+        for (_, datagram) in sent.iter() {
+            vehicle.hear(datagram);
+        }
+        vehicle.advance();
+    }
+    assert!(guided, "the record is of a flight");
+    let summary = firmware.finish().unwrap();
+    assert_eq!((summary.records, summary.dropped, summary.failure), (STEPS, 0, None));
+    path
+}
+
+fn replayed(path: &Path) -> ReplayReport {
+    replay(&mut Reader::open(path).unwrap()).unwrap()
+}
+
+/// Writes the log again with one record altered.
+fn altered(folder: &Path, original: &Path, step: u64, alter: impl FnOnce(&mut TickRecord)) -> PathBuf {
+    let path = folder.join(format!("altered-{step}.mcap"));
+    let mut reader = Reader::open(original).unwrap();
+    let mut writer = recorder(&path, reader.info().clone());
+    let mut record = Box::<TickRecord>::default();
+    let mut alter = Some(alter);
+    while reader.read_next(&mut record).unwrap() {
+        if record.timing.step == step {
+            alter.take().unwrap()(&mut record);
+        }
+        assert!(writer.record(|slot| slot.clone_from(&record)));
+    }
+    assert!(alter.is_none(), "the step is in the log");
+    writer.finish();
+    path
+}
+
+/// Flips the lowest bit of one byte.
+fn flip(datagrams: &mut Datagrams, datagram: usize, byte: usize) {
+    let mut copy = Datagrams::default();
+    for (i, (link, bytes)) in datagrams.iter().enumerate() {
+        let mut bytes = bytes.to_vec();
+        if i == datagram {
+            bytes[byte] ^= 1;
+        }
+        copy.push(link, &bytes);
+    }
+    *datagrams = copy;
+}
+
+#[test]
+fn a_recorded_flight_runs_again_to_the_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let report = replayed(&record(folder.path()));
+    assert!(report.is_equal(), "{report}");
+    assert_eq!(report.steps, STEPS);
+    assert!(report.sent_bytes > 10_000, "{report}");
+    assert_eq!(report.log_end, Some(LogEnd::Closed { dropped: 0 }));
+}
+
+#[test]
+fn one_byte_of_difference_is_found_and_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = record(folder.path());
+
+    // An output that was not what the tick gave.
+    let sent = altered(folder.path(), &original, 150, |record| flip(&mut record.sent, 0, 20));
+    let report = replayed(&sent);
+    assert!(!report.is_equal());
+    let difference = report.difference.clone().unwrap();
+    assert_eq!((difference.step, report.steps), (150, 150));
+    let Departure::Byte {
+        datagram: 0,
+        byte: 20,
+        recorded,
+        replayed: again,
+    } = difference.what
+    else {
+        panic!("{difference}");
+    };
+    assert_eq!(recorded ^ again, 1);
+    assert!(report.to_string().contains("step 150"), "{report}");
+
+    // An input that was not what the tick got: a byte of the vehicle's position, with its packet's checksum now wrong,
+    // so that the position is missing and older ones count.
+    let received = altered(folder.path(), &original, 160, |record| {
+        flip(&mut record.received, 1, 15)
+    });
+    let difference = replayed(&received).difference.unwrap();
+    assert!(difference.step >= 160, "{difference}");
+
+    // A pixel of a frame: its checksum is wrong and the frame is refused.
+    let frame = altered(folder.path(), &original, 170, |record| {
+        let mut frame = Box::new(record.frame().unwrap().clone());
+        frame.depth[12_345] = 0.5;
+        record.set_frame(Some(&frame));
+    });
+    assert_eq!(replayed(&frame).difference.unwrap().step, 170);
+
+    // A report that says something else.
+    let report = altered(folder.path(), &original, 180, |record| {
+        record.report.frames_refused += 1;
+    });
+    let difference = replayed(&report).difference.unwrap();
+    assert_eq!(difference.step, 180);
+    assert!(difference.to_string().contains("frames_refused"), "{difference}");
+
+    // A datagram that is not there.
+    let missing = altered(folder.path(), &original, 190, |record| record.sent.clear());
+    let difference = replayed(&missing).difference.unwrap();
+    assert!(
+        matches!(difference.what, Departure::DatagramCount { recorded: 0, .. }),
+        "{difference}"
+    );
+}
+
+#[test]
+fn where_records_were_dropped_the_replay_ends_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let original = record(folder.path());
+    let path = folder.path().join("gap.mcap");
+    // A recorder with one slot that drops: whatever is lost, the records say so.
+    let mut reader = Reader::open(&original).unwrap();
+    let mut writer = Recorder::start(RecorderConfig {
+        slots: 1,
+        ..RecorderConfig::new(LogPlace::File(path.clone()), reader.info().clone())
+    })
+    .unwrap();
+    let mut record = Box::<TickRecord>::default();
+    while reader.read_next(&mut record).unwrap() {
+        writer.record(|slot| slot.clone_from(&record));
+    }
+    assert!(writer.finish().dropped > 0);
+    let report = replayed(&path);
+    assert!(report.gap_before_step.is_some() && !report.is_equal(), "{report}");
+    assert_eq!(report.difference, None);
+    assert!(report.to_string().contains("dropped"), "{report}");
+}
+
+#[test]
+fn a_log_of_a_configuration_that_is_not_understood_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("other.mcap");
+    let info = FlightInfo {
+        program: "firmware 99.0".into(),
+        config_toml: "warp_factor = 9".into(),
+        ..FlightInfo::default()
+    };
+    recorder(&path, info).finish();
+    let error = replay(&mut Reader::open(&path).unwrap()).unwrap_err();
+    assert!(matches!(error, ReplayError::Config { .. }));
+    let text = error.to_string();
+    assert!(text.contains("firmware 99.0") && text.contains("warp_factor"), "{text}");
+}
