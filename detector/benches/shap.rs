@@ -51,12 +51,22 @@ fn second_half_both_outputs(bencher: Bencher) {
 fn pixels_of_five_frames(bencher: Bencher, threads: usize) {
     let (mut shap, x) = explainer(ActorSpec::FULL.graph(Purpose::Multipliers, true).unwrap());
     let (x, mut phi) = (views(&x), vec![0.0; shap.phi_len()]);
-    bencher.bench_local(|| {
-        shap.evaluate(black_box(&x)).unwrap();
-        if threads == 1 {
-            shap.attribute(1, &mut phi).unwrap();
-        } else {
-            shap.attribute_on_threads(1, threads, &mut phi).unwrap();
-        }
-    });
+    bencher.bench_local(|| explain(&mut shap, black_box(&x), threads, &mut phi));
+}
+
+/// The live mode: pixels of the newest frame, features of the older ones, one output, 30 backgrounds. Exact as well.
+#[divan::bench(args = [1, 2], sample_count = 20, sample_size = 1)]
+fn pixels_of_the_newest_frame(bencher: Bencher, threads: usize) {
+    let (mut shap, x) = explainer(ActorSpec::FULL.newest_frame_graph(Purpose::Multipliers).unwrap());
+    let (x, mut phi) = (views(&x), vec![0.0; shap.phi_len()]);
+    bencher.bench_local(|| explain(&mut shap, black_box(&x), threads, &mut phi));
+}
+
+fn explain(shap: &mut DeepShap, x: &[&[f32]], threads: usize, phi: &mut [f32]) {
+    shap.evaluate(x).unwrap();
+    if threads == 1 {
+        shap.attribute(1, phi).unwrap();
+    } else {
+        shap.attribute_on_threads(1, threads, phi).unwrap();
+    }
 }

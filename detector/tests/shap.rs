@@ -6,7 +6,7 @@ mod torch;
 
 use torch::{SPEC, Tensors, actor_params, features, transposed};
 use vigil_detector::{DeepShap, ShapError};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, Dense, Graph, GraphBuilder, Isa, Purpose};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, ActorSpec, Dense, Graph, GraphBuilder, Isa, Purpose};
 
 /// Largest difference allowed to a reference, and of Σφ to f(x) − mean f(b).
 const TOLERANCE: f32 = 1e-5;
@@ -207,6 +207,74 @@ fn the_whole_actor_is_explained_at_its_pixels_as_in_float64() {
             .zip(&on_threads)
             .fold(0.0f32, |m, (a, b)| m.max((a - b).abs()));
         assert!(largest < 1e-8, "threads change φ by {largest:e}");
+    }
+}
+
+/// In flight only the newest frame's pixels are asked for; the older frames are explained at their features.
+#[test]
+fn explaining_only_the_newest_frame_gives_its_pixels_the_same_values() {
+    let spec = ActorSpec {
+        rows: 32,
+        cols: 64,
+        near_contrast: true,
+    };
+    let (whole, newest) = (
+        spec.graph(Purpose::Multipliers, true).unwrap(),
+        spec.newest_frame_graph(Purpose::Multipliers).unwrap(),
+    );
+    let encoder = spec.encoder_graph(Purpose::Gradients, false).unwrap();
+    let wave = |n: usize, seed: usize| -> Vec<f32> {
+        let at = |i: usize| ((i * i + 3 * seed * i + seed) as f32 * 0.37).sin();
+        (0..n).map(at).collect()
+    };
+    let params: Vec<f32> = wave(whole.param_len(), 1).iter().map(|x| 0.15 * x).collect();
+    let isa = Isa::detect();
+    let mut tape = vec![0.0; encoder.tape_len()];
+    // Five frames and a position; the same with the four older frames encoded.
+    let mut state = |seed: usize| {
+        let frames = (0..5).map(|i| {
+            wave(spec.frame_len(), 10 * seed + i)
+                .iter()
+                .map(|x| 0.5 + 0.5 * x)
+                .collect()
+        });
+        let mut whole: Vec<Vec<f32>> = frames.collect();
+        whole.push(wave(2, seed));
+        let mut newest = whole.clone();
+        for frame in &mut newest[..4] {
+            encoder.forward(isa, &params, &[frame], &mut tape).unwrap();
+            *frame = encoder.output(&tape).unwrap().to_vec();
+        }
+        (whole, newest)
+    };
+    let (backgrounds, x): (Vec<_>, _) = ((1..4).map(&mut state).collect(), state(0));
+    fn views(state: &[Vec<f32>]) -> Vec<&[f32]> {
+        state.iter().map(Vec::as_slice).collect()
+    }
+    let explain = |graph: Graph, backgrounds: Vec<Vec<&[f32]>>, x: &[Vec<f32>]| {
+        let mut shap = DeepShap::new(isa, graph, &params, &backgrounds).unwrap();
+        shap.evaluate(&views(x)).unwrap();
+        let mut phi = vec![0.0; shap.phi_len()];
+        shap.attribute(1, &mut phi).unwrap();
+        phi
+    };
+    let all = explain(whole, backgrounds.iter().map(|(whole, _)| views(whole)).collect(), &x.0);
+    let new = explain(
+        newest,
+        backgrounds.iter().map(|(_, newest)| views(newest)).collect(),
+        &x.1,
+    );
+    let (frame, features) = (spec.frame_len(), spec.features());
+    assert_eq!(all[4 * frame..], new[4 * features..], "newest frame and position");
+    let largest = all.iter().fold(0.0f32, |m, phi| m.max(phi.abs()));
+    assert!(largest > 1e-4);
+    for i in 0..4 {
+        let pixels: f32 = all[i * frame..(i + 1) * frame].iter().sum();
+        let share: f32 = new[i * features..(i + 1) * features].iter().sum();
+        assert!(
+            (pixels - share).abs() < TOLERANCE,
+            "frame {i}: {pixels} against {share}"
+        );
     }
 }
 

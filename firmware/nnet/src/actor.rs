@@ -182,7 +182,27 @@ impl ActorSpec {
         b.finish(output, purpose)
     }
 
-    /// Encoder and positional values only: one frame to its features.
+    /// The actor from the features of the four older frames, oldest first, the newest frame, and the positional values:
+    /// what is new in a step, at a fifth of the whole actor's cost. All inputs are explained.
+    ///
+    /// # Errors
+    /// A frame too small for the encoder.
+    pub fn newest_frame_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let mut features = Vec::with_capacity(ACTOR_FRAMES);
+        for _ in 1..ACTOR_FRAMES {
+            features.push(b.input(self.features(), true)?);
+        }
+        let frame = b.input(self.frame_len(), true)?;
+        features.push(self.encode(&mut b, &params, frame)?);
+        let position = b.input(ACTOR_POSITIONAL, true)?;
+        let state = self.recur(&mut b, &params, &features)?;
+        let output = self.head(&mut b, &params, state, position)?;
+        b.finish(output, purpose)
+    }
+
+    /// The encoder alone: one frame to its features.
     ///
     /// # Errors
     /// A frame too small for the encoder.
@@ -232,7 +252,9 @@ pub struct Actor {
     encoder_tape: Vec<f32>,
     head: Graph,
     head_tape: Vec<f32>,
-    /// What each remembered frame contributes to the GRU's gates; a ring of [`ACTOR_FRAMES`].
+    /// Features of each remembered frame; a ring of [`ACTOR_FRAMES`].
+    features: Vec<f32>,
+    /// What each remembered frame contributes to the GRU's gates, in the same ring.
     projections: Vec<f32>,
     /// A frame was seen since the last reset.
     started: bool,
@@ -260,6 +282,7 @@ impl Actor {
             encoder,
             head_tape: vec![0.0; head.tape_len()],
             head,
+            features: vec![0.0; ACTOR_FRAMES * spec.features()],
             projections: vec![0.0; ACTOR_FRAMES * spec.gru().projection_len()],
             started: false,
             oldest: 0,
@@ -298,10 +321,13 @@ impl Actor {
         )?;
         let slot = part_mut("actor memory", &mut self.projections, self.oldest * len, len)?;
         gru.project(self.isa, gru_params, features, slot)?;
+        let width = features.len();
+        part_mut("actor memory", &mut self.features, self.oldest * width, width)?.copy_from_slice(features);
         if !self.started {
-            let newest = self.oldest * len..self.oldest * len + len;
-            for slot in 0..ACTOR_FRAMES {
-                self.projections.copy_within(newest.clone(), slot * len);
+            for (memory, len) in [(&mut self.features, width), (&mut self.projections, len)] {
+                for slot in 0..ACTOR_FRAMES {
+                    memory.copy_within(self.oldest * len..(self.oldest + 1) * len, slot * len);
+                }
             }
             self.started = true;
         }
@@ -330,6 +356,15 @@ impl Actor {
     /// The GRU's state of the last decision: the split point, input of the second half model.
     pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
         &self.state
+    }
+
+    /// Features of the frame of `age` decisions ago: 0 is the newest, [`ACTOR_FRAMES`] − 1 the oldest that counts.
+    /// `None` for an older one.
+    pub fn features(&self, age: usize) -> Option<&[f32]> {
+        let slot = (self.oldest + ACTOR_FRAMES).checked_sub(age + 1)? % ACTOR_FRAMES;
+        let width = self.spec.features();
+        let memory = self.features.get(slot * width..(slot + 1) * width);
+        memory.filter(|_| age < ACTOR_FRAMES)
     }
 
     /// The parameters.

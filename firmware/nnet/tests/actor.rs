@@ -70,6 +70,8 @@ fn small() -> (ActorSpec, Vec<f32>) {
 fn encoding_only_the_new_frame_gives_the_bits_of_encoding_all_five() {
     let (spec, params) = small();
     let graph = spec.graph(Purpose::Gradients, false).unwrap();
+    let encoder = spec.encoder_graph(Purpose::Gradients, false).unwrap();
+    let mut encoder_tape = vec![0.0; encoder.tape_len()];
     let frames: Vec<Vec<f32>> = (0..9)
         .map(|i| {
             uniform(&mut rng(i), spec.frame_len(), 0.5)
@@ -91,6 +93,13 @@ fn encoding_only_the_new_frame_gives_the_bits_of_encoding_all_five() {
             inputs.push(&position);
             graph.forward(isa, &params, &inputs, &mut tape).unwrap();
             assert_eq!(action, graph.output(&tape).unwrap(), "step {newest} on {}", isa.name());
+            for age in 0..5 {
+                encoder
+                    .forward(isa, &params, &inputs[4 - age..5 - age], &mut encoder_tape)
+                    .unwrap();
+                assert_eq!(actor.features(age), Some(encoder.output(&encoder_tape).unwrap()));
+            }
+            assert_eq!(actor.features(5), None);
         }
         actor.reset();
         let again = actor.decide(&frames[0], [0.0, -0.2]).unwrap();
