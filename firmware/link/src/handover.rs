@@ -19,8 +19,10 @@ const TAKEOFF_EFFECT_NS: Nanos = 10_000_000_000;
 const LAND_PAUSE_NS: Nanos = 2_000_000_000;
 /// Height at which a vehicle that does not tell whether it has landed counts as being in the air.
 const AIRBORNE_HEIGHT_M: f32 = 0.5;
-/// How far below the asked height a climb counts as finished.
+/// How far below the asked height a climb counts as finished: a tenth of it, at most this.
 const CLIMB_TOLERANCE_M: f32 = 0.3;
+/// A heartbeat this much later than the beginning of a climb shows the mode that the take-off put the vehicle into.
+const MODE_SHOWS_NS: Nanos = 1_000_000_000;
 
 /// What a failed command says of itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,8 +61,8 @@ pub(crate) struct Handover {
     flying: bool,
     landing: bool,
     streaming_since_ns: Option<Nanos>,
-    /// A take-off was seen or accepted and has not reached its height.
-    climbing: bool,
+    /// A take-off was seen or accepted at this time and has not reached its height.
+    climbing_since_ns: Option<Nanos>,
     land_failed_ns: Option<Nanos>,
 }
 
@@ -73,7 +75,7 @@ impl Handover {
             flying: false,
             landing: false,
             streaming_since_ns: None,
-            climbing: false,
+            climbing_since_ns: None,
             land_failed_ns: None,
         }
     }
@@ -118,7 +120,8 @@ impl Handover {
     fn end(&mut self) {
         self.tracker.reset();
         self.progress = HandoverProgress::Idle;
-        (self.flying, self.landing, self.climbing) = (false, false, false);
+        (self.flying, self.landing) = (false, false);
+        self.climbing_since_ns = None;
         self.land_failed_ns = None;
     }
 
@@ -131,7 +134,7 @@ impl Handover {
         }
         let stage = match self.flavour {
             Flavour::Px4 => self.px4_stage(now_ns, takeoff_height_m, vehicle),
-            Flavour::ArduPilot => self.copter_stage(takeoff_height_m, vehicle),
+            Flavour::ArduPilot => self.copter_stage(now_ns, takeoff_height_m, vehicle),
         };
         self.progress = match stage {
             Stage::Done => HandoverProgress::Done,
@@ -176,13 +179,16 @@ impl Handover {
         if !heartbeat.armed {
             return Stage::Ask(self.arm());
         }
-        self.note_climb(takeoff_height_m, vehicle, &heartbeat);
+        self.note_climb(now_ns, takeoff_height_m, vehicle, &heartbeat);
         if !airborne && heartbeat.mode != VehicleMode::Takeoff {
             return Stage::Ask(self.take_off(takeoff_height_m, vehicle));
         }
-        // A climb that ended below the asked height (the vehicle took its own) shows by its mode.
-        if heartbeat.mode == VehicleMode::Takeoff && self.climbing {
-            return Stage::Wait;
+        if let Some(since_ns) = self.climbing_since_ns {
+            // A climb that ended below the asked height (the vehicle took its own) shows by its mode.
+            let mode_shows = heartbeat.at_ns.saturating_sub(since_ns) > MODE_SHOWS_NS;
+            if !mode_shows || heartbeat.mode == VehicleMode::Takeoff {
+                return Stage::Wait;
+            }
         }
         match self.streaming_since_ns {
             Some(since_ns) if now_ns.saturating_sub(since_ns) >= PRE_STREAM_NS => Stage::Ask(self.external_mode()),
@@ -191,7 +197,7 @@ impl Handover {
     }
 
     /// GUIDED, arm, take off.
-    fn copter_stage(&mut self, takeoff_height_m: f32, vehicle: &Vehicle) -> Stage {
+    fn copter_stage(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Stage {
         let Some(heartbeat) = vehicle.telemetry.heartbeat else {
             return Stage::Wait;
         };
@@ -201,20 +207,23 @@ impl Handover {
         if !heartbeat.armed {
             return Stage::Ask(self.arm());
         }
-        self.note_climb(takeoff_height_m, vehicle, &heartbeat);
-        match (is_airborne(vehicle), self.climbing) {
+        self.note_climb(now_ns, takeoff_height_m, vehicle, &heartbeat);
+        match (is_airborne(vehicle), self.climbing_since_ns) {
             (false, _) => Stage::Ask(self.take_off(takeoff_height_m, vehicle)),
-            (true, true) => Stage::Wait,
-            (true, false) => Stage::Done,
+            (true, Some(_)) => Stage::Wait,
+            (true, None) => Stage::Done,
         }
     }
 
-    fn note_climb(&mut self, takeoff_height_m: f32, vehicle: &Vehicle, heartbeat: &Heartbeat) {
-        self.climbing |= heartbeat.mode == VehicleMode::Takeoff
+    fn note_climb(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle, heartbeat: &Heartbeat) {
+        let begun = heartbeat.mode == VehicleMode::Takeoff
             || vehicle.telemetry.landed == Landed::TakingOff
             || self.tracker.is_accepted(command_number::NAV_TAKEOFF);
-        if height_m(vehicle).is_some_and(|height_m| height_m >= takeoff_height_m - CLIMB_TOLERANCE_M) {
-            self.climbing = false;
+        let reached_m = takeoff_height_m - CLIMB_TOLERANCE_M.min(0.1 * takeoff_height_m);
+        if height_m(vehicle).is_some_and(|height_m| height_m >= reached_m) {
+            self.climbing_since_ns = None;
+        } else if begun {
+            self.climbing_since_ns = self.climbing_since_ns.or(Some(now_ns));
         }
     }
 
