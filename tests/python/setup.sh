@@ -1,0 +1,23 @@
+#!/usr/bin/env bash
+# Makes one virtual environment per requirements-NAME.txt as target/venv-NAME at the top of the checkout.
+# Repeated runs cost nothing: an environment is made anew only when its requirements or the Python version changed.
+set -euo pipefail
+here="$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)"
+top="$(cd "$here/../.." && pwd)"
+python="${PYTHON:-python3}"
+mkdir -p "$top/target"
+for requirements in "$here"/requirements-*.txt; do
+    name="$(basename "$requirements" .txt)"
+    name="${name#requirements-}"
+    venv="$top/target/venv-$name"
+    key="$( { "$python" --version; cat "$requirements"; } | sha256sum | cut -d' ' -f1)"
+    if [ -f "$venv/.key" ] && [ "$(cat "$venv/.key")" = "$key" ]; then
+        continue
+    fi
+    echo "python: making target/venv-$name"
+    rm -rf "$venv"
+    "$python" -m venv "$venv"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$requirements"
+    # Written last: an interrupted install is done again.
+    echo "$key" > "$venv/.key"
+done
