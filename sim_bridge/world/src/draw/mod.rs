@@ -290,19 +290,12 @@ fn shade(top_m: f32) -> Rgb888 {
 
 /// The four corners of a cuboid in the plan view, in pixels.
 fn corners(view: &View, solid: &Solid) -> Option<[[f32; 2]; 4]> {
-    let Solid::Cuboid {
-        centre_ned_m,
-        half_extents_m: [hx, hy, _],
-        yaw_rad,
-    } = *solid
-    else {
-        return None;
-    };
-    let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
-    Some([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)].map(|(i, j)| {
-        let (x, y) = (i * hx, j * hy);
-        view.at(centre_ned_m.x + c * x - s * y, centre_ned_m.y + s * x + c * y)
-    }))
+    Some(
+        solid
+            .plan_rectangle()?
+            .corners()
+            .map(|[north_m, east_m]| view.at(north_m, east_m)),
+    )
 }
 
 fn draw_solid(layer: &mut Layer, view: &View, solid: &Solid, colour: Rgb888, outline: Rgb888) {
