@@ -168,3 +168,17 @@ fn batch_32_forward_and_backward(bencher: Bencher, isa: Named) {
         }
     });
 }
+
+/// The rescale rule on 8 192 values (in cache) and on 131 072 (the first convolution's).
+#[divan::bench(args = [8_192, 131_072])]
+fn elu_multipliers(bencher: Bencher, len: usize) {
+    let (x, x_ref) = (values(len, 2.0), values(len, 1.9));
+    let (mut y, mut y_ref, mut m) = (vec![0.0; len], vec![0.0; len], vec![1.0; len]);
+    Activation::Elu.apply(Isa::detect(), &x, &mut y).unwrap();
+    Activation::Elu.apply(Isa::detect(), &x_ref, &mut y_ref).unwrap();
+    bencher.counter(ItemsCount::new(len)).bench_local(|| {
+        Activation::Elu
+            .multipliers(Isa::detect(), (black_box(&x), &y), (&x_ref, &y_ref), &mut m)
+            .unwrap();
+    });
+}

@@ -4,7 +4,7 @@ use crate::activation::Activation;
 use crate::dense::{column_sums, transpose};
 use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
-use crate::kernels::{Product, Start};
+use crate::kernels::{self, Product, Start, Task};
 
 /// A convolution of one image with zero padding.
 ///
@@ -271,10 +271,15 @@ impl Conv2d {
         self.out_cols().max(self.cols.div_ceil(self.stride)) + 2 * self.halo()
     }
 
+    /// Length of one image row of the input, its columns sorted by phase and channel.
+    fn phases_len(&self) -> usize {
+        self.stride.min(self.cols) * self.channels * self.cols.div_ceil(self.stride)
+    }
+
     /// Length of the scratch slice that [`Self::input_gradient`] needs.
     pub fn input_gradient_scratch_len(&self) -> usize {
         if self.is_planar() {
-            self.out_rows() * self.filters * self.plane_row_len() + self.channels * self.cols.div_ceil(self.stride)
+            self.out_rows() * self.filters * self.plane_row_len() + self.phases_len()
         } else {
             0
         }
@@ -382,22 +387,28 @@ impl Conv2d {
             })?;
         let dy_rows = dy.chunks_exact(horizontal.out * self.filters);
         for (plane, dy_row) in planes.chunks_exact_mut(plane_image_row).zip(dy_rows) {
-            for (filter, row) in plane.chunks_exact_mut(plane_row).enumerate() {
+            for row in plane.chunks_exact_mut(plane_row) {
                 let (left, rest) = row.split_at_mut_checked(halo).unwrap_or_default();
-                let (middle, right) = rest.split_at_mut_checked(horizontal.out).unwrap_or_default();
                 left.fill(0.0);
-                right.fill(0.0);
-                let column = dy_row.iter().skip(filter).step_by(self.filters);
-                for (to, from) in middle.iter_mut().zip(column) {
-                    *to = *from;
+                if let Some(right) = rest.get_mut(horizontal.out..) {
+                    right.fill(0.0);
                 }
             }
+            kernels::run(
+                isa,
+                Transpose {
+                    width: self.filters,
+                    from: dy_row,
+                    to: plane.get_mut(halo..).unwrap_or_default(),
+                    to_row: plane_row,
+                },
+            );
         }
         let tap = self.channels * self.filters;
         let w_row = self.kernel * tap;
         for (iy, dx_row) in dx.chunks_exact_mut(self.cols * self.channels).enumerate() {
             let rows = vertical.phase(iy);
-            for phase in 0..stride.min(self.cols) {
+            for (phase, phase_row) in phase_rows.chunks_exact_mut(self.channels * phase_len).enumerate() {
                 let count = (self.cols - phase).div_ceil(stride);
                 // Input phase + m·stride is seen through taps first, first + stride, … by outputs
                 // top + m, top + m − 1, …; those that do not exist are zeros of the halo.
@@ -422,14 +433,17 @@ impl Conv2d {
                     out_at: 0,
                     out_row: phase_len,
                 };
-                product.run(isa, packed, planes, Start::Zero, phase_rows)?;
-                for (channel, values) in phase_rows.chunks_exact(phase_len).take(self.channels).enumerate() {
-                    let pixels = dx_row.iter_mut().skip(phase * self.channels + channel);
-                    for (to, from) in pixels.step_by(stride * self.channels).zip(values) {
-                        *to = *from;
-                    }
-                }
+                product.run(isa, packed, planes, Start::Zero, phase_row)?;
             }
+            let sorted = phase_rows.len() / phase_len;
+            kernels::run(
+                isa,
+                Interleave {
+                    from: phase_rows,
+                    lists: sorted,
+                    to: dx_row,
+                },
+            );
         }
         Ok(())
     }
@@ -484,5 +498,84 @@ impl Conv2d {
         }
         let pixels = vertical.out * horizontal.out;
         column_sums(isa, pixels, self.filters, dy, d_params, self.weight_len())
+    }
+}
+
+/// Turns `from` (rows of `width` values) into columns: value `c` of row `r` goes to `to[c · to_row + r]`.
+struct Transpose<'a> {
+    width: usize,
+    from: &'a [f32],
+    to: &'a mut [f32],
+    to_row: usize,
+}
+
+/// Four values from `at` on.
+#[inline(always)]
+fn four(values: &[f32], at: usize) -> [f32; 4] {
+    let values = values.get(at..).and_then(|values| values.first_chunk());
+    values.copied().unwrap_or([0.0; 4])
+}
+
+impl Task for Transpose<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let (width, to_row) = (self.width, self.to_row);
+        for (block, rows) in self.from.chunks(4 * width).enumerate() {
+            let first = block * 4;
+            let square = if rows.len() == 4 * width { width / 4 * 4 } else { 0 };
+            // Four by four: the compiler makes shuffles of it.
+            for column in (0..square).step_by(4) {
+                let [a0, a1, a2, a3] = four(rows, column);
+                let [b0, b1, b2, b3] = four(rows, column + width);
+                let [c0, c1, c2, c3] = four(rows, column + 2 * width);
+                let [d0, d1, d2, d3] = four(rows, column + 3 * width);
+                let lines = [[a0, b0, c0, d0], [a1, b1, c1, d1], [a2, b2, c2, d2], [a3, b3, c3, d3]];
+                for (c, line) in lines.iter().enumerate() {
+                    let at = (column + c) * to_row + first;
+                    if let Some(slot) = self.to.get_mut(at..at + 4) {
+                        slot.copy_from_slice(line);
+                    }
+                }
+            }
+            for column in square..width {
+                for (r, line) in rows.chunks_exact(width).enumerate() {
+                    let value = line.get(column).copied();
+                    if let (Some(slot), Some(value)) = (self.to.get_mut(column * to_row + first + r), value) {
+                        *slot = value;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Deals several lists of equal length out in turn: `to[i · lists + l] = from[l][i]`, as far as `to` reaches.
+struct Interleave<'a> {
+    from: &'a [f32],
+    lists: usize,
+    to: &'a mut [f32],
+}
+
+impl Task for Interleave<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let len = self.from.len() / self.lists.max(1);
+        if self.lists == 2
+            && let Some((even, odd)) = self.from.split_at_checked(len)
+        {
+            let (pairs, last) = self.to.as_chunks_mut::<2>();
+            for (pair, (even, odd)) in pairs.iter_mut().zip(even.iter().zip(odd)) {
+                *pair = [*even, *odd];
+            }
+            if let ([last], Some(value)) = (last, even.last()) {
+                *last = *value;
+            }
+            return;
+        }
+        for (l, list) in self.from.chunks_exact(len.max(1)).enumerate() {
+            for (to, from) in self.to.iter_mut().skip(l).step_by(self.lists).zip(list) {
+                *to = *from;
+            }
+        }
     }
 }
