@@ -13,7 +13,7 @@ use heapless::{Deque, Vec};
 use mavlink::MessageData;
 use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage, MavState};
 use vigil_types::{
-    Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, StepReport, VehicleRequest,
+    Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, STEP_NS, StepReport, VehicleRequest,
     VehicleTelemetry, VelocitySetpoint,
 };
 
@@ -68,6 +68,42 @@ pub struct LinkCounters {
     pub replies_dropped: u64,
 }
 
+impl LinkCounters {
+    /// Packets that were damaged, cut, of an incompatible protocol or unreadable: telemetry's "rx_bad".
+    pub fn bad_packets(&self) -> u64 {
+        let f = &self.framing;
+        f.bad_crc + f.truncated + f.incompatible + self.unreadable
+    }
+}
+
+/// Something that recurs at a fixed rate, whatever the jitter of the steps.
+#[derive(Debug, Clone, Copy)]
+struct Periodic {
+    period_ns: Nanos,
+    next_ns: Nanos,
+}
+
+impl Periodic {
+    const fn new(period_ns: Nanos) -> Self {
+        Self { period_ns, next_ns: 0 }
+    }
+
+    /// Whether it is due in this step: the one nearest to its time.
+    fn is_due(&mut self, now_ns: Nanos) -> bool {
+        if now_ns + STEP_NS / 2 < self.next_ns {
+            return false;
+        }
+        let on_grid_ns = self.next_ns + self.period_ns;
+        // The first time, or after a gap, it begins anew.
+        self.next_ns = if on_grid_ns > now_ns {
+            on_grid_ns
+        } else {
+            now_ns + self.period_ns
+        };
+        true
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Reply {
     Ack(ReplyTo, u16, u8),
@@ -89,8 +125,8 @@ pub struct Companion {
     /// The vehicle's system, once known.
     system_id: Option<u8>,
     said: Option<(GuidanceState, Reasons)>,
-    heartbeat_ns: Option<Nanos>,
-    values_ns: Option<Nanos>,
+    heartbeat: Periodic,
+    values: Periodic,
     streaming: bool,
 }
 
@@ -109,8 +145,8 @@ impl Companion {
             requests: Deque::new(),
             system_id: config.system_id,
             said: None,
-            heartbeat_ns: None,
-            values_ns: None,
+            heartbeat: Periodic::new(HEARTBEAT_NS),
+            values: Periodic::new(VALUES_NS),
             streaming: false,
         }
     }
@@ -246,11 +282,7 @@ impl Companion {
     pub fn emit(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
         let now_ns = report.now_ns;
         self.emit_replies(out);
-        if self
-            .heartbeat_ns
-            .is_none_or(|at_ns| now_ns.saturating_sub(at_ns) >= HEARTBEAT_NS)
-        {
-            self.heartbeat_ns = Some(now_ns);
+        if self.heartbeat.is_due(now_ns) {
             self.say(out, &report::heartbeat(report::mav_state(report.state, report.reasons)));
         }
         self.streaming = report.setpoint.is_some() && self.system_id.is_some();
@@ -301,19 +333,16 @@ impl Companion {
     }
 
     fn emit_status(&mut self, report: &StepReport, out: &mut Datagrams) {
-        let (now_ns, now) = (report.now_ns, (report.state, report.reasons));
+        let now = (report.state, report.reasons);
         let before = self.said.replace(now);
-        let due = self
-            .values_ns
-            .is_none_or(|at_ns| now_ns.saturating_sub(at_ns) >= VALUES_NS);
+        let due = self.values.is_due(report.now_ns);
         if due || before != Some(now) {
             for message in &report::state_values(report) {
                 self.say(out, message);
             }
         }
         if due {
-            self.values_ns = Some(now_ns);
-            for message in report::values(report) {
+            for message in report::values(report, self.counters.bad_packets()) {
                 self.say(out, &message);
             }
         }

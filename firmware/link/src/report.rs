@@ -81,7 +81,7 @@ pub(crate) fn state_values(report: &StepReport) -> [MavMessage; 2] {
 }
 
 /// Everything else; what is not known in this step is left out.
-pub(crate) fn values(report: &StepReport) -> impl Iterator<Item = MavMessage> {
+pub(crate) fn values(report: &StepReport, bad_packets: u64) -> impl Iterator<Item = MavMessage> {
     let now_ns = report.now_ns;
     let timing = report.timing;
     let to_goal = report.goal_relative;
@@ -93,6 +93,7 @@ pub(crate) fn values(report: &StepReport) -> impl Iterator<Item = MavMessage> {
         ("late_us", Some(timing.wake_late_ns as f32 * 1e-3)),
         ("slips", Some(timing.slips as f32)),
         ("refused", Some(report.frames_refused as f32)),
+        ("rx_bad", Some(bad_packets as f32)),
     ]
     .into_iter()
     .filter_map(move |(name, value)| value.map(|value| named(now_ns, name, value)))

@@ -326,6 +326,27 @@ fn the_heartbeat_is_a_companions_at_1_hz_and_tells_health() {
 }
 
 #[test]
+fn rates_hold_although_steps_begin_late() {
+    let mut b = Bench::new(Flavour::Px4);
+    let begin_ns = b.now_ns;
+    let (mut heartbeats, mut values) = (0, 0);
+    for n in 0..1200u64 {
+        // Up to 3 ms late, in no order.
+        b.now_ns = begin_ns + n * STEP_NS + n * 7_919_000 % 3_000_000;
+        b.sent.clear();
+        b.companion
+            .emit(&report(b.now_ns, Standby), VehicleRequest::None, &mut b.sent);
+        let sent = common::messages(&b.sent);
+        heartbeats += sent
+            .iter()
+            .filter(|(_, m)| matches!(m, MavMessage::HEARTBEAT(_)))
+            .count();
+        values += usize::from(!named_values(&b.sent).is_empty());
+    }
+    assert_eq!((heartbeats, values), (60, 240), "one and four a second for a minute");
+}
+
+#[test]
 fn every_packet_has_the_next_sequence_number() {
     let mut b = Bench::new(Flavour::Px4);
     let numbers: Vec<u8> = (0..600)
@@ -401,6 +422,9 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
         reasons: Reasons::of(Reason::StaleFrame).with_if(true, Reason::Slip),
         ..report(now_ns, Hold)
     };
+    let mut damaged = bytes_of(VEHICLE, &MavMessage::ATTITUDE(ATTITUDE_DATA::default()));
+    damaged[5] ^= 1;
+    b.companion.receive(b.now_ns, 0, &damaged);
     b.companion.emit(&full(b.now_ns), VehicleRequest::None, &mut b.sent);
     let expected = [
         ("gd_state", 4.0),
@@ -412,6 +436,7 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
         ("late_us", 30.0),
         ("slips", 2.0),
         ("refused", 3.0),
+        ("rx_bad", 1.0),
     ];
     let got = named_values(&b.sent);
     assert_eq!(got.len(), expected.len());
