@@ -8,8 +8,10 @@ use crate::governor::{self, Motion};
 use crate::memory::Memory;
 use crate::way::{Search, Way};
 use crate::{NearestObstacle, Pilot, PilotInput, Surroundings, apf};
-use core::f32::consts::{FRAC_PI_4, PI};
-use vigil_types::{ACTION_LIMIT, Action, GoalRelative, HeadingVector, NedVector, YAW_RATE_PER_UNIT_RAD_S, wrap_pi};
+use core::f32::consts::PI;
+use vigil_types::{
+    ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, NedVector, YAW_RATE_PER_UNIT_RAD_S, wrap_pi,
+};
 
 /// What can be set of the geometric pilot.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,19 +34,18 @@ impl Default for GeometricConfig {
 /// Yaw output per radian between nose and waypoint.
 const YAW_GAIN: f32 = 3.0;
 /// Full speed up to this angle between nose and waypoint, none from [`TURN_IN_PLACE_RAD`] on.
-const ALIGNED_RAD: f32 = 12.0 * PI / 180.0;
-const TURN_IN_PLACE_RAD: f32 = 60.0 * PI / 180.0;
+const ALIGNED_RAD: f32 = 5.0 * PI / 180.0;
+const TURN_IN_PLACE_RAD: f32 = 45.0 * PI / 180.0;
 /// Farthest waypoint along the way, metres.
-const LOOKAHEAD_M: f32 = 6.0;
+const LOOKAHEAD_M: f32 = 4.0;
 /// Nearest waypoint: taken even where the straight line to it is tight.
 const SHORT_LOOKAHEAD_M: f32 = 0.9;
-/// Clearance that a straight line to a waypoint needs; squared cells, 0.61 m.
-const SIGHT_SQUARED_CELLS: u8 = 6;
+/// Clearance that a straight line to a waypoint needs; squared cells, 0.75 m.
+const SIGHT_SQUARED_CELLS: u8 = 9;
 /// Around the vehicle itself the line may be as tight as it is, metres.
 const SIGHT_FROM_M: f32 = 0.5;
-/// The repulsive field takes obstacles within this of the nose (FACTS.md, "limiting the repulsion").
-const REPULSIVE_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
-/// ... that the vehicle would pass nearer than this: its radius and 0.20 m.
+/// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this: its radius and
+/// 0.20 m. Points beside the way would push it out of every gap.
 const REPULSIVE_HALF_WIDTH_M: f32 = 0.50;
 /// A waypoint farther off the nose than this has chosen the side to pass on; the field does not overrule it.
 const SIDE_CHOSEN_RAD: f32 = 10.0 * PI / 180.0;
@@ -53,7 +54,10 @@ const SEARCH_BUDGET: usize = 1500;
 /// A position that jumps by more makes the memory worthless, metres.
 const JUMP_M: f32 = 2.0;
 /// Yaw output while looking around for a way.
-const LOOK_AROUND_YAW: f32 = 1.0;
+const LOOK_AROUND_YAW: f32 = ACTION_LIMIT;
+/// Not having moved by this in this time is being stuck; a full turn to look around takes 8 s.
+const STUCK_M: f32 = 0.5;
+const STUCK_NS: Nanos = 10_000_000_000;
 
 /// The pilot. A large value (about 100 kB) without pointers; no allocation.
 #[derive(Debug, Clone)]
@@ -64,6 +68,8 @@ pub struct GeometricPilot {
     way: Way,
     last_position_ned_m: Option<NedVector>,
     last_sequence: Option<u64>,
+    /// Where the vehicle last got to, and when.
+    progress: Option<(NedVector, Nanos)>,
 }
 
 impl GeometricPilot {
@@ -76,6 +82,7 @@ impl GeometricPilot {
             way: Way::new(),
             last_position_ned_m: None,
             last_sequence: None,
+            progress: None,
         }
     }
 
@@ -139,30 +146,42 @@ impl GeometricPilot {
     }
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
-    fn repulsion(&self, bearing_rad: f32) -> Action {
-        let mut nearest: Option<(f32, f32, f32)> = None;
-        for (x, y, range_m) in self.surroundings.scan().points() {
-            let ahead = x > 0.0 && y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
-            if ahead && nearest.is_none_or(|(_, _, r)| range_m < r) {
-                nearest = Some((x, y, range_m));
-            }
-        }
-        let Some((x, y, distance_m)) = nearest else {
+    fn repulsion(&self, bearing_of_waypoint_rad: f32) -> Action {
+        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
+        let points = self.surroundings.scan().points().filter(in_the_way);
+        let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
             return Action::HOVER;
         };
-        let bearing_of_obstacle = libm::atan2f(y, x);
-        debug_assert!(bearing_of_obstacle.abs() <= REPULSIVE_HALF_ANGLE_RAD + 1e-3);
-        let push = apf::repulsion(
-            NearestObstacle {
-                distance_m,
-                bearing_rad: bearing_of_obstacle,
-            },
-            self.config.repulsive_range_m,
-        );
-        if bearing_rad.abs() > SIDE_CHOSEN_RAD && push.yaw * bearing_rad < 0.0 {
+        let obstacle = NearestObstacle {
+            distance_m,
+            bearing_rad: libm::atan2f(y, x),
+        };
+        let push = apf::repulsion(obstacle, self.config.repulsive_range_m);
+        let side_chosen = bearing_of_waypoint_rad.abs() > SIDE_CHOSEN_RAD;
+        if side_chosen && push.yaw * bearing_of_waypoint_rad < 0.0 {
             return Action::HOVER;
         }
         push
+    }
+
+    /// Forgets everything after a jump of the position, and what is remembered of the obstacles when the vehicle has not
+    /// got anywhere for [`STUCK_NS`]: then the memory, not the world, may be what blocks it.
+    fn doubt(&mut self, here: NedVector, now_ns: Nanos) {
+        let moved_m = |from: NedVector| (here - from).horizontal_norm();
+        if self.last_position_ned_m.is_some_and(|last| moved_m(last) > JUMP_M) {
+            self.reset();
+        }
+        self.last_position_ned_m = Some(here);
+        match self.progress {
+            Some((at, since_ns)) if moved_m(at) < STUCK_M => {
+                if now_ns.saturating_sub(since_ns) > STUCK_NS {
+                    self.memory.clear();
+                    self.way.clear();
+                    self.progress = Some((here, now_ns));
+                }
+            }
+            _ => self.progress = Some((here, now_ns)),
+        }
     }
 }
 
@@ -171,13 +190,7 @@ impl Pilot for GeometricPilot {
         let yaw_rad = input.attitude.yaw_rad();
         let header = &input.depth.header;
         let here = header.position_ned_m + Surroundings::moved_since_capture_m(input);
-        if self
-            .last_position_ned_m
-            .is_some_and(|last| (here - last).horizontal_norm() > JUMP_M)
-        {
-            self.reset();
-        }
-        self.last_position_ned_m = Some(here);
+        self.doubt(here, input.now_ns);
 
         let scan = self.surroundings.observe(input);
         if self.memory.follow(here) {
@@ -243,5 +256,6 @@ impl Pilot for GeometricPilot {
         self.way.clear();
         self.last_position_ned_m = None;
         self.last_sequence = None;
+        self.progress = None;
     }
 }

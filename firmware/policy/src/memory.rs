@@ -3,6 +3,7 @@
 //! The LiDAR sees 120°; what the vehicle passes is beside it, unseen. The grid keeps it, forgets what the vehicle has
 //! left behind by more than half the grid's side, and frees a cell again when rays are seen to pass through it.
 
+use crate::smaller;
 use crate::surroundings::Scan;
 use vigil_types::NedVector;
 
@@ -222,6 +223,14 @@ impl Memory {
         }
     }
 
+    /// Enters an obstacle at a NED position.
+    #[cfg(test)]
+    pub(crate) fn occupy(&mut self, north_m: f32, east_m: f32) {
+        if let Some(score) = self.score_at(north_m, east_m) {
+            *score = SCORE_LIMIT;
+        }
+    }
+
     /// Squared clearance in cells by index; 0 outside the grid.
     #[inline]
     pub fn clearance_squared(&self, index: usize) -> u8 {
@@ -281,7 +290,132 @@ fn fixed(x: f32) -> i32 {
     (x * 65_536.0) as i32
 }
 
-#[inline]
-fn smaller(a: f32, b: f32) -> f32 {
-    if b < a { b } else { a }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surroundings::SECTORS;
+
+    /// A scan that sees one surface straight ahead and nothing elsewhere.
+    fn ahead(range_m: f32) -> Scan {
+        let mut scan = Scan::EMPTY;
+        // Directions a degree apart, so that rays differ.
+        for (i, (x, y)) in scan
+            .direction_forward
+            .iter_mut()
+            .zip(&mut scan.direction_right)
+            .enumerate()
+        {
+            let bearing = (i as f32 - 63.5) * 0.0164;
+            (*x, *y) = (libm::cosf(bearing), libm::sinf(bearing));
+        }
+        for i in SECTORS / 2 - 1..=SECTORS / 2 {
+            scan.forward_m[i] = range_m;
+            scan.right_m[i] = 0.0;
+            scan.range_m[i] = range_m;
+        }
+        scan
+    }
+
+    fn at(north: f32, east: f32) -> NedVector {
+        NedVector::new(north, east, -1.5)
+    }
+
+    fn occupied(memory: &mut Memory, north: f32, east: f32) -> bool {
+        memory.measure_clearance();
+        memory.clearance_squared_at(north, east) == 0
+    }
+
+    #[test]
+    fn what_was_seen_stays_when_the_vehicle_turns_away_and_passes() {
+        let mut memory = Memory::new();
+        memory.follow(at(0.0, 0.0));
+        memory.observe(&ahead(4.0), at(0.0, 0.0), 0.0);
+        assert!(occupied(&mut memory, 4.1, 0.1));
+        for step in 0..100_i16 {
+            let here = at(0.05 * f32::from(step), 1.0);
+            memory.follow(here);
+            memory.observe(&Scan::EMPTY, here, 1.0);
+        }
+        assert!(occupied(&mut memory, 4.1, 0.1));
+    }
+
+    #[test]
+    fn what_is_seen_through_is_forgotten() {
+        let mut memory = Memory::new();
+        memory.follow(at(0.0, 0.0));
+        memory.observe(&ahead(4.0), at(0.0, 0.0), 0.0);
+        for _ in 0..2 * SCORE_LIMIT {
+            memory.observe(&ahead(9.0), at(0.0, 0.0), 0.0);
+        }
+        assert!(!occupied(&mut memory, 4.1, 0.1));
+        assert!(occupied(&mut memory, 9.1, 0.1));
+    }
+
+    #[test]
+    fn a_ray_proves_nothing_about_cells_nearer_than_the_view_reaches() {
+        let mut memory = Memory::new();
+        memory.follow(at(0.0, 0.0));
+        memory.observe(&ahead(0.6), at(0.0, 0.0), 0.0);
+        for _ in 0..50 {
+            memory.observe(&ahead(9.0), at(0.0, 0.0), 0.0);
+        }
+        assert!(occupied(&mut memory, 0.6, 0.0));
+    }
+
+    #[test]
+    fn the_grid_moves_with_the_vehicle_and_keeps_what_it_still_covers() {
+        let mut memory = Memory::new();
+        memory.follow(at(100.0, -50.0));
+        memory.observe(&ahead(5.0), at(100.0, -50.0), 0.0);
+        for (north, east) in [(103.0, -52.5), (104.0, -46.0), (98.0, -45.0)] {
+            memory.follow(at(north, east));
+            assert!(occupied(&mut memory, 105.1, -49.9), "at {north}, {east}");
+            assert!(!occupied(&mut memory, 105.1, -48.9));
+        }
+        memory.follow(at(130.0, -50.0));
+        memory.follow(at(100.0, -50.0));
+        assert!(!occupied(&mut memory, 105.1, -49.9));
+    }
+
+    #[test]
+    fn clearance_is_the_distance_to_the_nearest_obstacle() {
+        let mut memory = Memory::new();
+        memory.follow(at(0.0, 0.0));
+        let obstacles = [(3_i32, 4_i32), (40, 50), (41, 52), (60, 20), (60, 27)];
+        for (north, east) in obstacles {
+            let index = Cell { north, east }.index().expect("within the grid");
+            memory.score[index] = HIT;
+        }
+        memory.measure_clearance();
+        for index in 0..CELLS {
+            let cell = Cell::of_index(index);
+            let nearest = obstacles
+                .iter()
+                .map(|(n, e)| (cell.north - n).pow(2) + (cell.east - e).pow(2))
+                .min()
+                .expect("some");
+            let expected = nearest.min(i32::from(CLEARANCE_LIMIT_SQUARED));
+            assert_eq!(i32::from(memory.clearance_squared(index)), expected, "{cell:?}");
+        }
+    }
+
+    #[test]
+    fn positions_and_cells_agree_on_both_sides_of_the_origin() {
+        let mut memory = Memory::new();
+        memory.follow(at(-3.1, 0.2));
+        for north in [-9.9_f32, -0.3, -0.01, 0.0, 0.24, 0.26, 7.0] {
+            let (n, e) = memory.middle_of(memory.cell_of(north, -north));
+            assert!((n - north).abs() <= 0.5 * CELL_M + 1e-5 && (e + north).abs() <= 0.5 * CELL_M + 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_position_far_away_or_not_finite_is_survived() {
+        let mut memory = Memory::new();
+        for bad in [1e30, -1e30, f32::NAN, f32::INFINITY] {
+            memory.follow(at(bad, bad));
+            memory.observe(&ahead(3.0), at(bad, 0.0), bad);
+            memory.measure_clearance();
+        }
+    }
 }

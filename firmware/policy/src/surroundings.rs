@@ -3,8 +3,8 @@
 //! Each pixel becomes a level 3-D point with the attitude at capture. A point counts if it lies within the vertical band
 //! that the vehicle sweeps, so floor, ceiling, low boxes and high beams drop out by geometry and not by image row.
 
-use crate::PilotInput;
 use crate::apf::NearestObstacle;
+use crate::{PilotInput, larger, smaller};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HeadingVector, NedVector, column_bearing_rad,
     row_elevation_rad,
@@ -237,17 +237,6 @@ struct Axes {
     forward: HeadingVector,
     right: HeadingVector,
     down: HeadingVector,
-}
-
-// `f32::min` and `max` also settle NaN, which frames here never hold, at several times the cost.
-#[inline]
-fn smaller(a: f32, b: f32) -> f32 {
-    if b < a { b } else { a }
-}
-
-#[inline]
-fn larger(a: f32, b: f32) -> f32 {
-    if a < b { b } else { a }
 }
 
 /// The third smallest of two ascending triples.

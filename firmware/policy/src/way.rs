@@ -386,3 +386,173 @@ fn octile(a: Cell, b: Cell) -> u32 {
         .saturating_mul(STRAIGHT)
         .saturating_add(short.saturating_mul(DIAGONAL))
 }
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use std::boxed::Box;
+
+    fn at(north: f32, east: f32) -> NedVector {
+        NedVector::new(north, east, -1.5)
+    }
+
+    /// A memory around home with these north-east points occupied.
+    fn memory_of(points: impl IntoIterator<Item = (f32, f32)>) -> Box<Memory> {
+        let mut memory = Box::new(Memory::new());
+        memory.follow(at(0.0, 0.0));
+        for (north, east) in points {
+            memory.occupy(north, east);
+        }
+        memory.measure_clearance();
+        memory
+    }
+
+    fn wall(north: f32, east: core::ops::Range<f32>) -> impl Iterator<Item = (f32, f32)> {
+        let count = ((east.end - east.start) / CELL_M) as usize;
+        (0..count).map(move |i| (north, east.start + CELL_M * i as f32))
+    }
+
+    fn search(way: &mut Way, memory: &Memory, goal: (f32, f32)) -> Search {
+        way.start(memory, at(0.0, 0.0), at(goal.0, goal.1));
+        way.advance(memory, usize::MAX)
+    }
+
+    fn length_m(way: &Way) -> f32 {
+        way.points()
+            .windows(2)
+            .map(|p| (p[0].0 - p[1].0).hypot(p[0].1 - p[1].1))
+            .sum()
+    }
+
+    #[test]
+    fn without_obstacles_the_way_is_straight_and_ends_at_the_goal() {
+        let memory = memory_of([]);
+        let mut way = Box::new(Way::new());
+        assert_eq!(search(&mut way, &memory, (8.0, 0.1)), Search::Found);
+        assert!((length_m(&way) - 8.0).abs() < 0.8, "{}", length_m(&way));
+        let end = way.points().last().expect("a way");
+        assert!((end.0 - 8.0).abs() < 0.8 && end.1.abs() < 0.8, "{end:?}");
+    }
+
+    #[test]
+    fn a_goal_beyond_the_grid_is_approached_through_its_border_however_far() {
+        let memory = memory_of(wall(4.0, -6.0..2.0));
+        let mut way = Box::new(Way::new());
+        for goal in [(20.0, 0.0), (400.0, 0.0), (90_000.0, 0.0)] {
+            assert_eq!(search(&mut way, &memory, goal), Search::Found);
+            let end = way.points().last().expect("a way");
+            assert!(end.0 > 11.0 && end.1.abs() < 6.0, "{goal:?}: {end:?}");
+            assert!(way.points().iter().any(|p| p.0 > 3.5 && p.1 > 2.2), "around the right");
+        }
+    }
+
+    #[test]
+    fn no_cell_of_the_way_is_too_near_to_an_obstacle() {
+        let memory = memory_of(wall(4.0, -6.0..-1.0).chain(wall(4.0, 1.0..6.0)).chain([(7.0, 0.0)]));
+        let mut way = Box::new(Way::new());
+        assert_eq!(search(&mut way, &memory, (9.0, 0.0)), Search::Found);
+        for &(north, east) in way.points() {
+            assert!(f32::from(memory.clearance_squared_at(north, east)).sqrt() * CELL_M >= LETHAL_CLEARANCE_M);
+        }
+        assert!(length_m(&way) < 11.0, "through the gap, not around: {}", length_m(&way));
+    }
+
+    #[test]
+    fn an_enclosed_vehicle_has_no_way() {
+        let ring = (0..628_u16).map(|i| {
+            let a = 0.01 * f32::from(i);
+            (3.0 * libm::cosf(a), 3.0 * libm::sinf(a))
+        });
+        let memory = memory_of(ring);
+        let mut way = Box::new(Way::new());
+        assert_eq!(search(&mut way, &memory, (9.0, 0.0)), Search::NoWay);
+    }
+
+    #[test]
+    fn slices_find_the_same_way_as_one_go() {
+        let memory = memory_of(wall(4.0, -6.0..2.0).chain(wall(7.0, -1.0..8.0)));
+        let mut whole = Box::new(Way::new());
+        assert_eq!(search(&mut whole, &memory, (20.0, -3.0)), Search::Found);
+        let mut sliced = Box::new(Way::new());
+        sliced.start(&memory, at(0.0, 0.0), at(20.0, -3.0));
+        let mut slices = 0;
+        while sliced.advance(&memory, 100) == Search::Working {
+            slices += 1;
+        }
+        assert!(slices > 5);
+        assert!(whole.points() == sliced.points() && !whole.points().is_empty());
+    }
+
+    #[test]
+    fn of_two_equal_ways_the_one_taken_before_is_kept() {
+        let mut way = Box::new(Way::new());
+        // The wall reaches farther left at first, so the way goes right.
+        assert_eq!(
+            search(&mut way, &memory_of(wall(4.0, -4.0..2.5)), (9.0, 0.0)),
+            Search::Found
+        );
+        let right = |way: &Way| way.points().iter().any(|p| p.1 > 2.0);
+        assert!(right(&way));
+        // Seen wholly, left would be a little shorter: not enough to turn around.
+        let seen = memory_of(wall(4.0, -2.75..3.25));
+        assert_eq!(search(&mut way, &seen, (9.0, 0.0)), Search::Found);
+        assert!(right(&way));
+        let mut fresh = Box::new(Way::new());
+        assert_eq!(search(&mut fresh, &seen, (9.0, 0.0)), Search::Found);
+        assert!(!right(&fresh));
+    }
+
+    #[test]
+    fn the_way_is_as_short_as_a_plain_dijkstra_search_says() {
+        let memory = memory_of(
+            wall(3.0, -3.0..6.0)
+                .chain(wall(6.0, -8.0..1.0))
+                .chain([(1.5, -3.0), (8.0, 3.0)]),
+        );
+        let goal = at(9.0, 4.0);
+        let mut way = Box::new(Way::new());
+        way.start(&memory, at(0.0, 0.0), goal);
+        assert_eq!(way.advance(&memory, usize::MAX), Search::Found);
+        let found = way.cost[way.vehicle.index().expect("inside")];
+
+        // Bellman-Ford over the same costs, from the same ends, until nothing changes.
+        let mut cost = std::vec![u32::MAX; CELLS];
+        for north in -2..=2 {
+            for east in -2..=2 {
+                let cell = Cell {
+                    north: way.goal.north + north,
+                    east: way.goal.east + east,
+                };
+                cost[cell.index().expect("inside")] = octile(cell, way.goal);
+            }
+        }
+        loop {
+            let mut changed = false;
+            for index in 0..CELLS {
+                let cell = Cell::of_index(index);
+                let factor = way.factor_of(&memory, index, cell);
+                if factor == 0 {
+                    continue;
+                }
+                for (north, east, length) in NEIGHBOURS {
+                    let from = Cell {
+                        north: cell.north + north,
+                        east: cell.east + east,
+                    };
+                    let before = from.index().map_or(u32::MAX, |i| cost[i]);
+                    if before != u32::MAX {
+                        let through = before + ((length * factor) >> FACTOR_SHIFT) + OFF_WAY;
+                        changed |= through < cost[index];
+                        cost[index] = cost[index].min(through);
+                    }
+                }
+            }
+            if !changed {
+                break;
+            }
+        }
+        assert_eq!(u32::from(found), cost[way.vehicle.index().expect("inside")]);
+    }
+}

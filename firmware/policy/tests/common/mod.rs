@@ -137,9 +137,14 @@ impl Scene {
         frame.header.stamp_ns = stamp_ns;
         frame.header.position_ned_m = position;
         frame.header.attitude = attitude;
-        for (i, pixel) in frame.depth.iter_mut().enumerate() {
-            let range = self.range(position, attitude, i / DEPTH_COLS, i % DEPTH_COLS);
-            *pixel = if range < 60.0 { range / DEPTH_FULL_SCALE_M } else { 1.0 };
+        // Like the sensor, every second row is measured; the row below repeats it.
+        for (pair, rows) in frame.depth.chunks_exact_mut(2 * DEPTH_COLS).enumerate() {
+            let (measured, repeated) = rows.split_at_mut(DEPTH_COLS);
+            for (col, pixel) in measured.iter_mut().enumerate() {
+                let range = self.range(position, attitude, 2 * pair, col);
+                *pixel = if range < 60.0 { range / DEPTH_FULL_SCALE_M } else { 1.0 };
+            }
+            repeated.copy_from_slice(measured);
         }
     }
 
