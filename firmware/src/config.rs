@@ -381,7 +381,7 @@ impl FirmwareConfig {
 }
 
 fn seconds(ns: u64) -> f64 {
-    ns as f64 * 1e-9
+    ns as f64 / 1e9
 }
 
 fn nanos(s: f64) -> u64 {

@@ -94,6 +94,11 @@ impl std::fmt::Display for FlightSummary {
                 self.foreign_datagrams, self.unsent_datagrams
             )?;
         }
+        let framing = &self.link.framing;
+        let refused = framing.bad_crc + framing.truncated + framing.incompatible + self.link.unreadable;
+        if refused > 0 {
+            write!(f, "\nmavlink   {} packets, {refused} refused", framing.packets)?;
+        }
         match &self.log {
             None => write!(f, "\nlog       none"),
             Some(log) => {

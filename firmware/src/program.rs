@@ -158,7 +158,7 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     } else {
         let summary = live::fly(&config, &stop, |granted| {
             tracing::info!(
-                "instance {}: {} on {}, {} to engage; {granted}",
+                "instance {}: {} on {}, engages {}; {granted}",
                 config.instance,
                 config.vehicle.name(),
                 config.link_url(),
@@ -208,8 +208,8 @@ impl Vehicle {
 impl Engage {
     fn name(self) -> &'static str {
         match self {
-            Self::Auto => "auto",
-            Self::Command => "operator",
+            Self::Auto => "by itself",
+            Self::Command => "on command",
         }
     }
 }

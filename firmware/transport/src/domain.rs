@@ -2,7 +2,6 @@
 
 use iceoryx2::prelude::*;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
-use std::path::PathBuf;
 
 /// Why a [`Domain`] could not be opened.
 #[derive(Debug, thiserror::Error)]
@@ -31,7 +30,7 @@ pub enum DomainError {
         mode: u32,
     },
     /// The path does not suit the transport.
-    #[error("{path} cannot hold the transport's files ({reason}): set TMPDIR to a short path")]
+    #[error("{path} cannot hold the transport's files: {reason}")]
     Path {
         /// The directory.
         path: String,
@@ -54,8 +53,9 @@ pub enum DomainError {
 
 /// A process's membership in one instance. Instances share nothing: other directory, other shared-memory names.
 ///
-/// Files lie in `vigil-<uid>/<instance>` of the system's temporary directory, mode 0700, and in shared memory with
-/// mode 0600: only processes of the same user meet. At opening, what killed processes of this instance left is removed.
+/// Files lie in `vigil-<uid>/<instance>` of the system's shared-memory directory, which has mode 0700, and beside it
+/// with mode 0600: only processes of the same user meet. At opening, what killed processes of this instance left is
+/// removed.
 pub struct Domain {
     node: Node<ipc::Service>,
     instance: u32,
@@ -140,7 +140,8 @@ const SHARED_MEMORY: &str = "/dev/shm";
 /// iceoryx2's configuration that keeps an instance apart, and the directory it lies in.
 fn instance_config(instance: u32) -> Result<(Config, String), DomainError> {
     let uid = rustix::process::getuid().as_raw();
-    let directory = private_directory(uid)?.display().to_string();
+    let directory = format!("{SHARED_MEMORY}/vigil-{uid}");
+    make_private(std::path::Path::new(&directory), uid)?;
     let path_error = |e: SemanticStringError| DomainError::Path {
         path: directory.clone(),
         reason: format!("{e:?}"),
@@ -152,21 +153,20 @@ fn instance_config(instance: u32) -> Result<(Config, String), DomainError> {
     Ok((config, directory))
 }
 
-/// The user's own directory, made if missing, refused if anybody else could tamper with it.
-fn private_directory(uid: u32) -> Result<PathBuf, DomainError> {
-    let directory = std::env::temp_dir().join(format!("vigil-{uid}"));
+/// Makes the user's own directory if it is missing, and refuses one that anybody else could tamper with.
+fn make_private(directory: &std::path::Path, uid: u32) -> Result<(), DomainError> {
     let shown = directory.display().to_string();
     let io_error = |source| DomainError::Directory {
         path: shown.clone(),
         source,
     };
-    match std::fs::DirBuilder::new().mode(0o700).create(&directory) {
+    match std::fs::DirBuilder::new().mode(0o700).create(directory) {
         Ok(()) => {}
         Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
         Err(e) => return Err(io_error(e)),
     }
     // Not following a link: it could be swapped for another directory later.
-    let metadata = std::fs::symlink_metadata(&directory).map_err(io_error)?;
+    let metadata = std::fs::symlink_metadata(directory).map_err(io_error)?;
     let mode = metadata.mode() & 0o7777;
     if !metadata.is_dir() || metadata.uid() != uid || mode & 0o077 != 0 {
         return Err(DomainError::NotPrivate {
@@ -176,5 +176,35 @@ fn private_directory(uid: u32) -> Result<PathBuf, DomainError> {
             mode,
         });
     }
-    Ok(directory)
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    #[test]
+    fn a_directory_that_others_could_tamper_with_is_refused() {
+        let uid = rustix::process::getuid().as_raw();
+        let parent = tempfile::tempdir().unwrap();
+        let directory = parent.path().join("vigil");
+        make_private(&directory, uid).unwrap();
+        make_private(&directory, uid).unwrap();
+        let mode = std::fs::metadata(&directory).unwrap().mode() & 0o777;
+        assert_eq!(mode, 0o700);
+
+        let foreign = make_private(&directory, uid + 1).unwrap_err();
+        assert!(matches!(foreign, DomainError::NotPrivate { .. }), "{foreign}");
+
+        std::fs::set_permissions(&directory, std::fs::Permissions::from_mode(0o770)).unwrap();
+        let open = make_private(&directory, uid).unwrap_err().to_string();
+        assert!(open.contains("mode 0770") && open.contains("0700"), "{open}");
+
+        let link = parent.path().join("link");
+        let target = parent.path().join("target");
+        make_private(&target, uid).unwrap();
+        symlink(&target, &link).unwrap();
+        assert!(matches!(make_private(&link, uid), Err(DomainError::NotPrivate { .. })));
+    }
 }

@@ -226,7 +226,7 @@ fn another_payload_type_is_refused_by_name() {
     let domain = Domain::open(instance.0, "test").unwrap();
     let mut config = Config::default();
     let uid = rustix::process::getuid().as_raw();
-    let root = std::env::temp_dir().join(format!("vigil-{uid}/{}", domain.instance()));
+    let root = std::path::PathBuf::from(format!("/dev/shm/vigil-{uid}/{}", domain.instance()));
     config
         .global
         .set_root_path(&Path::new(root.to_str().unwrap().as_bytes()).unwrap());
