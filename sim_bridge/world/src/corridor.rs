@@ -8,13 +8,14 @@ use std::collections::BinaryHeap;
 
 /// Free space that a corridor keeps around the vehicle's solid, to the sides, above and below.
 pub const CORRIDOR_MARGIN_M: f32 = 0.6;
-/// Grid spacing of the search.
+/// Grid spacing of the search; wider where the bounds would need more than [`MAX_CELLS`].
 const CELL_M: f32 = 0.2;
-/// From a point of a path on the grid to the nearest grid point, at most.
-const HALF_DIAGONAL_M: f32 = 0.5 * core::f32::consts::SQRT_2 * CELL_M;
+/// Bounds the memory of a search to 10 MB.
+const MAX_CELLS: f32 = 1e6;
 
 /// Free cells of a course's plan view.
 struct Grid {
+    cell_m: f32,
     north_cells: usize,
     east_cells: usize,
     origin_m: [f32; 2],
@@ -25,23 +26,24 @@ impl Grid {
     /// Marks as free what keeps the vehicle's radius and the margin from every solid that reaches into the band of heights the
     /// vehicle needs, and from the bounds.
     fn new(course: &Course, solids: &[Solid]) -> Self {
-        // Half a cell's diagonal more, so that the way between two neighbouring cells keeps the margin too.
-        let clearance_m = VEHICLE.radius_m + CORRIDOR_MARGIN_M + HALF_DIAGONAL_M;
         let b = &course.bounds;
-        let cells = |range: [f32; 2]| ((range[1] - range[0]) / CELL_M) as usize + 1;
+        let area_m2 = (b.north_m[1] - b.north_m[0]) * (b.east_m[1] - b.east_m[0]);
+        let cell_m = CELL_M.max((area_m2 / MAX_CELLS).sqrt());
+        // Half a cell's diagonal more, so that the way between two neighbouring cells keeps the margin too.
+        let clearance_m = VEHICLE.radius_m + CORRIDOR_MARGIN_M + 0.5 * core::f32::consts::SQRT_2 * cell_m;
+        let cells = |range: [f32; 2]| ((range[1] - range[0]) / cell_m) as usize + 1;
         let (north_cells, east_cells) = (cells(b.north_m), cells(b.east_m));
-        let origin_m = [b.north_m[0], b.east_m[0]];
-        let edge = (clearance_m / CELL_M).ceil() as usize;
+        let edge = (clearance_m / cell_m).ceil() as usize;
         let mut free = vec![false; north_cells * east_cells];
-        for i in edge..north_cells.saturating_sub(edge) {
-            free[i * east_cells..][..east_cells]
-                [edge.min(east_cells)..east_cells.saturating_sub(edge).max(edge.min(east_cells))]
-                .fill(true);
+        for (n, cell) in free.iter_mut().enumerate() {
+            let inside = |k: usize, count: usize| k >= edge && k + edge < count;
+            *cell = inside(n / east_cells, north_cells) && inside(n % east_cells, east_cells);
         }
         let mut grid = Self {
+            cell_m,
             north_cells,
             east_cells,
-            origin_m,
+            origin_m: [b.north_m[0], b.east_m[0]],
             free,
         };
         for solid in solids.iter().filter(|s| in_the_way(course, s)) {
@@ -68,21 +70,21 @@ impl Grid {
     /// Cells along an axis within `reach_m` of `centre_m`.
     fn span(&self, axis: usize, centre_m: f32, reach_m: f32) -> core::ops::Range<usize> {
         let count = [self.north_cells, self.east_cells][axis];
-        let low = ((centre_m - reach_m - self.origin_m[axis]) / CELL_M).max(0.0) as usize;
-        let high = ((centre_m + reach_m - self.origin_m[axis]) / CELL_M).max(0.0) as usize + 2;
+        let low = ((centre_m - reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize;
+        let high = ((centre_m + reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize + 2;
         low.min(count)..high.min(count)
     }
 
     fn point(&self, i: usize, j: usize) -> [f32; 2] {
         [
-            self.origin_m[0] + i as f32 * CELL_M,
-            self.origin_m[1] + j as f32 * CELL_M,
+            self.origin_m[0] + i as f32 * self.cell_m,
+            self.origin_m[1] + j as f32 * self.cell_m,
         ]
     }
 
     fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
         let index = |axis: usize, count: usize| {
-            let cell = ((point[axis] - self.origin_m[axis]) / CELL_M).round().max(0.0) as usize;
+            let cell = ((point[axis] - self.origin_m[axis]) / self.cell_m).round().max(0.0) as usize;
             cell.min(count - 1)
         };
         (index(0, self.north_cells), index(1, self.east_cells))
@@ -300,6 +302,15 @@ bounds = {{ north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }}
         assert!(beam(1.8).corridor().is_none());
         assert!(beam(1.2).straight_line_is_blocked());
         assert!(!beam(1.8).straight_line_is_blocked());
+    }
+
+    #[test]
+    fn the_largest_bounds_are_searched_too() {
+        let mut c = course("");
+        c.bounds.north_m = [-1000.0, 1000.0];
+        c.bounds.east_m = [-1000.0, 1000.0];
+        (c.goal.north_m, c.goal.east_m) = (900.0, -900.0);
+        assert!(c.corridor().is_some());
     }
 
     #[test]

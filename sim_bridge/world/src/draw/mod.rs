@@ -1,6 +1,7 @@
 //! A course seen from above, as a picture. North is up.
 
 mod canvas;
+mod legend;
 
 pub use canvas::{Image, ImageError};
 
@@ -10,7 +11,7 @@ use crate::referee::Outcome;
 use crate::solid::Solid;
 use crate::vehicle::VEHICLE;
 use canvas::{Canvas, Layer};
-use embedded_graphics::mono_font::ascii::{FONT_6X10, FONT_8X13, FONT_10X20};
+use embedded_graphics::mono_font::ascii::{FONT_6X10, FONT_8X13};
 use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
@@ -56,8 +57,6 @@ const RIGHT: f32 = 236.0;
 const BOTTOM: f32 = 44.0;
 /// The longer side of the plan in pixels.
 const PLAN_PIXELS: f32 = 960.0;
-/// The legend names at most so many paths.
-const LEGEND_PATHS: usize = 12;
 
 /// Draws the top view of a course: obstacles shaded by height, start, goal, bounds, checkpoints, the corridor, and flights.
 pub fn draw(course: &Course, paths: &[FlightPath]) -> Image {
@@ -73,7 +72,7 @@ pub fn draw(course: &Course, paths: &[FlightPath]) -> Image {
         }
     });
     draw_labels(&mut canvas, &view, course);
-    draw_legend(&mut canvas, &view, course, paths);
+    legend::draw_legend(&mut canvas, &view, course, paths);
     canvas.image
 }
 
@@ -435,82 +434,6 @@ fn draw_labels(canvas: &mut Canvas, view: &View, course: &Course) {
     text(canvas, "goal", [x, y - below], &FONT_8X13, GOAL, Alignment::Center);
     let [x, y] = view.at(course.start.north_m, course.start.east_m);
     text(canvas, "start", [x, y + 22.0], &FONT_8X13, START, Alignment::Center);
-}
-
-fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, paths: &[FlightPath]) {
-    text(canvas, &course.name, [LEFT, 20.0], &FONT_10X20, INK, Alignment::Left);
-    let x = view.legend_x();
-    let mut y = TOP + 8.0;
-    let ceiling = course.ceiling_height_m.map_or("none".to_owned(), |c| format!("{c} m"));
-    for words in [
-        format!("flight height {} m", course.flight_height_m),
-        format!("ceiling       {ceiling}"),
-        format!("goal radius   {} m", course.goal_radius_m),
-        format!("time limit    {} s", course.time_limit_s),
-    ] {
-        text(canvas, &words, [x, y], &FONT_8X13, INK, Alignment::Left);
-        y += 17.0;
-    }
-    y += 16.0;
-    text(canvas, "obstacle height, m", [x, y], &FONT_8X13, INK, Alignment::Left);
-    y += 12.0;
-    let (bar, tall) = (160.0, 14.0);
-    canvas.layer(1.0, |layer| {
-        for k in 0..bar as usize {
-            let at = x + k as f32;
-            line(layer, [at, y], [at, y + tall], shade(TALL_M * k as f32 / bar), 2.0);
-        }
-    });
-    for h in 0..=4 {
-        let at = x + bar * h as f32 / TALL_M;
-        text(
-            canvas,
-            &h.to_string(),
-            [at, y + tall + 9.0],
-            &FONT_8X13,
-            FAINT_INK,
-            Alignment::Center,
-        );
-    }
-    y += tall + 36.0;
-    let width = 2.0 * (VEHICLE.radius_m + CORRIDOR_MARGIN_M);
-    let checkpoint = !course.checkpoints.is_empty();
-    let entries: [(&str, Rgb888, f32, bool); 4] = [
-        ("overhang, from-to m", OVERHANG, 0.6, !course.overhangs.is_empty()),
-        (
-            "flown under",
-            OVERHANG,
-            0.25,
-            course.overhangs.iter().any(|o| flown_under(course, &o.solid())),
-        ),
-        (&format!("corridor, {width:.1} m"), CORRIDOR, 0.4, true),
-        ("checkpoint", START, 1.0, checkpoint),
-    ];
-    for (words, colour, opacity, _) in entries.iter().filter(|e| e.3) {
-        canvas.layer(*opacity, |layer| {
-            if *words == "checkpoint" {
-                dashed(layer, [x, y], [x + 22.0, y], *colour, 1.6);
-            } else {
-                line(layer, [x, y], [x + 22.0, y], *colour, 12.0);
-            }
-        });
-        text(canvas, words, [x + 32.0, y], &FONT_8X13, INK, Alignment::Left);
-        y += 20.0;
-    }
-    y += 12.0;
-    for (i, path) in paths.iter().enumerate().take(LEGEND_PATHS) {
-        canvas.layer(1.0, |layer| {
-            line(layer, [x, y], [x + 22.0, y], path_colour(path, i), 3.0)
-        });
-        let outcome = path.outcome.map_or(String::new(), |o| format!(": {o}"));
-        let words: String = format!("{}{outcome}", path.label).chars().take(24).collect();
-        text(canvas, &words, [x + 32.0, y], &FONT_8X13, INK, Alignment::Left);
-        y += 20.0;
-    }
-    if paths.len() > LEGEND_PATHS {
-        let more = format!("and {} more", paths.len() - LEGEND_PATHS);
-        text(canvas, &more, [x + 32.0, y], &FONT_8X13, FAINT_INK, Alignment::Left);
-    }
 }
 
 #[cfg(test)]
