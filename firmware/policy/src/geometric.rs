@@ -59,7 +59,7 @@ const LOOK_AROUND_YAW: f32 = ACTION_LIMIT;
 const STUCK_M: f32 = 0.5;
 const STUCK_NS: Nanos = 10_000_000_000;
 
-/// The pilot. A large value (about 100 kB) without pointers; no allocation.
+/// The pilot. A large value (about 120 kB) without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub struct GeometricPilot {
     config: GeometricConfig,
