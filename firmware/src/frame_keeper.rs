@@ -1,5 +1,12 @@
 //! Keeps the newest valid depth frame.
-#![deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::std_instead_of_core,
+    clippy::alloc_instead_of_core
+)]
 
 use vigil_types::{DepthFrame, FrameDefect, Nanos, STEP_NS};
 

@@ -98,11 +98,6 @@ impl Domain {
         self.instance
     }
 
-    /// Removes what killed processes of this instance left behind. Creation does this too.
-    pub fn clean_up(&self) {
-        self.node.try_cleanup_dead_nodes();
-    }
-
     pub(crate) fn node(&self) -> &Node<ipc::Service> {
         &self.node
     }
