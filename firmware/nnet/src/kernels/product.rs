@@ -184,6 +184,9 @@ impl Tiles {
                 } else if p.rows == 1 && left >= 4 * S::LANES {
                     self.tile::<S, 1, 4, false>(0, col, S::LANES);
                     col += 4 * S::LANES;
+                } else if p.rows == 2 && left >= 4 * S::LANES {
+                    self.tile::<S, 2, 4, false>(0, col, S::LANES);
+                    col += 4 * S::LANES;
                 } else if left >= 2 * S::LANES {
                     self.column::<S, 2, false>(col, S::LANES);
                     col += 2 * S::LANES;

@@ -1,0 +1,298 @@
+//! The input gradient of a convolution: the transposed convolution, without its zeros.
+
+use super::reorder::{Interleave, Transpose};
+use super::{Axis, Conv2d};
+use crate::dense::transpose;
+use crate::error::{ShapeError, expect, part};
+use crate::isa::Isa;
+use crate::kernels::{self, Product, Start};
+
+/// One set of taps of the transposed convolution: `first + n · stride`, of which `count` reach an output.
+#[derive(Clone, Copy)]
+struct Phase {
+    first: usize,
+    count: usize,
+    /// Output that tap `first` leads to; each further tap leads to the one before.
+    output: usize,
+}
+
+impl Axis {
+    /// The taps through which input `i` is seen by existing outputs.
+    fn phase(self, i: usize) -> Phase {
+        let at = i + self.padding;
+        let mut first = at % self.stride;
+        // Tap t leads to output (at − t) / stride; skip those past the last output.
+        let top = at / self.stride;
+        let skip = (top + 1).saturating_sub(self.out);
+        first += skip * self.stride;
+        let output = top - skip.min(top);
+        let by_kernel = self.kernel.saturating_sub(first).div_ceil(self.stride);
+        let count = if skip > top { 0 } else { by_kernel.min(output + 1) };
+        Phase { first, count, output }
+    }
+}
+
+impl Conv2d {
+    /// Writes the parameters in the order that [`Self::input_gradient`] reads, which is its own affair; the bias is left
+    /// out.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+        expect("conv2d parameters", params, self.param_len())?;
+        expect("packed conv2d parameters", packed, self.param_len())?;
+        let tap = self.channels * self.filters;
+        let rows = packed.chunks_exact_mut((self.kernel * tap).max(1));
+        for (ky, row) in rows.take(self.kernel).enumerate() {
+            for (slot, to) in row.chunks_exact_mut(tap.max(1)).enumerate() {
+                if self.is_planar() {
+                    // [tap][channel][filter] is already the order that the planar kernel reads.
+                    to.copy_from_slice(part("conv2d weights", params, (ky * self.kernel + slot) * tap, tap)?);
+                } else {
+                    let kx = self.tap_of_slot(slot);
+                    let from = part("conv2d weights", params, (ky * self.kernel + kx) * tap, tap)?;
+                    transpose(self.channels, self.filters, from, to);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Kernel columns of one phase: those that are `phase` modulo the stride.
+    fn taps_of_phase(&self, phase: usize) -> usize {
+        self.kernel.saturating_sub(phase).div_ceil(self.stride)
+    }
+
+    /// Which kernel column is packed in a slot: phase by phase, within a phase the last column first. Neighbouring slots
+    /// then belong to neighbouring outputs, so that taps and filters are summed in one stretch of memory.
+    fn tap_of_slot(&self, slot: usize) -> usize {
+        let mut before = 0;
+        for phase in 0..self.stride {
+            let taps = self.taps_of_phase(phase);
+            if slot < before + taps {
+                return phase + (before + taps - 1 - slot) * self.stride;
+            }
+            before += taps;
+        }
+        slot
+    }
+
+    /// First of `count` neighbouring slots that hold kernel columns `first`, `first + stride`, ….
+    fn slot_of_taps(&self, first: usize, count: usize) -> usize {
+        let phase = first % self.stride;
+        let before: usize = (0..phase).map(|phase| self.taps_of_phase(phase)).sum();
+        (before + self.taps_of_phase(phase)).saturating_sub(first / self.stride + count)
+    }
+
+    /// With so few input channels vectors run along image columns instead of channels.
+    fn is_planar(&self) -> bool {
+        self.channels <= 4
+    }
+
+    /// Zeros left of each row of the transposed output gradient; also the least right of it.
+    fn halo(&self) -> usize {
+        self.kernel
+    }
+
+    /// Length of a row of the transposed output gradient with its halo.
+    fn plane_row_len(&self) -> usize {
+        self.out_cols().max(self.cols.div_ceil(self.stride)) + 2 * self.halo()
+    }
+
+    /// Length of one image row of the input, its columns sorted by phase and channel.
+    fn phases_len(&self) -> usize {
+        self.stride.min(self.cols) * self.channels * self.cols.div_ceil(self.stride)
+    }
+
+    /// Length of the scratch slice that [`Self::input_gradient`] needs.
+    pub fn input_gradient_scratch_len(&self) -> usize {
+        if self.is_planar() {
+            self.out_rows() * self.filters * self.plane_row_len() + self.phases_len()
+        } else {
+            0
+        }
+    }
+
+    /// `dx`, the gradient with respect to the input, from `dy` with respect to `x ∗ w + b`. The same for multipliers.
+    ///
+    /// `packed` comes from [`Self::pack`]; `scratch` is [`Self::input_gradient_scratch_len`] long, its content does not
+    /// matter.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn input_gradient(
+        &self,
+        isa: Isa,
+        packed: &[f32],
+        dy: &[f32],
+        dx: &mut [f32],
+        scratch: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        self.validate()?;
+        expect("packed conv2d parameters", packed, self.param_len())?;
+        expect("conv2d output gradient", dy, self.output_len())?;
+        expect("conv2d input gradient", dx, self.input_len())?;
+        if self.is_planar() {
+            return self.input_gradient_planar(isa, packed, dy, dx, scratch);
+        }
+        let (vertical, horizontal) = (self.vertical(), self.horizontal());
+        let row_len = self.cols * self.channels;
+        let (w_row, w_col) = (self.kernel * self.channels * self.filters, self.channels * self.filters);
+        let dy_row = horizontal.out * self.filters;
+        let stride = self.stride;
+        for (iy, dx_row) in dx.chunks_exact_mut(row_len).enumerate() {
+            let rows = vertical.phase(iy);
+            // `count` inputs a stride apart that are seen through the same taps.
+            let mut run = |from: usize, count: usize, cols: Phase| {
+                let product = Product {
+                    rows: count,
+                    cols: self.channels,
+                    n_u: rows.count,
+                    n_v: 1,
+                    n_k: cols.count * self.filters,
+                    a_at: (rows.output * dy_row + (cols.output + 1 - cols.count) * self.filters) as isize,
+                    a_row: self.filters as isize,
+                    a_u: -(dy_row as isize),
+                    a_k: 1,
+                    b_at: (rows.first * w_row + self.slot_of_taps(cols.first, cols.count) * w_col) as isize,
+                    b_u: (stride * w_row) as isize,
+                    b_k: self.channels as isize,
+                    out_at: from * self.channels,
+                    out_row: stride * self.channels,
+                    ..Product::default()
+                };
+                product.run(isa, dy, packed, Start::Zero, dx_row)
+            };
+            for phase in 0..stride.min(self.cols) {
+                let mut ix = phase;
+                while ix < self.cols {
+                    let taps = horizontal.phase(ix);
+                    // Extend the run while the next input sees the same taps, one output further.
+                    let mut count = 1;
+                    let mut next = ix + stride;
+                    while next < self.cols {
+                        let further = horizontal.phase(next);
+                        if further.first != taps.first
+                            || further.count != taps.count
+                            || further.output != taps.output + count
+                        {
+                            break;
+                        }
+                        count += 1;
+                        next += stride;
+                    }
+                    run(ix, count, taps)?;
+                    ix = next;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The input gradient with vectors along the columns: `dy` is first turned into planes `[row][filter][column]` with
+    /// zeros around each row, so that no tap needs a bounds check; then each phase of columns is a product of weights
+    /// (broadcast) and shifted planes, and the phases are interleaved into the image row.
+    fn input_gradient_planar(
+        &self,
+        isa: Isa,
+        packed: &[f32],
+        dy: &[f32],
+        dx: &mut [f32],
+        scratch: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        expect("conv2d scratch", scratch, self.input_gradient_scratch_len())?;
+        let (vertical, horizontal) = (self.vertical(), self.horizontal());
+        let (halo, plane_row, stride) = (self.halo(), self.plane_row_len(), self.stride);
+        let plane_image_row = self.filters * plane_row;
+        let phase_len = self.cols.div_ceil(stride);
+        let phases = stride.min(self.cols);
+        let planes_len = self.out_rows() * plane_image_row;
+        let (planes, phase_rows) = scratch
+            .split_at_mut_checked(planes_len)
+            .ok_or(ShapeError::Description {
+                what: "conv2d",
+                why: "scratch is too short",
+            })?;
+        let dy_rows = dy.chunks_exact(horizontal.out * self.filters);
+        for (plane, dy_row) in planes.chunks_exact_mut(plane_image_row).zip(dy_rows) {
+            for row in plane.chunks_exact_mut(plane_row) {
+                let (left, rest) = row.split_at_mut_checked(halo).unwrap_or_default();
+                left.fill(0.0);
+                if let Some(right) = rest.get_mut(horizontal.out..) {
+                    right.fill(0.0);
+                }
+            }
+            kernels::run(
+                isa,
+                Transpose {
+                    width: self.filters,
+                    from: dy_row,
+                    to: plane.get_mut(halo..).unwrap_or_default(),
+                    to_row: plane_row,
+                },
+            );
+        }
+        let tap = self.channels * self.filters;
+        let w_row = self.kernel * tap;
+        for (iy, dx_row) in dx.chunks_exact_mut(self.cols * self.channels).enumerate() {
+            let rows = vertical.phase(iy);
+            let mut phase = 0;
+            while phase < phases {
+                // Input phase + m·stride is seen through taps first, first + stride, … by outputs top + m, top + m − 1,
+                // …; those that do not exist are zeros of the halo. Phases with the same top share the planes' values.
+                let (first, top) = ((phase + self.padding) % stride, (phase + self.padding) / stride);
+                let group = (stride - first).min(phases - phase);
+                let taps = |member: usize| self.taps_of_phase(first + member);
+                let mut from = 0;
+                loop {
+                    // The members that have tap `from`, and how far all of them go on.
+                    let members = (0..group).take_while(|member| taps(*member) > from).count();
+                    let to = members.checked_sub(1).map_or(0, taps);
+                    let start = if from > 0 {
+                        Start::Output
+                    } else {
+                        // Only in the first group can a member lack even the first tap (a kernel smaller than the stride).
+                        if members < group {
+                            phase_rows.fill(0.0);
+                        }
+                        Start::Zero
+                    };
+                    let product = Product {
+                        rows: members * self.channels,
+                        cols: phase_len,
+                        n_u: rows.count,
+                        n_v: to - from,
+                        n_k: self.filters,
+                        a_at: (rows.first * w_row + (first + from * stride) * tap) as isize,
+                        a_row: self.filters as isize,
+                        a_u: (stride * w_row) as isize,
+                        a_v: (stride * tap) as isize,
+                        a_k: 1,
+                        b_at: (rows.output * plane_image_row + halo + top) as isize - from as isize,
+                        b_u: -(plane_image_row as isize),
+                        b_v: -1,
+                        b_k: plane_row as isize,
+                        out_at: phase * self.channels * phase_len,
+                        out_row: phase_len,
+                    };
+                    product.run(isa, packed, planes, start, phase_rows)?;
+                    from = to;
+                    if from >= taps(0) {
+                        break;
+                    }
+                }
+                phase += group;
+            }
+            let sorted = phase_rows.len() / phase_len;
+            kernels::run(
+                isa,
+                Interleave {
+                    from: phase_rows,
+                    lists: sorted,
+                    to: dx_row,
+                },
+            );
+        }
+        Ok(())
+    }
+}

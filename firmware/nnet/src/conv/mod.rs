@@ -1,0 +1,267 @@
+//! Two-dimensional convolution, direct, rows × columns × channels.
+
+mod input;
+mod reorder;
+
+use crate::activation::Activation;
+use crate::dense::column_sums;
+use crate::error::{ShapeError, expect, part, part_mut};
+use crate::isa::Isa;
+use crate::kernels::{Product, Start};
+
+/// A convolution of one image with zero padding.
+///
+/// Images are `[row][column][channel]`; weights are `[kernel row][kernel column][input channel][output channel]`, then
+/// the bias `[output channel]`. Cross-correlation, as in every framework.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Conv2d {
+    /// Input rows.
+    pub rows: usize,
+    /// Input columns.
+    pub cols: usize,
+    /// Input channels.
+    pub channels: usize,
+    /// Output channels.
+    pub filters: usize,
+    /// Side of the square kernel.
+    pub kernel: usize,
+    /// Step between output pixels, in both directions.
+    pub stride: usize,
+    /// Rows and columns of zeros around the input.
+    pub padding: usize,
+}
+
+/// Which outputs along one axis see the input through a given part of the kernel.
+#[derive(Clone, Copy)]
+struct Axis {
+    size: usize,
+    out: usize,
+    kernel: usize,
+    stride: usize,
+    padding: usize,
+}
+
+impl Axis {
+    /// Kernel taps of output `o` that fall on the input, `from..to`.
+    fn taps(self, o: usize) -> (usize, usize) {
+        let start = o * self.stride;
+        let from = self.padding.saturating_sub(start).min(self.kernel);
+        let to = (self.size + self.padding).saturating_sub(start).min(self.kernel);
+        (from, to.max(from))
+    }
+
+    /// Outputs all of whose taps fall on the input, `from..to`.
+    fn interior(self) -> (usize, usize) {
+        let from = self.padding.div_ceil(self.stride).min(self.out);
+        let reach = (self.size + self.padding + self.stride).saturating_sub(self.kernel) / self.stride;
+        (from, reach.clamp(from, self.out))
+    }
+
+    /// Outputs whose tap `t` falls on the input, `from..to`.
+    fn outputs_of_tap(self, t: usize) -> (usize, usize) {
+        let from = self.padding.saturating_sub(t).div_ceil(self.stride).min(self.out);
+        let to = (self.size + self.padding).saturating_sub(t).div_ceil(self.stride);
+        (from, to.clamp(from, self.out))
+    }
+
+    /// First input coordinate of output `o` through tap `t`; the pair must be one of the above.
+    fn input(self, o: usize, t: usize) -> usize {
+        o * self.stride + t - self.padding
+    }
+}
+
+impl Conv2d {
+    /// Checks the description.
+    ///
+    /// # Errors
+    /// A zero size, or a kernel larger than the padded input.
+    pub fn validate(&self) -> Result<(), ShapeError> {
+        let why = if self.rows * self.cols * self.channels * self.filters * self.kernel * self.stride == 0 {
+            "a size is zero"
+        } else if self.rows.min(self.cols) + 2 * self.padding < self.kernel {
+            "the kernel is larger than the padded input"
+        } else if self.padding >= self.kernel {
+            "the padding is not smaller than the kernel"
+        } else {
+            return Ok(());
+        };
+        Err(ShapeError::Description { what: "conv2d", why })
+    }
+
+    /// Output rows.
+    pub fn out_rows(&self) -> usize {
+        (self.rows + 2 * self.padding - self.kernel) / self.stride + 1
+    }
+
+    /// Output columns.
+    pub fn out_cols(&self) -> usize {
+        (self.cols + 2 * self.padding - self.kernel) / self.stride + 1
+    }
+
+    /// Values in the input image.
+    pub fn input_len(&self) -> usize {
+        self.rows * self.cols * self.channels
+    }
+
+    /// Values in the output image.
+    pub fn output_len(&self) -> usize {
+        self.out_rows() * self.out_cols() * self.filters
+    }
+
+    /// Number of weights.
+    pub fn weight_len(&self) -> usize {
+        self.kernel * self.kernel * self.channels * self.filters
+    }
+
+    /// Number of parameters: weights, then bias.
+    pub fn param_len(&self) -> usize {
+        self.weight_len() + self.filters
+    }
+
+    /// Multiply-adds of one forward pass, padding included.
+    pub fn macs(&self) -> usize {
+        self.out_rows() * self.out_cols() * self.weight_len()
+    }
+
+    fn vertical(&self) -> Axis {
+        Axis {
+            size: self.rows,
+            out: self.out_rows(),
+            kernel: self.kernel,
+            stride: self.stride,
+            padding: self.padding,
+        }
+    }
+
+    fn horizontal(&self) -> Axis {
+        Axis {
+            size: self.cols,
+            out: self.out_cols(),
+            ..self.vertical()
+        }
+    }
+
+    /// `y = f(x ∗ w + b)`. `pre` receives `x ∗ w + b` if given.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn forward(
+        &self,
+        isa: Isa,
+        params: &[f32],
+        activation: Activation,
+        x: &[f32],
+        mut pre: Option<&mut [f32]>,
+        y: &mut [f32],
+    ) -> Result<(), ShapeError> {
+        self.validate()?;
+        expect("conv2d parameters", params, self.param_len())?;
+        expect("conv2d input", x, self.input_len())?;
+        expect("conv2d output", y, self.output_len())?;
+        if let Some(pre) = &pre {
+            expect("conv2d pre-activation", pre, self.output_len())?;
+        }
+        let weights = part("conv2d weights", params, 0, self.weight_len())?;
+        let bias = Start::Bias(part("conv2d bias", params, self.weight_len(), self.filters)?);
+        let (vertical, horizontal) = (self.vertical(), self.horizontal());
+        let (row, column) = (self.cols * self.channels, self.channels);
+        let (w_row, w_col) = (self.kernel * self.channels * self.filters, self.channels * self.filters);
+        let out_row_len = self.out_cols() * self.filters;
+        let (inner_from, inner_to) = horizontal.interior();
+        for (oy, y_row) in y.chunks_exact_mut(out_row_len).enumerate() {
+            let (t0, t1) = vertical.taps(oy);
+            // One or more neighbouring outputs that see the same columns of the kernel.
+            let mut run = |from: usize, to: usize, s0: usize, s1: usize| {
+                if from == to {
+                    return Ok(());
+                }
+                let sees = t1 > t0 && s1 > s0;
+                let product = Product {
+                    rows: to - from,
+                    cols: self.filters,
+                    n_u: t1 - t0,
+                    n_v: 1,
+                    n_k: (s1 - s0) * self.channels,
+                    a_at: if sees {
+                        (vertical.input(oy, t0) * row + horizontal.input(from, s0) * column) as isize
+                    } else {
+                        0
+                    },
+                    a_row: (self.stride * column) as isize,
+                    a_u: row as isize,
+                    a_k: 1,
+                    b_at: (t0 * w_row + s0 * w_col) as isize,
+                    b_u: w_row as isize,
+                    b_k: self.filters as isize,
+                    out_at: from * self.filters,
+                    out_row: self.filters,
+                    ..Product::default()
+                };
+                product.run(isa, x, weights, bias, y_row)
+            };
+            run(inner_from, inner_to, 0, self.kernel)?;
+            for ox in (0..inner_from).chain(inner_to..horizontal.out) {
+                let (s0, s1) = horizontal.taps(ox);
+                run(ox, ox + 1, s0, s1)?;
+            }
+            // While the row is in the nearest cache.
+            if let Some(pre) = &mut pre {
+                part_mut("conv2d pre-activation", pre, oy * out_row_len, out_row_len)?.copy_from_slice(y_row);
+            }
+            activation.apply_in_place(isa, y_row);
+        }
+        Ok(())
+    }
+
+    /// Adds to `d_params` the gradient with respect to weights and bias; `dy` is with respect to `x ∗ w + b`.
+    ///
+    /// # Errors
+    /// Slices that do not fit.
+    pub fn weight_gradient(&self, isa: Isa, x: &[f32], dy: &[f32], d_params: &mut [f32]) -> Result<(), ShapeError> {
+        self.validate()?;
+        expect("conv2d parameter gradient", d_params, self.param_len())?;
+        expect("conv2d input", x, self.input_len())?;
+        expect("conv2d output gradient", dy, self.output_len())?;
+        let (vertical, horizontal) = (self.vertical(), self.horizontal());
+        let (row, column) = (self.cols * self.channels, self.channels);
+        let dy_row = horizontal.out * self.filters;
+        let (inner_from, inner_to) = horizontal.interior();
+        for t in 0..self.kernel {
+            let (o0, o1) = vertical.outputs_of_tap(t);
+            if o0 == o1 {
+                continue;
+            }
+            // A run of outputs per image row that see kernel columns s0..s1; all image rows in one sum.
+            let mut run = |from: usize, to: usize, s0: usize, s1: usize| {
+                if from == to || s0 == s1 {
+                    return Ok(());
+                }
+                let product = Product {
+                    rows: (s1 - s0) * self.channels,
+                    cols: self.filters,
+                    n_u: o1 - o0,
+                    n_v: 1,
+                    n_k: to - from,
+                    a_at: (vertical.input(o0, t) * row + horizontal.input(from, s0) * column) as isize,
+                    a_row: 1,
+                    a_u: (self.stride * row) as isize,
+                    a_k: (self.stride * column) as isize,
+                    b_at: (o0 * dy_row + from * self.filters) as isize,
+                    b_u: dy_row as isize,
+                    b_k: self.filters as isize,
+                    out_at: (t * self.kernel + s0) * self.channels * self.filters,
+                    out_row: self.filters,
+                    ..Product::default()
+                };
+                product.run(isa, x, dy, Start::Output, d_params)
+            };
+            run(inner_from, inner_to, 0, self.kernel)?;
+            for ox in (0..inner_from).chain(inner_to..horizontal.out) {
+                let (s0, s1) = horizontal.taps(ox);
+                run(ox, ox + 1, s0, s1)?;
+            }
+        }
+        let pixels = vertical.out * horizontal.out;
+        column_sums(isa, pixels, self.filters, dy, d_params, self.weight_len())
+    }
+}

@@ -1,0 +1,82 @@
+//! Moving values between pixel-major and column-major order.
+
+use crate::kernels::Task;
+
+/// Turns `from` (rows of `width` values) into columns: value `c` of row `r` goes to `to[c · to_row + r]`.
+pub(super) struct Transpose<'a> {
+    pub width: usize,
+    pub from: &'a [f32],
+    pub to: &'a mut [f32],
+    pub to_row: usize,
+}
+
+/// Four values from `at` on.
+#[inline(always)]
+fn four(values: &[f32], at: usize) -> [f32; 4] {
+    let values = values.get(at..).and_then(|values| values.first_chunk());
+    values.copied().unwrap_or([0.0; 4])
+}
+
+impl Task for Transpose<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let (width, to_row) = (self.width, self.to_row);
+        for (block, rows) in self.from.chunks(4 * width).enumerate() {
+            let first = block * 4;
+            let square = if rows.len() == 4 * width { width / 4 * 4 } else { 0 };
+            // Four by four: the compiler makes shuffles of it.
+            for column in (0..square).step_by(4) {
+                let [a0, a1, a2, a3] = four(rows, column);
+                let [b0, b1, b2, b3] = four(rows, column + width);
+                let [c0, c1, c2, c3] = four(rows, column + 2 * width);
+                let [d0, d1, d2, d3] = four(rows, column + 3 * width);
+                let lines = [[a0, b0, c0, d0], [a1, b1, c1, d1], [a2, b2, c2, d2], [a3, b3, c3, d3]];
+                for (c, line) in lines.iter().enumerate() {
+                    let at = (column + c) * to_row + first;
+                    if let Some(slot) = self.to.get_mut(at..at + 4) {
+                        slot.copy_from_slice(line);
+                    }
+                }
+            }
+            for column in square..width {
+                for (r, line) in rows.chunks_exact(width).enumerate() {
+                    let value = line.get(column).copied();
+                    if let (Some(slot), Some(value)) = (self.to.get_mut(column * to_row + first + r), value) {
+                        *slot = value;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Deals several lists of equal length out in turn: `to[i · lists + l] = from[l][i]`, as far as `to` reaches.
+pub(super) struct Interleave<'a> {
+    pub from: &'a [f32],
+    pub lists: usize,
+    pub to: &'a mut [f32],
+}
+
+impl Task for Interleave<'_> {
+    #[inline(always)]
+    fn run(self) {
+        let len = self.from.len() / self.lists.max(1);
+        if self.lists == 2
+            && let Some((even, odd)) = self.from.split_at_checked(len)
+        {
+            let (pairs, last) = self.to.as_chunks_mut::<2>();
+            for (pair, (even, odd)) in pairs.iter_mut().zip(even.iter().zip(odd)) {
+                *pair = [*even, *odd];
+            }
+            if let ([last], Some(value)) = (last, even.last()) {
+                *last = *value;
+            }
+            return;
+        }
+        for (l, list) in self.from.chunks_exact(len.max(1)).enumerate() {
+            for (to, from) in self.to.iter_mut().skip(l).step_by(self.lists).zip(list) {
+                *to = *from;
+            }
+        }
+    }
+}
