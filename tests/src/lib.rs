@@ -1,5 +1,9 @@
 //! What the end-to-end tests share: the `vigil` program as child processes that never outlive their test.
 
+mod pair;
+
+pub use pair::Pair;
+
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};

@@ -5,11 +5,10 @@ use rustix::process::Signal;
 use std::net::UdpSocket;
 use std::path::Path;
 use std::time::Duration;
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_log::{Reader, TickRecord};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_tests::Running;
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, VelocitySetpoint};
+use vigil_tests::{Pair, Running};
+use vigil_types::{GuidanceState, Nanos, Reason};
+use vigil_world::Family;
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
 
@@ -148,69 +147,45 @@ fn a_killed_firmware_makes_the_vehicle_hold_and_its_return_resumes_the_flight() 
 #[test]
 fn a_silent_firmware_is_noticed_by_the_vehicle_within_half_a_second() {
     // The same in lockstep, where the delay is exact.
-    let mut config = SimConfig::new(vigil_world::generate(vigil_world::Family::Training, 11), 11);
-    config.start = Start::Airborne;
-    let goal = config.course.goal_ned_m();
-    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(goal)).expect("a firmware");
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
-    let mut guided_steps = 0;
-    while guided_steps < 40 {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
-        guided_steps += u32::from(report.state == GuidanceState::Guided);
-        assert!(simulator.now_ns() < 60 * 1_000_000_000, "guided flight begins");
-    }
-    from_firmware.clear();
-    let silent_since_ns = simulator.now_ns();
-    while simulator.status().mode.name() == "offboard" {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+    let mut pair = Pair::new(Family::Training, 11);
+    pair.fly_guided(40);
+    pair.silence();
+    let silent_since_ns = pair.simulator.now_ns();
+    while pair.simulator.status().mode.name() == "offboard" {
+        pair.simulate();
         assert!(
-            simulator.now_ns() - silent_since_ns <= HALF_A_SECOND_NS,
+            pair.simulator.now_ns() - silent_since_ns <= HALF_A_SECOND_NS,
             "the vehicle still waits"
         );
     }
-    assert!(simulator.status().failsafe.is_some(), "and says why");
+    assert!(pair.simulator.status().failsafe.is_some(), "and says why");
 }
 
 #[test]
 fn a_blind_firmware_stops_asking_for_motion_in_the_step_that_finds_out() {
-    let mut config = SimConfig::new(vigil_world::generate(vigil_world::Family::Training, 12), 12);
-    config.start = Start::Airborne;
-    let goal = config.course.goal_ned_m();
-    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
-    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(goal)).expect("a firmware");
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
-    let (mut guided_steps, mut blind_since_ns) = (0, None);
-    for _ in 0..2000 {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        let seen = blind_since_ns.is_none().then_some(&*frame);
-        let report = *firmware.step(simulator.now_ns(), seen, &to_firmware, &mut from_firmware);
-        guided_steps += u32::from(report.state == GuidanceState::Guided);
-        match blind_since_ns {
-            None if guided_steps == 40 => blind_since_ns = Some(simulator.now_ns()),
-            Some(since_ns) if report.state == GuidanceState::Hold => {
-                assert!(simulator.now_ns() - since_ns <= HALF_A_SECOND_NS);
-                assert!(report.reasons.contains(Reason::StaleFrame));
-                let setpoint = report.setpoint.unwrap_or(VelocitySetpoint::HOLD);
-                assert_eq!(
-                    (
-                        setpoint.velocity_m_s.x,
-                        setpoint.velocity_m_s.y,
-                        setpoint.yaw_rate_rad_s
-                    ),
-                    (0.0, 0.0, 0.0)
-                );
-                return;
-            }
-            Some(since_ns) => assert!(
-                simulator.now_ns() - since_ns <= HALF_A_SECOND_NS + STEP_NS,
-                "still guided"
-            ),
-            None => {}
+    let mut pair = Pair::new(Family::Training, 12);
+    pair.fly_guided(40);
+    let blind_since_ns = pair.simulator.now_ns();
+    loop {
+        pair.simulate();
+        let report = pair.decide(false);
+        assert!(
+            pair.simulator.now_ns() - blind_since_ns <= HALF_A_SECOND_NS,
+            "still {:?}",
+            report.state
+        );
+        if report.state == GuidanceState::Hold {
+            assert!(report.reasons.contains(Reason::StaleFrame));
+            let setpoint = report.setpoint.expect("zeros are sent, not nothing");
+            assert_eq!(
+                (
+                    setpoint.velocity_m_s.x,
+                    setpoint.velocity_m_s.y,
+                    setpoint.yaw_rate_rad_s
+                ),
+                (0.0, 0.0, 0.0)
+            );
+            return;
         }
     }
-    panic!("guided flight never began");
 }

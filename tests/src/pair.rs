@@ -1,0 +1,78 @@
+//! Simulator and firmware in lockstep in one process, for tests that look into both.
+
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, StepReport};
+use vigil_world::{Family, generate};
+
+/// A longer hand-over than this, in steps, is a failure.
+const MOST_STEPS_TO_GUIDED: usize = 1200;
+
+/// A vehicle that hovers at the start of a course, and the firmware that is about to fly it.
+pub struct Pair {
+    /// The simulator.
+    pub simulator: Simulator,
+    /// The firmware.
+    pub firmware: LockstepFirmware,
+    /// The newest frame.
+    pub frame: Box<DepthFrame>,
+    to_firmware: Box<Datagrams>,
+    from_firmware: Box<Datagrams>,
+}
+
+impl Pair {
+    /// Both on the course of a seed.
+    ///
+    /// # Panics
+    /// When the default models or configuration are refused.
+    pub fn new(family: Family, seed: u64) -> Self {
+        let mut config = SimConfig::new(generate(family, seed), seed);
+        config.start = Start::Airborne;
+        let goal = config.course.goal_ned_m();
+        Self {
+            simulator: Simulator::new(&config, 0).expect("a simulator"),
+            firmware: LockstepFirmware::new(&FirmwareConfig::to_goal(goal)).expect("a firmware"),
+            frame: Box::new(DepthFrame::EMPTY),
+            to_firmware: Box::default(),
+            from_firmware: Box::default(),
+        }
+    }
+
+    /// The simulator's half of a step.
+    pub fn simulate(&mut self) {
+        self.simulator
+            .lockstep(&self.from_firmware, &mut self.frame, &mut self.to_firmware);
+    }
+
+    /// The firmware's half of a step, with the frame or blind.
+    pub fn decide(&mut self, sees: bool) -> StepReport {
+        let frame = sees.then_some(&*self.frame);
+        *self.firmware.step(
+            self.simulator.now_ns(),
+            frame,
+            &self.to_firmware,
+            &mut self.from_firmware,
+        )
+    }
+
+    /// The firmware says nothing in this step.
+    pub fn silence(&mut self) {
+        self.from_firmware.clear();
+    }
+
+    /// Flies until guidance has flown for `steps`.
+    ///
+    /// # Panics
+    /// When guided flight does not begin.
+    pub fn fly_guided(&mut self, steps: usize) {
+        let mut guided = 0;
+        for _ in 0..MOST_STEPS_TO_GUIDED {
+            self.simulate();
+            guided += usize::from(self.decide(true).state == GuidanceState::Guided);
+            if guided == steps {
+                return;
+            }
+        }
+        panic!("guided flight did not last {steps} steps");
+    }
+}
