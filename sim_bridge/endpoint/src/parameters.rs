@@ -101,7 +101,8 @@ macro_rules! parameters {
     };
 }
 
-// In alphabetical order of their names: the index on the wire.
+// In alphabetical order of their names: the index on the wire. Speeds end where the vehicle's own limits lie
+// (`vigil_vehicle::ControlParams`): beyond them a parameter would not act.
 parameters! {
     DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
         "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";
@@ -115,17 +116,17 @@ parameters! {
         "Height above home that a take-off climbs to when the command gives none";
     LandSlowHeightM = "MPC_LAND_ALT2", Real32(5.0), 1.0, 50.0, "m",
         "Height above home below which a landing descends with MPC_LAND_SPEED";
-    LandSpeedMS = "MPC_LAND_SPEED", Real32(0.7), 0.3, 2.0, "m/s",
+    LandSpeedMS = "MPC_LAND_SPEED", Real32(0.7), 0.3, 1.5, "m/s",
         "Rate of descent of the last metres of a landing";
-    TakeoffSpeedMS = "MPC_TKO_SPEED", Real32(1.5), 0.3, 5.0, "m/s",
+    TakeoffSpeedMS = "MPC_TKO_SPEED", Real32(1.5), 0.3, 2.5, "m/s",
         "Rate of climb of a take-off";
-    CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 12.0, "m/s",
+    CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 10.0, "m/s",
         "Horizontal speed of go-to and return";
-    MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(12.0), 0.5, 12.0, "m/s",
+    MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(10.0), 0.5, 10.0, "m/s",
         "Limit of horizontal speed of offboard setpoints";
-    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 4.0, "m/s",
+    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 1.5, "m/s",
         "Limit of the rate of descent";
-    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(3.0), 0.3, 8.0, "m/s",
+    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(2.5), 0.3, 2.5, "m/s",
         "Limit of the rate of climb of offboard setpoints";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";

@@ -11,4 +11,6 @@ pub use mode::FlightMode;
 pub(crate) use commander::{Commander, Denial};
 pub(crate) use control::position_target;
 pub(crate) use mode::Requested;
-pub(crate) use setpoints::{Claim, SetpointDefect, Setpoints, Taken, attitude_setpoint, position_setpoint};
+pub(crate) use setpoints::{
+    Claim, SetpointDefect, Setpoints, Taken, attitude_setpoint, global_setpoint, position_setpoint,
+};

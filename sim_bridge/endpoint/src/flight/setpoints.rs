@@ -5,9 +5,10 @@
 //! OFFBOARD is left.
 
 use crate::core::ComponentId;
+use crate::{HomePosition, geo};
 use vigil_link::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
-    SET_POSITION_TARGET_LOCAL_NED_DATA,
+    SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, YawCommand};
@@ -222,6 +223,35 @@ pub(crate) fn position_setpoint(
     }
 }
 
+/// What a SET_POSITION_TARGET_GLOBAL_INT asks for: the same with a place on the globe, its altitude above sea level
+/// (frames 0 and 5) or above home (3 and 6).
+pub(crate) fn global_setpoint(
+    m: &SET_POSITION_TARGET_GLOBAL_INT_DATA,
+    home: &HomePosition,
+    speed_limit_m_s: f32,
+) -> Result<ControlCommand, SetpointDefect> {
+    let height_m = match m.coordinate_frame {
+        MavFrame::MAV_FRAME_GLOBAL | MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
+        MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT | MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT => m.alt,
+        _ => return Err(SetpointDefect::Form),
+    };
+    let (x, y) = geo::to_local(home, f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
+    let local = SET_POSITION_TARGET_LOCAL_NED_DATA {
+        x,
+        y,
+        z: -height_m,
+        vx: m.vx,
+        vy: m.vy,
+        vz: m.vz,
+        yaw: m.yaw,
+        yaw_rate: m.yaw_rate,
+        type_mask: m.type_mask,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    position_setpoint(&local, speed_limit_m_s)
+}
+
 /// What a SET_ATTITUDE_TARGET asks for: attitude and thrust, or body rates and thrust.
 pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlCommand, SetpointDefect> {
     let rates = AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
@@ -348,6 +378,34 @@ mod tests {
             m.x = bad;
             assert!(position_setpoint(&m, 5.0).is_ok());
         }
+    }
+
+    #[test]
+    fn a_place_on_the_globe_is_flown_to_as_the_local_point_it_is() {
+        let home = HomePosition::default();
+        let (lat, lon, _) = geo::to_global(&home, NedVector::new(40.0, -30.0, 0.0));
+        let mut m = SET_POSITION_TARGET_GLOBAL_INT_DATA {
+            lat_int: geo::deg_e7(lat),
+            lon_int: geo::deg_e7(lon),
+            alt: 495.0,
+            type_mask: PositionMask::from_bits_retain(0x9F8),
+            coordinate_frame: MavFrame::MAV_FRAME_GLOBAL_INT,
+            ..Default::default()
+        };
+        let place = |m: &SET_POSITION_TARGET_GLOBAL_INT_DATA| match global_setpoint(m, &home, 5.0) {
+            Ok(ControlCommand::Position { position_ned_m, .. }) => position_ned_m,
+            other => panic!("{other:?}"),
+        };
+        let wanted = NedVector::new(40.0, -30.0, -7.0);
+        assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
+        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
+        m.alt = 7.0;
+        assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
+        // On the other side of the globe: absurd.
+        m.lat_int = -m.lat_int;
+        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Value));
+        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT;
+        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Form));
     }
 
     #[test]

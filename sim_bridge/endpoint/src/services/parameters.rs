@@ -6,10 +6,12 @@ use crate::parameters::{ParameterError, ParameterValue, Parameters};
 use crate::service::{Service, Source};
 use vigil_link::MavMessage;
 use vigil_link::common::{
-    MavParamType, MavSeverity, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
+    MavParamError, MavParamType, MavSeverity, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
+    PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
 use vigil_link::framing::Packet;
 use vigil_link::mavlink::MessageData;
+use vigil_link::mavlink::types::CharArray;
 use vigil_types::Nanos;
 
 /// Pause between the values of a list: a burst would overrun a client's socket buffer.
@@ -49,10 +51,16 @@ impl Service for ParameterService {
                 };
                 match index.and_then(|index| value_message(core, index)) {
                     Some(message) => core.outbox.send(source.link, &message),
-                    None => core.refusals.parameter += 1,
+                    None => refuse(
+                        core,
+                        source,
+                        m.param_id,
+                        m.param_index,
+                        MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+                    ),
                 }
             }
-            Ok(MavMessage::PARAM_SET(m)) => set(&m, source.link, core),
+            Ok(MavMessage::PARAM_SET(m)) => set(&m, source, core),
             _ => core.refusals.not_parsed += 1,
         }
     }
@@ -100,35 +108,52 @@ fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
     }))
 }
 
-/// Sets and tells everybody the value in force; a refusal tells the sender the value that stays, and why as a text.
-fn set(m: &PARAM_SET_DATA, link: LinkId, core: &mut Core) {
-    let name = m.param_id.to_str().unwrap_or("").to_owned();
-    let Some(index) = Parameters::index_of(&name) else {
-        core.refusals.parameter += 1;
-        let error = ParameterError::Unknown { name };
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, &error.to_string());
-        return;
-    };
-    let value = match m.param_type {
-        MavParamType::MAV_PARAM_TYPE_INT32 => Some(ParameterValue::Int32(m.param_value.to_bits() as i32)),
-        MavParamType::MAV_PARAM_TYPE_REAL32 => Some(ParameterValue::Real32(m.param_value)),
-        _ => None,
-    };
-    let outcome = match value {
-        Some(value) => core.parameters.set(index, value),
-        None => Err(ParameterError::WrongType {
+/// Counts a refusal and tells the sender.
+fn refuse(core: &mut Core, source: Source, param_id: CharArray<16>, param_index: i16, error: MavParamError) {
+    core.refusals.parameter += 1;
+    let message = MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
+        param_index,
+        target_system: source.id.system,
+        target_component: source.id.component,
+        param_id,
+        error,
+    });
+    core.outbox.send(source.link, &message);
+}
+
+/// Sets and tells everybody the value in force. A refusal tells the sender the value that stays and why, for clients that
+/// know PARAM_ERROR and, as a text, for people.
+fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
+    let name = m.param_id.to_str().unwrap_or("");
+    let index = Parameters::index_of(name);
+    let outcome = match (index, m.param_type) {
+        (None, _) => Err(ParameterError::Unknown { name: name.to_owned() }),
+        (Some(index), MavParamType::MAV_PARAM_TYPE_INT32) => core
+            .parameters
+            .set(index, ParameterValue::Int32(m.param_value.to_bits() as i32)),
+        (Some(index), MavParamType::MAV_PARAM_TYPE_REAL32) => {
+            core.parameters.set(index, ParameterValue::Real32(m.param_value))
+        }
+        (Some(index), _) => Err(ParameterError::WrongType {
             name: crate::parameter_table()[index].name,
         }),
     };
-    let Some(message) = value_message(core, index) else {
+    let message = index.and_then(|index| value_message(core, index));
+    let Err(error) = outcome else {
+        if let Some(message) = message {
+            core.outbox.send_all(&message);
+        }
         return;
     };
-    match outcome {
-        Ok(()) => core.outbox.send_all(&message),
-        Err(error) => {
-            core.refusals.parameter += 1;
-            core.outbox.send(link, &message);
-            core.text(MavSeverity::MAV_SEVERITY_WARNING, &error.to_string());
-        }
+    let code = match error {
+        ParameterError::Unknown { .. } => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+        ParameterError::WrongType { .. } => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
+        ParameterError::OutOfRange { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+    };
+    // The error first: a client that knows it would take the unchanged value for a lost packet and try again.
+    refuse(core, source, m.param_id, index.map_or(-1, |i| i as i16), code);
+    if let Some(message) = message {
+        core.outbox.send(source.link, &message);
     }
+    core.text(MavSeverity::MAV_SEVERITY_WARNING, &error.to_string());
 }

@@ -1,11 +1,13 @@
 //! Offboard setpoints as they come. <https://docs.px4.io/main/en/flight_modes/offboard.html>
 
 use crate::core::Core;
-use crate::flight::{SetpointDefect, Taken, attitude_setpoint, position_setpoint};
+use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::parameters::ParamId;
 use crate::service::{Service, Source};
 use vigil_link::MavMessage;
-use vigil_link::common::{MavSeverity, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA};
+use vigil_link::common::{
+    MavSeverity, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
+};
 use vigil_link::framing::Packet;
 use vigil_link::mavlink::MessageData;
 
@@ -13,11 +15,18 @@ pub(crate) struct SetpointService;
 
 impl Service for SetpointService {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
-        if ![SET_POSITION_TARGET_LOCAL_NED_DATA::ID, SET_ATTITUDE_TARGET_DATA::ID].contains(&packet.message_id()) {
+        let ids = [
+            SET_POSITION_TARGET_LOCAL_NED_DATA::ID,
+            SET_POSITION_TARGET_GLOBAL_INT_DATA::ID,
+            SET_ATTITUDE_TARGET_DATA::ID,
+        ];
+        if !ids.contains(&packet.message_id()) {
             return;
         }
+        let speed_limit_m_s = core.param(ParamId::MaxSpeedMS);
         let command = match packet.message() {
-            Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, core.param(ParamId::MaxSpeedMS)),
+            Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, speed_limit_m_s),
+            Ok(MavMessage::SET_POSITION_TARGET_GLOBAL_INT(m)) => global_setpoint(&m, &core.home, speed_limit_m_s),
             Ok(MavMessage::SET_ATTITUDE_TARGET(m)) => attitude_setpoint(&m),
             _ => {
                 core.refusals.not_parsed += 1;

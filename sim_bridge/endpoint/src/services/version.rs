@@ -56,6 +56,7 @@ fn autopilot_version(core: &Core) -> Option<MavMessage> {
         | Capability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
         | Capability::MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
         | Capability::MAV_PROTOCOL_CAPABILITY_MAVLINK2;
     let uid = u64::from(core.id.system);

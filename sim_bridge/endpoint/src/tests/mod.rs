@@ -1,5 +1,6 @@
 //! Stories of the whole endpoint.
 
+mod documentation;
 mod flight;
 mod ownership;
 mod protocol;

@@ -178,7 +178,7 @@ fn speeds_beyond_the_limits_are_limited_and_keep_their_direction() {
         panic!("{:?}", b.command);
     };
     assert!(
-        (v.x - 1.2).abs() < 1e-5 && (v.y - 1.6).abs() < 1e-5 && v.z == -3.0,
+        (v.x - 1.2).abs() < 1e-5 && (v.y - 1.6).abs() < 1e-5 && v.z == -2.5,
         "{v:?}"
     );
 }

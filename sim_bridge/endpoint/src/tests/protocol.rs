@@ -243,7 +243,11 @@ fn parameters_are_read_by_name_and_index_and_integers_travel_bytewise() {
         })
     };
     b.send(API, SCRIPT, &read("COM_OBL_RC_ACT", -1));
-    b.send(API, SCRIPT, &read("", 4));
+    let index = parameter_table()
+        .iter()
+        .position(|p| p.name == "MIS_TAKEOFF_ALT")
+        .expect("known");
+    b.send(API, SCRIPT, &read("", index as i16));
     let got = values(&b, API);
     assert_eq!(got[0].param_type, MavParamType::MAV_PARAM_TYPE_INT32);
     assert_eq!(got[0].param_value.to_bits(), 5);
@@ -286,6 +290,24 @@ fn a_bad_parameter_set_changes_nothing_and_says_why() {
         b.send(API, SCRIPT, &set(name, value, kind));
     }
     assert_eq!(b.status().refusals.parameter, 7);
+    use MavParamError::*;
+    let errors: Vec<_> = b
+        .messages(API)
+        .filter_map(|m| match m {
+            MavMessage::PARAM_ERROR(e) => Some((e.target_system, e.error)),
+            _ => None,
+        })
+        .collect();
+    let expected = [
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+        MAV_PARAM_ERROR_TYPE_MISMATCH,
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+        MAV_PARAM_ERROR_TYPE_MISMATCH,
+        MAV_PARAM_ERROR_TYPE_MISMATCH,
+        MAV_PARAM_ERROR_DOES_NOT_EXIST,
+    ];
+    assert_eq!(errors, expected.map(|error| (SCRIPT.system, error)));
     for value in values(&b, API) {
         let unchanged = value.param_value == 2.5 || value.param_value.to_bits() == 5;
         assert!(unchanged, "{value:?}");
