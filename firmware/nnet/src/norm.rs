@@ -208,7 +208,7 @@ struct Affine<'a> {
 
 impl Task for Affine<'_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<const FUSED: bool>(self) {
         let (p, epsilon) = (self.p, self.epsilon);
         let width = p.scale.len().max(1);
         for (x, y) in self.x.chunks_exact(width).zip(self.y.chunks_exact_mut(width)) {
@@ -230,7 +230,7 @@ struct Slopes<'a> {
 
 impl Task for Slopes<'_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<const FUSED: bool>(self) {
         let (p, epsilon) = (self.p, self.epsilon);
         let width = p.scale.len().max(1);
         for (dy, dx) in self.dy.chunks_exact(width).zip(self.dx.chunks_exact_mut(width)) {

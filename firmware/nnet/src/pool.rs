@@ -35,12 +35,12 @@ impl MaxPool2d {
 
     /// Output rows.
     pub fn out_rows(&self) -> usize {
-        self.rows / self.window
+        self.rows / self.window.max(1)
     }
 
     /// Output columns.
     pub fn out_cols(&self) -> usize {
-        self.cols / self.window
+        self.cols / self.window.max(1)
     }
 
     /// Values in the input image.
@@ -170,7 +170,7 @@ struct Larger<'a> {
 
 impl Task for Larger<'_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<const FUSED: bool>(self) {
         for (best, x) in self.best.iter_mut().zip(self.x) {
             // A value that is not a number wins, so that it is not hidden.
             *best = if *x > *best || x.is_nan() { *x } else { *best };

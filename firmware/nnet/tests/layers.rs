@@ -347,3 +347,68 @@ fn normalisation_in_training_uses_and_remembers_the_batch() {
             .is_err()
     );
 }
+
+/// Convolution is linear in its input and in its weights, so both gradients are its adjoints:
+/// `⟨conv(x, w), d⟩ = ⟨x, input gradient(d)⟩ = ⟨w, weight gradient(d)⟩`. Shapes are drawn, so that every meeting of
+/// kernel, stride, padding and edge occurs.
+#[test]
+fn gradients_of_any_convolution_are_its_adjoints() {
+    use rand::RngExt;
+    let mut rng = rng(21);
+    let mut checked = 0;
+    while checked < 400 {
+        let kernel = rng.random_range(1..=6);
+        let layer = Conv2d {
+            rows: rng.random_range(1..=12),
+            cols: rng.random_range(1..=40),
+            channels: rng.random_range(1..=20),
+            filters: rng.random_range(1..=40),
+            kernel,
+            stride: rng.random_range(1..=4),
+            padding: rng.random_range(0..kernel),
+        };
+        if layer.validate().is_err() {
+            continue;
+        }
+        checked += 1;
+        let mut params = uniform(&mut rng, layer.param_len(), 0.5);
+        params[layer.weight_len()..].fill(0.0);
+        let (x, d) = (
+            uniform(&mut rng, layer.input_len(), 1.0),
+            uniform(&mut rng, layer.output_len(), 1.0),
+        );
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+        let want: f64 = conv2d(layer, Activation::Identity, &wide(&params), &wide(&x))
+            .iter()
+            .zip(&d)
+            .map(|(y, d)| y * f64::from(*d))
+            .sum();
+        let scale = (dot(&d, &d) * dot(&x, &x)).sqrt().max(1.0);
+        for isa in Isa::available() {
+            let mut y = vec![f32::NAN; layer.output_len()];
+            layer
+                .forward(isa, &params, Activation::Identity, &x, None, &mut y)
+                .unwrap();
+            let mut packed = vec![f32::NAN; layer.param_len()];
+            layer.pack(&params, &mut packed).unwrap();
+            let mut dx = vec![f32::NAN; layer.input_len()];
+            let mut scratch = vec![f32::NAN; layer.input_gradient_scratch_len()];
+            layer.input_gradient(isa, &packed, &d, &mut dx, &mut scratch).unwrap();
+            let mut dw = vec![0.0; layer.param_len()];
+            layer.weight_gradient(isa, &x, &d, &mut dw).unwrap();
+            dw[layer.weight_len()..].fill(0.0);
+            for (what, got) in [
+                ("value", dot(&y, &d)),
+                ("input gradient", dot(&x, &dx)),
+                ("weight gradient", dot(&params, &dw)),
+            ] {
+                let error = (got - want).abs() / scale;
+                assert!(
+                    error < 1e-5,
+                    "{what} of {layer:?} on {}: {got} against {want}",
+                    isa.name()
+                );
+            }
+        }
+    }
+}

@@ -90,12 +90,12 @@ impl Conv2d {
 
     /// Output rows.
     pub fn out_rows(&self) -> usize {
-        (self.rows + 2 * self.padding - self.kernel) / self.stride + 1
+        (self.rows + 2 * self.padding).saturating_sub(self.kernel) / self.stride.max(1) + 1
     }
 
     /// Output columns.
     pub fn out_cols(&self) -> usize {
-        (self.cols + 2 * self.padding - self.kernel) / self.stride + 1
+        (self.cols + 2 * self.padding).saturating_sub(self.kernel) / self.stride.max(1) + 1
     }
 
     /// Values in the input image.

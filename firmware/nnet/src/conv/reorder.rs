@@ -19,7 +19,7 @@ fn four(values: &[f32], at: usize) -> [f32; 4] {
 
 impl Task for Transpose<'_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<const FUSED: bool>(self) {
         let (width, to_row) = (self.width, self.to_row);
         for (block, rows) in self.from.chunks(4 * width).enumerate() {
             let first = block * 4;
@@ -59,7 +59,7 @@ pub(super) struct Interleave<'a> {
 
 impl Task for Interleave<'_> {
     #[inline(always)]
-    fn run(self) {
+    fn run<const FUSED: bool>(self) {
         let len = self.from.len() / self.lists.max(1);
         if self.lists == 2
             && let Some((even, odd)) = self.from.split_at_checked(len)

@@ -17,17 +17,27 @@ pub(crate) use product::{Product, Start};
 use crate::isa::{Isa, Level};
 
 /// Element-wise work that is compiled once for each instruction set. [`Task::run`] is plain Rust, to be marked
-/// `#[inline(always)]`: the compiler vectorises its loops with what each set has and does not fuse, so all sets give the
-/// same bits.
+/// `#[inline(always)]`: the compiler vectorises its loops with what each set has, and fuses only where [`mul_add`] says.
 pub(crate) trait Task {
-    /// Does the work.
-    fn run(self);
+    /// Does the work. `FUSED`: the instruction set has fused multiply-add.
+    fn run<const FUSED: bool>(self);
+}
+
+/// `a · b + c`, rounded once if `FUSED`.
+#[inline(always)]
+pub(crate) fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+    // Without `std` there is no detection, hence no instruction set that fuses.
+    #[cfg(feature = "std")]
+    if FUSED {
+        return a.mul_add(b, c);
+    }
+    a * b + c
 }
 
 /// Runs a task compiled for the instruction set.
 pub(crate) fn run<T: Task>(isa: Isa, task: T) {
     match isa.0 {
-        Level::Portable => task.run(),
+        Level::Portable => task.run::<false>(),
         // SAFETY: an `Isa` of this level exists only where the processor has these features: its field is private and
         // is set only after detection.
         #[cfg(target_arch = "x86_64")]
@@ -41,11 +51,11 @@ pub(crate) fn run<T: Task>(isa: Isa, task: T) {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
 fn run_avx2<T: Task>(task: T) {
-    task.run();
+    task.run::<true>();
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512f,avx2,fma")]
 fn run_avx512<T: Task>(task: T) {
-    task.run();
+    task.run::<true>();
 }
