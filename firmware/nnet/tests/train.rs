@@ -3,7 +3,9 @@
 mod common;
 
 use common::*;
-use vigil_nnet::train::{Adam, PrioritizedReplay, ReplayConfig, Sampled, SumTree, clip_norm, soft_update};
+use vigil_nnet::train::{
+    Adam, OrnsteinUhlenbeck, PrioritizedReplay, ReplayConfig, Sampled, SumTree, clip_norm, normal, soft_update,
+};
 use vigil_nnet::{ActorSpec, Isa, Purpose};
 
 #[test]
@@ -162,4 +164,38 @@ fn first_weights_are_seeded_and_bounded_and_an_actor_with_them_is_not_saturated(
     let mut tape = vec![0.0; graph.tape_len()];
     graph.forward(Isa::detect(), &params, &inputs, &mut tape).unwrap();
     assert!(graph.output(&tape).unwrap().iter().all(|y| y.abs() < 0.75));
+}
+
+#[test]
+fn normal_values_have_the_normal_distributions_moments_and_tails() {
+    let mut rng = rng(12);
+    let draws: Vec<f64> = (0..200_000).map(|_| f64::from(normal(&mut rng))).collect();
+    let moment = |k: i32| draws.iter().map(|x| x.powi(k)).sum::<f64>() / draws.len() as f64;
+    // Each bound is more than four standard errors.
+    assert!(moment(1).abs() < 0.01);
+    assert!((moment(2) - 1.0).abs() < 0.015);
+    assert!(moment(3).abs() < 0.04);
+    assert!((moment(4) - 3.0).abs() < 0.1);
+    let beyond = draws.iter().filter(|x| x.abs() > 1.959_964).count() as f64 / draws.len() as f64;
+    assert!((beyond - 0.05).abs() < 0.002);
+}
+
+#[test]
+fn wandering_noise_has_its_stationary_spread_and_memory() {
+    let mut rng = rng(13);
+    let (theta, sigma) = (0.15, 0.4);
+    let mut noise = OrnsteinUhlenbeck::new(theta);
+    let values: Vec<f64> = (0..200_000).map(|_| f64::from(noise.step(&mut rng, sigma))).collect();
+    let n = values.len() as f64;
+    let variance = values.iter().map(|x| x * x).sum::<f64>() / n;
+    let pull = 1.0 - f64::from(theta);
+    let want = f64::from(sigma).powi(2) / (1.0 - pull * pull);
+    assert!((variance / want - 1.0).abs() < 0.04, "{variance} against {want}");
+    let correlation = values.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / n / variance;
+    assert!((correlation - pull).abs() < 0.01);
+    let mut still = OrnsteinUhlenbeck { theta, value: 1.0 };
+    assert!(
+        (still.step(&mut rng, 0.0) - 0.85).abs() < 1e-6,
+        "without noise it decays"
+    );
 }
