@@ -1,8 +1,9 @@
 //! What all services share: time, the vehicle's view, flight state, parameters, and what waits to be sent.
 
-use crate::flight::{Commander, Failsafe, FlightMode, LandedState, Setpoints};
+use crate::flight::{Commander, Failsafe, FenceWatch, FlightMode, LandedState, Setpoints};
 use crate::outbox::Outbox;
 use crate::parameters::{ParamId, Parameters};
+use crate::plan::Plans;
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId};
 use vigil_link::framing::FramingCounters;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
@@ -42,6 +43,8 @@ pub struct Refusals {
     pub command_denied: u64,
     /// Parameter sets and reads refused.
     pub parameter: u64,
+    /// Plans refused, and messages of the mission protocol that fit no transfer.
+    pub plan: u64,
 }
 
 /// What the simulator may show and a test may check.
@@ -87,6 +90,8 @@ pub(crate) struct Core {
     pub parameters: Parameters,
     pub commander: Commander,
     pub setpoints: Setpoints,
+    pub plans: Plans,
+    pub fence_watch: FenceWatch,
     pub outbox: Outbox,
     pub framing: FramingCounters,
     pub refusals: Refusals,
@@ -113,6 +118,8 @@ impl Core {
             parameters: Parameters::new(&config.parameters)?,
             commander: Commander::default(),
             setpoints: Setpoints::default(),
+            plans: Plans::default(),
+            fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),
             framing: FramingCounters::default(),
             refusals: Refusals::default(),

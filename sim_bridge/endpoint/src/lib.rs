@@ -17,6 +17,7 @@ mod flight;
 mod geo;
 mod outbox;
 mod parameters;
+mod plan;
 mod routing;
 mod service;
 mod services;

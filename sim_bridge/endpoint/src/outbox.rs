@@ -1,7 +1,7 @@
 //! What waits to be sent: packets with their link, one packet per datagram.
 
 use crate::LinkId;
-use vigil_link::framing::{MAX_PACKET_LEN, serialize};
+use vigil_link::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
 use vigil_link::mavlink::MavHeader;
 use vigil_link::{MavMessage, framing::CommandAck};
 
@@ -51,6 +51,13 @@ impl Outbox {
     /// Queues a message of the vehicle on one link.
     pub fn send(&mut self, link: LinkId, message: &MavMessage) {
         self.build(link, |header, out| serialize(header, message, out).ok());
+    }
+
+    /// Queues a message of the vehicle whose payload is given: for what the crate's types cannot hold.
+    pub fn send_payload(&mut self, link: LinkId, message_id: u32, payload: &[u8]) {
+        self.build(link, |header, out| {
+            serialize_payload(header, message_id, payload, out).ok()
+        });
     }
 
     /// Queues a message of the vehicle on all links.

@@ -112,6 +112,12 @@ parameters! {
         "What follows a lost setpoint stream: 3 return, 4 land, 5 hold";
     OffboardLossS = "COM_OF_LOSS_T", Real32(0.4), 0.1, 10.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left (PX4's default is 1.0)";
+    FenceAction = "GF_ACTION", Int32(2), 0.0, 5.0, "",
+        "What follows when the vehicle leaves its geofence: 0 nothing, 1 warning, 2 hold, 3 return, 4 terminate, 5 land";
+    FenceRadiusM = "GF_MAX_HOR_DIST", Real32(0.0), 0.0, 10000.0, "m",
+        "Largest horizontal distance from home, part of the geofence; 0: none";
+    FenceHeightM = "GF_MAX_VER_DIST", Real32(0.0), 0.0, 10000.0, "m",
+        "Largest height above home, part of the geofence; 0: none";
     TakeoffAltitudeM = "MIS_TAKEOFF_ALT", Real32(2.5), 0.5, 80.0, "m",
         "Height above home that a take-off climbs to when the command gives none";
     LandSlowHeightM = "MPC_LAND_ALT2", Real32(5.0), 1.0, 50.0, "m",
@@ -128,6 +134,8 @@ parameters! {
         "Limit of the rate of descent";
     MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(2.5), 0.3, 2.5, "m/s",
         "Limit of the rate of climb of offboard setpoints";
+    AcceptanceRadiusM = "NAV_ACC_RAD", Real32(2.0), 0.05, 200.0, "m",
+        "Distance at which a mission item that gives none is reached";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";
 }

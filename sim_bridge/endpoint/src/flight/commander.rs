@@ -35,6 +35,8 @@ pub enum LandedState {
 pub enum Failsafe {
     /// The owner's setpoints stopped in OFFBOARD.
     SetpointLost,
+    /// The vehicle left its geofence.
+    GeofenceBreached,
 }
 
 /// Why arming, disarming or a mode change is refused.
@@ -52,8 +54,16 @@ pub(crate) enum Denial {
     SeveralSources(Vec<ComponentId>),
     #[error("offboard denied: {0} owns it")]
     OwnedByOther(ComponentId),
-    #[error("goto denied: not in the air")]
+    #[error("denied: not in the air")]
     NotInAir,
+    #[error("speed denied: not on a way of its own")]
+    NoWay,
+    #[error("mission denied: no mission")]
+    NoMission,
+    #[error("mission denied: item {0} is outside the geofence")]
+    MissionOutsideFence(usize),
+    #[error("denied: outside the geofence")]
+    OutsideFence,
 }
 
 fn list(sources: &[ComponentId]) -> String {
@@ -77,6 +87,8 @@ pub(crate) struct Commander {
     has_flown: bool,
     /// Since when it is armed on the ground.
     idle_since_ns: Nanos,
+    /// Where Return mode flies to: metres north and east of home.
+    pub(super) return_to_m: (f32, f32),
 }
 
 impl Commander {
@@ -114,6 +126,9 @@ impl Core {
         let attitude = self.view.estimate.attitude;
         if attitude.roll_rad().abs() > ARMING_TILT_RAD || attitude.pitch_rad().abs() > ARMING_TILT_RAD {
             return Err(Denial::Tilted);
+        }
+        if !self.is_inside_fence() {
+            return Err(Denial::OutsideFence);
         }
         Ok(())
     }
@@ -183,12 +198,15 @@ impl Core {
         if mode == FlightMode::Offboard {
             return self.enter_offboard(commander);
         }
+        if mode == FlightMode::Mission {
+            return self.begin_mission();
+        }
         self.clear_failsafe();
         match mode {
             FlightMode::Takeoff => self.take_off(None),
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(mode, Maneuver::Descend),
-            FlightMode::Hold | FlightMode::Offboard => self.enter(FlightMode::Hold, Maneuver::default()),
+            _ => self.enter(FlightMode::Hold, Maneuver::default()),
         }
         Ok(())
     }
@@ -254,9 +272,13 @@ impl Core {
         self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("take-off to {height_m:.1} m"));
     }
 
-    fn begin_return(&mut self) {
+    /// Returns to home or the nearest rally point.
+    pub(super) fn begin_return(&mut self) {
         let here = self.view.estimate.position_ned_m;
-        let maneuver = if self.commander.is_on_ground() || here.horizontal_norm() < 2.0 {
+        let (north, east) = self.plans.rally.nearest_m((here.x, here.y));
+        self.commander.return_to_m = (north, east);
+        let is_there = libm::hypotf(here.x - north, here.y - east) < 2.0;
+        let maneuver = if self.commander.is_on_ground() || is_there {
             Maneuver::Descend
         } else {
             let height_m = self.param(ParamId::ReturnAltitudeM).max(-here.z);
@@ -269,6 +291,9 @@ impl Core {
     pub fn go_to(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_m_s: Option<f32>) -> Result<(), Denial> {
         if !self.commander.armed || self.commander.is_on_ground() {
             return Err(Denial::NotInAir);
+        }
+        if !self.fence_allows((position_ned_m.x, position_ned_m.y), -position_ned_m.z) {
+            return Err(Denial::OutsideFence);
         }
         self.clear_failsafe();
         let cruise_m_s = self.param(ParamId::CruiseSpeedMS);
@@ -299,7 +324,7 @@ impl Core {
         }
     }
 
-    fn clear_failsafe(&mut self) {
+    pub(super) fn clear_failsafe(&mut self) {
         if self.commander.failsafe.take().is_some() {
             self.announce(message_ids::HEARTBEAT);
         }
@@ -318,12 +343,17 @@ impl Core {
         };
         let text = format!("setpoint lost: {}", action.name());
         self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+        self.fail_over(action, Failsafe::SetpointLost);
+    }
+
+    /// Enters Return, Land or Hold by itself; CRITICAL until the next mode command.
+    pub(super) fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
         match action {
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(action, Maneuver::Descend),
             _ => self.enter(FlightMode::Hold, Maneuver::default()),
         }
-        self.commander.failsafe = Some(Failsafe::SetpointLost);
+        self.commander.failsafe = Some(failsafe);
         self.announce(message_ids::HEARTBEAT);
     }
 
@@ -346,7 +376,7 @@ impl Core {
             LandedState::OnGround
         } else {
             match (c.mode, c.maneuver) {
-                (FlightMode::Takeoff, _) => LandedState::TakingOff,
+                (FlightMode::Takeoff, _) | (FlightMode::Mission, Maneuver::Climb(_)) => LandedState::TakingOff,
                 (_, Maneuver::Descend) => LandedState::Landing,
                 _ => LandedState::InAir,
             }

@@ -2,10 +2,11 @@
 
 use crate::core::Core;
 use crate::flight::FlightMode;
+use crate::flight::orbit::Orbit;
 use crate::parameters::ParamId;
 use vigil_link::common::{MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask};
 use vigil_types::{HeadingVector, Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, YawCommand};
+use vigil_vehicle::{ControlCommand, Estimate, YawCommand};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
 const CLIMB_BRAKING_M_S2: f32 = 0.4;
@@ -43,6 +44,8 @@ pub(crate) enum Maneuver {
     Descend,
     /// Obeys the owner's setpoints.
     Offboard,
+    /// Circles a point.
+    Orbit(Orbit),
 }
 
 impl Default for Maneuver {
@@ -69,6 +72,11 @@ impl Climb {
         let braking_m = self.rate_m_s * self.rate_m_s / (2.0 * CLIMB_BRAKING_M_S2);
         z_m - self.target_ned_m.z > braking_m + CLIMB_MARGIN_M
     }
+
+    /// Whether the height is reached and the vehicle rests there.
+    pub fn is_done(&self, estimate: &Estimate) -> bool {
+        (estimate.position_ned_m.z - self.target_ned_m.z).abs() < 0.2 && estimate.velocity_ned_m_s.z.abs() < 0.2
+    }
 }
 
 impl Core {
@@ -79,6 +87,9 @@ impl Core {
             return ControlCommand::MotorsOff;
         }
         let on_ground = self.commander.is_on_ground();
+        if self.commander.mode() == FlightMode::Mission {
+            self.step_mission();
+        }
         match self.commander.maneuver {
             Maneuver::Climb(climb) => {
                 self.expect_lift_off();
@@ -95,6 +106,7 @@ impl Core {
             Maneuver::Descend => ControlCommand::Descend {
                 rate_m_s: self.descent_rate_m_s(),
             },
+            Maneuver::Orbit(orbit) => self.fly_orbit(orbit),
             // In the air there is nothing to wait for.
             Maneuver::Grounded { .. } => self.fly_brake(None, None),
         }
@@ -143,11 +155,7 @@ impl Core {
     }
 
     fn fly_climb(&mut self, climb: Climb) -> ControlCommand {
-        let (z_m, climbing_m_s) = {
-            let estimate = &self.view.estimate;
-            (estimate.position_ned_m.z, estimate.velocity_ned_m_s.z)
-        };
-        if climb.is_cruising(z_m) {
+        if climb.is_cruising(self.view.estimate.position_ned_m.z) {
             return ControlCommand::VelocityNed {
                 velocity_m_s: NedVector::new(0.0, 0.0, -climb.rate_m_s),
                 yaw: YawCommand::Hold,
@@ -160,9 +168,14 @@ impl Core {
             speed_limit_m_s,
         };
         let target = climb.target_ned_m;
-        if (z_m - target.z).abs() < 0.2 && climbing_m_s.abs() < 0.2 {
+        if climb.is_done(&self.view.estimate) {
             match self.commander.mode() {
-                FlightMode::Return => self.commander.maneuver = station(NedVector::new(0.0, 0.0, target.z)),
+                FlightMode::Return => {
+                    let (north, east) = self.commander.return_to_m;
+                    self.commander.maneuver = station(NedVector::new(north, east, target.z));
+                }
+                // The mission goes on in its next step.
+                FlightMode::Mission => {}
                 _ => self.enter(FlightMode::Hold, station(target)),
             }
         }

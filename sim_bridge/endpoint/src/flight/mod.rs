@@ -2,7 +2,10 @@
 
 mod commander;
 mod control;
+mod fence;
+mod mission;
 mod mode;
+mod orbit;
 mod setpoints;
 
 pub use commander::{Failsafe, LandedState};
@@ -10,7 +13,9 @@ pub use mode::FlightMode;
 
 pub(crate) use commander::{Commander, Denial};
 pub(crate) use control::position_target;
+pub(crate) use fence::FenceWatch;
 pub(crate) use mode::Requested;
+pub(crate) use orbit::{Facing, Orbit};
 pub(crate) use setpoints::{
     Claim, SetpointDefect, Setpoints, Taken, attitude_setpoint, global_setpoint, position_setpoint,
 };

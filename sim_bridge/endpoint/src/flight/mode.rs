@@ -1,5 +1,6 @@
 //! Flight modes and their PX4 numbers: `custom_mode = main << 16 | sub << 24`.
 
+const MAIN_POSITION: u8 = 3;
 const MAIN_AUTO: u8 = 4;
 const MAIN_OFFBOARD: u8 = 6;
 
@@ -13,8 +14,12 @@ pub enum FlightMode {
     Takeoff,
     /// AUTO.LAND: descends straight down until on the ground.
     Land,
-    /// AUTO.RTL: climbs, flies home, lands.
+    /// AUTO.RTL: climbs, flies home or to a rally point, lands.
     Return,
+    /// AUTO.MISSION: flies the mission, then Hold.
+    Mission,
+    /// POSCTL.ORBIT: circles a point. Entered by DO_ORBIT alone, because it needs a point.
+    Orbit,
     /// OFFBOARD: obeys the setpoints of its owner.
     Offboard,
 }
@@ -23,23 +28,31 @@ pub enum FlightMode {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Requested {
     Flown(FlightMode),
-    /// AUTO.MISSION.
-    Mission,
     /// A mode that needs a pilot's sticks, by its PX4 name.
     Manual(&'static str),
     Unknown,
 }
 
 impl FlightMode {
-    const ALL: [Self; 5] = [Self::Hold, Self::Takeoff, Self::Land, Self::Return, Self::Offboard];
+    /// What a mode command can ask for.
+    const COMMANDED: [Self; 6] = [
+        Self::Hold,
+        Self::Takeoff,
+        Self::Land,
+        Self::Return,
+        Self::Mission,
+        Self::Offboard,
+    ];
 
     const fn px4(self) -> (u8, u8) {
         match self {
             Self::Takeoff => (MAIN_AUTO, 2),
             Self::Hold => (MAIN_AUTO, 3),
+            Self::Mission => (MAIN_AUTO, 4),
             Self::Return => (MAIN_AUTO, 5),
             Self::Land => (MAIN_AUTO, 6),
             Self::Offboard => (MAIN_OFFBOARD, 0),
+            Self::Orbit => (MAIN_POSITION, 1),
         }
     }
 
@@ -56,6 +69,8 @@ impl FlightMode {
             Self::Takeoff => "takeoff",
             Self::Land => "land",
             Self::Return => "return",
+            Self::Mission => "mission",
+            Self::Orbit => "orbit",
             Self::Offboard => "offboard",
         }
     }
@@ -67,14 +82,13 @@ impl Requested {
         match (main, sub) {
             (1, _) => Self::Manual("manual"),
             (2, _) => Self::Manual("altitude"),
-            (3, _) => Self::Manual("position"),
+            (MAIN_POSITION, _) => Self::Manual("position"),
             (5, _) => Self::Manual("acro"),
             (7, _) => Self::Manual("stabilized"),
             (MAIN_OFFBOARD, _) => Self::Flown(FlightMode::Offboard),
-            (MAIN_AUTO, 4) => Self::Mission,
             // AUTO without a sub mode, and READY, wait where they are.
             (MAIN_AUTO, 0 | 1) => Self::Flown(FlightMode::Hold),
-            (MAIN_AUTO, _) => FlightMode::ALL
+            (MAIN_AUTO, _) => FlightMode::COMMANDED
                 .into_iter()
                 .find(|mode| mode.px4() == (main, sub))
                 .map_or(Self::Unknown, Self::Flown),
@@ -97,7 +111,7 @@ mod tests {
     fn modes_have_the_numbers_of_px4() {
         assert_eq!(FlightMode::Offboard.custom_mode(), 0x0006_0000);
         assert_eq!(FlightMode::Hold.custom_mode(), 0x0304_0000);
-        for mode in FlightMode::ALL {
+        for mode in FlightMode::COMMANDED {
             assert_eq!(Requested::from_custom_mode(mode.custom_mode()), Requested::Flown(mode));
         }
         assert_eq!(Requested::from_px4(3, 0), Requested::Manual("position"));

@@ -73,7 +73,6 @@ fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
             let outcome = core.change_mode(mode, source.id);
             answer(outcome, core)
         }
-        Requested::Mission => refuse(core, "mission denied: no mission"),
         Requested::Manual(name) => refuse(core, &format!("{name} denied: no manual control")),
         Requested::Unknown => Answer::DENIED,
     }
@@ -101,9 +100,9 @@ fn take_off(command: &Command, core: &mut Core) -> Answer {
     Answer::ACCEPTED
 }
 
-/// Goes to a place: parameter 1 speed (−1: default), 4 yaw in radians (NaN: unchanged), 5 to 7 the place in a global
-/// frame, NaN or the largest integer for "as it is".
-fn reposition(command: &Command, core: &mut Core) -> Answer {
+/// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
+/// is no place to fly to.
+pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
     let here = core.view.estimate.position_ned_m;
     let horizontal = match command.form {
         CommandForm::Int { x: i32::MAX, .. } | CommandForm::Int { y: i32::MAX, .. } => None,
@@ -112,21 +111,26 @@ fn reposition(command: &Command, core: &mut Core) -> Answer {
     let (x, y) = match horizontal {
         None => (here.x, here.y),
         Some((lat, lon)) if lat.abs() <= 90.0 && lon.abs() <= 180.0 => geo::to_local(&core.home, lat, lon),
-        Some(_) => return Answer::DENIED,
+        Some(_) => return None,
     };
     let z = match command.param(7) {
         None => here.z,
-        Some(altitude_m) => match height_m(core, command.frame(), altitude_m) {
-            Some(height) => -height,
-            None => return Answer::DENIED,
-        },
+        Some(altitude_m) => -height_m(core, command.frame(), altitude_m)?,
     };
     let position = NedVector::new(x, y, z);
     // NaN fails both comparisons.
-    if !(position.horizontal_norm() <= MAX_DISTANCE_M && z.abs() <= MAX_HEIGHT_M) {
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, "goto denied: too far from home");
-        return Answer::DENIED;
+    let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && z.abs() <= MAX_HEIGHT_M;
+    if !is_near {
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
     }
+    is_near.then_some(position)
+}
+
+/// Goes to a place: parameter 1 speed (−1: default), 4 yaw in radians (NaN: unchanged), 5 to 7 the place.
+fn reposition(command: &Command, core: &mut Core) -> Answer {
+    let Some(position) = place(command, core) else {
+        return Answer::DENIED;
+    };
     let yaw = match command.param(4) {
         Some(yaw_rad) if yaw_rad.is_finite() => YawCommand::Angle { yaw_rad },
         _ => YawCommand::Hold,

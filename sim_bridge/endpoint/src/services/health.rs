@@ -29,7 +29,12 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
         | Sensor::MAV_SYS_STATUS_AHRS
         | Sensor::MAV_SYS_STATUS_SENSOR_BATTERY
         | Sensor::MAV_SYS_STATUS_PREARM_CHECK;
+    let mut present = present;
+    present.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.has_fence());
     let mut health = present;
+    if core.fence_watch.breach.is_some() {
+        health.remove(Sensor::MAV_SYS_STATUS_GEOFENCE);
+    }
     let attitude = core.view.estimate.attitude;
     health.set(
         Sensor::MAV_SYS_STATUS_AHRS,

@@ -4,10 +4,14 @@ mod actions;
 mod arming;
 mod attitude;
 mod battery;
+mod geofence;
 mod geography;
 mod health;
 mod intervals;
+mod mission;
+mod orbit;
 mod parameters;
+mod plans;
 mod position;
 mod sensors;
 mod setpoints;
@@ -33,6 +37,10 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(geography::Geography),
         Box::new(arming::Arming),
         Box::new(actions::Actions),
+        Box::<plans::PlanTransfer>::default(),
+        Box::new(mission::MissionService),
+        Box::<geofence::Geofence>::default(),
+        Box::new(orbit::OrbitService),
         Box::<parameters::ParameterService>::default(),
         Box::new(time::Time),
         Box::new(version::Version),
@@ -41,11 +49,17 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
 
 /// Ids of messages that are announced besides their stream.
 pub(crate) mod message_ids {
-    use vigil_link::common::{EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, NAMED_VALUE_FLOAT_DATA};
+    use vigil_link::common::{
+        EXTENDED_SYS_STATE_DATA, FENCE_STATUS_DATA, HEARTBEAT_DATA, MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA,
+        NAMED_VALUE_FLOAT_DATA,
+    };
     use vigil_link::mavlink::MessageData;
 
     pub const HEARTBEAT: u32 = HEARTBEAT_DATA::ID;
     pub const EXTENDED_SYS_STATE: u32 = EXTENDED_SYS_STATE_DATA::ID;
+    pub const FENCE_STATUS: u32 = FENCE_STATUS_DATA::ID;
+    pub const MISSION_CURRENT: u32 = MISSION_CURRENT_DATA::ID;
+    pub const MISSION_ITEM_REACHED: u32 = MISSION_ITEM_REACHED_DATA::ID;
     /// The setpoint owner.
     pub const NAMED_VALUE_FLOAT: u32 = NAMED_VALUE_FLOAT_DATA::ID;
 }

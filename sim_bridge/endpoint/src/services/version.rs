@@ -58,6 +58,9 @@ fn autopilot_version(core: &Core) -> Option<MavMessage> {
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
         | Capability::MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+        | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
+        | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+        | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
         | Capability::MAV_PROTOCOL_CAPABILITY_MAVLINK2;
     let uid = u64::from(core.id.system);
     let mut uid2 = [0; 18];

@@ -2,7 +2,11 @@
 
 mod documentation;
 mod flight;
+mod geofence;
+mod mission;
+mod orbit;
 mod ownership;
+mod plans;
 mod protocol;
 mod rejection;
 mod routing;
