@@ -1,7 +1,7 @@
 //! Gated recurrent unit, PyTorch's convention.
 
 use crate::activation::{Activation, rescale};
-use crate::dense::{Dense, column_sums};
+use crate::dense::{column_sums, transpose};
 use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
@@ -293,10 +293,9 @@ pub(crate) fn pack_matrices(
     let mut at = 0;
     for inputs in rows {
         let len = inputs * cols;
-        let matrix = Dense { inputs, outputs: cols };
-        crate::dense::transpose(
-            matrix.inputs,
-            matrix.outputs,
+        transpose(
+            inputs,
+            cols,
             part("recurrent weights", params, at, len)?,
             part_mut("packed recurrent weights", packed, at, len)?,
         );
