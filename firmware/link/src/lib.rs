@@ -15,6 +15,7 @@ mod handover;
 mod operator;
 mod report;
 mod sender;
+pub mod signing;
 mod streams;
 mod time;
 mod tracker;

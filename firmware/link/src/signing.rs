@@ -1,0 +1,298 @@
+//! MAVLink 2 message signing: <https://mavlink.io/en/guide/message_signing.html>.
+//!
+//! Sans IO: the caller gives the time and keeps [`SigningMemory`] over restarts, so that what was received before one is
+//! refused after it. A signed packet ends in 13 bytes: link id, 48-bit timestamp, and the first 48 bits of the SHA-256 of
+//! key, packet, link id and timestamp.
+
+use crate::framing::Packet;
+use heapless::Vec;
+use mavlink::dialects::common::MavMessage;
+use mavlink::{MAV_STX_V2, Message, calculate_crc};
+use sha2::{Digest, Sha256};
+
+/// Units of a [`Timestamp`] in a second: one is 10 µs.
+pub const UNITS_PER_SECOND: u64 = 100_000;
+/// Bytes that signing adds to a packet.
+pub const SIGNATURE_LEN: usize = 13;
+/// Streams remembered. Only who has the key can fill the table.
+pub const MAX_STREAMS: usize = 32;
+/// A stream that was not seen before may lag this far behind; nothing may be this far ahead.
+const TOLERANCE: u64 = 60 * UNITS_PER_SECOND;
+/// 2015-01-01T00:00:00Z, the protocol's epoch, in seconds of Unix time.
+const EPOCH_UNIX_S: u64 = 1_420_070_400;
+/// Timestamps have 48 bits: they end in the year 2104.
+const LAST_TIMESTAMP: u64 = (1 << 48) - 1;
+const SIGNED_FLAG: u8 = 0x01;
+
+/// Time as signatures have it: units of 10 µs since 2015-01-01 UTC.
+pub type Timestamp = u64;
+
+/// The timestamp of a Unix time in nanoseconds; 0 for times before the protocol's epoch.
+pub const fn timestamp_of_unix_ns(unix_ns: u64) -> Timestamp {
+    unix_ns.saturating_sub(EPOCH_UNIX_S * 1_000_000_000) / 10_000
+}
+
+/// The shared secret. It is not shown by `Debug`.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct SigningKey(pub [u8; 32]);
+
+impl core::fmt::Debug for SigningKey {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("SigningKey(..)")
+    }
+}
+
+/// A sender on a link: each has timestamps of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StreamTime {
+    /// The sender's link id.
+    pub link_id: u8,
+    /// The sender's system.
+    pub system_id: u8,
+    /// The sender's component.
+    pub component_id: u8,
+    /// Timestamp of the newest packet accepted.
+    pub timestamp: Timestamp,
+}
+
+impl StreamTime {
+    fn is_same_stream(&self, other: &Self) -> bool {
+        (self.link_id, self.system_id, self.component_id) == (other.link_id, other.system_id, other.component_id)
+    }
+}
+
+/// What replay protection needs to know after a restart.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct SigningMemory {
+    /// Newest timestamp sent or accepted.
+    pub newest: Timestamp,
+    /// Newest timestamp of each stream.
+    pub streams: Vec<StreamTime, MAX_STREAMS>,
+}
+
+impl SigningMemory {
+    /// The same with every time later by `units`: what is stored while packets still come, so that those accepted after
+    /// the storing are refused too.
+    pub fn ahead(mut self, units: u64) -> Self {
+        let later = |t: Timestamp| (t + units).min(LAST_TIMESTAMP);
+        self.newest = later(self.newest);
+        for stream in &mut self.streams {
+            stream.timestamp = later(stream.timestamp);
+        }
+        self
+    }
+}
+
+/// Why a packet is not accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// It carries no signature, and none is not allowed here.
+    Unsigned,
+    /// The signature is another key's, or the packet was altered.
+    WrongSignature,
+    /// Its stream has sent this timestamp or a later one before.
+    Replayed,
+    /// It begins a stream, more than a minute behind.
+    Outdated,
+    /// It is more than a minute ahead.
+    FromTheFuture,
+    /// It begins a stream, and [`MAX_STREAMS`] are known.
+    TooManyStreams,
+}
+
+/// What was accepted and refused since start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct SigningCounters {
+    /// Packets accepted for their signature.
+    pub signed: u64,
+    /// Packets without a signature that were accepted because the link allows it.
+    pub unsigned_allowed: u64,
+    /// [`Refusal::Unsigned`].
+    pub unsigned: u64,
+    /// [`Refusal::WrongSignature`].
+    pub wrong_signature: u64,
+    /// [`Refusal::Replayed`].
+    pub replayed: u64,
+    /// [`Refusal::Outdated`].
+    pub outdated: u64,
+    /// [`Refusal::FromTheFuture`].
+    pub from_the_future: u64,
+    /// [`Refusal::TooManyStreams`].
+    pub too_many_streams: u64,
+}
+
+impl SigningCounters {
+    /// Counts a verdict.
+    pub fn count(&mut self, signed: bool, verdict: Result<(), Refusal>) {
+        let counter = match verdict {
+            Ok(()) if signed => &mut self.signed,
+            Ok(()) => &mut self.unsigned_allowed,
+            Err(Refusal::Unsigned) => &mut self.unsigned,
+            Err(Refusal::WrongSignature) => &mut self.wrong_signature,
+            Err(Refusal::Replayed) => &mut self.replayed,
+            Err(Refusal::Outdated) => &mut self.outdated,
+            Err(Refusal::FromTheFuture) => &mut self.from_the_future,
+            Err(Refusal::TooManyStreams) => &mut self.too_many_streams,
+        };
+        *counter += 1;
+    }
+
+    /// Packets refused, with the reason's name.
+    pub fn refusals(&self) -> [(&'static str, u64); 6] {
+        [
+            ("unsigned", self.unsigned),
+            ("wrong signature", self.wrong_signature),
+            ("replayed", self.replayed),
+            ("outdated", self.outdated),
+            ("from the future", self.from_the_future),
+            ("too many senders", self.too_many_streams),
+        ]
+    }
+
+    /// Packets refused, for whatever reason.
+    pub fn refused(&self) -> u64 {
+        self.refusals().iter().map(|(_, count)| count).sum()
+    }
+}
+
+/// A packet that cannot be signed: it is not MAVLink 2, is signed already, is of a message that the dialect does not
+/// know, or the buffer is too small.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("only an unsigned MAVLink 2 packet of a known message can be signed, into a buffer 13 bytes longer")]
+pub struct SignError;
+
+/// Signs and verifies with one key. Fixed memory.
+#[derive(Debug, Clone)]
+pub struct Signing {
+    key: SigningKey,
+    link_id: u8,
+    memory: SigningMemory,
+    counters: SigningCounters,
+}
+
+impl Signing {
+    /// Signs as `link_id`, and goes on where `memory` ends.
+    pub fn new(key: SigningKey, link_id: u8, memory: SigningMemory) -> Self {
+        Self {
+            key,
+            link_id,
+            memory,
+            counters: SigningCounters::default(),
+        }
+    }
+
+    /// What to keep over a restart.
+    pub fn memory(&self) -> &SigningMemory {
+        &self.memory
+    }
+
+    /// What was accepted and refused.
+    pub fn counters(&self) -> &SigningCounters {
+        &self.counters
+    }
+
+    /// Whether the packet is to be obeyed at `now`; the verdict is counted, the stream's time is noted.
+    /// With `allow_unsigned` a packet without a signature is accepted; a wrong one never is.
+    ///
+    /// # Errors
+    /// [`Refusal`].
+    pub fn verify(&mut self, now: Timestamp, packet: &Packet<'_>, allow_unsigned: bool) -> Result<(), Refusal> {
+        let verdict = match packet.is_signed() {
+            true => self.check(now, packet),
+            false if allow_unsigned => Ok(()),
+            false => Err(Refusal::Unsigned),
+        };
+        self.counters.count(packet.is_signed(), verdict);
+        verdict
+    }
+
+    fn check(&mut self, now: Timestamp, packet: &Packet<'_>) -> Result<(), Refusal> {
+        let raw = packet.raw();
+        let (signed, tail) = raw.split_last_chunk::<SIGNATURE_LEN>().ok_or(Refusal::WrongSignature)?;
+        let [link_id, t0, t1, t2, t3, t4, t5, signature @ ..] = *tail;
+        let stamp = [link_id, t0, t1, t2, t3, t4, t5];
+        if !is_equal(signature, signature_of(&self.key, signed, stamp)) {
+            return Err(Refusal::WrongSignature);
+        }
+        let timestamp = u64::from_le_bytes([t0, t1, t2, t3, t4, t5, 0, 0]);
+        let local = self.local(now);
+        let stream = StreamTime {
+            link_id,
+            system_id: packet.system_id(),
+            component_id: packet.component_id(),
+            timestamp,
+        };
+        let known = self.memory.streams.iter_mut().find(|s| s.is_same_stream(&stream));
+        if known.as_ref().is_some_and(|known| timestamp <= known.timestamp) {
+            return Err(Refusal::Replayed);
+        }
+        if timestamp > local + TOLERANCE {
+            return Err(Refusal::FromTheFuture);
+        }
+        match known {
+            Some(known) => known.timestamp = timestamp,
+            None if timestamp + TOLERANCE < local => return Err(Refusal::Outdated),
+            None => self.memory.streams.push(stream).map_err(|_| Refusal::TooManyStreams)?,
+        }
+        self.memory.newest = self.memory.newest.max(timestamp);
+        Ok(())
+    }
+
+    /// The clock, or what was sent or accepted, whichever is later: the protocol's local timestamp. So a machine without
+    /// a battery for its clock goes on where it was.
+    fn local(&self, now: Timestamp) -> Timestamp {
+        now.max(self.memory.newest)
+    }
+
+    /// Writes an unsigned MAVLink 2 packet, signed at `now`, into `out` and returns its length. Each packet's timestamp is
+    /// later than that of the packet before.
+    ///
+    /// # Errors
+    /// [`SignError`].
+    pub fn sign(&mut self, now: Timestamp, packet: &[u8], out: &mut [u8]) -> Result<usize, SignError> {
+        let &[MAV_STX_V2, _, 0, _, _, _, _, id0, id1, id2, ..] = packet else {
+            return Err(SignError);
+        };
+        let message_id = u32::from_le_bytes([id0, id1, id2, 0]);
+        let extra_crc = MavMessage::extra_crc(message_id);
+        if extra_crc == 0 && MavMessage::default_message_from_id(message_id).is_none() {
+            return Err(SignError);
+        }
+        let len = packet.len() + SIGNATURE_LEN;
+        let out = out.get_mut(..len).ok_or(SignError)?;
+        let (signed, tail) = out.split_at_mut(packet.len());
+        signed.copy_from_slice(packet);
+        if let Some(flags) = signed.get_mut(2) {
+            *flags |= SIGNED_FLAG;
+        }
+        // The checksum covers the flags.
+        let (checked, crc) = signed.split_last_chunk_mut::<2>().ok_or(SignError)?;
+        *crc = calculate_crc(checked.get(1..).unwrap_or_default(), extra_crc).to_le_bytes();
+        let timestamp = now.max(self.memory.newest + 1).min(LAST_TIMESTAMP);
+        self.memory.newest = timestamp;
+        let [t0, t1, t2, t3, t4, t5, ..] = timestamp.to_le_bytes();
+        let stamp = [self.link_id, t0, t1, t2, t3, t4, t5];
+        let (stamp_slot, signature_slot) = tail.split_at_mut(stamp.len());
+        stamp_slot.copy_from_slice(&stamp);
+        signature_slot.copy_from_slice(&signature_of(&self.key, signed, stamp));
+        Ok(len)
+    }
+}
+
+/// The first 48 bits of SHA-256 over key, packet (start marker to checksum), link id and timestamp.
+fn signature_of(key: &SigningKey, packet: &[u8], stamp: [u8; 7]) -> [u8; 6] {
+    let mut hash = Sha256::new();
+    hash.update(key.0);
+    hash.update(packet);
+    hash.update(stamp);
+    let mut signature = [0; 6];
+    for (to, from) in signature.iter_mut().zip(hash.finalize()) {
+        *to = from;
+    }
+    signature
+}
+
+/// Compares in a time that does not tell how much of the signature fits.
+fn is_equal(a: [u8; 6], b: [u8; 6]) -> bool {
+    a.iter().zip(b).fold(0, |differing, (x, y)| differing | (x ^ y)) == 0
+}
