@@ -1,5 +1,6 @@
 //! What one simulated flight is made of, and the file that changes the defaults.
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use vigil_endpoint::EndpointConfig;
@@ -135,8 +136,8 @@ pub struct CourseChoice {
     pub course: Option<PathBuf>,
 
     /// Family of generated courses.
-    #[arg(long, value_enum, default_value_t = FamilyName::Validation)]
-    pub family: FamilyName,
+    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
+    pub family: Family,
 
     /// Seed of course, noise and wind; a random one when absent.
     #[arg(long)]
@@ -147,28 +148,15 @@ impl Default for CourseChoice {
     fn default() -> Self {
         Self {
             course: None,
-            family: FamilyName::Validation,
+            family: Family::Validation,
             seed: None,
         }
     }
 }
 
-/// A family of generated courses, as named on the command line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum FamilyName {
-    /// What pilots are developed on.
-    Training,
-    /// Other layouts and densities, for measuring.
-    Validation,
-}
-
-impl From<FamilyName> for Family {
-    fn from(name: FamilyName) -> Self {
-        match name {
-            FamilyName::Training => Self::Training,
-            FamilyName::Validation => Self::Validation,
-        }
-    }
+/// Parses the name of a family of courses; help and errors list all of them.
+pub fn family_parser() -> impl TypedValueParser<Value = Family> {
+    PossibleValuesParser::new(Family::ALL.map(Family::name)).try_map(|name| name.parse::<Family>())
 }
 
 impl CourseChoice {
@@ -186,7 +174,7 @@ impl CourseChoice {
     pub fn load(&self, seed: u64) -> Result<Course, ConfigError> {
         match &self.course {
             Some(path) => Ok(Course::load(path)?),
-            None => Ok(generate(self.family.into(), seed)),
+            None => Ok(generate(self.family, seed)),
         }
     }
 }

@@ -8,5 +8,5 @@ mod simulator;
 mod udp;
 
 pub use companion_view::CompanionView;
-pub use config::{ConfigError, CourseChoice, FamilyName, Models, SimConfig, Start};
+pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, family_parser};
 pub use simulator::{Ending, LIDAR_SENSOR_ID, STEP_MS, Simulator};

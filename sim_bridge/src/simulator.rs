@@ -109,6 +109,7 @@ impl Simulator {
         self.vehicle
             .step(if crashed { &ControlCommand::MotorsOff } else { &command });
         let truth = self.vehicle.truth();
+        self.world.set_time_ns(self.elapsed_ms * MILLISECOND_NS);
 
         if self.lifted_off_ms.is_none() && !self.vehicle.view().on_ground {
             self.lifted_off_ms = Some(self.elapsed_ms);

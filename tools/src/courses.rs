@@ -93,7 +93,13 @@ fn check(files: &[PathBuf]) -> ExitCode {
         };
         let verdict = match choice.load(0) {
             Ok(course) if course.corridor().is_some() => {
-                format!("{}: ok, {} obstacles", file.display(), course.solids().len())
+                let obstacles = course.solids().len() + course.movers.len();
+                if course.earliest_arrival_s(0.0).is_some() {
+                    format!("{}: ok, {obstacles} obstacles", file.display())
+                } else {
+                    good = false;
+                    format!("{}: the movers leave no time to get to the goal", file.display())
+                }
             }
             Ok(_) => {
                 good = false;

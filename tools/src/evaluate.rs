@@ -12,10 +12,10 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep::{FirmwarePort, FlightRecord, fly_lockstep};
-use vigil_sim::{FamilyName, Models, SimConfig, Simulator, Start};
+use vigil_sim::{Models, SimConfig, Simulator, Start, family_parser};
 use vigil_types::{Datagrams, DepthFrame, Nanos, STEP_S};
 use vigil_vehicle::Wind;
-use vigil_world::{Course, FlightPath, Outcome, generate};
+use vigil_world::{Course, Family, FlightPath, Outcome, generate};
 
 /// Arguments of `vigil evaluate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -24,6 +24,7 @@ Examples:
   vigil evaluate --flights 500 --seed 1000000           500 validation courses, seeds 1000000 to 1000499
   vigil evaluate --flights 200 --wind 4                 the same pilot in a mean wind of 4 m/s
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
+  vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
 
 Each flight begins hovering at the start and ends as success, collision, out of bounds or time-out (docs/courses.md).
@@ -38,8 +39,8 @@ pub struct EvaluateArgs {
     seed: u64,
 
     /// Family of generated courses.
-    #[arg(long, value_enum, default_value_t = FamilyName::Validation)]
-    family: FamilyName,
+    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
+    family: Family,
 
     /// Threads; all cores when absent.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -84,7 +85,7 @@ struct Rate {
 #[derive(Serialize)]
 struct Report<'a> {
     version: &'static str,
-    family: String,
+    family: Family,
     first_seed: u64,
     wind_m_s: f64,
     noise_factor: f32,
@@ -166,7 +167,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 }
 
 fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
-    let course = generate(args.family.into(), seed);
+    let course = generate(args.family, seed);
     let mut models = models.clone();
     models.lidar.range_noise_sigma_m *= args.noise;
     models.lidar.dropout_probability = (models.lidar.dropout_probability * args.noise).min(1.0);
@@ -293,7 +294,7 @@ fn report(args: &EvaluateArgs, flights: &[Flight], wall_s: f64, threads: usize) 
         std::io::BufWriter::new(file),
         &Report {
             version: env!("CARGO_PKG_VERSION"),
-            family: format!("{:?}", args.family).to_lowercase(),
+            family: args.family,
             first_seed: args.seed,
             wind_m_s: args.wind,
             noise_factor: args.noise,

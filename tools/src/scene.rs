@@ -3,11 +3,13 @@
 use vigil_log::{Scene, SceneSolid};
 use vigil_world::{Course, Solid};
 
-/// The obstacles for display in the log.
+/// The obstacles for display in the log; movers stand where they are at time zero.
 pub fn of(course: &Course) -> Scene {
+    let movers = course.movers.iter().map(|m| m.solid_at(0));
     let solids = course
         .solids()
         .into_iter()
+        .chain(movers)
         .map(|solid| match solid {
             Solid::Cuboid {
                 centre_ned_m,

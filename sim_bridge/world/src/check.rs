@@ -1,6 +1,7 @@
 //! What makes a course usable, beyond its syntax.
 
 use crate::course::Course;
+use crate::mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 use crate::solid::Solid;
 use crate::vehicle::VEHICLE;
 
@@ -126,6 +127,7 @@ impl Course {
             ("box", self.boxes.len()),
             ("wall", self.walls.len()),
             ("overhang", self.overhangs.len()),
+            ("mover", self.movers.len()),
         ];
         let count: usize = lists.iter().map(|(_, n)| n).sum();
         if count > MAX_OBSTACLES {
@@ -178,7 +180,7 @@ impl Course {
                 );
             }
         }
-        Ok(())
+        self.movers.iter().enumerate().try_for_each(|(i, m)| m.check(i))
     }
 
     fn check_places(&self) -> Result<(), FieldProblem> {
@@ -203,11 +205,12 @@ impl Course {
         }
         // The column of air from the ground to above flight height must be free where the vehicle takes off and lands.
         let top_m = self.flight_height_m + VEHICLE.height_m;
-        let lists: [(&str, Vec<Solid>); 4] = [
+        let lists: [(&str, Vec<Solid>); 5] = [
             ("column", self.columns.iter().map(|o| o.solid()).collect()),
             ("box", self.boxes.iter().map(|o| o.solid()).collect()),
             ("wall", self.walls.iter().map(|o| o.solid()).collect()),
             ("overhang", self.overhangs.iter().map(|o| o.solid()).collect()),
+            ("mover", self.movers.iter().map(Mover::track).collect()),
         ];
         for (kind, solids) in &lists {
             for (i, solid) in solids.iter().enumerate().filter(|(_, s)| s.bottom_m() < top_m) {
@@ -223,5 +226,45 @@ impl Course {
             }
         }
         Ok(())
+    }
+}
+
+impl Mover {
+    fn check(&self, i: usize) -> Result<(), FieldProblem> {
+        for k in 0..2 {
+            coordinate(&format!("mover[{i}].from_m[{k}]"), self.from_m[k])?;
+            coordinate(&format!("mover[{i}].to_m[{k}]"), self.to_m[k])?;
+        }
+        if self.length_m() < 0.01 {
+            return problem(
+                format!("mover[{i}].to_m"),
+                "is the same point as from_m, must be another; what stands still is a column or a box",
+            );
+        }
+        if !(0.01..=MAX_MOVER_SPEED_M_S).contains(&self.speed_m_s) {
+            return problem(
+                format!("mover[{i}].speed_m_s"),
+                format!("is {}, must be from 0.01 to {MAX_MOVER_SPEED_M_S} m/s", self.speed_m_s),
+            );
+        }
+        if !(0.0..=1.0).contains(&self.phase) {
+            return problem(
+                format!("mover[{i}].phase"),
+                format!("is {}, must be a share of the way to and fro, from 0 to 1", self.phase),
+            );
+        }
+        size(&format!("mover[{i}].height_m"), self.height_m)?;
+        match self.shape {
+            MoverShape::Column { radius_m } => size(&format!("mover[{i}].shape.column.radius_m"), radius_m),
+            MoverShape::Box {
+                length_m,
+                width_m,
+                yaw_deg,
+            } => {
+                size(&format!("mover[{i}].shape.box.length_m"), length_m)?;
+                size(&format!("mover[{i}].shape.box.width_m"), width_m)?;
+                angle(&format!("mover[{i}].shape.box.yaw_deg"), yaw_deg)
+            }
+        }
     }
 }

@@ -1,6 +1,6 @@
 //! Is there a way? A search on a grid at flight height.
 
-use crate::course::Course;
+use crate::course::{Course, Family};
 use crate::solid::Solid;
 use crate::vehicle::VEHICLE;
 use std::cmp::Reverse;
@@ -8,29 +8,39 @@ use std::collections::BinaryHeap;
 
 /// Free space that a corridor keeps around the vehicle's solid, to the sides, above and below.
 pub const CORRIDOR_MARGIN_M: f32 = 0.6;
+/// The same for courses of [`Family::Hard`], whose narrowest door is 1.6 m wide.
+pub const HARD_CORRIDOR_MARGIN_M: f32 = 0.3;
 /// Grid spacing of the search; wider where the bounds would need more than [`MAX_CELLS`].
 const CELL_M: f32 = 0.2;
+/// The same for courses of [`Family::Hard`]: what is left of a door of 1.6 m without the margins is 0.4 m wide.
+const HARD_CELL_M: f32 = 0.1;
 /// Bounds the memory of a search to 10 MB.
 const MAX_CELLS: f32 = 1e6;
 
 /// Free cells of a course's plan view.
-struct Grid {
-    cell_m: f32,
-    north_cells: usize,
-    east_cells: usize,
+pub(crate) struct Grid {
+    pub(crate) cell_m: f32,
+    pub(crate) north_cells: usize,
+    pub(crate) east_cells: usize,
     origin_m: [f32; 2],
+    /// What a cell's centre keeps from every solid.
+    pub(crate) clearance_m: f32,
     free: Vec<bool>,
 }
 
 impl Grid {
     /// Marks as free what keeps the vehicle's radius and the margin from every solid that reaches into the band of heights the
     /// vehicle needs, and from the bounds.
-    fn new(course: &Course, solids: &[Solid]) -> Self {
+    pub(crate) fn new(course: &Course, solids: &[Solid]) -> Self {
         let b = &course.bounds;
         let area_m2 = (b.north_m[1] - b.north_m[0]) * (b.east_m[1] - b.east_m[0]);
-        let cell_m = CELL_M.max((area_m2 / MAX_CELLS).sqrt());
+        let finest_m = match course.family {
+            Some(Family::Hard) => HARD_CELL_M,
+            _ => CELL_M,
+        };
+        let cell_m = finest_m.max((area_m2 / MAX_CELLS).sqrt());
         // Half a cell's diagonal more, so that the way between two neighbouring cells keeps the margin too.
-        let clearance_m = VEHICLE.radius_m + CORRIDOR_MARGIN_M + 0.5 * core::f32::consts::SQRT_2 * cell_m;
+        let clearance_m = VEHICLE.radius_m + course.corridor_margin_m() + 0.5 * core::f32::consts::SQRT_2 * cell_m;
         let cells = |range: [f32; 2]| ((range[1] - range[0]) / cell_m) as usize + 1;
         let (north_cells, east_cells) = (cells(b.north_m), cells(b.east_m));
         let edge = (clearance_m / cell_m).ceil() as usize;
@@ -44,15 +54,21 @@ impl Grid {
             north_cells,
             east_cells,
             origin_m: [b.north_m[0], b.east_m[0]],
+            clearance_m,
             free,
         };
         for solid in solids.iter().filter(|s| in_the_way(course, s)) {
-            grid.block(solid, clearance_m);
+            let mut blocked = Vec::new();
+            grid.near(solid, clearance_m, |cell| blocked.push(cell));
+            for (i, j) in blocked {
+                grid.free[i * grid.east_cells + j] = false;
+            }
         }
         grid
     }
 
-    fn block(&mut self, solid: &Solid, clearance_m: f32) {
+    /// Calls `cell` for each cell whose centre is nearer to a solid than `clearance_m`.
+    pub(crate) fn near(&self, solid: &Solid, clearance_m: f32, mut cell: impl FnMut((usize, usize))) {
         let centre = solid.centre_ned_m();
         let (half_north_m, half_east_m) = solid.plan_half_extents_m();
         let rows = self.span(0, centre.x, half_north_m + clearance_m);
@@ -61,7 +77,7 @@ impl Grid {
             for j in cols.clone() {
                 let [north_m, east_m] = self.point(i, j);
                 if solid.plan_distance_m(north_m, east_m) < clearance_m {
-                    self.free[i * self.east_cells + j] = false;
+                    cell((i, j));
                 }
             }
         }
@@ -82,7 +98,7 @@ impl Grid {
         ]
     }
 
-    fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
+    pub(crate) fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
         let index = |axis: usize, count: usize| {
             let cell = ((point[axis] - self.origin_m[axis]) / self.cell_m).round().max(0.0) as usize;
             cell.min(count - 1)
@@ -90,7 +106,7 @@ impl Grid {
         (index(0, self.north_cells), index(1, self.east_cells))
     }
 
-    fn is_free(&self, (i, j): (usize, usize)) -> bool {
+    pub(crate) fn is_free(&self, (i, j): (usize, usize)) -> bool {
         self.free[i * self.east_cells + j]
     }
 
@@ -157,8 +173,8 @@ impl Grid {
 }
 
 /// Whether a solid reaches into the band of heights that a vehicle at flight height needs.
-fn in_the_way(course: &Course, solid: &Solid) -> bool {
-    let reach_m = 0.5 * VEHICLE.height_m + CORRIDOR_MARGIN_M;
+pub(crate) fn in_the_way(course: &Course, solid: &Solid) -> bool {
+    let reach_m = 0.5 * VEHICLE.height_m + course.corridor_margin_m();
     solid.bottom_m() < course.flight_height_m + reach_m && solid.top_m() > course.flight_height_m - reach_m
 }
 
@@ -178,10 +194,20 @@ fn line_clearance_m(course: &Course, solids: &[Solid], from: [f32; 2], to: [f32;
 }
 
 impl Course {
+    /// Free space that this course's corridor keeps: [`HARD_CORRIDOR_MARGIN_M`] in the hard family, [`CORRIDOR_MARGIN_M`] in
+    /// all others.
+    pub fn corridor_margin_m(&self) -> f32 {
+        match self.family {
+            Some(Family::Hard) => HARD_CORRIDOR_MARGIN_M,
+            _ => CORRIDOR_MARGIN_M,
+        }
+    }
+
     /// A way from start to goal at flight height as `[north, east]` points, along which the vehicle's solid keeps
-    /// [`CORRIDOR_MARGIN_M`] from every obstacle (and from the ceiling); `None` if the search finds none.
+    /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
+    /// none. Movers are the matter of [`Course::earliest_arrival_s`].
     pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
-        let reach_m = 0.5 * VEHICLE.height_m + CORRIDOR_MARGIN_M;
+        let reach_m = 0.5 * VEHICLE.height_m + self.corridor_margin_m();
         let top_m = self
             .ceiling_height_m
             .map_or(self.bounds.top_m, |c| c.min(self.bounds.top_m));
@@ -203,7 +229,7 @@ impl Course {
 
     /// Replaces stretches of a path by straight lines where these keep the margin.
     fn shortened(&self, solids: &[Solid], points: &[[f32; 2]]) -> Vec<[f32; 2]> {
-        let enough_m = VEHICLE.radius_m + CORRIDOR_MARGIN_M;
+        let enough_m = VEHICLE.radius_m + self.corridor_margin_m();
         let mut kept = vec![points[0]];
         let mut at = 0;
         while at + 1 < points.len() {

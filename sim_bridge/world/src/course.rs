@@ -1,5 +1,6 @@
 //! A course: what stands where, where to start, where to go, and what counts.
 
+use crate::mover::Mover;
 use crate::solid::Solid;
 use core::f32::consts::PI;
 use serde::{Deserialize, Serialize};
@@ -52,6 +53,9 @@ pub struct Course {
     /// Boxes whose lower face is above the ground: beams, lintels, low roofs.
     #[serde(default, rename = "overhang", skip_serializing_if = "Vec::is_empty")]
     pub overhangs: Vec<Overhang>,
+    /// Columns and boxes that go to and fro.
+    #[serde(default, rename = "mover", skip_serializing_if = "Vec::is_empty")]
+    pub movers: Vec<Mover>,
 }
 
 /// Families of generated courses.
@@ -62,24 +66,27 @@ pub enum Family {
     Training,
     /// Other layouts and densities, for judging.
     Validation,
+    /// Doors, pockets, gaps near 2 m and moving obstacles: where pilots fail.
+    Hard,
 }
 
 impl Family {
     /// All families.
-    pub const ALL: [Self; 2] = [Self::Training, Self::Validation];
+    pub const ALL: [Self; 3] = [Self::Training, Self::Validation, Self::Hard];
 
     /// The name used in files and on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Training => "training",
             Self::Validation => "validation",
+            Self::Hard => "hard",
         }
     }
 }
 
 /// A family name that does not exist.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no course family is called `{0}`; there are: training, validation")]
+#[error("no course family is called `{0}`; there are: {names}", names = Family::ALL.map(Family::name).join(", "))]
 pub struct UnknownFamily(pub String);
 
 impl core::str::FromStr for Family {
@@ -302,7 +309,8 @@ impl Overhang {
 }
 
 impl Course {
-    /// All obstacles as geometry, in the order columns, boxes, walls, overhangs. Ground and ceiling are not among them.
+    /// All obstacles that stand still as geometry, in the order columns, boxes, walls, overhangs. Ground and ceiling are not
+    /// among them; movers are in [`Course::movers`].
     pub fn solids(&self) -> Vec<Solid> {
         let columns = self.columns.iter().map(Column::solid);
         let boxes = self.boxes.iter().map(BoxObstacle::solid);

@@ -204,6 +204,13 @@ from_m = [5.0, -6.0]
 to_m = [5.0, -2.0]
 thickness_m = 0.2
 height_m = 2.5
+
+[[mover]]
+from_m = [16.0, 0.0]
+to_m = [16.0, 4.0]
+speed_m_s = 0.5
+height_m = 2.0
+shape = { column = { radius_m = 0.35 } }
 "#;
 
     fn error_of(text: &str) -> String {
@@ -223,7 +230,7 @@ height_m = 2.5
 
     #[test]
     fn each_mistake_is_named_by_file_line_and_field() {
-        let cases: [(&str, &str, &str); 14] = [
+        let cases: [(&str, &str, &str); 18] = [
             ("radius_m = 0.3", "radius_m = -0.3", "bad.toml:18: `column[1].radius_m`"),
             ("radius_m = 0.3", "radius_m = nan", "bad.toml:18: `column[1].radius_m`"),
             (
@@ -265,6 +272,26 @@ height_m = 2.5
                 "[bounds]",
                 "flight_height_m = -1\n[bounds]",
                 "bad.toml:4: `flight_height_m`",
+            ),
+            (
+                "speed_m_s = 0.5",
+                "speed_m_s = 1.5",
+                "bad.toml:30: `mover[0].speed_m_s`",
+            ),
+            (
+                "to_m = [16.0, 4.0]",
+                "to_m = [16.0, 0.0]",
+                "bad.toml:29: `mover[0].to_m`",
+            ),
+            (
+                "to_m = [16.0, 4.0]",
+                "to_m = [22.0, 7.5]",
+                "bad.toml:27: `mover[0]`: covers the goal",
+            ),
+            (
+                "column = { radius_m = 0.35 }",
+                "column = { radius_m = 0.0 }",
+                "bad.toml:32: `mover[0].shape.column.radius_m`",
             ),
         ];
         for (from, to, expected) in cases {

@@ -15,13 +15,15 @@ mod draw;
 mod file;
 mod generate;
 mod lidar;
+mod mover;
 mod referee;
 mod solid;
+mod timed_way;
 mod vehicle;
 mod world;
 
 pub use check::{FieldProblem, MAX_COORDINATE_M, MAX_OBSTACLES};
-pub use corridor::CORRIDOR_MARGIN_M;
+pub use corridor::{CORRIDOR_MARGIN_M, HARD_CORRIDOR_MARGIN_M};
 pub use course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
 };
@@ -32,6 +34,7 @@ pub use lidar::{
     LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,
     beam_direction_frd, pixel_of, ring_row,
 };
+pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
 pub use solid::Solid;
 pub use vehicle::{VEHICLE, VehicleSolid};

@@ -54,8 +54,12 @@ pub struct Referee {
     passed: usize,
     started_ns: Option<Nanos>,
     last_ned_m: Option<NedVector>,
-    /// As long as the vehicle stays within `free_radius_m` of `free_centre_ned_m`, no obstacle can be touched.
+    /// The world's time at the last truth.
+    last_world_ns: Option<Nanos>,
+    /// As long as the vehicle stays within `free_radius_m` of `free_centre_ned_m`, no obstacle can be touched: its way from there
+    /// and the fastest mover's way since `free_since_ns` together have to be longer than that.
     free_centre_ned_m: NedVector,
+    free_since_ns: Nanos,
     free_radius_m: f32,
     outcome: Option<Outcome>,
     ended_ns: Nanos,
@@ -74,14 +78,17 @@ impl Referee {
             passed: 0,
             started_ns: None,
             last_ned_m: None,
+            last_world_ns: None,
             free_centre_ned_m: NedVector::ZERO,
+            free_since_ns: 0,
             free_radius_m: -1.0,
             outcome: None,
             ended_ns: 0,
         }
     }
 
-    /// Shows the referee the truth at `at_ns`; returns the outcome once there is one. Of several ends in one step, collision
+    /// Shows the referee the truth at `at_ns`, with the world at the same moment ([`World::set_time_ns`], whose clock may have
+    /// another zero); returns the outcome once there is one. Of several ends in one step, collision
     /// comes before out of bounds, success and time-out.
     pub fn observe(
         &mut self,
@@ -136,21 +143,36 @@ impl Referee {
         self.passed
     }
 
-    /// Whether the vehicle touches anything on the way between two positions.
+    /// Whether the vehicle touches anything on the way between two positions, while the movers go theirs.
     fn touches(&mut self, world: &World, from: NedVector, to: NedVector, attitude: Attitude) -> bool {
+        let now_ns = world.time_ns();
+        let since_ns = self.last_world_ns.replace(now_ns).unwrap_or(now_ns);
+        let between_ns = now_ns.saturating_sub(since_ns);
         let way = to - from;
-        let steps = ((way.norm() / SWEEP_STEP_M).ceil() as usize).clamp(1, MAX_SWEEP_STEPS);
-        (1..=steps).any(|k| self.touches_at(world, from + way * (k as f32 / steps as f32), attitude))
+        let both_m = way.norm() + world.fastest_mover_m_s() * seconds(between_ns);
+        let steps = ((both_m / SWEEP_STEP_M).ceil() as usize).clamp(1, MAX_SWEEP_STEPS);
+        (1..=steps).any(|k| {
+            let before_ns = between_ns / steps as Nanos * (steps - k) as Nanos;
+            self.touches_at(
+                world,
+                now_ns - before_ns,
+                from + way * (k as f32 / steps as f32),
+                attitude,
+            )
+        })
     }
 
-    fn touches_at(&mut self, world: &World, position_ned_m: NedVector, attitude: Attitude) -> bool {
-        if (position_ned_m - self.free_centre_ned_m).norm() < self.free_radius_m {
+    fn touches_at(&mut self, world: &World, at_ns: Nanos, position_ned_m: NedVector, attitude: Attitude) -> bool {
+        let nearer_m = (position_ned_m - self.free_centre_ned_m).norm()
+            + world.fastest_mover_m_s() * seconds(at_ns.abs_diff(self.free_since_ns));
+        if nearer_m < self.free_radius_m {
             return false;
         }
         self.free_centre_ned_m = position_ned_m;
+        self.free_since_ns = at_ns;
         // 1 mm for rounding.
-        self.free_radius_m = world.clearance_m(position_ned_m) - VEHICLE.bounding_radius_m() - 1e-3;
-        self.free_radius_m <= 0.0 && world.collides(&VEHICLE, position_ned_m, attitude)
+        self.free_radius_m = world.clearance_at_m(at_ns, position_ned_m) - VEHICLE.bounding_radius_m() - 1e-3;
+        self.free_radius_m <= 0.0 && world.collides_at(at_ns, &VEHICLE, position_ned_m, attitude)
     }
 
     fn count_checkpoints(&mut self, position_ned_m: NedVector) {
@@ -164,6 +186,10 @@ impl Referee {
             self.passed += 1;
         }
     }
+}
+
+fn seconds(ns: Nanos) -> f32 {
+    ns as f32 * 1e-9
 }
 
 /// Whether the vehicle touches the ground faster or more tilted than a landing does. It touches when its lowest point is at

@@ -108,6 +108,73 @@ fn an_overhang_is_flown_under_but_not_through() {
     assert_eq!(fly(&beam(1.55), &way, 1.5, 4).0, Some(Outcome::Collision));
 }
 
+/// A mover that crosses the way to the goal at 10 m north, east to west and back, at 1 m/s.
+fn with_mover(phase: f32) -> Course {
+    course(&format!(
+        "[[mover]]\nfrom_m = [10.0, 4.0]\nto_m = [10.0, -4.0]\nspeed_m_s = 1.0\nphase = {phase:?}\nheight_m = 3.0\n\
+         shape = {{ column = {{ radius_m = 0.3 }} }}"
+    ))
+}
+
+#[test]
+fn a_vehicle_that_hovers_is_hit_by_a_mover_when_their_rims_meet() {
+    // Once with truths every millisecond, once so rarely that the mover passes the vehicle between two of them.
+    for period_ms in [1, 3000] {
+        let course = with_mover(0.0);
+        let mut world = World::new(&course);
+        let mut referee = Referee::new(&course);
+        let at = NedVector::new(10.0, 0.0, -1.5);
+        let hit_ms = (0..20_000).step_by(period_ms).find(|now_ms| {
+            world.set_time_ns(now_ms * MS);
+            referee
+                .observe(&world, now_ms * MS, at, LEVEL, NedVector::ZERO)
+                .is_some()
+        });
+        assert_eq!(referee.outcome(), Some(Outcome::Collision), "every {period_ms} ms");
+        let hit_ms = hit_ms.expect("hit");
+        if period_ms == 1 {
+            // 4 m apart at first, 0.6 m when they touch.
+            assert!((3390..=3410).contains(&hit_ms), "{hit_ms}");
+        } else {
+            assert_eq!(hit_ms, 6000);
+        }
+    }
+}
+
+#[test]
+fn the_same_flight_passes_before_the_mover_or_hits_it_as_its_phase_says() {
+    // At 1.5 m/s the vehicle is at the mover's line after 6.7 s; a period is 16 s. Brute force decides: the least distance
+    // between two upright cylinders over time.
+    let (mut hits, mut passes) = (0, 0);
+    for k in 0..32 {
+        let course = with_mover(k as f32 / 32.0);
+        let place = |ms: u64| NedVector::new(1.5e-3 * ms as f32, 0.0, -1.5);
+        let least_m = (0..12_000)
+            .map(|ms| course.movers[0].solid_at(ms * MS).plan_distance_m(place(ms).x, 0.0) - 0.3)
+            .fold(f32::INFINITY, f32::min);
+        for period_ms in [1, 50, 500] {
+            let mut world = World::new(&course);
+            let mut referee = Referee::new(&course);
+            for ms in (0..=12_000).step_by(period_ms) {
+                world.set_time_ns(ms * MS);
+                let velocity = NedVector::new(1.5, 0.0, 0.0);
+                referee.observe(&world, ms * MS, place(ms), LEVEL, velocity);
+            }
+            // Truths are tested every 0.1 m of both ways together, so a touch that is less deep may be missed.
+            let expected = (least_m < 0.0).then_some(Outcome::Collision);
+            if least_m.abs() > 0.02 {
+                assert_eq!(
+                    referee.outcome(),
+                    expected,
+                    "phase {k}/32, every {period_ms} ms: {least_m}"
+                );
+            }
+        }
+        *(if least_m < 0.0 { &mut hits } else { &mut passes }) += 1;
+    }
+    assert!(hits >= 3 && passes >= 10, "{hits} {passes}");
+}
+
 #[test]
 fn a_tilted_vehicle_reaches_higher_than_a_level_one() {
     let low = course("ceiling_height_m = 2.0");

@@ -2,10 +2,9 @@
 
 use super::canvas::Canvas;
 use super::{
-    CORRIDOR, FAINT_INK, FlightPath, INK, LEFT, OVERHANG, START, TALL_M, TOP, View, dashed, flown_under, line,
+    CORRIDOR, FAINT_INK, FlightPath, INK, LEFT, MOVER, OVERHANG, START, TALL_M, TOP, View, dashed, flown_under, line,
     path_colour, shade, text,
 };
-use crate::corridor::CORRIDOR_MARGIN_M;
 use crate::course::Course;
 use crate::vehicle::VEHICLE;
 use embedded_graphics::mono_font::ascii::{FONT_8X13, FONT_10X20};
@@ -51,9 +50,9 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
         );
     }
     y += tall + 36.0;
-    let width = 2.0 * (VEHICLE.radius_m + CORRIDOR_MARGIN_M);
+    let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m());
     let checkpoint = !course.checkpoints.is_empty();
-    let entries: [(&str, Rgb888, f32, bool); 4] = [
+    let entries: [(&str, Rgb888, f32, bool); 5] = [
         ("overhang, from-to m", OVERHANG, 0.6, !course.overhangs.is_empty()),
         (
             "flown under",
@@ -61,6 +60,7 @@ pub(super) fn draw_legend(canvas: &mut Canvas, view: &View, course: &Course, pat
             0.25,
             course.overhangs.iter().any(|o| flown_under(course, &o.solid())),
         ),
+        ("moving, speed m/s", MOVER, 1.0, !course.movers.is_empty()),
         (&format!("corridor, {width:.1} m"), CORRIDOR, 0.4, true),
         ("checkpoint", START, 1.0, checkpoint),
     ];

@@ -2,10 +2,10 @@
 
 mod canvas;
 mod legend;
+mod movers;
 
 pub use canvas::{Image, ImageError};
 
-use crate::corridor::CORRIDOR_MARGIN_M;
 use crate::course::Course;
 use crate::referee::Outcome;
 use crate::solid::Solid;
@@ -43,6 +43,7 @@ const LOW: Rgb888 = Rgb888::new(222, 208, 196);
 const TALL: Rgb888 = Rgb888::new(92, 68, 58);
 const TALL_M: f32 = 4.0;
 const OVERHANG: Rgb888 = Rgb888::new(128, 96, 168);
+const MOVER: Rgb888 = Rgb888::new(226, 88, 120);
 const UNKNOWN_PATHS: [Rgb888; 4] = [
     Rgb888::new(24, 118, 210),
     Rgb888::new(0, 140, 136),
@@ -58,13 +59,15 @@ const BOTTOM: f32 = 44.0;
 /// The longer side of the plan in pixels.
 const PLAN_PIXELS: f32 = 960.0;
 
-/// Draws the top view of a course: obstacles shaded by height, start, goal, bounds, checkpoints, the corridor, and flights.
+/// Draws the top view of a course: obstacles shaded by height, movers at time zero with their ways, start, goal, bounds,
+/// checkpoints, the corridor, and flights.
 pub fn draw(course: &Course, paths: &[FlightPath]) -> Image {
     let view = View::of(course);
     let mut canvas = Canvas::new(view.width, view.height, BACKGROUND);
     draw_grid(&mut canvas, &view, course);
     draw_corridor(&mut canvas, &view, course);
     draw_obstacles(&mut canvas, &view, course);
+    movers::draw_movers(&mut canvas, &view, course);
     draw_places(&mut canvas, &view, course);
     canvas.layer(0.9, |layer| {
         for (i, path) in paths.iter().enumerate() {
@@ -271,7 +274,7 @@ fn draw_corridor(canvas: &mut Canvas, view: &View, course: &Course) {
         return;
     };
     let points: Vec<[f32; 2]> = way.iter().map(|[n, e]| view.at(*n, *e)).collect();
-    let width = 2.0 * (VEHICLE.radius_m + CORRIDOR_MARGIN_M) * view.pixels_per_m;
+    let width = 2.0 * (VEHICLE.radius_m + course.corridor_margin_m()) * view.pixels_per_m;
     canvas.layer(0.22, |layer| band(layer, &points, CORRIDOR, width));
     canvas.layer(1.0, |layer| {
         for leg in points.windows(2) {
@@ -372,16 +375,25 @@ fn draw_places(canvas: &mut Canvas, view: &View, course: &Course) {
         disc(layer, start, VEHICLE.radius_m * view.pixels_per_m, fill(START));
         let heading = course.start_heading_rad();
         let (dx, dy) = (libm::sinf(heading), -libm::cosf(heading));
-        let (shaft, tip, half) = (28.0, 40.0, 6.0);
-        let along = |s: f32, side: f32| [start[0] + s * dx - side * dy, start[1] + s * dy + side * dx];
-        line(layer, start, along(shaft, 0.0), START, 3.0);
-        let head = [along(tip, 0.0), along(shaft, half), along(shaft, -half)].map(|p| layer.point(p));
-        drawn(
-            Triangle::new(head[0], head[1], head[2])
-                .into_styled(fill(START))
-                .draw(layer),
-        );
+        let tip = [start[0] + 40.0 * dx, start[1] + 40.0 * dy];
+        arrow(layer, start, tip, START);
     });
+}
+
+/// A line with a head at `tip`.
+fn arrow(layer: &mut Layer, from: [f32; 2], tip: [f32; 2], colour: Rgb888) {
+    let (length, half) = (12.0, 6.0);
+    let (dx, dy) = (tip[0] - from[0], tip[1] - from[1]);
+    let scale = 1.0 / libm::hypotf(dx, dy).max(1e-3);
+    let (dx, dy) = (dx * scale, dy * scale);
+    let behind = |back: f32, side: f32| [tip[0] - back * dx - side * dy, tip[1] - back * dy + side * dx];
+    line(layer, from, behind(length, 0.0), colour, 3.0);
+    let head = [tip, behind(length, half), behind(length, -half)].map(|p| layer.point(p));
+    drawn(
+        Triangle::new(head[0], head[1], head[2])
+            .into_styled(fill(colour))
+            .draw(layer),
+    );
 }
 
 fn path_colour(path: &FlightPath, index: usize) -> Rgb888 {

@@ -1,4 +1,4 @@
-//! The seeded course generator: the paper's arena, filled differently for training and for validation.
+//! The seeded course generator: the paper's arena, filled differently by each family.
 //!
 //! Every family flies from home to a goal 20 m north and 5 m to one side (PAPER.md, "Arena"). All lengths are rounded to
 //! centimetres, so that a course written to a file and read back is the same course.
@@ -7,7 +7,10 @@ use crate::course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, Wall, default_flight_height_m,
     default_goal_radius_m, default_time_limit_s,
 };
+use crate::mover::Mover;
 use crate::solid::Solid;
+mod hard;
+
 use core::ops::Range;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,6 +25,10 @@ const CLEAR_START_M: f32 = 2.5;
 const CLEAR_GOAL_M: f32 = 2.0;
 /// Tries per obstacle before it is left out.
 const PLACEMENT_TRIES: usize = 40;
+/// A mover's track keeps this distance from everything, so that it runs into nothing.
+const MOVER_GAP_M: f32 = 0.3;
+/// Departures, in simulated seconds, from which a course with movers is checked to be flyable.
+const CHECKED_DEPARTURES_S: [f32; 2] = [0.0, 13.0];
 
 /// Makes the course of a family and seed. The same arguments give the same course on every machine, and every course has a
 /// [`Course::corridor`].
@@ -30,6 +37,7 @@ pub fn generate(family: Family, seed: u64) -> Course {
     match family {
         Family::Training => training(&mut builder),
         Family::Validation => validation(&mut builder),
+        Family::Hard => hard::fill(&mut builder),
     }
     builder.finish()
 }
@@ -184,15 +192,18 @@ enum Obstacle {
     Box(BoxObstacle),
     Wall(Wall),
     Overhang(Overhang),
+    Mover(Mover),
 }
 
 impl Obstacle {
+    /// Its geometry; a mover's is its whole track.
     fn solid(&self) -> Solid {
         match self {
             Self::Column(o) => o.solid(),
             Self::Box(o) => o.solid(),
             Self::Wall(o) => o.solid(),
             Self::Overhang(o) => o.solid(),
+            Self::Mover(o) => o.track(),
         }
     }
 }
@@ -206,8 +217,9 @@ struct Area {
 struct Builder {
     rng: ChaCha8Rng,
     course: Course,
-    /// What was placed, in order, to be taken back from the end if there is no way through.
-    placed: Vec<(Obstacle, Solid)>,
+    /// What was placed, in order, to be taken back from the end if there is no way through. What belongs together, as the
+    /// parts of a wall with a door, comes and goes together.
+    placed: Vec<Vec<(Obstacle, Solid)>>,
     /// Smallest gap between neighbouring obstacles.
     gap_m: f32,
 }
@@ -253,6 +265,7 @@ impl Builder {
             boxes: Vec::new(),
             walls: Vec::new(),
             overhangs: Vec::new(),
+            movers: Vec::new(),
         };
         Self {
             rng,
@@ -383,27 +396,42 @@ impl Builder {
 
     /// Adds an obstacle if it leaves start and goal clear and the smallest gap to every other open.
     fn place(&mut self, obstacle: Obstacle) -> bool {
-        let solid = obstacle.solid();
+        self.place_together(&[obstacle])
+    }
+
+    /// Adds obstacles that belong together, all or none; they may touch each other.
+    fn place_together(&mut self, obstacles: &[Obstacle]) -> bool {
         let goal = self.course.goal;
-        if solid.plan_distance_m(0.0, 0.0) < CLEAR_START_M
-            || solid.plan_distance_m(goal.north_m, goal.east_m) < CLEAR_GOAL_M
-            || self.placed.iter().any(|(_, other)| self.crowds(&solid, other))
-        {
+        let group: Vec<(Obstacle, Solid)> = obstacles.iter().map(|o| (*o, o.solid())).collect();
+        if group.iter().any(|one| {
+            one.1.plan_distance_m(0.0, 0.0) < CLEAR_START_M
+                || one.1.plan_distance_m(goal.north_m, goal.east_m) < CLEAR_GOAL_M
+                || self.placed.iter().flatten().any(|other| self.crowds(one, other))
+        }) {
             return false;
         }
-        self.placed.push((obstacle, solid));
+        self.placed.push(group);
         true
     }
 
-    /// Whether two obstacles are nearer to each other than allowed. What is flown over or under needs no room beside it.
-    fn crowds(&self, a: &Solid, b: &Solid) -> bool {
+    /// Whether two obstacles are nearer to each other than allowed. What is flown over or under needs no room beside it, and a
+    /// mover makes room itself.
+    fn crowds(&self, (a, a_solid): &(Obstacle, Solid), (b, b_solid): &(Obstacle, Solid)) -> bool {
         let in_the_way = |s: &Solid| s.bottom_m() < 2.2 && s.top_m() > 0.8;
-        let gap_m = if in_the_way(a) && in_the_way(b) {
+        let moves = |o: &Obstacle| matches!(o, Obstacle::Mover(_));
+        let gap_m = if moves(a) || moves(b) {
+            MOVER_GAP_M
+        } else if in_the_way(a_solid) && in_the_way(b_solid) {
             self.gap_m
         } else {
             0.1
         };
-        a.plan_gap_m(b) < gap_m
+        a_solid.plan_gap_m(b_solid) < gap_m
+    }
+
+    fn is_flyable(&self) -> bool {
+        let arrives = |depart_s: &f32| self.course.earliest_arrival_s(*depart_s).is_some();
+        self.course.corridor().is_some() && (self.course.movers.is_empty() || CHECKED_DEPARTURES_S.iter().all(arrives))
     }
 
     /// Takes obstacles back, the last first, until there is a way through.
@@ -413,15 +441,17 @@ impl Builder {
             self.course.boxes.clear();
             self.course.walls.clear();
             self.course.overhangs.clear();
-            for (obstacle, _) in &self.placed {
+            self.course.movers.clear();
+            for (obstacle, _) in self.placed.iter().flatten() {
                 match *obstacle {
                     Obstacle::Column(o) => self.course.columns.push(o),
                     Obstacle::Box(o) => self.course.boxes.push(o),
                     Obstacle::Wall(o) => self.course.walls.push(o),
                     Obstacle::Overhang(o) => self.course.overhangs.push(o),
+                    Obstacle::Mover(o) => self.course.movers.push(o),
                 }
             }
-            if self.course.corridor().is_some() || self.placed.pop().is_none() {
+            if self.is_flyable() || self.placed.pop().is_none() {
                 return self.course;
             }
         }
