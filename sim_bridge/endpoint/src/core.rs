@@ -1,10 +1,11 @@
 //! What all services share: time, the vehicle's view, flight state, parameters, and what waits to be sent.
 
+use crate::files::FileSystem;
 use crate::flight::{Commander, Failsafe, FenceWatch, FlightMode, LandedState, Setpoints};
 use crate::outbox::Outbox;
 use crate::parameters::{ParamId, Parameters};
 use crate::plan::Plans;
-use crate::{ConfigError, EndpointConfig, HomePosition, LinkId};
+use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, services};
 use vigil_link::framing::FramingCounters;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
 use vigil_vehicle::{Estimate, Sensors, VehicleView};
@@ -43,6 +44,8 @@ pub struct Refusals {
     pub command_denied: u64,
     /// Parameter sets and reads refused.
     pub parameter: u64,
+    /// File transfer requests answered NAK, the end of a file or listing included.
+    pub file: u64,
     /// Plans refused, and messages of the mission protocol that fit no transfer.
     pub plan: u64,
 }
@@ -93,6 +96,7 @@ pub(crate) struct Core {
     pub plans: Plans,
     pub fence_watch: FenceWatch,
     pub outbox: Outbox,
+    pub files: FileSystem,
     pub framing: FramingCounters,
     pub refusals: Refusals,
     pub forwarded: u64,
@@ -105,6 +109,8 @@ pub(crate) struct Core {
 impl Core {
     pub fn new(config: &EndpointConfig) -> Result<Self, ConfigError> {
         config.check()?;
+        let mut files = FileSystem::default();
+        services::metadata::provide(&mut files, config.unix_time_at_zero_us / 1_000_000);
         Ok(Self {
             now_ns: 0,
             boot_ns: None,
@@ -121,6 +127,7 @@ impl Core {
             plans: Plans::default(),
             fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),
+            files,
             framing: FramingCounters::default(),
             refusals: Refusals::default(),
             forwarded: 0,
@@ -149,6 +156,11 @@ impl Core {
     /// Microseconds since the first step.
     pub fn time_boot_us(&self) -> u64 {
         self.since_boot_ns() / 1000
+    }
+
+    /// Unix time in seconds, by the endpoint's own fixed calendar.
+    pub fn unix_time_s(&self) -> u64 {
+        self.unix_time_at_zero_us / 1_000_000 + self.now_ns / 1_000_000_000
     }
 
     /// Asks for a message to be sent on all links at once, besides its stream: it changed.

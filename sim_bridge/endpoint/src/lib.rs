@@ -13,6 +13,7 @@
 mod config;
 mod core;
 mod endpoint;
+mod files;
 mod flight;
 mod geo;
 mod outbox;

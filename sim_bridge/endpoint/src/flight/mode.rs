@@ -44,6 +44,17 @@ impl FlightMode {
         Self::Offboard,
     ];
 
+    /// Every mode.
+    pub(crate) const ALL: [Self; 7] = [
+        Self::Hold,
+        Self::Takeoff,
+        Self::Land,
+        Self::Return,
+        Self::Mission,
+        Self::Orbit,
+        Self::Offboard,
+    ];
+
     const fn px4(self) -> (u8, u8) {
         match self {
             Self::Takeoff => (MAIN_AUTO, 2),

@@ -4,10 +4,14 @@ mod actions;
 mod arming;
 mod attitude;
 mod battery;
+mod events;
+mod ftp;
 mod geofence;
 mod geography;
 mod health;
 mod intervals;
+mod logs;
+pub(crate) mod metadata;
 mod mission;
 mod orbit;
 mod parameters;
@@ -42,6 +46,10 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::<geofence::Geofence>::default(),
         Box::new(orbit::OrbitService),
         Box::<parameters::ParameterService>::default(),
+        Box::<ftp::Ftp>::default(),
+        Box::new(metadata::Metadata),
+        Box::<logs::Logs>::default(),
+        Box::<events::Events>::default(),
         Box::new(time::Time),
         Box::new(version::Version),
     ]

@@ -54,6 +54,7 @@ fn autopilot_version(core: &Core) -> Option<MavMessage> {
     // A bit stands here only if a service answers for it.
     let capabilities = Capability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
         | Capability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+        | Capability::MAV_PROTOCOL_CAPABILITY_FTP
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
         | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT

@@ -1,0 +1,462 @@
+//! The vehicle's files: a small tree in memory.
+//!
+//! Never the machine's disk. Any client of the link may read, write and remove what is here, unauthenticated as MAVLink
+//! mostly is; in memory, a path can lead nowhere else, a client can fill no disk, and every run begins with the same
+//! files. What clients store lasts as long as the endpoint.
+
+use std::collections::BTreeMap;
+use std::ops::Bound;
+
+/// Bytes that clients may store in all.
+pub(crate) const CLIENT_CAPACITY: usize = 4 * 1024 * 1024;
+/// Size of one file that a client stores.
+pub(crate) const MAX_FILE: usize = 2 * 1024 * 1024;
+/// Files and directories that clients may create.
+pub(crate) const MAX_CLIENT_ENTRIES: usize = 256;
+/// Length of a name: an entry of a listing fits in one FTP packet.
+const MAX_NAME: usize = 96;
+/// Length of a whole path: what one FTP packet holds.
+const MAX_PATH: usize = 239;
+
+/// Why an operation was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum FileError {
+    #[error("no such file or directory")]
+    NotFound,
+    #[error("exists already")]
+    Exists,
+    #[error("read-only")]
+    Protected,
+    #[error("not a directory")]
+    NotADirectory,
+    #[error("is a directory")]
+    IsADirectory,
+    #[error("directory not empty")]
+    NotEmpty,
+    #[error("no space left")]
+    NoSpace,
+    #[error("invalid path")]
+    BadPath,
+}
+
+#[derive(Debug, Clone)]
+enum Content {
+    Directory,
+    File(Vec<u8>),
+}
+
+#[derive(Debug, Clone)]
+struct Entry {
+    content: Content,
+    /// Unix time.
+    modified_s: u64,
+    /// The vehicle's own: clients may only read it.
+    own: bool,
+}
+
+/// An entry of a listing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Listed<'a> {
+    pub name: &'a str,
+    /// `None` for a directory.
+    pub size: Option<usize>,
+    pub modified_s: u64,
+}
+
+/// The tree. Keys are paths without a leading slash; the root, which is not an entry, is the empty path.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct FileSystem {
+    entries: BTreeMap<String, Entry>,
+    /// Sum of the sizes of what clients stored.
+    client_bytes: usize,
+    client_entries: usize,
+}
+
+/// A path without empty and `.` parts, `..` resolved within the tree.
+fn normalised(path: &str) -> Result<String, FileError> {
+    let mut parts: Vec<&str> = Vec::new();
+    for part in path.split('/') {
+        match part {
+            "" | "." => {}
+            ".." => {
+                parts.pop();
+            }
+            // A control character would break listings.
+            _ if part.len() > MAX_NAME || part.chars().any(char::is_control) => return Err(FileError::BadPath),
+            _ => parts.push(part),
+        }
+    }
+    let path = parts.join("/");
+    if path.len() > MAX_PATH {
+        return Err(FileError::BadPath);
+    }
+    Ok(path)
+}
+
+fn parent(path: &str) -> &str {
+    path.rsplit_once('/').map_or("", |(parent, _)| parent)
+}
+
+impl FileSystem {
+    /// Puts a file of the vehicle's own in place, with the directories on the way.
+    pub fn provide(&mut self, path: &str, content: Vec<u8>, now_s: u64) {
+        let own = |content| Entry {
+            content,
+            modified_s: now_s,
+            own: true,
+        };
+        for (end, _) in path.match_indices('/') {
+            let directory = path.get(..end).unwrap_or_default().to_owned();
+            self.entries.entry(directory).or_insert(own(Content::Directory));
+        }
+        self.entries.insert(path.to_owned(), own(Content::File(content)));
+    }
+
+    /// Appends to a file of the vehicle's own; nothing if it is not there.
+    pub fn append_own(&mut self, path: &str, bytes: &[u8], now_s: u64) {
+        if let Some(entry) = self.entries.get_mut(path).filter(|e| e.own)
+            && let Content::File(content) = &mut entry.content
+        {
+            content.extend_from_slice(bytes);
+            entry.modified_s = now_s;
+        }
+    }
+
+    /// Removes a file of the vehicle's own.
+    pub fn remove_own(&mut self, path: &str) {
+        if self.entries.get(path).is_some_and(|e| e.own) {
+            self.entries.remove(path);
+        }
+    }
+
+    fn entry(&self, path: &str) -> Result<&Entry, FileError> {
+        self.entries.get(path).ok_or(FileError::NotFound)
+    }
+
+    /// A file's bytes.
+    pub fn read(&self, path: &str) -> Result<&[u8], FileError> {
+        match &self.entry(&normalised(path)?)?.content {
+            Content::File(content) => Ok(content),
+            Content::Directory => Err(FileError::IsADirectory),
+        }
+    }
+
+    /// What a directory holds, sorted by name.
+    pub fn list(&self, path: &str) -> Result<impl Iterator<Item = Listed<'_>>, FileError> {
+        let path = normalised(path)?;
+        if !path.is_empty() && matches!(self.entry(&path)?.content, Content::File(_)) {
+            return Err(FileError::NotADirectory);
+        }
+        let prefix = if path.is_empty() { path } else { path + "/" };
+        let from = prefix.clone();
+        Ok(self
+            .entries
+            .range::<str, _>((Bound::Included(from.as_str()), Bound::Unbounded))
+            .map_while(move |(key, entry)| Some((key.strip_prefix(prefix.as_str())?, entry)))
+            .filter(|(name, _)| !name.contains('/'))
+            .map(|(name, entry)| Listed {
+                name,
+                size: match &entry.content {
+                    Content::Directory => None,
+                    Content::File(content) => Some(content.len()),
+                },
+                modified_s: entry.modified_s,
+            })
+            .collect::<Vec<_>>()
+            .into_iter())
+    }
+
+    /// Whether a client may put something at `path`.
+    fn check_place(&self, path: &str) -> Result<(), FileError> {
+        if path.is_empty() {
+            return Err(FileError::Exists);
+        }
+        let parent = parent(path);
+        if !parent.is_empty() {
+            let entry = self.entry(parent)?;
+            if matches!(entry.content, Content::File(_)) {
+                return Err(FileError::NotADirectory);
+            }
+            if entry.own {
+                return Err(FileError::Protected);
+            }
+        }
+        Ok(())
+    }
+
+    fn insert_new(&mut self, path: String, content: Content, now_s: u64) -> Result<(), FileError> {
+        self.check_place(&path)?;
+        if self.client_entries >= MAX_CLIENT_ENTRIES {
+            return Err(FileError::NoSpace);
+        }
+        self.client_entries += 1;
+        let entry = Entry {
+            content,
+            modified_s: now_s,
+            own: false,
+        };
+        self.entries.insert(path, entry);
+        Ok(())
+    }
+
+    /// Makes sure that there is a file which can be written: creates it, or empties it unless `keep`.
+    pub fn open_for_writing(&mut self, path: &str, keep: bool, now_s: u64) -> Result<(), FileError> {
+        let path = normalised(path)?;
+        if !self.entries.contains_key(&path) {
+            return self.insert_new(path, Content::File(Vec::new()), now_s);
+        }
+        if keep {
+            self.client_file(&path).map(|_| ())
+        } else {
+            self.resize(&path, 0, now_s)
+        }
+    }
+
+    fn client_file(&mut self, path: &str) -> Result<&mut Entry, FileError> {
+        let entry = self.entries.get_mut(path).ok_or(FileError::NotFound)?;
+        match entry {
+            Entry { own: true, .. } => Err(FileError::Protected),
+            Entry {
+                content: Content::Directory,
+                ..
+            } => Err(FileError::IsADirectory),
+            _ => Ok(entry),
+        }
+    }
+
+    /// Changes a client's file's length; new bytes are zero.
+    fn resize(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
+        let client_bytes = self.client_bytes;
+        let entry = self.client_file(path)?;
+        let Content::File(content) = &mut entry.content else {
+            return Err(FileError::IsADirectory);
+        };
+        let others = client_bytes - content.len();
+        if len > content.len() && (len > MAX_FILE || others + len > CLIENT_CAPACITY) {
+            return Err(FileError::NoSpace);
+        }
+        content.resize(len, 0);
+        entry.modified_s = now_s;
+        self.client_bytes = others + len;
+        Ok(())
+    }
+
+    /// Cuts a file, or lengthens it by zeros.
+    pub fn truncate(&mut self, path: &str, len: usize, now_s: u64) -> Result<(), FileError> {
+        self.resize(&normalised(path)?, len, now_s)
+    }
+
+    /// Writes at an offset; a gap before it reads as zeros.
+    pub fn write(&mut self, path: &str, offset: usize, bytes: &[u8], now_s: u64) -> Result<(), FileError> {
+        let path = normalised(path)?;
+        let end = offset.checked_add(bytes.len()).ok_or(FileError::NoSpace)?;
+        let len = self.read(&path)?.len().max(end);
+        self.resize(&path, len, now_s)?;
+        if let Content::File(content) = &mut self.client_file(&path)?.content
+            && let Some(slot) = content.get_mut(offset..end)
+        {
+            slot.copy_from_slice(bytes);
+        }
+        Ok(())
+    }
+
+    /// Creates a directory.
+    pub fn make_directory(&mut self, path: &str, now_s: u64) -> Result<(), FileError> {
+        let path = normalised(path)?;
+        if path.is_empty() || self.entries.contains_key(&path) {
+            return Err(FileError::Exists);
+        }
+        self.insert_new(path, Content::Directory, now_s)
+    }
+
+    /// Removes a file.
+    pub fn remove_file(&mut self, path: &str) -> Result<(), FileError> {
+        let path = normalised(path)?;
+        if let Content::File(content) = &self.client_file(&path)?.content {
+            self.client_bytes -= content.len();
+        }
+        self.entries.remove(&path);
+        self.client_entries -= 1;
+        Ok(())
+    }
+
+    /// Removes an empty directory.
+    pub fn remove_directory(&mut self, path: &str) -> Result<(), FileError> {
+        let path = normalised(path)?;
+        if path.is_empty() {
+            return Err(FileError::Protected);
+        }
+        match self.entry(&path)? {
+            Entry { own: true, .. } => return Err(FileError::Protected),
+            Entry {
+                content: Content::File(_),
+                ..
+            } => return Err(FileError::NotADirectory),
+            _ => {}
+        }
+        if self.list(&path)?.next().is_some() {
+            return Err(FileError::NotEmpty);
+        }
+        self.entries.remove(&path);
+        self.client_entries -= 1;
+        Ok(())
+    }
+
+    /// Renames or moves a file or a directory with all it holds. Nothing is overwritten.
+    pub fn rename(&mut self, from: &str, to: &str) -> Result<(), FileError> {
+        let (from, to) = (normalised(from)?, normalised(to)?);
+        if self.entry(&from)?.own {
+            return Err(FileError::Protected);
+        }
+        if self.entries.contains_key(&to) {
+            return Err(FileError::Exists);
+        }
+        self.check_place(&to)?;
+        let inside = format!("{from}/");
+        if to.starts_with(&inside) {
+            return Err(FileError::BadPath);
+        }
+        let moved: Vec<String> = self
+            .entries
+            .range(from.clone()..)
+            .map(|(key, _)| key)
+            .take_while(|key| key.starts_with(&from))
+            .filter(|key| **key == from || key.starts_with(&inside))
+            .cloned()
+            .collect();
+        let renamed = |key: &str| format!("{to}{}", key.get(from.len()..).unwrap_or_default());
+        if moved.iter().any(|key| renamed(key).len() > MAX_PATH) {
+            return Err(FileError::BadPath);
+        }
+        for key in moved {
+            if let Some(entry) = self.entries.remove(&key) {
+                self.entries.insert(renamed(&key), entry);
+            }
+        }
+        Ok(())
+    }
+}
+
+const CRC_TABLE: [u32; 256] = {
+    let mut table = [0; 256];
+    let mut i = 0;
+    while i < 256 {
+        let mut crc = i as u32;
+        let mut bit = 0;
+        while bit < 8 {
+            crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
+            bit += 1;
+        }
+        table[i] = crc;
+        i += 1;
+    }
+    table
+};
+
+/// The CRC32 of MAVLink FTP and component metadata: the polynomial of IEEE 802.3, but it begins with 0 and is not
+/// inverted at the end.
+pub(crate) fn crc32(bytes: &[u8]) -> u32 {
+    bytes
+        .iter()
+        .fold(0, |crc, byte| CRC_TABLE[usize::from(crc as u8 ^ *byte)] ^ (crc >> 8))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(files: &FileSystem, path: &str) -> Vec<String> {
+        let listed = files.list(path).expect("a directory");
+        listed
+            .map(|l| format!("{}{}", l.name, if l.size.is_none() { "/" } else { "" }))
+            .collect()
+    }
+
+    fn sample() -> FileSystem {
+        let mut files = FileSystem::default();
+        files.provide("etc/extras/a.json", b"{}".to_vec(), 7);
+        files.make_directory("/mine", 8).expect("new");
+        files.make_directory("mine/deep", 8).expect("new");
+        files.open_for_writing("mine/deep/x", false, 8).expect("new");
+        files.write("mine/deep/x", 0, b"hello", 9).expect("room");
+        files.open_for_writing("mine-too", false, 8).expect("new");
+        files
+    }
+
+    #[test]
+    fn a_directory_lists_what_it_holds_and_nothing_below() {
+        let files = sample();
+        assert_eq!(names(&files, "/"), ["etc/", "mine/", "mine-too"]);
+        assert_eq!(names(&files, "mine/"), ["deep/"]);
+        assert_eq!(names(&files, "./mine/../mine//deep"), ["x"]);
+        assert_eq!(names(&files, "/../../.."), names(&files, ""));
+        assert_eq!(files.list("nowhere").err(), Some(FileError::NotFound));
+        assert_eq!(files.list("mine-too").err(), Some(FileError::NotADirectory));
+    }
+
+    #[test]
+    fn what_is_the_vehicles_own_can_only_be_read() {
+        let mut files = sample();
+        assert_eq!(files.read("/etc/extras/a.json"), Ok(&b"{}"[..]));
+        let refused = Err(FileError::Protected);
+        assert_eq!(files.write("etc/extras/a.json", 0, b"x", 1), refused);
+        assert_eq!(files.open_for_writing("etc/extras/a.json", false, 1), refused);
+        assert_eq!(files.open_for_writing("etc/extras/b.json", false, 1), refused);
+        assert_eq!(files.remove_file("etc/extras/a.json"), refused);
+        assert_eq!(files.remove_directory("etc"), refused);
+        assert_eq!(files.make_directory("etc/new", 1), refused);
+        assert_eq!(files.rename("etc", "other"), refused);
+        assert_eq!(files.rename("mine-too", "etc/stolen"), refused);
+        assert_eq!(files.read("etc/extras/a.json"), Ok(&b"{}"[..]));
+    }
+
+    #[test]
+    fn a_directory_moves_with_all_it_holds_and_overwrites_nothing() {
+        let mut files = sample();
+        assert_eq!(files.rename("mine", "mine/deep/inside"), Err(FileError::BadPath));
+        assert_eq!(files.rename("mine", "mine-too"), Err(FileError::Exists));
+        files.rename("mine", "yours").expect("free name");
+        assert_eq!(names(&files, "/"), ["etc/", "mine-too", "yours/"]);
+        assert_eq!(files.read("yours/deep/x"), Ok(&b"hello"[..]));
+        assert_eq!(files.remove_directory("yours"), Err(FileError::NotEmpty));
+    }
+
+    #[test]
+    fn writing_past_the_end_leaves_zeros_and_size_is_bounded() {
+        let mut files = sample();
+        files.write("mine-too", 3, b"ab", 10).expect("room");
+        assert_eq!(files.read("mine-too"), Ok(&b"\0\0\0ab"[..]));
+        for offset in [MAX_FILE, usize::MAX, u32::MAX as usize] {
+            assert_eq!(files.write("mine-too", offset, b"x", 1), Err(FileError::NoSpace));
+        }
+        assert_eq!(files.truncate("mine-too", MAX_FILE + 1, 1), Err(FileError::NoSpace));
+        assert_eq!(files.read("mine-too").map(<[u8]>::len), Ok(5));
+        // Two large files fill the room; removing one makes it again.
+        files.truncate("mine-too", MAX_FILE, 1).expect("room");
+        files.open_for_writing("second", false, 1).expect("new");
+        assert_eq!(files.truncate("second", MAX_FILE, 1), Err(FileError::NoSpace));
+        files.remove_file("mine-too").expect("mine");
+        files.truncate("second", MAX_FILE, 1).expect("room again");
+    }
+
+    #[test]
+    fn entries_and_names_are_bounded() {
+        let mut files = FileSystem::default();
+        let made = (0..1000)
+            .filter(|i| files.make_directory(&format!("d{i}"), 0).is_ok())
+            .count();
+        assert_eq!(made, MAX_CLIENT_ENTRIES);
+        files.remove_directory("d0").expect("empty");
+        for bad in ["a\tb", "a\nb", &"n".repeat(97), &"n/".repeat(200)] {
+            assert!(files.make_directory(bad, 0).is_err(), "{bad}");
+        }
+        files.make_directory("fine", 0).expect("one is free");
+    }
+
+    #[test]
+    fn the_checksum_is_the_one_of_the_protocol() {
+        // zlib: crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF begins its register with 0.
+        assert_eq!(crc32(b""), 0);
+        assert_eq!(crc32(b"123456789"), 0x2DFD_2D88);
+    }
+}

@@ -1,0 +1,277 @@
+//! The events there are: their numbers, their arguments, and their definitions for clients.
+//! Format: <https://github.com/mavlink/libevents>.
+
+use crate::flight::{Denial, Failsafe, FlightMode};
+use serde_json::{Map, Value, json};
+
+/// Upper byte of an event's number: the autopilot's name space.
+const COMPONENT: u32 = 1 << 24;
+/// All modes share the same checks.
+pub(super) const MODE_GROUP: u32 = 1;
+/// Bit 0 of the health components: none of them.
+pub(super) const HEALTH_NONE: u32 = 0;
+const BATTERY_BIT: u32 = 1 << 4;
+const PRESENT: u32 = 0b1_1110;
+
+/// Why the vehicle cannot be armed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum ArmingCheck {
+    Terminated,
+    Tilted,
+    OutsideFence,
+    Other,
+}
+
+impl From<&Denial> for ArmingCheck {
+    fn from(denial: &Denial) -> Self {
+        match denial {
+            Denial::Terminated => Self::Terminated,
+            Denial::Tilted => Self::Tilted,
+            Denial::OutsideFence => Self::OutsideFence,
+            _ => Self::Other,
+        }
+    }
+}
+
+impl ArmingCheck {
+    const ALL: [Self; 4] = [Self::Terminated, Self::Tilted, Self::OutsideFence, Self::Other];
+
+    /// Index of the health component it concerns.
+    fn component(self) -> u8 {
+        match self {
+            Self::Terminated | Self::Other => 1,
+            Self::Tilted => 2,
+            Self::OutsideFence => 3,
+        }
+    }
+
+    pub(super) fn component_bit(self) -> u32 {
+        1 << self.component()
+    }
+
+    fn name_and_message(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Terminated => ("check_terminated", "Flight was terminated: reboot first"),
+            Self::Tilted => ("check_tilted", "Vehicle is tilted"),
+            Self::OutsideFence => ("check_outside_fence", "Vehicle is outside its geofence"),
+            Self::Other => ("check_other", "Vehicle is not ready"),
+        }
+    }
+}
+
+/// What can be told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Event {
+    Armed,
+    Disarmed,
+    ModeChanged(FlightMode),
+    FailsafeEntered(Failsafe),
+    FailsafeEnded,
+    Terminated,
+    TookOff,
+    Landed,
+    ArmingCheckSummary { failing: u32, groups_that_can: u32 },
+    CheckFailed(ArmingCheck),
+    HealthSummary,
+}
+
+fn failsafe_number(failsafe: Failsafe) -> u8 {
+    match failsafe {
+        Failsafe::SetpointLost => 1,
+        Failsafe::GeofenceBreached => 2,
+    }
+}
+
+impl Event {
+    pub(super) fn id(self) -> u32 {
+        COMPONENT | self.sub_id()
+    }
+
+    fn sub_id(self) -> u32 {
+        match self {
+            Self::Armed => 1,
+            Self::Disarmed => 2,
+            Self::ModeChanged(_) => 3,
+            Self::FailsafeEntered(_) => 4,
+            Self::FailsafeEnded => 5,
+            Self::Terminated => 6,
+            Self::TookOff => 7,
+            Self::Landed => 8,
+            Self::ArmingCheckSummary { .. } => 100,
+            Self::CheckFailed(check) => 101 + check as u32,
+            Self::HealthSummary => 200,
+        }
+    }
+
+    pub(super) fn arguments(self) -> [u8; 40] {
+        let mut bytes = Vec::with_capacity(40);
+        let mut number = |value: u32| bytes.extend_from_slice(&value.to_le_bytes());
+        match self {
+            Self::ModeChanged(mode) => number(mode.custom_mode()),
+            Self::FailsafeEntered(failsafe) => bytes.push(failsafe_number(failsafe)),
+            Self::ArmingCheckSummary {
+                failing,
+                groups_that_can,
+            } => {
+                bytes.push(0);
+                for value in [failing, 0, groups_that_can, groups_that_can] {
+                    bytes.extend_from_slice(&value.to_le_bytes());
+                }
+            }
+            Self::CheckFailed(check) => {
+                number(MODE_GROUP);
+                bytes.push(check.component());
+            }
+            Self::HealthSummary => {
+                bytes.push(0);
+                for value in [PRESENT, 0, 0] {
+                    bytes.extend_from_slice(&value.to_le_bytes());
+                }
+            }
+            _ => {}
+        }
+        let mut arguments = [0; 40];
+        for (to, from) in arguments.iter_mut().zip(bytes) {
+            *to = from;
+        }
+        arguments
+    }
+}
+
+fn entries<'a>(entries: impl IntoIterator<Item = (u32, &'a str, &'a str)>) -> Value {
+    let entries = entries.into_iter();
+    Value::Object(
+        entries
+            .map(|(value, name, description)| {
+                let entry = json!({ "name": name, "description": description });
+                (value.to_string(), entry)
+            })
+            .collect(),
+    )
+}
+
+fn argument(kind: &str, name: &str) -> Value {
+    json!({ "type": kind, "name": name })
+}
+
+fn group<const N: usize>(events: [(Event, Value); N]) -> Value {
+    let events: Map<String, Value> = events
+        .into_iter()
+        .map(|(event, definition)| (event.sub_id().to_string(), definition))
+        .collect();
+    json!({ "events": events })
+}
+
+/// The definitions as clients fetch them.
+pub(crate) fn definitions() -> Value {
+    let plain = |name: &str, message: &str| json!({ "name": name, "message": message });
+    let with = |name: &str, message: &str, arguments: &[Value]| json!({ "name": name, "message": message, "arguments": arguments });
+    let summary = |name: &str, message: &str, arguments: &[Value]| json!({ "name": name, "message": message, "type": "summary", "arguments": arguments });
+    let happened = group([
+        (Event::Armed, plain("armed", "Armed")),
+        (Event::Disarmed, plain("disarmed", "Disarmed")),
+        (
+            Event::ModeChanged(FlightMode::Hold),
+            with("mode_changed", "Mode: {1}", &[argument("flight_mode_t", "mode")]),
+        ),
+        (
+            Event::FailsafeEntered(Failsafe::SetpointLost),
+            with(
+                "failsafe_entered",
+                "Failsafe: {1}",
+                &[argument("failsafe_t", "failsafe")],
+            ),
+        ),
+        (Event::FailsafeEnded, plain("failsafe_ended", "Failsafe ended")),
+        (Event::Terminated, plain("terminated", "Flight terminated")),
+        (Event::TookOff, plain("took_off", "Took off")),
+        (Event::Landed, plain("landed", "Landed")),
+    ]);
+    let check_summary = Event::ArmingCheckSummary {
+        failing: 0,
+        groups_that_can: 0,
+    };
+    let mut checks: Map<String, Value> = ArmingCheck::ALL
+        .into_iter()
+        .map(|check| {
+            let (name, message) = check.name_and_message();
+            let arguments = [
+                argument("navigation_mode_group_t", "modes"),
+                argument("uint8_t", "health_component_index"),
+            ];
+            (
+                Event::CheckFailed(check).sub_id().to_string(),
+                with(name, message, &arguments),
+            )
+        })
+        .collect();
+    checks.insert(
+        check_summary.sub_id().to_string(),
+        summary(
+            "arming_check_summary",
+            "Arming checks",
+            &[
+                argument("uint8_t", "chunk_idx"),
+                argument("health_component_t", "error"),
+                argument("health_component_t", "warning"),
+                argument("navigation_mode_group_t", "can_arm"),
+                argument("navigation_mode_group_t", "can_run"),
+            ],
+        ),
+    );
+    let health = group([(
+        Event::HealthSummary,
+        summary(
+            "health_summary",
+            "Health",
+            &[
+                argument("uint8_t", "chunk_idx"),
+                argument("health_component_t", "is_present"),
+                argument("health_component_t", "error"),
+                argument("health_component_t", "warning"),
+            ],
+        ),
+    )]);
+    let modes = FlightMode::ALL.map(|mode| (mode.custom_mode(), mode.name(), mode.name()));
+    json!({
+        "version": 1,
+        "components": { "1": {
+            "namespace": "vigil",
+            "enums": {
+                "flight_mode_t": {
+                    "type": "uint32_t", "description": "Custom mode", "entries": entries(modes),
+                },
+                "failsafe_t": {
+                    "type": "uint8_t", "description": "Failsafe",
+                    "entries": entries([
+                        (1, "setpoint_lost", "setpoint lost"),
+                        (2, "geofence_breached", "geofence breached"),
+                    ]),
+                },
+                "navigation_mode_group_t": {
+                    "type": "uint32_t", "is_bitfield": true, "description": "Modes of the same checks",
+                    "entries": entries([(MODE_GROUP, "all", "All modes")]),
+                },
+                "health_component_t": {
+                    "type": "uint32_t", "is_bitfield": true, "description": "Parts of the vehicle",
+                    "entries": entries([
+                        (1, "none", "None"),
+                        (1 << 1, "system", "System"),
+                        (1 << 2, "attitude_estimate", "Attitude estimate"),
+                        (1 << 3, "geofence", "Geofence"),
+                        (BATTERY_BIT, "battery", "Battery"),
+                    ]),
+                },
+            },
+            "event_groups": {
+                "default": happened,
+                "arming_check": { "events": checks },
+                "health": health,
+            },
+            "supported_protocols": ["health_and_arming_check"],
+            "navigation_mode_groups": {
+                "groups": { "0": FlightMode::ALL.map(FlightMode::custom_mode) },
+            },
+        }},
+    })
+}
