@@ -12,6 +12,7 @@ use vigil_link::mavlink::MessageData;
 use vigil_types::NedVector;
 use vigil_vehicle::YawCommand;
 
+const NAV_LOITER_UNLIM: u16 = 17;
 const NAV_RETURN_TO_LAUNCH: u16 = 20;
 const NAV_LAND: u16 = 21;
 const NAV_TAKEOFF: u16 = 22;
@@ -54,6 +55,7 @@ impl Service for Actions {
                     set_mode(Requested::from_px4(main, sub), source, core)
                 }
             }
+            NAV_LOITER_UNLIM => set_mode(Requested::Flown(FlightMode::Hold), source, core),
             NAV_RETURN_TO_LAUNCH => set_mode(Requested::Flown(FlightMode::Return), source, core),
             NAV_LAND => set_mode(Requested::Flown(FlightMode::Land), source, core),
             NAV_TAKEOFF => take_off(command, core),

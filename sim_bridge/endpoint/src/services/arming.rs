@@ -39,14 +39,20 @@ impl Service for Arming {
 
 /// 1 restarts the autopilot; anything else there is (shutdown, boot loader) does not exist in a simulation.
 fn reboot(command: &Command, core: &mut Core) -> Answer {
-    let c = &core.commander;
     match command.param(1) {
-        Some(1.0) if !c.is_armed() || (c.is_terminated() && c.is_on_ground()) => {
-            core.reboot();
-            Answer::ACCEPTED
-        }
-        Some(1.0) => Answer::REJECTED,
+        Some(1.0) => reboot_now(core),
         _ => Answer::DENIED,
+    }
+}
+
+/// Restarts the autopilot unless its motors may be needed.
+pub(super) fn reboot_now(core: &mut Core) -> Answer {
+    let c = &core.commander;
+    if !c.is_armed() || (c.is_terminated() && c.is_on_ground()) {
+        core.reboot();
+        Answer::ACCEPTED
+    } else {
+        Answer::REJECTED
     }
 }
 

@@ -19,6 +19,7 @@ mod plans;
 mod position;
 mod sensors;
 mod setpoints;
+mod shell;
 mod state;
 mod statustext;
 mod time;
@@ -50,6 +51,7 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(metadata::Metadata),
         Box::<logs::Logs>::default(),
         Box::<events::Events>::default(),
+        Box::<shell::Shell>::default(),
         Box::new(time::Time),
         Box::new(version::Version),
     ]

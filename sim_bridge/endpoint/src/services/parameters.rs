@@ -93,7 +93,8 @@ impl ParameterService {
     }
 }
 
-fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
+/// PARAM_VALUE of the parameter at `index`.
+pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
     let (info, value) = core.parameters.at(index)?;
     let (param_value, param_type) = match value {
         ParameterValue::Int32(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),

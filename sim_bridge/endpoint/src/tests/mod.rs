@@ -14,3 +14,4 @@ mod plans;
 mod protocol;
 mod rejection;
 mod routing;
+mod shell;

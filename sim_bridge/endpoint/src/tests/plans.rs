@@ -4,6 +4,7 @@ use crate::geo;
 use crate::plan::{Envelope, PlanItem};
 use crate::testing::*;
 use crate::{HomePosition, LinkId, core::ComponentId};
+use proptest::prelude::*;
 use vigil_link::MavMessage;
 use vigil_link::common::*;
 use vigil_link::framing::{MAX_PACKET_LEN, serialize_payload};
@@ -369,4 +370,62 @@ fn ids_tell_which_plan_is_on_board() {
     assert!(one.mission_id != 0 && one.mission_id != other.mission_id && one.total == 1);
     assert_eq!(one.mission_state, MissionState::MISSION_STATE_NOT_STARTED);
     assert_eq!((one.fence_id, one.rally_points_id), (0, 0));
+}
+
+/// Payload of a message of the mission protocol with its target fields set to the vehicle.
+fn addressed(id: u32, mut payload: Vec<u8>) -> Vec<u8> {
+    let at = match id {
+        MISSION_ITEM_DATA::ID | MISSION_ITEM_INT_DATA::ID => 32,
+        MISSION_REQUEST_PARTIAL_LIST_DATA::ID | MISSION_WRITE_PARTIAL_LIST_DATA::ID => 4,
+        MISSION_COUNT_DATA::ID
+        | MISSION_REQUEST_DATA::ID
+        | MISSION_REQUEST_INT_DATA::ID
+        | MISSION_SET_CURRENT_DATA::ID => 2,
+        _ => 0,
+    };
+    payload[at..at + 2].copy_from_slice(&[1, 1]);
+    payload
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn nonsense_in_the_mission_protocol_does_no_harm(
+        messages in proptest::collection::vec((0_usize..10, proptest::collection::vec(any::<u8>(), 38)), 1..60),
+    ) {
+        const IDS: [u32; 10] = [
+            MISSION_REQUEST_PARTIAL_LIST_DATA::ID,
+            MISSION_WRITE_PARTIAL_LIST_DATA::ID,
+            MISSION_ITEM_DATA::ID,
+            MISSION_REQUEST_DATA::ID,
+            MISSION_SET_CURRENT_DATA::ID,
+            MISSION_REQUEST_LIST_DATA::ID,
+            MISSION_COUNT_DATA::ID,
+            MISSION_ACK_DATA::ID,
+            MISSION_REQUEST_INT_DATA::ID,
+            MISSION_ITEM_INT_DATA::ID,
+        ];
+        let mut b = Bench::airborne();
+        prop_assert_eq!(b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]), R::MAV_MISSION_ACCEPTED);
+        for (which, payload) in messages {
+            let id = IDS[which];
+            let len = if id == MISSION_ITEM_DATA::ID || id == MISSION_ITEM_INT_DATA::ID { 38 } else { 9 };
+            let mut payload = addressed(id, payload);
+            // Few kinds and small counts, so that uploads do begin.
+            if id == MISSION_COUNT_DATA::ID {
+                payload[0] &= 3;
+                payload[1] = 0;
+                payload[4] = payload[4] & 1 | 1;
+            }
+            b.send_raw(API, &raw(SCRIPT, id, &payload[..len]));
+            b.run_ms(20);
+        }
+        b.run_ms(6_000);
+        prop_assert_eq!(b.status().mode, crate::FlightMode::Hold);
+        prop_assert_eq!(b.download(MISSION).len(), 1);
+        prop_assert!((b.height_m() - 3.0).abs() < 0.5);
+        // The protocol still works.
+        prop_assert_eq!(b.upload(RALLY, &[item(5100, [0.0; 4], (1.0, 1.0), 0.0)]), R::MAV_MISSION_ACCEPTED);
+    }
 }
