@@ -1,6 +1,7 @@
 //! Configuration of the firmware: a TOML file, command-line flags over it, and what the flight stack makes of both.
 
 use crate::link_url::LinkUrl;
+use crate::ports::gate::{AllowUnsigned, Gate, SigningFileError};
 use crate::stack::StackConfig;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -26,6 +27,8 @@ pub struct FirmwareConfig {
     /// Where the vehicle's MAVLink is; absent means the simulator of this instance.
     #[serde(skip_serializing_if = "Option::is_none", with = "url")]
     pub link: Option<LinkUrl>,
+    /// Who may speak on the link.
+    pub signing: SigningConfig,
     /// Which autopilot the vehicle has.
     pub vehicle: Vehicle,
     /// The sensor whose frames are accepted.
@@ -48,6 +51,17 @@ pub struct FirmwareConfig {
     pub rate: RateConfig,
     /// The flight log.
     pub log: LogConfig,
+}
+
+/// Who may speak on the link: MAVLink 2 signing.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SigningConfig {
+    /// The file with the key; absent means that nothing is signed. The key itself is in no configuration and no log.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub key_file: Option<PathBuf>,
+    /// From whom packets without a signature are accepted.
+    pub allow_unsigned: AllowUnsigned,
 }
 
 /// Which autopilot the vehicle has.
@@ -197,6 +211,7 @@ impl Default for FirmwareConfig {
         Self {
             instance: 0,
             link: None,
+            signing: SigningConfig::default(),
             vehicle: Vehicle::default(),
             sensor_id: 1,
             engage: Engage::default(),
@@ -326,7 +341,24 @@ impl FirmwareConfig {
     /// Where the vehicle's MAVLink is, the default resolved.
     pub fn link_url(&self) -> LinkUrl {
         let port = COMPANION_PORT + self.instance.min(MAX_INSTANCE) as u16;
-        self.link.unwrap_or(LinkUrl::UdpIn(([127, 0, 0, 1], port).into()))
+        self.link
+            .clone()
+            .unwrap_or(LinkUrl::UdpIn(([127, 0, 0, 1], port).into()))
+    }
+
+    /// The gate of the link, its key read.
+    ///
+    /// # Errors
+    /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
+    pub fn gate(&self) -> Result<Gate, SigningFileError> {
+        let SigningConfig {
+            key_file,
+            allow_unsigned,
+        } = &self.signing;
+        match key_file {
+            Some(path) => Gate::with_key_file(path, self.instance, *allow_unsigned),
+            None => Ok(Gate::new(None, *allow_unsigned)),
+        }
     }
 
     /// What the flight stack needs of this.
@@ -490,6 +522,10 @@ mod tests {
         let config = FirmwareConfig {
             instance: 7,
             link: Some("udpin://0.0.0.0:14540".parse().unwrap()),
+            signing: SigningConfig {
+                key_file: Some("keys/vigil.key".into()),
+                allow_unsigned: AllowUnsigned::Never,
+            },
             vehicle: Vehicle::ArduPilot,
             engage: Engage::Auto,
             goal: Some(GoalConfig {
@@ -547,6 +583,8 @@ mod tests {
             ("instance = 100", "line 1", "0 to 99"),
             ("instance = -1", "line 1", "integer"),
             ("link = \"serial:///dev/ttyS0\"", "line 1", "udpout://"),
+            ("[signing]\nallow_unsigned = \"yes\"", "line 2", "loopback"),
+            ("[signing]\nkey = \"secret\"", "line 2", "key_file"),
             ("[rate]\npriority = 100", "line 2", "0 to 99"),
             ("goal = 5", "line 1", "GoalConfig"),
             ("engage = \"auto", "line 1", "string"),

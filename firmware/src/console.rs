@@ -9,6 +9,8 @@ use vigil_types::{GuidanceState, Nanos, Reasons, StepReport};
 const CAPACITY: usize = 64;
 /// How often the printer looks.
 const PAUSE: Duration = Duration::from_millis(50);
+/// Refused packets are told of this often at most: an attacker must not fill the terminal.
+const REFUSED_NS: Nanos = 10_000_000_000;
 
 #[derive(Debug, Clone, Copy)]
 enum Announcement {
@@ -22,6 +24,10 @@ enum Announcement {
         at_ns: Nanos,
         total: u64,
     },
+    Refused {
+        at_ns: Nanos,
+        total: u64,
+    },
 }
 
 /// Announces changes of the guidance state and missed steps.
@@ -31,6 +37,8 @@ pub struct Console {
     printer: Option<JoinHandle<()>>,
     state: GuidanceState,
     slips: u64,
+    refused: u64,
+    refused_next_ns: Nanos,
 }
 
 impl Console {
@@ -48,6 +56,8 @@ impl Console {
             printer: Some(printer),
             state: GuidanceState::Standby,
             slips: 0,
+            refused: 0,
+            refused_next_ns: 0,
         })
     }
 
@@ -69,6 +79,15 @@ impl Console {
                 at_ns,
                 total: self.slips,
             });
+        }
+    }
+
+    /// Is told how many packets signing refused since start. Never waits and allocates nothing.
+    pub fn refused(&mut self, at_ns: Nanos, total: u64) {
+        if total > self.refused && at_ns >= self.refused_next_ns {
+            self.refused = total;
+            self.refused_next_ns = at_ns + REFUSED_NS;
+            self.announce(Announcement::Refused { at_ns, total });
         }
     }
 
@@ -110,6 +129,13 @@ fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
                         to.name(),
                         if reasons.is_empty() { "" } else { ": " },
                         reasons.join(", ")
+                    );
+                }
+                Announcement::Refused { at_ns, total } => {
+                    tracing::warn!(
+                        "{:8.2} s  {total} packets refused since start: unsigned or wrongly signed (docs/firmware.md, \
+                         \"Signing\")",
+                        seconds(at_ns)
                     );
                 }
                 Announcement::Slips { at_ns, total } => {

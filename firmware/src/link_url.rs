@@ -4,17 +4,31 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::str::FromStr;
 
 /// A parsed link URL.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LinkUrl {
     /// `udpin://address:port`: listens there and answers whoever speaks first.
     UdpIn(SocketAddr),
     /// `udpout://host:port`: sends there.
     UdpOut(SocketAddr),
+    /// `tcpin://address:port`: listens there and serves who connects first.
+    TcpIn(SocketAddr),
+    /// `tcpout://host:port`: connects there.
+    TcpOut(SocketAddr),
+    /// `serial:///dev/device:baud`.
+    Serial {
+        /// The device.
+        device: String,
+        /// Bits per second.
+        baud: u32,
+    },
 }
 
 /// A URL that is not understood.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("link `{url}`: {reason}; use udpin://ADDRESS:PORT to listen or udpout://HOST:PORT to call")]
+#[error(
+    "link `{url}`: {reason}; use udpin://ADDRESS:PORT or tcpin://ADDRESS:PORT to listen, udpout://HOST:PORT or \
+     tcpout://HOST:PORT to call, or serial:///dev/DEVICE:BAUD"
+)]
 pub struct LinkUrlError {
     url: String,
     reason: String,
@@ -31,31 +45,55 @@ impl FromStr for LinkUrl {
         let Some((scheme, address)) = url.split_once("://") else {
             return Err(error("no scheme"));
         };
-        let Some((host, port)) = address.rsplit_once(':') else {
-            return Err(error("no port"));
+        let parsed = match scheme {
+            "udpin" => listen(address).map(Self::UdpIn),
+            "tcpin" => listen(address).map(Self::TcpIn),
+            "udpout" => call(address).map(Self::UdpOut),
+            "tcpout" => call(address).map(Self::TcpOut),
+            "serial" => serial(address),
+            _ => Err("this scheme is not supported"),
         };
-        let port: u16 = port.parse().map_err(|_| error("the port must be 1 to 65535"))?;
-        if port == 0 {
-            return Err(error("the port must be 1 to 65535"));
-        }
-        match scheme {
-            // MAVSDK's `udpin://:14540` means all addresses.
-            "udpin" => {
-                let host = if host.is_empty() { "0.0.0.0" } else { host };
-                let address = format!("{host}:{port}");
-                address
-                    .parse()
-                    .map(Self::UdpIn)
-                    .map_err(|_| error("the address to listen on must be an IP address"))
-            }
-            "udpout" => (host.trim_matches(['[', ']']), port)
-                .to_socket_addrs()
-                .ok()
-                .and_then(|mut found| found.next())
-                .map(Self::UdpOut)
-                .ok_or_else(|| error("the host is not known")),
-            _ => Err(error("this scheme is not supported")),
-        }
+        parsed.map_err(error)
+    }
+}
+
+fn host_and_port(address: &str) -> Result<(&str, u16), &'static str> {
+    let (host, port) = address.rsplit_once(':').ok_or("no port")?;
+    match port.parse() {
+        Ok(port) if port > 0 => Ok((host, port)),
+        _ => Err("the port must be 1 to 65535"),
+    }
+}
+
+fn listen(address: &str) -> Result<SocketAddr, &'static str> {
+    let (host, port) = host_and_port(address)?;
+    // MAVSDK's `udpin://:14540` means all addresses.
+    let host = if host.is_empty() { "0.0.0.0" } else { host };
+    format!("{host}:{port}")
+        .parse()
+        .map_err(|_| "the address to listen on must be an IP address")
+}
+
+fn call(address: &str) -> Result<SocketAddr, &'static str> {
+    let (host, port) = host_and_port(address)?;
+    (host.trim_matches(['[', ']']), port)
+        .to_socket_addrs()
+        .ok()
+        .and_then(|mut found| found.next())
+        .ok_or("the host is not known")
+}
+
+fn serial(address: &str) -> Result<LinkUrl, &'static str> {
+    let (device, baud) = address.rsplit_once(':').ok_or("no baud rate")?;
+    if !device.starts_with('/') || device.contains('\0') {
+        return Err("the device must be a full path");
+    }
+    match baud.parse() {
+        Ok(baud) if (300..=20_000_000).contains(&baud) => Ok(LinkUrl::Serial {
+            device: device.to_owned(),
+            baud,
+        }),
+        _ => Err("the baud rate must be 300 to 20000000"),
     }
 }
 
@@ -64,6 +102,9 @@ impl std::fmt::Display for LinkUrl {
         match self {
             Self::UdpIn(address) => write!(f, "udpin://{address}"),
             Self::UdpOut(address) => write!(f, "udpout://{address}"),
+            Self::TcpIn(address) => write!(f, "tcpin://{address}"),
+            Self::TcpOut(address) => write!(f, "tcpout://{address}"),
+            Self::Serial { device, baud } => write!(f, "serial://{device}:{baud}"),
         }
     }
 }
@@ -75,14 +116,33 @@ mod tests {
     #[test]
     fn urls_mean_what_they_mean_to_mavsdk() {
         let all = LinkUrl::UdpIn("0.0.0.0:14030".parse().unwrap());
-        assert_eq!("udpin://0.0.0.0:14030".parse(), Ok(all));
+        assert_eq!("udpin://0.0.0.0:14030".parse().as_ref(), Ok(&all));
         assert_eq!("udpin://:14030".parse(), Ok(all));
-        assert_eq!(all.to_string().parse(), Ok(all));
-        let there = LinkUrl::UdpOut("127.0.0.1:14550".parse().unwrap());
-        assert_eq!("udpout://127.0.0.1:14550".parse(), Ok(there));
+        let there = "127.0.0.1:14550".parse().unwrap();
+        assert_eq!("udpout://127.0.0.1:14550".parse(), Ok(LinkUrl::UdpOut(there)));
+        assert_eq!("tcpout://127.0.0.1:14550".parse(), Ok(LinkUrl::TcpOut(there)));
         let v6 = LinkUrl::UdpIn("[::1]:14030".parse().unwrap());
         assert_eq!("udpin://[::1]:14030".parse(), Ok(v6));
-        assert_eq!(v6.to_string().parse(), Ok(v6));
+        let serial = LinkUrl::Serial {
+            device: "/dev/ttyUSB0".to_owned(),
+            baud: 57_600,
+        };
+        assert_eq!("serial:///dev/ttyUSB0:57600".parse(), Ok(serial));
+    }
+
+    #[test]
+    fn a_url_that_was_written_is_read_back() {
+        for url in [
+            "udpin://0.0.0.0:14030",
+            "udpin://[::1]:14030",
+            "udpout://10.0.0.2:14550",
+            "tcpin://127.0.0.1:5760",
+            "tcpout://127.0.0.1:5760",
+            "serial:///dev/serial/by-id/usb-a:b-if00:921600",
+        ] {
+            let parsed: LinkUrl = url.parse().unwrap();
+            assert_eq!(parsed.to_string(), url);
+        }
     }
 
     #[test]
@@ -91,10 +151,13 @@ mod tests {
             ("14030", "no scheme"),
             ("udpin://0.0.0.0", "port"),
             ("udpin://0.0.0.0:0", "1 to 65535"),
-            ("udpin://0.0.0.0:99999", "1 to 65535"),
+            ("tcpin://0.0.0.0:99999", "1 to 65535"),
             ("udpin://vehicle:14030", "IP address"),
             ("udpout://:14030", "not known"),
-            ("serial:///dev/ttyUSB0:57600", "not supported"),
+            ("serial:///dev/ttyUSB0", "baud rate"),
+            ("serial:///dev/ttyUSB0:fast", "300 to"),
+            ("serial://ttyUSB0:57600", "full path"),
+            ("can://0:1", "not supported"),
         ] {
             let error = url.parse::<LinkUrl>().unwrap_err().to_string();
             assert!(error.contains(reason) && error.contains("udpout://"), "{url}: {error}");

@@ -2,7 +2,8 @@
 
 use crate::config::FirmwareConfig;
 use crate::console::Console;
-use crate::ports::live::{LinkError, MonotonicClock, SharedFrames, UdpLink};
+use crate::ports::links::{LinkError, LinkStatistics, LiveLink};
+use crate::ports::live::{MonotonicClock, SharedFrames};
 use crate::ports::{Clock, Link};
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
@@ -10,6 +11,8 @@ use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_link::LinkCounters;
+use vigil_link::framing::FramingCounters;
+use vigil_link::signing::SigningCounters;
 use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, StartError, epoch_offset_ns};
 use vigil_transport::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
 use vigil_types::{Datagrams, GuidanceState, Nanos, StepReport};
@@ -62,10 +65,8 @@ pub struct FlightSummary {
     pub frame_failures: u64,
     /// What MAVLink refused or dropped.
     pub link: LinkCounters,
-    /// Datagrams of strangers, which were not read.
-    pub foreign_datagrams: u64,
-    /// Datagrams that could not be sent.
-    pub unsent_datagrams: u64,
+    /// What the link did not take or could not deliver.
+    pub line: LinkStatistics,
     /// Guidance state at the end.
     pub state: GuidanceState,
     /// What became of the log, if there was one.
@@ -87,18 +88,27 @@ impl std::fmt::Display for FlightSummary {
         if self.frame_failures > 0 {
             write!(f, ", {} times the transport failed", self.frame_failures)?;
         }
-        if self.foreign_datagrams + self.unsent_datagrams > 0 {
+        let line = &self.line;
+        if line.foreign + line.unsent > 0 {
             write!(
                 f,
-                "\nlink      {} datagrams of strangers not read, {} could not be sent",
-                self.foreign_datagrams, self.unsent_datagrams
+                "\nlink      {} of strangers not read, {} packets could not be sent",
+                line.foreign, line.unsent
             )?;
         }
-        let framing = &self.link.framing;
-        let refused = framing.bad_crc + framing.truncated + framing.incompatible + self.link.unreadable;
-        if refused > 0 {
-            write!(f, "\nmavlink   {} packets, {refused} refused", framing.packets)?;
+        if line.connections > 1 {
+            write!(f, "\nlink      connected {} times", line.connections)?;
         }
+        let damaged = |f: &FramingCounters| f.bad_crc + f.truncated + f.incompatible;
+        let refused = damaged(&self.link.framing) + damaged(&line.framing) + self.link.unreadable;
+        if refused > 0 {
+            write!(
+                f,
+                "\nmavlink   {} packets, {refused} refused",
+                self.link.framing.packets
+            )?;
+        }
+        write_signing(f, &line.signing)?;
         match &self.log {
             None => write!(f, "\nlog       none"),
             Some(log) => {
@@ -113,6 +123,26 @@ impl std::fmt::Display for FlightSummary {
             }
         }
     }
+}
+
+/// Nothing where there was nothing to verify.
+fn write_signing(f: &mut std::fmt::Formatter<'_>, signing: &SigningCounters) -> std::fmt::Result {
+    if signing.signed + signing.refused() == 0 {
+        return Ok(());
+    }
+    write!(
+        f,
+        "\nsigning   {} packets signed, {} unsigned accepted, {} refused",
+        signing.signed,
+        signing.unsigned_allowed,
+        signing.refused()
+    )?;
+    let mut separator = " (";
+    for (reason, count) in signing.refusals().into_iter().filter(|(_, count)| *count > 0) {
+        write!(f, "{separator}{count} {reason}")?;
+        separator = ", ";
+    }
+    f.write_str(if signing.refused() > 0 { ")" } else { "" })
 }
 
 /// Adds datagrams of the program's own to what a link receives: requests of the person at the terminal reach the
@@ -144,7 +174,7 @@ pub struct LiveLoop {
     priority: i32,
     firmware: Firmware,
     frames: SharedFrames,
-    link: OperatorLink<UdpLink>,
+    link: OperatorLink<LiveLink>,
     execution: Durations,
     wake_late: Durations,
     last: StepReport,
@@ -163,7 +193,7 @@ impl LiveLoop {
         let domain = Domain::open(config.instance, "firmware")?;
         let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
         let link = OperatorLink {
-            link: UdpLink::open(config.link_url())?,
+            link: LiveLink::open(&config.link_url(), config.gate().map_err(LinkError::from)?)?,
             pending: Box::default(),
         };
         let recorder = start_recorder(config, clock.now_ns())?;
@@ -203,6 +233,7 @@ impl LiveLoop {
             .firmware
             .step(timing, &mut self.clock, &mut self.frames, &mut self.link);
         self.console.observe(&report);
+        self.console.refused(report.now_ns, self.link.link.signing_refused());
         if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
             self.used_frames += 1;
         }
@@ -229,8 +260,7 @@ impl LiveLoop {
             frames_refused: self.last.frames_refused,
             frame_failures: self.frames.failures(),
             link: self.firmware.link_counters(),
-            foreign_datagrams: self.link.link.foreign(),
-            unsent_datagrams: self.link.link.unsent(),
+            line: self.link.link.statistics(),
             state: self.last.state,
             log: self.firmware.finish(),
         }

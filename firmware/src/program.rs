@@ -1,9 +1,12 @@
 //! The `firmware` program, which is also `vigil firmware`.
 
-use crate::config::{AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, Vehicle};
+use crate::config::{
+    AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, SigningConfig, Vehicle,
+};
 use crate::link_url::LinkUrl;
 use crate::live::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
+use crate::ports::gate::AllowUnsigned;
 use anyhow::{Context, Result, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -22,6 +25,8 @@ Examples:
   firmware --engage auto --goal 20,5        take off and fly to 20 m north, 5 m east of home
   firmware --link udpin://0.0.0.0:14540 --vehicle ardupilot --goal 50,0 --height 5
                                             on a vehicle of yours
+  firmware --link serial:///dev/ttyUSB0:921600 --signing-key vigil.key
+                                            over a serial line, with MAVLink signing
   firmware --lockstep                       answer a simulator that sets the pace
   firmware --config my.toml                 with a configuration file (docs/firmware.md); flags override it
 
@@ -36,10 +41,18 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_INSTANCE)))]
     pub instance: Option<u32>,
 
-    /// Where the vehicle's MAVLink is: udpin://ADDRESS:PORT or udpout://HOST:PORT [default: udpin://127.0.0.1:14030,
-    /// the port plus the instance].
+    /// Where the vehicle's MAVLink is: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcpin://ADDRESS:PORT, tcpout://HOST:PORT
+    /// or serial:///dev/DEVICE:BAUD [default: udpin://127.0.0.1:14030, the port plus the instance].
     #[arg(long, value_name = "URL")]
     pub link: Option<LinkUrl>,
+
+    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
+    #[arg(long, value_name = "FILE")]
+    pub signing_key: Option<PathBuf>,
+
+    /// From whom packets without a signature are accepted: from this machine, nobody, everybody [default: loopback].
+    #[arg(long, value_enum, value_name = "WHO")]
+    pub allow_unsigned: Option<AllowUnsigned>,
 
     /// Which autopilot the vehicle has [default: px4].
     #[arg(long, value_enum)]
@@ -117,7 +130,9 @@ impl FirmwareArgs {
             None => FirmwareConfig::default(),
         };
         config.instance = self.instance.unwrap_or(config.instance);
-        config.link = self.link.or(config.link);
+        config.link = self.link.clone().or(config.link);
+        config.signing.key_file = self.signing_key.clone().or(config.signing.key_file);
+        config.signing.allow_unsigned = self.allow_unsigned.unwrap_or(config.signing.allow_unsigned);
         config.vehicle = self.vehicle.unwrap_or(config.vehicle);
         config.engage = self.engage.unwrap_or(config.engage);
         config.at_goal = self.at_goal.unwrap_or(config.at_goal);
@@ -158,10 +173,11 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     } else {
         let summary = live::fly(&config, &stop, |granted| {
             tracing::info!(
-                "instance {}: {} on {}, engages {}; {granted}",
+                "instance {}: {} on {} ({}), engages {}; {granted}",
                 config.instance,
                 config.vehicle.name(),
                 config.link_url(),
+                config.signing,
                 config.engage.name(),
             );
         })?;
@@ -202,6 +218,20 @@ impl Vehicle {
             Self::Px4 => "PX4",
             Self::ArduPilot => "ArduPilot",
         }
+    }
+}
+
+impl std::fmt::Display for SigningConfig {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self.key_file {
+            Some(_) => "signed",
+            None => "not signed",
+        })?;
+        f.write_str(match self.allow_unsigned {
+            AllowUnsigned::Loopback => ", unsigned packets from this machine only",
+            AllowUnsigned::Never => ", no unsigned packets",
+            AllowUnsigned::Always => ", unsigned packets from everybody",
+        })
     }
 }
 

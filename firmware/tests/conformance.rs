@@ -2,16 +2,23 @@
 
 mod common;
 
-use common::{Instance, PATIENCE, TestVehicle, config};
-use std::net::UdpSocket;
+use common::{Instance, PATIENCE, PseudoTerminal, TestVehicle, config};
+use rustix::io::ioctl_fionread;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream, UdpSocket};
+use std::os::fd::OwnedFd;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
+use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
-use vigil_firmware::ports::Clock;
-use vigil_firmware::ports::live::{MonotonicClock, SharedFrames, UdpLink};
+use vigil_firmware::ports::gate::Gate;
+use vigil_firmware::ports::links::{LiveLink, SerialLink, TcpLink, UdpLink};
+use vigil_firmware::ports::live::{MonotonicClock, SharedFrames};
+use vigil_firmware::ports::{Clock, Link};
 use vigil_firmware::step::Firmware;
 use vigil_firmware::{LockstepFirmware, lockstep, replay};
 use vigil_link::common::MavMessage;
+use vigil_link::framing::{FramingCounters, Packet, StreamFramer};
 use vigil_log::TickRecord;
 use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport, StepTiming};
@@ -109,25 +116,83 @@ fn suite(mut rig: impl Rig) {
     assert!(texts.count() >= 1, "its states are told");
 }
 
-/// Shared memory and UDP on this machine.
-struct Live {
+/// The vehicle's end of a link.
+trait FarEnd {
+    /// Gives a datagram to the link; it has arrived when this returns.
+    fn send(&mut self, datagram: &[u8]);
+    /// Appends the packets that came.
+    fn receive(&mut self, arrived: &mut Vec<Vec<u8>>);
+}
+
+impl FarEnd for UdpSocket {
+    fn send(&mut self, datagram: &[u8]) {
+        // On the loopback interface a datagram has arrived when its sending returns.
+        UdpSocket::send(self, datagram).unwrap();
+    }
+
+    fn receive(&mut self, arrived: &mut Vec<Vec<u8>>) {
+        let mut buffer = [0; 2048];
+        while let Ok(len) = self.recv(&mut buffer) {
+            arrived.push(buffer[..len].to_vec());
+        }
+    }
+}
+
+/// The far end of a byte stream.
+struct StreamEnd<W> {
+    wire: W,
+    framer: StreamFramer,
+    /// Tells how many bytes wait at the link's end, where they take a moment to arrive.
+    waiting: Option<OwnedFd>,
+}
+
+impl<W: Read + Write> FarEnd for StreamEnd<W> {
+    fn send(&mut self, datagram: &[u8]) {
+        let count = |fd| ioctl_fionread(fd).unwrap();
+        let before = self.waiting.as_ref().map(count);
+        self.wire.write_all(datagram).unwrap();
+        while self.waiting.as_ref().map(count) != before.map(|n| n + datagram.len() as u64) {
+            std::thread::yield_now();
+        }
+    }
+
+    fn receive(&mut self, arrived: &mut Vec<Vec<u8>>) {
+        let mut buffer = [0; 2048];
+        let mut quiet = 0;
+        // A pseudo-terminal hands on in the background.
+        while quiet < 20 {
+            match self.wire.read(&mut buffer) {
+                Ok(len) => {
+                    let mut counters = FramingCounters::default();
+                    let feed = |p: &Packet<'_>| arrived.push(p.raw().to_vec());
+                    self.framer.feed(&buffer[..len], &mut counters, feed);
+                    assert_eq!(counters.garbage_bytes, 0);
+                    quiet = 0;
+                }
+                Err(_) => {
+                    std::thread::sleep(Duration::from_millis(1));
+                    quiet += 1;
+                }
+            }
+        }
+    }
+}
+
+/// Shared memory and a link on this machine.
+struct Live<F> {
     firmware: Firmware,
     frames: SharedFrames,
-    link: UdpLink,
+    link: LiveLink,
     publisher: FramePublisher,
-    vehicle: UdpSocket,
+    vehicle: F,
     steps: u64,
     _instance: Instance,
 }
 
-impl Live {
-    fn new() -> Self {
-        let instance = Instance::own(0);
+impl<F: FarEnd> Live<F> {
+    fn new(number: u32, link: LiveLink, vehicle: F) -> Self {
+        let instance = Instance::own(number);
         let domain = Domain::open(instance.0, "test").unwrap();
-        let link = UdpLink::open(LinkUrl::UdpIn(([127, 0, 0, 1], 0).into())).unwrap();
-        let vehicle = UdpSocket::bind("127.0.0.1:0").unwrap();
-        vehicle.connect(link.local_address().unwrap()).unwrap();
-        vehicle.set_nonblocking(true).unwrap();
         Self {
             firmware: Firmware::new(&config().stack(), None).unwrap(),
             frames: SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap()),
@@ -140,7 +205,7 @@ impl Live {
     }
 }
 
-impl Rig for Live {
+impl<F: FarEnd> Rig for Live<F> {
     fn now_ns(&mut self) -> Nanos {
         MonotonicClock.now_ns()
     }
@@ -151,7 +216,7 @@ impl Rig for Live {
 
     fn put_datagrams(&mut self, datagrams: &Datagrams) {
         for (_, datagram) in datagrams.iter() {
-            self.vehicle.send(datagram).unwrap();
+            self.vehicle.send(datagram);
         }
     }
 
@@ -167,9 +232,9 @@ impl Rig for Live {
     }
 
     fn arrived(&mut self) -> Vec<Vec<u8>> {
-        let mut buffer = [0; 2048];
-        // On the loopback interface a datagram has arrived when its sending returns.
-        std::iter::from_fn(|| self.vehicle.recv(&mut buffer).ok().map(|len| buffer[..len].to_vec())).collect()
+        let mut arrived = Vec::new();
+        self.vehicle.receive(&mut arrived);
+        arrived
     }
 }
 
@@ -346,8 +411,57 @@ fn lockstep_in_two_processes_conforms() {
 }
 
 #[test]
-fn live_ports_conform() {
-    suite(Live::new());
+fn a_udp_link_conforms() {
+    let link = UdpLink::open(&LinkUrl::UdpIn(([127, 0, 0, 1], 0).into()), Gate::open()).unwrap();
+    let vehicle = UdpSocket::bind("127.0.0.1:0").unwrap();
+    vehicle.connect(link.local_address().unwrap()).unwrap();
+    vehicle.set_nonblocking(true).unwrap();
+    suite(Live::new(0, LiveLink::Udp(link), vehicle));
+}
+
+fn tcp_end(socket: TcpStream) -> StreamEnd<TcpStream> {
+    socket.set_nonblocking(true).unwrap();
+    socket.set_nodelay(true).unwrap();
+    StreamEnd {
+        wire: socket,
+        framer: StreamFramer::default(),
+        waiting: None,
+    }
+}
+
+#[test]
+fn a_tcp_server_conforms() {
+    let link = TcpLink::open(&LinkUrl::TcpIn(([127, 0, 0, 1], 0).into()), Gate::open()).unwrap();
+    let vehicle = TcpStream::connect(link.local_address().unwrap()).unwrap();
+    suite(Live::new(2, LiveLink::Tcp(link), tcp_end(vehicle)));
+}
+
+#[test]
+fn a_tcp_client_conforms() {
+    let vehicle = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = LinkUrl::TcpOut(vehicle.local_addr().unwrap());
+    let mut link = TcpLink::open(&url, Gate::open()).unwrap();
+    // The first step's receiving calls.
+    link.receive(MonotonicClock.now_ns(), &mut Datagrams::default());
+    let (socket, _) = vehicle.accept().unwrap();
+    suite(Live::new(3, LiveLink::Tcp(link), tcp_end(socket)));
+}
+
+#[test]
+fn a_serial_line_conforms() {
+    let line = PseudoTerminal::open();
+    let url = LinkUrl::Serial {
+        device: line.device.clone(),
+        baud: 57_600,
+    };
+    let waiting = line.other_end();
+    let link = SerialLink::open(&url, Gate::open()).unwrap();
+    let vehicle = StreamEnd {
+        wire: line.master,
+        framer: StreamFramer::default(),
+        waiting: Some(waiting),
+    };
+    suite(Live::new(4, LiveLink::Serial(link), vehicle));
 }
 
 #[test]

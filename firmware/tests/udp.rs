@@ -3,7 +3,8 @@
 use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::live::{LinkError, UdpLink};
+use vigil_firmware::ports::gate::Gate;
+use vigil_firmware::ports::links::{LinkError, UdpLink};
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND: Nanos = 1_000_000_000;
@@ -13,7 +14,7 @@ fn loopback() -> SocketAddr {
 }
 
 fn listening() -> UdpLink {
-    UdpLink::open(LinkUrl::UdpIn(loopback())).unwrap()
+    UdpLink::open(&LinkUrl::UdpIn(loopback()), Gate::open()).unwrap()
 }
 
 /// A sender that is connected to the link.
@@ -45,12 +46,12 @@ fn answer(socket: &UdpSocket) -> Option<Vec<u8>> {
 fn the_first_caller_is_the_peer_and_a_stranger_is_neither_heard_nor_answered() {
     let mut link = listening();
     say(&mut link, b"to nobody");
-    assert_eq!(link.unsent(), 1);
+    assert_eq!(link.statistics().unsent, 1);
     let (vehicle, stranger) = (caller(&link), caller(&link));
     vehicle.send(b"vehicle").unwrap();
     stranger.send(b"stranger").unwrap();
     assert_eq!(heard(&mut link, SECOND), [b"vehicle"]);
-    assert_eq!(link.foreign(), 1);
+    assert_eq!(link.statistics().foreign, 1);
     say(&mut link, b"setpoint");
     assert_eq!(answer(&vehicle).as_deref(), Some(&b"setpoint"[..]));
     assert_eq!(answer(&stranger), None);
@@ -73,7 +74,7 @@ fn a_vehicle_that_comes_back_from_another_port_is_taken_after_a_silence() {
 #[test]
 fn a_calling_link_hears_only_whom_it_calls() {
     let vehicle = UdpSocket::bind(loopback()).unwrap();
-    let mut link = UdpLink::open(LinkUrl::UdpOut(vehicle.local_addr().unwrap())).unwrap();
+    let mut link = UdpLink::open(&LinkUrl::UdpOut(vehicle.local_addr().unwrap()), Gate::open()).unwrap();
     say(&mut link, b"hello");
     let mut buffer = [0; 64];
     let (len, from) = vehicle.recv_from(&mut buffer).unwrap();
@@ -128,7 +129,7 @@ fn a_peer_that_closed_its_port_does_not_disturb_the_link() {
 fn a_port_in_use_is_named() {
     let link = listening();
     let url = LinkUrl::UdpIn(link.local_address().unwrap());
-    let error = UdpLink::open(url).err().unwrap();
+    let error = UdpLink::open(&url, Gate::open()).err().unwrap();
     assert!(matches!(error, LinkError::InUse { .. }));
     assert!(error.to_string().contains(&url.to_string()), "{error}");
 }

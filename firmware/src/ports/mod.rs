@@ -1,7 +1,10 @@
 //! What the flight stack touches of the outside: a clock, frames, a link. The same step runs over each implementation:
-//! [`live`] (monotonic clock, shared memory, UDP), [`handed`] (lockstep and replay: whoever drives hands everything in).
+//! [`live`] and [`links`] (monotonic clock, shared memory, MAVLink over UDP, TCP or a serial line), [`handed`] (lockstep
+//! and replay: whoever drives hands everything in).
 
+pub mod gate;
 pub mod handed;
+pub mod links;
 pub mod live;
 
 use vigil_types::{Datagrams, DepthFrame, Nanos};

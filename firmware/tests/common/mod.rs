@@ -1,6 +1,8 @@
 //! A vehicle for tests: speaks PX4's MAVLink as the protocol's documentation has it, obeys at once, and sees no obstacle.
 #![allow(dead_code, reason = "each test program uses a part")]
 
+use std::fs::File;
+use std::os::fd::OwnedFd;
 use std::time::Duration;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{Engage, GoalConfig};
@@ -28,6 +30,34 @@ impl Instance {
 impl Drop for Instance {
     fn drop(&mut self) {
         let _ = vigil_transport::remove_leftovers(self.0);
+    }
+}
+
+/// A serial line: `device` is what the firmware opens, `master` the end of the cable.
+pub struct PseudoTerminal {
+    pub device: String,
+    pub master: File,
+}
+
+impl PseudoTerminal {
+    pub fn open() -> Self {
+        use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+        let flags = OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC;
+        let master = openpt(flags).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        rustix::io::ioctl_fionbio(&master, true).unwrap();
+        let device = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        Self {
+            device,
+            master: master.into(),
+        }
+    }
+
+    /// The device's own end, to look at. Open it before the firmware does, which wants it for itself.
+    pub fn other_end(&self) -> OwnedFd {
+        use rustix::fs::{Mode, OFlags, open};
+        open(&*self.device, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap()
     }
 }
 

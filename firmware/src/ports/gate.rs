@@ -1,0 +1,297 @@
+//! Who may speak on a link: MAVLink signing, and the policy on packets without a signature.
+
+mod files;
+
+pub use files::{SigningFileError, read_key};
+
+use files::Keeper;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, packets};
+use vigil_link::signing::{
+    Refusal, SIGNATURE_LEN, Signing, SigningCounters, Timestamp, UNITS_PER_SECOND, timestamp_of_unix_ns,
+};
+use vigil_types::{Datagrams, Nanos};
+
+/// Longest datagram that is read; MAVLink's longest packet is 293 bytes, senders may put several into one datagram.
+pub const MAX_DATAGRAM_BYTES: usize = 2048;
+/// How often what replay protection needs goes to its file.
+const STORE_NS: Nanos = 1_000_000_000;
+/// How much later than it is the stored time is while packets still come: more than passes until it is stored again.
+const STORE_AHEAD: u64 = 2 * UNITS_PER_SECOND;
+
+/// From whom packets without a signature are accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum AllowUnsigned {
+    /// Senders on this machine.
+    #[default]
+    Loopback,
+    /// Nobody.
+    Never,
+    /// Everybody who reaches the link.
+    Always,
+}
+
+/// Verifies what a link receives, signs what it sends.
+pub struct Gate {
+    signing: Option<Signing>,
+    keeper: Option<Keeper>,
+    allow_unsigned: AllowUnsigned,
+    clock: fn() -> Timestamp,
+    now: Timestamp,
+    stored_ns: Nanos,
+    /// Verdicts without a key.
+    counters: SigningCounters,
+    framing: FramingCounters,
+    admitted: Box<[u8; MAX_DATAGRAM_BYTES]>,
+    sealed: Box<[u8; MAX_PACKET_LEN + SIGNATURE_LEN]>,
+}
+
+impl Gate {
+    /// Everything passes, nothing is signed.
+    pub fn open() -> Self {
+        Self::new(None, AllowUnsigned::Always)
+    }
+
+    /// A gate without a file: with `signing` packets are verified and signed. What replay protection knows is lost with it.
+    pub fn new(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Self {
+        Self {
+            signing,
+            keeper: None,
+            allow_unsigned,
+            clock: wall_clock,
+            now: 0,
+            stored_ns: 0,
+            counters: SigningCounters::default(),
+            framing: FramingCounters::default(),
+            admitted: Box::new([0; MAX_DATAGRAM_BYTES]),
+            sealed: Box::new([0; MAX_PACKET_LEN + SIGNATURE_LEN]),
+        }
+    }
+
+    /// A gate with the key in `key_file`. What replay protection needs over restarts is kept beside it, in
+    /// `key_file` + `.INSTANCE.state`.
+    ///
+    /// # Errors
+    /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
+    pub fn with_key_file(
+        key_file: &Path,
+        instance: u32,
+        allow_unsigned: AllowUnsigned,
+    ) -> Result<Self, SigningFileError> {
+        let key = read_key(key_file)?;
+        let (keeper, memory) = Keeper::start(key_file, instance, STORE_AHEAD)?;
+        let mut gate = Self::new(Some(Signing::new(key, 0, memory)), allow_unsigned);
+        gate.keeper = Some(keeper);
+        Ok(gate)
+    }
+
+    /// Takes the signatures' time from `clock` instead of the machine's: for tests.
+    pub fn with_clock(mut self, clock: fn() -> Timestamp) -> Self {
+        self.clock = clock;
+        self
+    }
+
+    /// Whether packets are signed and verified.
+    pub fn has_key(&self) -> bool {
+        self.signing.is_some()
+    }
+
+    /// From whom packets without a signature are accepted.
+    pub fn allow_unsigned(&self) -> AllowUnsigned {
+        self.allow_unsigned
+    }
+
+    /// What was accepted and refused. Empty where everything passes.
+    pub fn counters(&self) -> SigningCounters {
+        self.signing.as_ref().map_or(self.counters, |s| *s.counters())
+    }
+
+    /// What was found in the datagrams that were looked into.
+    pub fn framing(&self) -> FramingCounters {
+        self.framing
+    }
+
+    /// Before anything is received in a step: looks at the clock, and has the state stored once a second.
+    pub fn begin(&mut self, now_ns: Nanos) {
+        let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) else {
+            self.now = if self.signing.is_some() { (self.clock)() } else { 0 };
+            return;
+        };
+        self.now = (self.clock)();
+        if now_ns.saturating_sub(self.stored_ns) >= STORE_NS {
+            self.stored_ns = now_ns;
+            keeper.offer(signing.memory().clone().ahead(STORE_AHEAD));
+        }
+    }
+
+    /// Whether every datagram of a sender passes as it is, so that nobody needs to look into it.
+    fn passes_all(&self, is_local: bool) -> bool {
+        self.signing.is_none() && self.allows_unsigned(is_local)
+    }
+
+    fn allows_unsigned(&self, is_local: bool) -> bool {
+        match self.allow_unsigned {
+            AllowUnsigned::Loopback => is_local,
+            AllowUnsigned::Never => false,
+            AllowUnsigned::Always => true,
+        }
+    }
+
+    /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything
+    /// passed. `is_local`: the sender is on this machine.
+    pub fn admit(&mut self, is_local: bool, link: u8, datagram: &[u8], received: &mut Datagrams) -> bool {
+        if self.passes_all(is_local) {
+            return received.push(link, datagram);
+        }
+        let allow_unsigned = self.allows_unsigned(is_local);
+        let mut len = 0;
+        for packet in packets(datagram, &mut self.framing) {
+            let verdict = match &mut self.signing {
+                Some(signing) => signing.verify(self.now, &packet, allow_unsigned),
+                None => {
+                    // Without a key no signature can be right.
+                    let refusal = match packet.is_signed() {
+                        true => Refusal::WrongSignature,
+                        false => Refusal::Unsigned,
+                    };
+                    self.counters.count(packet.is_signed(), Err(refusal));
+                    Err(refusal)
+                }
+            };
+            // The packets of a datagram are together no longer than it.
+            if verdict.is_ok()
+                && let Some(slot) = self.admitted.get_mut(len..len + packet.raw().len())
+            {
+                slot.copy_from_slice(packet.raw());
+                len += packet.raw().len();
+            }
+        }
+        match self.admitted.get(..len) {
+            Some(admitted) if len > 0 => received.push(link, admitted),
+            _ => false,
+        }
+    }
+
+    /// The packet as it is to be sent: signed if there is a key.
+    pub fn seal<'a>(&'a mut self, packet: &'a [u8]) -> &'a [u8] {
+        let Some(signing) = &mut self.signing else {
+            return packet;
+        };
+        match signing.sign(self.now, packet, self.sealed.as_mut_slice()) {
+            Ok(len) => self.sealed.get(..len).unwrap_or(packet),
+            // Not a packet of the flight stack's, which are all MAVLink 2.
+            Err(_) => packet,
+        }
+    }
+}
+
+impl Drop for Gate {
+    fn drop(&mut self) {
+        if let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) {
+            // Exact, now that nothing more is accepted.
+            keeper.offer(signing.memory().clone());
+        }
+    }
+}
+
+fn wall_clock() -> Timestamp {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    // Nanoseconds since 1970 fit until the year 2554.
+    timestamp_of_unix_ns(since_1970.as_nanos() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_link::MavHeader;
+    use vigil_link::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_link::framing::serialize;
+    use vigil_link::signing::{SigningKey, SigningMemory};
+
+    const NOW: Timestamp = 40_000_000_000_000;
+
+    fn heartbeat(sequence: u8) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: 1,
+            component_id: 1,
+            sequence,
+        };
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn signing() -> Signing {
+        Signing::new(SigningKey([7; 32]), 0, SigningMemory::default())
+    }
+
+    fn gate(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Gate {
+        let mut gate = Gate::new(signing, allow_unsigned).with_clock(|| NOW);
+        gate.begin(0);
+        gate
+    }
+
+    fn signed(sequence: u8) -> Vec<u8> {
+        let mut sender = gate(Some(signing()), AllowUnsigned::Never);
+        for _ in 0..sequence {
+            sender.seal(&heartbeat(0));
+        }
+        sender.seal(&heartbeat(sequence)).to_vec()
+    }
+
+    fn admitted(gate: &mut Gate, is_local: bool, datagram: &[u8]) -> Vec<Vec<u8>> {
+        let mut received = Datagrams::default();
+        let passed = gate.admit(is_local, 0, datagram, &mut received);
+        assert_eq!(passed, !received.is_empty());
+        received.iter().map(|(_, bytes)| bytes.to_vec()).collect()
+    }
+
+    #[test]
+    fn the_default_hears_unsigned_packets_of_this_machine_only() {
+        let mut default = gate(None, AllowUnsigned::default());
+        assert_eq!(admitted(&mut default, true, &heartbeat(0)), [heartbeat(0)]);
+        assert!(admitted(&mut default, false, &heartbeat(0)).is_empty());
+        assert!(admitted(&mut default, false, &signed(0)).is_empty());
+        let counters = default.counters();
+        assert_eq!((counters.unsigned, counters.wrong_signature), (1, 1));
+    }
+
+    #[test]
+    fn who_may_speak_unsigned_depends_on_policy_and_sender() {
+        for (policy, is_local, passes) in [
+            (AllowUnsigned::Loopback, true, true),
+            (AllowUnsigned::Loopback, false, false),
+            (AllowUnsigned::Never, true, false),
+            (AllowUnsigned::Never, false, false),
+            (AllowUnsigned::Always, true, true),
+            (AllowUnsigned::Always, false, true),
+        ] {
+            for key in [None, Some(signing())] {
+                let got = admitted(&mut gate(key, policy), is_local, &heartbeat(0));
+                assert_eq!(!got.is_empty(), passes, "{policy:?} {is_local}");
+            }
+            let got = admitted(&mut gate(Some(signing()), policy), is_local, &signed(0));
+            assert_eq!(got, [signed(0)], "who has the key is heard everywhere");
+        }
+    }
+
+    #[test]
+    fn of_a_datagram_only_what_may_pass_does() {
+        let mut gate = gate(Some(signing()), AllowUnsigned::Never);
+        let mixed = [heartbeat(9), signed(0), b"garbage".to_vec(), signed(1), signed(0)].concat();
+        assert_eq!(admitted(&mut gate, true, &mixed), [[signed(0), signed(1)].concat()]);
+        let counters = gate.counters();
+        assert_eq!((counters.signed, counters.unsigned, counters.replayed), (2, 1, 1));
+        assert_eq!(gate.framing().garbage_bytes, 7);
+    }
+
+    #[test]
+    fn an_open_gate_changes_nothing() {
+        let mut gate = gate(None, AllowUnsigned::Always);
+        assert_eq!(admitted(&mut gate, false, b"no packet"), [b"no packet"]);
+        assert_eq!(gate.seal(b"no packet"), b"no packet");
+    }
+}

@@ -1,0 +1,119 @@
+//! MAVLink over a serial line; the device may disappear and return.
+
+use super::stream::PacketStream;
+use super::{LinkError, LinkStatistics, RETRY_NS};
+use crate::link_url::LinkUrl;
+use crate::ports::Link;
+use crate::ports::gate::Gate;
+use rustix::fs::{Mode, OFlags, open};
+use rustix::io::Errno;
+use rustix::termios::{ControlModes, OptionalActions, QueueSelector};
+use std::ffi::CString;
+use std::fs::File;
+use std::io::ErrorKind;
+use vigil_types::{Datagrams, Nanos};
+
+/// MAVLink over one serial line: 8 data bits, no parity, one stop bit, no flow control.
+pub struct SerialLink {
+    device: CString,
+    baud: u32,
+    port: Option<File>,
+    next_attempt_ns: Nanos,
+    stream: PacketStream,
+    gate: Gate,
+    connections: u64,
+}
+
+impl SerialLink {
+    /// Opens the device; `url` must be one of a serial line.
+    ///
+    /// # Errors
+    /// [`LinkError`]: the device is not there, in use, no serial device, or does not know the baud rate.
+    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+        let error = |source| LinkError::of(url, source);
+        let LinkUrl::Serial { device, baud } = url else {
+            return Err(error(ErrorKind::InvalidInput.into()));
+        };
+        let device = CString::new(device.as_str()).map_err(|e| error(e.into()))?;
+        let port = open_port(&device, *baud).map_err(|e| error(e.into()))?;
+        Ok(Self {
+            device,
+            baud: *baud,
+            port: Some(port),
+            next_attempt_ns: 0,
+            stream: PacketStream::new(),
+            gate,
+            connections: 1,
+        })
+    }
+
+    /// What was not taken or delivered.
+    pub fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            foreign: 0,
+            unsent: self.stream.unsent(),
+            connections: self.connections,
+            framing: self.stream.counters(),
+            signing: self.gate.counters(),
+        }
+    }
+
+    /// Opens the device again when it is time to try.
+    fn reopen(&mut self, now_ns: Nanos) {
+        if self.port.is_some() || now_ns < self.next_attempt_ns {
+            return;
+        }
+        self.next_attempt_ns = now_ns + RETRY_NS;
+        if let Ok(port) = open_port(&self.device, self.baud) {
+            self.stream.reset();
+            self.connections += 1;
+            self.port = Some(port);
+        }
+    }
+
+    /// The device is gone.
+    fn close(&mut self) {
+        if let Some(port) = self.port.take() {
+            // So that closing does not wait for what can no longer be sent. A device that is gone refuses; it has nothing.
+            let _ = rustix::termios::tcflush(&port, QueueSelector::IOFlush);
+        }
+    }
+}
+
+/// Opens and sets up a line without waiting for a carrier.
+fn open_port(device: &CString, baud: u32) -> Result<File, Errno> {
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let port = open(device.as_c_str(), flags, Mode::empty())?;
+    let mut settings = rustix::termios::tcgetattr(&port)?;
+    settings.make_raw();
+    settings.control_modes |= ControlModes::CLOCAL | ControlModes::CREAD | ControlModes::CS8;
+    settings.control_modes &= !(ControlModes::CSTOPB | ControlModes::PARENB | ControlModes::CRTSCTS);
+    settings.set_speed(baud)?;
+    rustix::termios::tcsetattr(&port, OptionalActions::Now, &settings)?;
+    // Two programs on one line would take each other's bytes.
+    rustix::termios::ioctl_tiocexcl(&port)?;
+    rustix::termios::tcflush(&port, QueueSelector::IFlush)?;
+    Ok(File::from(port))
+}
+
+impl Link for SerialLink {
+    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
+        self.gate.begin(now_ns);
+        self.reopen(now_ns);
+        let Some(port) = &mut self.port else { return };
+        // Whoever holds the other end of a cable is not known: never this machine.
+        if self.stream.receive(port, &mut self.gate, false, received).is_err() {
+            self.close();
+        }
+    }
+
+    fn send(&mut self, sent: &Datagrams) {
+        let Some(port) = &mut self.port else {
+            self.stream.discard(sent);
+            return;
+        };
+        if self.stream.send(port, &mut self.gate, sent).is_err() {
+            self.close();
+        }
+    }
+}

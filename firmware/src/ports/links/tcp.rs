@@ -1,0 +1,204 @@
+//! MAVLink over TCP, as client or server, reconnecting.
+
+use super::stream::PacketStream;
+use super::{LinkError, LinkStatistics, PEER_SILENCE_NS, RETRY_NS, is_local};
+use crate::link_url::LinkUrl;
+use crate::ports::Link;
+use crate::ports::gate::Gate;
+use rustix::io::Errno;
+use rustix::net::{AddressFamily, SocketFlags, SocketType, socket_with};
+use std::io::ErrorKind;
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use vigil_types::{Datagrams, Nanos};
+
+/// A call that is not answered is given up after this.
+const CONNECT_NS: Nanos = 5_000_000_000;
+/// A peer that was called and is silent this long is called anew: the network may have lost it without a word.
+const LOST_NS: Nanos = 10_000_000_000;
+/// Callers taken in one step at most; bounds the step.
+const MAX_CALLERS_PER_STEP: usize = 4;
+
+enum Role {
+    Server(TcpListener),
+    Client { peer: SocketAddr, next_call_ns: Nanos },
+}
+
+struct Connection {
+    socket: TcpStream,
+    is_local: bool,
+    /// The peer has answered the call.
+    is_up: bool,
+    since_ns: Nanos,
+    heard_ns: Nanos,
+}
+
+/// MAVLink over one TCP connection at a time.
+pub struct TcpLink {
+    role: Role,
+    connection: Option<Connection>,
+    stream: PacketStream,
+    gate: Gate,
+    foreign: u64,
+    connections: u64,
+}
+
+impl TcpLink {
+    /// Opens the link; `url` must be one of TCP. A peer that is called need not be there yet.
+    ///
+    /// # Errors
+    /// [`LinkError::InUse`] and others, each naming the link.
+    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+        let error = |source| LinkError::of(url, source);
+        let role = match *url {
+            LinkUrl::TcpIn(local) => {
+                let listener = TcpListener::bind(local).map_err(error)?;
+                listener.set_nonblocking(true).map_err(error)?;
+                Role::Server(listener)
+            }
+            LinkUrl::TcpOut(peer) => Role::Client { peer, next_call_ns: 0 },
+            _ => return Err(error(ErrorKind::InvalidInput.into())),
+        };
+        Ok(Self {
+            role,
+            connection: None,
+            stream: PacketStream::new(),
+            gate,
+            foreign: 0,
+            connections: 0,
+        })
+    }
+
+    /// The address on which a server listens.
+    ///
+    /// # Errors
+    /// What the system says; a client has none.
+    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
+        match &self.role {
+            Role::Server(listener) => listener.local_addr(),
+            Role::Client { .. } => Err(ErrorKind::NotConnected.into()),
+        }
+    }
+
+    /// What was not taken or delivered.
+    pub fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            foreign: self.foreign,
+            unsent: self.stream.unsent(),
+            connections: self.connections,
+            framing: self.stream.counters(),
+            signing: self.gate.counters(),
+        }
+    }
+
+    fn connect(&mut self, now_ns: Nanos) {
+        match &mut self.role {
+            Role::Server(listener) => {
+                for _ in 0..MAX_CALLERS_PER_STEP {
+                    let Ok((socket, from)) = listener.accept() else {
+                        return;
+                    };
+                    let taken = self
+                        .connection
+                        .as_ref()
+                        .is_some_and(|c| now_ns.saturating_sub(c.heard_ns) <= PEER_SILENCE_NS);
+                    if taken || socket.set_nonblocking(true).is_err() {
+                        self.foreign += 1;
+                        continue;
+                    }
+                    // Without it packets only go later.
+                    let _ = socket.set_nodelay(true);
+                    self.stream.reset();
+                    self.connections += 1;
+                    self.connection = Some(Connection {
+                        socket,
+                        is_local: is_local(from),
+                        is_up: true,
+                        since_ns: now_ns,
+                        heard_ns: now_ns,
+                    });
+                }
+            }
+            Role::Client { peer, next_call_ns } => {
+                if self.connection.is_none() && now_ns >= *next_call_ns {
+                    *next_call_ns = now_ns + RETRY_NS;
+                    self.connection = call(*peer, now_ns);
+                }
+            }
+        }
+    }
+
+    /// Looks whether the call was answered, and gives up what is lost.
+    fn watch(&mut self, now_ns: Nanos) {
+        let Some(connection) = &mut self.connection else {
+            return;
+        };
+        if !connection.is_up {
+            let failed = !matches!(connection.socket.take_error(), Ok(None));
+            if !failed && connection.socket.peer_addr().is_ok() {
+                connection.is_up = true;
+                connection.heard_ns = now_ns;
+                self.stream.reset();
+                self.connections += 1;
+            } else if failed || now_ns.saturating_sub(connection.since_ns) > CONNECT_NS {
+                self.connection = None;
+            }
+        } else if matches!(self.role, Role::Client { .. }) && now_ns.saturating_sub(connection.heard_ns) > LOST_NS {
+            self.connection = None;
+        }
+    }
+}
+
+/// Begins to call; the answer comes later.
+fn call(peer: SocketAddr, now_ns: Nanos) -> Option<Connection> {
+    let family = match peer {
+        SocketAddr::V4(_) => AddressFamily::INET,
+        SocketAddr::V6(_) => AddressFamily::INET6,
+    };
+    let flags = SocketFlags::NONBLOCK | SocketFlags::CLOEXEC;
+    let socket = socket_with(family, SocketType::STREAM, flags, None).ok()?;
+    match rustix::net::connect(&socket, &peer) {
+        Ok(()) | Err(Errno::INPROGRESS) => {}
+        Err(_) => return None,
+    }
+    let socket = TcpStream::from(socket);
+    // Without it packets only go later.
+    let _ = socket.set_nodelay(true);
+    Some(Connection {
+        socket,
+        is_local: is_local(peer),
+        is_up: false,
+        since_ns: now_ns,
+        heard_ns: now_ns,
+    })
+}
+
+impl Link for TcpLink {
+    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
+        self.gate.begin(now_ns);
+        self.connect(now_ns);
+        self.watch(now_ns);
+        let Some(connection) = self.connection.as_mut().filter(|c| c.is_up) else {
+            return;
+        };
+        let mut socket = &connection.socket;
+        match self
+            .stream
+            .receive(&mut socket, &mut self.gate, connection.is_local, received)
+        {
+            Ok(true) => connection.heard_ns = now_ns,
+            Ok(false) => {}
+            Err(_) => self.connection = None,
+        }
+    }
+
+    fn send(&mut self, sent: &Datagrams) {
+        let Some(connection) = self.connection.as_ref().filter(|c| c.is_up) else {
+            self.stream.discard(sent);
+            return;
+        };
+        let mut socket = &connection.socket;
+        if self.stream.send(&mut socket, &mut self.gate, sent).is_err() {
+            self.connection = None;
+        }
+    }
+}
