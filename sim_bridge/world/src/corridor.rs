@@ -73,10 +73,11 @@ impl Grid {
         let (half_north_m, half_east_m) = solid.plan_half_extents_m();
         let rows = self.span(0, centre.x, half_north_m + clearance_m);
         let cols = self.span(1, centre.y, half_east_m + clearance_m);
+        let distance_m = solid.plan_distances_m();
         for i in rows {
             for j in cols.clone() {
                 let [north_m, east_m] = self.point(i, j);
-                if solid.plan_distance_m(north_m, east_m) < clearance_m {
+                if distance_m(north_m, east_m) < clearance_m {
                     cell((i, j));
                 }
             }

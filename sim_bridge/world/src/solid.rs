@@ -70,20 +70,30 @@ impl Solid {
 
     /// Distance in the plan view from a point to the solid's outline; negative inside.
     pub fn plan_distance_m(&self, north_m: f32, east_m: f32) -> f32 {
+        self.plan_distances_m()(north_m, east_m)
+    }
+
+    /// [`plan_distance_m`](Self::plan_distance_m) for many points: what does not depend on the point is computed once.
+    pub(crate) fn plan_distances_m(&self) -> impl Fn(f32, f32) -> f32 + use<> {
         let centre = self.centre_ned_m();
-        let (x, y) = (north_m - centre.x, east_m - centre.y);
-        match *self {
-            Self::Cuboid {
-                half_extents_m: [hx, hy, _],
-                yaw_rad,
-                ..
-            } => {
-                let (s, c) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
-                let qx = (c * x + s * y).abs() - hx;
-                let qy = (c * y - s * x).abs() - hy;
-                libm::hypotf(qx.max(0.0), qy.max(0.0)) + qx.max(qy).min(0.0)
+        let solid = *self;
+        let (s, c) = match solid {
+            Self::Cuboid { yaw_rad, .. } => (libm::sinf(yaw_rad), libm::cosf(yaw_rad)),
+            Self::Cylinder { .. } => (0.0, 1.0),
+        };
+        move |north_m, east_m| {
+            let (x, y) = (north_m - centre.x, east_m - centre.y);
+            match solid {
+                Self::Cuboid {
+                    half_extents_m: [hx, hy, _],
+                    ..
+                } => {
+                    let qx = (c * x + s * y).abs() - hx;
+                    let qy = (c * y - s * x).abs() - hy;
+                    libm::hypotf(qx.max(0.0), qy.max(0.0)) + qx.max(qy).min(0.0)
+                }
+                Self::Cylinder { radius_m, .. } => libm::hypotf(x, y) - radius_m,
             }
-            Self::Cylinder { radius_m, .. } => libm::hypotf(x, y) - radius_m,
         }
     }
 

@@ -23,7 +23,7 @@ enum Layout {
     Rooms,
     /// Two walls with doors and pockets between them.
     Pockets,
-    /// One wall with a door in a thicket of columns.
+    /// One wall with a door in a thicket of columns, a pocket before it.
     Thicket,
 }
 
@@ -64,12 +64,10 @@ pub(super) fn fill(b: &mut Builder) {
             let north_m = b.length(9.0..12.0);
             let doors = walls(b, &[north_m]);
             let door_m = [doors[0].north_m, doors[0].east_m];
-            let goal_m = [b.course.goal.north_m, b.course.goal.east_m];
             pocket(b, [0.0, 0.0], door_m);
-            pocket(b, door_m, goal_m);
             guard(b, &doors[0]);
             patrols(b, 1..3, &area);
-            b.scatter(Kind::LowOverhang, 1..4, &area);
+            b.scatter(Kind::LowOverhang, 1..3, &area);
             b.scatter(Kind::Column, 24..36, &area);
         }
     }
