@@ -3,6 +3,9 @@
 #![forbid(unsafe_code)]
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
+pub mod actor;
+#[cfg(feature = "actor-file")]
+mod actor_file;
 pub mod apf;
 mod geometric;
 mod governor;
@@ -10,6 +13,9 @@ mod memory;
 pub mod surroundings;
 mod way;
 
+pub use actor::ActorPilot;
+#[cfg(feature = "actor-file")]
+pub use actor_file::{ActorFileError, FrozenActor};
 pub use apf::NearestObstacle;
 pub use geometric::{GeometricConfig, GeometricPilot};
 pub use surroundings::{Scan, Surroundings};

@@ -1,0 +1,67 @@
+//! The learned pilot: a frozen actor, alone or with the potential field added (PAPER.md, Algorithm 1).
+
+use crate::surroundings::Surroundings;
+use crate::{Pilot, PilotInput, apf};
+use core::f32::consts::FRAC_PI_4;
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
+use vigil_types::{Action, GoalRelative};
+
+/// Distance that the actor's first positional input counts as 1, metres.
+pub const DISTANCE_SCALE_M: f32 = 20.0;
+/// Bearing that its second positional input counts as 1, radians.
+pub const BEARING_SCALE_RAD: f32 = 1.0;
+/// The field that is added to an actor takes surfaces within this angle of the nose: beyond it, it steers a second time
+/// around what the actor has already dealt with.
+pub const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
+
+/// The actor's positional inputs: distance in units of [`DISTANCE_SCALE_M`], bearing in units of [`BEARING_SCALE_RAD`].
+pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
+    [goal.distance_m / DISTANCE_SCALE_M, goal.bearing_rad / BEARING_SCALE_RAD]
+}
+
+/// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the four before it
+/// gave. No allocation after it was made.
+#[derive(Debug, Clone)]
+pub struct ActorPilot {
+    actor: Actor,
+    surroundings: Surroundings,
+    field: bool,
+}
+
+impl ActorPilot {
+    /// A pilot that has seen nothing. `field` adds the potential field to the actor's action.
+    pub fn new(actor: Actor, field: bool) -> Self {
+        Self {
+            actor,
+            surroundings: Surroundings::new(),
+            field,
+        }
+    }
+
+    /// The 48 values at the paper's split point, of the last decision.
+    pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
+        self.actor.state()
+    }
+}
+
+impl Pilot for ActorPilot {
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, positional_inputs(input.goal)) else {
+            // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
+            return Action {
+                forward_m_s: f32::NAN,
+                yaw: f32::NAN,
+            };
+        };
+        let own = Action { forward_m_s, yaw };
+        if !self.field || !own.is_finite() {
+            return own;
+        }
+        let obstacle = self.surroundings.observe(input).nearest_within(FIELD_HALF_ANGLE_RAD);
+        apf::add(own, apf::force(input.goal, obstacle))
+    }
+
+    fn reset(&mut self) {
+        self.actor.reset();
+    }
+}

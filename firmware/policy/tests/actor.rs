@@ -1,0 +1,145 @@
+//! The frozen actor's file and the pilot made of it.
+#![cfg(feature = "actor-file")]
+
+use vigil_nnet::{Actor, ActorSpec, Isa};
+use vigil_policy::actor::positional_inputs;
+use vigil_policy::{ActorPilot, FrozenActor, Pilot, PilotInput, apf};
+use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector};
+
+fn frozen() -> FrozenActor {
+    let len = ActorSpec::FULL
+        .graph(vigil_nnet::Purpose::Gradients, false)
+        .unwrap()
+        .param_len();
+    // Some numbers of either sign, small enough not to saturate.
+    let params = (0..len).map(|i| 0.05 * libm::sinf(i as f32 * 1.7)).collect();
+    FrozenActor {
+        params,
+        training_config: "seed = 3\n".to_owned(),
+        seed: 3,
+        updates: 1000,
+        git_commit: Some("abc".to_owned()),
+    }
+}
+
+#[test]
+fn an_actor_survives_its_file() {
+    let actor = frozen();
+    let bytes = actor.to_bytes().unwrap();
+    assert!(bytes.len() < 2_000_000);
+    assert_eq!(FrozenActor::from_bytes("a", &bytes).unwrap(), actor);
+    let folder = std::env::temp_dir().join(format!("vigil-actor-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("actor.safetensors");
+    actor.save(&path).unwrap();
+    assert_eq!(FrozenActor::load(&path).unwrap(), actor);
+    let missing = FrozenActor::load(&folder.join("none.safetensors")).unwrap_err();
+    assert!(missing.to_string().contains("none.safetensors"), "{missing}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn wrong_truncated_and_altered_files_are_refused_by_name() {
+    let refused = |bytes: &[u8], why: &str| {
+        let error = FrozenActor::from_bytes("some/actor.safetensors", bytes)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("some/actor.safetensors") && error.contains(why),
+            "{error}"
+        );
+    };
+    let good = frozen().to_bytes().unwrap();
+    refused(&[], "truncated");
+    refused(b"not an actor at all, but long enough to hold a header", "truncated");
+    refused(&good[..good.len() - 1], "truncated");
+    refused(&good[..good.len() / 2], "truncated");
+    let mut altered = good.clone();
+    let last = altered.len() - 2;
+    altered[last] ^= 1;
+    refused(&altered, "altered");
+    // One character of the metadata, length kept.
+    let text = String::from_utf8_lossy(&good).into_owned();
+    let at = text.find("seed = 3").unwrap() + 7;
+    let mut altered = good.clone();
+    altered[at] = b'4';
+    refused(&altered, "altered");
+    let at = text.find("conv 5x5/2 16").unwrap() + 5;
+    let mut altered = good.clone();
+    altered[at] = b'7';
+    refused(&altered, "this program flies");
+    let mut broken = frozen();
+    broken.params[7] = f32::NAN;
+    refused(&broken.to_bytes().unwrap(), "not finite");
+    let mut short = frozen();
+    short.params.pop();
+    assert!(short.to_bytes().is_err());
+}
+
+fn input(frame: &DepthFrame) -> PilotInput<'_> {
+    PilotInput {
+        now_ns: 0,
+        depth: frame,
+        goal: GoalRelative {
+            distance_m: 12.0,
+            bearing_rad: 0.4,
+        },
+        attitude: Attitude::LEVEL_NORTH,
+        velocity_m_s: HeadingVector::ZERO,
+        height_m: 1.5,
+    }
+}
+
+#[test]
+fn the_pilot_flies_what_the_whole_network_says_of_the_last_five_frames() {
+    let actor = frozen();
+    let spec = ActorSpec::FULL;
+    let isa = Isa::detect();
+    let mut pilot = ActorPilot::new(Actor::new(spec, isa, &actor.params).unwrap(), false);
+    let frames: Vec<DepthFrame> = (0..7)
+        .map(|k| {
+            let mut frame = DepthFrame::EMPTY;
+            for (i, d) in frame.depth.iter_mut().enumerate() {
+                *d = 0.02 + 0.01 * (k as f32) + 0.1 * ((i / 512 + 3 * k) % 7) as f32;
+            }
+            frame
+        })
+        .collect();
+    let mut last = Action::HOVER;
+    for frame in &frames {
+        last = pilot.decide(&input(frame));
+    }
+    let graph = spec.graph(vigil_nnet::Purpose::Gradients, false).unwrap();
+    let mut tape = vec![0.0; graph.tape_len()];
+    let position = positional_inputs(input(&frames[0]).goal);
+    let mut inputs: Vec<&[f32]> = frames[2..].iter().map(|f| f.depth.as_slice()).collect();
+    inputs.push(&position);
+    graph.forward(isa, &actor.params, &inputs, &mut tape).unwrap();
+    let whole = graph.output(&tape).unwrap();
+    assert!(
+        (last.forward_m_s - whole[0]).abs() < 1e-5 && (last.yaw - whole[1]).abs() < 1e-5,
+        "{last:?} {whole:?}"
+    );
+
+    // After a reset the past is gone: the same frame gives the same decision as to a new pilot.
+    pilot.reset();
+    let mut fresh = ActorPilot::new(Actor::new(spec, isa, &actor.params).unwrap(), false);
+    assert_eq!(pilot.decide(&input(&frames[3])), fresh.decide(&input(&frames[3])));
+}
+
+#[test]
+fn the_field_is_added_to_the_actor_s_action() {
+    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &frozen().params).unwrap();
+    let (mut with, mut without) = (ActorPilot::new(actor.clone(), true), ActorPilot::new(actor, false));
+    // A surface 2 m away on the right half, 10 m on the left.
+    let mut frame = DepthFrame::EMPTY;
+    for (i, d) in frame.depth.iter_mut().enumerate() {
+        *d = if i % 256 > 140 { 0.02 } else { 0.10 };
+    }
+    let input = input(&frame);
+    let own = without.decide(&input);
+    let sum = with.decide(&input);
+    let pull = apf::attraction(input.goal);
+    assert!((sum.forward_m_s - (own.forward_m_s + pull.forward_m_s)).abs() < 1e-5);
+    assert!(sum.yaw < own.yaw - 0.5, "turned away: {sum:?} {own:?}");
+}

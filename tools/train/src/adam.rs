@@ -1,0 +1,95 @@
+//! Adam (Kingma and Ba 2015) with a share of the rate for each parameter, and limits for gradients given in parts.
+
+/// Adam's two running moments for a parameter slice; β₁ = 0.9, β₂ = 0.999, ε = 1e-8.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adam {
+    /// Running mean of the gradient.
+    pub mean: Vec<f32>,
+    /// Running mean of its square.
+    pub square: Vec<f32>,
+    /// Steps taken.
+    pub steps: u64,
+}
+
+const BETA_MEAN: f32 = 0.9;
+const BETA_SQUARE: f32 = 0.999;
+const EPSILON: f32 = 1e-8;
+
+impl Adam {
+    /// For `len` parameters.
+    pub fn new(len: usize) -> Self {
+        Self {
+            mean: vec![0.0; len],
+            square: vec![0.0; len],
+            steps: 0,
+        }
+    }
+
+    /// One step down the gradient, each parameter at its own share of the rate.
+    pub fn step(&mut self, rate: f32, shares: &[f32], params: &mut [f32], gradient: &[f32]) {
+        self.steps += 1;
+        let bias = |beta: f32| 1.0 - f64::from(beta).powf(self.steps as f64);
+        let rate = (f64::from(rate) / bias(BETA_MEAN)) as f32;
+        let unbias = (1.0 / bias(BETA_SQUARE)) as f32;
+        let moments = self.mean.iter_mut().zip(&mut self.square);
+        for (((p, g), share), (m, s)) in params.iter_mut().zip(gradient).zip(shares).zip(moments) {
+            *m += (1.0 - BETA_MEAN) * (g - *m);
+            *s += (1.0 - BETA_SQUARE) * (g * g - *s);
+            *p -= rate * share * *m / ((*s * unbias).sqrt() + EPSILON);
+        }
+    }
+}
+
+/// Length of a gradient given in parts.
+pub fn norm(parts: &[&[f32]]) -> f64 {
+    let squares: f64 = parts
+        .iter()
+        .flat_map(|p| p.iter())
+        .map(|g| f64::from(*g) * f64::from(*g))
+        .sum();
+    squares.sqrt()
+}
+
+/// The factor that shortens a gradient of length `norm` to `limit`; 1 if it is not longer.
+pub fn shortening(norm: f64, limit: f32) -> f32 {
+    if norm > f64::from(limit) {
+        (f64::from(limit) / norm) as f32
+    } else {
+        1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
+        let mut adam = Adam::new(3);
+        let mut p = [1.0, 1.0, 1.0];
+        adam.step(0.1, &[1.0, 0.5, 1.0], &mut p, &[1e-3, -50.0, 0.0]);
+        assert!(
+            (p[0] - 0.9).abs() < 1e-5 && (p[1] - 1.05).abs() < 1e-5 && p[2] == 1.0,
+            "{p:?}"
+        );
+    }
+
+    #[test]
+    fn it_reaches_the_bottom_of_a_narrow_valley() {
+        // f = (x − 3)² + 100 (y + 1)²
+        let mut adam = Adam::new(2);
+        let mut p = [0.0_f32, 0.0];
+        for _ in 0..4000 {
+            let g = [2.0 * (p[0] - 3.0), 200.0 * (p[1] + 1.0)];
+            adam.step(0.01, &[1.0, 1.0], &mut p, &g);
+        }
+        assert!((p[0] - 3.0).abs() < 1e-3 && (p[1] + 1.0).abs() < 1e-3, "{p:?}");
+    }
+
+    #[test]
+    fn only_long_gradients_are_shortened() {
+        assert_eq!(norm(&[&[3.0], &[0.0, 4.0]]), 5.0);
+        assert_eq!(shortening(5.0, 5.0), 1.0);
+        assert_eq!(shortening(10.0, 5.0), 0.5);
+    }
+}

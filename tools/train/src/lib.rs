@@ -1,0 +1,27 @@
+//! Trains the actor in the simulator: DDPG with prioritised replay and the paper's potential field.
+//!
+//! `docs/training.md` describes the method and what was measured.
+
+mod adam;
+mod checkpoint;
+mod collector;
+mod config;
+mod curves;
+mod decider;
+mod files;
+mod flight;
+mod judge;
+mod learner;
+mod networks;
+mod noise;
+mod progress;
+mod recurrent;
+mod replay;
+mod shard;
+mod train;
+mod weights;
+
+pub use config::{ConfigError, TrainConfig};
+pub use judge::{JudgeError, Judged, Judgement, Verdict, judge};
+pub use progress::{Progress, Row};
+pub use train::{RunEnd, RunOptions, TrainError, run};
