@@ -20,7 +20,7 @@ impl Service for Health {
 }
 
 fn sys_status(core: &Core) -> Option<MavMessage> {
-    let present = Sensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
+    let mut present = Sensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
         | Sensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
         | Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG
         | Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
@@ -29,12 +29,10 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
         | Sensor::MAV_SYS_STATUS_AHRS
         | Sensor::MAV_SYS_STATUS_SENSOR_BATTERY
         | Sensor::MAV_SYS_STATUS_PREARM_CHECK;
-    let mut present = present;
     present.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.has_fence());
     let mut health = present;
-    if core.fence_watch.breach.is_some() {
-        health.remove(Sensor::MAV_SYS_STATUS_GEOFENCE);
-    }
+    // Healthy also without a geofence: ground stations take the bit's absence for a breach.
+    health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
     let attitude = core.view.estimate.attitude;
     health.set(
         Sensor::MAV_SYS_STATUS_AHRS,

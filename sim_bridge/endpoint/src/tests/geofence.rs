@@ -142,3 +142,28 @@ fn nobody_is_sent_outside_and_nobody_arms_outside() {
     assert_eq!(b.arm(), ACCEPTED);
     assert_eq!(b.status().landed, LandedState::OnGround);
 }
+
+#[test]
+fn system_status_tells_whether_there_is_a_geofence_and_whether_it_holds() {
+    let mut b = Bench::new();
+    let bits = |b: &mut Bench| {
+        b.sent.clear();
+        b.run_ms(1_100);
+        let status = b.messages(API).rev().find_map(|m| match m {
+            MavMessage::SYS_STATUS(s) => Some(s.clone()),
+            _ => None,
+        });
+        let status = status.expect("SYS_STATUS streams");
+        let has = |flags: MavSysStatusSensor| flags.contains(MavSysStatusSensor::MAV_SYS_STATUS_GEOFENCE);
+        (
+            has(status.onboard_control_sensors_present),
+            has(status.onboard_control_sensors_enabled),
+            has(status.onboard_control_sensors_health),
+        )
+    };
+    assert_eq!(bits(&mut b), (false, false, true));
+    b.upload(FENCE, &square(5001, (0.0, 0.0), 20.0));
+    assert_eq!(bits(&mut b), (true, true, true));
+    b.upload(FENCE, &square(5001, (50.0, 0.0), 20.0));
+    assert_eq!(bits(&mut b), (true, true, false));
+}
