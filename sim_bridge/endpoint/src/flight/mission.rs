@@ -12,6 +12,8 @@ use vigil_vehicle::YawCommand;
 
 /// Height error within which a place is reached (PX4's NAV_MC_ALT_RAD).
 const HEIGHT_ACCEPTANCE_M: f32 = 0.8;
+/// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
+const MIN_ACCEPTANCE_M: f32 = 0.2;
 /// A landing begins when the vehicle is this near to its place and this slow.
 const LANDING_RADIUS_M: f32 = 0.5;
 const LANDING_SPEED_M_S: f32 = 0.5;
@@ -182,7 +184,8 @@ impl Core {
             Purpose::Land => LANDING_RADIUS_M,
             _ => leg
                 .acceptance_m
-                .unwrap_or_else(|| self.param(ParamId::AcceptanceRadiusM)),
+                .unwrap_or_else(|| self.param(ParamId::AcceptanceRadiusM))
+                .max(MIN_ACCEPTANCE_M),
         };
         off.horizontal_norm() <= radius_m && off.z.abs() <= HEIGHT_ACCEPTANCE_M
     }

@@ -152,6 +152,8 @@ impl MissionItem {
                     is_relative,
                 })
             }
+            // Rates of climb and descent are parameters.
+            DO_CHANGE_SPEED if item.param(1).is_some_and(|kind| kind >= 2.0) => Ok(Self::PassedOver),
             DO_CHANGE_SPEED => match item.param(2) {
                 Some(speed) if speed > 0.0 && speed <= 50.0 => Ok(Self::Speed { speed_m_s: Some(speed) }),
                 // −1: no change; −2: back to the default, as is whatever is left out.
@@ -450,5 +452,6 @@ mod tests {
             MissionItem::Speed { speed_m_s: None }
         );
         assert_eq!(read(item(178, [1.0, -1.0, -1.0, 0.0])), MissionItem::PassedOver);
+        assert_eq!(read(item(178, [3.0, 2.0, -1.0, 0.0])), MissionItem::PassedOver);
     }
 }

@@ -283,3 +283,13 @@ fn speed_can_be_changed_on_the_way() {
     assert_eq!(b.set_mode(API, SCRIPT, 4, 6), ACCEPTED);
     assert_eq!(b.command_long(API, SCRIPT, 178, change(1.0, 2.0)), REJECTED);
 }
+
+#[test]
+fn an_acceptance_radius_below_what_can_be_flown_does_not_hang_the_mission() {
+    let mut b = Bench::airborne();
+    let precise = item(16, [0.0, 0.001, 0.0, f32::NAN], (5.0, 0.0), 3.0);
+    b.upload(MISSION, &[precise]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(20, "finished", |b| b.status().mode == FlightMode::Hold);
+    assert!(is_at(&b, (5.0, 0.0), 3.0, 0.6), "{:?}", b.position_m());
+}
