@@ -5,6 +5,7 @@ use crate::flight::{Commander, Failsafe, FenceWatch, FlightMode, LandedState, Se
 use crate::outbox::Outbox;
 use crate::parameters::{ParamId, Parameters};
 use crate::plan::Plans;
+use crate::services::flight_information::FlightTimes;
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, services};
 use vigil_link::framing::FramingCounters;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
@@ -97,6 +98,7 @@ pub(crate) struct Core {
     pub fence_watch: FenceWatch,
     pub outbox: Outbox,
     pub files: FileSystem,
+    pub flight_times: FlightTimes,
     pub framing: FramingCounters,
     pub refusals: Refusals,
     pub forwarded: u64,
@@ -128,6 +130,7 @@ impl Core {
             fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),
             files,
+            flight_times: FlightTimes::default(),
             framing: FramingCounters::default(),
             refusals: Refusals::default(),
             forwarded: 0,
@@ -226,6 +229,7 @@ fn at_rest() -> VehicleView {
             battery_current_a: 0.0,
             battery_remaining: 1.0,
             throttle: 0.0,
+            motors: [0.0; 4],
         },
         on_ground: true,
         armed: false,

@@ -107,6 +107,12 @@ impl Streams {
         self.find(id).is_some()
     }
 
+    /// Whether there is such a message and something for it to tell now.
+    pub fn has(&self, core: &Core, id: u32) -> bool {
+        self.find(id)
+            .is_some_and(|i| (self.streams[i].produced.build)(core).is_some())
+    }
+
     /// Sends everything that was asked for besides the streams.
     pub fn send_wanted(&self, core: &mut Core) {
         let mut wanted = core.take_wanted();

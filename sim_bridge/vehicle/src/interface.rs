@@ -55,6 +55,9 @@ pub struct Sensors {
     pub battery_remaining: f32,
     /// Mean motor command, 0 to 1.
     pub throttle: f32,
+    /// Commanded speed of each motor as a share of its top speed, in PX4's order: front right, rear left, front left,
+    /// rear right.
+    pub motors: [f32; 4],
 }
 
 /// Everything the MAVLink endpoint may look at.

@@ -158,6 +158,11 @@ impl Rotors {
         0.25 * squares / (self.max_speed_rad_s * self.max_speed_rad_s)
     }
 
+    /// Commanded speeds as shares of the top speed, 0 to 1.
+    pub(crate) fn command_shares(&self) -> [f64; 4] {
+        self.commands_rad_s.map(|speed| speed / self.max_speed_rad_s)
+    }
+
     /// Commanded speeds, for the state hash.
     pub(crate) fn commands_rad_s(&self) -> &[f64; 4] {
         &self.commands_rad_s

@@ -5,6 +5,7 @@ use crate::interface::Sensors;
 use crate::math::{Rotation, Vec3, frd, ned, small_rotation};
 use crate::noise::{Noise, Wander};
 use crate::params::{BatteryParams, SensorParams};
+use crate::rotors::Rotors;
 
 /// Updates of the errors per barometer reading.
 const BAROMETER_EVERY: u32 = 5;
@@ -132,7 +133,13 @@ impl Errors {
     }
 
     /// All readings, given the true specific force.
-    pub(crate) fn readings(&self, body: &Body, specific_force_frd: &Vec3, battery: &Battery, throttle: f64) -> Sensors {
+    pub(crate) fn readings(
+        &self,
+        body: &Body,
+        specific_force_frd: &Vec3,
+        battery: &Battery,
+        rotors: &Rotors,
+    ) -> Sensors {
         Sensors {
             accelerometer_frd_m_s2: frd(&(specific_force_frd + self.accelerometer)),
             gyroscope_frd_rad_s: frd(&self.rates_frd_rad_s(body)),
@@ -142,7 +149,8 @@ impl Errors {
             battery_voltage_v: battery.voltage_v as f32,
             battery_current_a: battery.current_a as f32,
             battery_remaining: battery.charge as f32,
-            throttle: throttle as f32,
+            throttle: rotors.throttle() as f32,
+            motors: rotors.command_shares().map(|share| share as f32),
         }
     }
 

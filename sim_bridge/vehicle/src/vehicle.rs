@@ -237,7 +237,7 @@ impl Vehicle {
             },
             sensors: self
                 .errors
-                .readings(&self.body, &specific_frd, &self.battery, self.rotors.throttle()),
+                .readings(&self.body, &specific_frd, &self.battery, &self.rotors),
             on_ground: self.on_ground,
             armed: self.armed,
         }

@@ -45,6 +45,8 @@ pub(crate) fn message_interval(
             };
             streams.set_interval(core.now_ns, source.link, id, interval_us);
         }
+        // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
+        _ if !streams.has(core, id) => return Some(Answer::DENIED),
         _ => core.request(source.link, id),
     }
     Some(Answer::ACCEPTED)

@@ -1,10 +1,14 @@
 //! The protocol services, one file each.
 
+mod absent;
 mod actions;
+mod actuators;
 mod arming;
 mod attitude;
 mod battery;
+mod estimator;
 mod events;
+pub(crate) mod flight_information;
 mod ftp;
 mod geofence;
 mod geography;
@@ -37,6 +41,10 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(attitude::Attitude),
         Box::new(position::Position),
         Box::new(sensors::SensorReadings),
+        Box::new(actuators::Actuators),
+        Box::new(estimator::Estimator),
+        Box::<flight_information::FlightInformation>::default(),
+        Box::new(absent::Absent),
         Box::new(battery::Battery),
         Box::new(health::Health),
         Box::new(geography::Geography),

@@ -5,14 +5,17 @@ use crate::geo;
 use crate::service::{Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
-    GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, SCALED_PRESSURE_DATA,
+    GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, RAW_IMU_DATA, SCALED_IMU_DATA,
+    SCALED_PRESSURE_DATA,
 };
 use vigil_link::mavlink::MessageData;
+use vigil_types::FrdVector;
 
 /// Earth's field at home in gauss, NED: about what the world magnetic model gives for the default home.
 const FIELD_NED_GAUSS: [f32; 3] = [0.215, 0.012, 0.430];
 /// Air temperature that the readings report.
 const TEMPERATURE_C: f32 = 20.0;
+const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
 
 pub(crate) struct SensorReadings;
 
@@ -28,6 +31,16 @@ impl Service for SensorReadings {
                 id: SCALED_PRESSURE_DATA::ID,
                 rate_hz: [0.0, 1.0, 1.0],
                 build: pressure,
+            },
+            Produced {
+                id: SCALED_IMU_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: scaled_imu,
+            },
+            Produced {
+                id: RAW_IMU_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: raw_imu,
             },
             Produced {
                 id: GPS_RAW_INT_DATA::ID,
@@ -70,6 +83,66 @@ fn imu(core: &Core) -> Option<MavMessage> {
         // All but differential pressure.
         fields_updated: Updated::from_bits_truncate(0x1BFF),
         id: 0,
+    }))
+}
+
+/// Readings as whole numbers: thousandths of standard gravity, of a radian per second and of a gauss, and hundredths of
+/// a degree Celsius.
+struct ScaledReadings {
+    acceleration: [i16; 3],
+    rates: [i16; 3],
+    field: [i16; 3],
+    temperature: i16,
+}
+
+fn scaled_readings(core: &Core) -> ScaledReadings {
+    let s = &core.view.sensors;
+    let [n, e, d] = FIELD_NED_GAUSS;
+    let field = core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d));
+    let thousandths = |v: FrdVector, unit: f32| [v.x, v.y, v.z].map(|value| libm::roundf(value / unit * 1e3) as i16);
+    ScaledReadings {
+        acceleration: thousandths(s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2),
+        rates: thousandths(s.gyroscope_frd_rad_s, 1.0),
+        field: thousandths(field, 1.0),
+        temperature: (TEMPERATURE_C * 100.0) as i16,
+    }
+}
+
+fn scaled_imu(core: &Core) -> Option<MavMessage> {
+    let s = scaled_readings(core);
+    let ([xacc, yacc, zacc], [xgyro, ygyro, zgyro], [xmag, ymag, zmag]) = (s.acceleration, s.rates, s.field);
+    Some(MavMessage::SCALED_IMU(SCALED_IMU_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        xacc,
+        yacc,
+        zacc,
+        xgyro,
+        ygyro,
+        zgyro,
+        xmag,
+        ymag,
+        zmag,
+        temperature: s.temperature,
+    }))
+}
+
+/// The same numbers: the sensors are modelled behind their calibration.
+fn raw_imu(core: &Core) -> Option<MavMessage> {
+    let s = scaled_readings(core);
+    let ([xacc, yacc, zacc], [xgyro, ygyro, zgyro], [xmag, ymag, zmag]) = (s.acceleration, s.rates, s.field);
+    Some(MavMessage::RAW_IMU(RAW_IMU_DATA {
+        time_usec: core.time_boot_us(),
+        xacc,
+        yacc,
+        zacc,
+        xgyro,
+        ygyro,
+        zgyro,
+        xmag,
+        ymag,
+        zmag,
+        id: 0,
+        temperature: s.temperature,
     }))
 }
 

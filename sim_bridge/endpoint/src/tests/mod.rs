@@ -15,3 +15,4 @@ mod protocol;
 mod rejection;
 mod routing;
 mod shell;
+mod telemetry;
