@@ -210,3 +210,43 @@ impl Simulator {
         (self.goal_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Start;
+    use vigil_types::DEPTH_FULL_SCALE_M;
+    use vigil_world::{Family, generate};
+
+    /// The digest of three seconds of hovering at a course's start.
+    fn hover(config: &SimConfig, epoch_ns: Nanos) -> (u64, Box<DepthFrame>) {
+        let mut simulator = Simulator::new(config, epoch_ns).expect("valid");
+        let mut frame = Box::new(DepthFrame::EMPTY);
+        let (from_firmware, mut to_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+        for _ in 0..60 {
+            simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        }
+        (simulator.state_hash(), frame)
+    }
+
+    #[test]
+    fn movers_move_with_simulated_time_whatever_the_clock_says() {
+        let mut config = SimConfig::new(generate(Family::Hard, 4), 4);
+        config.start = Start::Airborne;
+        let (hash, frame) = hover(&config, 0);
+        assert_eq!(hover(&config, 0).0, hash);
+        let moved = |other: &DepthFrame| {
+            let apart_m = |(a, b): (&f32, &f32)| (a - b).abs() * DEPTH_FULL_SCALE_M;
+            let pixels = frame.depth.iter().zip(&other.depth);
+            pixels.filter(|p| apart_m(*p) > 0.5).count()
+        };
+        // Another epoch changes the stamps; what is seen differs by what the vehicle's own motion makes of that.
+        let by_epoch = moved(&hover(&config, 77_000_000_000).1);
+        // Movers that are elsewhere are seen elsewhere.
+        for mover in &mut config.course.movers {
+            mover.phase = (mover.phase + 0.3) % 1.0;
+        }
+        let by_phase = moved(&hover(&config, 0).1);
+        assert!(by_phase > 200 && by_epoch * 10 < by_phase, "{by_phase} {by_epoch}");
+    }
+}
