@@ -3,11 +3,13 @@
 mod courses;
 mod evaluate;
 mod fly;
+mod judge;
 mod output;
 mod recover;
 mod replay;
 mod scene;
 mod statistics;
+mod train;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -51,6 +53,10 @@ enum Command {
     Replay(replay::ReplayArgs),
     /// Close a flight log that was cut off when its process was killed.
     Recover(recover::RecoverArgs),
+    /// Train an actor from nothing.
+    Train(train::TrainArgs),
+    /// Judge an actor alone, the potential field off and on.
+    Judge(judge::JudgeArgs),
     /// Draw, write or check courses.
     Courses(courses::CoursesArgs),
 }
@@ -65,6 +71,8 @@ fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Train(args) => train::run(&args),
+        Command::Judge(args) => judge::run(&args),
         Command::Courses(args) => courses::run(&args),
     };
     match result {

@@ -1,0 +1,118 @@
+//! `vigil train`: the actor from nothing, and how it flies.
+
+use crate::output::{EXIT_ERROR, Paint};
+use crate::statistics::wilson_95;
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use vigil_train::{Progress, RunEnd, RunOptions, TrainConfig};
+
+/// Arguments of `vigil train`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil train                                   the shipped actor's run, into runs/train
+  vigil train --config my.toml -o runs/mine     another configuration
+  vigil train -o runs/mine --resume             go on after an interruption
+  vigil train --print-config                    every key with its default
+
+The run leaves actor.safetensors, curves.csv, curves.png and checkpoint.safetensors in its folder. Ctrl-C stops it after the
+update being made; --resume goes on as if it had never stopped. docs/training.md explains the method.")]
+pub struct TrainArgs {
+    /// Training file (TOML); what it does not name keeps its default.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
+    /// Seed, instead of the configuration's.
+    #[arg(long)]
+    seed: Option<u64>,
+
+    /// Threads, instead of the configuration's; any number trains the same actor.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=256))]
+    threads: Option<u16>,
+
+    /// Folder of the run.
+    #[arg(short, long, value_name = "DIR", default_value = "runs/train")]
+    output: PathBuf,
+
+    /// Go on from the folder's checkpoint.
+    #[arg(long)]
+    resume: bool,
+
+    /// Print the configuration and end.
+    #[arg(long)]
+    print_config: bool,
+}
+
+/// Trains.
+///
+/// # Errors
+/// A bad configuration, a folder that cannot be written or holds another run, a loss that is not finite.
+pub fn run(args: &TrainArgs) -> Result<ExitCode> {
+    let mut config = args.config.as_deref().map(TrainConfig::load).transpose()?.unwrap_or_default();
+    config.seed = args.seed.unwrap_or(config.seed);
+    config.threads = args.threads.map_or(config.threads, usize::from);
+    config.check()?;
+    if args.print_config {
+        print!("{}", config.to_toml());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = stop.clone();
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let options = RunOptions {
+        folder: args.output.clone(),
+        resume: args.resume,
+        git_commit: git_commit(),
+    };
+    let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
+        "{bar:30} {pos}/{len} updates, {elapsed} gone, {msg}",
+    )?);
+    let end = vigil_train::run(&config, &options, &stop, &mut |progress| show(&bar, progress));
+    bar.finish_and_clear();
+    match end? {
+        RunEnd::Interrupted(checkpoint) => {
+            println!("stopped; go on with: vigil train --resume -o {}", args.output.display());
+            println!("checkpoint       {}", checkpoint.display());
+            Ok(ExitCode::from(EXIT_ERROR))
+        }
+        RunEnd::Complete { actor, updates, verdict } => {
+            let (low, high) = wilson_95(verdict.successes(), verdict.flights.len());
+            println!(
+                "completion       {:.1} % of {} training courses without the field (95 %: {:.1} to {:.1} %), mean {:.1} s",
+                100.0 * verdict.completion(),
+                verdict.flights.len(),
+                100.0 * low,
+                100.0 * high,
+                verdict.mean_time_s()
+            );
+            println!("{}", Paint::stdout().verdict(true, &format!("actor            {} after {updates} updates", actor.display())));
+            Ok(ExitCode::SUCCESS)
+        }
+    }
+}
+
+fn show(bar: &ProgressBar, progress: &Progress<'_>) {
+    bar.set_length(progress.all_updates);
+    bar.set_position(progress.updates);
+    let left = progress.left_s.map_or("gathering".to_owned(), |s| format!("{:.0} min left", (s / 60.0).ceil()));
+    bar.set_message(format!("{left}, decision {}/{}", progress.decisions, progress.all_decisions));
+    if let Some(row) = progress.row {
+        let u = &row.update;
+        let judged = row.completion.map_or(String::new(), |c| format!(", completes {:.1} % without the field", 100.0 * c));
+        bar.println(format!(
+            "{:>6} updates: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, imitation {:.3}, value {:.2}{judged}",
+            row.updates, row.successes, row.flights, row.reward, u.critic_loss, u.imitation_loss, u.value
+        ));
+    }
+}
+
+/// The commit of the working tree, if there is one and git is there.
+fn git_commit() -> Option<String> {
+    let output = std::process::Command::new("git").args(["describe", "--always", "--dirty", "--abbrev=40"]).output().ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
+}
