@@ -58,6 +58,10 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     noise: f32,
 
+    /// Take the moving obstacles out of the courses: what do they cost?
+    #[arg(long)]
+    still: bool,
+
     /// Where the JSON goes.
     #[arg(long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
@@ -89,6 +93,7 @@ struct Report<'a> {
     first_seed: u64,
     wind_m_s: f64,
     noise_factor: f32,
+    still: bool,
     threads: usize,
     wall_s: f64,
     simulated_s: f64,
@@ -167,7 +172,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 }
 
 fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
-    let course = generate(args.family, seed);
+    let mut course = generate(args.family, seed);
+    if args.still {
+        course.movers.clear();
+    }
     let mut models = models.clone();
     models.lidar.range_noise_sigma_m *= args.noise;
     models.lidar.dropout_probability = (models.lidar.dropout_probability * args.noise).min(1.0);
@@ -298,6 +306,7 @@ fn report(args: &EvaluateArgs, flights: &[Flight], wall_s: f64, threads: usize) 
             first_seed: args.seed,
             wind_m_s: args.wind,
             noise_factor: args.noise,
+            still: args.still,
             threads,
             wall_s,
             simulated_s,
