@@ -1,7 +1,7 @@
 //! What the geofence does in flight. <https://docs.px4.io/main/en/flying/geofence.html>
 
 use crate::core::Core;
-use crate::flight::Failsafe;
+use crate::flight::{Failsafe, FlightMode};
 use crate::parameters::ParamId;
 use crate::plan::Breach;
 use crate::services::message_ids;
@@ -97,9 +97,9 @@ impl Core {
     fn act_on_breach(&mut self, action: Action) {
         let (name, mode) = match action {
             Action::Nothing | Action::Warn => ("warning", None),
-            Action::Hold => ("hold", Some(super::FlightMode::Hold)),
-            Action::Return => ("return", Some(super::FlightMode::Return)),
-            Action::Land => ("land", Some(super::FlightMode::Land)),
+            Action::Hold => ("hold", Some(FlightMode::Hold)),
+            Action::Return => ("return", Some(FlightMode::Return)),
+            Action::Land => ("land", Some(FlightMode::Land)),
             Action::Terminate => ("terminate", None),
         };
         self.text(
