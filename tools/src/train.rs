@@ -103,10 +103,15 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
     if let Some(row) = progress.row {
         let u = &row.update;
         let judged = row.completion.map_or(String::new(), |c| format!(", completes {:.1} % without the field", 100.0 * c));
-        bar.println(format!(
+        let line = format!(
             "{:>6} updates: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, imitation {:.3}, value {:.2}{judged}",
             row.updates, row.successes, row.flights, row.reward, u.critic_loss, u.imitation_loss, u.value
-        ));
+        );
+        if bar.is_hidden() {
+            println!("{line}");
+        } else {
+            bar.println(line);
+        }
     }
 }
 

@@ -118,6 +118,8 @@ pub struct LearningConfig {
     pub gradient_norm: f32,
     /// Weight of the square of what exceeds 1 before the actor's last tanh.
     pub saturation_penalty: f32,
+    /// Weight of the critic's value in the actor's loss after the warm-up (the paper: 1).
+    pub value_weight: f32,
     /// Weight of the squared distance between the actor's action and what the geometric pilot would do, at first (the
     /// paper: 0). The pilot looks on in every training flight.
     pub imitation: f32,
@@ -164,7 +166,7 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            decisions: 30_000,
+            decisions: 28_000,
             environments: 8,
             threads: 1,
             steps_per_decision: 4,
@@ -183,9 +185,9 @@ impl Default for TrainConfig {
 impl Default for WarmUp {
     fn default() -> Self {
         Self {
-            decisions: 12_000,
+            decisions: 16_000,
             pilot: WarmUpPilot::Geometric,
-            updates: 1_000,
+            updates: 1_200,
             actor_rate: 1e-3,
         }
     }
@@ -195,9 +197,9 @@ impl Default for NoiseConfig {
     fn default() -> Self {
         Self {
             theta: 0.15,
-            sigma_first: 1.0,
+            sigma_first: 0.4,
             sigma_last: 0.1,
-            falls_over: 0.6,
+            falls_over: 0.8,
         }
     }
 }
@@ -205,7 +207,7 @@ impl Default for NoiseConfig {
 impl Default for ApfConfig {
     fn default() -> Self {
         Self {
-            share: 0.5,
+            share: 0.25,
             half_angle_deg: 45.0,
         }
     }
@@ -228,13 +230,14 @@ impl Default for LearningConfig {
             n_steps: 3,
             batch: 32,
             decisions_per_update: 4,
-            actor_rate: 2e-4,
+            actor_rate: 5e-4,
             critic_rate: 5e-4,
             tau: 0.005,
             gradient_norm: 5.0,
             saturation_penalty: 0.05,
+            value_weight: 0.05,
             imitation: 1.0,
-            imitation_updates: 4000,
+            imitation_updates: 20_000,
             imitation_trains_encoder: true,
             encoder_frames: 2,
             mirror: true,
@@ -255,9 +258,9 @@ impl Default for ReplayConfig {
 impl Default for EvaluationConfig {
     fn default() -> Self {
         Self {
-            every_updates: 500,
+            every_updates: 600,
             flights: 40,
-            final_flights: 200,
+            final_flights: 100,
             first_seed: 0,
             time_limit_s: 45.0,
         }
@@ -332,7 +335,7 @@ impl TrainConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         let (l, r, n) = (&self.learning, &self.replay, &self.noise);
         let least_memory = (self.environments * (l.n_steps + l.batch + 2)) as f64;
-        let checks: [(&'static str, f64, bool, &'static str); 31] = [
+        let checks: [(&'static str, f64, bool, &'static str); 32] = [
             ("decisions", self.decisions as f64, self.decisions > 0, "1 or more"),
             (
                 "environments",
@@ -417,6 +420,7 @@ impl TrainConfig {
                 1e6,
                 "0 or more",
             ),
+            number("learning.value_weight", l.value_weight, 0.0, 1e6, "0 or more"),
             number("learning.imitation", l.imitation, 0.0, 1e6, "0 or more"),
             (
                 "replay.decisions",

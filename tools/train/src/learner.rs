@@ -199,7 +199,7 @@ impl Learner {
             saturation_penalty: self.config.saturation_penalty,
             imitation: self.imitation(),
             imitation_trains_encoder: self.config.imitation_trains_encoder,
-            by_value: if self.warms_up() { 0.0 } else { 1.0 },
+            by_value: if self.warms_up() { 0.0 } else { self.config.value_weight },
             batch: batch.len() as f32,
         };
         let per_shard = batch.len().div_ceil(SHARDS);
