@@ -132,6 +132,9 @@ pub struct Limits {
     /// Horizontal distance at which the goal is reached.
     #[serde(deserialize_with = "goal_radius")]
     pub goal_radius_m: f32,
+    /// Greatest forward speed, whatever the pilot wants.
+    #[serde(deserialize_with = "cruise")]
+    pub speed_m_s: f32,
     /// Battery charge, 0 to 1, below which to land.
     #[serde(deserialize_with = "fraction")]
     pub battery: f32,
@@ -235,6 +238,7 @@ impl Default for Limits {
             heartbeat_age_s: seconds(d.heartbeat_age_limit_ns),
             slips: d.slip_limit,
             goal_radius_m: d.goal_radius_m,
+            speed_m_s: vigil_types::ACTION_LIMIT,
             battery: d.battery_limit,
             flight_time_s: None,
             geofence: None,
@@ -405,6 +409,7 @@ impl FirmwareConfig {
                 cruise_m_s: self.pilot.cruise_m_s,
                 repulsive_range_m: self.pilot.repulsive_range_m,
             },
+            speed_limit_m_s: limits.speed_m_s,
             goal: self.goal.map(|goal| Goal {
                 position_ned_m: NedVector::new(goal.north_m, goal.east_m, -goal.height_m.unwrap_or(self.height_m)),
             }),

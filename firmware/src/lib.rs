@@ -17,6 +17,7 @@ pub mod replay;
 pub mod stack;
 pub mod step;
 pub mod timing;
+mod tunables;
 
 pub use config::FirmwareConfig;
 pub use lockstep::LockstepFirmware;

@@ -10,6 +10,7 @@
 )]
 
 use crate::frame_keeper::FrameKeeper;
+use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, framing};
@@ -39,6 +40,8 @@ pub struct StackConfig {
     pub companion: CompanionConfig,
     /// The pilot.
     pub pilot: GeometricConfig,
+    /// Greatest speed that any pilot's action may have, metres per second.
+    pub speed_limit_m_s: f32,
     /// Where to fly; `None` waits for an operator.
     pub goal: Option<Goal>,
 }
@@ -73,6 +76,7 @@ pub struct FlightStack {
     pilot: GeometricPilot,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
+    tunables: Tunables,
     component_id: u8,
     link: u8,
 }
@@ -84,6 +88,7 @@ impl FlightStack {
     /// A guidance configuration that must not fly.
     pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
         let mut guidance = Guidance::new(config.guidance)?;
+        let tunables = Tunables::of(config);
         if let Some(Goal { position_ned_m }) = config.goal {
             guidance.request(OperatorRequest::Goal {
                 north_m: position_ned_m.x,
@@ -93,7 +98,8 @@ impl FlightStack {
         }
         Ok(Self {
             frames: FrameKeeper::new(config.sensor_id),
-            companion: Companion::new(config.companion),
+            companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
+            tunables,
             guidance,
             pilot: GeometricPilot::new(config.pilot),
             pilot_asked: false,
@@ -118,6 +124,9 @@ impl FlightStack {
         while let Some(pending) = self.companion.take_request() {
             let outcome = self.guidance.request(pending.request());
             self.companion.answer(&pending, outcome);
+        }
+        if self.companion.parameters().take_changed() {
+            self.tune();
         }
         let telemetry = *self.companion.telemetry();
         let frame_age_ns = self.frames.newest().map(|f| now_ns.saturating_sub(f.header.stamp_ns));
@@ -158,6 +167,28 @@ impl FlightStack {
         };
         output.sent.clear();
         self.companion.emit(&output.report, guidance.request, &mut output.sent);
+        if action.is_some() {
+            let scan = self.pilot.surroundings().scan();
+            let directions = scan.direction_right.iter().zip(&scan.direction_forward);
+            let sectors = directions
+                .zip(&scan.range_m)
+                .map(|((right, forward), range_m)| (libm::atan2f(*right, *forward), *range_m));
+            self.companion.emit_obstacles(now_ns, sectors, &mut output.sent);
+        }
+    }
+
+    /// Takes over the parameters that an operator set.
+    fn tune(&mut self) {
+        let before = self.tunables;
+        self.tunables.take(self.companion.parameters());
+        // Cannot fail: the parameters' ranges are guidance's.
+        let _ = self
+            .guidance
+            .reconfigure(self.tunables.guidance(self.guidance.config()));
+        if self.tunables.pilot != before.pilot {
+            // Set on the ground only, where the pilot remembers nothing of use.
+            self.pilot = GeometricPilot::new(self.tunables.pilot);
+        }
     }
 
     /// What the link refused or dropped, since start.
@@ -222,14 +253,19 @@ impl FlightStack {
             return None;
         };
         self.pilot_asked = true;
-        Some(self.pilot.decide(&PilotInput {
+        let action = self.pilot.decide(&PilotInput {
             now_ns,
             depth,
             goal: view.goal,
             attitude: view.attitude,
             velocity_m_s: view.velocity_m_s,
             height_m: view.height_m,
-        }))
+        });
+        let limit_m_s = self.tunables.speed_limit_m_s;
+        Some(Action {
+            forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
+            ..action
+        })
     }
 }
 

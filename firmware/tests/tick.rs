@@ -5,6 +5,9 @@ mod common;
 use common::{LOITER, OFFBOARD, TestVehicle, config};
 use vigil_firmware::config::{AtGoalChoice, Engage};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_link::MavHeader;
+use vigil_link::common::{MavMessage, MavParamType, PARAM_SET_DATA};
+use vigil_link::framing::{MAX_PACKET_LEN, serialize};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport};
 
 /// Vehicle and firmware in step; either side's contribution can be left out of a step.
@@ -47,6 +50,42 @@ impl Flight {
     fn step(&mut self) -> StepReport {
         let (frame, telemetry) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
         self.step_with(Some(&frame), &telemetry)
+    }
+
+    /// Sets a parameter as a ground station does, and gives what the firmware then says it is.
+    fn set(&mut self, name: &str, param_value: f32, param_type: MavParamType) -> f32 {
+        let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+            param_value,
+            target_system: 1,
+            target_component: 191,
+            param_id: name.into(),
+            param_type,
+        });
+        let station = MavHeader {
+            system_id: 255,
+            component_id: 190,
+            sequence: 0,
+        };
+        let mut packet = [0; MAX_PACKET_LEN];
+        let len = serialize(station, &message, &mut packet).unwrap();
+        let (frame, mut received) = (self.vehicle.frame(self.now_ns), self.vehicle.telemetry());
+        received.push(0, &packet[..len]);
+        self.step_with(Some(&frame), &received);
+        let told = self.vehicle.heard.iter().rev().find_map(|(_, message)| match message {
+            MavMessage::PARAM_VALUE(value) if value.param_id.to_str() == Ok(name) => Some(value.param_value),
+            _ => None,
+        });
+        told.unwrap()
+    }
+
+    /// The greatest speed of the next seconds.
+    fn fastest_m_s(&mut self, seconds: u64) -> f32 {
+        let mut fastest = 0.0f32;
+        for _ in 0..seconds * 20 {
+            self.step();
+            fastest = fastest.max(self.velocity()[0]);
+        }
+        fastest
     }
 
     fn until(&mut self, state: GuidanceState, limit_s: f64) {
@@ -215,4 +254,78 @@ fn the_same_inputs_give_the_same_bytes() {
         (bytes, flight.last)
     };
     assert_eq!(fly(), fly());
+}
+
+const REAL: MavParamType = MavParamType::MAV_PARAM_TYPE_REAL32;
+
+#[test]
+fn a_speed_limit_set_in_flight_holds_at_once_and_cruise_is_set_before_the_flight_only() {
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &config());
+    flight.step();
+    assert_eq!(flight.set("PLT_CRUISE", 1.25, REAL), 1.25);
+    flight.until(GuidanceState::Guided, 10.0);
+    let fastest = flight.fastest_m_s(3);
+    assert!((1.0..=1.25).contains(&fastest), "{fastest}");
+    assert_eq!(flight.set("PLT_CRUISE", 1.5, REAL), 1.25, "not in flight");
+    assert_eq!(flight.set("GD_SPEED_LIM", 0.5, REAL), 0.5);
+    let fastest = flight.fastest_m_s(3);
+    assert!((0.4..=0.5).contains(&fastest), "{fastest}");
+    assert_eq!(flight.set("GD_SPEED_LIM", 9.0, REAL), 0.5, "out of range");
+    assert_eq!(flight.last.state, GuidanceState::Guided);
+}
+
+#[test]
+fn goal_radius_and_action_set_in_flight_end_it_sooner_and_on_the_ground() {
+    let mut flight = Flight::guided();
+    assert_eq!(flight.set("GD_GOAL_RAD", 8.0, REAL), 8.0);
+    let land = f32::from_bits(1);
+    let told = flight.set("GD_AT_GOAL", land, MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(told.to_bits(), 1);
+    flight.until(GuidanceState::Hold, 60.0);
+    assert!(flight.last.reasons.contains(Reason::GoalReached));
+    let goal = vigil_types::NedVector::new(20.0, 5.0, -2.5);
+    let distance_m = (goal - flight.vehicle.position_ned_m).horizontal_norm();
+    assert!((6.0..=8.2).contains(&distance_m), "{distance_m}");
+    flight.until(GuidanceState::Land, 10.0);
+}
+
+#[test]
+fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
+    let mut flight = Flight::guided();
+    let count = |flight: &Flight| {
+        let obstacles = |message: &MavMessage| matches!(message, MavMessage::OBSTACLE_DISTANCE(_));
+        flight.vehicle.heard.iter().filter(|(_, m)| obstacles(m)).count()
+    };
+    let before = count(&flight);
+    for _ in 0..100 {
+        let mut frame = flight.vehicle.frame(flight.now_ns);
+        // A wall 6 m ahead in the whole field of view: normalised by 100 m.
+        frame.depth.fill(0.06);
+        frame.seal();
+        let telemetry = flight.vehicle.telemetry();
+        flight.step_with(Some(&frame), &telemetry);
+    }
+    let told = count(&flight) - before;
+    assert!((19..=21).contains(&told), "{told} in 5 s");
+    let Some(MavMessage::OBSTACLE_DISTANCE(last)) = flight
+        .vehicle
+        .heard
+        .iter()
+        .rev()
+        .map(|(_, m)| m)
+        .find(|m| matches!(m, MavMessage::OBSTACLE_DISTANCE(_)))
+    else {
+        panic!();
+    };
+    assert!(last.distances[36].abs_diff(600) < 60, "{:?}", last.distances);
+
+    let seen = count(&flight);
+    for _ in 0..40 {
+        let telemetry = flight.vehicle.telemetry();
+        flight.step_with(None, &telemetry);
+    }
+    assert!(
+        count(&flight) - seen <= 2,
+        "a stale frame is not told as if it were new"
+    );
 }

@@ -142,6 +142,16 @@ impl Guidance {
         &self.config
     }
 
+    /// Takes another configuration; state and goal stay. It has its effect in the next [`Guidance::step`].
+    ///
+    /// # Errors
+    /// [`ConfigError`] when the configuration must not fly; the present one stays.
+    pub fn reconfigure(&mut self, config: GuidanceConfig) -> Result<(), ConfigError> {
+        config.check()?;
+        self.config = config;
+        Ok(())
+    }
+
     /// Takes what an operator asks; it has its effect in the next [`Guidance::step`].
     pub fn request(&mut self, request: OperatorRequest) -> RequestOutcome {
         match request {

@@ -3,7 +3,9 @@
 use crate::autopilot::Flavour;
 use crate::framing::{Command, CommandAck, FramingCounters, Packet, packets};
 use crate::handover::Handover;
+use crate::obstacles;
 use crate::operator::{PendingRequest, ReplyTo, decode, result, result_of};
+use crate::parameters::{ParameterRequest, Parameters, SetRefusal};
 use crate::report;
 use crate::sender::Sender;
 use crate::streams::Streams;
@@ -64,6 +66,8 @@ pub struct LinkCounters {
     pub late: u64,
     /// Commands of operators answered with anything but ACCEPTED.
     pub commands_refused: u64,
+    /// Parameters that were not set: wrong type, out of range, not in flight.
+    pub parameters_refused: u64,
     /// Answers dropped because one step owed too many.
     pub replies_dropped: u64,
 }
@@ -108,6 +112,7 @@ impl Periodic {
 enum Reply {
     Ack(ReplyTo, u16, u8),
     Time(u8, time::Answer),
+    Parameter(u8, usize),
 }
 
 /// The guidance computer's end of the link: keeps what the vehicle told, hands operators' requests to guidance, writes
@@ -125,8 +130,12 @@ pub struct Companion {
     /// The vehicle's system, once known.
     system_id: Option<u8>,
     said: Option<(GuidanceState, Reasons)>,
+    parameters: Parameters,
+    /// The last parameter that was not set, to be told of.
+    parameter_refused: Option<(usize, SetRefusal)>,
     heartbeat: Periodic,
     values: Periodic,
+    obstacles: Periodic,
     streaming: bool,
 }
 
@@ -145,10 +154,24 @@ impl Companion {
             requests: Deque::new(),
             system_id: config.system_id,
             said: None,
+            parameters: Parameters::default(),
+            parameter_refused: None,
             heartbeat: Periodic::new(HEARTBEAT_NS),
             values: Periodic::new(VALUES_NS),
+            obstacles: Periodic::new(VALUES_NS),
             streaming: false,
         }
+    }
+
+    /// The same with parameters of its own.
+    pub fn with_parameters(mut self, parameters: Parameters) -> Self {
+        self.parameters = parameters;
+        self
+    }
+
+    /// The parameters, which any ground station may read and set.
+    pub fn parameters(&mut self) -> &mut Parameters {
+        &mut self.parameters
     }
 
     /// What is known of the vehicle.
@@ -213,6 +236,15 @@ impl Companion {
             }
             return;
         }
+        if let Some((request, (system, component))) =
+            ParameterRequest::from_payload(packet.message_id(), packet.payload())
+        {
+            // Of requests to all components it answers what it has.
+            if system == self.sender.system_id && self.is_for_me_or_all(system, component) {
+                self.parameter_request(link, &request);
+            }
+            return;
+        }
         let me = (self.sender.system_id, self.sender.component_id);
         if let Some(answer) = time::answer(now_ns, packet, me) {
             self.reply(Reply::Time(link, answer));
@@ -254,6 +286,42 @@ impl Companion {
                 }
             }
             Err(mav_result) => self.acknowledge(reply, command.number, mav_result),
+        }
+    }
+
+    fn parameter_request(&mut self, link: u8, request: &ParameterRequest) {
+        match request {
+            ParameterRequest::List => {
+                for index in 0..self.parameters.count() {
+                    self.reply(Reply::Parameter(link, index));
+                }
+            }
+            ParameterRequest::ReadIndex(index) => {
+                if *index < self.parameters.count() {
+                    self.reply(Reply::Parameter(link, *index));
+                }
+            }
+            ParameterRequest::ReadName(name) => {
+                if let Some(index) = self.parameters.find(name) {
+                    self.reply(Reply::Parameter(link, index));
+                }
+            }
+            ParameterRequest::Set { name, raw, mav_type } => {
+                let Some(index) = self.parameters.find(name) else {
+                    return;
+                };
+                let flying = !matches!(
+                    self.said,
+                    None | Some((GuidanceState::Standby | GuidanceState::Ready, _))
+                );
+                let flavour = self.config.flavour;
+                if let Err(refusal) = self.parameters.set(index, *raw, *mav_type, flavour, flying) {
+                    self.counters.parameters_refused += 1;
+                    self.parameter_refused = Some((index, refusal));
+                }
+                // The value in force, whichever it is: that is the protocol's answer.
+                self.reply(Reply::Parameter(link, index));
+            }
         }
     }
 
@@ -312,7 +380,18 @@ impl Companion {
                     self.sender.ack(out, to.link, &ack);
                 }
                 Reply::Time(link, (message_id, payload)) => self.sender.payload(out, *link, *message_id, payload),
+                Reply::Parameter(link, index) => {
+                    if let Some((message_id, payload)) = self.parameters.told(*index, self.config.flavour) {
+                        self.sender.payload(out, *link, message_id, &payload);
+                    }
+                }
             }
+        }
+        if let Some((index, refusal)) = self.parameter_refused.take() {
+            self.say(
+                out,
+                &report::parameter_text(self.parameters.name(index), refusal.name()),
+            );
         }
     }
 
@@ -348,6 +427,14 @@ impl Companion {
         }
         if before.map(|(state, _)| state) != Some(report.state) {
             self.say(out, &report::state_text(report.state, report.reasons));
+        }
+    }
+
+    /// Tells what the pilot sees, four times a second: for each sector its bearing (radians, positive to the right) and
+    /// its distance (metres, infinite where nothing was seen). Call it in every step in which the pilot looked.
+    pub fn emit_obstacles(&mut self, now_ns: Nanos, sectors: impl Iterator<Item = (f32, f32)>, out: &mut Datagrams) {
+        if self.obstacles.is_due(now_ns) {
+            self.say(out, &obstacles::message(now_ns, sectors));
         }
     }
 

@@ -160,6 +160,13 @@ pub(crate) fn trouble_text(trouble: Trouble, configured: Flavour) -> MavMessage 
     })
 }
 
+/// "PLT_CRUISE not set: out of range".
+pub(crate) fn parameter_text(name: &str, why: &str) -> MavMessage {
+    status_text(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+        write!(text, "{name} not set: {why}")
+    })
+}
+
 /// The last words.
 pub(crate) fn shutdown_text() -> MavMessage {
     status_text(MavSeverity::MAV_SEVERITY_NOTICE, |text| {

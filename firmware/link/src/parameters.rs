@@ -1,0 +1,222 @@
+//! The guidance computer's own parameters: <https://mavlink.io/en/services/parameter.html>.
+//!
+//! A fixed table; who made it looks for changes after each step's packets ([`Parameters::take_changed`]). A value that is
+//! not accepted changes nothing, and the answer tells the value in force.
+
+use crate::autopilot::Flavour;
+use crate::framing::Zeroed;
+use heapless::Vec;
+use mavlink::MessageData;
+use mavlink::dialects::common::{PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA};
+
+/// Parameters that a table holds.
+pub const MAX_PARAMETERS: usize = 16;
+/// Bytes of a parameter's name on the wire.
+const NAME_LEN: usize = 16;
+/// MAV_PARAM_TYPE numbers.
+const INT32: u8 = 6;
+const REAL32: u8 = 9;
+
+/// A parameter's value; its type never changes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum ParameterValue {
+    /// MAV_PARAM_TYPE_REAL32.
+    Real(f32),
+    /// MAV_PARAM_TYPE_INT32.
+    Integer(i32),
+}
+
+impl ParameterValue {
+    /// The value as a number.
+    pub fn as_f64(self) -> f64 {
+        match self {
+            Self::Real(v) => v.into(),
+            Self::Integer(v) => v.into(),
+        }
+    }
+}
+
+/// One parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Parameter {
+    /// Name, at most 16 characters.
+    pub name: &'static str,
+    /// Value in force.
+    pub value: ParameterValue,
+    /// Least value accepted.
+    pub least: f32,
+    /// Greatest value accepted.
+    pub greatest: f32,
+    /// May be changed while guidance flies.
+    pub in_flight: bool,
+}
+
+/// Why a parameter was not set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SetRefusal {
+    WrongType,
+    OutOfRange,
+    InFlight,
+}
+
+impl SetRefusal {
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::WrongType => "wrong type",
+            Self::OutOfRange => "out of range",
+            Self::InFlight => "not in flight",
+        }
+    }
+}
+
+/// A request of the parameter protocol.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum ParameterRequest {
+    List,
+    ReadIndex(usize),
+    ReadName([u8; NAME_LEN]),
+    Set {
+        name: [u8; NAME_LEN],
+        /// The value field's bytes.
+        raw: [u8; 4],
+        mav_type: u8,
+    },
+}
+
+impl ParameterRequest {
+    /// The request in a packet's payload, with its target (system, component).
+    pub fn from_payload(message_id: u32, payload: &[u8]) -> Option<(Self, (u8, u8))> {
+        let field = Zeroed(payload);
+        let target = |at| (field.u8(at), field.u8(at + 1));
+        Some(match message_id {
+            PARAM_REQUEST_LIST_DATA::ID => (Self::List, target(0)),
+            PARAM_REQUEST_READ_DATA::ID => {
+                let index = i16::from_le_bytes(field.bytes(0));
+                let what = match usize::try_from(index) {
+                    Ok(index) => Self::ReadIndex(index),
+                    // -1: by name.
+                    Err(_) => Self::ReadName(field.bytes(4)),
+                };
+                (what, target(2))
+            }
+            PARAM_SET_DATA::ID => {
+                let set = Self::Set {
+                    name: field.bytes(6),
+                    raw: field.bytes(0),
+                    mav_type: field.u8(22),
+                };
+                (set, target(4))
+            }
+            _ => return None,
+        })
+    }
+}
+
+/// The table.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Parameters {
+    all: Vec<Parameter, MAX_PARAMETERS>,
+    changed: bool,
+}
+
+impl Parameters {
+    /// A table of `parameters`; those beyond [`MAX_PARAMETERS`] are left out.
+    pub fn new(parameters: &[Parameter]) -> Self {
+        Self {
+            all: parameters.iter().take(MAX_PARAMETERS).copied().collect(),
+            changed: false,
+        }
+    }
+
+    /// Number of parameters.
+    pub fn count(&self) -> usize {
+        self.all.len()
+    }
+
+    /// A parameter's value, by its place in the table.
+    pub fn value(&self, index: usize) -> Option<ParameterValue> {
+        self.all.get(index).map(|p| p.value)
+    }
+
+    /// Whether a value was set since the last call.
+    pub fn take_changed(&mut self) -> bool {
+        core::mem::take(&mut self.changed)
+    }
+
+    pub(crate) fn name(&self, index: usize) -> &'static str {
+        self.all.get(index).map_or("", |p| p.name)
+    }
+
+    /// The place of a parameter of that name.
+    pub(crate) fn find(&self, name: &[u8; NAME_LEN]) -> Option<usize> {
+        self.all.iter().position(|p| padded(p.name) == *name)
+    }
+
+    /// Sets a parameter if type and value are right.
+    pub(crate) fn set(
+        &mut self,
+        index: usize,
+        raw: [u8; 4],
+        mav_type: u8,
+        flavour: Flavour,
+        flying: bool,
+    ) -> Result<(), SetRefusal> {
+        let Some(parameter) = self.all.get_mut(index) else {
+            return Ok(());
+        };
+        let value = match (parameter.value, mav_type, flavour) {
+            (ParameterValue::Real(_), REAL32, _) => ParameterValue::Real(f32::from_le_bytes(raw)),
+            (ParameterValue::Integer(_), INT32, Flavour::Px4) => ParameterValue::Integer(i32::from_le_bytes(raw)),
+            (ParameterValue::Integer(_), INT32, Flavour::ArduPilot) => {
+                let number = f32::from_le_bytes(raw);
+                if libm::truncf(number) != number {
+                    return Err(SetRefusal::OutOfRange);
+                }
+                ParameterValue::Integer(number as i32)
+            }
+            _ => return Err(SetRefusal::WrongType),
+        };
+        // NaN is in no range.
+        let range = f64::from(parameter.least)..=f64::from(parameter.greatest);
+        if !range.contains(&value.as_f64()) {
+            return Err(SetRefusal::OutOfRange);
+        }
+        if value == parameter.value {
+            return Ok(());
+        }
+        if flying && !parameter.in_flight {
+            return Err(SetRefusal::InFlight);
+        }
+        parameter.value = value;
+        self.changed = true;
+        Ok(())
+    }
+
+    /// PARAM_VALUE of a parameter: message id and payload. PX4 and its clients put integers bytewise into the value's
+    /// field, ArduPilot and its clients by conversion.
+    pub(crate) fn told(&self, index: usize, flavour: Flavour) -> Option<(u32, [u8; 25])> {
+        let parameter = self.all.get(index)?;
+        let (raw, mav_type) = match (parameter.value, flavour) {
+            (ParameterValue::Real(v), _) => (v.to_le_bytes(), REAL32),
+            (ParameterValue::Integer(v), Flavour::Px4) => (v.to_le_bytes(), INT32),
+            (ParameterValue::Integer(v), Flavour::ArduPilot) => ((v as f32).to_le_bytes(), INT32),
+        };
+        let mut payload = [0; 25];
+        // A table's length and places fit 16 bits.
+        let fields = raw
+            .into_iter()
+            .chain((self.all.len() as u16).to_le_bytes())
+            .chain((index as u16).to_le_bytes())
+            .chain(padded(parameter.name))
+            .chain([mav_type]);
+        for (slot, byte) in payload.iter_mut().zip(fields) {
+            *slot = byte;
+        }
+        Some((PARAM_VALUE_DATA::ID, payload))
+    }
+}
+
+/// A name as the wire has it: filled with zeros.
+fn padded(name: &str) -> [u8; NAME_LEN] {
+    Zeroed(name.as_bytes()).bytes(0)
+}
