@@ -69,7 +69,6 @@ impl<'a> Request<'a> {
 /// An acknowledgement's contents.
 #[derive(Default)]
 struct Reply {
-    offset: u32,
     data: Vec<u8>,
     burst_complete: bool,
 }
@@ -170,7 +169,9 @@ impl Service for Ftp {
             return;
         };
         let sequence = request.sequence.wrapping_add(1);
-        let payload = encode(sequence, request.session, request.opcode, outcome);
+        // The offset comes back too: pymavlink knows by it which piece of an upload is acknowledged.
+        let offset = request.offset as u32;
+        let payload = encode(sequence, request.session, request.opcode, offset, outcome);
         if acts_once(request.opcode) {
             self.keep_answer(source, message.payload, payload, core.now_ns);
         }
@@ -209,7 +210,7 @@ fn acts_once(opcode: u8) -> bool {
     .any(|once| *once as u8 == opcode)
 }
 
-fn encode(sequence: u16, session: u8, request_opcode: u8, outcome: Result<Reply, Nak>) -> [u8; 251] {
+fn encode(sequence: u16, session: u8, request_opcode: u8, offset: u32, outcome: Result<Reply, Nak>) -> [u8; 251] {
     let (opcode, reply) = match outcome {
         Ok(reply) => (Opcode::MAV_FTP_OPCODE_ACK, reply),
         Err(Nak(error, errno)) => {
@@ -224,7 +225,7 @@ fn encode(sequence: u16, session: u8, request_opcode: u8, outcome: Result<Reply,
     };
     let mut payload = [0; 251];
     let [s0, s1] = sequence.to_le_bytes();
-    let [o0, o1, o2, o3] = reply.offset.to_le_bytes();
+    let [o0, o1, o2, o3] = offset.to_le_bytes();
     let size = reply.data.len().min(MAX_DATA);
     let header: [u8; HEADER] = [
         s0,
@@ -403,7 +404,6 @@ impl Session {
         let rest = content.get(offset..).filter(|rest| !rest.is_empty());
         let rest = rest.ok_or(MavFtpErr::MAV_FTP_ERR_EOF)?;
         Ok(Reply {
-            offset: offset as u32,
             data: rest.get(..size).unwrap_or(rest).to_vec(),
             burst_complete: false,
         })
@@ -427,12 +427,8 @@ impl Session {
             });
         }
         self.used_ns = core.now_ns;
-        let payload = encode(
-            sequence,
-            self.number,
-            Opcode::MAV_FTP_OPCODE_BURSTREADFILE as u8,
-            outcome,
-        );
+        let opcode = Opcode::MAV_FTP_OPCODE_BURSTREADFILE as u8;
+        let payload = encode(sequence, self.number, opcode, burst.offset as u32, outcome);
         send(core, self.client, payload);
     }
 }
@@ -460,7 +456,6 @@ fn list(files: &FileSystem, request: &Request<'_>, with_times: bool) -> Result<R
         return Err(MavFtpErr::MAV_FTP_ERR_EOF.into());
     }
     Ok(Reply {
-        offset: request.offset as u32,
         data,
         burst_complete: false,
     })

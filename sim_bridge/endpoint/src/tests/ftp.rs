@@ -176,7 +176,7 @@ impl Client {
         assert!(self.ask(b, CREATE, 0, 0, path.as_bytes()).is_ack);
         for (i, chunk) in content.chunks(239).enumerate() {
             let reply = self.ask(b, WRITE, 0, 239 * i as u32, chunk);
-            assert_eq!(reply.number() as usize, chunk.len());
+            assert_eq!((reply.number() as usize, reply.offset as usize), (chunk.len(), 239 * i));
         }
         assert!(self.ask(b, TERMINATE, 0, 0, &[]).is_ack);
     }

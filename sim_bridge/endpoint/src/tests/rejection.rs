@@ -5,6 +5,7 @@ use crate::{EndpointConfig, LinkId};
 use proptest::prelude::*;
 use vigil_link::MavMessage;
 use vigil_link::common::*;
+use vigil_link::mavlink::MessageData;
 
 #[test]
 fn an_unknown_command_gets_unsupported() {
@@ -135,6 +136,46 @@ fn seeds() -> Vec<Vec<u8>> {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn any_payloads_of_files_logs_shell_and_events_are_survived(
+        packets in prop::collection::vec(
+            (
+                prop::sample::select(vec![
+                    FILE_TRANSFER_PROTOCOL_DATA::ID,
+                    LOG_REQUEST_LIST_DATA::ID,
+                    LOG_REQUEST_DATA_DATA::ID,
+                    LOG_ERASE_DATA::ID,
+                    SERIAL_CONTROL_DATA::ID,
+                    REQUEST_EVENT_DATA::ID,
+                ]),
+                0..18_u8,
+                prop::collection::vec(any::<u8>(), 20..100),
+            ),
+            1..20,
+        ),
+    ) {
+        let mut b = Bench::airborne();
+        for (id, opcode, mut payload) in packets {
+            if id == FILE_TRANSFER_PROTOCOL_DATA::ID {
+                // Target, session, an operation that there is, a size that fits.
+                payload[1] = 1;
+                payload[2] = 1;
+                payload[5] &= 3;
+                payload[6] = opcode;
+                payload[7] &= 0x3F;
+            }
+            let header = vigil_link::mavlink::MavHeader { system_id: 245, component_id: 190, sequence: 0 };
+            let mut out = [0; vigil_link::framing::MAX_PACKET_LEN];
+            let len = vigil_link::framing::serialize_payload(header, id, &payload, &mut out).expect("fits");
+            b.sent.clear();
+            b.send_raw(API, &out[..len]);
+            b.run_ms(3);
+            // A shell line may answer in several packets; nothing answers without bound.
+            prop_assert!(b.sent.len() < 200, "{}", b.sent.len());
+        }
+        prop_assert!(b.status().armed && b.status().dropped == 0);
+    }
 
     #[test]
     fn damaged_bytes_are_never_obeyed(
