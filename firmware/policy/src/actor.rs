@@ -1,7 +1,7 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (PAPER.md, Algorithm 1).
 
 use crate::surroundings::Surroundings;
-use crate::{Pilot, PilotInput, apf};
+use crate::{GeometricPilot, Pilot, PilotInput, apf};
 use core::f32::consts::FRAC_PI_4;
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
 use vigil_types::{Action, GoalRelative};
@@ -38,6 +38,11 @@ impl ActorPilot {
         }
     }
 
+    /// What the last frame showed.
+    pub fn surroundings(&self) -> &Surroundings {
+        &self.surroundings
+    }
+
     /// The 48 values at the paper's split point, of the last decision.
     pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
         self.actor.state()
@@ -46,6 +51,7 @@ impl ActorPilot {
 
 impl Pilot for ActorPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        let obstacle = self.surroundings.observe(input).nearest_within(FIELD_HALF_ANGLE_RAD);
         let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, positional_inputs(input.goal)) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action {
@@ -54,14 +60,53 @@ impl Pilot for ActorPilot {
             };
         };
         let own = Action { forward_m_s, yaw };
-        if !self.field || !own.is_finite() {
-            return own;
+        if self.field && own.is_finite() {
+            apf::add(own, apf::force(input.goal, obstacle))
+        } else {
+            own
         }
-        let obstacle = self.surroundings.observe(input).nearest_within(FIELD_HALF_ANGLE_RAD);
-        apf::add(own, apf::force(input.goal, obstacle))
     }
 
     fn reset(&mut self) {
         self.actor.reset();
+    }
+}
+
+/// The pilot of a flight stack, whichever it is. A large value: box it once at start.
+#[derive(Debug, Clone)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one per process, and flight code does not allocate"
+)]
+pub enum FlightPilot {
+    /// Goal seeking, potential field and memory.
+    Geometric(GeometricPilot),
+    /// A frozen actor.
+    Actor(ActorPilot),
+}
+
+impl FlightPilot {
+    /// What the last frame showed.
+    pub fn surroundings(&self) -> &Surroundings {
+        match self {
+            Self::Geometric(pilot) => pilot.surroundings(),
+            Self::Actor(pilot) => pilot.surroundings(),
+        }
+    }
+}
+
+impl Pilot for FlightPilot {
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        match self {
+            Self::Geometric(pilot) => pilot.decide(input),
+            Self::Actor(pilot) => pilot.decide(input),
+        }
+    }
+
+    fn reset(&mut self) {
+        match self {
+            Self::Geometric(pilot) => pilot.reset(),
+            Self::Actor(pilot) => pilot.reset(),
+        }
     }
 }

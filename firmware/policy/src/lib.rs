@@ -13,7 +13,7 @@ mod memory;
 pub mod surroundings;
 mod way;
 
-pub use actor::ActorPilot;
+pub use actor::{ActorPilot, FlightPilot};
 #[cfg(feature = "actor-file")]
 pub use actor_file::{ActorFileError, FrozenActor};
 pub use apf::NearestObstacle;

@@ -3,7 +3,7 @@
 
 use vigil_nnet::{Actor, ActorSpec, Isa};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{ActorPilot, FrozenActor, Pilot, PilotInput, apf};
+use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, apf};
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector};
 
 fn frozen() -> FrozenActor {
@@ -142,4 +142,21 @@ fn the_field_is_added_to_the_actor_s_action() {
     let pull = apf::attraction(input.goal);
     assert!((sum.forward_m_s - (own.forward_m_s + pull.forward_m_s)).abs() < 1e-5);
     assert!(sum.yaw < own.yaw - 0.5, "turned away: {sum:?} {own:?}");
+}
+
+#[test]
+fn a_flight_s_pilot_is_the_one_it_was_made_of() {
+    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &frozen().params).unwrap();
+    let frame = DepthFrame::EMPTY;
+    let mut alone = ActorPilot::new(actor.clone(), true);
+    let mut flown = FlightPilot::Actor(ActorPilot::new(actor, true));
+    assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
+    assert_eq!(flown.surroundings().scan(), alone.surroundings().scan());
+    let geometric = GeometricPilot::new(GeometricConfig::default());
+    let mut alone = geometric.clone();
+    let mut flown = FlightPilot::Geometric(geometric);
+    assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
+    flown.reset();
+    alone.reset();
+    assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
 }
