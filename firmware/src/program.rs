@@ -23,8 +23,8 @@ use vigil_types::StepReport;
 Examples:
   firmware                                  on the simulator of instance 0, waiting for an operator to engage it
   firmware --engage auto --goal 20,5        take off and fly to 20 m north, 5 m east of home
-  firmware --link udpin://0.0.0.0:14540 --vehicle ardupilot --goal 50,0 --height 5
-                                            on a vehicle of yours
+  firmware --link udpin://0.0.0.0:14540 --allow-unsigned always --vehicle ardupilot --goal 50,0 --height 5
+                                            on a vehicle of yours, over a network that only it reaches
   firmware --link serial:///dev/ttyUSB0:921600 --signing-key vigil.key
                                             over a serial line, with MAVLink signing
   firmware --lockstep                       answer a simulator that sets the pace

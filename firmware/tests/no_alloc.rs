@@ -6,8 +6,9 @@ use common::{Instance, TestVehicle, config};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::net::UdpSocket;
+use std::os::unix::fs::PermissionsExt;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{LogConfig, RateConfig};
+use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig};
 use vigil_firmware::live::LiveLoop;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
@@ -88,6 +89,9 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     let domain = Domain::open(instance.0, "test-simulator").unwrap();
     let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
     let folder = tempfile::tempdir().unwrap();
+    let key = folder.path().join("vigil.key");
+    std::fs::write(&key, [7; 32]).unwrap();
+    std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o600)).unwrap();
     let port = {
         // A port that is free at this moment.
         let probe = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -96,6 +100,11 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     let config = FirmwareConfig {
         instance: instance.0,
         link: Some(format!("udpin://127.0.0.1:{port}").parse().unwrap()),
+        // Signs what it sends and keeps its state; this machine's packets need no signature.
+        signing: SigningConfig {
+            key_file: Some(key),
+            ..SigningConfig::default()
+        },
         log: LogConfig {
             directory: Some(folder.path().to_owned()),
             scene: None,
