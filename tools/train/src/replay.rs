@@ -408,3 +408,163 @@ impl Memory {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::TrainConfig;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    const GAMMA: f32 = 0.5;
+
+    /// One lane of eight decisions of one step, three steps to a return.
+    fn memory() -> Memory {
+        let mut config = TrainConfig {
+            environments: 1,
+            steps_per_decision: 1,
+            ..TrainConfig::default()
+        };
+        config.replay.decisions = 8;
+        config.learning.gamma = GAMMA;
+        config.learning.n_steps = 3;
+        Memory::new(&config)
+    }
+
+    fn image(level: f32) -> Box<[f32; DEPTH_PIXELS]> {
+        vec![level; DEPTH_PIXELS].into_boxed_slice().try_into().unwrap()
+    }
+
+    /// Lives through a flight of the given rewards; frame and first positional input of decision k are `first + k`.
+    fn fly(memory: &mut Memory, first: u64, rewards: &[f32], end: Next) {
+        let lane = &mut memory.lanes[0];
+        let first_frame = lane.begin(first, false, &image(0.01 * first as f32));
+        let mut newest_frame = first_frame;
+        let record = |k: u64, newest_frame, reward, next| Record {
+            newest_frame,
+            first_frame,
+            position: [(first + k) as f32, 0.0],
+            action: [0.0; 2],
+            guide: None,
+            reward,
+            next,
+        };
+        for (k, reward) in rewards.iter().enumerate() {
+            let last = k + 1 == rewards.len();
+            lane.push(record(
+                k as u64,
+                newest_frame,
+                *reward,
+                if last { end } else { Next::Decision },
+            ));
+            if !last || end != Next::Terminal {
+                newest_frame = lane.push_frame(&image(0.01 * (first + k as u64 + 1) as f32));
+            }
+        }
+        if end == Next::CutOff {
+            lane.push(record(rewards.len() as u64, newest_frame, 0.0, Next::Nothing));
+        }
+        memory.settle();
+    }
+
+    fn sampled(memory: &Memory) -> Vec<Transition<'_>> {
+        let mut batch = memory.sample(200, &mut ChaCha8Rng::seed_from_u64(1));
+        batch.sort_by(|a, b| a.state.position[0].total_cmp(&b.state.position[0]));
+        batch.dedup_by_key(|t| t.leaf);
+        batch
+    }
+
+    #[test]
+    fn returns_end_at_the_flight_s_end_and_a_cut_off_flight_still_has_a_future() {
+        let mut memory = memory();
+        fly(&mut memory, 0, &[1.0, 2.0, 4.0], Next::Terminal);
+        let batch = sampled(&memory);
+        let returns: Vec<_> = batch.iter().map(|t| (t.reward, t.discount)).collect();
+        assert_eq!(returns, [(3.0, 0.0), (4.0, 0.0), (4.0, 0.0)]);
+
+        fly(&mut memory, 10, &[1.0, 2.0, 4.0, 8.0], Next::CutOff);
+        let batch = sampled(&memory);
+        let late: Vec<_> = batch[3..]
+            .iter()
+            .map(|t| (t.reward, t.discount, t.next.position[0]))
+            .collect();
+        // 1 + 2/2 + 4/4 and the state three decisions on; then ever fewer decisions up to the state of the cut.
+        let expected = [
+            (3.0, 0.125, 13.0),
+            (6.0, 0.125, 14.0),
+            (8.0, 0.25, 14.0),
+            (8.0, 0.5, 14.0),
+        ];
+        assert_eq!(late, expected);
+        assert!(batch.iter().all(|t| t.weight > 0.0 && t.weight <= 1.0));
+    }
+
+    #[test]
+    fn a_decision_is_sampled_only_when_its_return_is_known() {
+        let mut memory = memory();
+        fly(&mut memory, 0, &[1.0, 1.0, 1.0, 1.0], Next::Decision);
+        let known: Vec<f32> = sampled(&memory).iter().map(|t| t.state.position[0]).collect();
+        assert_eq!(known, [0.0]);
+    }
+
+    #[test]
+    fn old_decisions_make_room_and_windows_stay_within_their_flight() {
+        let mut memory = memory();
+        for flight in 0..5 {
+            fly(&mut memory, 10 * flight, &[1.0, 1.0, 1.0], Next::Terminal);
+        }
+        let batch = sampled(&memory);
+        let kept: Vec<f32> = batch.iter().map(|t| t.state.position[0]).collect();
+        assert_eq!(kept, [21.0, 22.0, 30.0, 31.0, 32.0, 40.0, 41.0, 42.0]);
+        for t in &batch {
+            let level = |frame: &[u8]| frame[0];
+            let mut expected = [0_u8; DEPTH_PIXELS];
+            pack_frame(&image(0.01 * t.state.position[0]), &mut expected);
+            assert_eq!(level(t.state.frames[4]), expected[0]);
+            pack_frame(
+                &image(0.01 * (t.state.position[0] / 10.0).floor() * 10.0),
+                &mut expected,
+            );
+            assert_eq!(
+                level(t.state.frames[0]),
+                expected[0],
+                "the first frame stands for earlier ones"
+            );
+        }
+    }
+
+    #[test]
+    fn surprising_decisions_are_sampled_more_often_and_count_less_each() {
+        let mut memory = memory();
+        fly(&mut memory, 0, &[1.0, 1.0, 1.0], Next::Terminal);
+        let leaves: Vec<usize> = sampled(&memory).iter().map(|t| t.leaf).collect();
+        for (leaf, error) in leaves.iter().zip([0.1, -10.0, 0.1]) {
+            memory.set_error(*leaf, error);
+        }
+        let batch = memory.sample(1000, &mut ChaCha8Rng::seed_from_u64(2));
+        let of = |leaf| batch.iter().filter(move |t| t.leaf == leaf);
+        // (10 / 0.1)^0.6 = 15.8 times as often, each at 15.8^-0.4 = 0.33 of the weight.
+        let ratio = of(leaves[1]).count() as f32 / of(leaves[0]).count() as f32;
+        assert!((ratio - 15.7).abs() < 1.5, "{ratio}");
+        let weight = of(leaves[1]).next().unwrap().weight / of(leaves[0]).next().unwrap().weight;
+        assert!((weight - 0.33).abs() < 0.02, "{weight}");
+    }
+
+    #[test]
+    fn a_kept_frame_holds_near_range_to_centimetres_and_can_be_seen_in_a_mirror() {
+        let mut depth = image(1.0);
+        depth[0] = 0.005;
+        depth[1] = 0.05;
+        let mut packed = vec![0; DEPTH_PIXELS];
+        pack_frame(&depth, &mut packed);
+        let (mut plain, mut mirror) = (vec![0.0; DEPTH_PIXELS], vec![0.0; DEPTH_PIXELS]);
+        unpack_frame(&packed, false, &mut plain);
+        unpack_frame(&packed, true, &mut mirror);
+        let range_m = |contrast: f32| 3.0 / contrast - 3.0;
+        assert!((range_m(plain[0]) - 0.5).abs() < 0.02, "{}", range_m(plain[0]));
+        assert!((range_m(plain[1]) - 5.0).abs() < 0.05, "{}", range_m(plain[1]));
+        assert_eq!(mirror[DEPTH_COLS - 1], plain[0]);
+        assert_eq!(mirror[DEPTH_COLS - 2], plain[1]);
+        assert_eq!(mirror[DEPTH_COLS + 7], plain[DEPTH_COLS + 7]);
+    }
+}
