@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use vigil_guidance::{AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 use vigil_link::{CompanionConfig, Flavour};
 use vigil_log::FlightInfo;
-use vigil_policy::GeometricConfig;
+use vigil_nnet::Isa;
+use vigil_policy::{ActorFileError, ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot};
 use vigil_types::{Goal, NedVector};
 
 /// Highest instance number: the ports of the next one would be the simulator's own.
@@ -162,11 +163,16 @@ pub struct GeofenceConfig {
 }
 
 /// Who decides.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PilotConfig {
     /// Which pilot.
     pub kind: PilotKind,
+    /// Whether the potential field is added to the actor's action.
+    pub apf: bool,
+    /// The frozen actor; absent means the one built into this program.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub actor_file: Option<PathBuf>,
     /// Fastest forward speed of the geometric pilot.
     #[serde(deserialize_with = "cruise")]
     pub cruise_m_s: f32,
@@ -182,6 +188,18 @@ pub enum PilotKind {
     /// Goal seeking and potential field on the depth frame.
     #[default]
     Geometric,
+    /// The frozen actor.
+    Actor,
+}
+
+impl PilotKind {
+    /// The name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Geometric => "geometric",
+            Self::Actor => "actor",
+        }
+    }
 }
 
 /// The loop.
@@ -251,6 +269,8 @@ impl Default for PilotConfig {
         let d = GeometricConfig::default();
         Self {
             kind: PilotKind::default(),
+            apf: true,
+            actor_file: None,
             cruise_m_s: d.cruise_m_s,
             repulsive_range_m: d.repulsive_range_m,
         }
@@ -362,6 +382,26 @@ impl FirmwareConfig {
         match key_file {
             Some(path) => Gate::with_key_file(path, self.instance, *allow_unsigned),
             None => Ok(Gate::new(None, *allow_unsigned)),
+        }
+    }
+
+    /// The pilot, made and verified.
+    ///
+    /// # Errors
+    /// [`ActorFileError`]: an actor that is truncated, altered or of another architecture, by name.
+    pub fn flight_pilot(&self) -> Result<FlightPilot, ActorFileError> {
+        match self.pilot.kind {
+            PilotKind::Geometric => Ok(FlightPilot::Geometric(GeometricPilot::new(self.stack().pilot))),
+            PilotKind::Actor => {
+                let frozen = match &self.pilot.actor_file {
+                    Some(path) => FrozenActor::load(path)?,
+                    None => FrozenActor::built_in()?,
+                };
+                Ok(FlightPilot::Actor(ActorPilot::new(
+                    frozen.actor(Isa::detect())?,
+                    self.pilot.apf,
+                )))
+            }
         }
     }
 
@@ -597,6 +637,24 @@ mod tests {
             let report = FirmwareConfig::from_toml(text).unwrap_err();
             assert!(report.contains(line) && report.contains(expected), "{text}\n{report}");
         }
+    }
+
+    #[test]
+    fn an_actor_that_is_not_there_or_not_one_is_refused_by_name() {
+        let mut config = FirmwareConfig::default();
+        config.pilot.kind = PilotKind::Actor;
+        assert!(matches!(config.flight_pilot(), Ok(FlightPilot::Actor(_))));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("my.safetensors");
+        config.pilot.actor_file = Some(path.clone());
+        let error = config.flight_pilot().unwrap_err().to_string();
+        assert!(error.contains("my.safetensors"), "{error}");
+        std::fs::write(&path, "no actor").unwrap();
+        let error = config.flight_pilot().unwrap_err().to_string();
+        assert!(
+            error.contains("my.safetensors") && error.contains("truncated"),
+            "{error}"
+        );
     }
 
     #[test]

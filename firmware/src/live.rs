@@ -38,9 +38,9 @@ pub enum LiveError {
     /// The scene file is not usable.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// The guidance configuration must not fly.
+    /// The guidance configuration must not fly, or the actor is refused.
     #[error(transparent)]
-    Guidance(#[from] vigil_guidance::ConfigError),
+    Stack(#[from] crate::step::StackError),
     /// No thread for the console.
     #[error("cannot start the console thread: {0}")]
     Console(std::io::Error),
@@ -197,7 +197,7 @@ impl LiveLoop {
             pending: Box::default(),
         };
         let recorder = start_recorder(config, clock.now_ns())?;
-        let firmware = Firmware::new(&config.stack(), recorder)?;
+        let firmware = Firmware::of(config, recorder)?;
         let now_ns = clock.now_ns();
         let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
         Ok(Self {

@@ -2,9 +2,8 @@
 
 use crate::config::FirmwareConfig;
 use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
-use crate::step::Firmware;
+use crate::step::{Firmware, StackError};
 use std::time::Duration;
-use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
 use vigil_transport::{Domain, LockstepError, LockstepServer, Served};
 use vigil_types::{Datagrams, DepthFrame, Nanos, StepReport, StepTiming};
@@ -19,18 +18,18 @@ impl LockstepFirmware {
     /// A firmware without a log.
     ///
     /// # Errors
-    /// A configuration that must not fly.
-    pub fn new(config: &FirmwareConfig) -> Result<Self, ConfigError> {
+    /// A configuration that must not fly, an actor that is refused.
+    pub fn new(config: &FirmwareConfig) -> Result<Self, StackError> {
         Self::recording(config, None)
     }
 
     /// A firmware with a log, if a recorder is given ([`vigil_log::WhenFull::Wait`] loses no record).
     ///
     /// # Errors
-    /// A configuration that must not fly.
-    pub fn recording(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, ConfigError> {
+    /// A configuration that must not fly, an actor that is refused.
+    pub fn recording(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, StackError> {
         Ok(Self {
-            firmware: Firmware::new(&config.stack(), recorder)?,
+            firmware: Firmware::of(config, recorder)?,
             steps: 0,
         })
     }

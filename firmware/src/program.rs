@@ -78,6 +78,14 @@ pub struct FirmwareArgs {
     #[arg(long, value_enum)]
     pub pilot: Option<PilotKind>,
 
+    /// The frozen actor to fly [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    pub actor: Option<PathBuf>,
+
+    /// Whether the potential field is added to the actor's action [default: on].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    pub apf: Option<bool>,
+
     /// FIFO priority of the loop, 1 to 99; 0 for ordinary scheduling [default: 50].
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(0..=99))]
     pub priority: Option<u8>,
@@ -112,6 +120,18 @@ fn parse_goal(text: &str) -> Result<[f32; 2], String> {
     Ok([number(north)?, number(east)?])
 }
 
+/// `on` or `off`.
+///
+/// # Errors
+/// Anything else, with what is allowed.
+pub fn parse_switch(text: &str) -> Result<bool, String> {
+    match text {
+        "on" => Ok(true),
+        "off" => Ok(false),
+        _ => Err("give on or off".to_owned()),
+    }
+}
+
 fn parse_height(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(v) if (0.1..=1000.0).contains(&v) => Ok(v),
@@ -137,6 +157,8 @@ impl FirmwareArgs {
         config.engage = self.engage.unwrap_or(config.engage);
         config.at_goal = self.at_goal.unwrap_or(config.at_goal);
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
+        config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file);
+        config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
         config.rate.priority = self.priority.unwrap_or(config.rate.priority);
         if let Some([north_m, east_m]) = self.goal {
             config.goal = Some(GoalConfig {

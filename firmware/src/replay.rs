@@ -147,9 +147,9 @@ pub enum ReplayError {
         /// The parser's report.
         message: String,
     },
-    /// The configuration in the log must not fly.
+    /// The configuration in the log must not fly, or its actor is refused.
     #[error(transparent)]
-    Guidance(#[from] vigil_guidance::ConfigError),
+    Stack(#[from] crate::step::StackError),
 }
 
 /// Replays a log from its first record with the configuration in the log, up to the first difference.
@@ -161,7 +161,7 @@ pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
         program: reader.info().program.clone(),
         message,
     })?;
-    let mut firmware = Firmware::new(&config.stack(), None)?;
+    let mut firmware = Firmware::of(&config, None)?;
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
     let mut result = ReplayReport {

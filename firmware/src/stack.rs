@@ -14,7 +14,7 @@ use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, framing};
-use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
+use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{
     Action, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, HeadingVector, Nanos, OperatorRequest, StepReport,
     StepTiming, VehicleTelemetry,
@@ -38,7 +38,7 @@ pub struct StackConfig {
     pub guidance: GuidanceConfig,
     /// MAVLink towards the vehicle.
     pub companion: CompanionConfig,
-    /// The pilot.
+    /// The geometric pilot.
     pub pilot: GeometricConfig,
     /// Greatest speed that any pilot's action may have, metres per second.
     pub speed_limit_m_s: f32,
@@ -73,7 +73,7 @@ pub struct FlightStack {
     frames: FrameKeeper,
     companion: Companion,
     guidance: Guidance,
-    pilot: GeometricPilot,
+    pilot: FlightPilot,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
     tunables: Tunables,
@@ -82,11 +82,19 @@ pub struct FlightStack {
 }
 
 impl FlightStack {
-    /// A stack that has seen nothing yet.
+    /// A stack with the geometric pilot that has seen nothing yet.
     ///
     /// # Errors
     /// A guidance configuration that must not fly.
     pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
+        Self::with_pilot(config, FlightPilot::Geometric(GeometricPilot::new(config.pilot)))
+    }
+
+    /// A stack with a pilot that has seen nothing yet.
+    ///
+    /// # Errors
+    /// A guidance configuration that must not fly.
+    pub fn with_pilot(config: &StackConfig, pilot: FlightPilot) -> Result<Self, ConfigError> {
         let mut guidance = Guidance::new(config.guidance)?;
         let tunables = Tunables::of(config);
         if let Some(Goal { position_ned_m }) = config.goal {
@@ -101,7 +109,7 @@ impl FlightStack {
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
-            pilot: GeometricPilot::new(config.pilot),
+            pilot,
             pilot_asked: false,
             component_id: config.companion.component_id,
             link: config.companion.link,
@@ -185,9 +193,11 @@ impl FlightStack {
         let _ = self
             .guidance
             .reconfigure(self.tunables.guidance(self.guidance.config()));
-        if self.tunables.pilot != before.pilot {
+        if let FlightPilot::Geometric(pilot) = &mut self.pilot
+            && self.tunables.pilot != before.pilot
+        {
             // Set on the ground only, where the pilot remembers nothing of use.
-            self.pilot = GeometricPilot::new(self.tunables.pilot);
+            *pilot = GeometricPilot::new(self.tunables.pilot);
         }
     }
 

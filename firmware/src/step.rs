@@ -1,11 +1,24 @@
 //! One step over the ports, the same live, in lockstep and in replay: receive, tick, send, record.
 
+use crate::config::FirmwareConfig;
 use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_guidance::ConfigError;
 use vigil_link::LinkCounters;
 use vigil_log::Recorder;
+use vigil_policy::ActorFileError;
 use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
+
+/// Why a flight stack cannot be made of a configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum StackError {
+    /// The guidance configuration must not fly.
+    #[error(transparent)]
+    Guidance(#[from] ConfigError),
+    /// The actor is refused.
+    #[error(transparent)]
+    Actor(#[from] ActorFileError),
+}
 
 /// The flight stack with its buffers and its log. Allocates nothing after it was made.
 pub struct Firmware {
@@ -23,6 +36,20 @@ impl Firmware {
     pub fn new(config: &StackConfig, recorder: Option<Recorder>) -> Result<Self, ConfigError> {
         Ok(Self {
             stack: Box::new(FlightStack::new(config)?),
+            received: Box::default(),
+            output: Box::default(),
+            recorder,
+        })
+    }
+
+    /// A stack with the pilot of a configuration.
+    ///
+    /// # Errors
+    /// [`StackError`]: a guidance configuration that must not fly, an actor that is refused.
+    pub fn of(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, StackError> {
+        let stack = FlightStack::with_pilot(&config.stack(), config.flight_pilot()?)?;
+        Ok(Self {
+            stack: Box::new(stack),
             received: Box::default(),
             output: Box::default(),
             recorder,

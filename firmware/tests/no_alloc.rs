@@ -8,7 +8,7 @@ use std::cell::Cell;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig};
+use vigil_firmware::config::{LogConfig, PilotKind, RateConfig, SigningConfig};
 use vigil_firmware::live::LiveLoop;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
@@ -49,7 +49,19 @@ fn counted(work: impl FnOnce()) -> u64 {
 #[test]
 fn a_whole_flight_of_ticks_allocates_nothing() {
     assert_eq!(counted(|| drop(Box::new(1))), 1, "the counter counts");
-    let mut stack = Box::new(FlightStack::new(&config().stack()).unwrap());
+    whole_flight(PilotKind::Geometric);
+}
+
+#[test]
+fn the_actor_s_ticks_allocate_nothing() {
+    whole_flight(PilotKind::Actor);
+}
+
+fn whole_flight(kind: PilotKind) {
+    let mut config = config();
+    config.pilot.kind = kind;
+    let pilot = config.flight_pilot().unwrap();
+    let mut stack = Box::new(FlightStack::with_pilot(&config.stack(), pilot).unwrap());
     let mut output = Box::new(TickOutput::default());
     let mut vehicle = TestVehicle::on_ground();
     let mut states = Vec::new();

@@ -1,6 +1,7 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
 use crate::output::Paint;
+use crate::pilot::PilotArgs;
 use crate::statistics::{quantile, wilson_95};
 use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -25,6 +26,7 @@ Examples:
   vigil evaluate --flights 200 --wind 4                 the same pilot in a mean wind of 4 m/s
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
   vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles
+  vigil evaluate --flights 200 --pilot actor --apf off  the frozen actor without the potential field
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
 
 Each flight begins hovering at the start and ends as success, collision, out of bounds or time-out (docs/courses.md).
@@ -61,6 +63,9 @@ pub struct EvaluateArgs {
     /// Take the moving obstacles out of the courses: what do they cost?
     #[arg(long)]
     still: bool,
+
+    #[command(flatten)]
+    pilot: PilotArgs,
 
     /// Where the JSON goes.
     #[arg(long, value_name = "FILE", default_value = "runs/evaluate.json")]
@@ -185,9 +190,9 @@ fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
     let mut config = SimConfig::with_models(course, seed, models);
     config.start = Start::Airborne;
     let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware = SameProcess(LockstepFirmware::new(&FirmwareConfig::to_goal(
-        config.course.goal_ned_m(),
-    ))?);
+    let mut firmware_config = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    args.pilot.apply(&mut firmware_config);
+    let mut firmware = SameProcess(LockstepFirmware::new(&firmware_config)?);
     let Ok(record) = fly_lockstep(
         &mut simulator,
         &mut firmware,

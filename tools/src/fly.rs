@@ -1,6 +1,7 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
 use crate::output::{EXIT_ERROR, Paint};
+use crate::pilot::PilotArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fs::File;
@@ -29,6 +30,7 @@ const END_LIMIT: Duration = Duration::from_secs(5);
 Examples:
   vigil fly                          a random validation course
   vigil fly --seed 7                 validation course 7
+  vigil fly --pilot actor            the frozen actor instead of the geometric pilot
   vigil fly --course my.toml         your own course (docs/courses.md)
   vigil fly --instance 1             beside another flight on the same machine
 
@@ -47,6 +49,10 @@ pub struct FlyArgs {
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 
+    /// Who decides.
+    #[command(flatten)]
+    pilot: PilotArgs,
+
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
@@ -58,6 +64,7 @@ impl Default for FlyArgs {
             course: CourseChoice::default(),
             instance: 0,
             config: None,
+            pilot: PilotArgs::default(),
             log: PathBuf::from("runs"),
         }
     }
@@ -96,6 +103,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         c.arg(format!("--goal={},{}", goal.x, goal.y))
             .arg(format!("--height={}", -goal.z));
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
+        args.pilot.hand_on(c);
     })?;
 
     let title = match &args.course.course {

@@ -60,7 +60,10 @@ pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
         }
     };
     let threads = args.threads.map_or(0, usize::from);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().context("cannot start threads")?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .context("cannot start threads")?;
     println!("field  completion   95 % interval      collision  out of bounds  time-out  mean time");
     for field in [false, true] {
         let what = Judgement {

@@ -5,6 +5,7 @@ mod evaluate;
 mod fly;
 mod judge;
 mod output;
+mod pilot;
 mod recover;
 mod replay;
 mod scene;

@@ -52,7 +52,12 @@ pub struct TrainArgs {
 /// # Errors
 /// A bad configuration, a folder that cannot be written or holds another run, a loss that is not finite.
 pub fn run(args: &TrainArgs) -> Result<ExitCode> {
-    let mut config = args.config.as_deref().map(TrainConfig::load).transpose()?.unwrap_or_default();
+    let mut config = args
+        .config
+        .as_deref()
+        .map(TrainConfig::load)
+        .transpose()?
+        .unwrap_or_default();
     config.seed = args.seed.unwrap_or(config.seed);
     config.threads = args.threads.map_or(config.threads, usize::from);
     config.check()?;
@@ -79,7 +84,11 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
             println!("checkpoint       {}", checkpoint.display());
             Ok(ExitCode::from(EXIT_ERROR))
         }
-        RunEnd::Complete { actor, updates, verdict } => {
+        RunEnd::Complete {
+            actor,
+            updates,
+            verdict,
+        } => {
             let (low, high) = wilson_95(verdict.successes(), verdict.flights.len());
             println!(
                 "completion       {:.1} % of {} training courses without the field (95 %: {:.1} to {:.1} %), mean {:.1} s",
@@ -89,7 +98,13 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
                 100.0 * high,
                 verdict.mean_time_s()
             );
-            println!("{}", Paint::stdout().verdict(true, &format!("actor            {} after {updates} updates", actor.display())));
+            println!(
+                "{}",
+                Paint::stdout().verdict(
+                    true,
+                    &format!("actor            {} after {updates} updates", actor.display())
+                )
+            );
             Ok(ExitCode::SUCCESS)
         }
     }
@@ -98,11 +113,18 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
 fn show(bar: &ProgressBar, progress: &Progress<'_>) {
     bar.set_length(progress.all_updates);
     bar.set_position(progress.updates);
-    let left = progress.left_s.map_or("gathering".to_owned(), |s| format!("{:.0} min left", (s / 60.0).ceil()));
-    bar.set_message(format!("{left}, decision {}/{}", progress.decisions, progress.all_decisions));
+    let left = progress
+        .left_s
+        .map_or("gathering".to_owned(), |s| format!("{:.0} min left", (s / 60.0).ceil()));
+    bar.set_message(format!(
+        "{left}, decision {}/{}",
+        progress.decisions, progress.all_decisions
+    ));
     if let Some(row) = progress.row {
         let u = &row.update;
-        let judged = row.completion.map_or(String::new(), |c| format!(", completes {:.1} % without the field", 100.0 * c));
+        let judged = row.completion.map_or(String::new(), |c| {
+            format!(", completes {:.1} % without the field", 100.0 * c)
+        });
         let line = format!(
             "{:>6} updates: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, imitation {:.3}, value {:.2}{judged}",
             row.updates, row.successes, row.flights, row.reward, u.critic_loss, u.imitation_loss, u.value
@@ -117,7 +139,10 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
 
 /// The commit of the working tree, if there is one and git is there.
 fn git_commit() -> Option<String> {
-    let output = std::process::Command::new("git").args(["describe", "--always", "--dirty", "--abbrev=40"]).output().ok()?;
+    let output = std::process::Command::new("git")
+        .args(["describe", "--always", "--dirty", "--abbrev=40"])
+        .output()
+        .ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
     (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
 }

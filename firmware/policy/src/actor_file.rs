@@ -15,7 +15,7 @@ use std::path::Path;
 use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec, GraphBuilder};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, GraphBuilder, Isa};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -158,7 +158,18 @@ fn digest(entries: &BTreeMap<&str, String>, params: &[f32]) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// The actor that comes with this program.
+const BUILT_IN: &[u8] = include_bytes!("../actor/actor.safetensors");
+
 impl FrozenActor {
+    /// The actor that comes with this program.
+    ///
+    /// # Errors
+    /// [`ActorFileError`] if it is another architecture's.
+    pub fn built_in() -> Result<Self, ActorFileError> {
+        Self::from_bytes("built into this program", BUILT_IN)
+    }
+
     fn entries(&self) -> BTreeMap<&'static str, String> {
         let mut entries = BTreeMap::from([
             ("format", FORMAT.to_owned()),
@@ -172,6 +183,17 @@ impl FrozenActor {
             entries.insert("git_commit", commit.clone());
         }
         entries
+    }
+
+    /// The actor itself, ready to fly.
+    ///
+    /// # Errors
+    /// Parameters of another length.
+    pub fn actor(&self, isa: Isa) -> Result<Actor, ActorFileError> {
+        Actor::new(ActorSpec::FULL, isa, &self.params).map_err(|e| ActorFileError::Container {
+            file: "in memory".to_owned(),
+            message: e.to_string(),
+        })
     }
 
     /// The digest of the actor and its metadata.

@@ -1,0 +1,45 @@
+//! Which pilot flies: the arguments that `vigil fly` and `vigil evaluate` share.
+
+use std::path::PathBuf;
+use std::process::Command;
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::config::PilotKind;
+use vigil_firmware::program::parse_switch;
+
+/// Who decides.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct PilotArgs {
+    /// Who decides [default: geometric].
+    #[arg(long, value_enum)]
+    pilot: Option<PilotKind>,
+
+    /// The frozen actor to fly [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    actor: Option<PathBuf>,
+
+    /// Whether the potential field is added to the actor's action [default: on].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    apf: Option<bool>,
+}
+
+impl PilotArgs {
+    /// Sets what was given.
+    pub fn apply(&self, config: &mut FirmwareConfig) {
+        config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
+        config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
+        config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
+    }
+
+    /// Hands on to a `firmware` process what was given.
+    pub fn hand_on(&self, command: &mut Command) {
+        if let Some(kind) = self.pilot {
+            command.args(["--pilot", kind.name()]);
+        }
+        if let Some(file) = &self.actor {
+            command.arg("--actor").arg(file);
+        }
+        if let Some(apf) = self.apf {
+            command.args(["--apf", if apf { "on" } else { "off" }]);
+        }
+    }
+}
