@@ -1,9 +1,14 @@
 //! DeepSHAP explanations and the verdict on them.
 //!
-//! [`DeepShap`] explains any network made of [`vigil_nnet`]'s layers. See docs/deepshap.md.
+//! [`DeepShap`] explains any network made of [`vigil_nnet`]'s layers (docs/deepshap.md). [`LstmAd`] judges ten steps'
+//! explanations; [`FrozenDetector`] is its file (docs/detectors.md).
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
+mod frozen;
+mod lstm_ad;
 mod shap;
 
+pub use frozen::{Background, DetectorFileError, FrozenDetector};
+pub use lstm_ad::{LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
 pub use shap::{DeepShap, ShapError};

@@ -1,0 +1,123 @@
+//! LSTM-AD: says from ten steps' explanations whether somebody is altering the actor's frames.
+
+use vigil_nnet::{ACTOR_HIDDEN, Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError};
+
+/// Rows of a window: SHAP values of the newest ten steps.
+pub const WINDOW: usize = 10;
+
+/// Values of a row: the yaw output's SHAP values of the actor's split point.
+pub const ROW: usize = ACTOR_HIDDEN;
+
+/// Largest magnitude of a normalised value.
+pub const ROW_LIMIT: f32 = 10.0;
+
+/// The paper's units; it leaves the dense layers' open.
+const LSTM_UNITS: usize = 100;
+const DENSE_UNITS: [usize; 3] = [64, 32, 16];
+
+/// Makes a row comparable: `(phi - centre) / scale`, clipped to ±[`ROW_LIMIT`]. Not a number stays so.
+pub fn normalise(phi: &[f32; ROW], centre: &[f32; ROW], scale: &[f32; ROW]) -> [f32; ROW] {
+    let mut row = *phi;
+    for (x, (centre, scale)) in row.iter_mut().zip(centre.iter().zip(scale)) {
+        *x = ((*x - centre) / scale).clamp(-ROW_LIMIT, ROW_LIMIT);
+    }
+    row
+}
+
+/// The network (PAPER.md): LSTM(100) over the window's rows, three dense ReLU layers, one output.
+#[derive(Debug, Clone)]
+pub struct LstmAd {
+    isa: Isa,
+    graph: Graph,
+    params: Vec<f32>,
+    tape: Vec<f32>,
+}
+
+impl LstmAd {
+    /// The network's graph: inputs are the ten rows of `width` values, oldest first. `cell` is the LSTM's curve, `output`
+    /// the last layer's: the sigmoid to judge, the identity to train through (its gradient does not vanish).
+    ///
+    /// Parameters, in this order: LSTM, then each dense layer.
+    ///
+    /// # Errors
+    /// A zero width.
+    pub fn graph(width: usize, cell: Activation, output: Activation) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let layer = Lstm {
+            inputs: width,
+            hidden: LSTM_UNITS,
+            cell,
+        };
+        let params = b.params(layer.param_len());
+        let mut rows = Vec::with_capacity(WINDOW);
+        for _ in 0..WINDOW {
+            rows.push(b.input(width, true)?);
+        }
+        let mut state = b.zeros(layer.state_len())?;
+        for row in rows {
+            state = b.lstm(row, state, layer, params)?;
+        }
+        let mut x = b.slice(state, 0, LSTM_UNITS)?;
+        let mut inputs = LSTM_UNITS;
+        let curves = DENSE_UNITS.map(|units| (units, Activation::Relu));
+        for (outputs, curve) in curves.into_iter().chain([(1, output)]) {
+            let dense = Dense { inputs, outputs };
+            let params = b.params(dense.param_len());
+            x = b.dense(x, dense, curve, params)?;
+            inputs = outputs;
+        }
+        b.finish(x, Purpose::Gradients)
+    }
+
+    /// The curve of the LSTM's candidate and cell.
+    pub const CELL: Activation = Activation::Relu;
+
+    /// Names and shapes of the parameters, in their order.
+    pub fn tensors() -> Vec<(String, Vec<usize>)> {
+        let gates = 4 * LSTM_UNITS;
+        let mut tensors = vec![
+            ("lstm.input_weight".to_owned(), vec![ROW, gates]),
+            ("lstm.recurrent_weight".to_owned(), vec![LSTM_UNITS, gates]),
+            ("lstm.bias".to_owned(), vec![gates]),
+        ];
+        let mut inputs = LSTM_UNITS;
+        for (i, outputs) in DENSE_UNITS.into_iter().chain([1]).enumerate() {
+            tensors.push((format!("dense_{}.weight", i + 1), vec![inputs, outputs]));
+            tensors.push((format!("dense_{}.bias", i + 1), vec![outputs]));
+            inputs = outputs;
+        }
+        tensors
+    }
+
+    /// Takes the parameters. Allocates; nothing after it does.
+    ///
+    /// # Errors
+    /// A parameter slice of another length.
+    pub fn new(isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
+        let graph = Self::graph(ROW, Self::CELL, Activation::Sigmoid)?;
+        if params.len() != graph.param_len() {
+            return Err(ShapeError::Length {
+                what: "LSTM-AD parameters",
+                expected: graph.param_len(),
+                got: params.len(),
+            });
+        }
+        Ok(Self {
+            isa,
+            tape: vec![0.0; graph.tape_len()],
+            params: params.to_vec(),
+            graph,
+        })
+    }
+
+    /// How much the window looks like an attack, 0 to 1. Rows are normalised ([`normalise`]), oldest first. Not a number
+    /// in a row makes the score so. No allocation.
+    ///
+    /// # Errors
+    /// None for a network made by [`Self::new`].
+    pub fn score(&mut self, rows: &[[f32; ROW]; WINDOW]) -> Result<f32, ShapeError> {
+        let inputs = rows.each_ref().map(|row| row.as_slice());
+        self.graph.forward(self.isa, &self.params, &inputs, &mut self.tape)?;
+        Ok(self.graph.output(&self.tape)?.first().copied().unwrap_or(f32::NAN))
+    }
+}

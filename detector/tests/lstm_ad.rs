@@ -1,0 +1,236 @@
+//! LSTM-AD against its definition in float64, and its file.
+
+#[path = "../../firmware/nnet/tests/common/mod.rs"]
+mod common;
+
+use common::{dense, lstm, rng, uniform, wide};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use vigil_detector::{DetectorFileError, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
+use vigil_nnet::{Activation, Dense, Isa, Lstm};
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+/// The system's allocator, counting per thread.
+struct Counting;
+
+// SAFETY: passes everything on to the system's allocator.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.with(|n| n.set(n.get() + 1));
+        // SAFETY: the caller's.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: the caller's.
+        unsafe { System.dealloc(at, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn param_len() -> usize {
+    LstmAd::tensors().iter().map(|(_, s)| s.iter().product::<usize>()).sum()
+}
+
+fn window(seed: u64) -> [[f32; ROW]; WINDOW] {
+    let values = uniform(&mut rng(seed), WINDOW * ROW, 2.0);
+    let mut rows = [[0.0; ROW]; WINDOW];
+    for (row, values) in rows.iter_mut().zip(values.chunks_exact(ROW)) {
+        row.copy_from_slice(values);
+    }
+    rows
+}
+
+/// PAPER.md's LSTM-AD, written plainly.
+fn oracle(params: &[f32], rows: &[[f32; ROW]; WINDOW]) -> f64 {
+    let params = wide(params);
+    let layer = Lstm {
+        inputs: 48,
+        hidden: 100,
+        cell: Activation::Relu,
+    };
+    let (own, mut rest) = params.split_at(48 * 400 + 100 * 400 + 400);
+    let mut state = vec![0.0; 200];
+    for row in rows {
+        state = lstm(layer, own, &wide(row), &state);
+    }
+    let mut x = state[..100].to_vec();
+    for (outputs, curve) in [
+        (64, Activation::Relu),
+        (32, Activation::Relu),
+        (16, Activation::Relu),
+        (1, Activation::Sigmoid),
+    ] {
+        let layer = Dense {
+            inputs: x.len(),
+            outputs,
+        };
+        let (own, after) = rest.split_at(layer.inputs * outputs + outputs);
+        x = dense(layer, curve, own, &x);
+        rest = after;
+    }
+    assert!(rest.is_empty());
+    x[0]
+}
+
+#[test]
+fn the_score_is_the_papers_network_in_float64() {
+    let params = uniform(&mut rng(1), param_len(), 0.2);
+    let mut seen = Vec::new();
+    for isa in Isa::available() {
+        let mut detector = LstmAd::new(isa, &params).unwrap();
+        for seed in 10..20 {
+            let (got, want) = (detector.score(&window(seed)).unwrap(), oracle(&params, &window(seed)));
+            assert!(
+                (f64::from(got) - want).abs() < 1e-5,
+                "{}: {got} is not {want}",
+                isa.name()
+            );
+            seen.push(got);
+        }
+    }
+    let spread = seen.iter().fold(0.0f32, |m, s| m.max((s - seen[0]).abs()));
+    assert!(spread > 1e-2, "the score depends on the window: {seen:?}");
+}
+
+#[test]
+fn the_order_of_the_rows_matters() {
+    let params = uniform(&mut rng(1), param_len(), 0.2);
+    let mut detector = LstmAd::new(Isa::detect(), &params).unwrap();
+    let (forward, mut backward) = (window(3), window(3));
+    backward.reverse();
+    assert_ne!(detector.score(&forward).unwrap(), detector.score(&backward).unwrap());
+}
+
+#[test]
+fn scoring_does_not_allocate() {
+    let mut detector = LstmAd::new(Isa::detect(), &uniform(&mut rng(1), param_len(), 0.1)).unwrap();
+    let rows = window(5);
+    let before = ALLOCATIONS.with(Cell::get);
+    let score = detector.score(&rows).unwrap();
+    assert_eq!(ALLOCATIONS.with(Cell::get), before);
+    assert!((0.0..=1.0).contains(&score));
+}
+
+#[test]
+fn a_row_that_is_not_a_number_gives_no_score() {
+    let mut detector = LstmAd::new(Isa::detect(), &uniform(&mut rng(1), param_len(), 0.1)).unwrap();
+    for at in [0, WINDOW - 1] {
+        let mut rows = window(5);
+        rows[at][7] = f32::NAN;
+        assert!(detector.score(&rows).unwrap().is_nan(), "row {at}");
+    }
+    assert!(LstmAd::new(Isa::detect(), &[0.0; 3]).is_err());
+}
+
+#[test]
+fn rows_are_shifted_scaled_and_limited() {
+    let (mut phi, mut centre, mut scale) = ([0.0; ROW], [0.0; ROW], [1.0; ROW]);
+    (phi[0], centre[0], scale[0]) = (3.0, 1.0, 4.0);
+    (phi[1], scale[1]) = (-5.0, 0.01);
+    phi[2] = f32::NAN;
+    let row = normalise(&phi, &centre, &scale);
+    assert_eq!(row[..2], [0.5, -ROW_LIMIT]);
+    assert!(row[2].is_nan(), "what is not a number must not become one");
+    assert_eq!(row[3..], [0.0; ROW - 3]);
+}
+
+fn frozen() -> FrozenDetector {
+    let values = uniform(&mut rng(9), 4 * ROW, 1.0);
+    let row = |i: usize| *values[i * ROW..].first_chunk().unwrap();
+    FrozenDetector {
+        actor_sha256: "ab12".to_owned(),
+        backgrounds: vec![(row(0), [0.5, -0.25]), (row(1), [0.125, 1.0])],
+        centre: row(2),
+        scale: row(3).map(|x: f32| x.abs() + 0.1),
+        threshold: 0.5,
+        threshold_choice: "fixed".to_owned(),
+        params: uniform(&mut rng(2), param_len(), 0.1),
+        training_config: "epochs = 3\n".to_owned(),
+        seed: 7,
+        git_commit: Some("c0ffee".to_owned()),
+    }
+}
+
+#[test]
+fn a_detector_comes_back_from_its_file_unaltered() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("detector.safetensors");
+    frozen().save(&path).unwrap();
+    assert_eq!(FrozenDetector::load(&path).unwrap(), frozen());
+    assert!(std::fs::metadata(&path).unwrap().len() <= 1 << 20, "at most 1 MB");
+    assert_eq!(
+        std::fs::read_dir(folder.path()).unwrap().count(),
+        1,
+        "nothing is left beside it"
+    );
+}
+
+#[test]
+fn an_altered_byte_anywhere_is_noticed() {
+    let bytes = frozen().to_bytes().unwrap();
+    let text = |what: &[u8]| bytes.windows(what.len()).position(|w| w == what).unwrap();
+    let last = bytes.len() - 1;
+    for at in [text(b"epochs = 3"), text(b"ab12"), last, last - 100_000, last - 270_000] {
+        let mut bytes = bytes.clone();
+        bytes[at] ^= 1;
+        let refused = FrozenDetector::from_bytes("mine", &bytes).unwrap_err();
+        assert!(
+            matches!(refused, DetectorFileError::Altered { .. }),
+            "byte {at}: {refused}"
+        );
+        assert!(refused.to_string().contains("mine"), "{refused}");
+    }
+    let short = FrozenDetector::from_bytes("mine", &bytes[..last - 5]).unwrap_err();
+    assert!(matches!(short, DetectorFileError::Container { .. }), "{short}");
+}
+
+#[test]
+fn detectors_that_cannot_judge_are_not_written() {
+    let refused = |change: fn(&mut FrozenDetector)| {
+        let mut detector = frozen();
+        change(&mut detector);
+        detector.to_bytes().unwrap_err().to_string()
+    };
+    assert!(refused(|d| d.backgrounds.clear()).contains("empty background"));
+    assert!(refused(|d| d.scale[4] = 0.0).contains("`scale`"));
+    assert!(refused(|d| d.threshold = f32::NAN).contains("`threshold`"));
+    assert!(refused(|d| d.params[9] = f32::INFINITY).contains("lstm.input_weight"));
+    assert!(refused(|d| d.params.truncate(9)).contains("9 parameters"));
+}
+
+#[test]
+fn another_programs_file_is_refused_by_what_differs() {
+    let bytes = frozen().to_bytes().unwrap();
+    let header = b"vigil detector 1";
+    let at = bytes.windows(header.len()).position(|w| w == header).unwrap();
+    let mut other = bytes.clone();
+    other[at + header.len() - 1] = b'9';
+    let refused = FrozenDetector::from_bytes("mine", &other).unwrap_err().to_string();
+    assert!(
+        refused.contains("vigil detector 9") && refused.contains("vigil detector 1"),
+        "{refused}"
+    );
+    let actor = actors_file();
+    let refused = FrozenDetector::from_bytes("actor.safetensors", &actor)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        refused.contains("actor.safetensors") && refused.contains("vigil actor 1"),
+        "{refused}"
+    );
+}
+
+/// The actor's own file: safetensors too, but no detector.
+fn actors_file() -> Vec<u8> {
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../firmware/policy/actor/actor.safetensors"
+    );
+    std::fs::read(path).unwrap()
+}
