@@ -28,9 +28,10 @@ class Vehicle:
         self.thread = None
 
     async def connect(self):
-        if not await asyncio.to_thread(self.connection.wait_heartbeat, timeout=10):
-            raise plan.Failed("no heartbeat")
-        self.system = self.connection.target_system
+        heartbeat = await asyncio.to_thread(self.connection.wait_heartbeat, timeout=10)
+        plan.expect(heartbeat is not None, "no heartbeat")
+        # The connection's target_system is still unset when this is the guidance computer's heartbeat.
+        self.system = heartbeat.get_srcSystem()
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 
