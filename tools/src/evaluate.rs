@@ -231,15 +231,7 @@ impl FirmwarePort for SameProcess {
 fn wind(mean_m_s: f64, seed: u64) -> Wind {
     // Multiples of the golden ratio spread the directions of neighbouring seeds evenly over the circle.
     let direction_rad = std::f64::consts::TAU * ((seed as f64 * 0.618_033_988_749_895) % 1.0);
-    Wind {
-        mean_ned_m_s: [
-            mean_m_s * libm::cos(direction_rad),
-            mean_m_s * libm::sin(direction_rad),
-            0.0,
-        ],
-        gust_m_s: mean_m_s / 3.0,
-        ..Wind::default()
-    }
+    Wind::gusty(mean_m_s, direction_rad)
 }
 
 fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Result<()> {

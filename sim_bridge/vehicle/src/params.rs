@@ -319,4 +319,17 @@ impl Wind {
         gust_m_s: 0.0,
         gust_time_s: 3.0,
     };
+
+    /// A wind of mean speed `mean_m_s` towards a direction clockwise from north, with gusts a third as strong.
+    pub fn gusty(mean_m_s: f64, towards_rad: f64) -> Self {
+        Self {
+            mean_ned_m_s: [
+                mean_m_s * libm::cos(towards_rad),
+                mean_m_s * libm::sin(towards_rad),
+                0.0,
+            ],
+            gust_m_s: mean_m_s / 3.0,
+            ..Self::CALM
+        }
+    }
 }

@@ -13,8 +13,11 @@ use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, apf};
 use vigil_types::Action;
-use vigil_vehicle::ParamsError;
+use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
+
+/// The wind's stream of a flight's random numbers.
+const WIND_STREAM: u64 = 1 << 32;
 
 /// Seeds of training flights begin here; those below are for judging.
 pub const FIRST_TRAINING_SEED: u64 = 1_000_000;
@@ -101,7 +104,15 @@ pub struct Collector {
 fn simulate(config: &TrainConfig, seed: u64) -> Result<Flight, ParamsError> {
     let mut course = generate(Family::Training, seed);
     course.time_limit_s = config.time_limit_s;
-    Flight::new(&course, seed)
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(WIND_STREAM);
+    let wind = if rng.random_bool(0.5) {
+        let towards_rad = rng.random_range(0.0..core::f64::consts::TAU);
+        Wind::gusty(rng.random_range(0.0..=config.wind_m_s), towards_rad)
+    } else {
+        Wind::default()
+    };
+    Flight::new(&course, wind, seed)
 }
 
 impl Collector {

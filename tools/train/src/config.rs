@@ -20,6 +20,8 @@ pub struct TrainConfig {
     pub steps_per_decision: usize,
     /// A training flight is cut off after this time, seconds. The value of its last state still counts.
     pub time_limit_s: f32,
+    /// Half of the training flights have a mean wind of up to this, metres per second, with gusts.
+    pub wind_m_s: f64,
     /// The first decisions.
     pub warm_up: WarmUp,
     /// Exploration.
@@ -112,6 +114,8 @@ pub struct LearningConfig {
     pub actor_rate: f32,
     /// Adam's rate for critic and encoder.
     pub critic_rate: f32,
+    /// Share of all updates after which the rates begin to fall linearly, to a twentieth at the end; 1 keeps them.
+    pub rates_fall_from: f64,
     /// Share of the weights that the target networks take over at each update.
     pub tau: f32,
     /// Longest gradient.
@@ -166,11 +170,12 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            decisions: 28_000,
+            decisions: 56_000,
             environments: 8,
             threads: 1,
             steps_per_decision: 4,
             time_limit_s: 45.0,
+            wind_m_s: 4.0,
             warm_up: WarmUp::default(),
             noise: NoiseConfig::default(),
             apf: ApfConfig::default(),
@@ -232,6 +237,7 @@ impl Default for LearningConfig {
             decisions_per_update: 4,
             actor_rate: 5e-4,
             critic_rate: 5e-4,
+            rates_fall_from: 0.4,
             tau: 0.005,
             gradient_norm: 5.0,
             saturation_penalty: 0.05,
@@ -299,6 +305,14 @@ pub enum ConfigError {
 }
 
 impl TrainConfig {
+    /// Updates that belong to so many decisions.
+    pub(crate) fn updates_due(&self, decisions: u64) -> u64 {
+        match decisions.checked_sub(self.warm_up.decisions) {
+            Some(own) => self.warm_up.updates + own / self.learning.decisions_per_update.max(1),
+            None => 0,
+        }
+    }
+
     /// Reads and checks a file.
     ///
     /// # Errors
@@ -335,7 +349,7 @@ impl TrainConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         let (l, r, n) = (&self.learning, &self.replay, &self.noise);
         let least_memory = (self.environments * (l.n_steps + l.batch + 2)) as f64;
-        let checks: [(&'static str, f64, bool, &'static str); 32] = [
+        let checks: [(&'static str, f64, bool, &'static str); 34] = [
             ("decisions", self.decisions as f64, self.decisions > 0, "1 or more"),
             (
                 "environments",
@@ -356,6 +370,13 @@ impl TrainConfig {
                 "1 to 40",
             ),
             number("time_limit_s", self.time_limit_s, 1.0, 3600.0, "1 to 3600"),
+            number("wind_m_s", self.wind_m_s as f32, 0.0, 20.0, "0 to 20"),
+            (
+                "learning.rates_fall_from",
+                l.rates_fall_from,
+                (0.0..=1.0).contains(&l.rates_fall_from),
+                "0 to 1",
+            ),
             (
                 "warm_up.decisions",
                 self.warm_up.decisions as f64,

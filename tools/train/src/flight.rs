@@ -31,8 +31,8 @@ impl Flight {
     ///
     /// # Errors
     /// None with the default vehicle; its parameters are checked all the same.
-    pub fn new(course: &Course, seed: u64) -> Result<Self, ParamsError> {
-        let mut vehicle = Box::new(Vehicle::new(VehicleParams::default(), Wind::default(), seed)?);
+    pub fn new(course: &Course, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
+        let mut vehicle = Box::new(Vehicle::new(VehicleParams::default(), wind, seed)?);
         let start = course.start_ned_m();
         let height = NedVector::new(start.x, start.y, -course.flight_height_m);
         vehicle.place(height, course.start_heading_rad(), true);
@@ -151,6 +151,7 @@ impl Flight {
         for _ in 0..PHYSICS_STEPS {
             self.vehicle.step(&command);
             let truth = self.vehicle.truth();
+            self.world.set_time_ns(truth.at_ns);
             let outcome = self.referee.observe(
                 &self.world,
                 truth.at_ns,

@@ -8,7 +8,7 @@ use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
 use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, positional_inputs};
 use vigil_policy::apf;
 use vigil_types::{ACTION_LIMIT, Action};
-use vigil_vehicle::ParamsError;
+use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
 
 /// Who decides.
@@ -97,7 +97,7 @@ pub fn judge(judged: Judged<'_>, isa: Isa, what: &Judgement) -> Result<Verdict, 
 fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Outcome, f64), JudgeError> {
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
-    let mut flight = Flight::new(&course, seed)?;
+    let mut flight = Flight::new(&course, Wind::default(), seed)?;
     let mut actor = match judged {
         Judged::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?),
         Judged::Zero | Judged::Random => None,

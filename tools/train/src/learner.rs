@@ -94,6 +94,8 @@ pub struct Learner {
     recurrent: RecurrentSets,
     shards: Vec<Shard>,
     updates: u64,
+    /// Updates of the whole run.
+    all_updates: u64,
 }
 
 impl Learner {
@@ -139,6 +141,7 @@ impl Learner {
             networks,
             weights,
             updates,
+            all_updates: config.updates_due(config.decisions),
         };
         learner.pack()?;
         Ok(learner)
@@ -158,9 +161,23 @@ impl Learner {
         &self.weights
     }
 
-    /// Encoder and actor: what is frozen and flown.
+    /// Encoder and actor as they explore.
     pub fn actor(&self) -> &[f32] {
         &self.weights.actor
+    }
+
+    /// Their slow copy: what is judged, frozen and flown. It is the mean over some 1/τ updates, and flies better than any one
+    /// of them.
+    pub fn slow_actor(&self) -> &[f32] {
+        &self.weights.actor_target
+    }
+
+    /// Share of the learning rates now.
+    fn rate(&self) -> f32 {
+        let done = self.updates as f64 / self.all_updates.max(1) as f64;
+        let from = self.config.rates_fall_from;
+        let fallen = ((done - from) / (1.0 - from).max(1e-9)).clamp(0.0, 1.0);
+        (1.0 - 0.95 * fallen) as f32
     }
 
     /// Updates so far.
@@ -228,6 +245,8 @@ impl Learner {
         } else {
             self.config.actor_rate
         };
+        let rate = self.rate();
+        let (actor_rate, critic_rate) = (rate * actor_rate, rate * self.config.critic_rate);
         let (first, rest) = self.shards.split_at_mut(1);
         let total = &mut first[0];
         let mut report = total.sums;
@@ -287,10 +306,10 @@ impl Learner {
         let (encoder_params, actor_params) = w.actor.split_at_mut(encoder);
         let (encoder_shares, actor_shares) = self.actor_shares.split_at(encoder);
         w.encoder_adam
-            .step(c.critic_rate, encoder_shares, encoder_params, d_encoder);
+            .step(critic_rate, encoder_shares, encoder_params, d_encoder);
         w.actor_adam.step(actor_rate, actor_shares, actor_params, d_actor);
         w.critic_adam
-            .step(c.critic_rate, &self.critic_shares, &mut w.critic, d_critic);
+            .step(critic_rate, &self.critic_shares, &mut w.critic, d_critic);
         soft_update(c.tau, &w.actor, &mut w.actor_target)?;
         soft_update(c.tau, &w.critic, &mut w.critic_target)?;
         self.updates += 1;

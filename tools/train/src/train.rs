@@ -238,15 +238,6 @@ impl<'a> Run<'a> {
         self.earlier_s + self.begun.elapsed().as_secs_f64()
     }
 
-    /// Updates that belong to so many decisions.
-    fn due(&self, decisions: u64) -> u64 {
-        let warm_up = &self.config.warm_up;
-        match decisions.checked_sub(warm_up.decisions) {
-            Some(own) => warm_up.updates + own / self.config.learning.decisions_per_update,
-            None => 0,
-        }
-    }
-
     fn complete(
         mut self,
         options: &RunOptions,
@@ -255,7 +246,7 @@ impl<'a> Run<'a> {
     ) -> Result<RunEnd, TrainError> {
         // Decisions are flown only when the updates that are due have been made, so a run can stop after any update.
         loop {
-            while self.learner.updates() < self.due(self.decisions) {
+            while self.learner.updates() < self.config.updates_due(self.decisions) {
                 if stop.load(Ordering::Relaxed) {
                     self.save()?;
                     return Ok(RunEnd::Interrupted(self.checkpoint));
@@ -313,7 +304,7 @@ impl<'a> Run<'a> {
         let mut row = self.row.finish(updates, self.decisions, self.elapsed_s());
         if judged {
             let completion = self
-                .judge(self.learner.actor(), self.config.evaluation.flights)?
+                .judge(self.learner.slow_actor(), self.config.evaluation.flights)?
                 .completion();
             row.completion = Some(completion);
             self.consider(updates, completion);
@@ -328,7 +319,7 @@ impl<'a> Run<'a> {
     }
 
     fn tell(&self, report: &mut (dyn FnMut(&Progress<'_>) + Send), row: Option<&Row>) {
-        let (updates, all_updates) = (self.learner.updates(), self.due(self.config.decisions));
+        let (updates, all_updates) = (self.learner.updates(), self.config.updates_due(self.config.decisions));
         let here = updates - self.earlier_updates;
         // The pace of the last rows, which warm-up and start do not distort.
         let pace = || {
@@ -366,7 +357,7 @@ impl<'a> Run<'a> {
         self.candidates.push(Candidate {
             updates,
             completion,
-            params: self.learner.actor().to_vec(),
+            params: self.learner.slow_actor().to_vec(),
         });
         self.candidates.sort_by(|a, b| {
             let order = b.completion.total_cmp(&a.completion);

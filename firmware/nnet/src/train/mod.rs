@@ -1,13 +1,10 @@
-//! What training needs besides gradients: first weights, Adam, gradient clipping, target networks, prioritised replay,
-//! exploration noise.
+//! What training needs besides gradients: first weights, target networks, priorities.
 //!
 //! Randomness comes from the caller's generator, so the same seed gives the same bits.
 
-mod adam;
 mod initial;
-mod noise;
-mod replay;
+mod soft_update;
+mod sum_tree;
 
-pub use adam::{Adam, clip_norm, soft_update};
-pub use noise::{OrnsteinUhlenbeck, normal};
-pub use replay::{PrioritizedReplay, ReplayConfig, Sampled, SumTree};
+pub use soft_update::soft_update;
+pub use sum_tree::SumTree;
