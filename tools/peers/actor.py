@@ -1,0 +1,139 @@
+"""The frozen actor's file in the layouts of other frameworks (docs/nnet.md describes ours)."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from safetensors import safe_open
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+ACTOR = REPOSITORY / "firmware/policy/actor/actor.safetensors"
+
+FRAMES, ROWS, COLS, HIDDEN, FEATURES = 5, 128, 256, 48, 1024
+LIMIT = 1.5
+# 100 m of full scale over the 3 m at which the contrast is one half.
+CONTRAST_GAIN = 100.0 / 3.0
+CONVOLUTIONS = 5
+
+
+@dataclass
+class Actor:
+    """Weights as PyTorch and ONNX have them, features in channel-first order, and what the file says of itself."""
+
+    weights: dict[str, np.ndarray]
+    metadata: dict[str, str]
+
+    @property
+    def sha256(self) -> str:
+        """The digest that the file holds."""
+        return self.metadata["sha256"]
+
+
+def load(path: Path = ACTOR) -> Actor:
+    """Reads the file and checks its digest."""
+    with safe_open(path, framework="numpy") as file:
+        metadata = dict(file.metadata() or {})
+        if metadata.get("format") != "vigil actor 1":
+            raise SystemExit(f"{path} is not a frozen actor of this version")
+        ours = {name: file.get_tensor(name) for name in file.keys()}
+    found = digest(metadata, ours)
+    if found != metadata.get("sha256"):
+        raise SystemExit(f"{path} was altered: its content has SHA-256 {found}")
+    return Actor(channel_first(ours), metadata)
+
+
+def digest(metadata: dict[str, str], ours: dict[str, np.ndarray]) -> str:
+    """SHA-256 over metadata and tensors, as firmware/policy/src/actor_file.rs computes it."""
+    hash_ = hashlib.sha256()
+    for key, value in sorted(metadata.items()):
+        if key != "sha256":
+            hash_.update(key.encode() + b"\0" + value.encode() + b"\0")
+    names = [f"convolution_{i}.{part}" for i in range(1, CONVOLUTIONS + 1) for part in ("weight", "bias")]
+    names += ["gru.input_weight", "gru.recurrent_weight", "gru.input_bias", "gru.recurrent_bias"]
+    names += [f"{layer}.{part}" for layer in ("positional", "dense", "output") for part in ("weight", "bias")]
+    for name in names:
+        hash_.update(np.ascontiguousarray(ours[name], dtype="<f4").tobytes())
+    return hash_.hexdigest()
+
+
+def channel_first(ours: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Our tensors in PyTorch's order: convolutions [out][in][row][column], matrices [out][in], features by channel."""
+    theirs = {}
+    for name, tensor in ours.items():
+        if name.startswith("convolution") and tensor.ndim == 4:
+            tensor = tensor.transpose(3, 2, 0, 1)
+        elif name == "gru.input_weight":
+            # [row][column][channel] to [channel][row][column]
+            tensor = tensor.reshape(4, 8, 32, 3 * HIDDEN).transpose(3, 2, 0, 1).reshape(3 * HIDDEN, FEATURES)
+        elif tensor.ndim == 2:
+            tensor = tensor.T
+        theirs[name] = np.ascontiguousarray(tensor, dtype=np.float32)
+    return theirs
+
+
+def split(params: np.ndarray, shapes: list[tuple[str, tuple[int, ...]]]) -> dict[str, np.ndarray]:
+    """Cuts one of our flat parameter slices into named tensors of our order."""
+    tensors, at = {}, 0
+    for name, shape in shapes:
+        size = int(np.prod(shape))
+        tensors[name] = params[at : at + size].reshape(shape)
+        at += size
+    if at != params.size:
+        raise SystemExit(f"{params.size} parameters, expected {at}: the networks have changed, tools/peers has not")
+    return tensors
+
+
+def gru_shapes() -> list[tuple[str, tuple[int, ...]]]:
+    """Tensors of a GRU in the order of our parameters."""
+    gates = 3 * HIDDEN
+    return [
+        ("gru.input_weight", (FEATURES, gates)),
+        ("gru.recurrent_weight", (HIDDEN, gates)),
+        ("gru.input_bias", (gates,)),
+        ("gru.recurrent_bias", (gates,)),
+    ]
+
+
+def dense_shapes(name: str, inputs: int, outputs: int) -> list[tuple[str, tuple[int, ...]]]:
+    """Tensors of a dense layer in the order of our parameters."""
+    return [(f"{name}.weight", (inputs, outputs)), (f"{name}.bias", (outputs,))]
+
+
+def actor_shapes() -> list[tuple[str, tuple[int, ...]]]:
+    """Tensors of the actor in the order of our parameters."""
+    shapes, channels = [], 1
+    for i, (kernel, filters) in enumerate([(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)], start=1):
+        shapes += [(f"convolution_{i}.weight", (kernel, kernel, channels, filters)), (f"convolution_{i}.bias", (filters,))]
+        channels = filters
+    shapes += gru_shapes()
+    return shapes + dense_shapes("positional", 2, 6) + dense_shapes("dense", 54, 32) + dense_shapes("output", 32, 2)
+
+
+def critic_shapes() -> list[tuple[str, tuple[int, ...]]]:
+    """Tensors of the critic behind the shared encoder, in the order of our parameters (docs/training.md)."""
+    return gru_shapes() + dense_shapes("positional", 2, 6) + dense_shapes("dense", 56, 64) + dense_shapes("output", 64, 1)
+
+
+def pattern_frames(seed: int) -> np.ndarray:
+    """Five depth frames that any language can make again, exactly: sums of two triangle waves in steps of 1/1024.
+
+    firmware/policy/tests/onnx.rs has the same formula.
+    """
+    t, row, col = np.meshgrid(np.arange(FRAMES), np.arange(ROWS), np.arange(COLS), indexing="ij")
+
+    def triangle(x: np.ndarray) -> np.ndarray:
+        return np.abs(x % 512 - 256)
+
+    value = triangle(7 * col + 3 * t + 40 * seed) + triangle(5 * row + 11 * t + 90 * seed)
+    return (value.astype(np.float32) / np.float32(1024.0)).astype(np.float32)
+
+
+def pattern_position(seed: int) -> np.ndarray:
+    """A positional input to go with the pattern."""
+    return np.array([0.125 * (seed + 1), 0.25 * (seed - 2)], dtype=np.float32)
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
