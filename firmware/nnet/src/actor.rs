@@ -156,12 +156,42 @@ impl ActorSpec {
         state: NodeId,
         position: NodeId,
     ) -> Result<NodeId, ShapeError> {
+        self.head_with(
+            builder,
+            params,
+            state,
+            position,
+            Activation::Tanh { scale: ACTOR_LIMIT },
+        )
+    }
+
+    /// The same without the saturation: the outputs are `1.5 · tanh` of what this node gives.
+    ///
+    /// # Errors
+    /// Nodes of other lengths.
+    pub fn head_before_saturation(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &ActorParams,
+        state: NodeId,
+        position: NodeId,
+    ) -> Result<NodeId, ShapeError> {
+        self.head_with(builder, params, state, position, Activation::Identity)
+    }
+
+    fn head_with(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &ActorParams,
+        state: NodeId,
+        position: NodeId,
+        last: Activation,
+    ) -> Result<NodeId, ShapeError> {
         let state = builder.activation(state, Activation::TANH)?;
         let position = builder.dense(position, POSITIONAL, Activation::TANH, params.positional)?;
         let joined = builder.concat(&[state, position])?;
         let hidden = builder.dense(joined, DENSE, Activation::Elu, params.dense)?;
-        let limit = Activation::Tanh { scale: ACTOR_LIMIT };
-        builder.dense(hidden, OUTPUT, limit, params.output)
+        builder.dense(hidden, OUTPUT, last, params.output)
     }
 
     /// The whole actor: inputs are the frames, oldest first, then the positional values.

@@ -1,0 +1,38 @@
+//! Attack timings on the built-in actor: `cargo bench --profile release -p vigil-adversary`.
+
+use divan::Bencher;
+use vigil_adversary::{AttackConfig, StateAttack, StreamAttack};
+use vigil_nnet::{ACTOR_FRAMES, ActorSpec, Isa};
+use vigil_policy::FrozenActor;
+
+fn main() {
+    divan::main();
+}
+
+/// Ranges that differ from place to place, the same in each run.
+fn frames(count: usize) -> Vec<f32> {
+    let len = count * ActorSpec::FULL.frame_len();
+    (0..len)
+        .map(|i| 0.02 + (i * 40_503 % 65_536) as f32 / 300_000.0)
+        .collect()
+}
+
+/// The paper's attack on a whole state: 20 iterations over five frames.
+#[divan::bench(sample_count = 10, sample_size = 1)]
+fn state_20_iterations(bencher: Bencher) {
+    let params = FrozenActor::built_in().unwrap().params;
+    let mut attack = StateAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
+    bencher
+        .with_inputs(|| frames(ACTOR_FRAMES))
+        .bench_local_refs(|frames| attack.attack(frames, [0.5, 0.1]).unwrap());
+}
+
+/// The same on a frame as it passes.
+#[divan::bench(sample_count = 20, sample_size = 1)]
+fn stream_20_iterations(bencher: Bencher) {
+    let params = FrozenActor::built_in().unwrap().params;
+    let mut attack = StreamAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
+    bencher
+        .with_inputs(|| frames(1))
+        .bench_local_refs(|frame| attack.attack(frame, [0.5, 0.1]).unwrap());
+}

@@ -1,0 +1,189 @@
+//! What an attack is told, and what it came to.
+
+use serde::{Deserialize, Serialize};
+use vigil_nnet::ShapeError;
+
+/// A change of the yaw output by as much counts as effective: 30 °/s (PAPER.md, "Attack in flight").
+pub const EFFECTIVE_YAW: f32 = 1.0;
+
+/// How the pixels are altered. ε is [`AttackConfig::epsilon_255`] / 255 of the image's range; g the gradient of the loss.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// One step of ε · sign(g), whatever `iterations` says (Goodfellow et al., 2015).
+    Fgsm,
+    /// Basic iterative method: steps of 2.5 ε / iterations, at most ε, along sign(g); the total stays within ε of the clean frame (Kurakin
+    /// et al., 2017).
+    BimClipped,
+    /// Steps of ε · sign(g) without projection, as the paper writes it: up to iterations · ε.
+    BimAccumulating,
+    /// As clipped, from a random start within ε (Madry et al., 2018).
+    Pgd,
+    /// Steps of ε / iterations along the sign of g's running sum, each normalised by its mean size; within ε (Dong et al.,
+    /// 2018, μ = 1).
+    Momentum,
+    /// Steps along g itself, within a root mean square of ε over all pixels: few pixels move far.
+    L2,
+    /// Only the 32 × 32 pixels that count most, each within 32 ε: the whole frame's budget in one place.
+    Patch,
+    /// The control: random signs of size iterations · ε, as large as [`Method::BimAccumulating`] may get. With one iteration it is
+    /// as large as the others.
+    Noise,
+}
+
+impl Method {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Fgsm,
+        Self::BimClipped,
+        Self::BimAccumulating,
+        Self::Pgd,
+        Self::Momentum,
+        Self::L2,
+        Self::Patch,
+        Self::Noise,
+    ];
+
+    /// Its name on the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fgsm => "fgsm",
+            Self::BimClipped => "bim-clipped",
+            Self::BimAccumulating => "bim-accumulating",
+            Self::Pgd => "pgd",
+            Self::Momentum => "momentum",
+            Self::L2 => "l2",
+            Self::Patch => "patch",
+            Self::Noise => "noise",
+        }
+    }
+}
+
+/// The yaw limit that the attack aims at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Towards {
+    /// −1.5: counter-clockwise.
+    Left,
+    /// 1.5: clockwise.
+    Right,
+    /// The one farther from the clean decision.
+    Away,
+}
+
+impl Towards {
+    /// Its name on the command line and in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Left => "left",
+            Self::Right => "right",
+            Self::Away => "away",
+        }
+    }
+
+    /// −1 to aim left, 1 to aim right, for a clean yaw output.
+    pub(crate) fn sign(self, clean_yaw: f32) -> f32 {
+        match self {
+            Self::Left => -1.0,
+            Self::Right => 1.0,
+            Self::Away if clean_yaw >= 0.0 => -1.0,
+            Self::Away => 1.0,
+        }
+    }
+}
+
+/// What an attack is told.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AttackConfig {
+    /// How.
+    pub method: Method,
+    /// ε in 1/255 of the image's range of 100 m: 1 is 0.39 m.
+    pub epsilon_255: f32,
+    /// Iterations, at least 1.
+    pub iterations: u32,
+    /// Where to.
+    pub towards: Towards,
+    /// For the methods that draw: the same seed and calls give the same bits.
+    pub seed: u64,
+}
+
+impl AttackConfig {
+    /// The paper's: accumulating, ε = 1/255, 20 iterations.
+    pub const PAPER: Self = Self {
+        method: Method::BimAccumulating,
+        epsilon_255: 1.0,
+        iterations: 20,
+        towards: Towards::Away,
+        seed: 0,
+    };
+
+    /// ε as a normalised range.
+    pub fn epsilon(&self) -> f32 {
+        self.epsilon_255 / 255.0
+    }
+
+    /// The farthest that one pixel may move, as a normalised range; [`Method::L2`] bounds all pixels together, so one of
+    /// `pixels` may move by as much as the whole budget.
+    pub fn reach(&self, pixels: usize) -> f32 {
+        let epsilon = self.epsilon();
+        match self.method {
+            Method::Fgsm | Method::BimClipped | Method::Pgd | Method::Momentum => epsilon,
+            Method::BimAccumulating | Method::Noise => epsilon * self.iterations as f32,
+            Method::L2 => epsilon * (pixels as f32).sqrt(),
+            Method::Patch => epsilon * PATCH_GAIN,
+        }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), AttackError> {
+        if !(self.epsilon_255 > 0.0 && self.epsilon_255 <= 255.0) {
+            return Err(AttackError::Epsilon {
+                epsilon_255: self.epsilon_255,
+            });
+        }
+        if self.iterations == 0 {
+            return Err(AttackError::Iterations);
+        }
+        Ok(())
+    }
+}
+
+/// The frame's pixels over the patch's.
+pub(crate) const PATCH_GAIN: f32 = 32.0;
+
+/// What an attack came to: the actor's outputs (x-velocity, yaw) in ±1.5.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AttackOutcome {
+    /// What it would have decided without any attack.
+    pub clean: [f32; 2],
+    /// What it decides on what it gets.
+    pub attacked: [f32; 2],
+}
+
+impl AttackOutcome {
+    /// Change of the yaw output.
+    pub fn yaw_change(&self) -> f32 {
+        self.attacked[1] - self.clean[1]
+    }
+
+    /// Whether the yaw moved by [`EFFECTIVE_YAW`] or more.
+    pub fn is_effective(&self) -> bool {
+        self.yaw_change().abs() >= EFFECTIVE_YAW
+    }
+}
+
+/// Why there is no attack.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum AttackError {
+    /// ε is out of its range.
+    #[error("epsilon must be above 0 and at most 255 (in 1/255 of the image's range), got {epsilon_255}")]
+    Epsilon {
+        /// The value.
+        epsilon_255: f32,
+    },
+    /// No iterations.
+    #[error("an attack needs at least one iteration")]
+    Iterations,
+    /// Frames or parameters of another actor.
+    #[error(transparent)]
+    Shape(#[from] ShapeError),
+}

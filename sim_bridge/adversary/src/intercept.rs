@@ -1,0 +1,60 @@
+//! The adversary between the sensor and the firmware: whole frames in, whole frames out.
+
+use crate::burst::BurstPlan;
+use crate::config::{AttackError, AttackOutcome};
+use crate::stream::StreamAttack;
+use vigil_policy::actor::positional_inputs;
+use vigil_types::{DepthFrame, FrameHeader, GoalRelative, NedVector, wrap_pi};
+
+/// Distance and bearing of a goal from where the frame was taken, by the estimate in its header: what the pilot sees of
+/// it, but for the vehicle's motion since.
+pub fn goal_seen_from(header: &FrameHeader, goal_ned_m: NedVector) -> GoalRelative {
+    let to_goal = goal_ned_m - header.position_ned_m;
+    GoalRelative {
+        distance_m: to_goal.horizontal_norm(),
+        bearing_rad: wrap_pi(libm::atan2f(to_goal.y, to_goal.x) - header.attitude.yaw_rad()),
+    }
+}
+
+/// What became of a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum PassedStep {
+    /// Delivered as it was.
+    Unaltered,
+    /// Altered.
+    Attacked(AttackOutcome),
+}
+
+/// Alters the frames of the planned steps and seals them again; the firmware cannot know.
+#[derive(Debug, Clone)]
+pub struct Interceptor {
+    attack: StreamAttack,
+    plan: BurstPlan,
+    goal_ned_m: NedVector,
+}
+
+impl Interceptor {
+    /// An adversary that knows where the vehicle is to fly.
+    pub fn new(attack: StreamAttack, plan: BurstPlan, goal_ned_m: NedVector) -> Self {
+        Self {
+            attack,
+            plan,
+            goal_ned_m,
+        }
+    }
+
+    /// Takes the frame of step number `step`, in place.
+    ///
+    /// # Errors
+    /// None for frames of the actor's size; the frame is then as it was.
+    pub fn pass(&mut self, step: u64, frame: &mut DepthFrame) -> Result<PassedStep, AttackError> {
+        let position = positional_inputs(goal_seen_from(&frame.header, self.goal_ned_m));
+        if !self.plan.attacks(step) {
+            self.attack.pass(&mut frame.depth, position)?;
+            return Ok(PassedStep::Unaltered);
+        }
+        let outcome = self.attack.attack(&mut frame.depth, position)?;
+        frame.seal();
+        Ok(PassedStep::Attacked(outcome))
+    }
+}

@@ -1,0 +1,115 @@
+//! The actor as the adversary sees it: differentiable down to the pixels, its outputs before saturation.
+
+use vigil_nnet::{
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Graph, GraphBuilder, Isa, NodeId, Purpose,
+    ShapeError,
+};
+
+/// Frames to outputs, with the gradient at the pixels.
+#[derive(Debug, Clone)]
+pub(crate) struct Lens {
+    isa: Isa,
+    params: Vec<f32>,
+    packed: Vec<f32>,
+    graph: Graph,
+    tape: Vec<f32>,
+    work: Vec<f32>,
+    /// Frames among the inputs, and whether a GRU state comes before them.
+    frames: usize,
+    from_state: bool,
+    frame_len: usize,
+    /// The newest frame's features.
+    features: NodeId,
+}
+
+impl Lens {
+    /// The actor over all of its frames, from a zero state.
+    pub fn on_state(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
+        Self::new(spec, isa, params, ACTOR_FRAMES, false)
+    }
+
+    /// The actor over its newest frame, from the GRU's state after the older ones: nothing that the newest frame cannot
+    /// change is computed again.
+    pub fn on_newest(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
+        Self::new(spec, isa, params, 1, true)
+    }
+
+    fn new(spec: ActorSpec, isa: Isa, given: &[f32], frames: usize, from_state: bool) -> Result<Self, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = spec.reserve(&mut b);
+        let mut state = if from_state {
+            b.input(ACTOR_HIDDEN, false)?
+        } else {
+            b.zeros(ACTOR_HIDDEN)?
+        };
+        let mut features = state;
+        for _ in 0..frames {
+            let frame = b.input(spec.frame_len(), true)?;
+            features = spec.encode(&mut b, &params, frame)?;
+            state = b.gru(features, state, spec.gru(), params.gru)?;
+        }
+        let position = b.input(ACTOR_POSITIONAL, false)?;
+        let outputs = spec.head_before_saturation(&mut b, &params, state, position)?;
+        let graph = b.finish(outputs, Purpose::Gradients)?;
+        let mut packed = vec![0.0; graph.param_len()];
+        graph.pack(given, &mut packed)?;
+        Ok(Self {
+            isa,
+            params: given.to_vec(),
+            packed,
+            tape: vec![0.0; graph.tape_len()],
+            work: vec![0.0; graph.work_len()],
+            graph,
+            frames,
+            from_state,
+            frame_len: spec.frame_len(),
+            features,
+        })
+    }
+
+    /// Pixels in all frames together.
+    pub fn pixels(&self) -> usize {
+        self.frames * self.frame_len
+    }
+
+    /// Outputs before saturation, for frames one after the other, oldest first. `older` is the GRU's state before them,
+    /// where one is taken.
+    pub fn look(
+        &mut self,
+        older: &[f32; ACTOR_HIDDEN],
+        frames: &[f32],
+        position: &[f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        let mut inputs: [&[f32]; ACTOR_FRAMES + 2] = [&[]; ACTOR_FRAMES + 2];
+        let first = usize::from(self.from_state);
+        inputs[0] = older;
+        let mut count = first;
+        for frame in frames.chunks(self.frame_len).take(self.frames) {
+            inputs[count] = frame;
+            count += 1;
+        }
+        inputs[count] = position;
+        count += 1;
+        self.graph
+            .forward(self.isa, &self.params, &inputs[..count], &mut self.tape)?;
+        let mut outputs = [0.0; ACTOR_OUTPUTS];
+        outputs.copy_from_slice(self.graph.output(&self.tape)?);
+        Ok(outputs)
+    }
+
+    /// The newest frame's features, as last looked at.
+    pub fn features(&self) -> Result<&[f32], ShapeError> {
+        self.graph.value(&self.tape, self.features)
+    }
+
+    /// Gradient of `d · outputs` at what was last looked at, written beside each other for all frames.
+    pub fn gradient(&mut self, d: [f32; ACTOR_OUTPUTS], gradient: &mut [f32]) -> Result<(), ShapeError> {
+        self.graph
+            .backward(self.isa, &self.packed, &self.tape, &d, None, &mut self.work)?;
+        for (i, to) in gradient.chunks_exact_mut(self.frame_len).enumerate() {
+            let input = i + usize::from(self.from_state);
+            to.copy_from_slice(self.graph.input_gradient(&self.work, input)?);
+        }
+        Ok(())
+    }
+}

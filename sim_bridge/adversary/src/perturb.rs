@@ -1,0 +1,209 @@
+//! The iterations: from the loss's gradient to altered pixels.
+
+use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN};
+use crate::lens::Lens;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Activation, Isa};
+
+/// Target of the yaw output before its saturation, times the direction: 1.5 · tanh(10) is the limit to the last bit.
+const TARGET: f32 = 10.0;
+/// Steps of the projected methods, in ε over iterations: enough to cross the whole range and come back (Madry et al., 2018).
+const STEP_GAIN: f32 = 2.5;
+/// The patch's share of rows and columns; their product is 1 / [`PATCH_GAIN`].
+const PATCH_ROWS: usize = 4;
+const PATCH_COLS: usize = 8;
+
+/// Outputs from their values before saturation, in the actor's own bits.
+pub(crate) fn saturate(isa: Isa, mut before: [f32; ACTOR_OUTPUTS]) -> [f32; ACTOR_OUTPUTS] {
+    Activation::Tanh { scale: ACTOR_LIMIT }.apply_in_place(isa, &mut before);
+    before
+}
+
+/// Alters pixels. One for each attacker; keeps its buffers.
+#[derive(Debug, Clone)]
+pub(crate) struct Perturber {
+    config: AttackConfig,
+    /// Frames attacked since the last reset: each draws from a stream of its own.
+    calls: u64,
+    rows: usize,
+    cols: usize,
+    clean: Vec<f32>,
+    gradient: Vec<f32>,
+    /// [`Method::Momentum`]: the running sum. [`Method::Patch`]: 1 within it.
+    extra: Vec<f32>,
+}
+
+/// Where the frames stand.
+pub(crate) struct Scene<'a> {
+    /// GRU state before the frames, where the lens takes one.
+    pub older: &'a [f32; ACTOR_HIDDEN],
+    pub position: &'a [f32; ACTOR_POSITIONAL],
+    /// −1 aims left, 1 right.
+    pub direction: f32,
+}
+
+impl Perturber {
+    pub fn new(config: AttackConfig, pixels: usize, rows: usize, cols: usize) -> Result<Self, AttackError> {
+        config.check()?;
+        Ok(Self {
+            config,
+            calls: 0,
+            rows,
+            cols,
+            clean: vec![0.0; pixels],
+            gradient: vec![0.0; pixels],
+            extra: vec![0.0; pixels],
+        })
+    }
+
+    pub fn config(&self) -> &AttackConfig {
+        &self.config
+    }
+
+    /// Draws from the beginning again.
+    pub fn reset(&mut self, seed: u64) {
+        self.config.seed = seed;
+        self.calls = 0;
+    }
+
+    /// Alters `frames`, which `lens` looked at last and saw `before` (outputs before saturation). After each iteration
+    /// `each` gets its number from 1, the outputs before saturation, and the frames. Returns the last outputs before saturation.
+    pub fn run(
+        &mut self,
+        lens: &mut Lens,
+        scene: &Scene<'_>,
+        frames: &mut [f32],
+        before: [f32; ACTOR_OUTPUTS],
+        mut each: impl FnMut(u32, [f32; ACTOR_OUTPUTS], &[f32]),
+    ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed);
+        rng.set_stream(self.calls);
+        self.calls = self.calls.wrapping_add(1);
+        self.clean.copy_from_slice(frames);
+        let (method, epsilon) = (self.config.method, self.config.epsilon());
+        let mut outputs = before;
+        let iterations = match method {
+            Method::Fgsm => 1,
+            Method::Noise => {
+                let size = self.config.reach(frames.len());
+                for (x, clean) in frames.iter_mut().zip(&self.clean) {
+                    let sign = if rng.random::<bool>() { size } else { -size };
+                    *x = (clean + sign).clamp(0.0, 1.0);
+                }
+                outputs = lens.look(scene.older, frames, scene.position)?;
+                each(self.config.iterations, outputs, frames);
+                return Ok(outputs);
+            }
+            Method::Pgd => {
+                for (x, clean) in frames.iter_mut().zip(&self.clean) {
+                    *x = (clean + rng.random_range(-epsilon..=epsilon)).clamp(0.0, 1.0);
+                }
+                outputs = lens.look(scene.older, frames, scene.position)?;
+                self.config.iterations
+            }
+            _ => self.config.iterations,
+        };
+        self.extra.fill(0.0);
+        for iteration in 1..=iterations {
+            // Loss: squared distance of the yaw, before its saturation, to the target.
+            let d_yaw = 2.0 * (outputs[1] - scene.direction * TARGET);
+            lens.gradient([0.0, d_yaw], &mut self.gradient)?;
+            if method == Method::Patch && iteration == 1 {
+                self.place_patch();
+            }
+            self.step(frames, epsilon, iterations);
+            outputs = lens.look(scene.older, frames, scene.position)?;
+            each(iteration, outputs, frames);
+        }
+        Ok(outputs)
+    }
+
+    /// One step down the loss.
+    fn step(&mut self, frames: &mut [f32], epsilon: f32, iterations: u32) {
+        let even = epsilon / iterations as f32;
+        let projected = (STEP_GAIN * even).min(epsilon);
+        match self.config.method {
+            Method::Fgsm => self.along_sign(frames, epsilon, epsilon),
+            Method::BimClipped | Method::Pgd => self.along_sign(frames, projected, epsilon),
+            // A pixel cannot move by more than 1, so this projects nothing.
+            Method::BimAccumulating => self.along_sign(frames, epsilon, 1.0),
+            Method::Momentum => {
+                let size = self.gradient.iter().map(|g| f64::from(g.abs())).sum::<f64>() / frames.len() as f64;
+                let scale = if size > 0.0 { (1.0 / size) as f32 } else { 0.0 };
+                for (sum, g) in self.extra.iter_mut().zip(&mut self.gradient) {
+                    *sum += *g * scale;
+                    *g = *sum;
+                }
+                self.along_sign(frames, even, epsilon);
+            }
+            Method::L2 => {
+                let radius = f64::from(epsilon) * (frames.len() as f64).sqrt();
+                let length = norm(self.gradient.iter().copied());
+                if length > 0.0 {
+                    let step = (f64::from(STEP_GAIN) / f64::from(iterations)).min(1.0) * radius;
+                    let scale = (step / length) as f32;
+                    for (x, g) in frames.iter_mut().zip(&self.gradient) {
+                        *x = (*x - scale * g).clamp(0.0, 1.0);
+                    }
+                }
+                let moved = norm(frames.iter().zip(&self.clean).map(|(x, clean)| x - clean));
+                if moved > radius {
+                    let shrink = (radius / moved) as f32;
+                    for (x, clean) in frames.iter_mut().zip(&self.clean) {
+                        *x = (clean + shrink * (*x - clean)).clamp(0.0, 1.0);
+                    }
+                }
+            }
+            Method::Patch => {
+                for (g, inside) in self.gradient.iter_mut().zip(&self.extra) {
+                    *g *= inside;
+                }
+                self.along_sign(frames, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
+            }
+            // Makes no steps.
+            Method::Noise => {}
+        }
+    }
+
+    /// `x − step · sign(g)`, within `reach` of the clean pixel and 0..=1.
+    fn along_sign(&self, frames: &mut [f32], step: f32, reach: f32) {
+        for ((x, g), clean) in frames.iter_mut().zip(&self.gradient).zip(&self.clean) {
+            let sign = if *g > 0.0 { step } else { 0.0 } - if *g < 0.0 { step } else { 0.0 };
+            *x = (*x - sign).clamp((clean - reach).max(0.0), (clean + reach).min(1.0));
+        }
+    }
+
+    /// Finds the patch, in half-patch strides, with the largest sum of gradients over all frames.
+    fn place_patch(&mut self) {
+        let (height, width) = ((self.rows / PATCH_ROWS).max(1), (self.cols / PATCH_COLS).max(1));
+        let (rows, cols) = (self.rows, self.cols);
+        let weight = |top: usize, left: usize| -> f64 {
+            let frames = self.gradient.chunks_exact(rows * cols);
+            let lines = frames.flat_map(|frame| frame.chunks_exact(cols).skip(top).take(height));
+            lines
+                .flat_map(|line| line.iter().skip(left).take(width))
+                .map(|g| f64::from(g.abs()))
+                .sum()
+        };
+        let mut best = (f64::NEG_INFINITY, 0, 0);
+        for top in (0..=rows - height).step_by((height / 2).max(1)) {
+            for left in (0..=cols - width).step_by((width / 2).max(1)) {
+                let sum = weight(top, left);
+                if sum > best.0 {
+                    best = (sum, top, left);
+                }
+            }
+        }
+        let (_, top, left) = best;
+        for frame in self.extra.chunks_exact_mut(rows * cols) {
+            for line in frame.chunks_exact_mut(cols).skip(top).take(height) {
+                line.iter_mut().skip(left).take(width).for_each(|inside| *inside = 1.0);
+            }
+        }
+    }
+}
+
+fn norm(values: impl Iterator<Item = f32>) -> f64 {
+    values.map(|v| f64::from(v) * f64::from(v)).sum::<f64>().sqrt()
+}

@@ -1,0 +1,137 @@
+//! The paper's attack: all five frames of a state.
+
+use crate::config::{AttackConfig, AttackError, AttackOutcome};
+use crate::lens::Lens;
+use crate::perturb::{Perturber, Scene, saturate};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
+
+/// Alters whole states. In flight nobody can: the older four frames have been delivered ([`crate::StreamAttack`]).
+#[derive(Debug, Clone)]
+pub struct StateAttack {
+    isa: Isa,
+    lens: Lens,
+    perturber: Perturber,
+}
+
+/// Before the first of five frames the GRU's state is zero; the lens on whole states does not read it.
+const NOTHING_OLDER: [f32; ACTOR_HIDDEN] = [0.0; ACTOR_HIDDEN];
+
+impl StateAttack {
+    /// An attack on the actor with these parameters. Allocates; attacking does not.
+    ///
+    /// # Errors
+    /// A configuration out of range, parameters of another actor.
+    pub fn new(isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
+        Self::on(ActorSpec::FULL, isa, params, config)
+    }
+
+    /// The same for an actor of other dimensions.
+    ///
+    /// # Errors
+    /// A configuration out of range, parameters of another actor.
+    pub fn on(spec: ActorSpec, isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
+        let lens = Lens::on_state(spec, isa, params)?;
+        Ok(Self {
+            isa,
+            perturber: Perturber::new(*config, lens.pixels(), spec.rows, spec.cols)?,
+            lens,
+        })
+    }
+
+    /// Draws from the beginning again, from another seed: with one seed for each state the results do not depend on which
+    /// thread attacks which state.
+    pub fn reseed(&mut self, seed: u64) {
+        self.perturber.reset(seed);
+    }
+
+    /// Outputs (x-velocity, yaw) in ±1.5 for a state as it is.
+    ///
+    /// # Errors
+    /// Frames of another length.
+    pub fn decide(
+        &mut self,
+        frames: &[f32],
+        position: [f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
+        let before = self.look(frames, &position)?;
+        Ok(saturate(self.isa, before))
+    }
+
+    /// Gradient of the yaw output, before its saturation, at the pixels of a state; `gradient` is as long as `frames`.
+    ///
+    /// # Errors
+    /// Frames of another length.
+    pub fn yaw_gradient(
+        &mut self,
+        frames: &[f32],
+        position: [f32; ACTOR_POSITIONAL],
+        gradient: &mut [f32],
+    ) -> Result<(), AttackError> {
+        self.check(gradient)?;
+        self.look(frames, &position)?;
+        Ok(self.lens.gradient([0.0, 1.0], gradient)?)
+    }
+
+    /// Alters `frames` in place: 5 × rows · cols normalised ranges, oldest first.
+    ///
+    /// # Errors
+    /// Frames of another length; nothing is altered.
+    pub fn attack(
+        &mut self,
+        frames: &mut [f32],
+        position: [f32; ACTOR_POSITIONAL],
+    ) -> Result<AttackOutcome, AttackError> {
+        self.attack_each(frames, position, |_, _, _| {})
+    }
+
+    /// The same, showing `each` every iteration: its number from 1, its outcome, the frames. With
+    /// [`crate::Method::BimAccumulating`] iteration k is what an attack of k iterations gives.
+    ///
+    /// # Errors
+    /// Frames of another length; nothing is altered.
+    pub fn attack_each(
+        &mut self,
+        frames: &mut [f32],
+        position: [f32; ACTOR_POSITIONAL],
+        mut each: impl FnMut(u32, AttackOutcome, &[f32]),
+    ) -> Result<AttackOutcome, AttackError> {
+        let before = self.look(frames, &position)?;
+        let (isa, clean) = (self.isa, saturate(self.isa, before));
+        let scene = Scene {
+            older: &NOTHING_OLDER,
+            position: &position,
+            direction: self.perturber.config().towards.sign(clean[1]),
+        };
+        let outcome = |outputs| AttackOutcome {
+            clean,
+            attacked: saturate(isa, outputs),
+        };
+        let last = self
+            .perturber
+            .run(&mut self.lens, &scene, frames, before, |iteration, outputs, frames| {
+                each(iteration, outcome(outputs), frames);
+            })?;
+        Ok(outcome(last))
+    }
+
+    fn look(
+        &mut self,
+        frames: &[f32],
+        position: &[f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
+        self.check(frames)?;
+        Ok(self.lens.look(&NOTHING_OLDER, frames, position)?)
+    }
+
+    fn check(&self, frames: &[f32]) -> Result<(), AttackError> {
+        if frames.len() == self.lens.pixels() {
+            Ok(())
+        } else {
+            Err(AttackError::Shape(ShapeError::Length {
+                what: "state's frames",
+                expected: self.lens.pixels(),
+                got: frames.len(),
+            }))
+        }
+    }
+}

@@ -1,0 +1,230 @@
+//! The attack in flight: the newest frame only, as it passes.
+
+use crate::config::{AttackConfig, AttackError, AttackOutcome};
+use crate::lens::Lens;
+use crate::perturb::{Perturber, Scene};
+use vigil_nnet::{
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Graph, GraphBuilder, Isa, NodeId, Purpose,
+    ShapeError,
+};
+
+/// Alters frames as they pass. It remembers what it delivered, as the actor does, and what it was given, so as to know what the
+/// actor would have decided.
+#[derive(Debug, Clone)]
+pub struct StreamAttack {
+    isa: Isa,
+    lens: Lens,
+    perturber: Perturber,
+    params: Vec<f32>,
+    memory: Memory,
+    delivered: Trail,
+    clean: Trail,
+    /// Where the burst under way aims, so that it does not turn back half-way.
+    direction: Option<f32>,
+}
+
+impl StreamAttack {
+    /// An attack on the actor with these parameters. Allocates; attacking and passing do not.
+    ///
+    /// # Errors
+    /// A configuration out of range, parameters of another actor.
+    pub fn new(isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
+        Self::on(ActorSpec::FULL, isa, params, config)
+    }
+
+    /// The same for an actor of other dimensions.
+    ///
+    /// # Errors
+    /// A configuration out of range, parameters of another actor.
+    pub fn on(spec: ActorSpec, isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
+        let lens = Lens::on_newest(spec, isa, params)?;
+        Ok(Self {
+            isa,
+            perturber: Perturber::new(*config, lens.pixels(), spec.rows, spec.cols)?,
+            lens,
+            params: params.to_vec(),
+            memory: Memory::new(spec)?,
+            delivered: Trail::new(spec),
+            clean: Trail::new(spec),
+            direction: None,
+        })
+    }
+
+    /// Lets a frame pass unaltered, but remembers it. Ends a burst.
+    ///
+    /// # Errors
+    /// A frame of another length; nothing is remembered of it.
+    pub fn pass(&mut self, frame: &mut [f32], position: [f32; ACTOR_POSITIONAL]) -> Result<(), AttackError> {
+        self.check(frame)?;
+        self.lens.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
+        let features = self.lens.features()?;
+        self.delivered.push(features);
+        self.clean.push(features);
+        self.direction = None;
+        Ok(())
+    }
+
+    /// Alters a frame (rows · cols normalised ranges) in place. `clean` of the outcome is what the actor would decide
+    /// had no frame been altered at all. A burst keeps the direction of its first frame.
+    ///
+    /// # Errors
+    /// A frame of another length; nothing is altered or remembered.
+    pub fn attack(
+        &mut self,
+        frame: &mut [f32],
+        position: [f32; ACTOR_POSITIONAL],
+    ) -> Result<AttackOutcome, AttackError> {
+        self.check(frame)?;
+        if !self.delivered.started {
+            // The actor takes the first frame of all for the missing older ones. What they will hold cannot be known before it
+            // is altered, so they count as unaltered meanwhile.
+            self.lens.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
+            self.clean.push(self.lens.features()?);
+        }
+        let trail = if self.delivered.started {
+            &self.delivered
+        } else {
+            &self.clean
+        };
+        let older = self.memory.older_state(self.isa, &self.params, trail)?;
+        let before = self.lens.look(&older, frame, &position)?;
+        self.clean.push(self.lens.features()?);
+        let clean = self.memory.decide(self.isa, &self.params, &self.clean, &position)?;
+        let towards = self.perturber.config().towards;
+        let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
+        let scene = Scene {
+            older: &older,
+            position: &position,
+            direction,
+        };
+        self.perturber
+            .run(&mut self.lens, &scene, frame, before, |_, _, _| {})?;
+        self.delivered.push(self.lens.features()?);
+        let attacked = self.memory.decide(self.isa, &self.params, &self.delivered, &position)?;
+        Ok(AttackOutcome { clean, attacked })
+    }
+
+    /// Forgets the frames and draws from the beginning again: another flight.
+    pub fn reset(&mut self) {
+        let seed = self.perturber.config().seed;
+        self.perturber.reset(seed);
+        self.delivered.started = false;
+        self.clean.started = false;
+        self.direction = None;
+    }
+
+    fn check(&self, frame: &[f32]) -> Result<(), AttackError> {
+        if frame.len() == self.lens.pixels() {
+            Ok(())
+        } else {
+            Err(AttackError::Shape(ShapeError::Length {
+                what: "frame",
+                expected: self.lens.pixels(),
+                got: frame.len(),
+            }))
+        }
+    }
+}
+
+/// Features of the last five frames, oldest first.
+#[derive(Debug, Clone)]
+struct Trail {
+    features: Vec<f32>,
+    width: usize,
+    started: bool,
+}
+
+impl Trail {
+    fn new(spec: ActorSpec) -> Self {
+        Self {
+            features: vec![0.0; ACTOR_FRAMES * spec.features()],
+            width: spec.features(),
+            started: false,
+        }
+    }
+
+    /// The first frame stands for the missing older ones, as in the actor.
+    fn push(&mut self, newest: &[f32]) {
+        let kept = if self.started { ACTOR_FRAMES - 1 } else { 0 };
+        let width = self.width;
+        self.features.copy_within((ACTOR_FRAMES - kept) * width.., 0);
+        for slot in self.features.chunks_exact_mut(width).skip(kept) {
+            slot.copy_from_slice(newest);
+        }
+        self.started = true;
+    }
+
+    fn frames(&self) -> impl Iterator<Item = &[f32]> {
+        self.features.chunks_exact(self.width)
+    }
+}
+
+/// The actor behind its encoder: features to the decision, and to the GRU's state before the next frame.
+#[derive(Debug, Clone)]
+struct Memory {
+    decision: Graph,
+    older: Graph,
+    decision_tape: Vec<f32>,
+    older_tape: Vec<f32>,
+}
+
+impl Memory {
+    fn new(spec: ActorSpec) -> Result<Self, ShapeError> {
+        let decision = {
+            let mut b = GraphBuilder::new();
+            let params = spec.reserve(&mut b);
+            let features = Self::features(&mut b, spec, ACTOR_FRAMES)?;
+            let position = b.input(ACTOR_POSITIONAL, false)?;
+            let state = spec.recur(&mut b, &params, &features)?;
+            let outputs = spec.head(&mut b, &params, state, position)?;
+            b.finish(outputs, Purpose::Gradients)?
+        };
+        let older = {
+            let mut b = GraphBuilder::new();
+            let params = spec.reserve(&mut b);
+            let features = Self::features(&mut b, spec, ACTOR_FRAMES - 1)?;
+            let state = spec.recur(&mut b, &params, &features)?;
+            b.finish(state, Purpose::Gradients)?
+        };
+        Ok(Self {
+            decision_tape: vec![0.0; decision.tape_len()],
+            older_tape: vec![0.0; older.tape_len()],
+            decision,
+            older,
+        })
+    }
+
+    fn features(b: &mut GraphBuilder, spec: ActorSpec, frames: usize) -> Result<Vec<NodeId>, ShapeError> {
+        (0..frames).map(|_| b.input(spec.features(), false)).collect()
+    }
+
+    /// What the actor decides on these five frames.
+    fn decide(
+        &mut self,
+        isa: Isa,
+        params: &[f32],
+        trail: &Trail,
+        position: &[f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        let mut inputs: [&[f32]; ACTOR_FRAMES + 1] = [position; ACTOR_FRAMES + 1];
+        for (input, features) in inputs.iter_mut().zip(trail.frames()) {
+            *input = features;
+        }
+        self.decision.forward(isa, params, &inputs, &mut self.decision_tape)?;
+        let mut outputs = [0.0; ACTOR_OUTPUTS];
+        outputs.copy_from_slice(self.decision.output(&self.decision_tape)?);
+        Ok(outputs)
+    }
+
+    /// The GRU's state before the next frame: the oldest of the five will have dropped out.
+    fn older_state(&mut self, isa: Isa, params: &[f32], trail: &Trail) -> Result<[f32; ACTOR_HIDDEN], ShapeError> {
+        let mut inputs: [&[f32]; ACTOR_FRAMES - 1] = [&[]; ACTOR_FRAMES - 1];
+        for (input, features) in inputs.iter_mut().zip(trail.frames().skip(1)) {
+            *input = features;
+        }
+        self.older.forward(isa, params, &inputs, &mut self.older_tape)?;
+        let mut state = [0.0; ACTOR_HIDDEN];
+        state.copy_from_slice(self.older.output(&self.older_tape)?);
+        Ok(state)
+    }
+}

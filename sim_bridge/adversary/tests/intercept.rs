@@ -1,0 +1,111 @@
+//! When the adversary acts, and what it leaves of a frame.
+
+use vigil_adversary::{
+    AttackConfig, Burst, BurstPlan, Interceptor, PassedStep, SINGLE_BURST_FIRST, SINGLE_BURST_LAST, StreamAttack,
+    goal_seen_from,
+};
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
+use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, Kinematics, NedVector};
+
+fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
+    (0..steps).filter(|step| plan.attacks(*step)).collect()
+}
+
+#[test]
+fn one_burst_lies_where_its_seed_says_and_seeds_spread_it_over_the_flight() {
+    let mut firsts = Vec::new();
+    for seed in 0..200 {
+        let steps = attacked(BurstPlan::new(Burst::Steps(50), seed), 1000);
+        assert_eq!(steps, attacked(BurstPlan::new(Burst::Steps(50), seed), 1000));
+        assert_eq!(steps.len(), 50);
+        assert_eq!(steps[49] - steps[0], 49, "consecutive");
+        assert!((SINGLE_BURST_FIRST..=SINGLE_BURST_LAST).contains(&steps[0]));
+        // Whatever its length, one seed's burst begins at the same moment: lengths can be compared flight by flight.
+        assert_eq!(attacked(BurstPlan::new(Burst::Steps(5), seed), 1000), steps[..5]);
+        firsts.push(steps[0]);
+    }
+    firsts.sort_unstable();
+    assert!(firsts[20] < 60 && firsts[180] > 160, "{firsts:?}");
+}
+
+#[test]
+fn repeated_bursts_come_once_a_period_with_steps_of_peace_between() {
+    let plan = BurstPlan::repeated(10, 60, 7);
+    let steps = attacked(plan, 6000);
+    assert_eq!(steps.len(), 99 * 10, "none in the first period");
+    for burst in steps.chunks_exact(10) {
+        assert_eq!(burst[9] - burst[0], 9);
+        assert_eq!(burst[0] / 60, burst[9] / 60);
+    }
+    assert_ne!(attacked(BurstPlan::repeated(10, 60, 8), 6000), steps);
+    assert_eq!(attacked(BurstPlan::new(Burst::Continuous, 1), 30).len(), 30);
+    assert_eq!(attacked(BurstPlan::NEVER, 30).len(), 0);
+}
+
+#[test]
+fn burst_lengths_are_read_from_the_command_line() {
+    assert_eq!("50".parse(), Ok(Burst::Steps(50)));
+    assert_eq!("continuous".parse(), Ok(Burst::Continuous));
+    for bad in ["0", "-3", "always", ""] {
+        assert!(bad.parse::<Burst>().is_err());
+    }
+}
+
+#[test]
+fn an_altered_frame_passes_every_check_of_the_receiver_and_only_its_pixels_differ() {
+    let params = FrozenActor::built_in().unwrap().params;
+    let told = AttackConfig {
+        iterations: 2,
+        ..AttackConfig::PAPER
+    };
+    let attack = StreamAttack::new(Isa::detect(), &params, &told).unwrap();
+    let goal = NedVector::new(20.0, 5.0, -1.5);
+    let mut interceptor = Interceptor::new(attack, BurstPlan::new(Burst::Steps(5), 3), goal);
+    for step in 0..SINGLE_BURST_LAST + 10 {
+        let mut frame = DepthFrame::EMPTY;
+        frame.header.sensor_id = 1;
+        frame.header.sequence = step;
+        frame
+            .depth
+            .iter_mut()
+            .enumerate()
+            .for_each(|(i, x)| *x = (i % 250) as f32 / 1000.0);
+        frame.seal();
+        let given = frame.clone();
+        let passed = interceptor.pass(step, &mut frame).unwrap();
+        assert_eq!(frame.check(1), Ok(()));
+        if BurstPlan::new(Burst::Steps(5), 3).attacks(step) {
+            assert!(matches!(passed, PassedStep::Attacked(_)));
+            assert_ne!(frame.depth, given.depth);
+            frame.header.checksum = given.header.checksum;
+            assert_eq!(frame.header, given.header);
+        } else {
+            assert_eq!((passed, frame), (PassedStep::Unaltered, given));
+        }
+    }
+}
+
+#[test]
+fn the_goal_is_seen_as_the_pilot_sees_it() {
+    let mut frame = DepthFrame::EMPTY;
+    frame.header.position_ned_m = NedVector::new(3.0, -2.0, -1.4);
+    frame.header.attitude = Attitude::from_euler_rad(0.05, -0.1, 2.9);
+    let goal = Goal {
+        position_ned_m: NedVector::new(-9.0, 4.0, -1.5),
+    };
+    let kinematics = Kinematics {
+        at_ns: 0,
+        position_ned_m: frame.header.position_ned_m,
+        velocity_ned_m_s: NedVector::ZERO,
+    };
+    let attitude = AttitudeSample {
+        at_ns: 0,
+        attitude: frame.header.attitude,
+        rates_frd_rad_s: FrdVector::ZERO,
+    };
+    assert_eq!(
+        goal_seen_from(&frame.header, goal.position_ned_m),
+        goal.relative_to(&kinematics, &attitude)
+    );
+}
