@@ -16,6 +16,7 @@ mod networks;
 mod noise;
 mod progress;
 mod recurrent;
+mod rehearsal;
 mod replay;
 mod shard;
 mod train;
@@ -23,5 +24,7 @@ mod weights;
 
 pub use config::{ConfigError, TrainConfig};
 pub use judge::{JudgeError, Judged, Judgement, Verdict, judge};
+pub use learner::{UpdateError, UpdateReport};
 pub use progress::{Progress, Row};
+pub use rehearsal::{Example, KeptState, Rehearsal};
 pub use train::{RunEnd, RunOptions, TrainError, run};

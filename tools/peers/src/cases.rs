@@ -1,0 +1,304 @@
+//! What is compared: inputs and results for the other side, and closures to time.
+
+use crate::record::Record;
+use crate::states::{State, watch};
+use anyhow::{Result, ensure};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::HashMap;
+use std::hint::black_box;
+use std::path::Path;
+use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec, Isa, Purpose};
+use vigil_policy::FrozenActor;
+use vigil_train::{Example, KeptState, Rehearsal, TrainConfig};
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
+
+/// A program to time.
+pub type Case = Box<dyn FnMut() -> Result<()>>;
+
+/// Courses looked at: development seeds.
+const FIRST_COURSE: u64 = 5_000;
+const COURSES: u64 = 30;
+/// States that DeepSHAP compares with, as in flight.
+const BACKGROUNDS: usize = 30;
+/// States on which results are compared.
+const STATES: usize = 16;
+/// Transitions of an update.
+const BATCH: usize = 32;
+/// Windows for LSTM-AD.
+const WINDOWS: usize = 16;
+/// The output explained and attacked.
+const YAW: usize = 1;
+
+/// Writes inputs and results to `to` and returns the programs to time.
+pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, Case>> {
+    let isa = Isa::detect();
+    let frozen = match actor {
+        Some(path) => FrozenActor::load(path)?,
+        None => FrozenActor::built_in()?,
+    };
+    let mut pilot = frozen.actor(isa)?;
+    let flights = (FIRST_COURSE..FIRST_COURSE + COURSES)
+        .map(|seed| watch(&mut pilot, seed))
+        .collect::<Result<Vec<_>>>()?;
+    // One state of each flight as background, one for results, pairs of neighbours as transitions.
+    let nth = |n: usize| flights.iter().filter_map(move |f| f.get(n));
+    let backgrounds: Vec<State> = nth(0).take(BACKGROUNDS).cloned().collect();
+    let states: Vec<State> = nth(3).take(STATES).cloned().collect();
+    let pairs: Vec<[State; 2]> = flights
+        .iter()
+        .flat_map(|f| f.windows(2).skip(1).step_by(2))
+        .map(|pair| [pair[0].clone(), pair[1].clone()])
+        .take(BATCH)
+        .collect();
+    ensure!(
+        backgrounds.len() == BACKGROUNDS && states.len() == STATES && pairs.len() == BATCH,
+        "the actor ends too many flights early: {} backgrounds, {} states, {} transitions",
+        backgrounds.len(),
+        states.len(),
+        pairs.len()
+    );
+    let mut record = Record::default();
+    record.note("actor_sha256", frozen.sha256());
+    record.note("isa", isa.name());
+    let mut cases: HashMap<&'static str, Case> = HashMap::new();
+    record_states(&mut record, "background", &backgrounds);
+    record_states(&mut record, "state", &states);
+    actor_case(&mut record, &mut cases, isa, &frozen, &states)?;
+    hidden_shap_case(&mut record, &mut cases, isa, &frozen, &states, &backgrounds)?;
+    pixel_shap_case(&mut record, &mut cases, isa, &frozen, &states[0], &backgrounds)?;
+    update_cases(&mut record, &mut cases, isa, &pairs)?;
+    lstm_ad_case(&mut record, &mut cases, isa)?;
+    record.save(to)?;
+    Ok(cases)
+}
+
+fn record_states(record: &mut Record, name: &str, states: &[State]) {
+    let image = [ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS];
+    record.floats(&format!("{name}_frames"), &image, states.iter().flat_map(|s| &s.frames));
+    record.floats(&format!("{name}_position"), &[2], states.iter().flat_map(|s| &s.position));
+}
+
+/// The split point's values and the outputs of a state, all five frames encoded.
+fn decide(isa: Isa, frozen: &FrozenActor, state: &State) -> Result<([f32; ACTOR_HIDDEN], [f32; 2])> {
+    let mut actor = frozen.actor(isa)?;
+    let mut action = [0.0; 2];
+    for frame in state.each_frame() {
+        action = actor.decide(frame, state.position)?;
+    }
+    Ok((*actor.state(), action))
+}
+
+/// One new frame through the actor, four remembered.
+fn actor_case(
+    record: &mut Record,
+    cases: &mut HashMap<&'static str, Case>,
+    isa: Isa,
+    frozen: &FrozenActor,
+    states: &[State],
+) -> Result<()> {
+    let decisions = states.iter().map(|s| decide(isa, frozen, s)).collect::<Result<Vec<_>>>()?;
+    record.floats("state_hidden", &[ACTOR_HIDDEN], decisions.iter().flat_map(|(hidden, _)| hidden));
+    record.floats("state_action", &[2], decisions.iter().flat_map(|(_, action)| action));
+    let mut actor = frozen.actor(isa)?;
+    let state = states[0].clone();
+    cases.insert(
+        "actor",
+        Box::new(move || {
+            black_box(actor.decide(black_box(state.each_frame()[4]), state.position)?);
+            Ok(())
+        }),
+    );
+    Ok(())
+}
+
+/// DeepSHAP of the yaw output at the split point.
+fn hidden_shap_case(
+    record: &mut Record,
+    cases: &mut HashMap<&'static str, Case>,
+    isa: Isa,
+    frozen: &FrozenActor,
+    states: &[State],
+    backgrounds: &[State],
+) -> Result<()> {
+    let split = |states: &[State]| -> Result<Vec<([f32; ACTOR_HIDDEN], [f32; 2])>> {
+        let each = |s: &State| Ok((decide(isa, frozen, s)?.0, s.position));
+        states.iter().map(each).collect()
+    };
+    let (points, inputs) = (split(backgrounds)?, split(states)?);
+    let hidden = points.iter().flat_map(|(hidden, _)| hidden);
+    record.floats("background_hidden", &[ACTOR_HIDDEN], hidden);
+    let views: Vec<[&[f32]; 2]> = points.iter().map(|(h, p)| [h.as_slice(), p]).collect();
+    let graph = ActorSpec::FULL.head_graph(Purpose::Multipliers)?;
+    let mut shap = DeepShap::new(isa, graph, &frozen.params, &views)?;
+    let mut phi = vec![0.0; shap.phi_len()];
+    let mut all = Vec::new();
+    for (hidden, position) in &inputs {
+        shap.evaluate(&[hidden, position])?;
+        shap.attribute(YAW, &mut phi)?;
+        all.extend_from_slice(&phi);
+    }
+    record.floats("shap_hidden", &[phi.len()], &all);
+    let (hidden, position) = inputs[0];
+    cases.insert(
+        "shap-hidden",
+        Box::new(move || {
+            shap.evaluate(black_box(&[&hidden, &position]))?;
+            Ok(shap.attribute(YAW, &mut phi)?)
+        }),
+    );
+    Ok(())
+}
+
+/// DeepSHAP of the yaw output at the pixels of all five frames.
+fn pixel_shap_case(
+    record: &mut Record,
+    cases: &mut HashMap<&'static str, Case>,
+    isa: Isa,
+    frozen: &FrozenActor,
+    state: &State,
+    backgrounds: &[State],
+) -> Result<()> {
+    let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true)?;
+    let views: Vec<Vec<&[f32]>> = backgrounds.iter().map(State::inputs).collect();
+    let mut shap = DeepShap::new(isa, graph, &frozen.params, &views)?;
+    let mut phi = vec![0.0; shap.phi_len()];
+    let state = state.clone();
+    shap.evaluate(&state.inputs())?;
+    shap.attribute(YAW, &mut phi)?;
+    let (images, position) = phi.split_at(ACTOR_FRAMES * DEPTH_PIXELS);
+    record.floats("shap_pixels", &[ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS], images);
+    record.floats("shap_pixels_position", &[2], position);
+    cases.insert(
+        "shap-pixels",
+        Box::new(move || {
+            shap.evaluate(black_box(&state.inputs()))?;
+            Ok(shap.attribute(YAW, &mut phi)?)
+        }),
+    );
+    Ok(())
+}
+
+/// One update of encoder, actor, critic and targets: as DDPG is written, and as training makes it.
+fn update_cases(
+    record: &mut Record,
+    cases: &mut HashMap<&'static str, Case>,
+    isa: Isa,
+    pairs: &[[State; 2]],
+) -> Result<()> {
+    let mut rng = ChaCha8Rng::seed_from_u64(11);
+    let mut pair = || -> [f32; 2] { [rng.random_range(-1.5..1.5), rng.random_range(-1.5..1.5)] };
+    let keep = |s: &State| -> Result<KeptState> {
+        let mut frames = Vec::with_capacity(ACTOR_FRAMES);
+        for frame in s.each_frame() {
+            frames.push(<&[f32; DEPTH_PIXELS]>::try_from(frame)?);
+        }
+        Ok(KeptState::new(core::array::from_fn(|i| frames[i]), s.position))
+    };
+    let batch = pairs
+        .iter()
+        .map(|[state, next]| {
+            Ok(Example {
+                state: keep(state)?,
+                action: pair(),
+                guide: pair(),
+                reward: pair()[0],
+                discount: 0.97,
+                next: keep(next)?,
+                weight: 0.5 + pair()[0].abs() / 3.0,
+            })
+        })
+        .collect::<Result<Vec<_>>>()?;
+    for (name, of) in [
+        ("batch", (|e| &e.state) as fn(&Example) -> &KeptState),
+        ("batch_next", |e| &e.next),
+    ] {
+        let frames = batch.iter().flat_map(|e| of(e).frames.concat()).collect();
+        record.bytes(&format!("{name}_frames"), &[ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS], frames);
+        let position = batch.iter().flat_map(|e| &of(e).position);
+        record.floats(&format!("{name}_position"), &[2], position);
+    }
+    record.floats("batch_action", &[2], batch.iter().flat_map(|e| &e.action));
+    record.floats("batch_guide", &[2], batch.iter().flat_map(|e| &e.guide));
+    record.floats("batch_reward", &[], batch.iter().map(|e| &e.reward));
+    record.floats("batch_discount", &[], batch.iter().map(|e| &e.discount));
+    record.floats("batch_weight", &[], batch.iter().map(|e| &e.weight));
+
+    // As trained, behind the warm-up.
+    let mut as_trained = TrainConfig::default();
+    as_trained.warm_up.updates = 0;
+    // As DDPG is written: no imitation, the critic's value alone, every frame's gradient, no mirror.
+    let mut plain = as_trained.clone();
+    plain.learning.imitation = 0.0;
+    plain.learning.value_weight = 1.0;
+    plain.learning.encoder_frames = ACTOR_FRAMES;
+    plain.learning.mirror = false;
+    for (name, config) in [("update", plain), ("update-as-trained", as_trained)] {
+        let mut rehearsal = Rehearsal::new(isa, &config, batch.clone())?;
+        if name == "update" {
+            let l = &config.learning;
+            for (key, value) in [
+                ("gradient_norm", l.gradient_norm),
+                ("tau", l.tau),
+                ("actor_rate", l.actor_rate),
+                ("critic_rate", l.critic_rate),
+                ("saturation_penalty", l.saturation_penalty),
+            ] {
+                record.note(key, value);
+            }
+            for (part, values) in rehearsal.parts().into_iter().take(2) {
+                record.floats(&format!("before_{part}"), &[], values);
+            }
+            let mut twin = Rehearsal::new(isa, &config, batch.clone())?;
+            let report = twin.update()?;
+            record.note("critic_loss", report.critic_loss);
+            record.note("value", report.value);
+            record.note("critic_norm", report.critic_norm);
+            record.note("actor_norm", report.actor_norm);
+            for (part, values) in twin.parts() {
+                record.floats(&format!("after_{part}"), &[], values);
+            }
+        }
+        cases.insert(
+            name,
+            Box::new(move || {
+                black_box(rehearsal.update()?);
+                Ok(())
+            }),
+        );
+    }
+    Ok(())
+}
+
+/// One window through LSTM-AD, with weights of the size that training begins with.
+fn lstm_ad_case(record: &mut Record, cases: &mut HashMap<&'static str, Case>, isa: Isa) -> Result<()> {
+    let mut rng = ChaCha8Rng::seed_from_u64(12);
+    let mut params = Vec::new();
+    for (name, shape) in LstmAd::tensors() {
+        let limit = 2.0 / (shape[0] as f32).sqrt();
+        let len = shape.iter().product::<usize>();
+        let values: Vec<f32> = (0..len).map(|_| 0.5 * rng.random_range(-limit..limit)).collect();
+        record.floats(&format!("lstm_ad_{name}"), &shape[1..], &values);
+        params.extend(values);
+    }
+    let mut windows: Vec<[[f32; ROW]; WINDOW]> = vec![[[0.0; ROW]; WINDOW]; WINDOWS];
+    for value in windows.iter_mut().flatten().flatten() {
+        *value = rng.random_range(-2.0..2.0);
+    }
+    let mut detector = LstmAd::new(isa, &params)?;
+    let scores = windows
+        .iter()
+        .map(|w| Ok(detector.score(w)?))
+        .collect::<Result<Vec<f32>>>()?;
+    record.floats("lstm_ad_windows", &[WINDOW, ROW], windows.iter().flatten().flatten());
+    record.floats("lstm_ad_scores", &[], &scores);
+    cases.insert(
+        "lstm-ad",
+        Box::new(move || {
+            black_box(detector.score(black_box(&windows[0]))?);
+            Ok(())
+        }),
+    );
+    Ok(())
+}

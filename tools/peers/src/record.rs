@@ -1,0 +1,48 @@
+//! Tensors for the other side: a safetensors file.
+
+use anyhow::{Context, Result};
+use safetensors::{Dtype, tensor::TensorView};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// Named tensors being collected.
+#[derive(Default)]
+pub struct Record {
+    tensors: Vec<(String, Vec<usize>, Dtype, Vec<u8>)>,
+    metadata: HashMap<String, String>,
+}
+
+impl Record {
+    /// Adds numbers; the first dimension follows from the length.
+    pub fn floats<'a>(&mut self, name: &str, inner: &[usize], values: impl IntoIterator<Item = &'a f32>) {
+        let bytes = values.into_iter().flat_map(|x| x.to_le_bytes()).collect();
+        self.push(name, inner, Dtype::F32, bytes);
+    }
+
+    /// Adds bytes.
+    pub fn bytes(&mut self, name: &str, inner: &[usize], values: Vec<u8>) {
+        self.push(name, inner, Dtype::U8, values);
+    }
+
+    fn push(&mut self, name: &str, inner: &[usize], dtype: Dtype, bytes: Vec<u8>) {
+        let row = inner.iter().product::<usize>() * if dtype == Dtype::F32 { 4 } else { 1 };
+        let shape = [&[bytes.len() / row], inner].concat();
+        self.tensors.push((name.to_owned(), shape, dtype, bytes));
+    }
+
+    /// Adds a line of metadata.
+    pub fn note(&mut self, key: &str, value: impl ToString) {
+        self.metadata.insert(key.to_owned(), value.to_string());
+    }
+
+    /// Writes the file.
+    pub fn save(self, path: &Path) -> Result<()> {
+        let views = self
+            .tensors
+            .iter()
+            .map(|(name, shape, dtype, bytes)| Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?)))
+            .collect::<Result<Vec<_>>>()?;
+        let bytes = safetensors::serialize(views, Some(self.metadata))?;
+        std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+    }
+}

@@ -1,0 +1,95 @@
+//! States to compare on: what the actor sees on development courses.
+
+use anyhow::Result;
+use vigil_nnet::{ACTOR_FRAMES, Actor};
+use vigil_policy::actor::positional_inputs;
+use vigil_types::{
+    ACTION_LIMIT, Attitude, AttitudeSample, DEPTH_PIXELS, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics,
+    NedVector, STEP_NS,
+};
+use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
+
+/// Steps between two states of a flight.
+const EVERY_STEPS: u64 = 12;
+/// States of a flight, at most.
+const STATES: u64 = 8;
+/// A flight ends this near to a surface, metres.
+const NEAR_M: f32 = 0.6;
+const STEP_S: f32 = STEP_NS as f32 * 1e-9;
+
+/// What the networks take: five frames of normalised range one after the other, oldest first, and the positional inputs.
+#[derive(Debug, Clone)]
+pub struct State {
+    pub frames: Vec<f32>,
+    pub position: [f32; 2],
+}
+
+impl State {
+    /// The five frames.
+    pub fn each_frame(&self) -> [&[f32]; ACTOR_FRAMES] {
+        core::array::from_fn(|i| &self.frames[i * DEPTH_PIXELS..(i + 1) * DEPTH_PIXELS])
+    }
+
+    /// The networks' inputs.
+    pub fn inputs(&self) -> Vec<&[f32]> {
+        let mut inputs = self.each_frame().to_vec();
+        inputs.push(&self.position);
+        inputs
+    }
+}
+
+/// Moves through a course as the actor decides, obeying at once: states at equal distances in time.
+pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
+    let course: Course = generate(Family::Validation, seed);
+    let mut world = World::new(&course);
+    let mut lidar = Lidar::new(LidarConfig::default(), seed)?;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let goal = Goal {
+        position_ned_m: course.goal_ned_m(),
+    };
+    let start = course.start_ned_m();
+    let mut position_ned_m = NedVector::new(start.x, start.y, -course.flight_height_m);
+    let mut yaw_rad = course.start_heading_rad();
+    let mut seen: Vec<Vec<f32>> = Vec::new();
+    let mut states = Vec::new();
+    actor.reset();
+    for step in 0..=STATES * EVERY_STEPS {
+        let attitude = Attitude::from_euler_rad(0.0, 0.0, yaw_rad);
+        let at_ns = step * STEP_NS;
+        world.set_time_ns(at_ns);
+        let shot = Shot {
+            position_ned_m,
+            attitude,
+            estimated_position_ned_m: position_ned_m,
+            estimated_attitude: attitude,
+            stamp_ns: at_ns,
+            sequence: step,
+            sensor_id: 0,
+        };
+        lidar.capture(&world, &shot, &mut frame);
+        let kinematics = Kinematics {
+            at_ns,
+            position_ned_m,
+            velocity_ned_m_s: NedVector::new(0.0, 0.0, 0.0),
+        };
+        let sample = AttitudeSample {
+            at_ns,
+            attitude,
+            rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.0),
+        };
+        let position = positional_inputs(goal.relative_to(&kinematics, &sample));
+        seen.push(frame.depth.to_vec());
+        if step > 0 && step % EVERY_STEPS == 0 {
+            let frames = seen[seen.len() - ACTOR_FRAMES..].concat();
+            states.push(State { frames, position });
+        }
+        let [forward_m_s, yaw] = actor.decide(&frame.depth, position)?;
+        let velocity = HeadingVector::new(forward_m_s.clamp(-ACTION_LIMIT, ACTION_LIMIT), 0.0, 0.0).to_ned(yaw_rad);
+        position_ned_m = position_ned_m + velocity * STEP_S;
+        yaw_rad += yaw * vigil_types::YAW_RATE_PER_UNIT_RAD_S * STEP_S;
+        if world.clearance_m(position_ned_m) < NEAR_M {
+            break;
+        }
+    }
+    Ok(states)
+}
