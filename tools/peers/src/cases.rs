@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
 use std::hint::black_box;
 use std::path::Path;
+use vigil_adversary::{AttackConfig, Method, StateAttack, Towards};
 use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec, Isa, Purpose};
 use vigil_policy::FrozenActor;
@@ -28,6 +29,10 @@ const STATES: usize = 16;
 const BATCH: usize = 32;
 /// Windows for LSTM-AD.
 const WINDOWS: usize = 16;
+/// States attacked at each setting.
+const ATTACKED: usize = 8;
+/// ε in 1/255 of 100 m, and iterations.
+const SETTINGS: [(f32, u32); 8] = [(0.5, 5), (0.5, 20), (1.0, 1), (1.0, 5), (1.0, 20), (2.0, 5), (2.0, 20), (5.0, 20)];
 /// The output explained and attacked.
 const YAW: usize = 1;
 
@@ -69,6 +74,7 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
     hidden_shap_case(&mut record, &mut cases, isa, &frozen, &states, &backgrounds)?;
     pixel_shap_case(&mut record, &mut cases, isa, &frozen, &states[0], &backgrounds)?;
     update_cases(&mut record, &mut cases, isa, &pairs)?;
+    attack_case(&mut record, &mut cases, isa, &frozen, &states)?;
     lstm_ad_case(&mut record, &mut cases, isa)?;
     record.save(to)?;
     Ok(cases)
@@ -229,6 +235,7 @@ fn update_cases(
     let mut as_trained = TrainConfig::default();
     as_trained.warm_up.updates = 0;
     // As DDPG is written: no imitation, the critic's value alone, every frame's gradient, no mirror.
+    let value_weight = as_trained.learning.value_weight;
     let mut plain = as_trained.clone();
     plain.learning.imitation = 0.0;
     plain.learning.value_weight = 1.0;
@@ -244,6 +251,7 @@ fn update_cases(
                 ("actor_rate", l.actor_rate),
                 ("critic_rate", l.critic_rate),
                 ("saturation_penalty", l.saturation_penalty),
+                ("value_weight", value_weight),
             ] {
                 record.note(key, value);
             }
@@ -268,6 +276,49 @@ fn update_cases(
             }),
         );
     }
+    Ok(())
+}
+
+/// BIM on all five frames, clipped and accumulating.
+fn attack_case(
+    record: &mut Record,
+    cases: &mut HashMap<&'static str, Case>,
+    isa: Isa,
+    frozen: &FrozenActor,
+    states: &[State],
+) -> Result<()> {
+    let settings: Vec<AttackConfig> = [Method::BimClipped, Method::BimAccumulating]
+        .into_iter()
+        .flat_map(|method| {
+            SETTINGS.map(|(epsilon_255, iterations)| AttackConfig {
+                method,
+                epsilon_255,
+                iterations,
+                towards: Towards::Away,
+                seed: 0,
+            })
+        })
+        .collect();
+    record.note("attacks", serde_json::to_string(&settings)?);
+    let mut yaw_changes = Vec::new();
+    for config in &settings {
+        let mut attack = StateAttack::new(isa, &frozen.params, config)?;
+        for state in states.iter().take(ATTACKED) {
+            let mut frames = state.frames.clone();
+            yaw_changes.push(attack.attack(&mut frames, state.position)?.yaw_change());
+        }
+    }
+    record.floats("attack_yaw_changes", &[ATTACKED], &yaw_changes);
+    let mut attack = StateAttack::new(isa, &frozen.params, &AttackConfig::PAPER)?;
+    let (state, mut frames) = (states[0].clone(), states[0].frames.clone());
+    cases.insert(
+        "bim",
+        Box::new(move || {
+            frames.copy_from_slice(&state.frames);
+            black_box(attack.attack(&mut frames, state.position)?);
+            Ok(())
+        }),
+    );
     Ok(())
 }
 

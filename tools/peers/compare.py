@@ -1,0 +1,495 @@
+"""Compares our programs with PyTorch, ONNX Runtime, tract, shap, captum and ART, side by side in one run.
+
+Each case first checks that both sides compute the same, then times them in turns, one thread each, on one core, in processor time.
+tools/peers/run.sh builds our side and calls this.
+
+Examples:
+  tools/peers/run.sh                       everything, about ten minutes
+  tools/peers/run.sh --rounds 3 actor      one case, quickly
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ[variable] = "1"
+
+import captum.attr
+import numpy as np
+import shap
+import torch
+from art.attacks.evasion import BasicIterativeMethod
+from art.estimators.regression import PyTorchRegressor
+from captum.attr._core import deep_lift
+from safetensors import safe_open
+from tqdm import tqdm
+
+import actor as frozen
+import export_onnx
+import networks
+from ddpg import Ddpg, batch_of
+
+HERE = Path(__file__).resolve().parent
+DOCUMENT = frozen.REPOSITORY / "docs/peers.md"
+TRACT = HERE / "tract/target/release/vigil-tract"
+MARKS = ("<!-- measured by tools/peers/run.sh -->", "<!-- end -->")
+# Of our attack's loss: 1.5 tanh(10) is the limit to the last bit (sim_bridge/adversary).
+ATTACK_TARGET = 10.0
+ATTACK_STEP_GAIN = 2.5
+YAW = 1
+
+
+@dataclass
+class Peer:
+    """Another program for the same work: how to run it, and how often for one measurement."""
+
+    run: Callable[[], object]
+    runs: int = 1
+    goal: float | None = None
+    # It measures itself and returns nanoseconds.
+    measures: bool = False
+
+
+@dataclass
+class Case:
+    """A comparison."""
+
+    title: str
+    ours: str
+    runs: int
+    peers: dict[str, Peer]
+    agreement: str
+    rounds: int
+
+
+@dataclass
+class Ours:
+    """Our program, waiting for requests, and what it wrote."""
+
+    process: subprocess.Popen
+    tensors: dict[str, np.ndarray]
+    notes: dict[str, str]
+
+    @classmethod
+    def start(cls, program: Path, folder: Path, actor: Path | None) -> "Ours":
+        """Starts it and reads its file."""
+        arguments = [str(program), str(folder)] + (["--actor", str(actor)] if actor else [])
+        process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        if process.stdout.readline().strip() != "ready":
+            raise SystemExit(f"{program} did not start; see above")
+        with safe_open(folder / "ours.safetensors", framework="numpy") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}
+            notes = dict(file.metadata())
+        return cls(process, tensors, notes)
+
+    def time_ns(self, case: str, runs: int) -> float:
+        """Processor time of one run."""
+        self.process.stdin.write(f"{case} {runs}\n")
+        self.process.stdin.flush()
+        answer = self.process.stdout.readline()
+        if not answer:
+            raise SystemExit(f"our program ended in case {case}; see above")
+        return float(answer)
+
+
+@dataclass
+class Context:
+    """What the cases are made of."""
+
+    ours: Ours
+    actor: frozen.Actor
+    config: dict[str, float] = field(default_factory=dict)
+
+    def state(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Frames [1, 5, 128, 256] and position [1, 2] of a state."""
+        t = self.ours.tensors
+        return torch.from_numpy(t["state_frames"][i : i + 1]), torch.from_numpy(t["state_position"][i : i + 1])
+
+    def backgrounds(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Frames and positions of the background sample."""
+        t = self.ours.tensors
+        return torch.from_numpy(t["background_frames"]), torch.from_numpy(t["background_position"])
+
+
+def within(what: str, got: np.ndarray, want: np.ndarray, limit: float) -> str:
+    """Checks a difference and says how large it is."""
+    difference = float(np.abs(np.asarray(got, dtype=np.float64) - np.asarray(want, dtype=np.float64)).max())
+    if not difference <= limit:
+        raise SystemExit(f"{what}: differs from ours by {difference:.2e}, allowed is {limit:.0e}")
+    return f"{what} {difference:.1e}"
+
+
+def actor_case(c: Context) -> Case:
+    """One new frame through the actor."""
+    t = c.ours.tensors
+    net = networks.Actor(c.actor.weights).eval().requires_grad_(False)
+    frames, position = torch.from_numpy(t["state_frames"]), torch.from_numpy(t["state_position"])
+    whole = export_onnx.session(export_onnx.whole(c.actor))
+    (by_onnx,) = whole.run(["action"], {"frames": t["state_frames"], "position": t["state_position"]})
+    agreement = [
+        within("PyTorch", net(frames, position).numpy(), t["state_action"], 1e-5),
+        within("ONNX Runtime", by_onnx, t["state_action"], 1e-5),
+    ]
+    older = net.encoder(net.contrast(frames[0, :4, None])).numpy()
+    feed = {"frame": t["state_frames"][:1, 4:], "older": older, "position": t["state_position"][:1]}
+    model = export_onnx.newest_frame(c.actor)
+    newest = export_onnx.session(model)
+    agreement.append(within("newest frame", newest.run(["action"], feed)[0], t["state_action"][:1], 1e-5))
+    torch_newest = networks.NewestFrame(net)
+    inputs = [torch.from_numpy(feed[name]) for name in ("frame", "older", "position")]
+
+    def by_torch() -> None:
+        with torch.inference_mode():
+            torch_newest(*inputs)
+
+    peers = {
+        "ONNX Runtime": Peer(lambda: newest.run(None, feed), 50, goal=0.9),
+        "PyTorch": Peer(by_torch, 20),
+    }
+    if TRACT.exists():
+        folder = frozen.REPOSITORY / "target/peers"
+        (folder / "newest.onnx").write_bytes(model.SerializeToString())
+        for name, value in feed.items():
+            value.astype("<f4").tofile(folder / f"{name}.f32")
+        process = subprocess.Popen([TRACT, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        action = np.array([float(x) for x in process.stdout.readline().split()])
+        agreement.append(within("tract", action, t["state_action"][0], 1e-5))
+
+        def by_tract() -> float:
+            process.stdin.write("20\n")
+            process.stdin.flush()
+            return float(process.stdout.readline())
+
+        peers["tract"] = Peer(by_tract, goal=3.0, measures=True)
+    return Case("One new frame through the actor", "actor", 50, peers, ", ".join(agreement), 30)
+
+
+def update_case(c: Context, as_trained: bool) -> Case:
+    """One DDPG update of 32 transitions."""
+    t, notes = c.ours.tensors, c.ours.notes
+    first = frozen.channel_first(frozen.split(t["before_actor"], frozen.actor_shapes()))
+    critic = frozen.channel_first(frozen.split(t["before_critic"], frozen.critic_shapes()))
+    keys = ("gradient_norm", "tau", "actor_rate", "critic_rate", "saturation_penalty", "value_weight")
+    config = {key: float(notes[key]) for key in keys}
+    batch = batch_of(t)
+    if as_trained:
+        agreement = "not compared: each side draws its own mirrors and frames"
+    else:
+        net = Ddpg(first, critic, config, as_trained=False)
+        report = net.update(batch)
+        agreement = ", ".join(
+            within(f"{key} (relative)", value / float(notes[key]), 1.0, 1e-4) for key, value in report.items()
+        )
+        theirs = net.first_moments()
+        moments = {
+            "encoder": (t["after_encoder_mean"], frozen.actor_shapes()[:10]),
+            "actor": (t["after_actor_mean"], frozen.actor_shapes()[10:]),
+            "critic": (t["after_critic_mean"], frozen.critic_shapes()),
+        }
+        worst = 0.0
+        for name, (flat, shapes) in moments.items():
+            for key, mean in frozen.channel_first(frozen.split(flat, shapes)).items():
+                own = theirs[torch_name(name, key)].numpy()
+                worst = max(worst, float(np.abs(own - mean).max() / np.abs(mean).max()))
+        agreement += ", " + within("gradients (relative)", worst, 0.0, 1e-3)
+    peers = {}
+    for name, bf16 in (("PyTorch", False), ("PyTorch, bfloat16", True)):
+        net = Ddpg(first, critic, config, as_trained, bf16)
+        peers[name] = Peer(lambda net=net: net.update(batch), goal=None if bf16 else 3.0)
+    if as_trained:
+        return Case("One update as we train (batch 32)", "update-as-trained", 1, peers, agreement, 5)
+    return Case("One DDPG update (batch 32)", "update", 1, peers, agreement, 5)
+
+
+def torch_name(module: str, key: str) -> str:
+    """Our tensor's name in ddpg.py's modules."""
+    layer, part = key.split(".")
+    if layer.startswith("convolution"):
+        return f"{module}.{2 * (int(layer[-1]) - 1)}.{part}"
+    if layer == "gru":
+        side, kind = part.split("_")
+        return f"{module}.gru.{kind}_{'ih' if side == 'input' else 'hh'}_l0"
+    return f"{module}.head.{key}" if module == "actor" else f"{module}.{key}"
+
+
+def hidden_shap_case(c: Context) -> Case:
+    """DeepSHAP at the split point, yaw, 30 backgrounds."""
+    t = c.ours.tensors
+    head = networks.Head(c.actor.weights, only=YAW)
+    background = [torch.from_numpy(t["background_hidden"]), torch.from_numpy(t["background_position"])]
+    states = [torch.from_numpy(t["state_hidden"]), torch.from_numpy(t["state_position"])]
+    explainer = shap.DeepExplainer(head, background)
+    lift = captum.attr.DeepLiftShap(head)
+    by_shap = np.concatenate([x[:, :, 0] for x in explainer.shap_values(states, check_additivity=False)], axis=1)
+    each = [lift.attribute(tuple(x[i : i + 1] for x in states), tuple(background)) for i in range(len(states[0]))]
+    by_captum = np.stack([np.concatenate([x[0].detach().numpy() for x in one]) for one in each])
+    agreement = [within("shap", by_shap, t["shap_hidden"], 1e-5), within("captum", by_captum, t["shap_hidden"], 1e-5)]
+    one = [x[:1] for x in states]
+    peers = {
+        "captum": Peer(lambda: lift.attribute(tuple(one), tuple(background)), 5, goal=20.0),
+        "shap": Peer(lambda: explainer.shap_values(one, check_additivity=False), 5, goal=20.0),
+    }
+    return Case("Hidden DeepSHAP, yaw, 30 backgrounds", "shap-hidden", 200, peers, ", ".join(agreement), 20)
+
+
+def pixel_shap_case(c: Context) -> Case:
+    """DeepSHAP at the pixels of five frames, yaw, 30 backgrounds."""
+    t = c.ours.tensors
+    # Neither knows the contrast layer; the rule of any other curve is the right one.
+    rules = shap.explainers._deep.deep_pytorch
+    rules.op_handler["NearContrast"] = rules.nonlinear_1d
+    deep_lift.SUPPORTED_NON_LINEAR[networks.NearContrast] = deep_lift.nonlinear
+    net = networks.ExplainedActor(c.actor.weights)
+    background, state = list(c.backgrounds()), list(c.state(0))
+    explainer = shap.DeepExplainer(net, background)
+    lift = captum.attr.DeepLiftShap(net)
+    by_shap = explainer.shap_values(state, check_additivity=False)
+    by_captum = lift.attribute(tuple(state), tuple(background))
+    # Relative to the largest pixel: the rescale rule divides differences of rounded numbers.
+    scale = float(np.abs(t["shap_pixels"]).max())
+    agreement = [
+        within("shap (of the largest pixel)", by_shap[0][0, ..., 0] / scale, t["shap_pixels"] / scale, 1e-2),
+        within("captum", by_captum[0][0].detach().numpy() / scale, t["shap_pixels"] / scale, 1e-2),
+    ]
+    peers = {
+        "shap": Peer(lambda: explainer.shap_values(state, check_additivity=False), goal=20.0),
+        "captum": Peer(lambda: lift.attribute(tuple(state), tuple(background)), goal=20.0),
+    }
+    return Case("Pixel DeepSHAP, five frames, yaw, 30 backgrounds", "shap-pixels", 1, peers, ", ".join(agreement), 5)
+
+
+class Attacked(torch.nn.Module):
+    """Frames to the yaw before its saturation, at a fixed position: what ART differentiates."""
+
+    def __init__(self, weights: networks.Weights, position: torch.Tensor) -> None:
+        super().__init__()
+        self.net, self.position = networks.Actor(weights, saturated=False), position
+
+    def forward(self, frames: torch.Tensor) -> torch.Tensor:
+        return self.net(frames, self.position.expand(len(frames), -1))[:, YAW : YAW + 1]
+
+
+def attack_steps(setting: dict) -> tuple[float, float]:
+    """Step and reach of a setting, as our attack has them."""
+    epsilon, iterations = setting["epsilon_255"] / 255.0, setting["iterations"]
+    if setting["method"] == "bim-accumulating":
+        return epsilon, 1.0
+    return min(ATTACK_STEP_GAIN * epsilon / iterations, epsilon), epsilon
+
+
+def torch_bim(net: Attacked, frames: torch.Tensor, target: float, setting: dict) -> torch.Tensor:
+    """BIM written in PyTorch."""
+    step, reach = attack_steps(setting)
+    low, high = (frames - reach).clamp(min=0.0), (frames + reach).clamp(max=1.0)
+    x = frames.clone()
+    for _ in range(setting["iterations"]):
+        x.requires_grad_()
+        (gradient,) = torch.autograd.grad((net(x) - target).square().sum(), x)
+        x = torch.minimum(torch.maximum(x.detach() - step * gradient.sign(), low), high)
+    return x
+
+
+def art_bim(net: Attacked, setting: dict) -> BasicIterativeMethod:
+    """ART's BIM with the same loss, step and reach."""
+    step, reach = attack_steps(setting)
+    shape = (frozen.FRAMES, frozen.ROWS, frozen.COLS)
+    estimator = PyTorchRegressor(net, torch.nn.MSELoss(), shape, clip_values=(0.0, 1.0), device_type="cpu")
+    iterations = setting["iterations"]
+    return BasicIterativeMethod(estimator, reach, step, iterations, targeted=True, batch_size=1, verbose=False)
+
+
+def attack_case(c: Context, strength: list[dict]) -> Case:
+    """BIM, 20 iterations, on all five frames; fills `strength` with the mean change of yaw at each setting."""
+    t = c.ours.tensors
+    settings, ours = json.loads(c.ours.notes["attacks"]), t["attack_yaw_changes"]
+    nets = []
+    for i in range(ours.shape[1]):
+        frames, position = c.state(i)
+        net = Attacked(c.actor.weights, position).eval().requires_grad_(False)
+        target = -ATTACK_TARGET if float(t["state_action"][i, YAW]) >= 0.0 else ATTACK_TARGET
+        nets.append((net, frames, target))
+    for setting, mine in tqdm(list(zip(settings, ours)), desc="attack strength", leave=False):
+        changes = {"art": [], "torch": []}
+        for net, frames, target in nets:
+            attack = art_bim(net, setting)
+            by_art = torch.from_numpy(attack.generate(frames.numpy(), np.array([[target]], dtype=np.float32)))
+            for name, altered in (("art", by_art), ("torch", torch_bim(net, frames, target, setting))):
+                with torch.no_grad():
+                    before, after = net(frames).item(), net(altered).item()
+                changes[name].append(frozen.LIMIT * (np.tanh(after) - np.tanh(before)))
+        row = {"method": setting["method"], "epsilon_255": setting["epsilon_255"], "iterations": setting["iterations"]}
+        row["ours"] = float(np.abs(mine).mean())
+        row |= {name: float(np.abs(values).mean()) for name, values in changes.items()}
+        strength.append(row)
+    weakest = min(row["ours"] - row["art"] for row in strength)
+    agreement = f"mean change of yaw over {ours.shape[1]} states, ours less ART's: {weakest:+.4f} at the least favourable of {len(strength)} settings"
+    paper = {"method": "bim-accumulating", "epsilon_255": 1.0, "iterations": 20}
+    net, frames, target = nets[0]
+    attack, y = art_bim(net, paper), np.array([[target]], dtype=np.float32)
+    peers = {
+        "PyTorch": Peer(lambda: torch_bim(net, frames, target, paper), goal=4.0),
+        "ART": Peer(lambda: attack.generate(frames.numpy(), y), goal=4.0),
+    }
+    return Case("BIM, 20 iterations, five frames", "bim", 1, peers, agreement, 7)
+
+
+def lstm_ad_case(c: Context) -> Case:
+    """One window through LSTM-AD."""
+    t = c.ours.tensors
+    names = {name.removeprefix("lstm_ad_"): value for name, value in t.items() if name.startswith("lstm_ad_")}
+    windows, scores = names.pop("windows"), names.pop("scores")
+    session = export_onnx.session(networks.lstm_ad(names))
+    feeds = [{"window": window[:, None, :]} for window in windows]
+    by_onnx = np.array([session.run(["score"], feed)[0][0, 0] for feed in feeds])
+    agreement = within("ONNX Runtime", by_onnx, scores, 1e-5)
+    peers = {"ONNX Runtime": Peer(lambda: session.run(None, feeds[0]), 200, goal=1.0)}
+    return Case("LSTM-AD, one window", "lstm-ad", 500, peers, agreement, 30)
+
+
+def measure(case: Case, ours: Ours, rounds: int | None) -> dict:
+    """Times both sides in turns."""
+
+    def once(peer: Peer) -> float:
+        if peer.measures:
+            return peer.run()
+        before = time.process_time_ns()
+        for _ in range(peer.runs):
+            peer.run()
+        return (time.process_time_ns() - before) / peer.runs
+
+    times: dict[str, list[float]] = {name: [] for name in ["ours", *case.peers]}
+    for i in tqdm(range((rounds or case.rounds) + 1), desc=case.title, leave=False):
+        row = {"ours": ours.time_ns(case.ours, case.runs)} | {name: once(peer) for name, peer in case.peers.items()}
+        # The first round warms caches and allocators.
+        if i > 0:
+            for name, ns in row.items():
+                times[name].append(ns / 1e3)
+    peers = {}
+    for name, peer in case.peers.items():
+        ratios = sorted(theirs / mine for theirs, mine in zip(times[name], times["ours"]))
+        ratio = statistics.median(ratios)
+        peers[name] = {
+            "median_us": statistics.median(times[name]),
+            "ratio": ratio,
+            "ratio_low": ratios[0],
+            "ratio_high": ratios[-1],
+            "goal": peer.goal,
+            "met": None if peer.goal is None else ratio >= peer.goal,
+        }
+    return {
+        "title": case.title,
+        "rounds": len(times["ours"]),
+        "ours_median_us": statistics.median(times["ours"]),
+        "peers": peers,
+        "agreement": case.agreement,
+    }
+
+
+def table(results: dict) -> str:
+    """The results as Markdown."""
+
+    def us(x: float) -> str:
+        return f"{x:.1f} µs" if x < 100 else f"{x:.0f} µs" if x < 1e4 else f"{x / 1e3:.0f} ms"
+
+    lines = [
+        f"{results['processor']}, {results['isa']}, one core, one thread a side, processor time; median of the rounds' ratios, lowest–highest.",
+        "",
+        "| | Ours | Peer | Theirs | Theirs / ours | Goal |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for case in results["cases"].values():
+        for name, p in case["peers"].items():
+            goal = "" if p["goal"] is None else f"≥ {p['goal']:g}: {'met' if p['met'] else 'missed'}"
+            spread = f"**{p['ratio']:.2f}** ({p['ratio_low']:.2f}–{p['ratio_high']:.2f})"
+            cells = [case["title"], us(case["ours_median_us"]), name, us(p["median_us"]), spread, goal]
+            lines.append(f"| {' | '.join(cells)} |")
+    lines += ["", "Largest differences of results before anything is timed:", ""]
+    lines += [f"- {case['title']}: {case['agreement']}" for case in results["cases"].values()]
+    if results["attack_strength"]:
+        lines += [
+            "",
+            "Strength: mean |change of yaw| (of ±1.5), same states, loss, step and reach.",
+            "",
+            "| Method | ε / (1/255) | Iterations | Ours | ART | PyTorch |",
+            "| --- | --- | --- | --- | --- | --- |",
+        ]
+        for r in results["attack_strength"]:
+            numbers = " | ".join(f"{r[who]:.4f}" for who in ("ours", "art", "torch"))
+            lines.append(f"| {r['method']} | {r['epsilon_255']:g} | {r['iterations']} | {numbers} |")
+    return "\n".join(lines)
+
+
+def write(results: dict) -> None:
+    """results.json, and the table in docs/peers.md."""
+    (HERE / "results.json").write_text(json.dumps(results, indent=2, ensure_ascii=False) + "\n")
+    text = DOCUMENT.read_text()
+    before, rest = text.split(MARKS[0])
+    _, after = rest.split(MARKS[1])
+    DOCUMENT.write_text(f"{before}{MARKS[0]}\n\n{table(results)}\n\n{MARKS[1]}{after}")
+
+
+def processor() -> str:
+    """Its name."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def main() -> None:
+    strength: list[dict] = []
+    makers: dict[str, Callable[[Context], Case]] = {
+        "actor": actor_case,
+        "update": lambda c: update_case(c, as_trained=False),
+        "update-as-trained": lambda c: update_case(c, as_trained=True),
+        "shap-hidden": hidden_shap_case,
+        "shap-pixels": pixel_shap_case,
+        "bim": lambda c: attack_case(c, strength),
+        "lstm-ad": lstm_ad_case,
+    }
+    parser = argparse.ArgumentParser(prog="run.sh", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"of {', '.join(makers)}; default: all")
+    parser.add_argument("--rounds", type=int, help="rounds of each case, instead of its own number")
+    parser.add_argument("--actor", type=Path, help="another actor.safetensors than the built-in one")
+    parser.add_argument("--core", type=int, help="core to run on; default: the last one this process may use")
+    parser.add_argument("--ours", type=Path, default=frozen.REPOSITORY / "target/release/vigil-peers", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    for name in arguments.cases:
+        if name not in makers:
+            parser.error(f"there is no case `{name}`; there are {', '.join(makers)}")
+    if arguments.rounds is not None and arguments.rounds < 1:
+        parser.error("--rounds must be 1 or more")
+    core = arguments.core if arguments.core is not None else max(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {core})
+    torch.set_num_threads(1)
+    ours = Ours.start(arguments.ours, frozen.REPOSITORY / "target/peers", arguments.actor)
+    context = Context(ours, frozen.load(arguments.actor or frozen.ACTOR))
+    if context.actor.sha256 != ours.notes["actor_sha256"]:
+        raise SystemExit("our program holds another actor than the repository; build it again (tools/peers/run.sh does)")
+    chosen = arguments.cases or list(makers)
+    packages = ("torch", "onnxruntime", "shap", "captum", "adversarial-robustness-toolbox")
+    results = {
+        "processor": processor(),
+        "isa": ours.notes["isa"],
+        "actor_sha256": context.actor.sha256,
+        "versions": {name: version(name) for name in packages},
+        "cases": {name: measure(makers[name](context), ours, arguments.rounds) for name in makers if name in chosen},
+        "attack_strength": strength,
+    }
+    print(table(results))
+    # A part of the cases does not replace the whole.
+    if set(chosen) == set(makers):
+        write(results)
+        print(f"\nwritten to {HERE / 'results.json'} and {DOCUMENT}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
