@@ -52,8 +52,12 @@ fn serve(arguments: &Arguments) -> Result<()> {
         let Some((name, runs)) = line.split_once(' ') else {
             bail!("expected `CASE RUNS`, got `{line}`");
         };
-        let runs: u32 = runs.parse().with_context(|| format!("`{runs}` is not a number of runs"))?;
-        let case = cases.get_mut(name).with_context(|| format!("there is no case `{name}`"))?;
+        let runs: u32 = runs
+            .parse()
+            .with_context(|| format!("`{runs}` is not a number of runs"))?;
+        let case = cases
+            .get_mut(name)
+            .with_context(|| format!("there is no case `{name}`"))?;
         let before = processor_ns();
         for _ in 0..runs {
             case()?;

@@ -106,3 +106,56 @@ impl Rehearsal {
         self.learner.weights().parts()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn kept(seed: usize) -> KeptState {
+        let frame = |t: usize| -> Box<[f32; DEPTH_PIXELS]> {
+            Box::new(core::array::from_fn(|p| {
+                ((p / 97 + 13 * t + 31 * seed) % 64) as f32 / 320.0
+            }))
+        };
+        let frames: [Box<[f32; DEPTH_PIXELS]>; ACTOR_FRAMES] = core::array::from_fn(frame);
+        KeptState::new(frames.each_ref().map(|frame| &**frame), [0.5, 0.1 * seed as f32])
+    }
+
+    fn rehearsal(seed: u64) -> Rehearsal {
+        let example = |i: usize| Example {
+            state: kept(i),
+            action: [1.0, -0.5],
+            guide: [0.2, 0.4],
+            reward: 1.0 + i as f32,
+            discount: 0.0,
+            next: kept(i),
+            weight: 1.0,
+        };
+        let mut config = TrainConfig {
+            seed,
+            ..TrainConfig::default()
+        };
+        config.warm_up.updates = 0;
+        Rehearsal::new(Isa::detect(), &config, (0..2).map(example).collect()).unwrap()
+    }
+
+    #[test]
+    fn updates_on_one_batch_learn_it_and_are_the_same_for_the_same_seed() {
+        let (mut one, mut twin, mut other) = (rehearsal(1), rehearsal(1), rehearsal(2));
+        let first = one.update().unwrap();
+        assert_eq!(first, twin.update().unwrap());
+        assert_eq!(one.parts(), twin.parts());
+        other.update().unwrap();
+        assert_ne!(one.parts()[0].1, other.parts()[0].1, "another seed, other weights");
+        let mut last = first;
+        for _ in 0..20 {
+            last = one.update().unwrap();
+        }
+        assert!(
+            last.critic_loss < 0.5 * first.critic_loss,
+            "{} after {}",
+            last.critic_loss,
+            first.critic_loss
+        );
+    }
+}
