@@ -1,11 +1,12 @@
-"""Compares our programs with PyTorch, ONNX Runtime, tract, shap, captum and ART, side by side in one run.
+"""Compares our programs with PyTorch, ONNX Runtime, shap, captum and ART, side by side in one run.
 
 Each case first checks that both sides compute the same, then times them in turns, one thread each, on one core, in processor time.
 tools/peers/run.sh builds our side and calls this.
 
 Examples:
-  tools/peers/run.sh                       everything, about ten minutes
-  tools/peers/run.sh --rounds 3 actor      one case, quickly
+  tools/peers/run.sh                       everything, about five minutes on an idle core
+  tools/peers/run.sh --rounds 3 actor bim  some cases, with few rounds; the other cases' results stay
+  tools/peers/run.sh --no-write actor      prints only
 """
 
 import argparse
@@ -43,12 +44,12 @@ from ddpg import Ddpg, batch_of
 
 HERE = Path(__file__).resolve().parent
 DOCUMENT = frozen.REPOSITORY / "docs/peers.md"
-TRACT = frozen.REPOSITORY / "target/tract/release/vigil-tract"
 MARKS = ("<!-- measured by tools/peers/run.sh -->", "<!-- end -->")
 # Of our attack's loss: 1.5 tanh(10) is the limit to the last bit (sim_bridge/adversary).
 ATTACK_TARGET = 10.0
 ATTACK_STEP_GAIN = 2.5
 YAW = 1
+ORDER = ("actor", "update", "update-as-trained", "shap-hidden", "shap-pixels", "bim", "lstm-ad")
 
 
 @dataclass
@@ -58,8 +59,6 @@ class Peer:
     run: Callable[[], object]
     runs: int = 1
     goal: float | None = None
-    # It measures itself and returns nanoseconds.
-    measures: bool = False
 
 
 @dataclass
@@ -144,8 +143,7 @@ def actor_case(c: Context) -> Case:
     ]
     older = net.encoder(net.contrast(frames[0, :4, None])).numpy()
     feed = {"frame": t["state_frames"][:1, 4:], "older": older, "position": t["state_position"][:1]}
-    model = export_onnx.newest_frame(c.actor)
-    newest = export_onnx.session(model)
+    newest = export_onnx.session(export_onnx.newest_frame(c.actor))
     agreement.append(within("newest frame", newest.run(["action"], feed)[0], t["state_action"][:1], 1e-5))
     torch_newest = networks.NewestFrame(net)
     inputs = [torch.from_numpy(feed[name]) for name in ("frame", "older", "position")]
@@ -158,21 +156,6 @@ def actor_case(c: Context) -> Case:
         "ONNX Runtime": Peer(lambda: newest.run(None, feed), 50, goal=0.9),
         "PyTorch": Peer(by_torch, 20),
     }
-    if TRACT.exists():
-        folder = frozen.REPOSITORY / "target/peers"
-        (folder / "newest.onnx").write_bytes(model.SerializeToString())
-        for name, value in feed.items():
-            value.astype("<f4").tofile(folder / f"{name}.f32")
-        process = subprocess.Popen([TRACT, folder], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        action = np.array([float(x) for x in process.stdout.readline().split()])
-        agreement.append(within("tract", action, t["state_action"][0], 1e-5))
-
-        def by_tract() -> float:
-            process.stdin.write("20\n")
-            process.stdin.flush()
-            return float(process.stdout.readline())
-
-        peers["tract"] = Peer(by_tract, goal=3.0, measures=True)
     return Case("One new frame through the actor", "actor", 50, peers, ", ".join(agreement), 30)
 
 
@@ -320,23 +303,24 @@ def attack_case(c: Context, strength: list[dict]) -> Case:
         target = -ATTACK_TARGET if float(t["state_action"][i, YAW]) >= 0.0 else ATTACK_TARGET
         nets.append((net, frames, target))
     for setting, mine in tqdm(list(zip(settings, ours)), desc="attack strength", leave=False):
-        changes = {"art": [], "torch": []}
+        changes = []
         for net, frames, target in nets:
             attack = art_bim(net, setting)
-            by_art = torch.from_numpy(attack.generate(frames.numpy(), np.array([[target]], dtype=np.float32)))
-            for name, altered in (("art", by_art), ("torch", torch_bim(net, frames, target, setting))):
-                with torch.no_grad():
-                    before, after = net(frames).item(), net(altered).item()
-                changes[name].append(frozen.LIMIT * (np.tanh(after) - np.tanh(before)))
+            altered = torch.from_numpy(attack.generate(frames.numpy(), np.array([target], dtype=np.float32)))
+            with torch.no_grad():
+                before, after = net(frames).item(), net(altered).item()
+            changes.append(frozen.LIMIT * (np.tanh(after) - np.tanh(before)))
         row = {"method": setting["method"], "epsilon_255": setting["epsilon_255"], "iterations": setting["iterations"]}
-        row["ours"] = float(np.abs(mine).mean())
-        row |= {name: float(np.abs(values).mean()) for name, values in changes.items()}
+        row |= {"ours": float(np.abs(mine).mean()), "art": float(np.abs(changes).mean())}
         strength.append(row)
     weakest = min(row["ours"] - row["art"] for row in strength)
-    agreement = f"mean change of yaw over {ours.shape[1]} states, ours less ART's: {weakest:+.4f} at the least favourable of {len(strength)} settings"
-    paper = {"method": "bim-accumulating", "epsilon_255": 1.0, "iterations": 20}
     net, frames, target = nets[0]
-    attack, y = art_bim(net, paper), np.array([[target]], dtype=np.float32)
+    y, first = np.array([target], dtype=np.float32), settings[0]
+    by_art, by_torch = art_bim(net, first).generate(frames.numpy(), y), torch_bim(net, frames, target, first)
+    agreement = within("ART and PyTorch between themselves", by_art, by_torch.numpy(), 1e-6)
+    agreement += f"; mean change of yaw over {len(nets)} states, ours less ART's, at the least favourable of {len(strength)} settings: {weakest:+.4f}"
+    paper = {"method": "bim-accumulating", "epsilon_255": 1.0, "iterations": 20}
+    attack = art_bim(net, paper)
     peers = {
         "PyTorch": Peer(lambda: torch_bim(net, frames, target, paper), goal=4.0),
         "ART": Peer(lambda: attack.generate(frames.numpy(), y), goal=4.0),
@@ -361,8 +345,6 @@ def measure(case: Case, ours: Ours, rounds: int | None) -> dict:
     """Times both sides in turns."""
 
     def once(peer: Peer) -> float:
-        if peer.measures:
-            return peer.run()
         before = time.process_time_ns()
         for _ in range(peer.runs):
             peer.run()
@@ -403,7 +385,8 @@ def table(results: dict) -> str:
         return f"{x:.1f} µs" if x < 100 else f"{x:.0f} µs" if x < 1e4 else f"{x / 1e3:.0f} ms"
 
     lines = [
-        f"{results['processor']}, {results['isa']}, one core, one thread a side, processor time; median of the rounds' ratios, lowest–highest.",
+        f"{results['processor']}, {results['isa']}, one core, one thread a side, processor time; median of the rounds' ratios, lowest–highest."
+        f" Load average {results['load_average']:g} (other work on the machine).",
         "",
         "| | Ours | Peer | Theirs | Theirs / ours | Goal |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -421,13 +404,27 @@ def table(results: dict) -> str:
             "",
             "Strength: mean |change of yaw| (of ±1.5), same states, loss, step and reach.",
             "",
-            "| Method | ε / (1/255) | Iterations | Ours | ART | PyTorch |",
-            "| --- | --- | --- | --- | --- | --- |",
+            "| Method | ε / (1/255) | Iterations | Ours | ART |",
+            "| --- | --- | --- | --- | --- |",
         ]
         for r in results["attack_strength"]:
-            numbers = " | ".join(f"{r[who]:.4f}" for who in ("ours", "art", "torch"))
+            numbers = " | ".join(f"{r[who]:.4f}" for who in ("ours", "art"))
             lines.append(f"| {r['method']} | {r['epsilon_255']:g} | {r['iterations']} | {numbers} |")
     return "\n".join(lines)
+
+
+def merged(results: dict) -> dict:
+    """With the cases that an earlier run measured in the same way and that this one left out."""
+    file = HERE / "results.json"
+    if not file.exists():
+        return results
+    earlier = json.loads(file.read_text())
+    same = ("processor", "isa", "actor_sha256", "versions")
+    if any(earlier.get(key) != results[key] for key in same):
+        return results
+    cases = earlier["cases"] | results["cases"]
+    ordered = {name: cases[name] for name in ORDER if name in cases}
+    return results | {"cases": ordered, "attack_strength": results["attack_strength"] or earlier["attack_strength"]}
 
 
 def write(results: dict) -> None:
@@ -462,6 +459,7 @@ def main() -> None:
     parser.add_argument("--actor", type=Path, help="another actor.safetensors than the built-in one")
     parser.add_argument("--core", type=int, help="core to run on; default: the first one this process may use")
     parser.add_argument("--ours", type=Path, default=frozen.REPOSITORY / "target/release/vigil-peers", help=argparse.SUPPRESS)
+    parser.add_argument("--no-write", dest="write", action="store_false", help="leave results.json and docs/peers.md as they are")
     arguments = parser.parse_args()
     for name in arguments.cases:
         if name not in makers:
@@ -484,13 +482,13 @@ def main() -> None:
         "isa": ours.notes["isa"],
         "actor_sha256": context.actor.sha256,
         "versions": {name: version(name) for name in packages},
+        "load_average": round(os.getloadavg()[0], 1),
         "cases": {name: measure(makers[name](context), ours, arguments.rounds) for name in makers if name in chosen},
         "attack_strength": strength,
     }
     print(table(results))
-    # A part of the cases does not replace the whole.
-    if set(chosen) == set(makers):
-        write(results)
+    if arguments.write:
+        write(merged(results))
         print(f"\nwritten to {HERE / 'results.json'} and {DOCUMENT}", file=sys.stderr)
 
 
