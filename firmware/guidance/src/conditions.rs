@@ -13,6 +13,8 @@ pub enum Demand {
     End,
     /// Delays engaging.
     Wait,
+    /// The recovery pilot's action is sent instead of the actor's.
+    Recover,
 }
 
 /// One named condition.
@@ -47,7 +49,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 16] = [
+pub static CONDITIONS: [Condition; 19] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -153,6 +155,27 @@ pub static CONDITIONS: [Condition; 16] = [
         false,
         "the flight is longer than the configured limit (none by default)",
         "the end of the flight",
+    ),
+    condition(
+        Reason::Attack,
+        Demand::Hold,
+        false,
+        "{raise_count} of the last {raise_window} verdicts on the flying actor were *attack*, and the policy is *stop* or *recover*",
+        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean verdicts in a row",
+    ),
+    condition(
+        Reason::NoVerdict,
+        Demand::Hold,
+        false,
+        "no verdict on the flying actor for more than {unknown_limit} steps, and the policy is *stop* or *recover*",
+        "as *attack*",
+    ),
+    condition(
+        Reason::Recovering,
+        Demand::Recover,
+        false,
+        "the policy is *recover*, and *attack* or *no verdict* has stopped the vehicle",
+        "{alarm_clear_steps} clean verdicts in a row; the end of the flight",
     ),
 ];
 

@@ -1,5 +1,6 @@
 //! Thresholds and policies of guidance.
 
+use crate::alarm::AlarmConfig;
 use vigil_types::{Nanos, NedVector};
 
 const MS: Nanos = 1_000_000;
@@ -120,6 +121,8 @@ pub struct GuidanceConfig {
     pub height_gain_per_s: f32,
     /// Greatest vertical speed that corrects the height.
     pub vertical_limit_m_s: f32,
+    /// What the detector's verdicts bring about.
+    pub alarm: AlarmConfig,
 }
 
 impl Default for GuidanceConfig {
@@ -144,6 +147,7 @@ impl Default for GuidanceConfig {
             default_height_m: 2.5,
             height_gain_per_s: 0.8,
             vertical_limit_m_s: 0.5,
+            alarm: AlarmConfig::default(),
         }
     }
 }
@@ -222,6 +226,49 @@ impl GuidanceConfig {
             0.0,
             1.0,
             "0 to 1 metres per second",
+        )?;
+        let alarm = &self.alarm;
+        range(
+            "alarm.raise_window",
+            alarm.raise_window.into(),
+            1.0,
+            32.0,
+            "1 to 32 steps",
+        )?;
+        range(
+            "alarm.raise_count",
+            alarm.raise_count.into(),
+            1.0,
+            alarm.raise_window.into(),
+            "1 to alarm.raise_window steps",
+        )?;
+        range(
+            "alarm.unknown_limit",
+            alarm.unknown_limit.into(),
+            1.0,
+            1200.0,
+            "1 to 1200 steps",
+        )?;
+        range(
+            "alarm.clear_steps",
+            alarm.clear_steps.into(),
+            1.0,
+            1200.0,
+            "1 to 1200 steps",
+        )?;
+        range(
+            "alarm.stopped_m_s",
+            alarm.stopped_m_s.into(),
+            0.05,
+            1.0,
+            "0.05 to 1 metres per second",
+        )?;
+        range(
+            "alarm.stop_limit",
+            alarm.stop_limit_ns as f64 * 1e-9,
+            0.05,
+            60.0,
+            "0.05 to 60 seconds",
         )?;
         match self.geofence {
             Some(fence) if !fence.is_valid() => Err(ConfigError::Fence),

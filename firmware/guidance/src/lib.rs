@@ -9,10 +9,12 @@
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
+pub mod alarm;
 pub mod conditions;
 mod config;
 mod machine;
 pub mod table;
 
+pub use alarm::{AlarmConfig, AlarmPolicy};
 pub use config::{AtGoal, ConfigError, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};

@@ -1,11 +1,13 @@
 //! The state machine: evaluates conditions, takes the first transition that fits, says what is sent.
 
+use crate::alarm::{AlarmInput, AlarmLogic};
 use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
 use crate::config::{AtGoal, ConfigError, EngagePolicy, GuidanceConfig};
 use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
-    Action, Goal, GuidanceState, HandoverProgress, HeadingVector, Nanos, NedVector, OperatorRequest, Reason, Reasons,
-    RequestOutcome, StepTiming, VehicleMode, VehicleRequest, VehicleTelemetry, VelocitySetpoint,
+    Action, Alarm, AlarmCause, AlarmResponse, Goal, GuidanceState, HandoverProgress, HeadingVector, Nanos, NedVector,
+    OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode, VehicleRequest, VehicleTelemetry,
+    VelocitySetpoint, Verdict,
 };
 
 /// Farthest goal from the local origin, metres north or east: beyond it f32 no longer holds centimetres well.
@@ -34,6 +36,10 @@ pub struct GuidanceInput<'a> {
     /// The pilot's action. The pilot is asked in every step, whatever the state, in which there are a fresh frame, fresh
     /// finite telemetry and a goal; `None` when it was not asked.
     pub action: Option<Action>,
+    /// The recovery pilot's action, asked together with the pilot; `None` without a recovery pilot.
+    pub recovery: Option<Action>,
+    /// What the detector says of the pilot's action; `None` without a detector.
+    pub verdict: Option<Verdict>,
     /// Steps missed.
     pub timing: StepTiming,
     /// How far the vehicle is with the hand-over.
@@ -49,6 +55,10 @@ pub struct GuidanceOutput {
     pub state: GuidanceState,
     /// Conditions present in the step, those that caused its transition included.
     pub reasons: Reasons,
+    /// The alarm, while it is raised.
+    pub alarm: Option<Alarm>,
+    /// The action of the pilot that flies, whether or not it may reach the vehicle.
+    pub action: Option<Action>,
     /// The transition taken, if one was.
     pub transition: Option<&'static Transition>,
     /// What to send; `None` is silence.
@@ -91,6 +101,7 @@ pub struct Guidance {
     clear_steps: u16,
     regain_steps: u16,
     released_steps: u16,
+    alarm: AlarmLogic,
 }
 
 impl Guidance {
@@ -124,6 +135,7 @@ impl Guidance {
             clear_steps: 0,
             regain_steps: 0,
             released_steps: 0,
+            alarm: AlarmLogic::default(),
         })
     }
 
@@ -227,7 +239,15 @@ impl Guidance {
             self.restarts.replace(input.vehicle_restarts) != Some(input.vehicle_restarts) && input.vehicle_restarts > 0;
         self.note_slips(input);
         self.note_hand_over(input);
-        let reasons = self.conditions(input);
+        let alarm = self.note_verdict(input);
+        let action = match alarm {
+            Some(Alarm {
+                response: AlarmResponse::Recovery,
+                ..
+            }) => input.recovery,
+            _ => input.action,
+        };
+        let reasons = self.conditions(input, alarm, action);
         self.reasons = reasons;
         self.count_steps(input, reasons);
         let transition = TRANSITIONS
@@ -239,8 +259,10 @@ impl Guidance {
         GuidanceOutput {
             state: self.state,
             reasons,
+            alarm,
+            action,
             transition,
-            setpoint: self.setpoint(input),
+            setpoint: self.setpoint(input, action),
             request: self.vehicle_request(input),
         }
     }
@@ -281,7 +303,7 @@ impl Guidance {
     }
 
     /// The conditions present in this step; [`crate::conditions::CONDITIONS`] states them in words.
-    fn conditions(&mut self, input: &GuidanceInput<'_>) -> Reasons {
+    fn conditions(&mut self, input: &GuidanceInput<'_>, alarm: Option<Alarm>, action: Option<Action>) -> Reasons {
         let GuidanceInput { now_ns, telemetry, .. } = *input;
         let older = |age_ns: Option<Nanos>, limit_ns| age_ns.is_none_or(|age_ns| age_ns > limit_ns);
         let stale_frame = older(input.frame.age_ns, self.config.frame_age_limit_ns);
@@ -292,7 +314,7 @@ impl Guidance {
         let bad_telemetry = received && !telemetry.is_finite();
         let pilot_could =
             !stale_frame && !input.frame.refused && !stale_telemetry && !bad_telemetry && self.goal.is_some();
-        let bad_action = input.action.map_or(pilot_could, |action| !action.is_finite());
+        let bad_action = action.map_or(pilot_could, |action| !action.is_finite());
         let usable = !stale_telemetry && !bad_telemetry;
         if let (true, Some(kinematics)) = (usable, telemetry.kinematics) {
             self.note_fence(kinematics.position_ned_m);
@@ -317,6 +339,14 @@ impl Guidance {
         let low_battery = telemetry
             .battery_remaining
             .is_some_and(|charge| charge < self.config.battery_limit);
+        let stops_for = |cause| {
+            alarm
+                == Some(Alarm {
+                    cause,
+                    response: AlarmResponse::Stop,
+                })
+        };
+        let recovering = alarm.is_some_and(|alarm| alarm.response == AlarmResponse::Recovery);
         Reasons::NONE
             .with_if(stale_frame, Reason::StaleFrame)
             .with_if(input.frame.refused, Reason::BadFrame)
@@ -334,6 +364,24 @@ impl Guidance {
             .with_if(low_battery, Reason::LowBattery)
             .with_if(telemetry.heartbeat.is_some_and(|h| h.failsafe), Reason::VehicleFailsafe)
             .with_if(too_long, Reason::TimeLimit)
+            .with_if(stops_for(AlarmCause::Attack), Reason::Attack)
+            .with_if(stops_for(AlarmCause::NoVerdict), Reason::NoVerdict)
+            .with_if(recovering, Reason::Recovering)
+    }
+
+    fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {
+        let kinematics = input.telemetry.kinematics;
+        self.alarm.step(
+            &self.config.alarm,
+            &AlarmInput {
+                now_ns: input.now_ns,
+                verdict: input.verdict,
+                // A hand-over in the air regains a flight; the alarm survives it.
+                in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
+                guided: self.state == GuidanceState::Guided,
+                speed_m_s: kinematics.map(|k| k.velocity_ned_m_s.norm()),
+            },
+        )
     }
 
     fn note_fence(&mut self, position_ned_m: NedVector) {
@@ -438,7 +486,7 @@ impl Guidance {
         }
     }
 
-    fn setpoint(&self, input: &GuidanceInput<'_>) -> Option<VelocitySetpoint> {
+    fn setpoint(&self, input: &GuidanceInput<'_>, action: Option<Action>) -> Option<VelocitySetpoint> {
         match self.state {
             GuidanceState::Standby | GuidanceState::Ready => None,
             GuidanceState::Engaging => matches!(
@@ -446,7 +494,7 @@ impl Guidance {
                 HandoverProgress::Done | HandoverProgress::InProgress { stream_setpoints: true }
             )
             .then_some(VelocitySetpoint::HOLD),
-            GuidanceState::Guided => Some(self.guided_setpoint(input)),
+            GuidanceState::Guided => Some(self.guided_setpoint(input, action)),
             GuidanceState::Hold => Some(VelocitySetpoint::HOLD),
             // Zeros until the vehicle lands by itself: an autopilot may keep the last velocity for seconds.
             GuidanceState::Land => input
@@ -458,8 +506,8 @@ impl Guidance {
     }
 
     /// The clipped action, plus a bounded vertical speed that keeps the goal's height.
-    fn guided_setpoint(&self, input: &GuidanceInput<'_>) -> VelocitySetpoint {
-        let (Some(action), Some(goal), Some(kinematics)) = (input.action, self.goal, input.telemetry.kinematics) else {
+    fn guided_setpoint(&self, input: &GuidanceInput<'_>, action: Option<Action>) -> VelocitySetpoint {
+        let (Some(action), Some(goal), Some(kinematics)) = (action, self.goal, input.telemetry.kinematics) else {
             return VelocitySetpoint::HOLD;
         };
         let action = action.clipped();

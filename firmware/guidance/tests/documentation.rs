@@ -20,6 +20,12 @@ fn thresholds(text: &str) -> String {
         ("{goal_dwell}", seconds(c.goal_dwell_ns)),
         ("{handover_limit}", seconds(c.handover_limit_ns)),
         ("{handover_pause}", seconds(c.handover_pause_ns)),
+        ("{raise_count}", c.alarm.raise_count.to_string()),
+        ("{raise_window}", c.alarm.raise_window.to_string()),
+        ("{stopped}", format!("{} m/s", c.alarm.stopped_m_s)),
+        ("{stop_limit}", seconds(c.alarm.stop_limit_ns)),
+        ("{alarm_clear_steps}", c.alarm.clear_steps.to_string()),
+        ("{unknown_limit}", c.alarm.unknown_limit.to_string()),
         ("{battery_limit}", format!("{} %", (c.battery_limit * 100.0).round())),
     ]
     .iter()
@@ -36,6 +42,7 @@ fn conditions() -> String {
             Demand::Hold => "hold",
             Demand::End => "end of flight",
             Demand::Wait => "wait",
+            Demand::Recover => "recovery pilot flies",
         };
         let blocks = if c.blocks_ready { "yes" } else { "" };
         let (bit, name) = (c.reason as u8, c.reason.name());

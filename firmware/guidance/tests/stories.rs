@@ -3,11 +3,11 @@
 mod common;
 
 use common::{GOAL, Story};
-use vigil_guidance::{AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
-    Action, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS, VehicleMode,
-    VehicleRequest, VelocitySetpoint,
+    Action, AlarmCause, AlarmResponse, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome,
+    STEP_NS, VehicleMode, VehicleRequest, VelocitySetpoint, Verdict,
 };
 
 fn auto() -> GuidanceConfig {
@@ -671,4 +671,149 @@ fn a_configuration_that_must_not_fly_is_refused_by_field() {
         max_height_m: 9.0,
     });
     assert!(refused(GuidanceConfig { geofence, ..d }).contains("geofence"));
+}
+
+/// What the recovery pilot wants in these stories; the actor wants 1.0 m/s.
+const RECOVERY: Action = Action {
+    forward_m_s: 0.6,
+    yaw: -0.25,
+};
+
+/// A flight at 1 m/s under a detector.
+fn watched(policy: AlarmPolicy) -> Story {
+    let mut s = Story::guided(GuidanceConfig {
+        alarm: AlarmConfig {
+            policy,
+            ..AlarmConfig::default()
+        },
+        ..auto()
+    });
+    s.recovery = Some(RECOVERY);
+    s.verdict = Some(Verdict::Clean);
+    s.velocity_ned_m_s.x = 1.0;
+    assert_eq!(
+        s.run(seconds(1.0)).setpoint.unwrap().velocity_m_s.x,
+        1.0,
+        "the actor flies"
+    );
+    s
+}
+
+#[test]
+fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it_back_when_the_attack_is_over() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    let first = s.step();
+    assert_eq!(
+        (first.state, first.alarm),
+        (Guided, None),
+        "one verdict is not an alarm"
+    );
+    let alarm = s.step();
+    assert_eq!((alarm.state, alarm.reasons), (Hold, Reasons::of(Reason::Attack)));
+    assert_eq!(alarm.setpoint, Some(VelocitySetpoint::HOLD));
+    let raised = alarm.alarm.unwrap();
+    assert_eq!(
+        (raised.cause, raised.response),
+        (AlarmCause::Attack, AlarmResponse::Stop)
+    );
+
+    s.velocity_ned_m_s.x = 0.25;
+    let braking = s.run(seconds(1.0));
+    assert_eq!((braking.state, braking.setpoint), (Hold, Some(VelocitySetpoint::HOLD)));
+    s.velocity_ned_m_s.x = 0.1;
+    assert_eq!(s.until(Guided), 10, "half a second of standing");
+    let recovering = s.last.unwrap();
+    assert_eq!(recovering.reasons, Reasons::of(Reason::Recovering));
+    assert_eq!(recovering.action, Some(RECOVERY));
+
+    s.velocity_ned_m_s.x = 0.6;
+    assert_eq!(
+        s.run(seconds(30.0)).setpoint.unwrap().velocity_m_s.x,
+        0.6,
+        "the attack goes on, and so does the flight"
+    );
+
+    s.verdict = Some(Verdict::Clean);
+    s.run(39);
+    s.verdict = Some(Verdict::Unknown);
+    s.step();
+    s.verdict = Some(Verdict::Clean);
+    assert_eq!(s.run(39).setpoint.unwrap().velocity_m_s.x, 0.6, "unknown is not clean");
+    let over = s.step();
+    assert_eq!((over.alarm, over.reasons), (None, Reasons::NONE));
+    assert_eq!(over.setpoint.unwrap().velocity_m_s.x, 1.0, "the actor flies again");
+}
+
+#[test]
+fn with_the_policy_stop_the_vehicle_stays_until_the_verdict_is_clean() {
+    let mut s = watched(AlarmPolicy::Stop);
+    s.verdict = Some(Verdict::Attack);
+    s.run(2);
+    s.velocity_ned_m_s.x = 0.0;
+    let standing = s.run(seconds(60.0));
+    assert_eq!((standing.state, standing.reasons), (Hold, Reasons::of(Reason::Attack)));
+    s.verdict = Some(Verdict::Clean);
+    // Forty clean verdicts, and with the last of them the first of ten steps without a condition.
+    assert_eq!(s.until(Guided), 49);
+    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn with_the_policy_ignore_the_alarm_is_told_and_the_flight_is_not_touched() {
+    let mut s = watched(AlarmPolicy::Ignore);
+    s.verdict = Some(Verdict::Attack);
+    let out = s.run(seconds(5.0));
+    assert_eq!((out.state, out.reasons), (Guided, Reasons::NONE));
+    assert_eq!(out.alarm.unwrap().response, AlarmResponse::Ignored);
+    assert_eq!(out.setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Unknown);
+    assert_eq!(s.run(10).alarm, None);
+    let raised = s.step();
+    assert_eq!((raised.state, raised.reasons), (Hold, Reasons::of(Reason::NoVerdict)));
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    assert_eq!(s.run(seconds(10.0)).setpoint.unwrap().velocity_m_s.x, 0.6);
+    s.verdict = Some(Verdict::Attack);
+    assert_eq!(s.run(3).alarm.unwrap().cause, AlarmCause::Attack);
+    assert_eq!(s.last.unwrap().state, Guided, "the recovery pilot need not stop for it");
+}
+
+#[test]
+fn a_recovery_pilot_without_an_action_leaves_the_vehicle_holding() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    s.recovery = None;
+    s.velocity_ned_m_s.x = 0.0;
+    let out = s.run(seconds(10.0));
+    assert_eq!(out.state, Hold);
+    assert!(out.reasons.contains(Reason::NotFinite) && out.reasons.contains(Reason::Recovering));
+}
+
+#[test]
+fn an_operator_changes_the_policy_in_flight() {
+    let mut s = watched(AlarmPolicy::Stop);
+    s.verdict = Some(Verdict::Attack);
+    s.velocity_ned_m_s.x = 0.0;
+    assert_eq!(s.run(seconds(5.0)).state, Hold);
+    let mut config = *s.guidance.config();
+    config.alarm.policy = AlarmPolicy::Recover;
+    s.guidance.reconfigure(config).unwrap();
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 0.6);
+}
+
+#[test]
+fn an_alarm_lasts_no_longer_than_its_flight() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    assert!(s.run(seconds(1.0)).alarm.is_some());
+    s.armed = false;
+    assert_eq!(s.until(Standby), 1);
+    assert_eq!(s.step().alarm, None, "what is judged on the ground raises nothing");
 }

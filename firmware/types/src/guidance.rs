@@ -84,11 +84,17 @@ pub enum Reason {
     VehicleFailsafe = 14,
     /// The flight took longer than its limit.
     TimeLimit = 15,
+    /// The detector judged the actor's explanations to be those of an attack; the vehicle is being stopped.
+    Attack = 16,
+    /// The detector had no verdict on the flying actor for too long; the vehicle is being stopped.
+    NoVerdict = 17,
+    /// The recovery pilot flies in the actor's place.
+    Recovering = 18,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 19] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -105,6 +111,9 @@ impl Reason {
         Self::LowBattery,
         Self::VehicleFailsafe,
         Self::TimeLimit,
+        Self::Attack,
+        Self::NoVerdict,
+        Self::Recovering,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -126,6 +135,9 @@ impl Reason {
             Self::LowBattery => "low battery",
             Self::VehicleFailsafe => "vehicle failsafe",
             Self::TimeLimit => "time limit",
+            Self::Attack => "attack",
+            Self::NoVerdict => "no verdict",
+            Self::Recovering => "recovering",
         }
     }
 }

@@ -10,6 +10,7 @@ mod action;
 mod depth;
 mod guidance;
 mod handover;
+mod judgement;
 mod step;
 mod telemetry;
 mod vector;
@@ -21,6 +22,7 @@ pub use depth::{
 };
 pub use guidance::{GuidanceState, Reason, Reasons};
 pub use handover::{HandoverProgress, OperatorRequest, RequestOutcome, VehicleRequest};
+pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement, Verdict};
 pub use step::{Datagrams, StepReport, StepTiming};
 pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};

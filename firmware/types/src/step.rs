@@ -1,6 +1,8 @@
 //! What goes into one step of the loop and comes out of it, as plain data: the log and replay see the same.
 
-use crate::{Action, Goal, GoalRelative, GuidanceState, Nanos, Reasons, VehicleTelemetry, VelocitySetpoint};
+use crate::{
+    Action, Alarm, Goal, GoalRelative, GuidanceState, Judgement, Nanos, Reasons, VehicleTelemetry, VelocitySetpoint,
+};
 
 /// What the loop measured of its own earlier steps. An input of the tick, so that replay gives the same telemetry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -131,8 +133,12 @@ pub struct StepReport {
     pub goal: Option<Goal>,
     /// Goal as the pilot saw it.
     pub goal_relative: Option<GoalRelative>,
-    /// The pilot's action, if it was asked in this step.
+    /// The flying pilot's action, if it was asked in this step: the recovery pilot's during a recovery.
     pub action: Option<Action>,
+    /// What the detector says of the actor's decision; `None` without a detector, or when the actor was not asked.
+    pub judgement: Option<Judgement>,
+    /// The alarm, while it is raised.
+    pub alarm: Option<Alarm>,
     /// The setpoint sent, if one was.
     pub setpoint: Option<VelocitySetpoint>,
     /// Sequence of the frame that was used, if any.

@@ -4,7 +4,7 @@
 use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
 use vigil_types::{
     Action, Attitude, AttitudeSample, FrdVector, GuidanceState, HandoverProgress, Heartbeat, Kinematics, Landed, Nanos,
-    NedVector, OperatorRequest, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleTelemetry,
+    NedVector, OperatorRequest, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleTelemetry, Verdict,
 };
 
 /// Inputs as they are in a good flight; change a field to spoil one.
@@ -20,6 +20,9 @@ pub struct Story {
     pub telemetry_age_ns: Nanos,
     pub heartbeat_age_ns: Option<Nanos>,
     pub action: Option<Action>,
+    pub recovery: Option<Action>,
+    pub verdict: Option<Verdict>,
+    pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
     pub slips: u64,
     pub restarts: u32,
@@ -55,6 +58,9 @@ impl Story {
                 forward_m_s: 1.0,
                 yaw: 0.5,
             }),
+            recovery: None,
+            verdict: None,
+            velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
             slips: 0,
             restarts: 0,
@@ -99,7 +105,7 @@ impl Story {
             kinematics: Some(Kinematics {
                 at_ns,
                 position_ned_m: self.position_ned_m,
-                velocity_ned_m_s: NedVector::ZERO,
+                velocity_ned_m_s: self.velocity_ned_m_s,
             }),
             attitude: Some(AttitudeSample {
                 at_ns,
@@ -119,6 +125,8 @@ impl Story {
             telemetry: &telemetry,
             frame: self.frame,
             action: self.action,
+            recovery: self.recovery,
+            verdict: self.verdict,
             timing: StepTiming {
                 slips: self.slips,
                 ..Default::default()

@@ -1,0 +1,217 @@
+//! From verdicts to an alarm, and from the alarm to what guidance does: with hysteresis, pure.
+//!
+//! A single verdict neither raises nor ends an alarm. *Unknown* ends none, and too many of them in a row raise one.
+
+use vigil_types::{Alarm, AlarmCause, AlarmResponse, Nanos, Verdict};
+
+/// What a raised alarm brings about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[repr(u8)]
+pub enum AlarmPolicy {
+    /// It is told; the flight is not touched.
+    Ignore = 0,
+    /// The vehicle stops, and stays until the verdict has been clean for long enough.
+    Stop = 1,
+    /// The vehicle stops, then the recovery pilot flies on until the verdict has been clean for long enough.
+    #[default]
+    Recover = 2,
+}
+
+/// Thresholds of the alarm; [`AlarmConfig::default`] is what `docs/guidance.md` states.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AlarmConfig {
+    /// What a raised alarm brings about.
+    pub policy: AlarmPolicy,
+    /// This many of the last [`AlarmConfig::raise_window`] verdicts raise the alarm when they are attack.
+    pub raise_count: u8,
+    /// Verdicts that are looked back on; 1 to 32.
+    pub raise_window: u8,
+    /// Consecutive steps without a verdict that the actor may fly.
+    pub unknown_limit: u16,
+    /// Consecutive clean verdicts that end the alarm.
+    pub clear_steps: u16,
+    /// The vehicle counts as stopped below this speed, metres per second.
+    pub stopped_m_s: f32,
+    /// Longest stop before the recovery pilot flies on: gusts may keep the vehicle from ever standing still.
+    pub stop_limit_ns: Nanos,
+}
+
+impl Default for AlarmConfig {
+    fn default() -> Self {
+        Self {
+            policy: AlarmPolicy::default(),
+            raise_count: 2,
+            raise_window: 3,
+            unknown_limit: 10,
+            clear_steps: 40,
+            stopped_m_s: 0.2,
+            stop_limit_ns: 3_000_000_000,
+        }
+    }
+}
+
+/// What the alarm looks at in one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct AlarmInput {
+    pub now_ns: Nanos,
+    /// `None` without a detector.
+    pub verdict: Option<Verdict>,
+    /// Guidance is in a flight.
+    pub in_flight: bool,
+    /// The pilot's actions reach the vehicle.
+    pub guided: bool,
+    /// Speed of the vehicle; `None` when it is not known.
+    pub speed_m_s: Option<f32>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Raised {
+    cause: AlarmCause,
+    since_ns: Nanos,
+    /// The vehicle has stopped since.
+    stopped: bool,
+}
+
+/// The alarm's state.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct AlarmLogic {
+    raised: Option<Raised>,
+    /// The last verdicts, newest in the lowest bit; set where it was attack.
+    attacks: u32,
+    /// Consecutive steps without a verdict, and with a clean one.
+    unknown_steps: u16,
+    clean_steps: u16,
+}
+
+impl AlarmLogic {
+    /// One step; says what is raised after it.
+    pub fn step(&mut self, config: &AlarmConfig, input: &AlarmInput) -> Option<Alarm> {
+        let Some(verdict) = input.verdict.filter(|_| input.in_flight) else {
+            *self = Self::default();
+            return None;
+        };
+        let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
+        self.attacks = self.attacks << 1 | u32::from(verdict == Verdict::Attack);
+        count(&mut self.unknown_steps, verdict == Verdict::Unknown);
+        count(&mut self.clean_steps, verdict == Verdict::Clean);
+        if self.raised.is_none() && !input.guided {
+            // What is judged while the vehicle holds moves nothing.
+            (self.attacks, self.unknown_steps) = (0, 0);
+        }
+
+        let looked_back_on = u32::MAX >> (32 - u32::from(config.raise_window.clamp(1, 32)));
+        let cause = if (self.attacks & looked_back_on).count_ones() >= u32::from(config.raise_count) {
+            Some(AlarmCause::Attack)
+        } else if self.unknown_steps > config.unknown_limit {
+            Some(AlarmCause::NoVerdict)
+        } else {
+            None
+        };
+        match (&mut self.raised, cause) {
+            (None, Some(cause)) => {
+                self.raised = Some(Raised {
+                    cause,
+                    since_ns: input.now_ns,
+                    stopped: false,
+                });
+            }
+            // It is known now to be an attack; the actor does not fly any more, so there is nothing to stop anew.
+            (Some(raised), Some(AlarmCause::Attack)) => raised.cause = AlarmCause::Attack,
+            (Some(_), _) if self.clean_steps >= config.clear_steps => *self = Self::default(),
+            _ => {}
+        }
+        let raised = self.raised.as_mut()?;
+        let begins = raised.since_ns == input.now_ns;
+        let still = input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < config.stopped_m_s);
+        let long = input.now_ns.saturating_sub(raised.since_ns) >= config.stop_limit_ns;
+        raised.stopped |= !begins && (still || long);
+        Some(Alarm {
+            cause: raised.cause,
+            response: match config.policy {
+                AlarmPolicy::Ignore => AlarmResponse::Ignored,
+                AlarmPolicy::Recover if raised.stopped => AlarmResponse::Recovery,
+                AlarmPolicy::Stop | AlarmPolicy::Recover => AlarmResponse::Stop,
+            },
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Verdict::{Attack, Clean, Unknown};
+
+    const FLYING: AlarmInput = AlarmInput {
+        now_ns: 0,
+        verdict: Some(Clean),
+        in_flight: true,
+        guided: true,
+        speed_m_s: Some(1.5),
+    };
+
+    /// The response after each verdict; 50 ms a step.
+    fn responses(config: &AlarmConfig, verdicts: &[Verdict]) -> Vec<Option<AlarmResponse>> {
+        let mut logic = AlarmLogic::default();
+        let step = |(i, verdict): (usize, &Verdict)| {
+            let input = AlarmInput {
+                now_ns: i as u64 * 50_000_000,
+                verdict: Some(*verdict),
+                ..FLYING
+            };
+            logic.step(config, &input).map(|alarm| alarm.response)
+        };
+        verdicts.iter().enumerate().map(step).collect()
+    }
+
+    #[test]
+    fn one_verdict_raises_nothing_and_two_of_three_do() {
+        let config = AlarmConfig::default();
+        let quiet = responses(
+            &config,
+            &[Attack, Clean, Clean, Attack, Clean, Clean, Attack, Unknown, Clean],
+        );
+        assert!(quiet.iter().all(Option::is_none));
+        let raised = responses(&config, &[Attack, Unknown, Attack]);
+        assert_eq!(raised, [None, None, Some(AlarmResponse::Stop)]);
+    }
+
+    #[test]
+    fn a_vehicle_that_gusts_keep_moving_is_handed_to_the_recovery_pilot_all_the_same() {
+        let raised = responses(&AlarmConfig::default(), &[Attack; 70]);
+        assert_eq!(raised[60], Some(AlarmResponse::Stop));
+        assert_eq!(raised[61], Some(AlarmResponse::Recovery), "3 s after the alarm");
+    }
+
+    #[test]
+    fn an_unknown_verdict_starts_the_count_of_clean_ones_anew() {
+        let config = AlarmConfig::default();
+        let mut story = vec![Attack, Attack];
+        story.extend([Clean; 39]);
+        story.push(Unknown);
+        story.extend([Clean; 40]);
+        let raised = responses(&config, &story);
+        assert!(raised[1..81].iter().all(Option::is_some));
+        assert_eq!(raised[81], None);
+    }
+
+    #[test]
+    fn nothing_is_counted_on_the_ground_or_without_a_detector() {
+        let mut logic = AlarmLogic::default();
+        let config = AlarmConfig::default();
+        for (verdict, in_flight, guided) in [
+            (Some(Attack), false, false),
+            (None, true, true),
+            (Some(Attack), true, false),
+        ] {
+            let input = AlarmInput {
+                verdict,
+                in_flight,
+                guided,
+                ..FLYING
+            };
+            for _ in 0..50 {
+                assert_eq!(logic.step(&config, &input), None);
+            }
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! What the detector says of the actor's decision, and what guidance makes of it.
+
+/// Values at the actor's split point whose contributions are judged.
+pub const EXPLAINED_STATE: usize = 48;
+
+/// Whether an explanation looks like those of an attacked actor. The numbers are telemetry (`NAMED_VALUE_FLOAT`
+/// "dt_state") and never change meaning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Verdict {
+    /// There is no verdict in this step: too few explanations yet, or one that is not finite. Never taken for clean.
+    #[default]
+    Unknown = 0,
+    /// The score is below the threshold.
+    Clean = 1,
+    /// The score has reached the threshold.
+    Attack = 2,
+}
+
+impl Verdict {
+    /// All verdicts, in the order of their numbers.
+    pub const ALL: [Self; 3] = [Self::Unknown, Self::Clean, Self::Attack];
+
+    /// Lower-case name as it appears in the log and documentation.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unknown => "unknown",
+            Self::Clean => "clean",
+            Self::Attack => "attack",
+        }
+    }
+}
+
+/// One step's judgement: the explanation of the actor's yaw output (DeepSHAP, action units) and the verdict on the last
+/// explanations. `base + image + bearing + distance` is the actor's yaw output, but for rounding.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Judgement {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// The detector's score, 0 (clean) to 1 (attack); `None` when there is none.
+    pub score: Option<f32>,
+    /// Contribution of the depth frames: the sum of `phi`. NaN without an explanation.
+    pub image: f32,
+    /// Contribution of the goal's bearing. NaN without an explanation.
+    pub bearing: f32,
+    /// Contribution of the goal's distance. NaN without an explanation.
+    pub distance: f32,
+    /// Mean yaw output of the background sample.
+    pub base: f32,
+    /// Contribution of each value at the actor's split point. NaN without an explanation.
+    pub phi: [f32; EXPLAINED_STATE],
+}
+
+impl Judgement {
+    /// No explanation, no verdict.
+    pub const UNKNOWN: Self = Self {
+        verdict: Verdict::Unknown,
+        score: None,
+        image: f32::NAN,
+        bearing: f32::NAN,
+        distance: f32::NAN,
+        base: f32::NAN,
+        phi: [f32::NAN; EXPLAINED_STATE],
+    };
+}
+
+/// Why the alarm is raised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum AlarmCause {
+    /// The verdict was attack.
+    Attack = 0,
+    /// There was no verdict for too long.
+    NoVerdict = 1,
+}
+
+impl AlarmCause {
+    /// All causes, in the order of their numbers.
+    pub const ALL: [Self; 2] = [Self::Attack, Self::NoVerdict];
+
+    /// Name as it appears in STATUSTEXT, log and documentation.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Attack => "attack",
+            Self::NoVerdict => "no verdict",
+        }
+    }
+}
+
+/// What the raised alarm makes guidance do in this step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum AlarmResponse {
+    /// Nothing: the policy only tells.
+    Ignored = 0,
+    /// Zero setpoints.
+    Stop = 1,
+    /// The recovery pilot's action takes the actor's place.
+    Recovery = 2,
+}
+
+impl AlarmResponse {
+    /// All responses, in the order of their numbers.
+    pub const ALL: [Self; 3] = [Self::Ignored, Self::Stop, Self::Recovery];
+
+    /// Name as it appears in STATUSTEXT, log and documentation.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ignored => "ignored",
+            Self::Stop => "stopping",
+            Self::Recovery => "recovery pilot flies",
+        }
+    }
+}
+
+/// A raised alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Alarm {
+    /// Why.
+    pub cause: AlarmCause,
+    /// What guidance does.
+    pub response: AlarmResponse,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_match_their_positions() {
+        assert!(Verdict::ALL.iter().enumerate().all(|(i, v)| *v as usize == i));
+        assert!(AlarmCause::ALL.iter().enumerate().all(|(i, c)| *c as usize == i));
+        assert!(AlarmResponse::ALL.iter().enumerate().all(|(i, r)| *r as usize == i));
+    }
+}
