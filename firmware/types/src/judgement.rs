@@ -11,9 +11,9 @@ pub enum Verdict {
     /// There is no verdict in this step: too few explanations yet, or one that is not finite. Never taken for clean.
     #[default]
     Unknown = 0,
-    /// The score is below the threshold.
+    /// The score is not above the threshold.
     Clean = 1,
-    /// The score has reached the threshold.
+    /// The score is above the threshold.
     Attack = 2,
 }
 
