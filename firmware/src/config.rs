@@ -3,14 +3,14 @@
 use crate::link_url::LinkUrl;
 use crate::ports::gate::{AllowUnsigned, Gate, SigningFileError};
 use crate::stack::StackConfig;
+use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::path::{Path, PathBuf};
-use vigil_guidance::{AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 use vigil_link::{CompanionConfig, Flavour};
 use vigil_log::FlightInfo;
-use vigil_nnet::Isa;
-use vigil_policy::{ActorFileError, ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot};
+use vigil_policy::GeometricConfig;
 use vigil_types::{Goal, NedVector};
 
 /// Highest instance number: the ports of the next one would be the simulator's own.
@@ -48,6 +48,8 @@ pub struct FirmwareConfig {
     pub limits: Limits,
     /// Who decides.
     pub pilot: PilotConfig,
+    /// What watches the actor.
+    pub detector: DetectorConfig,
     /// The loop.
     pub rate: RateConfig,
     /// The flight log.
@@ -181,6 +183,73 @@ pub struct PilotConfig {
     pub repulsive_range_m: f32,
 }
 
+/// What watches the actor; without an actor there is nothing to watch.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DetectorConfig {
+    /// Whether the actor is watched.
+    pub enabled: bool,
+    /// The frozen detector; absent means the one built into this program.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
+    /// Score above which the verdict is attack; absent means the detector's own.
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "threshold")]
+    pub threshold: Option<f32>,
+    /// What an alarm brings about.
+    pub alarm: AlarmChoice,
+    /// This many of the last [`DetectorConfig::raise_window`] verdicts raise the alarm.
+    #[serde(deserialize_with = "verdicts")]
+    pub raise_count: u8,
+    /// Verdicts that are looked back on.
+    #[serde(deserialize_with = "verdicts")]
+    pub raise_window: u8,
+    /// Consecutive steps without a verdict that the actor may fly.
+    #[serde(deserialize_with = "alarm_steps")]
+    pub unknown_steps: u16,
+    /// Consecutive clean verdicts that end the alarm.
+    #[serde(deserialize_with = "alarm_steps")]
+    pub clear_steps: u16,
+}
+
+/// What an alarm brings about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum AlarmChoice {
+    /// It is told; the flight is not touched.
+    Ignore,
+    /// Stop, and stay until the verdict is clean.
+    Stop,
+    /// Stop, then fly on with the recovery pilot until the verdict is clean.
+    Recover,
+}
+
+impl AlarmChoice {
+    /// The name in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ignore => "ignore",
+            Self::Stop => "stop",
+            Self::Recover => "recover",
+        }
+    }
+}
+
+impl Default for DetectorConfig {
+    fn default() -> Self {
+        let d = AlarmConfig::default();
+        Self {
+            enabled: false,
+            file: None,
+            threshold: None,
+            alarm: AlarmChoice::Recover,
+            raise_count: d.raise_count,
+            raise_window: d.raise_window,
+            unknown_steps: d.unknown_limit,
+            clear_steps: d.clear_steps,
+        }
+    }
+}
+
 /// The pilots there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
@@ -241,6 +310,7 @@ impl Default for FirmwareConfig {
             goal: None,
             limits: Limits::default(),
             pilot: PilotConfig::default(),
+            detector: DetectorConfig::default(),
             rate: RateConfig::default(),
             log: LogConfig::default(),
         }
@@ -358,6 +428,9 @@ impl FirmwareConfig {
             git_commit: None,
             instance: self.instance,
             seed: None,
+            // What is refused flies nothing, and whoever builds the flight stack tells of it.
+            actor_sha256: self.frozen_actor().ok().flatten().map(|actor| actor.sha256()),
+            detector_sha256: self.frozen_detector().ok().flatten().map(|detector| detector.sha256()),
             config_toml: self.to_toml(),
         }
     }
@@ -382,26 +455,6 @@ impl FirmwareConfig {
         match key_file {
             Some(path) => Gate::with_key_file(path, self.instance, *allow_unsigned),
             None => Ok(Gate::new(None, *allow_unsigned)),
-        }
-    }
-
-    /// The pilot, made and verified.
-    ///
-    /// # Errors
-    /// [`ActorFileError`]: an actor that is truncated, altered or of another architecture, by name.
-    pub fn flight_pilot(&self) -> Result<FlightPilot, ActorFileError> {
-        match self.pilot.kind {
-            PilotKind::Geometric => Ok(FlightPilot::Geometric(GeometricPilot::new(self.stack().pilot))),
-            PilotKind::Actor => {
-                let frozen = match &self.pilot.actor_file {
-                    Some(path) => FrozenActor::load(path)?,
-                    None => FrozenActor::built_in()?,
-                };
-                Ok(FlightPilot::Actor(ActorPilot::new(
-                    frozen.actor(Isa::detect())?,
-                    self.pilot.apf,
-                )))
-            }
         }
     }
 
@@ -433,6 +486,18 @@ impl FirmwareConfig {
                 min_height_m: fence.min_height_m,
                 max_height_m: fence.max_height_m,
             }),
+            alarm: AlarmConfig {
+                policy: match self.detector.alarm {
+                    AlarmChoice::Ignore => AlarmPolicy::Ignore,
+                    AlarmChoice::Stop => AlarmPolicy::Stop,
+                    AlarmChoice::Recover => AlarmPolicy::Recover,
+                },
+                raise_count: self.detector.raise_count,
+                raise_window: self.detector.raise_window,
+                unknown_limit: self.detector.unknown_steps,
+                clear_steps: self.detector.clear_steps,
+                ..AlarmConfig::default()
+            },
             ..GuidanceConfig::default()
         };
         StackConfig {
@@ -518,6 +583,18 @@ fn fraction<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
     within(d, 0.0, 1.0, "")
 }
 
+fn threshold<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f32>, D::Error> {
+    within(d, LEAST_THRESHOLD.into(), GREATEST_THRESHOLD.into(), "").map(Some)
+}
+
+fn verdicts<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
+    within(d, 1.0, 32.0, " verdicts")
+}
+
+fn alarm_steps<'de, D: Deserializer<'de>>(d: D) -> Result<u16, D::Error> {
+    within(d, 1.0, 1200.0, " steps")
+}
+
 fn flight_time<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
     within(d, 1.0, 86_400.0, " s").map(Some)
 }
@@ -560,6 +637,7 @@ mod url {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::crew::Crew;
 
     #[test]
     fn an_empty_file_is_the_default_and_every_configuration_survives_its_own_toml() {
@@ -643,14 +721,14 @@ mod tests {
     fn an_actor_that_is_not_there_or_not_one_is_refused_by_name() {
         let mut config = FirmwareConfig::default();
         config.pilot.kind = PilotKind::Actor;
-        assert!(matches!(config.flight_pilot(), Ok(FlightPilot::Actor(_))));
+        assert!(Crew::of(&config).is_ok());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("my.safetensors");
         config.pilot.actor_file = Some(path.clone());
-        let error = config.flight_pilot().unwrap_err().to_string();
+        let error = Crew::of(&config).err().unwrap().to_string();
         assert!(error.contains("my.safetensors"), "{error}");
         std::fs::write(&path, "no actor").unwrap();
-        let error = config.flight_pilot().unwrap_err().to_string();
+        let error = Crew::of(&config).err().unwrap().to_string();
         assert!(
             error.contains("my.safetensors") && error.contains("truncated"),
             "{error}"

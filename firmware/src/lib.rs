@@ -5,6 +5,7 @@
 
 pub mod config;
 mod console;
+pub mod crew;
 mod frame_keeper;
 pub mod link_url;
 pub mod live;

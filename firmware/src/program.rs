@@ -1,7 +1,7 @@
 //! The `firmware` program, which is also `vigil firmware`.
 
 use crate::config::{
-    AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, SigningConfig, Vehicle,
+    AlarmChoice, AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, SigningConfig, Vehicle,
 };
 use crate::link_url::LinkUrl;
 use crate::live::{self, recorder_config};
@@ -86,6 +86,18 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     pub apf: Option<bool>,
 
+    /// Whether a detector watches the actor [default: off].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    pub detector: Option<bool>,
+
+    /// The frozen detector [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    pub detector_file: Option<PathBuf>,
+
+    /// What an alarm of the detector brings about [default: recover].
+    #[arg(long, value_enum)]
+    pub alarm: Option<AlarmChoice>,
+
     /// FIFO priority of the loop, 1 to 99; 0 for ordinary scheduling [default: 50].
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(0..=99))]
     pub priority: Option<u8>,
@@ -159,6 +171,9 @@ impl FirmwareArgs {
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file);
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
+        config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
+        config.detector.file = self.detector_file.clone().or(config.detector.file);
+        config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
         config.rate.priority = self.priority.unwrap_or(config.rate.priority);
         if let Some([north_m, east_m]) = self.goal {
             config.goal = Some(GoalConfig {

@@ -147,6 +147,16 @@ pub enum ReplayError {
         /// The parser's report.
         message: String,
     },
+    /// The file that the configuration names, or the one built in, is not the one that flew.
+    #[error("{what} with SHA-256 {recorded} flew, this program has {found}; give back the file that flew")]
+    Model {
+        /// The actor or the detector.
+        what: &'static str,
+        /// Digest in the log.
+        recorded: String,
+        /// Digest of what there is now.
+        found: String,
+    },
     /// The configuration in the log must not fly, or its actor is refused.
     #[error(transparent)]
     Stack(#[from] crate::step::StackError),
@@ -161,6 +171,22 @@ pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
         program: reader.info().program.clone(),
         message,
     })?;
+    let now = config.flight_info();
+    for (what, recorded, found) in [
+        ("an actor", &reader.info().actor_sha256, now.actor_sha256),
+        ("a detector", &reader.info().detector_sha256, now.detector_sha256),
+    ] {
+        // A log of before the digests names none. A file that is gone or refused has none either: the stack below says why.
+        if let (Some(recorded), Some(found)) = (recorded, found)
+            && *recorded != found
+        {
+            return Err(ReplayError::Model {
+                what,
+                recorded: recorded.clone(),
+                found,
+            });
+        }
+    }
     let mut firmware = Firmware::of(&config, None)?;
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
@@ -245,6 +271,8 @@ fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Depa
             goal,
             goal_relative,
             action,
+            judgement,
+            alarm,
             setpoint,
             frame_sequence,
             frame_age_ns,
@@ -259,6 +287,8 @@ fn report_departure(recorded: &StepReport, replayed: &StepReport) -> Option<Depa
             ("goal", format!("{goal:?}")),
             ("goal_relative", format!("{goal_relative:?}")),
             ("action", format!("{action:?}")),
+            ("judgement", format!("{judgement:?}")),
+            ("alarm", format!("{alarm:?}")),
             ("setpoint", format!("{setpoint:?}")),
             ("frame_sequence", format!("{frame_sequence:?}")),
             ("frame_age_ns", format!("{frame_age_ns:?}")),

@@ -9,15 +9,17 @@
     clippy::alloc_instead_of_core
 )]
 
+use crate::crew::Crew;
 use crate::frame_keeper::FrameKeeper;
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, framing};
+use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{
-    Action, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, HeadingVector, Nanos, OperatorRequest, StepReport,
-    StepTiming, VehicleTelemetry,
+    Action, AlarmResponse, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, HeadingVector, Judgement, Nanos,
+    OperatorRequest, StepReport, StepTiming, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -73,7 +75,9 @@ pub struct FlightStack {
     frames: FrameKeeper,
     companion: Companion,
     guidance: Guidance,
-    pilot: FlightPilot,
+    crew: Crew,
+    /// The recovery pilot flew in the step before.
+    recovering: bool,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
     tunables: Tunables,
@@ -87,16 +91,19 @@ impl FlightStack {
     /// # Errors
     /// A guidance configuration that must not fly.
     pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
-        Self::with_pilot(config, FlightPilot::Geometric(GeometricPilot::new(config.pilot)))
+        Self::with_crew(
+            config,
+            Crew::unwatched(FlightPilot::Geometric(GeometricPilot::new(config.pilot))),
+        )
     }
 
-    /// A stack with a pilot that has seen nothing yet.
+    /// A stack with a crew that has seen nothing yet.
     ///
     /// # Errors
     /// A guidance configuration that must not fly.
-    pub fn with_pilot(config: &StackConfig, pilot: FlightPilot) -> Result<Self, ConfigError> {
+    pub fn with_crew(config: &StackConfig, crew: Crew) -> Result<Self, ConfigError> {
         let mut guidance = Guidance::new(config.guidance)?;
-        let tunables = Tunables::of(config);
+        let tunables = Tunables::of(config, crew.watch.as_ref().map(|watch| watch.monitor.threshold()));
         if let Some(Goal { position_ned_m }) = config.goal {
             guidance.request(OperatorRequest::Goal {
                 north_m: position_ned_m.x,
@@ -109,7 +116,8 @@ impl FlightStack {
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
-            pilot,
+            crew,
+            recovering: false,
             pilot_asked: false,
             component_id: config.companion.component_id,
             link: config.companion.link,
@@ -142,7 +150,13 @@ impl FlightStack {
         // Pilot.
         let goal = self.guidance.goal();
         let view = self.view(now_ns, &telemetry, goal.as_ref(), frame_age_ns);
-        let action = self.decide(now_ns, view);
+        let Decision {
+            action,
+            recovery,
+            judgement,
+        } = self.decide(now_ns, view);
+        // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
+        let verdict = judgement.map_or(Verdict::Unknown, |judgement| judgement.verdict);
 
         // Guide.
         let guidance = self.guidance.step(&GuidanceInput {
@@ -153,10 +167,16 @@ impl FlightStack {
                 refused,
             },
             action,
+            recovery,
+            verdict: self.crew.watch.as_ref().map(|_| verdict),
             timing: input.timing,
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
         });
+
+        self.recovering = guidance
+            .alarm
+            .is_some_and(|alarm| alarm.response == AlarmResponse::Recovery);
 
         // Emit.
         output.report = StepReport {
@@ -167,7 +187,9 @@ impl FlightStack {
             telemetry,
             goal,
             goal_relative: view.map(|view| view.goal),
-            action,
+            action: guidance.action,
+            judgement,
+            alarm: guidance.alarm,
             setpoint: guidance.setpoint,
             frame_sequence: self.frames.newest().map(|frame| frame.header.sequence),
             frame_age_ns,
@@ -176,7 +198,7 @@ impl FlightStack {
         output.sent.clear();
         self.companion.emit(&output.report, guidance.request, &mut output.sent);
         if action.is_some() {
-            let scan = self.pilot.surroundings().scan();
+            let scan = self.crew.pilot.surroundings().scan();
             let directions = scan.direction_right.iter().zip(&scan.direction_forward);
             let sectors = directions
                 .zip(&scan.range_m)
@@ -193,7 +215,10 @@ impl FlightStack {
         let _ = self
             .guidance
             .reconfigure(self.tunables.guidance(self.guidance.config()));
-        if let FlightPilot::Geometric(pilot) = &mut self.pilot
+        if let (Some(watch), Some(threshold)) = (&mut self.crew.watch, self.tunables.threshold) {
+            watch.monitor.set_threshold(threshold);
+        }
+        if let FlightPilot::Geometric(pilot) = &mut self.crew.pilot
             && self.tunables.pilot != before.pilot
         {
             // Set on the ground only, where the pilot remembers nothing of use.
@@ -253,30 +278,53 @@ impl FlightStack {
         })
     }
 
-    /// Asks the pilot, or tells it once that what it remembers is out of date.
-    fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Option<Action> {
+    /// Asks the pilots, or tells them once that what they remember is out of date.
+    fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Decision {
+        let Crew { pilot, watch } = &mut self.crew;
         let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
             if self.pilot_asked {
-                self.pilot.reset();
+                pilot.reset();
+                if let Some(watch) = watch {
+                    // The recovery pilot keeps its memory: whoever can hold back frames must not be able to erase it.
+                    watch.monitor.reset();
+                }
                 self.pilot_asked = false;
             }
-            return None;
+            return Decision::default();
         };
         self.pilot_asked = true;
-        let action = self.pilot.decide(&PilotInput {
+        let input = PilotInput {
             now_ns,
             depth,
             goal: view.goal,
             attitude: view.attitude,
             velocity_m_s: view.velocity_m_s,
             height_m: view.height_m,
-        });
+        };
         let limit_m_s = self.tunables.speed_limit_m_s;
-        Some(Action {
+        let limited = |action: Action| Action {
             forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
             ..action
-        })
+        };
+        let action = limited(pilot.decide(&input));
+        let mut decision = Decision {
+            action: Some(action),
+            ..Decision::default()
+        };
+        if let (Some(watch), Some(state)) = (watch, pilot.state()) {
+            decision.judgement = Some(watch.monitor.judge(state, positional_inputs(view.goal)));
+            decision.recovery = Some(limited(watch.recovery.decide(&input, self.recovering)));
+        }
+        decision
     }
+}
+
+/// What the pilots decided in a step; empty when they were not asked.
+#[derive(Debug, Clone, Copy, Default)]
+struct Decision {
+    action: Option<Action>,
+    recovery: Option<Action>,
+    judgement: Option<Judgement>,
 }
 
 /// What the pilot may see of the vehicle and the goal.

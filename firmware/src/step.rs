@@ -1,8 +1,10 @@
 //! One step over the ports, the same live, in lockstep and in replay: receive, tick, send, record.
 
 use crate::config::FirmwareConfig;
+use crate::crew::Crew;
 use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
+use vigil_detector::{DetectorFileError, MonitorError};
 use vigil_guidance::ConfigError;
 use vigil_link::LinkCounters;
 use vigil_log::Recorder;
@@ -18,6 +20,22 @@ pub enum StackError {
     /// The actor is refused.
     #[error(transparent)]
     Actor(#[from] ActorFileError),
+    /// The detector is on, and there is none.
+    #[error(
+        "no detector is built into this program: give one (--detector-file), or fly with the detector off (--detector off)"
+    )]
+    NoDetector,
+    /// The detector's file is refused.
+    #[error(transparent)]
+    Detector(#[from] DetectorFileError),
+    /// The detector is not this actor's, or cannot explain it.
+    #[error("detector {file}: {source}")]
+    Monitor {
+        /// The detector.
+        file: String,
+        /// What is wrong.
+        source: MonitorError,
+    },
 }
 
 /// The flight stack with its buffers and its log. Allocates nothing after it was made.
@@ -42,12 +60,12 @@ impl Firmware {
         })
     }
 
-    /// A stack with the pilot of a configuration.
+    /// A stack with the crew of a configuration.
     ///
     /// # Errors
-    /// [`StackError`]: a guidance configuration that must not fly, an actor that is refused.
+    /// [`StackError`]: a guidance configuration that must not fly, an actor or a detector that is refused.
     pub fn of(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, StackError> {
-        let stack = FlightStack::with_pilot(&config.stack(), config.flight_pilot()?)?;
+        let stack = FlightStack::with_crew(&config.stack(), Crew::of(config)?)?;
         Ok(Self {
             stack: Box::new(stack),
             received: Box::default(),

@@ -9,6 +9,7 @@ use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{LogConfig, PilotKind, RateConfig, SigningConfig};
+use vigil_firmware::crew::Crew;
 use vigil_firmware::live::LiveLoop;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
@@ -60,8 +61,8 @@ fn the_actor_s_ticks_allocate_nothing() {
 fn whole_flight(kind: PilotKind) {
     let mut config = config();
     config.pilot.kind = kind;
-    let pilot = config.flight_pilot().unwrap();
-    let mut stack = Box::new(FlightStack::with_pilot(&config.stack(), pilot).unwrap());
+    let crew = Crew::of(&config).unwrap();
+    let mut stack = Box::new(FlightStack::with_crew(&config.stack(), crew).unwrap());
     let mut output = Box::new(TickOutput::default());
     let mut vehicle = TestVehicle::on_ground();
     let mut states = Vec::new();

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::PilotKind;
+use vigil_firmware::config::{AlarmChoice, PilotKind};
 use vigil_firmware::program::parse_switch;
 
 /// Who decides.
@@ -20,6 +20,18 @@ pub struct PilotArgs {
     /// Whether the potential field is added to the actor's action [default: on].
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     apf: Option<bool>,
+
+    /// Whether a detector watches the actor [default: off].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    detector: Option<bool>,
+
+    /// The frozen detector [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    detector_file: Option<PathBuf>,
+
+    /// What an alarm of the detector brings about [default: recover].
+    #[arg(long, value_enum)]
+    alarm: Option<AlarmChoice>,
 }
 
 impl PilotArgs {
@@ -28,6 +40,9 @@ impl PilotArgs {
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
+        config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
+        config.detector.file = self.detector_file.clone().or(config.detector.file.take());
+        config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
     }
 
     /// Hands on to a `firmware` process what was given.
@@ -40,6 +55,15 @@ impl PilotArgs {
         }
         if let Some(apf) = self.apf {
             command.args(["--apf", if apf { "on" } else { "off" }]);
+        }
+        if let Some(detector) = self.detector {
+            command.args(["--detector", if detector { "on" } else { "off" }]);
+        }
+        if let Some(file) = &self.detector_file {
+            command.arg("--detector-file").arg(file);
+        }
+        if let Some(alarm) = self.alarm {
+            command.args(["--alarm", alarm.name()]);
         }
     }
 }

@@ -15,8 +15,8 @@ use heapless::{Deque, Vec};
 use mavlink::MessageData;
 use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage, MavState};
 use vigil_types::{
-    Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, STEP_NS, StepReport, VehicleRequest,
-    VehicleTelemetry, VelocitySetpoint,
+    Alarm, Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, STEP_NS, StepReport,
+    VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// The autopilot's component.
@@ -130,6 +130,8 @@ pub struct Companion {
     /// The vehicle's system, once known.
     system_id: Option<u8>,
     said: Option<(GuidanceState, Reasons)>,
+    said_verdict: Option<Verdict>,
+    said_alarm: Option<Alarm>,
     parameters: Parameters,
     /// The last parameter that was not set, to be told of.
     parameter_refused: Option<(usize, SetRefusal)>,
@@ -154,6 +156,8 @@ impl Companion {
             requests: Deque::new(),
             system_id: config.system_id,
             said: None,
+            said_verdict: None,
+            said_alarm: None,
             parameters: Parameters::default(),
             parameter_refused: None,
             heartbeat: Periodic::new(HEARTBEAT_NS),
@@ -427,6 +431,15 @@ impl Companion {
         }
         if before.map(|(state, _)| state) != Some(report.state) {
             self.say(out, &report::state_text(report.state, report.reasons));
+        }
+        let verdict = report.judgement.map(|j| j.verdict);
+        if due | (core::mem::replace(&mut self.said_verdict, verdict) != verdict) {
+            for message in report::judgement_values(report) {
+                self.say(out, &message);
+            }
+        }
+        if core::mem::replace(&mut self.said_alarm, report.alarm) != report.alarm {
+            self.say(out, &report::alarm_text(report.alarm));
         }
     }
 

@@ -7,7 +7,7 @@ use mavlink::dialects::common::{
     HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavSeverity, MavState, MavType,
     NAMED_VALUE_FLOAT_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
-use vigil_types::{GuidanceState, Nanos, Reason, Reasons, StepReport, VelocitySetpoint};
+use vigil_types::{Alarm, AlarmResponse, GuidanceState, Nanos, Reason, Reasons, StepReport, VelocitySetpoint};
 
 /// MAVLink's time since boot. Wraps after 49 days, as the protocol's field does.
 pub(crate) fn time_boot_ms(now_ns: Nanos) -> u32 {
@@ -38,6 +38,7 @@ pub(crate) fn mav_state(state: GuidanceState, reasons: Reasons) -> MavState {
         GuidanceState::Standby => MavState::MAV_STATE_BOOT,
         GuidanceState::Ready => MavState::MAV_STATE_STANDBY,
         GuidanceState::Hold if is_faulty_hold(state, reasons) => MavState::MAV_STATE_CRITICAL,
+        GuidanceState::Guided if reasons.contains(Reason::Recovering) => MavState::MAV_STATE_CRITICAL,
         GuidanceState::Engaging | GuidanceState::Guided | GuidanceState::Hold | GuidanceState::Land => {
             MavState::MAV_STATE_ACTIVE
         }
@@ -75,9 +76,29 @@ fn named(now_ns: Nanos, name: &str, value: f32) -> MavMessage {
 pub(crate) fn state_values(report: &StepReport) -> [MavMessage; 2] {
     [
         named(report.now_ns, "gd_state", f32::from(report.state as u8)),
-        // 16 bits: exact in a float.
+        // 19 bits: exact in a float.
         named(report.now_ns, "gd_reason", report.reasons.0 as f32),
     ]
+}
+
+/// Verdict, score and contributions; without a judgement there is nothing to tell, and a number that is not one is left
+/// out.
+pub(crate) fn judgement_values(report: &StepReport) -> impl Iterator<Item = MavMessage> {
+    let now_ns = report.now_ns;
+    report
+        .judgement
+        .map(|j| {
+            [
+                ("dt_state", Some(f32::from(j.verdict as u8))),
+                ("dt_score", j.score),
+                ("dt_img", Some(j.image)),
+                ("dt_bear", Some(j.bearing)),
+                ("dt_dist", Some(j.distance)),
+            ]
+        })
+        .into_iter()
+        .flatten()
+        .filter_map(move |(name, value)| Some(named(now_ns, name, value.filter(|v| v.is_finite())?)))
 }
 
 /// Everything else; what is not known in this step is left out.
@@ -142,6 +163,18 @@ pub(crate) fn state_text(state: GuidanceState, reasons: Reasons) -> MavMessage {
             separator = ", ";
         }
         text.write_str(if reasons.is_empty() { "" } else { ")" })
+    })
+}
+
+/// "detector: attack, stopping", "detector: attack, recovery pilot flies", "detector: clear".
+pub(crate) fn alarm_text(alarm: Option<Alarm>) -> MavMessage {
+    let severity = match alarm.map(|alarm| alarm.response) {
+        Some(AlarmResponse::Stop | AlarmResponse::Ignored) => MavSeverity::MAV_SEVERITY_CRITICAL,
+        Some(AlarmResponse::Recovery) | None => MavSeverity::MAV_SEVERITY_INFO,
+    };
+    status_text(severity, |text| match alarm {
+        Some(Alarm { cause, response }) => write!(text, "detector: {}, {}", cause.name(), response.name()),
+        None => text.write_str("detector: clear"),
     })
 }
 

@@ -32,10 +32,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             LogPlace::Directory(PathBuf::from(directory)),
             FlightInfo {
                 program: concat!("sample_log ", env!("CARGO_PKG_VERSION")).to_owned(),
-                git_commit: None,
                 instance: 2,
                 seed: Some(42),
                 config_toml: "goal = [20.0, 5.0, 1.5]\n".to_owned(),
+                ..FlightInfo::default()
             },
         )
     })?;
@@ -139,6 +139,8 @@ fn report(step: u64) -> StepReport {
             forward_m_s: 1.5,
             yaw: -0.25,
         }),
+        judgement: None,
+        alarm: None,
         setpoint: guided.then_some(VelocitySetpoint {
             velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
             yaw_rate_rad_s: -0.125,

@@ -6,8 +6,9 @@
 use crate::wire;
 use crate::{TickRecord, wire::Tick};
 use vigil_types::{
-    Action, Attitude, AttitudeSample, Datagrams, FrameHeader, Goal, GoalRelative, GuidanceState, Heartbeat, Kinematics,
-    Landed, Reasons, StepReport, StepTiming, Vector, VehicleMode, VehicleTelemetry, VelocitySetpoint,
+    Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, FrameHeader, Goal, GoalRelative,
+    GuidanceState, Heartbeat, Judgement, Kinematics, Landed, Reasons, StepReport, StepTiming, Vector, VehicleMode,
+    VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// A message that decodes as protobuf and yet is no step: which field, and what is wrong with it.
@@ -221,6 +222,8 @@ fn report_to_wire(report: &StepReport) -> wire::Report {
         goal,
         goal_relative,
         action,
+        judgement,
+        alarm,
         setpoint,
         frame_sequence,
         frame_age_ns,
@@ -258,6 +261,11 @@ fn report_to_wire(report: &StepReport) -> wire::Report {
         frame_sequence,
         frame_age_ns,
         frames_refused,
+        judgement: judgement.as_ref().map(judgement_to_wire),
+        alarm: alarm.map(|Alarm { cause, response }| wire::Alarm {
+            cause: cause as u32,
+            response: response as u32,
+        }),
     }
 }
 
@@ -308,6 +316,54 @@ fn report_from_wire(report: &wire::Report) -> Result<StepReport, RecordDefect> {
         frame_sequence: report.frame_sequence,
         frame_age_ns: report.frame_age_ns,
         frames_refused: report.frames_refused,
+        judgement: report.judgement.as_ref().map(judgement_from_wire).transpose()?,
+        alarm: report
+            .alarm
+            .as_ref()
+            .map(|a| {
+                Ok(Alarm {
+                    cause: code(&AlarmCause::ALL, a.cause, "report.alarm.cause")?,
+                    response: code(&AlarmResponse::ALL, a.response, "report.alarm.response")?,
+                })
+            })
+            .transpose()?,
+    })
+}
+
+fn judgement_to_wire(judgement: &Judgement) -> wire::Judgement {
+    let Judgement {
+        verdict,
+        score,
+        image,
+        bearing,
+        distance,
+        base,
+        phi,
+    } = judgement;
+    wire::Judgement {
+        verdict: *verdict as u32,
+        score: *score,
+        image: Some(*image),
+        bearing: Some(*bearing),
+        distance: Some(*distance),
+        base: Some(*base),
+        phi: phi.to_vec(),
+    }
+}
+
+fn judgement_from_wire(judgement: &wire::Judgement) -> Result<Judgement, RecordDefect> {
+    Ok(Judgement {
+        verdict: code(&Verdict::ALL, judgement.verdict, "report.judgement.verdict")?,
+        score: judgement.score,
+        image: need(judgement.image, "report.judgement.image")?,
+        bearing: need(judgement.bearing, "report.judgement.bearing")?,
+        distance: need(judgement.distance, "report.judgement.distance")?,
+        base: need(judgement.base, "report.judgement.base")?,
+        phi: judgement
+            .phi
+            .as_slice()
+            .try_into()
+            .map_err(|_| RecordDefect::Missing("report.judgement.phi"))?,
     })
 }
 

@@ -11,7 +11,8 @@ use foxglove::messages::{
 };
 use std::f64::consts::FRAC_1_SQRT_2;
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState, NedVector, Reasons, VehicleMode,
+    Alarm, Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState, NedVector, Reasons,
+    VehicleMode,
 };
 
 /// x east, y north, z up, origin at home.
@@ -209,6 +210,13 @@ pub(crate) fn status(record: &TickRecord) -> Status {
         received_datagrams: record.received.len() as u32,
         sent_datagrams: record.sent.len() as u32,
         records_dropped: record.dropped_before,
+        detector_score: number(report.judgement.and_then(|j| j.score)),
+        detector_verdict: number(report.judgement.map(|j| f32::from(j.verdict as u8))),
+        contribution_image: number(report.judgement.map(|j| j.image)),
+        contribution_bearing: number(report.judgement.map(|j| j.bearing)),
+        contribution_distance: number(report.judgement.map(|j| j.distance)),
+        alarm: report.alarm.map_or("", |alarm| alarm.cause.name()).to_owned(),
+        alarm_response: number(report.alarm.map(|alarm| f32::from(alarm.response as u8))),
     }
 }
 
@@ -231,6 +239,7 @@ struct Told {
     armed: bool,
     mode: VehicleMode,
     dropped: u64,
+    alarm: Option<Alarm>,
 }
 
 impl Narrator {
@@ -245,6 +254,7 @@ impl Narrator {
             armed: heartbeat.is_some_and(|h| h.armed),
             mode: heartbeat.map_or(VehicleMode::Unknown, |h| h.mode),
             dropped: record.dropped_before,
+            alarm: report.alarm,
         };
         let before = self.last.replace(now);
         if before.is_none_or(|b| (b.state, b.reasons) != (now.state, now.reasons)) {
@@ -261,6 +271,14 @@ impl Narrator {
                 names => format!(" ({names})"),
             };
             tell(level, format!("guidance: {from}{}{why}", now.state.name()));
+        }
+        match (before.and_then(|b| b.alarm), now.alarm) {
+            (before, Some(alarm)) if before != now.alarm => {
+                let (cause, response) = (alarm.cause.name(), alarm.response.name());
+                tell(Level::Error, format!("detector: {cause}, {response}"));
+            }
+            (Some(_), None) => tell(Level::Info, "detector: clear".to_owned()),
+            _ => {}
         }
         if before.is_some_and(|b| b.armed != now.armed) {
             let word = if now.armed { "armed" } else { "disarmed" };
@@ -293,7 +311,7 @@ pub(crate) fn log_line(level: foxglove::messages::log::Level, message: String, a
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_types::{AttitudeSample, FrdVector, Heartbeat, Kinematics, Reason};
+    use vigil_types::{AlarmCause, AlarmResponse, AttitudeSample, FrdVector, Heartbeat, Kinematics, Reason};
 
     fn turn(q: Quaternion, v: [f64; 3]) -> [f64; 3] {
         // v + 2w (u × v) + 2 u × (u × v)
@@ -378,6 +396,13 @@ mod tests {
                 (Level::Error, "log: 3 records were dropped before this one".to_owned()),
             ]
         );
+        record.report.alarm = Some(Alarm {
+            cause: AlarmCause::Attack,
+            response: AlarmResponse::Stop,
+        });
+        assert_eq!(told(&record), [(Level::Error, "detector: attack, stopping".to_owned())]);
+        record.report.alarm = None;
+        assert_eq!(told(&record), [(Level::Info, "detector: clear".to_owned())]);
         record.report.reasons = Reasons::of(Reason::GoalReached);
         assert_eq!(
             told(&record),

@@ -14,6 +14,10 @@ pub struct FlightInfo {
     pub instance: u32,
     /// Seed of the simulated flight, if it has one.
     pub seed: Option<u64>,
+    /// Digest of the actor that flew, if one did.
+    pub actor_sha256: Option<String>,
+    /// Digest of the detector that watched it, if one did.
+    pub detector_sha256: Option<String>,
     /// The whole configuration as TOML: what a replay builds its flight stack from.
     pub config_toml: String,
 }
@@ -30,8 +34,14 @@ impl FlightInfo {
             ("instance".to_owned(), self.instance.to_string()),
             ("config".to_owned(), self.config_toml.clone()),
         ]);
-        if let Some(commit) = &self.git_commit {
-            map.insert("git_commit".to_owned(), commit.clone());
+        for (key, value) in [
+            ("git_commit", &self.git_commit),
+            ("actor_sha256", &self.actor_sha256),
+            ("detector_sha256", &self.detector_sha256),
+        ] {
+            if let Some(value) = value {
+                map.insert(key.to_owned(), value.clone());
+            }
         }
         if let Some(seed) = self.seed {
             map.insert("seed".to_owned(), seed.to_string());
@@ -47,6 +57,8 @@ impl FlightInfo {
             git_commit: map.get("git_commit").cloned(),
             instance: number(map, "instance")?.ok_or("instance")?,
             seed: number(map, "seed")?,
+            actor_sha256: map.get("actor_sha256").cloned(),
+            detector_sha256: map.get("detector_sha256").cloned(),
             config_toml: text("config")?.clone(),
         };
         Ok((info, number(map, EPOCH_OFFSET)?.ok_or(EPOCH_OFFSET)?))

@@ -99,6 +99,29 @@ messages! {
         [uint64, optional] frame_sequence: Option<u64> = 10;
         [uint64, optional] frame_age_ns: Option<u64> = 11;
         [uint64] frames_refused: u64 = 12;
+        [message, optional] judgement: Option<Judgement> = 13 as Judgement;
+        [message, optional] alarm: Option<Alarm> = 14 as Alarm;
+    }
+
+    /// What the detector said of the actor's decision.
+    message Judgement {
+        /// 0 unknown, 1 clean, 2 attack.
+        [uint32] verdict: u32 = 1;
+        [float, optional] score: Option<f32> = 2;
+        [float, optional] image: Option<f32> = 3;
+        [float, optional] bearing: Option<f32> = 4;
+        [float, optional] distance: Option<f32> = 5;
+        [float, optional] base: Option<f32> = 6;
+        /// 48 SHAP values of the actor's split point.
+        [float, repeated] phi: Vec<f32> = 7;
+    }
+
+    /// The raised alarm.
+    message Alarm {
+        /// 0 attack, 1 no verdict.
+        [uint32] cause: u32 = 1;
+        /// 0 ignored, 1 stop, 2 recovery.
+        [uint32] response: u32 = 2;
     }
 
     /// `VehicleTelemetry`.
@@ -211,6 +234,18 @@ messages! {
         [uint32] sent_datagrams: u32 = 33;
         /// Records that the recorder dropped since start.
         [uint64] records_dropped: u64 = 34;
+        /// The detector's score, 0 to 1.
+        [double] detector_score: f64 = 35;
+        /// 0 unknown, 1 clean, 2 attack.
+        [double] detector_verdict: f64 = 36;
+        /// What frames, bearing and distance contributed to the actor's yaw output, in its units.
+        [double] contribution_image: f64 = 37;
+        [double] contribution_bearing: f64 = 38;
+        [double] contribution_distance: f64 = 39;
+        /// Cause of the alarm; empty when there is none.
+        [string] alarm: String = 40;
+        /// What is done about it: 0 ignored, 1 stop, 2 recovery.
+        [double] alarm_response: f64 = 41;
     }
 }
 

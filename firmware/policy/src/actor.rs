@@ -93,6 +93,14 @@ impl FlightPilot {
             Self::Actor(pilot) => pilot.surroundings(),
         }
     }
+
+    /// The actor's 48 values at the paper's split point, of the last decision; `None` without an actor.
+    pub fn state(&self) -> Option<&[f32; ACTOR_HIDDEN]> {
+        match self {
+            Self::Geometric(_) => None,
+            Self::Actor(pilot) => Some(pilot.state()),
+        }
+    }
 }
 
 impl Pilot for FlightPilot {

@@ -164,6 +164,11 @@ impl GeometricPilot {
         push
     }
 
+    /// Standing still until now was not this pilot's doing: it is not stuck.
+    pub(crate) fn excuse_standstill(&mut self) {
+        self.progress = None;
+    }
+
     /// Forgets everything after a jump of the position, and what is remembered of the obstacles when the vehicle has not
     /// got anywhere for [`STUCK_NS`]: then the memory, not the world, may be what blocks it.
     fn doubt(&mut self, here: NedVector, now_ns: Nanos) {

@@ -10,6 +10,7 @@ pub mod apf;
 mod geometric;
 mod governor;
 mod memory;
+mod recovery;
 pub mod surroundings;
 mod way;
 
@@ -18,6 +19,7 @@ pub use actor::{ActorPilot, FlightPilot};
 pub use actor_file::{ActorFileError, FrozenActor};
 pub use apf::NearestObstacle;
 pub use geometric::{GeometricConfig, GeometricPilot};
+pub use recovery::RecoveryPilot;
 pub use surroundings::{Scan, Surroundings};
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};

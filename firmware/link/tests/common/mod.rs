@@ -182,6 +182,8 @@ impl Flight {
                 refused: false,
             },
             action,
+            recovery: None,
+            verdict: None,
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),

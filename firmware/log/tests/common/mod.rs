@@ -3,9 +3,9 @@
 
 use vigil_log::{FlightInfo, LogPlace, RecorderConfig, TickRecord, WhenFull};
 use vigil_types::{
-    Action, Attitude, AttitudeSample, Datagrams, DepthFrame, Frame, FrameHeader, FrdVector, Goal, GoalRelative,
-    GuidanceState, HeadingVector, Heartbeat, Kinematics, Landed, NedVector, Reasons, StepReport, StepTiming, Vector,
-    VehicleMode, VehicleTelemetry, VelocitySetpoint,
+    Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Frame, FrameHeader,
+    FrdVector, Goal, GoalRelative, GuidanceState, HeadingVector, Heartbeat, Judgement, Kinematics, Landed, NedVector,
+    Reasons, StepReport, StepTiming, Vector, VehicleMode, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// splitmix64.
@@ -151,6 +151,19 @@ impl Draw {
             frame_sequence: self.maybe(Self::bits),
             frame_age_ns: self.maybe(Self::bits),
             frames_refused: self.bits(),
+            judgement: self.maybe(|d| Judgement {
+                verdict: Verdict::ALL[d.below(3) as usize],
+                score: d.maybe(Self::float),
+                image: d.float(),
+                bearing: d.float(),
+                distance: d.float(),
+                base: d.float(),
+                phi: std::array::from_fn(|_| d.float()),
+            }),
+            alarm: self.maybe(|d| Alarm {
+                cause: AlarmCause::ALL[d.below(2) as usize],
+                response: AlarmResponse::ALL[d.below(3) as usize],
+            }),
         }
     }
 
@@ -212,6 +225,13 @@ pub fn bits(record: &TickRecord) -> Vec<u64> {
         all.floats(&velocity.to_array());
         all.floats(&[v.yaw_rate_rad_s]);
     });
+    all.option(r.judgement, |all, v| {
+        all.whole(&[v.verdict as u64]);
+        all.option(v.score, |all, score| all.floats(&[score]));
+        all.floats(&[v.image, v.bearing, v.distance, v.base]);
+        all.floats(&v.phi);
+    });
+    all.option(r.alarm, |all, v| all.whole(&[v.cause as u64, v.response as u64]));
     let t = &r.telemetry;
     all.option(t.heartbeat, |all, v| {
         all.whole(&[v.at_ns, v.armed.into(), v.mode as u64, v.failsafe.into()]);
@@ -266,6 +286,8 @@ pub fn info() -> FlightInfo {
         git_commit: Some("0123abc".to_owned()),
         instance: 3,
         seed: Some(u64::MAX),
+        actor_sha256: Some("89ab".to_owned()),
+        detector_sha256: Some("cdef".to_owned()),
         config_toml: "[pilot]\nkind = \"geometric\" # ünïcode\n".to_owned(),
     }
 }

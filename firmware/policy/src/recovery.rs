@@ -1,0 +1,39 @@
+//! The recovery pilot: flies on when the actor's eyes are being lied to (docs/detection.md).
+
+use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
+use vigil_types::Action;
+
+/// The pilot. It is asked in every step, also while another one flies, so that it remembers what trusted frames showed.
+/// A large value without pointers; no allocation.
+#[derive(Debug, Clone)]
+pub struct RecoveryPilot {
+    pilot: GeometricPilot,
+}
+
+impl RecoveryPilot {
+    /// A pilot that remembers nothing.
+    pub fn new() -> Self {
+        Self {
+            pilot: GeometricPilot::new(GeometricConfig::default()),
+        }
+    }
+
+    /// What the last frame showed.
+    pub fn surroundings(&self) -> &Surroundings {
+        self.pilot.surroundings()
+    }
+
+    /// Decides. `flying` says whether this pilot's last action reached the vehicle.
+    pub fn decide(&mut self, input: &PilotInput<'_>, flying: bool) -> Action {
+        if !flying {
+            self.pilot.excuse_standstill();
+        }
+        self.pilot.decide(input)
+    }
+}
+
+impl Default for RecoveryPilot {
+    fn default() -> Self {
+        Self::new()
+    }
+}

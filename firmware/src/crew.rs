@@ -1,0 +1,95 @@
+//! Who flies, and what watches it: made and verified before anything flies.
+
+use crate::config::{FirmwareConfig, PilotKind};
+use crate::step::StackError;
+use std::path::Path;
+use vigil_detector::{FrozenDetector, Monitor};
+use vigil_nnet::Isa;
+use vigil_policy::{ActorFileError, ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
+
+/// Who flies, and what watches it.
+pub struct Crew {
+    /// Who flies.
+    pub pilot: FlightPilot,
+    /// What watches it, if it is an actor.
+    pub watch: Option<Watch>,
+}
+
+/// What watches an actor. It sees what the actor decided from, and acts on the flight through guidance only.
+pub struct Watch {
+    /// Judges each decision.
+    pub monitor: Monitor,
+    /// Takes the actor's place. It is asked in every step, so that it remembers what it saw before an alarm.
+    pub recovery: RecoveryPilot,
+}
+
+impl Crew {
+    /// A pilot that nothing watches.
+    pub fn unwatched(pilot: FlightPilot) -> Self {
+        Self { pilot, watch: None }
+    }
+
+    /// The crew of a configuration.
+    ///
+    /// # Errors
+    /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name.
+    pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
+        let Some(frozen) = config.frozen_actor()? else {
+            let pilot = GeometricPilot::new(config.stack().pilot);
+            return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
+        };
+        let isa = Isa::detect();
+        let watch = match config.frozen_detector()? {
+            None => None,
+            Some(detector) => {
+                let monitor = Monitor::new(isa, &frozen.params, &frozen.sha256(), &detector);
+                let mut monitor = monitor.map_err(|source| StackError::Monitor {
+                    file: named(config.detector.file.as_deref()),
+                    source,
+                })?;
+                monitor.set_threshold(config.detector.threshold.unwrap_or(detector.threshold));
+                Some(Watch {
+                    monitor,
+                    recovery: RecoveryPilot::new(),
+                })
+            }
+        };
+        Ok(Self {
+            pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
+            watch,
+        })
+    }
+}
+
+fn named(file: Option<&Path>) -> String {
+    file.map_or_else(
+        || "built into this program".to_owned(),
+        |path| path.display().to_string(),
+    )
+}
+
+impl FirmwareConfig {
+    /// The actor that is to fly; `None` when another pilot is.
+    ///
+    /// # Errors
+    /// [`ActorFileError`]: an actor that is truncated, altered or of another architecture, by name.
+    pub fn frozen_actor(&self) -> Result<Option<FrozenActor>, ActorFileError> {
+        match (self.pilot.kind, &self.pilot.actor_file) {
+            (PilotKind::Geometric, _) => Ok(None),
+            (PilotKind::Actor, Some(path)) => FrozenActor::load(path).map(Some),
+            (PilotKind::Actor, None) => FrozenActor::built_in().map(Some),
+        }
+    }
+
+    /// The detector that is to watch it; `None` when it is off, or no actor flies.
+    ///
+    /// # Errors
+    /// [`StackError::Detector`]: a detector that is truncated, altered or of another architecture, by name.
+    pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, StackError> {
+        match (self.pilot.kind, self.detector.enabled, &self.detector.file) {
+            (PilotKind::Geometric, ..) | (_, false, _) => Ok(None),
+            (PilotKind::Actor, true, Some(path)) => Ok(Some(FrozenDetector::load(path)?)),
+            (PilotKind::Actor, true, None) => Err(StackError::NoDetector),
+        }
+    }
+}
