@@ -3,9 +3,12 @@
 #[path = "../tests/common/mod.rs"]
 mod common;
 
-use common::{TestVehicle, config};
+use common::{TestVehicle, config, watched_config};
 use divan::Bencher;
 use std::cell::RefCell;
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::config::PilotKind;
+use vigil_firmware::crew::Crew;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_NS, StepTiming};
 
@@ -28,9 +31,10 @@ struct Inputs {
 }
 
 impl Flight {
-    fn guided() -> Self {
+    fn guided(config: &FirmwareConfig) -> Self {
+        let crew = Crew::of(config).unwrap();
         let mut flight = Self {
-            stack: Box::new(FlightStack::new(&config().stack()).unwrap()),
+            stack: Box::new(FlightStack::with_crew(&config.stack(), crew).unwrap()),
             output: Box::default(),
             vehicle: TestVehicle::hovering(2.5),
             step: 0,
@@ -71,8 +75,8 @@ impl Flight {
     }
 }
 
-fn bench(bencher: Bencher, with_frame: bool) {
-    let flight = RefCell::new(Flight::guided());
+fn bench(bencher: Bencher, config: &FirmwareConfig, with_frame: bool) {
+    let flight = RefCell::new(Flight::guided(config));
     bencher
         .with_inputs(|| flight.borrow_mut().inputs(with_frame))
         .bench_local_refs(|inputs| flight.borrow_mut().tick(inputs));
@@ -81,11 +85,26 @@ fn bench(bencher: Bencher, with_frame: bool) {
 /// The whole tick in guided flight: frame copied and checked, telemetry parsed, pilot, guidance, packets.
 #[divan::bench(sample_size = 1, sample_count = 2000)]
 fn guided(bencher: Bencher) {
-    bench(bencher, true);
+    bench(bencher, &config(), true);
 }
 
 /// A tick without a new frame: telemetry, guidance, packets, and the pilot while the last frame is fresh.
 #[divan::bench(sample_size = 1, sample_count = 2000)]
 fn without_a_new_frame(bencher: Bencher) {
-    bench(bencher, false);
+    bench(bencher, &config(), false);
+}
+
+/// The same with the actor in the pilot's place.
+#[divan::bench(sample_size = 1, sample_count = 2000)]
+fn guided_by_the_actor(bencher: Bencher) {
+    let mut config = config();
+    config.pilot.kind = PilotKind::Actor;
+    bench(bencher, &config, true);
+}
+
+/// The same watched: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor.
+#[divan::bench(sample_size = 1, sample_count = 2000)]
+fn guided_by_the_watched_actor(bencher: Bencher) {
+    let folder = tempfile::tempdir().unwrap();
+    bench(bencher, &watched_config(folder.path()), true);
 }

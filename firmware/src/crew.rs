@@ -11,8 +11,8 @@ use vigil_policy::{ActorFileError, ActorPilot, FlightPilot, FrozenActor, Geometr
 pub struct Crew {
     /// Who flies.
     pub pilot: FlightPilot,
-    /// What watches it, if it is an actor.
-    pub watch: Option<Watch>,
+    /// What watches it, if it is an actor. Boxed at start: it is large, and most flights have none.
+    pub watch: Option<Box<Watch>>,
 }
 
 /// What watches an actor. It sees what the actor decided from, and acts on the flight through guidance only.
@@ -48,10 +48,10 @@ impl Crew {
                     source,
                 })?;
                 monitor.set_threshold(config.detector.threshold.unwrap_or(detector.threshold));
-                Some(Watch {
+                Some(Box::new(Watch {
                     monitor,
                     recovery: RecoveryPilot::new(),
-                })
+                }))
             }
         };
         Ok(Self {

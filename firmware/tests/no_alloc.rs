@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Instance, TestVehicle, config};
+use common::{Instance, TestVehicle, config, watched_config};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::net::UdpSocket;
@@ -15,7 +15,7 @@ use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_types::{GuidanceState, STEP_NS, StepTiming};
+use vigil_types::{GuidanceState, Reason, STEP_NS, StepTiming};
 
 thread_local! {
     /// Allocations of this thread; other threads may allocate as they like.
@@ -50,23 +50,34 @@ fn counted(work: impl FnOnce()) -> u64 {
 #[test]
 fn a_whole_flight_of_ticks_allocates_nothing() {
     assert_eq!(counted(|| drop(Box::new(1))), 1, "the counter counts");
-    whole_flight(PilotKind::Geometric);
+    whole_flight(&config());
 }
 
 #[test]
 fn the_actor_s_ticks_allocate_nothing() {
-    whole_flight(PilotKind::Actor);
+    let mut config = config();
+    config.pilot.kind = PilotKind::Actor;
+    whole_flight(&config);
 }
 
-fn whole_flight(kind: PilotKind) {
-    let mut config = config();
-    config.pilot.kind = kind;
-    let crew = Crew::of(&config).unwrap();
+#[test]
+fn explanation_verdict_and_recovery_allocate_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    whole_flight(&config);
+    // The same with an alarm as soon as the window is full, and the recovery pilot at the controls.
+    config.detector.threshold = Some(0.4);
+    whole_flight(&config);
+}
+
+fn whole_flight(config: &FirmwareConfig) {
+    let crew = Crew::of(config).unwrap();
     let mut stack = Box::new(FlightStack::with_crew(&config.stack(), crew).unwrap());
     let mut output = Box::new(TickOutput::default());
     let mut vehicle = TestVehicle::on_ground();
     let mut states = Vec::new();
     let mut sent_bytes = 0;
+    let mut recovered = false;
     for step in 0..1200 {
         let now_ns = (step + 1) * STEP_NS;
         let (frame, received) = (vehicle.frame(now_ns), vehicle.telemetry());
@@ -86,6 +97,7 @@ fn whole_flight(kind: PilotKind) {
             vehicle.hear(datagram);
         }
         vehicle.advance();
+        recovered |= output.report.reasons.contains(Reason::Recovering);
         if !states.contains(&output.report.state) {
             states.push(output.report.state);
         }
@@ -94,6 +106,7 @@ fn whole_flight(kind: PilotKind) {
         assert!(states.contains(&state), "{states:?}");
     }
     assert!(sent_bytes > 10_000);
+    assert_eq!(recovered, config.detector.threshold.is_some());
 }
 
 #[test]

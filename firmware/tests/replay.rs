@@ -2,12 +2,12 @@
 
 mod common;
 
-use common::{TestVehicle, config};
+use common::{TestVehicle, config, undecided_detector, watched_config};
 use std::path::{Path, PathBuf};
 use vigil_firmware::replay::{Departure, ReplayError, ReplayReport};
-use vigil_firmware::{LockstepFirmware, replay};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
 use vigil_log::{FlightInfo, LogEnd, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_types::{Datagrams, GuidanceState, STEP_NS};
+use vigil_types::{AlarmResponse, Datagrams, GuidanceState, STEP_NS};
 
 const STEPS: u64 = 240;
 
@@ -21,8 +21,12 @@ fn recorder(path: &Path, info: FlightInfo) -> Recorder {
 
 /// Flies for [`STEPS`] and records; every third step has no frame, one has a bad one.
 fn record(folder: &Path) -> PathBuf {
+    record_flight(folder, &config())
+}
+
+fn record_flight(folder: &Path, config: &FirmwareConfig) -> PathBuf {
     let path = folder.join("flight.mcap");
-    let mut firmware = LockstepFirmware::recording(&config(), Some(recorder(&path, config().flight_info()))).unwrap();
+    let mut firmware = LockstepFirmware::recording(config, Some(recorder(&path, config.flight_info()))).unwrap();
     let mut vehicle = TestVehicle::hovering(2.5);
     let mut sent = Datagrams::default();
     let mut guided = false;
@@ -89,6 +93,57 @@ fn a_recorded_flight_runs_again_to_the_byte() {
     assert_eq!(report.steps, STEPS);
     assert!(report.sent_bytes > 10_000, "{report}");
     assert_eq!(report.log_end, Some(LogEnd::Closed { dropped: 0 }));
+}
+
+#[test]
+fn judgements_and_alarms_run_again_to_the_bit_and_only_with_the_detector_that_flew() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    config.detector.threshold = Some(0.4);
+    let path = record_flight(folder.path(), &config);
+    let report = replayed(&path);
+    assert!(report.is_equal(), "{report}");
+
+    let mut reader = Reader::open(&path).unwrap();
+    let info = reader.info().clone();
+    assert_eq!(info.detector_sha256, Some(undecided_detector().sha256()));
+    assert_eq!(info.actor_sha256, Some(undecided_detector().actor_sha256));
+    let mut record = Box::<TickRecord>::default();
+    let (mut judged, mut recovering) = (0, 0);
+    while reader.read_next(&mut record).unwrap() {
+        judged += u64::from(
+            record
+                .report
+                .judgement
+                .is_some_and(|j| j.phi.iter().all(|phi| phi.is_finite())),
+        );
+        recovering += u64::from(
+            record
+                .report
+                .alarm
+                .is_some_and(|a| a.response == AlarmResponse::Recovery),
+        );
+    }
+    assert!(judged > 200 && recovering > 50, "{judged} {recovering}");
+
+    let bent = altered(folder.path(), &path, 200, |record| {
+        let judgement = record.report.judgement.as_mut().unwrap();
+        judgement.phi[7] = f32::from_bits(judgement.phi[7].to_bits() ^ 1);
+    });
+    let difference = replayed(&bent).difference.unwrap();
+    assert!(
+        matches!(difference.what, Departure::Report { field: "judgement", .. }),
+        "{difference}"
+    );
+
+    let mut other = undecided_detector();
+    other.seed = 1;
+    other.save(&config.detector.file.unwrap()).unwrap();
+    let error = replay(&mut Reader::open(&path).unwrap()).unwrap_err();
+    assert!(
+        matches!(error, ReplayError::Model { what: "a detector", .. }),
+        "{error}"
+    );
 }
 
 #[test]

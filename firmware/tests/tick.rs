@@ -2,13 +2,13 @@
 
 mod common;
 
-use common::{LOITER, OFFBOARD, TestVehicle, config};
+use common::{LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
 use vigil_firmware::config::{AtGoalChoice, Engage};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_link::MavHeader;
 use vigil_link::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_link::framing::{MAX_PACKET_LEN, serialize};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, Reasons, STEP_NS, StepReport, Verdict};
 
 /// Vehicle and firmware in step; either side's contribution can be left out of a step.
 struct Flight {
@@ -328,4 +328,152 @@ fn what_the_pilot_sees_is_told_four_times_a_second_and_only_while_it_looks() {
         count(&flight) - seen <= 2,
         "a stale frame is not told as if it were new"
     );
+}
+
+/// The values of a name that the vehicle heard, newest last.
+fn values(vehicle: &TestVehicle, name: &str) -> Vec<f32> {
+    let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
+        MavMessage::NAMED_VALUE_FLOAT(value) if value.name.to_str() == Ok(name) => Some(value.value),
+        _ => None,
+    });
+    told.collect()
+}
+
+fn texts(vehicle: &TestVehicle) -> Vec<(u8, String)> {
+    let told = vehicle.heard.iter().filter_map(|(_, message)| match message {
+        MavMessage::STATUSTEXT(told) => Some((told.severity as u8, told.text.to_str().unwrap().to_owned())),
+        _ => None,
+    });
+    told.filter(|(_, text)| text.starts_with("detector")).collect()
+}
+
+#[test]
+fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
+    flight.until(GuidanceState::Guided, 10.0);
+    flight.fastest_m_s(1);
+    let judgement = flight.last.judgement.unwrap();
+    assert_eq!((judgement.verdict, judgement.score), (Verdict::Clean, Some(0.5)));
+    assert_eq!(values(&flight.vehicle, "dt_state").last(), Some(&1.0));
+    assert_eq!(values(&flight.vehicle, "dt_score").last(), Some(&0.5));
+    for contribution in ["dt_img", "dt_bear", "dt_dist"] {
+        assert!(
+            values(&flight.vehicle, contribution)
+                .last()
+                .is_some_and(|v| v.is_finite())
+        );
+    }
+
+    flight.vehicle.heard.clear();
+    assert_eq!(flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32), 0.4);
+    assert_eq!(flight.last.judgement.unwrap().verdict, Verdict::Attack);
+    assert_eq!(values(&flight.vehicle, "dt_state"), [2.0], "at once");
+    let alarm = flight.step();
+    assert_eq!(
+        (alarm.state, alarm.reasons),
+        (GuidanceState::Hold, Reasons::of(Reason::Attack))
+    );
+    assert_eq!(flight.velocity(), [0.0; 4]);
+    assert_eq!(texts(&flight.vehicle), [(2, "detector: attack, stopping".to_owned())]);
+
+    flight.until(GuidanceState::Guided, 5.0);
+    assert_eq!(flight.last.reasons, Reasons::of(Reason::Recovering));
+    let before_m = flight.vehicle.position_ned_m.x;
+    flight.fastest_m_s(5);
+    assert!(
+        flight.vehicle.position_ned_m.x > before_m + 1.5,
+        "the recovery pilot flies on"
+    );
+    assert_eq!(
+        texts(&flight.vehicle).last().unwrap().1,
+        "detector: attack, recovery pilot flies"
+    );
+
+    flight.set("DT_THRESH", 0.6, MavParamType::MAV_PARAM_TYPE_REAL32);
+    for _ in 0..38 {
+        assert!(flight.step().reasons.contains(Reason::Recovering));
+    }
+    assert_eq!(flight.step().alarm, None);
+    assert_eq!(
+        texts(&flight.vehicle).last().unwrap(),
+        &(6, "detector: clear".to_owned())
+    );
+}
+
+#[test]
+fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
+    flight.until(GuidanceState::Guided, 10.0);
+    let integer = |value: u32| f32::from_bits(value);
+    assert_eq!(flight.set("DT_THRESH", 1.5, MavParamType::MAV_PARAM_TYPE_REAL32), 0.6);
+    let policy = flight.set("DT_ALARM", integer(3), MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(policy.to_bits(), 2);
+    assert_eq!(
+        flight
+            .set("DT_ALARM", integer(0), MavParamType::MAV_PARAM_TYPE_INT32)
+            .to_bits(),
+        0
+    );
+    flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32);
+    flight.fastest_m_s(2);
+    assert!(flight.last.alarm.is_some());
+    assert_eq!(flight.last.state, GuidanceState::Guided, "told, and not acted upon");
+    flight.set("DT_ALARM", integer(1), MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(flight.last.state, GuidanceState::Hold);
+}
+
+#[test]
+fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_there_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
+    flight.until(GuidanceState::Guided, 10.0);
+    for _ in 0..8 {
+        let telemetry = flight.vehicle.telemetry();
+        flight.step_with(None, &telemetry);
+    }
+    assert_eq!((flight.last.judgement, flight.last.state), (None, GuidanceState::Hold));
+    for _ in 0..9 {
+        assert_eq!(flight.step().judgement.unwrap().verdict, Verdict::Unknown);
+    }
+    assert_eq!(flight.step().judgement.unwrap().verdict, Verdict::Clean);
+}
+
+#[test]
+fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_flies() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    let file = config.detector.file.clone().unwrap();
+    let refused = |config: &FirmwareConfig| LockstepFirmware::new(config).err().unwrap().to_string();
+
+    let mut other = undecided_detector();
+    other.actor_sha256 = "0123".to_owned();
+    other.save(&file).unwrap();
+    let error = refused(&config);
+    assert!(
+        error.contains("undecided.safetensors") && error.contains("0123"),
+        "{error}"
+    );
+
+    undecided_detector().save(&file).unwrap();
+    let mut bytes = std::fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&file, &bytes).unwrap();
+    let error = refused(&config);
+    assert!(
+        error.contains("undecided.safetensors") && error.contains("altered"),
+        "{error}"
+    );
+
+    std::fs::write(&file, &bytes[..middle]).unwrap();
+    let error = refused(&config);
+    assert!(
+        error.contains("undecided.safetensors") && error.contains("truncated"),
+        "{error}"
+    );
+
+    config.detector.enabled = false;
+    assert!(LockstepFirmware::new(&config).is_ok());
 }

@@ -3,9 +3,11 @@
 
 use std::fs::File;
 use std::os::fd::OwnedFd;
+use std::path::Path;
 use std::time::Duration;
+use vigil_detector::{FrozenDetector, LstmAd};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{Engage, GoalConfig};
+use vigil_firmware::config::{DetectorConfig, Engage, GoalConfig, PilotConfig, PilotKind};
 use vigil_link::MavHeader;
 use vigil_link::common::{
     ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
@@ -71,6 +73,43 @@ pub fn config() -> FirmwareConfig {
             height_m: Some(2.5),
         }),
         ..FirmwareConfig::default()
+    }
+}
+
+/// A detector of the actor built in whose score is always 0.5: what the verdict is, a test chooses by the threshold.
+pub fn undecided_detector() -> FrozenDetector {
+    let lengths = LstmAd::tensors()
+        .into_iter()
+        .map(|(_, shape)| shape.iter().product::<usize>());
+    FrozenDetector {
+        actor_sha256: vigil_policy::FrozenActor::built_in().unwrap().sha256(),
+        backgrounds: (0..30).map(|i| ([0.03 * i as f32 - 0.4; 48], [0.5, 0.1])).collect(),
+        centre: [0.0; 48],
+        scale: [1.0; 48],
+        threshold: 0.6,
+        threshold_choice: "for a test".to_owned(),
+        params: vec![0.0; lengths.sum()],
+        training_config: String::new(),
+        seed: 0,
+        git_commit: None,
+    }
+}
+
+/// The same flight, flown by the actor under [`undecided_detector`], whose verdict is clean.
+pub fn watched_config(folder: &Path) -> FirmwareConfig {
+    let file = folder.join("undecided.safetensors");
+    undecided_detector().save(&file).unwrap();
+    FirmwareConfig {
+        pilot: PilotConfig {
+            kind: PilotKind::Actor,
+            ..PilotConfig::default()
+        },
+        detector: DetectorConfig {
+            enabled: true,
+            file: Some(file),
+            ..DetectorConfig::default()
+        },
+        ..config()
     }
 }
 
