@@ -5,9 +5,9 @@
 //! seeking and field, and let the governor limit the speed.
 
 use crate::governor::{self, Motion};
-use crate::memory::Memory;
+use crate::memory::{self, Memory};
 use crate::way::{Search, Way};
-use crate::{NearestObstacle, Pilot, PilotInput, Surroundings, apf};
+use crate::{NearestObstacle, Pilot, PilotInput, Scan, Surroundings, apf};
 use core::f32::consts::PI;
 use vigil_types::{
     ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, NedVector, YAW_RATE_PER_UNIT_RAD_S, wrap_pi,
@@ -62,6 +62,8 @@ const STUCK_NS: Nanos = 10_000_000_000;
 /// The pilot. A large value (about 120 kB) without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub struct GeometricPilot {
+    /// Every frame may have been altered.
+    distrusting: bool,
     config: GeometricConfig,
     surroundings: Surroundings,
     memory: Memory,
@@ -76,6 +78,7 @@ impl GeometricPilot {
     /// A pilot that remembers nothing.
     pub fn new(config: GeometricConfig) -> Self {
         Self {
+            distrusting: false,
             config,
             surroundings: Surroundings::new(),
             memory: Memory::new(),
@@ -83,6 +86,14 @@ impl GeometricPilot {
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
+        }
+    }
+
+    /// A pilot that remembers nothing and believes what it sees only when several frames say it (docs/detection.md).
+    pub(crate) fn distrusting(config: GeometricConfig) -> Self {
+        Self {
+            distrusting: true,
+            ..Self::new(config)
         }
     }
 
@@ -146,9 +157,9 @@ impl GeometricPilot {
     }
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
-    fn repulsion(&self, bearing_of_waypoint_rad: f32) -> Action {
+    fn repulsion(&self, seen: &Scan, bearing_of_waypoint_rad: f32) -> Action {
         let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
-        let points = self.surroundings.scan().points().filter(in_the_way);
+        let points = seen.points().filter(in_the_way);
         let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
             return Action::HOVER;
         };
@@ -197,13 +208,17 @@ impl Pilot for GeometricPilot {
         let here = header.position_ned_m + Surroundings::moved_since_capture_m(input);
         self.doubt(here, input.now_ns);
 
-        let scan = self.surroundings.observe(input);
+        let (scan, hit) = if self.distrusting {
+            (self.surroundings.observe_distrusting(input), memory::DOUBTFUL_HIT)
+        } else {
+            (self.surroundings.observe(input), memory::HIT)
+        };
         if self.memory.follow(here) {
             self.way.abandon_search();
         }
         if self.last_sequence != Some(header.sequence) {
             self.last_sequence = Some(header.sequence);
-            self.memory.observe(scan, here, yaw_rad);
+            self.memory.observe(scan, hit, here, yaw_rad);
         }
 
         let (sin, cos) = (libm::sinf(input.goal.bearing_rad), libm::cosf(input.goal.bearing_rad));
@@ -235,7 +250,13 @@ impl Pilot for GeometricPilot {
             forward_m_s: self.config.cruise_m_s,
             yaw: YAW_GAIN * target.bearing_rad,
         };
-        let field = apf::add(apf::attraction(target), self.repulsion(target.bearing_rad));
+        // One frame alone moves a distrusting pilot neither aside nor to a stop: it goes by its memory.
+        let seen = if self.distrusting {
+            &Scan::EMPTY
+        } else {
+            self.surroundings.scan()
+        };
+        let field = apf::add(apf::attraction(target), self.repulsion(seen, target.bearing_rad));
         let wanted = apf::add(seeking.clipped(), field);
 
         let alignment = (TURN_IN_PLACE_RAD - target.bearing_rad.abs()) / (TURN_IN_PLACE_RAD - ALIGNED_RAD);
@@ -251,7 +272,7 @@ impl Pilot for GeometricPilot {
             yaw_rate_rad_s: wanted.yaw * YAW_RATE_PER_UNIT_RAD_S,
         };
         Action {
-            forward_m_s: governor::admissible_speed_m_s(&motion, self.surroundings.scan(), &self.memory, wanted_m_s),
+            forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.memory, wanted_m_s),
             yaw: wanted.yaw,
         }
     }

@@ -18,8 +18,11 @@ pub const CELLS: usize = SIDE * SIDE;
 const CLEARANCE_LIMIT_CELLS: usize = 6;
 const CLEARANCE_LIMIT_SQUARED: u8 = (CLEARANCE_LIMIT_CELLS * CLEARANCE_LIMIT_CELLS) as u8;
 
-/// What a surface adds to a cell's score, and the most a score can be: a cell is free again after as many rays.
-const HIT: i8 = 4;
+/// What a surface adds to a cell's score, and the score from which on it is an obstacle.
+pub const HIT: i8 = 4;
+/// What it adds when the range may be wrong by a metre: rays outvote a surface that is not there again and again.
+pub const DOUBTFUL_HIT: i8 = 2;
+/// The most a score can be: a cell is free again after as many rays.
 const SCORE_LIMIT: i8 = 12;
 /// Farther surfaces are left to later frames.
 const MARK_RANGE_M: f32 = 11.0;
@@ -136,7 +139,8 @@ impl Memory {
     }
 
     /// Enters what a scan shows from `position_ned_m` with heading `yaw_rad`.
-    pub fn observe(&mut self, scan: &Scan, position_ned_m: NedVector, yaw_rad: f32) {
+    /// A surface adds `hit` to its cell's score.
+    pub fn observe(&mut self, scan: &Scan, hit: i8, position_ned_m: NedVector, yaw_rad: f32) {
         let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
         let to_ned = |x: f32, y: f32| (cos * x - sin * y, sin * x + cos * y);
         let (n0, e0) = self.corner.unwrap_or((0, 0));
@@ -169,7 +173,7 @@ impl Memory {
             if range_m < MARK_RANGE_M {
                 let (north, east) = to_ned(x, y);
                 if let Some(score) = self.score_at(position_ned_m.x + north, position_ned_m.y + east) {
-                    *score = score.saturating_add(HIT).min(SCORE_LIMIT);
+                    *score = score.saturating_add(hit).min(SCORE_LIMIT);
                 }
             }
         }
@@ -329,12 +333,12 @@ mod tests {
     fn what_was_seen_stays_when_the_vehicle_turns_away_and_passes() {
         let mut memory = Memory::new();
         memory.follow(at(0.0, 0.0));
-        memory.observe(&ahead(4.0), at(0.0, 0.0), 0.0);
+        memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0);
         assert!(occupied(&mut memory, 4.1, 0.1));
         for step in 0..100_i16 {
             let here = at(0.05 * f32::from(step), 1.0);
             memory.follow(here);
-            memory.observe(&Scan::EMPTY, here, 1.0);
+            memory.observe(&Scan::EMPTY, HIT, here, 1.0);
         }
         assert!(occupied(&mut memory, 4.1, 0.1));
     }
@@ -343,9 +347,9 @@ mod tests {
     fn what_is_seen_through_is_forgotten() {
         let mut memory = Memory::new();
         memory.follow(at(0.0, 0.0));
-        memory.observe(&ahead(4.0), at(0.0, 0.0), 0.0);
+        memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0);
         for _ in 0..2 * SCORE_LIMIT {
-            memory.observe(&ahead(9.0), at(0.0, 0.0), 0.0);
+            memory.observe(&ahead(9.0), HIT, at(0.0, 0.0), 0.0);
         }
         assert!(!occupied(&mut memory, 4.1, 0.1));
         assert!(occupied(&mut memory, 9.1, 0.1));
@@ -355,9 +359,9 @@ mod tests {
     fn a_ray_proves_nothing_about_cells_nearer_than_the_view_reaches() {
         let mut memory = Memory::new();
         memory.follow(at(0.0, 0.0));
-        memory.observe(&ahead(0.6), at(0.0, 0.0), 0.0);
+        memory.observe(&ahead(0.6), HIT, at(0.0, 0.0), 0.0);
         for _ in 0..50 {
-            memory.observe(&ahead(9.0), at(0.0, 0.0), 0.0);
+            memory.observe(&ahead(9.0), HIT, at(0.0, 0.0), 0.0);
         }
         assert!(occupied(&mut memory, 0.6, 0.0));
     }
@@ -366,7 +370,7 @@ mod tests {
     fn the_grid_moves_with_the_vehicle_and_keeps_what_it_still_covers() {
         let mut memory = Memory::new();
         memory.follow(at(100.0, -50.0));
-        memory.observe(&ahead(5.0), at(100.0, -50.0), 0.0);
+        memory.observe(&ahead(5.0), HIT, at(100.0, -50.0), 0.0);
         for (north, east) in [(103.0, -52.5), (104.0, -46.0), (98.0, -45.0)] {
             memory.follow(at(north, east));
             assert!(occupied(&mut memory, 105.1, -49.9), "at {north}, {east}");
@@ -414,7 +418,7 @@ mod tests {
         let mut memory = Memory::new();
         for bad in [1e30, -1e30, f32::NAN, f32::INFINITY] {
             memory.follow(at(bad, bad));
-            memory.observe(&ahead(3.0), at(bad, 0.0), bad);
+            memory.observe(&ahead(3.0), HIT, at(bad, 0.0), bad);
             memory.measure_clearance();
         }
     }

@@ -1,6 +1,9 @@
 //! The recovery pilot: flies on when the actor's eyes are being lied to (docs/detection.md).
 
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
+
+/// Fastest forward speed, metres per second: slower than the actor, whose eyes were better.
+const CRUISE_M_S: f32 = 0.8;
 use vigil_types::Action;
 
 /// The pilot. It is asked in every step, also while another one flies, so that it remembers what trusted frames showed.
@@ -14,7 +17,10 @@ impl RecoveryPilot {
     /// A pilot that remembers nothing.
     pub fn new() -> Self {
         Self {
-            pilot: GeometricPilot::new(GeometricConfig::default()),
+            pilot: GeometricPilot::distrusting(GeometricConfig {
+                cruise_m_s: CRUISE_M_S,
+                ..GeometricConfig::default()
+            }),
         }
     }
 

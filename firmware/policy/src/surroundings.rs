@@ -28,6 +28,15 @@ const BLOCK: usize = 16;
 const BLOCKS: usize = DEPTH_COLS / BLOCK;
 /// Squared normalised range that stands for "nothing".
 const NOTHING: f32 = 4.0;
+/// What a distrusting look takes for level: at 3.3 m the band of [`BAND_HALF_HEIGHT_M`], nearer the vehicle's own height.
+const DISTRUST_HALF_ANGLE_RAD: f32 = 0.105;
+/// Below one half, so that what fills not quite half of that height is seen; and ranges that were moved err to the near side.
+const DISTRUST_QUANTILE: f32 = 0.4;
+/// Columns on either side of a sector's own two.
+const DISTRUST_NEIGHBOURS: usize = 4;
+/// Ranges are counted in bins; the last takes everything from 16 m on.
+const DISTRUST_BIN_M: f32 = 0.25;
+const DISTRUST_BINS: usize = 65;
 /// A frame older than this is never extrapolated further (the caller refuses it anyway).
 const MAX_EXTRAPOLATION_NS: u64 = 500_000_000;
 
@@ -134,6 +143,20 @@ impl Surroundings {
     /// Reads the frame: its points are levelled with the attitude at capture, then turned and shifted into the vehicle's
     /// heading frame now.
     pub fn observe(&mut self, input: &PilotInput<'_>) -> &Scan {
+        self.observe_with(input, Self::nearest_by_sector)
+    }
+
+    /// The same for a frame whose pixels may have been moved by somebody: a sector's range is a quantile over all level
+    /// pixels of it and of its neighbours, so that what a few of them say counts for nothing (docs/detection.md).
+    pub fn observe_distrusting(&mut self, input: &PilotInput<'_>) -> &Scan {
+        self.observe_with(input, Self::quantile_by_sector)
+    }
+
+    fn observe_with(
+        &mut self,
+        input: &PilotInput<'_>,
+        by_sector: fn(&Self, &DepthFrame, &Axes) -> [f32; SECTORS],
+    ) -> &Scan {
         let yaw_rad = input.attitude.yaw_rad();
         let capture = input.depth.header.attitude;
         // Body axes at capture, seen in level axes along the heading now.
@@ -144,12 +167,13 @@ impl Surroundings {
             down: axis(0.0, 0.0, 1.0),
         };
         let moved = Self::moved_since_capture_m(input).to_heading(yaw_rad);
-        self.read(input.depth, &axes, moved);
+        let squared = by_sector(self, input.depth, &axes);
+        self.fill_scan(&squared, &axes, moved);
         &self.scan
     }
 
-    fn read(&mut self, frame: &DepthFrame, axes: &Axes, moved: HeadingVector) {
-        let nearest = self.nearest_by_column(frame, axes);
+    /// Makes the scan of each sector's squared normalised range; [`NOTHING`] where no surface was seen.
+    fn fill_scan(&mut self, squared: &[f32; SECTORS], axes: &Axes, moved: HeadingVector) {
         // The down axis of a flying vehicle never gets near level; the limit only keeps the division finite.
         let down_z = if axes.down.z > 0.1 { axes.down.z } else { 0.1 };
         let cos = self.cos_column.as_chunks::<2>().0.iter();
@@ -161,8 +185,8 @@ impl Surroundings {
             .zip(&mut scan.forward_m)
             .zip(&mut scan.right_m)
             .zip(scan.direction_forward.iter_mut().zip(&mut scan.direction_right));
-        let columns = nearest.as_chunks::<2>().0.iter().zip(cos.zip(sin));
-        for ((((range_m, forward_m), right_m), (dir_x, dir_y)), ([a, b], (cos, sin))) in out.zip(columns) {
+        let columns = squared.iter().copied().zip(cos.zip(sin));
+        for ((((range_m, forward_m), right_m), (dir_x, dir_y)), (squared, (cos, sin))) in out.zip(columns) {
             let (cos, sin) = (0.5 * (cos[0] + cos[1]), 0.5 * (sin[0] + sin[1]));
             // The direction within this column that is level: its component along the body's down axis cancels the drop.
             let along_down = -(axes.forward.z * cos + axes.right.z * sin) / down_z;
@@ -170,7 +194,6 @@ impl Surroundings {
             let y = axes.forward.y * cos + axes.right.y * sin + axes.down.y * along_down;
             let scale = 1.0 / libm::sqrtf(x * x + y * y).max(1e-6);
             (*dir_x, *dir_y) = (x * scale, y * scale);
-            let squared = third_smallest(*a, *b);
             if squared < NOTHING {
                 let range = libm::sqrtf(squared) * DEPTH_FULL_SCALE_M;
                 *forward_m = range * *dir_x - moved.x;
@@ -180,6 +203,61 @@ impl Surroundings {
                 (*forward_m, *right_m, *range_m) = (FAR_M * *dir_x, FAR_M * *dir_y, f32::INFINITY);
             }
         }
+    }
+
+    /// For each sector the third smallest squared horizontal range (normalised) of its points within the band.
+    fn nearest_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
+        let nearest = self.nearest_by_column(frame, axes);
+        let mut squared = [NOTHING; SECTORS];
+        for (squared, [a, b]) in squared.iter_mut().zip(nearest.as_chunks::<2>().0) {
+            *squared = third_smallest(*a, *b);
+        }
+        squared
+    }
+
+    /// For each sector the squared [`DISTRUST_QUANTILE`] (normalised) of the ranges of all pixels that look level to within
+    /// [`DISTRUST_HALF_ANGLE_RAD`], its neighbouring sectors' included.
+    fn quantile_by_sector(&self, frame: &DepthFrame, axes: &Axes) -> [f32; SECTORS] {
+        let mut columns = [[0_u8; DISTRUST_BINS]; DEPTH_COLS];
+        let band = libm::sinf(DISTRUST_HALF_ANGLE_RAD);
+        for (pixels, &(cos_row, sin_row)) in frame.depth.as_chunks::<DEPTH_COLS>().0.iter().zip(&self.rows) {
+            let rise = axes.down.z * sin_row;
+            let directions = self.cos_column.iter().zip(&self.sin_column);
+            for ((depth, (c, s)), bins) in pixels.iter().zip(directions).zip(&mut columns) {
+                let below = cos_row * (axes.forward.z * c + axes.right.z * s) - rise;
+                if below.abs() < band {
+                    // `as` saturates; the last bin takes everything beyond.
+                    let bin = (depth * (DEPTH_FULL_SCALE_M / DISTRUST_BIN_M)) as usize;
+                    if let Some(count) = bins.get_mut(bin.min(DISTRUST_BINS - 1)) {
+                        // At most 128 rows.
+                        *count += 1;
+                    }
+                }
+            }
+        }
+        let mut squared = [NOTHING; SECTORS];
+        for (sector, squared) in squared.iter_mut().enumerate() {
+            let mut bins = [0_u16; DISTRUST_BINS];
+            let from = (2 * sector).saturating_sub(DISTRUST_NEIGHBOURS);
+            for column in columns.iter().take(2 * sector + 2 + DISTRUST_NEIGHBOURS).skip(from) {
+                for (sum, count) in bins.iter_mut().zip(column) {
+                    *sum += u16::from(*count);
+                }
+            }
+            let wanted = DISTRUST_QUANTILE * f32::from(bins.iter().sum::<u16>());
+            let mut below = 0.0;
+            for (bin, count) in bins.iter().take(DISTRUST_BINS - 1).enumerate() {
+                let count = f32::from(*count);
+                if count > 0.0 && below + count >= wanted {
+                    let range_m = (bin as f32 + (wanted - below) / count) * DISTRUST_BIN_M;
+                    let range = range_m / DEPTH_FULL_SCALE_M;
+                    *squared = range * range;
+                    break;
+                }
+                below += count;
+            }
+        }
+        squared
     }
 
     /// For each column the three smallest squared horizontal ranges (normalised) of points within the band, ascending.
