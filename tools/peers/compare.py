@@ -318,7 +318,7 @@ def attack_case(c: Context, strength: list[dict]) -> Case:
     y, first = np.array([target], dtype=np.float32), settings[0]
     by_art, by_torch = art_bim(net, first).generate(frames.numpy(), y), torch_bim(net, frames, target, first)
     agreement = within("ART and PyTorch between themselves", by_art, by_torch.numpy(), 1e-6)
-    agreement += f"; mean change of yaw over {len(nets)} states, ours less ART's, at the least favourable of {len(strength)} settings: {weakest:+.4f}"
+    agreement += f"; mean change of yaw over {len(nets)} states, ours less ART's, at the least favourable of {len(strength)} settings: {weakest:+.0e}"
     paper = {"method": "bim-accumulating", "epsilon_255": 1.0, "iterations": 20}
     attack = art_bim(net, paper)
     peers = {
