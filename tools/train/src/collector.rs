@@ -106,7 +106,7 @@ fn simulate(config: &TrainConfig, seed: u64) -> Result<Flight, ParamsError> {
     course.time_limit_s = config.time_limit_s;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(WIND_STREAM);
-    let wind = if rng.random_bool(0.5) {
+    let wind = if config.wind_m_s > 0.0 && rng.random_bool(0.5) {
         let towards_rad = rng.random_range(0.0..core::f64::consts::TAU);
         Wind::gusty(rng.random_range(0.0..=config.wind_m_s), towards_rad)
     } else {

@@ -136,6 +136,8 @@ pub struct LearningConfig {
     pub encoder_frames: usize,
     /// Half of the sampled transitions are seen in a mirror.
     pub mirror: bool,
+    /// Judge and freeze the actor's target network, a mean over the last 1/τ updates, instead of the actor itself.
+    pub freeze_target: bool,
 }
 
 /// Prioritised replay.
@@ -170,12 +172,12 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            decisions: 56_000,
+            decisions: 28_000,
             environments: 8,
             threads: 1,
             steps_per_decision: 4,
             time_limit_s: 45.0,
-            wind_m_s: 4.0,
+            wind_m_s: 0.0,
             warm_up: WarmUp::default(),
             noise: NoiseConfig::default(),
             apf: ApfConfig::default(),
@@ -237,7 +239,7 @@ impl Default for LearningConfig {
             decisions_per_update: 4,
             actor_rate: 5e-4,
             critic_rate: 5e-4,
-            rates_fall_from: 0.4,
+            rates_fall_from: 1.0,
             tau: 0.005,
             gradient_norm: 5.0,
             saturation_penalty: 0.05,
@@ -247,6 +249,7 @@ impl Default for LearningConfig {
             imitation_trains_encoder: true,
             encoder_frames: 2,
             mirror: true,
+            freeze_target: false,
         }
     }
 }

@@ -166,10 +166,13 @@ impl Learner {
         &self.weights.actor
     }
 
-    /// Their slow copy: what is judged, frozen and flown. It is the mean over some 1/τ updates, and flies better than any one
-    /// of them.
-    pub fn slow_actor(&self) -> &[f32] {
-        &self.weights.actor_target
+    /// What is judged, frozen and flown.
+    pub fn frozen(&self) -> &[f32] {
+        if self.config.freeze_target {
+            &self.weights.actor_target
+        } else {
+            &self.weights.actor
+        }
     }
 
     /// Share of the learning rates now.

@@ -180,9 +180,13 @@ impl<'a> Run<'a> {
         let saved = Checkpoint::load(path, &self.networks)?;
         let state = saved.state;
         let other = || CheckpointError::Configuration { path: path.clone() };
-        let fits = state.config == self.config.to_toml()
-            && state.lanes.len() == self.memory.lanes.len()
-            && state.collectors.len() == self.collectors.len();
+        // Threads change nothing but the time.
+        let same = toml::from_str(&state.config).is_ok_and(|saved: TrainConfig| {
+            let threads = self.config.threads;
+            TrainConfig { threads, ..saved } == *self.config
+        });
+        let fits =
+            same && state.lanes.len() == self.memory.lanes.len() && state.collectors.len() == self.collectors.len();
         let largest = f64::from_bits(state.largest_priority_bits);
         if !fits || !self.memory.restore_priorities(&saved.priorities, largest) {
             return Err(other().into());
@@ -304,7 +308,7 @@ impl<'a> Run<'a> {
         let mut row = self.row.finish(updates, self.decisions, self.elapsed_s());
         if judged {
             let completion = self
-                .judge(self.learner.slow_actor(), self.config.evaluation.flights)?
+                .judge(self.learner.frozen(), self.config.evaluation.flights)?
                 .completion();
             row.completion = Some(completion);
             self.consider(updates, completion);
@@ -357,7 +361,7 @@ impl<'a> Run<'a> {
         self.candidates.push(Candidate {
             updates,
             completion,
-            params: self.learner.slow_actor().to_vec(),
+            params: self.learner.frozen().to_vec(),
         });
         self.candidates.sort_by(|a, b| {
             let order = b.completion.total_cmp(&a.completion);
