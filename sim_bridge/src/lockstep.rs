@@ -77,6 +77,20 @@ pub fn fly_lockstep<P: FirmwarePort>(
     time_limit_s: f64,
     linger_s: f64,
 ) -> Result<FlightRecord, P::Error> {
+    fly_lockstep_through(simulator, &mut |_, _| {}, port, time_limit_s, linger_s)
+}
+
+/// The same with somebody between the sensor and the firmware: `between` gets each step's number and frame before the firmware does.
+///
+/// # Errors
+/// The firmware port's error.
+pub fn fly_lockstep_through<P: FirmwarePort>(
+    simulator: &mut Simulator,
+    between: &mut dyn FnMut(u64, &mut DepthFrame),
+    port: &mut P,
+    time_limit_s: f64,
+    linger_s: f64,
+) -> Result<FlightRecord, P::Error> {
     // A vehicle that never lifts off is never seen by the referee: 60 s are ample for arming and take-off.
     let most_steps = ((time_limit_s + 60.0) / f64::from(STEP_S)) as u64;
     let mut last_step = most_steps;
@@ -87,6 +101,7 @@ pub fn fly_lockstep<P: FirmwarePort>(
     while step < last_step {
         simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
         from_firmware.clear();
+        between(step, &mut frame);
         port.step(step, simulator.now_ns(), &frame, &to_firmware, &mut from_firmware)?;
         if simulator.ending().is_none() && step.is_multiple_of(PATH_STRIDE) {
             path_ned_m.push(simulator.truth().position_ned_m);

@@ -52,6 +52,10 @@ pub struct SimArgs {
     #[arg(long)]
     pub lockstep: bool,
 
+    /// The frame service to publish on; another than `depth` leaves room for a process in between (`vigil adversary`).
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC, conflicts_with = "lockstep")]
+    pub frames: String,
+
     /// Print one JSON status line five times a second to standard output.
     #[arg(long)]
     pub status: bool,
@@ -172,7 +176,7 @@ pub fn ending_code(outcome: Option<Outcome>) -> u8 {
 }
 
 /// The monotonic clock that frame stamps and the firmware share.
-fn monotonic_ns() -> Nanos {
+pub(crate) fn monotonic_ns() -> Nanos {
     let t = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
     t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
 }
@@ -186,7 +190,7 @@ fn sleep_until(deadline_ns: Nanos) {
 
 fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
     let mut links = UdpLinks::bind(args.instance)?;
-    let mut publisher = FramePublisher::create(domain, DEPTH_TOPIC)?;
+    let mut publisher = FramePublisher::create(domain, &args.frames)?;
     // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
     let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
     let mut simulator = Simulator::new(config, epoch_ns)?;

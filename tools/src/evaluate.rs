@@ -1,5 +1,6 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
+use crate::campaign::{self, Flown};
 use crate::output::Paint;
 use crate::pilot::PilotArgs;
 use crate::statistics::{quantile, wilson_95};
@@ -7,14 +8,14 @@ use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::convert::Infallible;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep::{FirmwarePort, FlightRecord, fly_lockstep};
-use vigil_sim::{Models, SimConfig, Simulator, Start, family_parser};
-use vigil_types::{Datagrams, DepthFrame, Nanos, STEP_S};
+use vigil_adversary::{AttackConfig, Burst};
+use vigil_firmware::FirmwareConfig;
+use vigil_sim::lockstep::FlightRecord;
+use vigil_sim::{Attack, AttackArgs, AttackRecord, Models, SimConfig, Start, family_parser};
+use vigil_types::STEP_S;
 use vigil_vehicle::Wind;
 use vigil_world::{Course, Family, FlightPath, Outcome, generate};
 
@@ -27,6 +28,8 @@ Examples:
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
   vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles
   vigil evaluate --flights 200 --pilot actor --apf off  the frozen actor without the potential field
+  vigil evaluate --pilot actor --apf off --attack bim-accumulating --burst 50
+                                                        frames altered for 50 steps of each flight
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
 
 Each flight begins hovering at the start and ends as success, collision, out of bounds or time-out (docs/courses.md).
@@ -67,6 +70,9 @@ pub struct EvaluateArgs {
     #[command(flatten)]
     pilot: PilotArgs,
 
+    #[command(flatten)]
+    attack: AttackArgs,
+
     /// Where the JSON goes.
     #[arg(long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
@@ -81,6 +87,18 @@ struct Flight {
     seed: u64,
     #[serde(flatten)]
     record: FlightRecord,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attack: Option<AttackRecord>,
+}
+
+/// The attack as the report names it.
+#[derive(Serialize)]
+struct AttackReport {
+    #[serde(flatten)]
+    config: AttackConfig,
+    burst: Burst,
+    /// Whether it deceives a detector as well.
+    adaptive: bool,
 }
 
 #[derive(Serialize)]
@@ -103,6 +121,8 @@ struct Report<'a> {
     wall_s: f64,
     simulated_s: f64,
     real_time_factor_per_thread: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attack: Option<AttackReport>,
     rates: &'a [Rate],
     flights: &'a [Flight],
 }
@@ -147,6 +167,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
+    let attack = args.attack.attack(args.pilot.actor_file())?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.threads.map_or(0, usize::from))
         .build()?;
@@ -158,7 +179,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         (0..args.flights)
             .into_par_iter()
             .map(|i| {
-                let flight = fly(args, &models, args.seed.wrapping_add(i))?;
+                let flight = fly(args, &models, attack.as_ref(), args.seed.wrapping_add(i))?;
                 if !flight.record.is_success() {
                     bar.set_message(format!(
                         "last failure: seed {} ({})",
@@ -173,10 +194,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     })?;
     bar.finish_and_clear();
     let wall_s = begun.elapsed().as_secs_f64();
-    report(args, &flights, wall_s, pool.current_num_threads())
+    report(args, attack.as_ref(), &flights, wall_s, pool.current_num_threads())
 }
 
-fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
+fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64) -> Result<Flight> {
     let mut course = generate(args.family, seed);
     if args.still {
         course.movers.clear();
@@ -189,16 +210,9 @@ fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
     }
     let mut config = SimConfig::with_models(course, seed, models);
     config.start = Start::Airborne;
-    let mut simulator = Simulator::new(&config, 0)?;
-    let mut firmware_config = FirmwareConfig::to_goal(config.course.goal_ned_m());
-    args.pilot.apply(&mut firmware_config);
-    let mut firmware = SameProcess(LockstepFirmware::new(&firmware_config)?);
-    let Ok(record) = fly_lockstep(
-        &mut simulator,
-        &mut firmware,
-        f64::from(config.course.time_limit_s),
-        0.0,
-    );
+    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    args.pilot.apply(&mut firmware);
+    let Flown { record, attack } = campaign::fly(&config, &firmware, attack)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
         draw(
             &config.course,
@@ -206,25 +220,7 @@ fn fly(args: &EvaluateArgs, models: &Models, seed: u64) -> Result<Flight> {
             &folder.join(format!("{seed}-{}.png", name(record.outcome).replace(' ', "-"))),
         )?;
     }
-    Ok(Flight { seed, record })
-}
-
-struct SameProcess(LockstepFirmware);
-
-impl FirmwarePort for SameProcess {
-    type Error = Infallible;
-
-    fn step(
-        &mut self,
-        _step: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Infallible> {
-        self.0.step(now_ns, Some(frame), received, sent);
-        Ok(())
-    }
+    Ok(Flight { seed, record, attack })
 }
 
 /// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
@@ -243,7 +239,13 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
     Ok(vigil_world::draw(course, &[flight]).write_png(path)?)
 }
 
-fn report(args: &EvaluateArgs, flights: &[Flight], wall_s: f64, threads: usize) -> Result<ExitCode> {
+fn report(
+    args: &EvaluateArgs,
+    attack: Option<&Attack>,
+    flights: &[Flight],
+    wall_s: f64,
+    threads: usize,
+) -> Result<ExitCode> {
     let rates: Vec<Rate> = OUTCOMES
         .into_iter()
         .map(|outcome| {
@@ -280,6 +282,16 @@ fn report(args: &EvaluateArgs, flights: &[Flight], wall_s: f64, threads: usize) 
     if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
         println!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
     }
+    if attack.is_some() {
+        let each = || flights.iter().filter_map(|f| f.attack.as_ref());
+        let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
+        println!(
+            "attacked         {steps} steps in {} of {} flights; the yaw moved by 1.0 or more in {:.1} % of them",
+            each().filter(|a| a.attacked_steps > 0).count(),
+            flights.len(),
+            100.0 * effective as f64 / steps.max(1) as f64
+        );
+    }
     println!(
         "{:.0} s simulated in {:.1} s on {} threads: {:.0} x real time per thread",
         simulated_s, wall_s, threads, factor
@@ -312,6 +324,11 @@ fn report(args: &EvaluateArgs, flights: &[Flight], wall_s: f64, threads: usize) 
             wall_s,
             simulated_s,
             real_time_factor_per_thread: factor,
+            attack: attack.map(|attack| AttackReport {
+                config: attack.config,
+                burst: attack.burst,
+                adaptive: attack.evade.is_some(),
+            }),
             rates: &rates,
             flights,
         },

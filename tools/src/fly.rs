@@ -12,8 +12,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-use vigil_sim::CourseChoice;
+use vigil_sim::adversary::RAW_TOPIC;
 use vigil_sim::program::{Status, ending_code};
+use vigil_sim::{AttackArgs, CourseChoice};
 use vigil_types::NedVector;
 use vigil_world::{Course, FlightPath, Outcome};
 
@@ -31,6 +32,8 @@ Examples:
   vigil fly                          a random validation course
   vigil fly --seed 7                 validation course 7
   vigil fly --pilot actor            the frozen actor instead of the geometric pilot
+  vigil fly --pilot actor --apf off --attack bim-accumulating --burst continuous
+                                     ... with an adversary between the sensor and the firmware
   vigil fly --course my.toml         your own course (docs/courses.md)
   vigil fly --instance 1             beside another flight on the same machine
 
@@ -53,6 +56,10 @@ pub struct FlyArgs {
     #[command(flatten)]
     pilot: PilotArgs,
 
+    /// The adversary.
+    #[command(flatten)]
+    attack: AttackArgs,
+
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
     #[arg(long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
@@ -65,6 +72,7 @@ impl Default for FlyArgs {
             instance: 0,
             config: None,
             pilot: PilotArgs::default(),
+            attack: AttackArgs::default(),
             log: PathBuf::from("runs"),
         }
     }
@@ -93,10 +101,26 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         if let Some(config) = &args.config {
             c.arg("--config").arg(config);
         }
+        if args.attack.attack.is_some() {
+            c.args(["--frames", RAW_TOPIC]);
+        }
         c.stdout(Stdio::piped());
     })?;
     let statuses = read_statuses(&mut simulator.child)?;
     let goal = course.goal_ned_m();
+    let adversary = args.attack.attack.map(|_| {
+        Process::start("adversary", &folder, |c| {
+            c.arg("adversary").args(["--instance", &args.instance.to_string()]);
+            c.args(["--seed", &seed.to_string()]);
+            c.arg(format!("--goal={},{}", goal.x, goal.y))
+                .arg(format!("--height={}", -goal.z));
+            if let Some(file) = args.pilot.actor_file() {
+                c.arg("--actor").arg(file);
+            }
+            args.attack.hand_on(c);
+        })
+    });
+    let mut adversary = adversary.transpose()?;
     let mut firmware = Process::start("firmware", &folder, |c| {
         c.arg("firmware").args(["--instance", &args.instance.to_string()]);
         c.args(["--engage", "auto", "--at-goal", "land"]);
@@ -114,6 +138,13 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     // The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
     let firmware_said = firmware.end()?;
     simulator.end()?;
+    // That of an adversary which ended early, or was killed, is in its log; the flight went on or held without frames.
+    if let Some(adversary) = adversary.as_mut() {
+        println!(
+            "adversary {}",
+            adversary.end()?.lines().last().unwrap_or("said nothing")
+        );
+    }
     let Flight { last, path } = watched?;
     let outcome = last.as_ref().and_then(|s| s.outcome.as_deref()).and_then(outcome_named);
     let drawn = FlightPath {

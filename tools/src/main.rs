@@ -1,5 +1,7 @@
 //! The `vigil` command line: everything a person does with Vigil starts here.
 
+mod attack;
+mod campaign;
 mod courses;
 mod evaluate;
 mod fly;
@@ -50,6 +52,10 @@ enum Command {
     Firmware(vigil_firmware::program::FirmwareArgs),
     /// Fly many seeded courses in lockstep, faster than real time, and tabulate the outcomes.
     Evaluate(evaluate::EvaluateArgs),
+    /// Attack the actor: on states, on scenes, in campaigns of flights.
+    Attack(attack::AttackCommands),
+    /// Run the adversary alone: alters depth frames between the sensor and the firmware.
+    Adversary(vigil_sim::adversary::AdversaryArgs),
     /// Run the tick over a flight log's recorded inputs and compare every output byte.
     Replay(replay::ReplayArgs),
     /// Close a flight log that was cut off when its process was killed.
@@ -70,6 +76,8 @@ fn main() -> ExitCode {
         Command::Sim(args) => vigil_sim::program::run(args),
         Command::Firmware(args) => vigil_firmware::program::run(args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Attack(args) => attack::run(&args),
+        Command::Adversary(args) => vigil_sim::adversary::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Train(args) => train::run(&args),

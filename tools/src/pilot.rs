@@ -1,6 +1,6 @@
 //! Which pilot flies: the arguments that `vigil fly` and `vigil evaluate` share.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{AlarmChoice, PilotKind};
@@ -43,6 +43,11 @@ impl PilotArgs {
         config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
+    }
+
+    /// The actor's file, if one was given.
+    pub fn actor_file(&self) -> Option<&Path> {
+        self.actor.as_deref()
     }
 
     /// Hands on to a `firmware` process what was given.

@@ -1,6 +1,7 @@
 //! What an attack is told, and what it came to.
 
 use serde::{Deserialize, Serialize};
+use vigil_detector::ShapError;
 use vigil_nnet::ShapeError;
 
 /// A change of the yaw output by as much counts as effective: 30 °/s (PAPER.md, "Attack in flight").
@@ -183,6 +184,9 @@ pub enum AttackError {
     /// No iterations.
     #[error("an attack needs at least one iteration")]
     Iterations,
+    /// The detector to be evaded cannot explain the actor.
+    #[error("the detector to be evaded cannot be used: {0}")]
+    Detector(#[from] ShapError),
     /// Frames or parameters of another actor.
     #[error(transparent)]
     Shape(#[from] ShapeError),

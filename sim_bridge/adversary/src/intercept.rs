@@ -48,12 +48,25 @@ impl Interceptor {
     /// # Errors
     /// None for frames of the actor's size; the frame is then as it was.
     pub fn pass(&mut self, step: u64, frame: &mut DepthFrame) -> Result<PassedStep, AttackError> {
+        self.pass_while(step, frame, || true)
+    }
+
+    /// The same in a hurry: after each iteration `go_on` says whether there is time for another.
+    ///
+    /// # Errors
+    /// None for frames of the actor's size; the frame is then as it was.
+    pub fn pass_while(
+        &mut self,
+        step: u64,
+        frame: &mut DepthFrame,
+        go_on: impl FnMut() -> bool,
+    ) -> Result<PassedStep, AttackError> {
         let position = positional_inputs(goal_seen_from(&frame.header, self.goal_ned_m));
         if !self.plan.attacks(step) {
             self.attack.pass(&mut frame.depth, position)?;
             return Ok(PassedStep::Unaltered);
         }
-        let outcome = self.attack.attack(&mut frame.depth, position)?;
+        let outcome = self.attack.attack_while(&mut frame.depth, position, go_on)?;
         frame.seal();
         Ok(PassedStep::Attacked(outcome))
     }

@@ -5,6 +5,9 @@ use vigil_nnet::{
     ShapeError,
 };
 
+/// A weight for each output before saturation, and for each value of the GRU's last state.
+pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];
+
 /// Frames to outputs, with the gradient at the pixels.
 #[derive(Debug, Clone)]
 pub(crate) struct Lens {
@@ -20,6 +23,8 @@ pub(crate) struct Lens {
     frame_len: usize,
     /// The newest frame's features.
     features: NodeId,
+    /// The GRU's last state: the split point.
+    state: NodeId,
 }
 
 impl Lens {
@@ -50,6 +55,8 @@ impl Lens {
         }
         let position = b.input(ACTOR_POSITIONAL, false)?;
         let outputs = spec.head_before_saturation(&mut b, &params, state, position)?;
+        // The state beside the outputs, so that a gradient can begin at either.
+        let outputs = b.concat(&[outputs, state])?;
         let graph = b.finish(outputs, Purpose::Gradients)?;
         let mut packed = vec![0.0; graph.param_len()];
         graph.pack(given, &mut packed)?;
@@ -64,6 +71,7 @@ impl Lens {
             from_state,
             frame_len: spec.frame_len(),
             features,
+            state,
         })
     }
 
@@ -93,7 +101,8 @@ impl Lens {
         self.graph
             .forward(self.isa, &self.params, &inputs[..count], &mut self.tape)?;
         let mut outputs = [0.0; ACTOR_OUTPUTS];
-        outputs.copy_from_slice(self.graph.output(&self.tape)?);
+        let ends = self.graph.output(&self.tape)?;
+        outputs.copy_from_slice(&ends[..ACTOR_OUTPUTS]);
         Ok(outputs)
     }
 
@@ -102,10 +111,15 @@ impl Lens {
         self.graph.value(&self.tape, self.features)
     }
 
-    /// Gradient of `d · outputs` at what was last looked at, written beside each other for all frames.
-    pub fn gradient(&mut self, d: [f32; ACTOR_OUTPUTS], gradient: &mut [f32]) -> Result<(), ShapeError> {
+    /// The GRU's last state, as last looked at.
+    pub fn state(&self) -> Result<&[f32], ShapeError> {
+        self.graph.value(&self.tape, self.state)
+    }
+
+    /// Gradient of `d · (outputs, state)` at what was last looked at, written beside each other for all frames.
+    pub fn gradient(&mut self, d: &Ends, gradient: &mut [f32]) -> Result<(), ShapeError> {
         self.graph
-            .backward(self.isa, &self.packed, &self.tape, &d, None, &mut self.work)?;
+            .backward(self.isa, &self.packed, &self.tape, d, None, &mut self.work)?;
         for (i, to) in gradient.chunks_exact_mut(self.frame_len).enumerate() {
             let input = i + usize::from(self.from_state);
             to.copy_from_slice(self.graph.input_gradient(&self.work, input)?);

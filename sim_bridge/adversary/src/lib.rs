@@ -3,6 +3,7 @@
 
 mod burst;
 mod config;
+mod evade;
 mod intercept;
 mod lens;
 mod perturb;

@@ -1,7 +1,8 @@
 //! The iterations: from the loss's gradient to altered pixels.
 
 use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN};
-use crate::lens::Lens;
+use crate::evade::Evasion;
+use crate::lens::{Ends, Lens};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Activation, Isa};
@@ -61,6 +62,13 @@ impl Perturber {
         &self.config
     }
 
+    pub fn configure(&mut self, config: AttackConfig) -> Result<(), AttackError> {
+        config.check()?;
+        self.config = config;
+        self.calls = 0;
+        Ok(())
+    }
+
     /// Draws from the beginning again.
     pub fn reset(&mut self, seed: u64) {
         self.config.seed = seed;
@@ -68,14 +76,16 @@ impl Perturber {
     }
 
     /// Alters `frames`, which `lens` looked at last and saw `before` (outputs before saturation). After each iteration
-    /// `each` gets its number from 1, the outputs before saturation, and the frames. Returns the last outputs before saturation.
+    /// `each` gets its number from 1, the outputs before saturation, and the frames; it says whether to go on. Returns
+    /// the last outputs before saturation.
     pub fn run(
         &mut self,
         lens: &mut Lens,
         scene: &Scene<'_>,
         frames: &mut [f32],
         before: [f32; ACTOR_OUTPUTS],
-        mut each: impl FnMut(u32, [f32; ACTOR_OUTPUTS], &[f32]),
+        mut evasion: Option<&mut Evasion>,
+        mut each: impl FnMut(u32, [f32; ACTOR_OUTPUTS], &[f32]) -> bool,
     ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed);
         rng.set_stream(self.calls);
@@ -106,15 +116,16 @@ impl Perturber {
         };
         self.extra.fill(0.0);
         for iteration in 1..=iterations {
-            // Loss: squared distance of the yaw, before its saturation, to the target.
-            let d_yaw = 2.0 * (outputs[1] - scene.direction * TARGET);
-            lens.gradient([0.0, d_yaw], &mut self.gradient)?;
+            let d = ends(lens, scene, outputs, evasion.as_deref_mut())?;
+            lens.gradient(&d, &mut self.gradient)?;
             if method == Method::Patch && iteration == 1 {
                 self.place_patch();
             }
             self.step(frames, epsilon, iterations);
             outputs = lens.look(scene.older, frames, scene.position)?;
-            each(iteration, outputs, frames);
+            if !each(iteration, outputs, frames) {
+                break;
+            }
         }
         Ok(outputs)
     }
@@ -202,6 +213,27 @@ impl Perturber {
             }
         }
     }
+}
+
+/// Where the gradient of this iteration begins. The loss is the squared distance of the yaw, before its saturation, to the target. An attacker
+/// who evades goes down the detector's score instead whenever that is too high (Bryniarski et al., "Evading Adversarial
+/// Example Detection Defenses with Orthogonal Projected Gradient Descent", 2022: the selective variant).
+fn ends(
+    lens: &Lens,
+    scene: &Scene<'_>,
+    outputs: [f32; ACTOR_OUTPUTS],
+    evasion: Option<&mut Evasion>,
+) -> Result<Ends, AttackError> {
+    let mut d: Ends = [0.0; ACTOR_OUTPUTS + ACTOR_HIDDEN];
+    if let Some(evasion) = evasion {
+        let state = lens.state()?;
+        if evasion.look(state, scene.position)? > 0.0 {
+            d[ACTOR_OUTPUTS..].copy_from_slice(&evasion.gradient(state, scene.position)?);
+            return Ok(d);
+        }
+    }
+    d[1] = 2.0 * (outputs[1] - scene.direction * TARGET);
+    Ok(d)
 }
 
 fn norm(values: impl Iterator<Item = f32>) -> f64 {

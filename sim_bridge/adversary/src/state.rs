@@ -1,7 +1,7 @@
 //! The paper's attack: all five frames of a state.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::lens::Lens;
+use crate::lens::{Ends, Lens};
 use crate::perturb::{Perturber, Scene, saturate};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
 
@@ -38,6 +38,14 @@ impl StateAttack {
         })
     }
 
+    /// Attacks otherwise from now on, and draws from the beginning again.
+    ///
+    /// # Errors
+    /// A configuration out of range; the earlier one stays.
+    pub fn configure(&mut self, config: &AttackConfig) -> Result<(), AttackError> {
+        self.perturber.configure(*config)
+    }
+
     /// Draws from the beginning again, from another seed: with one seed for each state the results do not depend on which
     /// thread attacks which state.
     pub fn reseed(&mut self, seed: u64) {
@@ -69,7 +77,9 @@ impl StateAttack {
     ) -> Result<(), AttackError> {
         self.check(gradient)?;
         self.look(frames, &position)?;
-        Ok(self.lens.gradient([0.0, 1.0], gradient)?)
+        let mut yaw: Ends = [0.0; ACTOR_OUTPUTS + ACTOR_HIDDEN];
+        yaw[1] = 1.0;
+        Ok(self.lens.gradient(&yaw, gradient)?)
     }
 
     /// Alters `frames` in place: 5 × rows · cols normalised ranges, oldest first.
@@ -106,11 +116,17 @@ impl StateAttack {
             clean,
             attacked: saturate(isa, outputs),
         };
-        let last = self
-            .perturber
-            .run(&mut self.lens, &scene, frames, before, |iteration, outputs, frames| {
+        let last = self.perturber.run(
+            &mut self.lens,
+            &scene,
+            frames,
+            before,
+            None,
+            |iteration, outputs, frames| {
                 each(iteration, outcome(outputs), frames);
-            })?;
+                true
+            },
+        )?;
         Ok(outcome(last))
     }
 

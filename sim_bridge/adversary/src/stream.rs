@@ -1,8 +1,10 @@
 //! The attack in flight: the newest frame only, as it passes.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
+use crate::evade::Evasion;
 use crate::lens::Lens;
 use crate::perturb::{Perturber, Scene};
+use vigil_detector::FrozenDetector;
 use vigil_nnet::{
     ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Graph, GraphBuilder, Isa, NodeId, Purpose,
     ShapeError,
@@ -21,6 +23,9 @@ pub struct StreamAttack {
     clean: Trail,
     /// Where the burst under way aims, so that it does not turn back half-way.
     direction: Option<f32>,
+    /// The detector that is to see nothing.
+    evasion: Option<Box<Evasion>>,
+    spec: ActorSpec,
 }
 
 impl StreamAttack {
@@ -47,7 +52,20 @@ impl StreamAttack {
             delivered: Trail::new(spec),
             clean: Trail::new(spec),
             direction: None,
+            evasion: None,
+            spec,
         })
+    }
+
+    /// Makes the attack adaptive: it deceives this detector along with the actor. Whenever the detector's score comes near its
+    /// threshold, an iteration lowers the score instead of bending the yaw.
+    ///
+    /// # Errors
+    /// A detector whose background sample or parameters do not fit.
+    pub fn evading(mut self, detector: &FrozenDetector) -> Result<Self, AttackError> {
+        let evasion = Evasion::new(self.spec, self.isa, &self.params, detector)?;
+        self.evasion = Some(Box::new(evasion));
+        Ok(self)
     }
 
     /// Lets a frame pass unaltered, but remembers it. Ends a burst.
@@ -61,7 +79,10 @@ impl StreamAttack {
         self.delivered.push(features);
         self.clean.push(features);
         self.direction = None;
-        Ok(())
+        if let Some(evasion) = &mut self.evasion {
+            evasion.begin_step();
+        }
+        self.explain_delivered(&position)
     }
 
     /// Alters a frame (rows · cols normalised ranges) in place. `clean` of the outcome is what the actor would decide
@@ -73,6 +94,19 @@ impl StreamAttack {
         &mut self,
         frame: &mut [f32],
         position: [f32; ACTOR_POSITIONAL],
+    ) -> Result<AttackOutcome, AttackError> {
+        self.attack_while(frame, position, || true)
+    }
+
+    /// The same for an attacker in a hurry: after each iteration `go_on` says whether there is time for another.
+    ///
+    /// # Errors
+    /// A frame of another length; nothing is altered or remembered.
+    pub fn attack_while(
+        &mut self,
+        frame: &mut [f32],
+        position: [f32; ACTOR_POSITIONAL],
+        mut go_on: impl FnMut() -> bool,
     ) -> Result<AttackOutcome, AttackError> {
         self.check(frame)?;
         if !self.delivered.started {
@@ -97,11 +131,30 @@ impl StreamAttack {
             position: &position,
             direction,
         };
-        self.perturber
-            .run(&mut self.lens, &scene, frame, before, |_, _, _| {})?;
+        if let Some(evasion) = &mut self.evasion {
+            evasion.begin_step();
+        }
+        self.perturber.run(
+            &mut self.lens,
+            &scene,
+            frame,
+            before,
+            self.evasion.as_deref_mut(),
+            |_, _, _| go_on(),
+        )?;
         self.delivered.push(self.lens.features()?);
         let attacked = self.memory.decide(self.isa, &self.params, &self.delivered, &position)?;
+        self.explain_delivered(&position)?;
         Ok(AttackOutcome { clean, attacked })
+    }
+
+    /// The detector explains what the actor decided on.
+    fn explain_delivered(&mut self, position: &[f32; ACTOR_POSITIONAL]) -> Result<(), AttackError> {
+        if let Some(evasion) = &mut self.evasion {
+            let state = self.memory.state(self.isa, &self.params, &self.delivered, position)?;
+            evasion.look(&state, position)?;
+        }
+        Ok(())
     }
 
     /// Forgets the frames and draws from the beginning again: another flight.
@@ -111,6 +164,9 @@ impl StreamAttack {
         self.delivered.started = false;
         self.clean.started = false;
         self.direction = None;
+        if let Some(evasion) = &mut self.evasion {
+            evasion.reset();
+        }
     }
 
     fn check(&self, frame: &[f32]) -> Result<(), AttackError> {
@@ -163,6 +219,8 @@ impl Trail {
 #[derive(Debug, Clone)]
 struct Memory {
     decision: Graph,
+    /// The GRU's last state in `decision`.
+    state: NodeId,
     older: Graph,
     decision_tape: Vec<f32>,
     older_tape: Vec<f32>,
@@ -170,14 +228,14 @@ struct Memory {
 
 impl Memory {
     fn new(spec: ActorSpec) -> Result<Self, ShapeError> {
-        let decision = {
+        let (decision, state) = {
             let mut b = GraphBuilder::new();
             let params = spec.reserve(&mut b);
             let features = Self::features(&mut b, spec, ACTOR_FRAMES)?;
             let position = b.input(ACTOR_POSITIONAL, false)?;
             let state = spec.recur(&mut b, &params, &features)?;
             let outputs = spec.head(&mut b, &params, state, position)?;
-            b.finish(outputs, Purpose::Gradients)?
+            (b.finish(outputs, Purpose::Gradients)?, state)
         };
         let older = {
             let mut b = GraphBuilder::new();
@@ -190,6 +248,7 @@ impl Memory {
             decision_tape: vec![0.0; decision.tape_len()],
             older_tape: vec![0.0; older.tape_len()],
             decision,
+            state,
             older,
         })
     }
@@ -214,6 +273,20 @@ impl Memory {
         let mut outputs = [0.0; ACTOR_OUTPUTS];
         outputs.copy_from_slice(self.decision.output(&self.decision_tape)?);
         Ok(outputs)
+    }
+
+    /// The GRU's state that the decision on these five frames is made from.
+    fn state(
+        &mut self,
+        isa: Isa,
+        params: &[f32],
+        trail: &Trail,
+        position: &[f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_HIDDEN], ShapeError> {
+        self.decide(isa, params, trail, position)?;
+        let mut state = [0.0; ACTOR_HIDDEN];
+        state.copy_from_slice(self.decision.value(&self.decision_tape, self.state)?);
+        Ok(state)
     }
 
     /// The GRU's state before the next frame: the oldest of the five will have dropped out.

@@ -5,6 +5,7 @@ mod oracle;
 
 use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
 use vigil_adversary::{AttackConfig, AttackError, Method, StateAttack, StreamAttack, Towards};
+use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, normalise};
 use vigil_nnet::{
     ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Activation, Actor, ActorSpec, Dense, GraphBuilder, Isa, Purpose,
 };
@@ -333,4 +334,90 @@ fn bad_configurations_and_frames_are_refused_by_name() {
     let mut attack = StreamAttack::on(SMALL, Isa::PORTABLE, &params, &AttackConfig::PAPER).unwrap();
     let error = attack.attack(&mut [0.5; 7], [0.0; 2]).unwrap_err();
     assert_eq!(error.to_string(), "frame holds 7 values, expected 2048");
+}
+
+/// A detector of random weights for the small actor.
+fn random_detector() -> FrozenDetector {
+    let mut rng = rng(11);
+    let params = LstmAd::tensors()
+        .iter()
+        .map(|(_, shape)| shape.iter().product::<usize>())
+        .sum();
+    let background = |rng: &mut _| {
+        let mut state = [0.0; ACTOR_HIDDEN];
+        state.copy_from_slice(&uniform(rng, ACTOR_HIDDEN, 0.5));
+        (state, [0.5, 0.1])
+    };
+    FrozenDetector {
+        actor_sha256: String::new(),
+        backgrounds: (0..5).map(|_| background(&mut rng)).collect(),
+        centre: [0.0; ROW],
+        scale: [0.02; ROW],
+        threshold: 0.5,
+        threshold_choice: String::new(),
+        params: uniform(&mut rng, params, 0.2),
+        training_config: String::new(),
+        seed: 0,
+        git_commit: None,
+    }
+}
+
+/// The detector's score after ten frames of peace and five of an attack, worked out from what was delivered; and how far
+/// the yaw was bent at the end.
+fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetector) -> (f32, f32) {
+    let (params, isa, position) = (small_params(3), Isa::detect(), [0.4, 0.3]);
+    let mut actor = Actor::new(SMALL, isa, &params).unwrap();
+    let backgrounds: Vec<[&[f32]; 2]> = detector.backgrounds.iter().map(|(h, p)| [&h[..], &p[..]]).collect();
+    let head = SMALL.head_graph(Purpose::Multipliers).unwrap();
+    let mut shap = DeepShap::new(isa, head, &params, &backgrounds).unwrap();
+    let mut rows = Vec::new();
+    let mut bent = 0.0;
+    for step in 0..15 {
+        let mut frame = small_frames(1, 100);
+        if attacked && step >= 10 {
+            bent = attack.attack(&mut frame, position).unwrap().yaw_change().abs();
+        } else {
+            attack.pass(&mut frame, position).unwrap();
+        }
+        actor.decide(&frame, position).unwrap();
+        shap.evaluate(&[actor.state(), &position]).unwrap();
+        let mut phi = [0.0; ROW + 2];
+        shap.attribute(1, &mut phi).unwrap();
+        rows.push(normalise(phi.first_chunk().unwrap(), &detector.centre, &detector.scale));
+    }
+    let mut judge = LstmAd::new(isa, &detector.params).unwrap();
+    (judge.score(rows.last_chunk::<WINDOW>().unwrap()).unwrap(), bent)
+}
+
+#[test]
+fn an_attacker_who_knows_the_detector_lowers_its_score_and_still_bends_the_yaw() {
+    let told = AttackConfig {
+        epsilon_255: 0.5,
+        ..AttackConfig::PAPER
+    };
+    let plain = || StreamAttack::on(SMALL, Isa::detect(), &small_params(3), &told).unwrap();
+    let mut detector = random_detector();
+    let (peace, _) = score_after(&mut plain(), false, &detector);
+    let (raised, _) = score_after(&mut plain(), true, &detector);
+    if raised < peace {
+        // Random weights may like attacks; the negated output layer does not.
+        let output = detector.params.len() - 17;
+        detector.params[output..].iter_mut().for_each(|w| *w = -*w);
+    }
+    let (peace, _) = score_after(&mut plain(), false, &detector);
+    let (caught, _) = score_after(&mut plain(), true, &detector);
+    assert!(caught > peace, "{caught} {peace}");
+    // A threshold between them: the attacker has to take care.
+    detector.threshold = peace + 0.5 * (caught - peace);
+    let mut evading = plain().evading(&detector).unwrap();
+    let (score, bent) = score_after(&mut evading, true, &detector);
+    assert!(score < caught && bent > 0.0, "{score} against {caught}, bent by {bent}");
+    evading.reset();
+    assert_eq!(
+        score_after(&mut evading, true, &detector),
+        (score, bent),
+        "a reset begins anew"
+    );
+    detector.backgrounds.clear();
+    assert!(plain().evading(&detector).is_err());
 }

@@ -23,6 +23,7 @@ mod train;
 mod weights;
 
 pub use config::{ConfigError, TrainConfig};
+pub use flight::Flight;
 pub use judge::{JudgeError, Judged, Judgement, Verdict, judge};
 pub use learner::{UpdateError, UpdateReport};
 pub use progress::{Progress, Row};

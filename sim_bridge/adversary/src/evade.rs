@@ -1,0 +1,127 @@
+//! The attacker who knows the detector: what its score will be, and which way to bend the actor's state to lower it.
+
+use crate::config::AttackError;
+use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, ActorSpec, Graph, Isa, Purpose};
+
+/// The actor's output that the detector explains.
+const YAW: usize = 1;
+/// Step of the one-sided differences of the explanation, in units of the GRU's state (which lies within ±1).
+const DIFFERENCE: f32 = 1e-3;
+/// The attacker lowers the score while its logit is above the threshold's less this margin, and bends the yaw otherwise.
+const MARGIN: f32 = 1.0;
+
+/// A copy of the detector's window, and its gradient.
+///
+/// Score: LSTM-AD through its own layers, back to the newest row; from there through DeepSHAP by one-sided differences over
+/// the 48 values of the state, which the pixels' gradient then takes up. Nothing is approximated but those differences.
+#[derive(Debug, Clone)]
+pub(crate) struct Evasion {
+    isa: Isa,
+    shap: DeepShap,
+    /// LSTM-AD without its sigmoid: the score's logit.
+    graph: Graph,
+    params: Vec<f32>,
+    packed: Vec<f32>,
+    tape: Vec<f32>,
+    work: Vec<f32>,
+    centre: [f32; ROW],
+    scale: [f32; ROW],
+    /// Logit above which the attacker takes care.
+    limit: f32,
+    /// Normalised explanations of what was delivered, oldest first; the last one is the step under way.
+    rows: [[f32; ROW]; WINDOW],
+    filled: usize,
+}
+
+impl Evasion {
+    pub fn new(spec: ActorSpec, isa: Isa, actor: &[f32], detector: &FrozenDetector) -> Result<Self, AttackError> {
+        let backgrounds: Vec<[&[f32]; 2]> = detector
+            .backgrounds
+            .iter()
+            .map(|(state, position)| [state.as_slice(), position.as_slice()])
+            .collect();
+        let graph = LstmAd::graph(ROW, LstmAd::CELL, Activation::Identity)?;
+        let mut packed = vec![0.0; graph.param_len()];
+        graph.pack(&detector.params, &mut packed)?;
+        let threshold = detector.threshold;
+        Ok(Self {
+            isa,
+            shap: DeepShap::new(isa, spec.head_graph(Purpose::Multipliers)?, actor, &backgrounds)?,
+            params: detector.params.clone(),
+            packed,
+            tape: vec![0.0; graph.tape_len()],
+            work: vec![0.0; graph.work_len()],
+            graph,
+            centre: detector.centre,
+            scale: detector.scale,
+            limit: (threshold / (1.0 - threshold)).ln() - MARGIN,
+            rows: [[0.0; ROW]; WINDOW],
+            filled: 0,
+        })
+    }
+
+    /// Makes room for a step's explanation.
+    pub fn begin_step(&mut self) {
+        self.rows.rotate_left(1);
+        self.filled = (self.filled + 1).min(WINDOW);
+    }
+
+    /// Forgets the steps.
+    pub fn reset(&mut self) {
+        self.filled = 0;
+    }
+
+    /// Takes the state that the actor will have in the step under way; returns how far the score's logit is above what the
+    /// attacker allows itself, 0 or less while there is nothing to fear (a window that is not full is not judged).
+    pub fn look(&mut self, state: &[f32], position: &[f32; ACTOR_POSITIONAL]) -> Result<f32, AttackError> {
+        let phi = self.explain(state, position)?;
+        if let Some(newest) = self.rows.last_mut() {
+            *newest = normalise(&phi, &self.centre, &self.scale);
+        }
+        if self.filled < WINDOW {
+            return Ok(0.0);
+        }
+        let inputs = self.rows.each_ref().map(|row| row.as_slice());
+        self.graph.forward(self.isa, &self.params, &inputs, &mut self.tape)?;
+        Ok(self.graph.output(&self.tape)?[0] - self.limit)
+    }
+
+    /// Gradient of the logit with respect to the state last looked at.
+    pub fn gradient(
+        &mut self,
+        state: &[f32],
+        position: &[f32; ACTOR_POSITIONAL],
+    ) -> Result<[f32; ACTOR_HIDDEN], AttackError> {
+        self.graph
+            .backward(self.isa, &self.packed, &self.tape, &[1.0], None, &mut self.work)?;
+        let mut d_phi = [0.0; ROW];
+        d_phi.copy_from_slice(self.graph.input_gradient(&self.work, WINDOW - 1)?);
+        for ((d, scale), x) in d_phi.iter_mut().zip(&self.scale).zip(&self.rows[WINDOW - 1]) {
+            // A clipped value does not move.
+            *d = if x.abs() < ROW_LIMIT { *d / scale } else { 0.0 };
+        }
+        let along = |phi: &[f32; ROW]| phi.iter().zip(&d_phi).map(|(phi, d)| phi * d).sum::<f32>();
+        let here = along(&self.explain(state, position)?);
+        let mut moved = [0.0; ACTOR_HIDDEN];
+        moved.copy_from_slice(state);
+        let mut gradient = [0.0; ACTOR_HIDDEN];
+        for i in 0..ACTOR_HIDDEN {
+            let kept = moved[i];
+            moved[i] = kept + DIFFERENCE;
+            gradient[i] = (along(&self.explain(&moved, position)?) - here) / DIFFERENCE;
+            moved[i] = kept;
+        }
+        Ok(gradient)
+    }
+
+    /// SHAP values of the state, yaw output.
+    fn explain(&mut self, state: &[f32], position: &[f32; ACTOR_POSITIONAL]) -> Result<[f32; ROW], AttackError> {
+        let mut phi = [0.0; ROW + ACTOR_POSITIONAL];
+        self.shap.evaluate(&[state, position])?;
+        self.shap.attribute(YAW, &mut phi)?;
+        let mut of_state = [0.0; ROW];
+        of_state.copy_from_slice(&phi[..ROW]);
+        Ok(of_state)
+    }
+}

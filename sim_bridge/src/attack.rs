@@ -1,0 +1,166 @@
+//! Which attack is flown against: the arguments that campaigns, live flights and the adversary's own process share.
+
+use anyhow::{Result, ensure};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use vigil_adversary::{
+    AttackConfig, AttackError, Burst, BurstPlan, Interceptor, Method, PassedStep, StreamAttack, Towards,
+};
+use vigil_detector::FrozenDetector;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
+use vigil_types::NedVector;
+
+/// An attack on the frames as they pass.
+#[derive(Debug, Clone, clap::Args)]
+pub struct AttackArgs {
+    /// Alter the depth frames between the sensor and the firmware (docs/adversary.md).
+    #[arg(long, value_enum, value_name = "METHOD")]
+    pub attack: Option<Method>,
+
+    /// Size of the attack in 1/255 of the image's range of 100 m.
+    #[arg(long, value_name = "N", default_value_t = AttackConfig::PAPER.epsilon_255, requires = "attack")]
+    pub epsilon: f32,
+
+    /// Iterations of the attack on each frame.
+    #[arg(long, value_name = "N", default_value_t = AttackConfig::PAPER.iterations, requires = "attack")]
+    pub iterations: u32,
+
+    /// Steps attacked, once in a flight at a moment drawn from its seed, or `continuous`.
+    #[arg(long, value_name = "STEPS|continuous", default_value = "50", requires = "attack")]
+    pub burst: Burst,
+
+    /// The yaw limit aimed at; `away` is the one farther from the clean decision.
+    #[arg(long, value_enum, default_value_t = AttackConfig::PAPER.towards, requires = "attack")]
+    pub towards: Towards,
+
+    /// The actor whose weights the attacker has [default: the one that flies].
+    #[arg(long, value_name = "FILE", requires = "attack")]
+    pub attack_actor: Option<PathBuf>,
+
+    /// Adaptive: deceive this detector as well.
+    #[arg(long, value_name = "FILE", requires = "attack")]
+    pub evade: Option<PathBuf>,
+}
+
+impl Default for AttackArgs {
+    fn default() -> Self {
+        let AttackConfig {
+            epsilon_255: epsilon,
+            iterations,
+            towards,
+            ..
+        } = AttackConfig::PAPER;
+        Self {
+            attack: None,
+            epsilon,
+            iterations,
+            burst: Burst::Steps(50),
+            towards,
+            attack_actor: None,
+            evade: None,
+        }
+    }
+}
+
+impl AttackArgs {
+    /// The attack, if one is asked for. `flown` is the file of the actor that flies, if it is not the built-in one.
+    ///
+    /// # Errors
+    /// A file that is no actor or no detector, a detector of another actor.
+    pub fn attack(&self, flown: Option<&Path>) -> Result<Option<Attack>> {
+        let Some(method) = self.attack else { return Ok(None) };
+        let actor = match self.attack_actor.as_deref().or(flown) {
+            Some(file) => FrozenActor::load(file)?,
+            None => FrozenActor::built_in()?,
+        };
+        let evade = self.evade.as_deref().map(FrozenDetector::load).transpose()?;
+        if let Some(detector) = &evade {
+            let (expected, found) = (&detector.actor_sha256, actor.sha256());
+            ensure!(
+                *expected == found,
+                "--evade: the detector judges the actor with SHA-256 {expected}, the attacked one has {found}"
+            );
+        }
+        Ok(Some(Attack {
+            params: actor.params,
+            config: AttackConfig {
+                method,
+                epsilon_255: self.epsilon,
+                iterations: self.iterations,
+                towards: self.towards,
+                seed: 0,
+            },
+            burst: self.burst,
+            evade,
+        }))
+    }
+
+    /// The arguments again, for another process.
+    pub fn hand_on(&self, command: &mut std::process::Command) {
+        let Some(method) = self.attack else { return };
+        command.args(["--attack", method.name(), "--towards", self.towards.name()]);
+        command.arg(format!("--epsilon={}", self.epsilon));
+        command.arg(format!("--iterations={}", self.iterations));
+        command.arg(format!("--burst={}", self.burst));
+        if let Some(file) = &self.attack_actor {
+            command.arg("--attack-actor").arg(file);
+        }
+        if let Some(file) = &self.evade {
+            command.arg("--evade").arg(file);
+        }
+    }
+}
+
+/// An attack that many flights can be flown against.
+#[derive(Debug, Clone)]
+pub struct Attack {
+    /// Weights that the attacker has.
+    pub params: Vec<f32>,
+    /// How; the seed is each flight's own.
+    pub config: AttackConfig,
+    /// How long.
+    pub burst: Burst,
+    /// The detector to deceive along with the actor.
+    pub evade: Option<FrozenDetector>,
+}
+
+impl Attack {
+    /// The adversary of one flight. Its seed decides when it attacks and what it draws.
+    ///
+    /// # Errors
+    /// ε or iterations out of range, a detector that does not fit.
+    pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
+        let config = AttackConfig { seed, ..self.config };
+        let mut attack = StreamAttack::new(Isa::detect(), &self.params, &config)?;
+        if let Some(detector) = &self.evade {
+            attack = attack.evading(detector)?;
+        }
+        Ok(Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m))
+    }
+}
+
+/// What an attack did in one flight.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct AttackRecord {
+    /// The first step attacked; absent when the flight ended before.
+    pub first_step: Option<u64>,
+    /// Steps attacked.
+    pub attacked_steps: u64,
+    /// Steps whose yaw moved by 1.0 or more (30 °/s).
+    pub effective_steps: u64,
+    /// Mean of the yaw output's absolute change over the attacked steps.
+    pub mean_yaw_change: f64,
+}
+
+impl AttackRecord {
+    /// Takes a step into account.
+    pub fn observe(&mut self, step: u64, passed: &PassedStep) {
+        let PassedStep::Attacked(outcome) = passed else { return };
+        self.first_step.get_or_insert(step);
+        self.attacked_steps += 1;
+        self.effective_steps += u64::from(outcome.is_effective());
+        let change = f64::from(outcome.yaw_change().abs());
+        self.mean_yaw_change += (change - self.mean_yaw_change) / self.attacked_steps as f64;
+    }
+}

@@ -1,0 +1,128 @@
+//! Frames altered between the sensor and the firmware: in lockstep the same bits for the same seed, live in a process of
+//! its own whose death leaves a vehicle that holds.
+
+use rustix::process::Signal;
+use serde_json::Value;
+use std::path::Path;
+use vigil_tests::{Running, run, said};
+
+/// Seeds and flights of a small campaign of the actor.
+fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
+    let json = folder.join(name);
+    let json = json.to_str().expect("a UTF-8 path");
+    let common = [
+        "evaluate",
+        "--pilot",
+        "actor",
+        "--apf",
+        "off",
+        "--flights",
+        "2",
+        "--seed",
+        "60",
+        "--json",
+        json,
+    ];
+    let output = run(&[&common, arguments].concat());
+    assert!(output.status.success(), "{}", said(&output));
+    let report: Value = serde_json::from_str(&std::fs::read_to_string(json).expect("a report")).expect("JSON");
+    report["flights"].as_array().expect("flights").clone()
+}
+
+#[test]
+fn an_attacked_campaign_is_the_same_on_any_number_of_threads_and_says_what_was_attacked() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let attack = ["--attack", "pgd", "--iterations", "3", "--burst", "20"];
+    let on = |threads| [&attack[..], &["--threads", threads]].concat();
+    let one = campaign(folder.path(), "one.json", &on("1"));
+    let two = campaign(folder.path(), "two.json", &on("2"));
+    assert_eq!(one, two);
+    let unattacked = campaign(folder.path(), "none.json", &[]);
+    for (attacked, unattacked) in one.iter().zip(&unattacked) {
+        assert_ne!(attacked["state_hash"], unattacked["state_hash"]);
+        let told = &attacked["attack"];
+        assert_eq!(told["attacked_steps"], 20, "{told}");
+        assert!(
+            (20..=200).contains(&told["first_step"].as_u64().expect("a step")),
+            "{told}"
+        );
+        assert!(told["effective_steps"].as_u64().expect("a number") <= 20, "{told}");
+        assert!(told["mean_yaw_change"].as_f64().expect("a number") > 0.0, "{told}");
+        assert!(unattacked.get("attack").is_none());
+    }
+    let moments: Vec<_> = one.iter().map(|flight| &flight["attack"]["first_step"]).collect();
+    assert_ne!(moments[0], moments[1], "each flight's seed draws its own moment");
+}
+
+#[test]
+fn an_attack_that_cannot_be_is_refused_by_name() {
+    for (arguments, wanted) in [
+        (
+            vec!["evaluate", "--attack", "bim-clipped", "--epsilon", "0"],
+            "epsilon must be above 0",
+        ),
+        (
+            vec!["evaluate", "--attack", "bim-clipped", "--iterations", "0"],
+            "at least one iteration",
+        ),
+        (vec!["evaluate", "--epsilon", "2"], "--attack"),
+        (
+            vec!["evaluate", "--attack", "pgd", "--attack-actor", "missing.safetensors"],
+            "missing.safetensors",
+        ),
+        (vec!["adversary", "--goal", "20,5"], "--attack METHOD"),
+    ] {
+        let output = run(&arguments);
+        assert!(!output.status.success());
+        assert!(said(&output).contains(wanted), "{arguments:?}: {}", said(&output));
+    }
+}
+
+#[test]
+fn a_live_adversary_alters_what_the_firmware_believes_and_its_death_makes_the_vehicle_hold() {
+    let adversary = || {
+        Running::start(&[
+            "adversary",
+            "--instance",
+            "87",
+            "--goal",
+            "18,4",
+            "--attack",
+            "bim-accumulating",
+            "--iterations",
+            "2",
+            "--burst",
+            "continuous",
+        ])
+    };
+    let (instance, course) = (["--instance", "87"], ["--seed", "11", "--family", "training"]);
+    let simulator = ["sim", "--status", "--airborne", "--frames", "depth-raw"];
+    let simulator = Running::start(&[&simulator[..], &instance, &course].concat());
+    let first = adversary();
+    let firmware = [
+        "firmware", "--engage", "auto", "--goal", "18,4", "--height", "1.5", "--pilot", "actor",
+    ];
+    let mut firmware = Running::start(&[&firmware[..], &instance].concat());
+    simulator.wait_for_status("guided flight on delivered frames", |s| {
+        s.guidance.as_deref() == Some("guided")
+    });
+    first.kill();
+    simulator.wait_for_status("a hold without frames", |s| {
+        s.guidance.as_deref() == Some("hold") && s.reasons.iter().any(|r| r.contains("frame"))
+    });
+    let mut second = adversary();
+    simulator.wait_for_status("guided flight again", |s| s.guidance.as_deref() == Some("guided"));
+    second.signal(Signal::TERM);
+    let summary = second.wait_for("the adversary's summary", |line| {
+        serde_json::from_str::<Value>(line).ok()
+    });
+    assert_eq!(second.wait(), Some(0));
+    assert!(summary["attacked_steps"].as_u64().expect("a number") > 0, "{summary}");
+    assert!(
+        summary["frames"].as_u64() >= summary["attacked_steps"].as_u64(),
+        "{summary}"
+    );
+    assert!(summary["latency_max_ms"].as_f64().expect("a number") > 0.0, "{summary}");
+    firmware.signal(Signal::TERM);
+    assert_eq!(firmware.wait(), Some(0));
+}

@@ -1,0 +1,200 @@
+//! The paper's table II: how far the yaw can be bent in front of a wall.
+
+use super::{Common, write_json};
+use anyhow::Result;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::process::ExitCode;
+use vigil_adversary::{AttackConfig, Method, StateAttack};
+use vigil_nnet::{ACTOR_FRAMES, Isa};
+use vigil_policy::actor::positional_inputs;
+use vigil_types::{Attitude, DepthFrame, GoalRelative, NedVector, YAW_RATE_PER_UNIT_RAD_S};
+use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
+
+/// Gap to the wall, metres (the paper's rows), and the paper's deflection there, °/s.
+const GAPS: [(f32, f32); 5] = [(1.0, 0.0), (1.5, 62.0), (2.0, 53.0), (2.5, 30.0), (3.0, 25.0)];
+/// Bearing of the goal, degrees (the paper's columns).
+const BEARINGS_DEG: [f32; 7] = [-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0];
+/// Width of the wall: at a gap of 1 m it fills the 120° of view, farther away its edges are seen.
+const WALL_WIDTH_M: f32 = 4.0;
+
+/// Arguments of `vigil attack deflection`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct DeflectionArgs {
+    /// ε in 1/255 of the image's range.
+    #[arg(long, default_value_t = 1.0)]
+    epsilon: f32,
+
+    /// Iterations.
+    #[arg(long, default_value_t = 20)]
+    iterations: u32,
+
+    /// Distance of the goal, metres.
+    #[arg(long, value_name = "M", default_value_t = 10.0)]
+    goal_distance: f32,
+
+    /// States of each cell, with sensor noise of their own.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..))]
+    states: u64,
+
+    /// Seed of the sensor noise.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Cell {
+    method: Method,
+    gap_m: f32,
+    bearing_deg: f32,
+    /// Mean yaw decision without the attack, and mean absolute change by it.
+    clean_deg_s: f32,
+    deflection_deg_s: f32,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    version: &'static str,
+    actor_sha256: &'a str,
+    seed: u64,
+    states_per_cell: u64,
+    epsilon_255: f32,
+    iterations: u32,
+    goal_distance_m: f32,
+    wall_width_m: f32,
+    cells: &'a [Cell],
+}
+
+/// Attacks hovering states before the wall, with both readings of the paper's attack.
+///
+/// # Errors
+/// A file that is no actor, a folder that cannot be written.
+pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
+    let victim = args.common.victim()?;
+    let folder = args.common.folder()?;
+    let places: Vec<_> = [Method::BimAccumulating, Method::BimClipped]
+        .into_iter()
+        .flat_map(|method| {
+            GAPS.into_iter()
+                .flat_map(move |(gap, _)| BEARINGS_DEG.map(|b| (method, gap, b)))
+        })
+        .collect();
+    let cells: Vec<Cell> = args.common.pool()?.install(|| {
+        places
+            .par_iter()
+            .map(|(method, gap_m, bearing_deg)| cell(args, &victim.params, *method, *gap_m, *bearing_deg))
+            .collect::<Result<_>>()
+    })?;
+    for block in cells.chunks(GAPS.len() * BEARINGS_DEG.len()) {
+        let method = block[0].method.name();
+        println!(
+            "yaw deflection, °/s: {method}, ε = {}/255, {} iterations",
+            args.epsilon, args.iterations
+        );
+        print!("gap to wall ");
+        BEARINGS_DEG.iter().for_each(|b| print!("{:>8}", format!("{b}°")));
+        println!("    mean    the paper");
+        for (row, (gap_m, paper)) in block.chunks(BEARINGS_DEG.len()).zip(GAPS) {
+            print!("{:<12}", format!("{gap_m:.1} m"));
+            row.iter().for_each(|c| print!("{:>7.0}", c.deflection_deg_s));
+            let mean = row.iter().map(|c| c.deflection_deg_s).sum::<f32>() / row.len() as f32;
+            println!("  {mean:>7.0}    {paper:>9.0}");
+        }
+        println!();
+    }
+    write_json(
+        &folder.join("table-2.json"),
+        &Report {
+            version: env!("CARGO_PKG_VERSION"),
+            actor_sha256: &victim.sha256,
+            seed: args.seed,
+            states_per_cell: args.states,
+            epsilon_255: args.epsilon,
+            iterations: args.iterations,
+            goal_distance_m: args.goal_distance,
+            wall_width_m: WALL_WIDTH_M,
+            cells: &cells,
+        },
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn cell(args: &DeflectionArgs, params: &[f32], method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {
+    let config = AttackConfig {
+        method,
+        epsilon_255: args.epsilon,
+        iterations: args.iterations,
+        ..AttackConfig::PAPER
+    };
+    let mut attack = StateAttack::new(Isa::detect(), params, &config)?;
+    let position = positional_inputs(GoalRelative {
+        distance_m: args.goal_distance,
+        bearing_rad: bearing_deg.to_radians(),
+    });
+    let to_deg_s = YAW_RATE_PER_UNIT_RAD_S.to_degrees();
+    let (mut clean, mut deflection) = (0.0, 0.0);
+    for i in 0..args.states {
+        attack.reseed(args.seed + i);
+        let outcome = attack.attack(&mut hovering_before_wall(gap_m, args.seed + i)?, position)?;
+        clean += to_deg_s * outcome.clean[1];
+        deflection += to_deg_s * outcome.yaw_change().abs();
+    }
+    let count = args.states as f32;
+    Ok(Cell {
+        method,
+        gap_m,
+        bearing_deg,
+        clean_deg_s: clean / count,
+        deflection_deg_s: deflection / count,
+    })
+}
+
+/// Five frames of a vehicle that hovers at flight height and looks straight at a wall.
+fn hovering_before_wall(gap_m: f32, seed: u64) -> Result<Vec<f32>> {
+    let course = wall_ahead(gap_m);
+    let (world, mut lidar) = (World::new(&course), Lidar::new(LidarConfig::default(), seed)?);
+    let position_ned_m = NedVector::new(0.0, 0.0, -course.flight_height_m);
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let mut frames = Vec::with_capacity(ACTOR_FRAMES * frame.depth.len());
+    for sequence in 0..ACTOR_FRAMES as u64 {
+        let shot = Shot {
+            position_ned_m,
+            attitude: Attitude::LEVEL_NORTH,
+            estimated_position_ned_m: position_ned_m,
+            estimated_attitude: Attitude::LEVEL_NORTH,
+            stamp_ns: 0,
+            sequence,
+            sensor_id: 0,
+        };
+        lidar.capture(&world, &shot, &mut frame);
+        frames.extend_from_slice(&frame.depth);
+    }
+    Ok(frames)
+}
+
+/// Nothing but a wall north of home, its near face at the gap.
+fn wall_ahead(gap_m: f32) -> Course {
+    let thickness_m = 0.2;
+    let north_m = gap_m + thickness_m / 2.0;
+    let generated = generate(Family::Validation, 1);
+    Course {
+        name: "a wall ahead".to_owned(),
+        family: None,
+        ceiling_height_m: None,
+        checkpoints: Vec::new(),
+        columns: Vec::new(),
+        boxes: Vec::new(),
+        walls: vec![Wall {
+            from_m: [north_m, -WALL_WIDTH_M / 2.0],
+            to_m: [north_m, WALL_WIDTH_M / 2.0],
+            thickness_m,
+            height_m: 4.0,
+        }],
+        overhangs: Vec::new(),
+        movers: Vec::new(),
+        ..generated
+    }
+}

@@ -1,0 +1,303 @@
+//! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
+
+use super::{Common, bar, write_json};
+use crate::campaign::{self, Flown};
+use crate::statistics::wilson_95;
+use anyhow::Result;
+use indicatif::ProgressBar;
+use rayon::prelude::*;
+use serde::Serialize;
+use std::process::ExitCode;
+use std::time::Instant;
+use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::config::PilotKind;
+use vigil_sim::{Attack, SimConfig, Start};
+use vigil_world::{Family, Outcome, generate};
+
+/// Arguments of `vigil attack cells`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CellsArgs {
+    /// Flights of each cell, on the same courses in all cells.
+    #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+
+    /// Seed of the first validation course.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    /// The attack.
+    #[arg(long, value_enum, default_value_t = Method::BimAccumulating)]
+    method: Method,
+
+    /// ε in 1/255 of the image's range.
+    #[arg(long, default_value_t = 1.0)]
+    epsilon: f32,
+
+    /// Iterations.
+    #[arg(long, default_value_t = 20)]
+    iterations: u32,
+
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Arguments of `vigil attack worst`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct WorstArgs {
+    /// Flights of each attack, on the same courses.
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+
+    /// Seed of the first validation course.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    /// Attacks to try.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "bim-accumulating,pgd")]
+    methods: Vec<Method>,
+
+    /// Lengths to try, in steps.
+    #[arg(long, value_delimiter = ',', default_value = "5,50,100,continuous")]
+    bursts: Vec<Burst>,
+
+    /// Directions to try.
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "away")]
+    towards: Vec<Towards>,
+
+    /// ε in 1/255 of the image's range.
+    #[arg(long, default_value_t = 1.0)]
+    epsilon: f32,
+
+    /// Iterations.
+    #[arg(long, default_value_t = 20)]
+    iterations: u32,
+
+    /// Add the potential field to the actor.
+    #[arg(long)]
+    apf: bool,
+
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Flights of one setting, all over the same courses.
+#[derive(Serialize)]
+struct Row {
+    apf: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attack: Option<Setting>,
+    flights: u64,
+    completed: usize,
+    completion: f64,
+    wilson_95: (f64, f64),
+    collisions: usize,
+    out_of_bounds: usize,
+    time_outs: usize,
+    attacked_steps: u64,
+    effective_steps: u64,
+    /// Of those that failed.
+    failed_seeds: Vec<u64>,
+}
+
+#[derive(Debug, Clone, Copy, Serialize)]
+struct Setting {
+    #[serde(flatten)]
+    config: AttackConfig,
+    burst: Burst,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    version: &'static str,
+    actor_sha256: &'a str,
+    first_seed: u64,
+    wall_s: f64,
+    rows: &'a [Row],
+}
+
+impl Row {
+    fn print_heading() {
+        println!(
+            "{:<6} {:<17} {:<11} {:<8} {:>10}   {:<15} {:>9} {:>7} {:>9}   {}",
+            "field",
+            "attack",
+            "burst",
+            "towards",
+            "completion",
+            "95 % interval",
+            "collision",
+            "bounds",
+            "time-out",
+            "yaw moved ≥ 1.0"
+        );
+    }
+
+    fn print(&self) {
+        let (attack, burst, towards) = self.attack.map_or(("none", "—".to_owned(), "—"), |s| {
+            (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
+        });
+        let interval = format!("{:.1} to {:.1} %", 100.0 * self.wilson_95.0, 100.0 * self.wilson_95.1);
+        let effective = if self.attacked_steps == 0 {
+            "—".to_owned()
+        } else {
+            let share = 100.0 * self.effective_steps as f64 / self.attacked_steps as f64;
+            format!("{share:.0} % of {} steps", self.attacked_steps)
+        };
+        println!(
+            "{:<6} {attack:<17} {burst:<11} {towards:<8} {:>8.1} %   {interval:<15} {:>9} {:>7} {:>9}   {effective}",
+            if self.apf { "on" } else { "off" },
+            100.0 * self.completion,
+            self.collisions,
+            self.out_of_bounds,
+            self.time_outs,
+        );
+    }
+}
+
+struct Campaign<'a> {
+    common: &'a Common,
+    params: &'a [f32],
+    seed: u64,
+    flights: u64,
+    pool: rayon::ThreadPool,
+    bar: ProgressBar,
+}
+
+impl Campaign<'_> {
+    fn row(&self, apf: bool, setting: Option<Setting>) -> Result<Row> {
+        let attack = setting.map(|s| Attack {
+            params: self.params.to_vec(),
+            config: s.config,
+            burst: s.burst,
+            evade: None,
+        });
+        let flown: Vec<(u64, Flown)> = self.pool.install(|| {
+            (self.seed..self.seed + self.flights)
+                .into_par_iter()
+                .map(|seed| {
+                    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
+                    config.start = Start::Airborne;
+                    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+                    firmware.pilot.kind = PilotKind::Actor;
+                    firmware.pilot.actor_file.clone_from(&self.common.actor);
+                    firmware.pilot.apf = apf;
+                    let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
+                    self.bar.inc(1);
+                    Ok((seed, flown))
+                })
+                .collect::<Result<_>>()
+        })?;
+        let count = |outcome| flown.iter().filter(|(_, f)| f.record.outcome == Some(outcome)).count();
+        let steps =
+            |of: fn(&vigil_sim::AttackRecord) -> u64| flown.iter().filter_map(|(_, f)| f.attack.as_ref()).map(of).sum();
+        let completed = count(Outcome::Success);
+        Ok(Row {
+            apf,
+            attack: setting,
+            flights: self.flights,
+            completed,
+            completion: completed as f64 / flown.len() as f64,
+            wilson_95: wilson_95(completed, flown.len()),
+            collisions: count(Outcome::Collision),
+            out_of_bounds: count(Outcome::OutOfBounds),
+            time_outs: count(Outcome::TimeOut),
+            attacked_steps: steps(|a| a.attacked_steps),
+            effective_steps: steps(|a| a.effective_steps),
+            failed_seeds: flown
+                .iter()
+                .filter(|(_, f)| !f.record.is_success())
+                .map(|(seed, _)| *seed)
+                .collect(),
+        })
+    }
+}
+
+/// Flies every setting over the same courses, prints and writes the table.
+fn fly_all(
+    common: &Common,
+    (seed, flights): (u64, u64),
+    settings: &[(bool, Option<Setting>)],
+    name: &str,
+) -> Result<ExitCode> {
+    let victim = common.victim()?;
+    let folder = common.folder()?;
+    let campaign = Campaign {
+        common,
+        params: &victim.params,
+        seed,
+        flights,
+        pool: common.pool()?,
+        bar: bar(flights * settings.len() as u64, "flights")?,
+    };
+    let begun = Instant::now();
+    println!("{flights} validation courses from seed {seed}, the same for every row");
+    Row::print_heading();
+    let mut rows = Vec::new();
+    for (apf, setting) in settings {
+        let row = campaign.row(*apf, *setting)?;
+        campaign.bar.suspend(|| row.print());
+        rows.push(row);
+    }
+    campaign.bar.finish_and_clear();
+    let wall_s = begun.elapsed().as_secs_f64();
+    println!("{wall_s:.0} s");
+    write_json(
+        &folder.join(name),
+        &Report {
+            version: env!("CARGO_PKG_VERSION"),
+            actor_sha256: &victim.sha256,
+            first_seed: seed,
+            wall_s,
+            rows: &rows,
+        },
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Field on and off, times no attack, 5 and 50 steps.
+///
+/// # Errors
+/// A file that is no actor, a folder that cannot be written.
+pub fn run_cells(args: &CellsArgs) -> Result<ExitCode> {
+    let config = AttackConfig {
+        method: args.method,
+        epsilon_255: args.epsilon,
+        iterations: args.iterations,
+        ..AttackConfig::PAPER
+    };
+    let bursts = [None, Some(5), Some(50)].map(|steps| {
+        steps.map(|steps| Setting {
+            config,
+            burst: Burst::Steps(steps),
+        })
+    });
+    let settings: Vec<_> = [true, false]
+        .into_iter()
+        .flat_map(|apf| bursts.map(|setting| (apf, setting)))
+        .collect();
+    fly_all(&args.common, (args.seed, args.flights), &settings, "cells.json")
+}
+
+/// Every method, burst and direction asked for, after a row without an attack.
+///
+/// # Errors
+/// A file that is no actor, a folder that cannot be written.
+pub fn run_worst(args: &WorstArgs) -> Result<ExitCode> {
+    let mut settings = vec![(args.apf, None)];
+    for method in &args.methods {
+        for towards in &args.towards {
+            for burst in &args.bursts {
+                let config = AttackConfig {
+                    method: *method,
+                    epsilon_255: args.epsilon,
+                    iterations: args.iterations,
+                    towards: *towards,
+                    seed: 0,
+                };
+                settings.push((args.apf, Some(Setting { config, burst: *burst })));
+            }
+        }
+    }
+    fly_all(&args.common, (args.seed, args.flights), &settings, "worst.json")
+}

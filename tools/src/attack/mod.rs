@@ -1,0 +1,116 @@
+//! `vigil attack`: how far the actor can be deceived. One command for each table of docs/adversary.md.
+
+mod deflection;
+mod flights;
+mod states;
+mod table;
+
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use vigil_policy::FrozenActor;
+
+/// Arguments of `vigil attack`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil attack table                     share of states deceived, by size and iterations (the paper's figure 11)
+  vigil attack table --states 1000       the same on more states
+  vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
+  vigil attack cells --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
+  vigil attack worst                     which streaming attack hurts most
+
+One flight under attack: vigil evaluate --attack …, vigil fly --attack …. The same seeds give the same figures on any
+number of threads.")]
+pub struct AttackCommands {
+    #[command(subcommand)]
+    command: AttackCommand,
+}
+
+#[derive(Debug, Clone, clap::Subcommand)]
+enum AttackCommand {
+    /// Share of states met in flight whose yaw moves by 1.0 or more, by method, ε and iterations.
+    Table(table::TableArgs),
+    /// Yaw deflection in front of a wall, by gap and bearing of the goal.
+    Deflection(deflection::DeflectionArgs),
+    /// Completion with the potential field on and off, attacked and not.
+    Cells(flights::CellsArgs),
+    /// Completion under each streaming attack: method, burst and direction.
+    Worst(flights::WorstArgs),
+}
+
+/// What all of them take.
+#[derive(Debug, Clone, clap::Args)]
+struct Common {
+    /// The actor under attack [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    actor: Option<PathBuf>,
+
+    /// Threads; all cores when absent.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    /// Folder for JSON, CSV and pictures.
+    #[arg(long, value_name = "DIR", default_value = "runs/attack")]
+    output: PathBuf,
+}
+
+/// The actor under attack, named in every report.
+struct Victim {
+    params: Vec<f32>,
+    sha256: String,
+}
+
+impl Common {
+    fn victim(&self) -> Result<Victim> {
+        let actor = match &self.actor {
+            Some(file) => FrozenActor::load(file)?,
+            None => FrozenActor::built_in()?,
+        };
+        Ok(Victim {
+            sha256: actor.sha256(),
+            params: actor.params,
+        })
+    }
+
+    fn pool(&self) -> Result<rayon::ThreadPool> {
+        let threads = self.threads.map_or(0, usize::from);
+        rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .context("cannot start threads")
+    }
+
+    /// Makes the folder before the work, so that the work is not lost.
+    fn folder(&self) -> Result<&Path> {
+        std::fs::create_dir_all(&self.output).with_context(|| format!("cannot make {}", self.output.display()))?;
+        Ok(&self.output)
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file that is no actor, a folder that cannot be written.
+pub fn run(args: &AttackCommands) -> Result<ExitCode> {
+    match &args.command {
+        AttackCommand::Table(args) => table::run(args),
+        AttackCommand::Deflection(args) => deflection::run(args),
+        AttackCommand::Cells(args) => flights::run_cells(args),
+        AttackCommand::Worst(args) => flights::run_worst(args),
+    }
+}
+
+fn bar(len: u64, what: &str) -> Result<ProgressBar> {
+    let style = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{elapsed}} gone, {{eta}} left");
+    Ok(ProgressBar::new(len).with_style(ProgressStyle::with_template(&style)?))
+}
+
+fn write_json(path: &Path, report: &impl Serialize) -> Result<()> {
+    let text = serde_json::to_string_pretty(report)?;
+    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    println!("details   {}", path.display());
+    Ok(())
+}
