@@ -84,7 +84,7 @@ struct Summary {
     cut_short: u64,
     #[serde(flatten)]
     attack: AttackRecord,
-    /// From a frame's capture to its delivery.
+    /// From a frame's arrival here to its delivery.
     latency_p50_ms: f64,
     latency_p99_ms: f64,
     latency_max_ms: f64,
@@ -115,13 +115,13 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
     let mut record = AttackRecord::default();
     while !stop.load(Ordering::Relaxed) {
         match from.newest()? {
-            Some(taken) => (*frame).clone_from(&taken),
+            Some(borrowed) => (*frame).clone_from(&borrowed),
             None => {
                 std::thread::sleep(LOOK);
                 continue;
             }
         }
-        let stamp_ns = frame.header.stamp_ns;
+        let (taken_ns, stamp_ns) = (monotonic_ns(), frame.header.stamp_ns);
         if under_way == 0 && frame.header.position_ned_m.z > UNDER_WAY * goal_ned_m.z {
             to.publish(&frame)?;
         } else {
@@ -137,7 +137,7 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
         }
         frames += 1;
         // A value beyond the histogram's range counts as its largest.
-        latency_us.saturating_record(monotonic_ns().saturating_sub(stamp_ns) / 1000);
+        latency_us.saturating_record((monotonic_ns() - taken_ns) / 1000);
     }
     let ms = |us: u64| us as f64 * 1e-3;
     let summary = Summary {
