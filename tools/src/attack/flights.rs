@@ -173,6 +173,8 @@ impl Campaign<'_> {
                     firmware.pilot.kind = PilotKind::Actor;
                     firmware.pilot.actor_file.clone_from(&self.common.actor);
                     firmware.pilot.apf = apf;
+                    // Undefended; with a detector: `vigil evaluate --attack … --detector on`.
+                    firmware.detector.enabled = false;
                     let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
                     self.bar.inc(1);
                     Ok((seed, flown))
