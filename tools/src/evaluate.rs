@@ -4,6 +4,7 @@ use crate::campaign::{self, Flown};
 use crate::output::Paint;
 use crate::pilot::PilotArgs;
 use crate::statistics::{quantile, wilson_95};
+use crate::watch::WatchRecord;
 use anyhow::{Context, Result, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
@@ -89,6 +90,8 @@ struct Flight {
     record: FlightRecord,
     #[serde(skip_serializing_if = "Option::is_none")]
     attack: Option<AttackRecord>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    watch: Option<WatchRecord>,
 }
 
 /// The attack as the report names it.
@@ -212,7 +215,7 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
     config.start = Start::Airborne;
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     args.pilot.apply(&mut firmware);
-    let Flown { record, attack } = campaign::fly(&config, &firmware, attack)?;
+    let Flown { record, attack, watch } = campaign::fly(&config, &firmware, attack)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
         draw(
             &config.course,
@@ -220,7 +223,12 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
             &folder.join(format!("{seed}-{}.png", name(record.outcome).replace(' ', "-"))),
         )?;
     }
-    Ok(Flight { seed, record, attack })
+    Ok(Flight {
+        seed,
+        record,
+        attack,
+        watch,
+    })
 }
 
 /// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
@@ -291,6 +299,10 @@ fn report(
             flights.len(),
             100.0 * effective as f64 / steps.max(1) as f64
         );
+    }
+    if flights.iter().any(|f| f.watch.is_some()) {
+        let watched = flights.iter().filter_map(|f| f.watch.as_ref());
+        println!("detector         {}", WatchRecord::summary(watched));
     }
     println!(
         "{:.0} s simulated in {:.1} s on {} threads: {:.0} x real time per thread",

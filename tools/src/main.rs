@@ -13,6 +13,7 @@ mod replay;
 mod scene;
 mod statistics;
 mod train;
+mod watch;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

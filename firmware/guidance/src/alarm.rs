@@ -137,6 +137,7 @@ impl AlarmLogic {
 }
 
 #[cfg(test)]
+#[allow(clippy::indexing_slicing, reason = "lists of the tests' own")]
 mod tests {
     use super::*;
     use Verdict::{Attack, Clean, Unknown};

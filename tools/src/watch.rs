@@ -1,0 +1,111 @@
+//! What the detector did in a flight: for campaigns.
+
+use serde::Serialize;
+use vigil_types::{AlarmResponse, GuidanceState, STEP_S, StepReport, Verdict};
+
+/// What the detector did in a flight.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct WatchRecord {
+    /// Steps in which the actor's decision was judged, in flight.
+    pub judged_steps: u64,
+    /// Steps of these with the verdict attack, and with none.
+    pub attack_verdicts: u64,
+    /// Steps without a verdict.
+    pub unknown_verdicts: u64,
+    /// How often the alarm was raised.
+    pub alarms: u64,
+    /// Step of the first alarm.
+    pub first_alarm_step: Option<u64>,
+    /// Steps in which the alarm demanded a stop.
+    pub stop_steps: u64,
+    /// Steps in which the recovery pilot's action counted.
+    pub recovery_steps: u64,
+    #[serde(skip)]
+    raised: bool,
+}
+
+impl WatchRecord {
+    /// Takes a step's report.
+    pub fn observe(&mut self, step: u64, report: &StepReport) {
+        let flying = matches!(report.state, GuidanceState::Guided | GuidanceState::Hold);
+        if let (true, Some(judgement)) = (flying, &report.judgement) {
+            self.judged_steps += 1;
+            self.attack_verdicts += u64::from(judgement.verdict == Verdict::Attack);
+            self.unknown_verdicts += u64::from(judgement.verdict == Verdict::Unknown);
+        }
+        let response = report.alarm.map(|alarm| alarm.response);
+        self.stop_steps += u64::from(response == Some(AlarmResponse::Stop));
+        self.recovery_steps += u64::from(response == Some(AlarmResponse::Recovery));
+        if response.is_some() && !self.raised {
+            self.alarms += 1;
+            self.first_alarm_step = self.first_alarm_step.or(Some(step));
+        }
+        self.raised = response.is_some();
+    }
+
+    /// Whether there was a detector.
+    pub fn was_watched(&self) -> bool {
+        self.judged_steps > 0
+    }
+
+    /// A line on all flights of a campaign.
+    pub fn summary<'a>(flights: impl Iterator<Item = &'a Self>) -> String {
+        let (mut sum, mut count, mut alarmed) = (Self::default(), 0, 0);
+        for flight in flights {
+            count += 1;
+            alarmed += u64::from(flight.alarms > 0);
+            sum.judged_steps += flight.judged_steps;
+            sum.alarms += flight.alarms;
+            sum.stop_steps += flight.stop_steps;
+            sum.recovery_steps += flight.recovery_steps;
+        }
+        let share = |steps: u64| 100.0 * steps as f64 / sum.judged_steps.max(1) as f64;
+        let hours = sum.judged_steps as f64 * f64::from(STEP_S) / 3600.0;
+        format!(
+            "{} alarms in {alarmed} of {count} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
+            sum.alarms,
+            sum.alarms as f64 / hours.max(f64::MIN_POSITIVE),
+            share(sum.stop_steps),
+            share(sum.recovery_steps),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_types::{Alarm, AlarmCause, Judgement};
+
+    #[test]
+    fn an_alarm_counts_once_however_long_it_lasts() {
+        let mut record = WatchRecord::default();
+        let mut report = StepReport {
+            state: GuidanceState::Guided,
+            judgement: Some(Judgement::UNKNOWN),
+            ..StepReport::default()
+        };
+        let raised = |response| {
+            Some(Alarm {
+                cause: AlarmCause::Attack,
+                response,
+            })
+        };
+        let story = [
+            None,
+            raised(AlarmResponse::Stop),
+            raised(AlarmResponse::Recovery),
+            raised(AlarmResponse::Recovery),
+            None,
+            raised(AlarmResponse::Stop),
+        ];
+        for (step, alarm) in (0..).zip(story) {
+            report.alarm = alarm;
+            record.observe(step, &report);
+        }
+        assert_eq!((record.alarms, record.first_alarm_step), (2, Some(1)));
+        assert_eq!((record.stop_steps, record.recovery_steps), (2, 2));
+        assert_eq!((record.judged_steps, record.unknown_verdicts), (6, 6));
+        let line = WatchRecord::summary([&record, &WatchRecord::default()].into_iter());
+        assert!(line.starts_with("2 alarms in 1 of 2 flights"), "{line}");
+    }
+}
