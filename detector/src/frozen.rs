@@ -144,7 +144,18 @@ fn digest(entries: &BTreeMap<&str, String>, tensors: &[Tensor]) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
+/// The detector that comes with this program.
+const BUILT_IN: &[u8] = include_bytes!("../frozen/lstm_ad.safetensors");
+
 impl FrozenDetector {
+    /// The detector that comes with this program, of the actor that comes with it.
+    ///
+    /// # Errors
+    /// [`DetectorFileError`] if it is another architecture's.
+    pub fn built_in() -> Result<Self, DetectorFileError> {
+        Self::from_bytes("built into this program", BUILT_IN)
+    }
+
     fn entries(&self) -> BTreeMap<&'static str, String> {
         let mut entries = BTreeMap::from([
             ("format", FORMAT.to_owned()),

@@ -6,12 +6,18 @@
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
+mod cnn_ad;
 mod frozen;
+mod images;
 mod lstm_ad;
 mod monitor;
+mod pca;
 mod shap;
 
+pub use cnn_ad::{cnn_ad, fcn_ad};
 pub use frozen::{Background, DetectorFileError, FrozenDetector};
+pub use images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES, images};
 pub use lstm_ad::{LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
 pub use monitor::{Monitor, MonitorError};
+pub use pca::Pca;
 pub use shap::{DeepShap, ShapError};

@@ -3,6 +3,7 @@
 mod attack;
 mod campaign;
 mod courses;
+mod detector;
 mod evaluate;
 mod fly;
 mod judge;
@@ -65,6 +66,8 @@ enum Command {
     Train(train::TrainArgs),
     /// Judge an actor alone, the potential field off and on.
     Judge(judge::JudgeArgs),
+    /// Gather data for the detector, train it, measure how well it detects.
+    Detector(detector::DetectorArgs),
     /// Draw, write or check courses.
     Courses(courses::CoursesArgs),
 }
@@ -83,6 +86,7 @@ fn main() -> ExitCode {
         Command::Recover(args) => recover::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Judge(args) => judge::run(&args),
+        Command::Detector(args) => detector::run(&args),
         Command::Courses(args) => courses::run(&args),
     };
     match result {

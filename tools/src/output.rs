@@ -42,3 +42,13 @@ impl Paint {
         }
     }
 }
+
+/// The commit of the working tree, if there is one and git is there.
+pub fn git_commit() -> Option<String> {
+    let output = std::process::Command::new("git")
+        .args(["describe", "--always", "--dirty", "--abbrev=40"])
+        .output()
+        .ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
+}

@@ -1,6 +1,6 @@
 //! `vigil train`: the actor from nothing, and how it flies.
 
-use crate::output::{EXIT_ERROR, Paint};
+use crate::output::{EXIT_ERROR, Paint, git_commit};
 use crate::statistics::wilson_95;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -135,14 +135,4 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
             bar.println(line);
         }
     }
-}
-
-/// The commit of the working tree, if there is one and git is there.
-fn git_commit() -> Option<String> {
-    let output = std::process::Command::new("git")
-        .args(["describe", "--always", "--dirty", "--abbrev=40"])
-        .output()
-        .ok()?;
-    let text = String::from_utf8(output.stdout).ok()?;
-    (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
 }

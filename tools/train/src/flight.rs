@@ -32,11 +32,22 @@ impl Flight {
     /// # Errors
     /// None with the default vehicle; its parameters are checked all the same.
     pub fn new(course: &Course, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
+        Self::with_lidar(course, wind, LidarConfig::default(), seed)
+    }
+
+    /// The same with another LiDAR.
+    ///
+    /// # Errors
+    /// Wind out of its range.
+    ///
+    /// # Panics
+    /// A LiDAR out of its range.
+    pub fn with_lidar(course: &Course, wind: Wind, lidar: LidarConfig, seed: u64) -> Result<Self, ParamsError> {
         let mut vehicle = Box::new(Vehicle::new(VehicleParams::default(), wind, seed)?);
         let start = course.start_ned_m();
         let height = NedVector::new(start.x, start.y, -course.flight_height_m);
         vehicle.place(height, course.start_heading_rad(), true);
-        let lidar = Lidar::new(LidarConfig::default(), seed).unwrap_or_else(|e| unreachable!("default LiDAR: {e}"));
+        let lidar = Lidar::new(lidar, seed).unwrap_or_else(|e| panic!("{e}"));
         let mut flight = Self {
             world: World::new(course),
             vehicle,

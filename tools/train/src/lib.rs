@@ -2,7 +2,8 @@
 //!
 //! `docs/training.md` describes the method and what was measured.
 
-mod adam;
+pub mod adam;
+mod chart;
 mod checkpoint;
 mod collector;
 mod config;
@@ -19,9 +20,11 @@ mod recurrent;
 mod rehearsal;
 mod replay;
 mod shard;
+pub mod statistics;
 mod train;
 mod weights;
 
+pub use chart::{Panel, chart_png};
 pub use config::{ConfigError, TrainConfig};
 pub use flight::Flight;
 pub use judge::{JudgeError, Judged, Judgement, Verdict, judge};

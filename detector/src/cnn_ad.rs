@@ -1,0 +1,106 @@
+//! CNN-AD and FCN-AD: networks that say from a state's five SHAP images whether its frames were altered.
+
+use crate::images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES};
+use vigil_nnet::{
+    ACTOR_FRAMES, Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, MaxPool2d, NodeId, Purpose, ShapeError,
+};
+
+/// Filters of each pair of convolutions; the paper leaves them open.
+const FILTERS: [usize; 3] = [8, 16, 32];
+/// Units of CNN-AD's dense layers before the last.
+const CNN_UNITS: [usize; 4] = [64, 32, 16, 8];
+/// Units of FCN-AD's.
+const FCN_UNITS: [usize; 2] = [32, 16];
+/// Added to batch norm's variance.
+const EPSILON: f32 = 1e-5;
+
+/// Adds dense ReLU layers and a last one with `output`.
+fn dense_layers(
+    b: &mut GraphBuilder,
+    mut x: NodeId,
+    inputs: usize,
+    units: &[usize],
+    output: Activation,
+) -> Result<NodeId, ShapeError> {
+    let mut inputs = inputs;
+    let curves = units.iter().map(|units| (*units, Activation::Relu));
+    for (outputs, curve) in curves.chain([(1, output)]) {
+        let layer = Dense { inputs, outputs };
+        let params = b.params(layer.param_len());
+        x = b.dense(x, layer, curve, params)?;
+        inputs = outputs;
+    }
+    Ok(x)
+}
+
+/// CNN-AD (PAPER.md): batch norm, six convolutions of 3 × 3 over each image with the same weights, max pooling after every
+/// second, five dense layers. One input of [`IMAGES`] values in 0..=1, five images oldest first; `output` is the last
+/// layer's curve. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both
+/// channels. They are statistics of the training data and do not change while training.
+///
+/// # Errors
+/// None.
+pub fn cnn_ad(output: Activation) -> Result<Graph, ShapeError> {
+    let mut b = GraphBuilder::new();
+    let norm = BatchNorm {
+        channels: IMAGE_CHANNELS,
+        epsilon: EPSILON,
+    };
+    let norm_params = b.params(norm.param_len());
+    let layers = || {
+        let mut channels = IMAGE_CHANNELS;
+        FILTERS.into_iter().enumerate().map(move |(k, filters)| {
+            let (rows, cols) = (IMAGE_ROWS >> k, IMAGE_COLS >> k);
+            let conv = |channels| Conv2d {
+                rows,
+                cols,
+                channels,
+                filters,
+                kernel: 3,
+                stride: 1,
+                padding: 1,
+            };
+            let pair = [conv(channels), conv(filters)];
+            channels = filters;
+            let pool = MaxPool2d {
+                rows,
+                cols,
+                channels: filters,
+                window: 2,
+            };
+            (pair, pool)
+        })
+    };
+    let conv_params: Vec<_> = layers()
+        .map(|(pair, _)| pair.map(|conv| b.params(conv.param_len())))
+        .collect();
+    let images = b.input(IMAGES, false)?;
+    let images = b.batch_norm(images, norm, norm_params)?;
+    let mut features = Vec::with_capacity(ACTOR_FRAMES);
+    let mut width = 0;
+    for i in 0..ACTOR_FRAMES {
+        let mut x = b.slice(images, i * IMAGE, IMAGE)?;
+        for ((pair, pool), params) in layers().zip(&conv_params) {
+            for (conv, params) in pair.into_iter().zip(params) {
+                x = b.conv2d(x, conv, Activation::Relu, *params)?;
+            }
+            x = b.max_pool2d(x, pool)?;
+            width = pool.output_len();
+        }
+        features.push(x);
+    }
+    let x = b.concat(&features)?;
+    let x = dense_layers(&mut b, x, ACTOR_FRAMES * width, &CNN_UNITS, output)?;
+    b.finish(x, Purpose::Gradients)
+}
+
+/// FCN-AD, the paper's fully connected baseline on the same images: three dense layers.
+///
+/// # Errors
+/// None.
+pub fn fcn_ad(output: Activation) -> Result<Graph, ShapeError> {
+    let mut b = GraphBuilder::new();
+    let images = b.input(IMAGES, false)?;
+    let x = dense_layers(&mut b, images, IMAGES, &FCN_UNITS, output)?;
+    b.finish(x, Purpose::Gradients)
+}

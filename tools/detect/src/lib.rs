@@ -1,0 +1,27 @@
+//! Gathers data for the detectors by flying, trains them and measures how well they detect (docs/detectors.md).
+
+mod data;
+mod error;
+mod evaluate;
+mod features;
+mod fit;
+mod lstm;
+mod metrics;
+mod pixels;
+mod record;
+mod scenario;
+mod table;
+
+pub use data::{Class, Counts, Flights, WEAK_YAW, gather};
+pub use error::DetectError;
+pub use evaluate::{
+    AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
+};
+pub use features::{Extractor, Feature, Rows};
+pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
+pub use lstm::{Judge, LstmConfig, train, train_steps};
+pub use metrics::{Proportion, Separation, auc, roc, true_positives_at};
+pub use pixels::{State, States, gather_states};
+pub use record::{Ending, Frame, Onlooker, Record, Step, fly};
+pub use scenario::{Adversary, MAX_STEPS, Plan, Scenario};
+pub use table::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
