@@ -453,7 +453,7 @@ impl FirmwareConfig {
             allow_unsigned,
         } = &self.signing;
         match key_file {
-            Some(path) => Gate::with_key_file(path, self.instance, *allow_unsigned),
+            Some(path) => Gate::with_key_file(path, &self.instance.to_string(), *allow_unsigned),
             None => Ok(Gate::new(None, *allow_unsigned)),
         }
     }

@@ -170,7 +170,7 @@ fn a_key_file_that_others_can_read_keeps_the_link_closed() {
     let folder = tempfile::tempdir().unwrap();
     let path = key_file(folder.path());
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let error = Gate::with_key_file(&path, 0, AllowUnsigned::Never).err().unwrap();
+    let error = Gate::with_key_file(&path, "0", AllowUnsigned::Never).err().unwrap();
     assert!(error.to_string().contains("chmod 600"), "{error}");
     assert!(!folder.path().join("vigil.key.0.state").exists(), "nothing was begun");
 }

@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
-use vigil_endpoint::EndpointConfig;
+use vigil_endpoint::{EndpointConfig, Saved};
 use vigil_vehicle::{ParamsError, VehicleParams, Wind};
 use vigil_world::{Course, CourseError, Family, LidarConfig, generate};
 
@@ -28,6 +28,8 @@ pub struct SimConfig {
     pub start: Start,
     /// The vehicle's MAVLink side; by default only the guidance computer's link, as in lockstep.
     pub endpoint: EndpointConfig,
+    /// The vehicle's parameters and plans of an earlier run.
+    pub saved: Saved,
     /// LiDAR model.
     pub lidar: LidarConfig,
     /// Airframe, controllers, sensors, battery.
@@ -65,6 +67,7 @@ impl SimConfig {
             seed,
             start: Start::Ground,
             endpoint,
+            saved: Saved::default(),
             lidar,
             vehicle,
             wind,

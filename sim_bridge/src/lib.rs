@@ -4,9 +4,11 @@ pub mod adversary;
 mod attack;
 mod companion_view;
 mod config;
+pub mod links;
 pub mod lockstep;
 pub mod program;
 mod simulator;
+mod state;
 mod udp;
 
 pub use attack::{Attack, AttackArgs, AttackRecord};

@@ -1,8 +1,9 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
+use crate::links::{ExtraLink, LinksConfig, VehicleLinks};
 use crate::lockstep::{FirmwarePort, fly_lockstep};
-use crate::udp::UdpLinks;
-use crate::{CompanionView, ConfigError, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
+use crate::state::StateFile;
+use crate::{CompanionView, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -11,7 +12,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use vigil_endpoint::{EndpointConfig, LinkId};
+use vigil_endpoint::{EndpointConfig, LinkId, LinkRole};
+use vigil_ports::gate::AllowUnsigned;
 use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS};
 use vigil_world::Outcome;
@@ -20,6 +22,8 @@ use vigil_world::Outcome;
 const SLICE_MS: u64 = 2;
 /// Steps between two status lines: five a second.
 const STATUS_STEPS: u64 = 4;
+/// How often the vehicle's state is looked at for changes to store.
+const SAVE_MS: u64 = 1000;
 /// How long lockstep waits for the firmware before it names it as missing.
 const LOCKSTEP_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -30,6 +34,10 @@ Examples:
   vigil sim                             a vehicle on the ground of a random validation course, MAVLink on 14540 and 14550
   vigil sim --course my.toml            on your own course
   vigil sim --instance 1                a second one beside it, on ports 14541 and 14551
+  vigil sim --link tcpin://127.0.0.1:5760 --link serial:///dev/ttyUSB0:57600,unsigned=always
+                                        two further links for ground stations
+  vigil sim --signing-key vigil.key --allow-unsigned never
+                                        obeys signed packets only (docs/mavlink.md, Signing)
   vigil sim --lockstep --seed 7         lockstep with `vigil firmware --lockstep`; prints the flight's record")]
 pub struct SimArgs {
     /// Course to fly.
@@ -55,6 +63,24 @@ pub struct SimArgs {
     /// The frame service to publish on; another than `depth` leaves room for a process in between (`vigil adversary`).
     #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC, conflicts_with = "lockstep")]
     pub frames: String,
+
+    /// A further link for ground stations: a URL as of `vigil firmware --link`, then options separated by commas:
+    /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND. May be repeated.
+    #[arg(long, value_name = "URL[,OPTION]")]
+    pub link: Vec<ExtraLink>,
+
+    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed
+    /// until SETUP_SIGNING brings a key.
+    #[arg(long, value_name = "FILE")]
+    pub signing_key: Option<PathBuf>,
+
+    /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
+    #[arg(long, value_name = "WHO", value_enum, default_value_t)]
+    pub allow_unsigned: AllowUnsigned,
+
+    /// Folder that keeps the vehicle's parameters and plans over restarts. Without it they end with the process.
+    #[arg(long, value_name = "DIR")]
+    pub state: Option<PathBuf>,
 
     /// Print one JSON status line five times a second to standard output.
     #[arg(long)]
@@ -114,7 +140,18 @@ pub fn run(args: SimArgs) -> Result<ExitCode> {
     }
 }
 
-fn configure(args: &SimArgs) -> Result<SimConfig, ConfigError> {
+impl SimArgs {
+    fn links(&self) -> LinksConfig {
+        LinksConfig {
+            instance: self.instance,
+            signing_key: self.signing_key.clone(),
+            allow_unsigned: self.allow_unsigned,
+            extra: self.link.clone(),
+        }
+    }
+}
+
+fn configure(args: &SimArgs) -> Result<SimConfig> {
     let seed = args.course.seed_or_random();
     let models = args
         .config
@@ -124,10 +161,15 @@ fn configure(args: &SimArgs) -> Result<SimConfig, ConfigError> {
         .unwrap_or_default();
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
+    if let Some(folder) = &args.state {
+        config.saved = StateFile::in_folder(folder, args.instance).load()?;
+    }
     if !args.lockstep {
         // In lockstep nobody else is on the link, and the flight must not depend on the instance.
+        let extra = args.link.iter().map(|_| LinkRole::Gcs);
         config.endpoint = EndpointConfig {
             system_id: (args.instance + 1) as u8,
+            links: LinkRole::ALL.into_iter().chain(extra).collect(),
             ..EndpointConfig::default()
         };
     }
@@ -189,11 +231,15 @@ fn sleep_until(deadline_ns: Nanos) {
 }
 
 fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
-    let mut links = UdpLinks::bind(args.instance)?;
+    let mut links = VehicleLinks::open(&args.links())?;
     let mut publisher = FramePublisher::create(domain, &args.frames)?;
     // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
     let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
     let mut simulator = Simulator::new(config, epoch_ns)?;
+    let mut state = args
+        .state
+        .as_ref()
+        .map(|folder| StateFile::in_folder(folder, args.instance));
     let mut companion = CompanionView::default();
     let mut elapsed_ms = 0u64;
     let mut ended_at_ms = None;
@@ -206,12 +252,15 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
 
     while !stop.load(Ordering::Relaxed) {
         sleep_until(epoch_ns + elapsed_ms * 1_000_000);
-        links.receive(|link, datagram| {
+        links.receive(simulator.now_ns(), |link, datagram| {
             if link == LinkId::ONBOARD {
                 companion.observe(datagram);
             }
             simulator.receive(link.0, datagram);
         });
+        if let Some(setup) = simulator.take_signing_setup() {
+            links.set_key(&setup);
+        }
         for _ in 0..SLICE_MS {
             simulator.advance_1ms();
         }
@@ -223,6 +272,11 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
             if args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS) {
                 print_status(&status(&simulator, &companion, elapsed_ms))?;
             }
+        }
+        if elapsed_ms.is_multiple_of(SAVE_MS)
+            && let Some(state) = &mut state
+        {
+            state.store(&simulator.saved());
         }
         if let Some(ending) = simulator.ending() {
             let since_ms = *ended_at_ms.get_or_insert_with(|| {
@@ -236,6 +290,9 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
                 break;
             }
         }
+    }
+    if let Some(state) = &mut state {
+        state.store(&simulator.saved());
     }
     if args.status {
         print_status(&status(&simulator, &companion, elapsed_ms))?;

@@ -2,7 +2,7 @@
 
 use crate::config::{SimConfig, SimError, Start};
 use twox_hash::XxHash3_64;
-use vigil_endpoint::{Endpoint, EndpointStatus, LinkId};
+use vigil_endpoint::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup};
 use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS};
 use vigil_vehicle::{ControlCommand, Truth, Vehicle};
 use vigil_world::{Lidar, Outcome, Referee, Shot, World};
@@ -53,6 +53,7 @@ impl Simulator {
         let course = &config.course;
         let mut vehicle = Vehicle::new(config.vehicle, config.wind, config.seed)?;
         let mut endpoint = Endpoint::new(config.endpoint.clone())?;
+        endpoint.restore(&config.saved)?;
         let airborne = config.start == Start::Airborne;
         let start_ned_m = course.start_ned_m() + NedVector::new(0.0, 0.0, -course.flight_height_m);
         vehicle.place(start_ned_m, course.start_heading_rad(), airborne);
@@ -85,6 +86,16 @@ impl Simulator {
     /// Hands a datagram to the vehicle's MAVLink endpoint.
     pub fn receive(&mut self, link: u8, datagram: &[u8]) {
         self.endpoint.receive(self.now_ns(), LinkId(link), datagram);
+    }
+
+    /// The vehicle's parameters and plans, for a later run.
+    pub fn saved(&self) -> Saved {
+        self.endpoint.saved()
+    }
+
+    /// The signing key that SETUP_SIGNING brought since the last call: for whoever owns the links.
+    pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
+        self.endpoint.take_signing_setup()
     }
 
     /// Takes the datagrams that the vehicle wants to send.

@@ -1,7 +1,7 @@
-//! The vehicle's UDP links, on the ports of PX4's software in the loop.
+//! UDP links of the vehicle: the three on the ports of PX4's software in the loop, and others by URL.
 //!
-//! Each link has a local port and one peer that is sent to unasked; whoever else sends to the local port becomes a peer
-//! too, until it has been silent for [`PEER_TIMEOUT`]. docs/mavlink.md has the table of ports.
+//! A link may have one peer that is sent to unasked; whoever else sends to the local port something that passes the gate
+//! becomes a peer too, until it has been silent for [`PEER_TIMEOUT`]. docs/mavlink.md has the table of ports.
 
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4, UdpSocket};
@@ -12,6 +12,8 @@ use vigil_endpoint::LinkId;
 const PEER_TIMEOUT: Duration = Duration::from_secs(10);
 /// Peers learned per link; the one that was silent longest gives way.
 const MAX_LEARNED: usize = 8;
+/// Longest datagram that is read; MAVLink's longest packet is 293 bytes, senders may put several into one datagram.
+const MAX_DATAGRAM_BYTES: usize = 65_536;
 /// Datagrams taken from one link in one call: a flood on a link must not hold up the simulation.
 const MAX_PER_CALL: usize = 128;
 /// Highest instance whose peer port on the API and GCS links is its own, as in PX4; those above share it. Beyond it the
@@ -54,25 +56,13 @@ struct Learned {
     heard: Instant,
 }
 
-struct UdpLink {
-    id: LinkId,
+/// One UDP socket with its peers.
+pub(crate) struct UdpLink {
     socket: UdpSocket,
-    peer: SocketAddr,
+    /// Sent to unasked.
+    peer: Option<SocketAddr>,
     learned: Vec<Learned>,
-}
-
-/// The three links of one vehicle, on the loopback interface.
-pub struct UdpLinks {
-    links: Vec<UdpLink>,
     buffer: Vec<u8>,
-}
-
-impl std::fmt::Debug for UdpLinks {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_list()
-            .entries(self.links.iter().map(|l| (l.id, l.peer, l.learned.len())))
-            .finish()
-    }
 }
 
 /// Local and peer port of a link of an instance.
@@ -86,65 +76,76 @@ fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
     (local + instance as u16, peer + own_peer as u16)
 }
 
-impl UdpLinks {
-    /// Opens the links of `instance` (0 to 99).
-    ///
-    /// # Errors
-    /// A port is in use, or the system refuses the socket.
-    pub fn bind(instance: u32) -> Result<Self, UdpError> {
-        let mut links = Vec::with_capacity(PORTS.len());
-        for (id, local, peer) in PORTS {
-            let (port, peer_port) = ports(id, local, peer, instance);
-            let socket = open(port).map_err(|source| match source.kind() {
-                ErrorKind::AddrInUse => UdpError::InUse { port, instance },
-                _ => UdpError::Open { port, source },
-            })?;
-            links.push(UdpLink {
-                id,
-                socket,
-                peer: loopback(peer_port),
-                learned: Vec::new(),
-            });
-        }
+/// Opens the three links of `instance` (0 to 99) on the loopback interface.
+///
+/// # Errors
+/// A port is in use, or the system refuses the socket.
+pub(crate) fn onboard_api_gcs(instance: u32) -> Result<Vec<(LinkId, UdpLink)>, UdpError> {
+    let open = |(id, local, peer)| {
+        let (port, peer_port) = ports(id, local, peer, instance);
+        let link = UdpLink::open(loopback(port), Some(loopback(peer_port))).map_err(|source| match source.kind() {
+            ErrorKind::AddrInUse => UdpError::InUse { port, instance },
+            _ => UdpError::Open { port, source },
+        })?;
+        Ok((id, link))
+    };
+    PORTS.into_iter().map(open).collect()
+}
+
+impl UdpLink {
+    fn open(local: SocketAddr, peer: Option<SocketAddr>) -> std::io::Result<Self> {
+        let socket = UdpSocket::bind(local)?;
+        socket.set_nonblocking(true)?;
         Ok(Self {
-            links,
-            buffer: vec![0; 65_536],
+            socket,
+            peer,
+            learned: Vec::new(),
+            buffer: vec![0; MAX_DATAGRAM_BYTES],
         })
     }
 
-    /// Hands over every datagram that has come, without waiting.
-    pub fn receive(&mut self, mut on_datagram: impl FnMut(LinkId, &[u8])) {
-        for link in &mut self.links {
-            for _ in 0..MAX_PER_CALL {
-                match link.socket.recv_from(&mut self.buffer) {
-                    Ok((len, from)) => {
-                        link.learn(from);
-                        on_datagram(link.id, self.buffer.get(..len).unwrap_or_default());
+    /// Answers whoever speaks.
+    pub fn listening(local: SocketAddr) -> std::io::Result<Self> {
+        Self::open(local, None)
+    }
+
+    /// Sends to `peer` unasked.
+    pub fn calling(peer: SocketAddr) -> std::io::Result<Self> {
+        let any = match peer {
+            SocketAddr::V4(_) => SocketAddr::from(([0, 0, 0, 0], 0)),
+            SocketAddr::V6(_) => SocketAddr::from(([0_u16; 8], 0)),
+        };
+        Self::open(any, Some(peer))
+    }
+
+    /// Hands over every datagram that has come, without waiting, and whether its sender is on this machine. `admit` tells
+    /// whether any of it was taken: only then the sender becomes a peer.
+    pub fn receive(&mut self, mut admit: impl FnMut(bool, &[u8]) -> bool) {
+        for _ in 0..MAX_PER_CALL {
+            match self.socket.recv_from(&mut self.buffer) {
+                Ok((len, from)) => {
+                    let is_local = from.ip().to_canonical().is_loopback();
+                    if admit(is_local, self.buffer.get(..len).unwrap_or_default()) {
+                        self.learn(from);
                     }
-                    // Nothing more, or an error of a datagram sent before (a peer that is gone): neither is ours to mend.
-                    Err(_) => break,
                 }
+                // Nothing more, or an error of a datagram sent before (a peer that is gone): neither is ours to mend.
+                Err(_) => return,
             }
         }
     }
 
-    /// Sends a datagram to every peer of a link. A datagram that the system does not take is lost, as on any UDP link.
-    pub fn send(&mut self, link: LinkId, datagram: &[u8]) {
-        let Some(link) = self.links.iter_mut().find(|l| l.id == link) else {
-            return;
-        };
-        link.learned.retain(|l| l.heard.elapsed() < PEER_TIMEOUT);
-        let learned = link.learned.iter().map(|l| l.address);
-        for address in std::iter::once(link.peer).chain(learned) {
+    /// Sends a datagram to every peer. One that the system does not take is lost, as on any UDP link.
+    pub fn send(&mut self, datagram: &[u8]) {
+        self.learned.retain(|l| l.heard.elapsed() < PEER_TIMEOUT);
+        for address in self.peer.into_iter().chain(self.learned.iter().map(|l| l.address)) {
             // A peer that does not listen is no error of the vehicle's.
-            let _ = link.socket.send_to(datagram, address);
+            let _ = self.socket.send_to(datagram, address);
         }
     }
-}
 
-impl UdpLink {
     fn learn(&mut self, from: SocketAddr) {
-        if from == self.peer {
+        if self.peer == Some(from) {
             return;
         }
         let heard = Instant::now();
@@ -165,21 +166,25 @@ fn loopback(port: u16) -> SocketAddr {
     SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, port))
 }
 
-fn open(port: u16) -> std::io::Result<UdpSocket> {
-    let socket = UdpSocket::bind(loopback(port))?;
-    socket.set_nonblocking(true)?;
-    Ok(socket)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn wait_for(links: &mut UdpLinks, count: usize) -> Vec<(LinkId, Vec<u8>)> {
+    fn onboard(instance: u32) -> UdpLink {
+        let mut links = onboard_api_gcs(instance).expect("the instance is free");
+        links.remove(0).1
+    }
+
+    /// What comes, all of it admitted unless it begins with `x`.
+    fn wait_for(link: &mut UdpLink, count: usize) -> Vec<Vec<u8>> {
         let mut got = Vec::new();
         // Loopback delivers at once; the turns only bridge the scheduler.
         for _ in 0..1000 {
-            links.receive(|link, datagram| got.push((link, datagram.to_vec())));
+            link.receive(|is_local, datagram| {
+                assert!(is_local);
+                got.push(datagram.to_vec());
+                !datagram.starts_with(b"x")
+            });
             if got.len() >= count {
                 break;
             }
@@ -190,10 +195,11 @@ mod tests {
 
     #[test]
     fn the_peer_hears_unasked_and_strangers_are_answered_once_they_spoke() {
-        let mut links = UdpLinks::bind(97).expect("instance 97 is free");
+        let mut link = onboard(97);
         // Above instance 9 the API peer port is shared, so listen on the companion's.
         let companion = UdpSocket::bind(loopback(14030 + 97)).expect("free port");
         let stranger = UdpSocket::bind(loopback(0)).expect("free port");
+        let refused = UdpSocket::bind(loopback(0)).expect("free port");
         for socket in [&companion, &stranger] {
             socket
                 .set_read_timeout(Some(Duration::from_secs(5)))
@@ -201,28 +207,30 @@ mod tests {
         }
         let mut buffer = [0; 16];
 
-        links.send(LinkId::ONBOARD, b"one");
+        link.send(b"one");
         assert_eq!(companion.recv(&mut buffer).expect("heard"), 3);
 
         stranger.send_to(b"hello", loopback(14280 + 97)).expect("sent");
         stranger.send_to(b"", loopback(14280 + 97)).expect("sent");
-        let got = wait_for(&mut links, 2);
-        assert_eq!(
-            got,
-            [(LinkId::ONBOARD, b"hello".to_vec()), (LinkId::ONBOARD, Vec::new())]
-        );
-        links.send(LinkId::ONBOARD, b"two");
+        refused.send_to(b"xyz", loopback(14280 + 97)).expect("sent");
+        let got = wait_for(&mut link, 3);
+        assert_eq!(got, [b"hello".to_vec(), Vec::new(), b"xyz".to_vec()]);
+        link.send(b"two");
         assert_eq!(companion.recv(&mut buffer).expect("heard"), 3);
         assert_eq!(stranger.recv(&mut buffer).expect("heard"), 3);
-        // Each got it once.
-        stranger.set_nonblocking(true).expect("can be set");
-        assert!(stranger.recv(&mut buffer).is_err());
+        for (socket, why) in [
+            (&stranger, "each gets it once"),
+            (&refused, "who is refused hears nothing"),
+        ] {
+            socket.set_nonblocking(true).expect("can be set");
+            assert!(socket.recv(&mut buffer).is_err(), "{why}");
+        }
     }
 
     #[test]
     fn a_port_in_use_is_named_with_what_to_do() {
-        let _first = UdpLinks::bind(98).expect("instance 98 is free");
-        let error = UdpLinks::bind(98).err().map(|e| e.to_string()).unwrap_or_default();
+        let _first = onboard_api_gcs(98).expect("instance 98 is free");
+        let error = onboard_api_gcs(98).err().map(|e| e.to_string()).unwrap_or_default();
         assert!(error.contains("14378") && error.contains("--instance"), "{error}");
     }
 
@@ -247,17 +255,12 @@ mod tests {
 
     #[test]
     fn strangers_cannot_grow_the_list_of_peers() {
-        let mut links = UdpLinks::bind(96).expect("instance 96 is free");
+        let mut link = onboard(96);
         for _ in 0..20 {
             let stranger = UdpSocket::bind(loopback(0)).expect("free port");
-            stranger.send_to(b"x", loopback(14580 + 96)).expect("sent");
-            assert_eq!(wait_for(&mut links, 1).len(), 1);
+            stranger.send_to(b"!", loopback(14280 + 96)).expect("sent");
+            assert_eq!(wait_for(&mut link, 1).len(), 1);
         }
-        let api = links
-            .links
-            .iter()
-            .find(|l| l.id == LinkId::API)
-            .expect("there is an API link");
-        assert_eq!(api.learned.len(), MAX_LEARNED);
+        assert_eq!(link.learned.len(), MAX_LEARNED);
     }
 }

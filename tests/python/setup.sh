@@ -17,7 +17,9 @@ for requirements in "$here"/requirements-*.txt; do
     echo "python: making target/venv-$name"
     rm -rf "$venv"
     "$python" -m venv "$venv"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r "$requirements"
+    # Options that a requirements file cannot hold stand in its first line.
+    read -r -a options <<< "$(sed -n '1s/^# pip: //p' "$requirements")"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "${options[@]}" -r "$requirements"
     # Written last: an interrupted install is done again.
     echo "$key" > "$venv/.key"
 done

@@ -74,9 +74,9 @@ class NotRunning(Exception):
 class Simulator(Process):
     """`vigil sim` in real time; `truth` has its status lines, which no MAVLink client sees."""
 
-    def __init__(self, instance, course, folder):
+    def __init__(self, instance, course, folder, options=()):
         self.instance = instance
-        command = [VIGIL, "sim", "--status", "--instance", instance, "--course", HERE / course, "--seed", 1]
+        command = [VIGIL, "sim", "--status", "--instance", instance, "--course", HERE / course, "--seed", 1, *options]
         super().__init__(f"simulator{instance}", command, folder)
 
     def __enter__(self):
@@ -100,12 +100,12 @@ class Simulator(Process):
 
 
 @contextlib.contextmanager
-def free_simulator(course, folder):
+def free_simulator(course, folder, *options):
     """A simulator on the first instance that nobody uses: another test or a person may be flying on this machine."""
     # Up to 9 the ports of scripts are an instance's own.
     for instance in range(1, 10):
         try:
-            simulator = Simulator(instance, course, folder).__enter__()
+            simulator = Simulator(instance, course, folder, options).__enter__()
         except NotRunning as error:
             if instance < 9 and "instance" in str(error):
                 continue

@@ -113,6 +113,7 @@ enum Reply {
     Ack(ReplyTo, u16, u8),
     Time(u8, time::Answer),
     Parameter(u8, usize),
+    NoSuchParameter(ReplyTo, [u8; 16], i16),
 }
 
 /// The guidance computer's end of the link: keeps what the vehicle told, hands operators' requests to guidance, writes
@@ -245,7 +246,8 @@ impl Companion {
         {
             // Of requests to all components it answers what it has.
             if system == self.sender.system_id && self.is_for_me_or_all(system, component) {
-                self.parameter_request(link, &request);
+                let is_for_me = component == self.sender.component_id;
+                self.parameter_request(from, is_for_me, &request);
             }
             return;
         }
@@ -293,7 +295,10 @@ impl Companion {
         }
     }
 
-    fn parameter_request(&mut self, link: u8, request: &ParameterRequest) {
+    /// Answers on the link it came on. What there is not is told to who asked this very component: of a request to all
+    /// another one may have it.
+    fn parameter_request(&mut self, from: ReplyTo, is_for_me: bool, request: &ParameterRequest) {
+        let link = from.link;
         match request {
             ParameterRequest::List => {
                 for index in 0..self.parameters.count() {
@@ -303,15 +308,24 @@ impl Companion {
             ParameterRequest::ReadIndex(index) => {
                 if *index < self.parameters.count() {
                     self.reply(Reply::Parameter(link, *index));
+                } else if is_for_me {
+                    // It came as 16 bits.
+                    self.reply(Reply::NoSuchParameter(from, [0; 16], *index as i16));
                 }
             }
             ParameterRequest::ReadName(name) => {
                 if let Some(index) = self.parameters.find(name) {
                     self.reply(Reply::Parameter(link, index));
+                } else if is_for_me {
+                    self.reply(Reply::NoSuchParameter(from, *name, -1));
                 }
             }
             ParameterRequest::Set { name, raw, mav_type } => {
                 let Some(index) = self.parameters.find(name) else {
+                    if is_for_me {
+                        self.counters.parameters_refused += 1;
+                        self.reply(Reply::NoSuchParameter(from, *name, -1));
+                    }
                     return;
                 };
                 let flying = !matches!(
@@ -388,6 +402,10 @@ impl Companion {
                     if let Some((message_id, payload)) = self.parameters.told(*index, self.config.flavour) {
                         self.sender.payload(out, *link, message_id, &payload);
                     }
+                }
+                Reply::NoSuchParameter(to, name, index) => {
+                    let error = report::no_such_parameter((to.system, to.component), *name, *index);
+                    self.sender.message(out, to.link, &error);
                 }
             }
         }

@@ -4,8 +4,8 @@ mod common;
 
 use common::{GROUND_STATION, bytes_of, messages, report, texts};
 use vigil_link::common::{
-    MavParamType, OBSTACLE_DISTANCE_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA,
-    PARAM_VALUE_DATA,
+    MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
+    PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
 use vigil_link::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters};
 use vigil_types::{Datagrams, GuidanceState, Nanos, STEP_NS, VehicleRequest};
@@ -146,6 +146,36 @@ fn what_is_for_others_or_not_there_is_not_answered() {
         assert_eq!(computer.ask(&message), [], "{message:?}");
     }
     assert!(!computer.companion.parameters().take_changed());
+}
+
+#[test]
+fn who_asks_the_guidance_computer_for_what_it_has_not_is_told_so() {
+    let mut computer = Computer::new(Flavour::Px4);
+    let errors = |computer: &mut Computer, message: &MavMessage| -> Vec<(String, i16)> {
+        computer.ask(message);
+        let told = messages(&computer.sent)
+            .into_iter()
+            .filter_map(|(_, message)| match message {
+                MavMessage::PARAM_ERROR(e) => {
+                    assert_eq!(e.error, MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST);
+                    assert_eq!((e.target_system, e.target_component), (255, 190));
+                    Some((e.param_id.to_str().unwrap().to_owned(), e.param_index))
+                }
+                _ => None,
+            });
+        told.collect()
+    };
+    let told = |name: &str, index| [(name.to_owned(), index)];
+    assert_eq!(errors(&mut computer, &read("NO_SUCH", -1)), told("NO_SUCH", -1));
+    assert_eq!(errors(&mut computer, &read("", 7)), told("", 7));
+    assert_eq!(errors(&mut computer, &set("NO_SUCH", 1.0, REAL)), told("NO_SUCH", -1));
+    // Asked of all components, the vehicle may have it.
+    let mut to_all = read("NO_SUCH", -1);
+    if let MavMessage::PARAM_REQUEST_READ(m) = &mut to_all {
+        m.target_component = 0;
+    }
+    assert!(errors(&mut computer, &to_all).is_empty());
+    assert!(errors(&mut computer, &read("PLT_CRUISE", -1)).is_empty());
 }
 
 #[test]

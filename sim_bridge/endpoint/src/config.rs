@@ -141,6 +141,14 @@ pub enum ConfigError {
         /// The position given.
         home: HomePosition,
     },
+    /// A plan that was saved.
+    #[error("{kind}: {reason}")]
+    Plan {
+        /// Which plan.
+        kind: &'static str,
+        /// Why it is refused.
+        reason: &'static str,
+    },
     /// A parameter's name or value.
     #[error("parameters: {0}")]
     Parameter(#[from] ParameterError),

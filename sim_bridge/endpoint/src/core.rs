@@ -1,11 +1,12 @@
 //! What all services share: time, the vehicle's view, flight state, parameters, and what waits to be sent.
 
 use crate::files::FileSystem;
-use crate::flight::{Commander, Failsafe, FenceWatch, FlightMode, LandedState, Setpoints};
+use crate::flight::{Commander, Failsafe, FenceWatch, FlightMode, LandedState, Setpoints, Sticks};
 use crate::outbox::Outbox;
 use crate::parameters::{ParamId, Parameters};
 use crate::plan::Plans;
 use crate::services::flight_information::FlightTimes;
+use crate::services::signing::SigningSetup;
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, services};
 use vigil_link::framing::FramingCounters;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
@@ -94,6 +95,11 @@ pub(crate) struct Core {
     pub parameters: Parameters,
     pub commander: Commander,
     pub setpoints: Setpoints,
+    pub sticks: Sticks,
+    /// See `services::vibration`.
+    pub vibration_m_s2: [f32; 3],
+    /// A new signing key that the links have not taken yet.
+    pub signing_setup: Option<SigningSetup>,
     pub plans: Plans,
     pub fence_watch: FenceWatch,
     pub outbox: Outbox,
@@ -126,6 +132,9 @@ impl Core {
             parameters: Parameters::new(&config.parameters)?,
             commander: Commander::default(),
             setpoints: Setpoints::default(),
+            sticks: Sticks::default(),
+            vibration_m_s2: [0.0; 3],
+            signing_setup: None,
             plans: Plans::default(),
             fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),

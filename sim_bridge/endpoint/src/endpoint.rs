@@ -3,10 +3,12 @@
 use crate::core::{ComponentId, Core, EndpointStatus};
 use crate::routing::Routing;
 use crate::service::{Answer, Service, Source};
+use crate::services::signing::SigningSetup;
 use crate::streams::Streams;
-use crate::{ConfigError, EndpointConfig, LinkId, services};
-use vigil_link::common::MavResult;
+use crate::{ConfigError, EndpointConfig, LinkId, Saved, services};
+use vigil_link::common::{MavResult, SETUP_SIGNING_DATA};
 use vigil_link::framing::{self, Command, CommandAck, Packet};
+use vigil_link::mavlink::MessageData;
 use vigil_types::Nanos;
 use vigil_vehicle::{ControlCommand, VehicleView};
 
@@ -80,9 +82,12 @@ impl Endpoint {
             self.routing.note(self.core.now_ns, id, link.0);
         }
         let target = packet.target();
+        // A signing key is nobody else's business.
+        let is_secret = packet.message_id() == SETUP_SIGNING_DATA::ID;
         let onward = self
             .routing
             .onward(self.core.id, target, link.0, self.core.outbox.links());
+        let onward = if is_secret { 0 } else { onward };
         for to in (0..8).filter(|to| onward & (1 << to) != 0) {
             self.core.outbox.forward(to, packet.raw());
             self.core.forwarded += 1;
@@ -157,6 +162,24 @@ impl Endpoint {
         if !self.core.outbox.is_empty() {
             self.core.outbox.drain(send);
         }
+    }
+
+    /// What is to outlive a restart.
+    pub fn saved(&self) -> Saved {
+        self.core.saved()
+    }
+
+    /// Takes over what was saved, before the first step.
+    ///
+    /// # Errors
+    /// A parameter or plan that this vehicle does not have or take, by name.
+    pub fn restore(&mut self, saved: &Saved) -> Result<(), ConfigError> {
+        self.core.restore(saved)
+    }
+
+    /// The signing key that SETUP_SIGNING brought since the last call, for whoever owns the links.
+    pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
+        self.core.signing_setup.take()
     }
 
     /// What is going on.

@@ -158,19 +158,24 @@ impl Parameters {
             values: TABLE.iter().map(|info| info.default).collect(),
         };
         for (name, value) in overrides {
-            let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown { name: name.clone() })?;
-            let typed = match TABLE[index].default {
-                ParameterValue::Int32(_) if value.fract() == 0.0 => ParameterValue::Int32(*value as i32),
-                ParameterValue::Int32(_) => {
-                    return Err(ParameterError::WrongType {
-                        name: TABLE[index].name,
-                    });
-                }
-                ParameterValue::Real32(_) => ParameterValue::Real32(*value as f32),
-            };
-            parameters.set(index, typed)?;
+            parameters.set_by_name(name, *value)?;
         }
         Ok(parameters)
+    }
+
+    /// Sets a value that a file gives, where whole numbers and fractions look alike.
+    pub fn set_by_name(&mut self, name: &str, value: f64) -> Result<(), ParameterError> {
+        let index = Self::index_of(name).ok_or_else(|| ParameterError::Unknown { name: name.to_owned() })?;
+        let typed = match TABLE[index].default {
+            ParameterValue::Int32(_) if value.fract() == 0.0 => ParameterValue::Int32(value as i32),
+            ParameterValue::Int32(_) => {
+                return Err(ParameterError::WrongType {
+                    name: TABLE[index].name,
+                });
+            }
+            ParameterValue::Real32(_) => ParameterValue::Real32(value as f32),
+        };
+        self.set(index, typed)
     }
 
     /// A parameter's value as a float.

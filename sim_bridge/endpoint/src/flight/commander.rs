@@ -2,7 +2,7 @@
 
 use crate::core::{ComponentId, Core};
 use crate::flight::control::Maneuver;
-use crate::flight::{Claim, FlightMode, Setpoints};
+use crate::flight::{Claim, FlightMode, Setpoints, Sticks};
 use crate::parameters::ParamId;
 use crate::services::message_ids;
 use vigil_link::common::MavSeverity;
@@ -37,6 +37,8 @@ pub enum Failsafe {
     SetpointLost,
     /// The vehicle left its geofence.
     GeofenceBreached,
+    /// The sticks stopped in position mode.
+    ManualControlLost,
 }
 
 /// Why arming, disarming or a mode change is refused.
@@ -46,6 +48,8 @@ pub(crate) enum Denial {
     Terminated,
     #[error("arming denied: vehicle is tilted")]
     Tilted,
+    #[error("position denied: no manual control")]
+    NoSticks,
     #[error("disarming denied: not landed")]
     NotLanded,
     #[error("offboard denied: no setpoints")]
@@ -188,6 +192,7 @@ impl Core {
             ..Commander::default()
         };
         self.setpoints = Setpoints::default();
+        self.sticks = Sticks::default();
         self.text(MavSeverity::MAV_SEVERITY_INFO, "rebooted");
         self.announce(message_ids::HEARTBEAT);
         self.announce(message_ids::NAMED_VALUE_FLOAT);
@@ -200,6 +205,13 @@ impl Core {
         }
         if mode == FlightMode::Mission {
             return self.begin_mission();
+        }
+        if mode == FlightMode::Position {
+            return if self.enter_manual() {
+                Ok(())
+            } else {
+                Err(Denial::NoSticks)
+            };
         }
         self.clear_failsafe();
         match mode {

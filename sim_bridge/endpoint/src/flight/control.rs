@@ -4,8 +4,10 @@ use crate::core::Core;
 use crate::flight::FlightMode;
 use crate::flight::orbit::Orbit;
 use crate::parameters::ParamId;
-use vigil_link::common::{MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask};
-use vigil_types::{HeadingVector, Nanos, NedVector};
+use vigil_link::common::{
+    ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
+};
+use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, Estimate, YawCommand};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
@@ -44,6 +46,8 @@ pub(crate) enum Maneuver {
     Descend,
     /// Obeys the owner's setpoints.
     Offboard,
+    /// Flown by sticks.
+    Sticks,
     /// Circles a point.
     Orbit(Orbit),
 }
@@ -96,6 +100,7 @@ impl Core {
                 self.fly_climb(climb)
             }
             Maneuver::Offboard => self.fly_offboard(on_ground),
+            Maneuver::Sticks => self.fly_by_sticks(on_ground),
             _ if on_ground => ControlCommand::Idle,
             Maneuver::Brake { began_ns, height_m } => self.fly_brake(began_ns, height_m),
             Maneuver::Station {
@@ -303,5 +308,32 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
         type_mask: PositionTargetTypemask::from_bits_truncate(mask),
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
         ..Default::default()
+    })
+}
+
+/// The attitude or body rates that OFFBOARD flies to, as ATTITUDE_TARGET reports them; `None` where positions or velocities
+/// are flown: their controllers are the vehicle's, and what they ask for is not known here.
+pub(crate) fn attitude_target(core: &Core) -> Option<ATTITUDE_TARGET_DATA> {
+    const RATES_IGNORED: u8 = 0x07;
+    const ATTITUDE_IGNORED: u8 = 0x80;
+    if core.commander.maneuver != Maneuver::Offboard {
+        return None;
+    }
+    let (attitude, rates, thrust, mask) = match core.setpoints.current(core.now_ns, core.setpoint_max_age_ns())? {
+        ControlCommand::Attitude { attitude, thrust } => (attitude, FrdVector::ZERO, thrust, RATES_IGNORED),
+        ControlCommand::Rates {
+            rates_frd_rad_s,
+            thrust,
+        } => (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED),
+        _ => return None,
+    };
+    Some(ATTITUDE_TARGET_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        q: [attitude.w, attitude.x, attitude.y, attitude.z],
+        body_roll_rate: rates.x,
+        body_pitch_rate: rates.y,
+        body_yaw_rate: rates.z,
+        thrust,
+        type_mask: AttitudeTargetTypemask::from_bits_truncate(mask),
     })
 }

@@ -3,6 +3,7 @@
 mod commander;
 mod control;
 mod fence;
+mod manual;
 mod mission;
 mod mode;
 mod orbit;
@@ -12,8 +13,9 @@ pub use commander::{Failsafe, LandedState};
 pub use mode::FlightMode;
 
 pub(crate) use commander::{Commander, Denial};
-pub(crate) use control::position_target;
+pub(crate) use control::{attitude_target, position_target};
 pub(crate) use fence::FenceWatch;
+pub(crate) use manual::{Deflections, Sticks};
 pub(crate) use mode::Requested;
 pub(crate) use orbit::{Facing, Orbit};
 pub(crate) use setpoints::{

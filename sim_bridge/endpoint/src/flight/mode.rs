@@ -20,6 +20,8 @@ pub enum FlightMode {
     Mission,
     /// POSCTL.ORBIT: circles a point. Entered by DO_ORBIT alone, because it needs a point.
     Orbit,
+    /// POSCTL: flown by sticks, that is MANUAL_CONTROL.
+    Position,
     /// OFFBOARD: obeys the setpoints of its owner.
     Offboard,
 }
@@ -35,23 +37,25 @@ pub(crate) enum Requested {
 
 impl FlightMode {
     /// What a mode command can ask for.
-    const COMMANDED: [Self; 6] = [
+    const COMMANDED: [Self; 7] = [
         Self::Hold,
         Self::Takeoff,
         Self::Land,
         Self::Return,
         Self::Mission,
+        Self::Position,
         Self::Offboard,
     ];
 
     /// Every mode.
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 8] = [
         Self::Hold,
         Self::Takeoff,
         Self::Land,
         Self::Return,
         Self::Mission,
         Self::Orbit,
+        Self::Position,
         Self::Offboard,
     ];
 
@@ -63,6 +67,7 @@ impl FlightMode {
             Self::Return => (MAIN_AUTO, 5),
             Self::Land => (MAIN_AUTO, 6),
             Self::Offboard => (MAIN_OFFBOARD, 0),
+            Self::Position => (MAIN_POSITION, 0),
             Self::Orbit => (MAIN_POSITION, 1),
         }
     }
@@ -82,6 +87,7 @@ impl FlightMode {
             Self::Return => "return",
             Self::Mission => "mission",
             Self::Orbit => "orbit",
+            Self::Position => "position",
             Self::Offboard => "offboard",
         }
     }
@@ -93,6 +99,7 @@ impl Requested {
         match (main, sub) {
             (1, _) => Self::Manual("manual"),
             (2, _) => Self::Manual("altitude"),
+            (MAIN_POSITION, 0) => Self::Flown(FlightMode::Position),
             (MAIN_POSITION, _) => Self::Manual("position"),
             (5, _) => Self::Manual("acro"),
             (7, _) => Self::Manual("stabilized"),
@@ -125,7 +132,7 @@ mod tests {
         for mode in FlightMode::COMMANDED {
             assert_eq!(Requested::from_custom_mode(mode.custom_mode()), Requested::Flown(mode));
         }
-        assert_eq!(Requested::from_px4(3, 0), Requested::Manual("position"));
+        assert_eq!(Requested::from_px4(2, 0), Requested::Manual("altitude"));
         assert_eq!(Requested::from_px4(4, 9), Requested::Unknown);
         assert_eq!(Requested::from_px4(0, 0), Requested::Unknown);
     }

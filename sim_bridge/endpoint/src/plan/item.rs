@@ -3,6 +3,7 @@
 
 use crate::plan::PlanDefect;
 use crate::{HomePosition, geo};
+use serde::{Deserialize, Serialize};
 use vigil_link::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_link::mavlink::MessageData;
 
@@ -13,7 +14,8 @@ const MAX_DISTANCE_M: f32 = 10_000.0;
 const MAX_HEIGHT_M: f32 = 500.0;
 
 /// An item. Parameters 1 to 4 are NaN where they are not given.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(crate) struct PlanItem {
     /// MAV_CMD.
     pub command: u16,

@@ -1,12 +1,14 @@
-//! Messages that PX4 knows and this vehicle has nothing to put into: there is no pilot's receiver, no range finder, the
-//! mixer's inputs are not modelled, and telemetry never tells the simulator's truth. A client may set their rate, as it
+//! Messages that PX4 knows and this vehicle has nothing to put into: there is no pilot's receiver, no range finder
+//! and no transponder, the mixer's inputs are not modelled, the estimator knows no wind, and telemetry never tells the
+//! simulator's truth. A client may set their rate, as it
 //! may with PX4 where the sensor is missing; none is ever sent, and a request for one is DENIED.
 
 use crate::core::Core;
 use crate::service::{Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
-    ACTUATOR_CONTROL_TARGET_DATA, DISTANCE_SENSOR_DATA, HIL_STATE_QUATERNION_DATA, RC_CHANNELS_DATA,
+    ACTUATOR_CONTROL_TARGET_DATA, ADSB_VEHICLE_DATA, DISTANCE_SENSOR_DATA, HIL_STATE_QUATERNION_DATA, RC_CHANNELS_DATA,
+    WIND_COV_DATA,
 };
 use vigil_link::mavlink::MessageData;
 
@@ -20,6 +22,8 @@ impl Service for Absent {
                 absent(HIL_STATE_QUATERNION_DATA::ID),
                 absent(DISTANCE_SENSOR_DATA::ID),
                 absent(ACTUATOR_CONTROL_TARGET_DATA::ID),
+                absent(WIND_COV_DATA::ID),
+                absent(ADSB_VEHICLE_DATA::ID),
             ]
         }
     }

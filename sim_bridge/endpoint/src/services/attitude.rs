@@ -1,9 +1,10 @@
-//! ATTITUDE and ATTITUDE_QUATERNION.
+//! ATTITUDE, ATTITUDE_QUATERNION and ATTITUDE_TARGET.
 
 use crate::core::Core;
+use crate::flight::attitude_target;
 use crate::service::{Produced, Service};
 use vigil_link::MavMessage;
-use vigil_link::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA};
+use vigil_link::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ATTITUDE_TARGET_DATA};
 use vigil_link::mavlink::MessageData;
 
 pub(crate) struct Attitude;
@@ -20,6 +21,11 @@ impl Service for Attitude {
                 id: ATTITUDE_QUATERNION_DATA::ID,
                 rate_hz: [50.0, 20.0, 10.0],
                 build: attitude_quaternion,
+            },
+            Produced {
+                id: ATTITUDE_TARGET_DATA::ID,
+                rate_hz: [0.0, 5.0, 2.0],
+                build: target,
             },
         ]
     }
@@ -51,4 +57,8 @@ fn attitude_quaternion(core: &Core) -> Option<MavMessage> {
         yawspeed: e.rates_frd_rad_s.z,
         ..Default::default()
     }))
+}
+
+fn target(core: &Core) -> Option<MavMessage> {
+    attitude_target(core).map(MavMessage::ATTITUDE_TARGET)
 }

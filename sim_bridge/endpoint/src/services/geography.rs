@@ -4,8 +4,8 @@ use crate::core::Core;
 use crate::geo::deg_e7;
 use crate::service::{Answer, Produced, Service, Source};
 use vigil_link::MavMessage;
-use vigil_link::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA};
-use vigil_link::framing::Command;
+use vigil_link::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, SET_GPS_GLOBAL_ORIGIN_DATA};
+use vigil_link::framing::{Command, Packet};
 use vigil_link::mavlink::MessageData;
 
 /// MAV_CMD_GET_HOME_POSITION: the old way to ask for HOME_POSITION.
@@ -14,6 +14,13 @@ const GET_HOME_POSITION: u16 = 410;
 pub(crate) struct Geography;
 
 impl Service for Geography {
+    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
+        // The origin is where the simulated world has it; whoever wants another is told the one in force.
+        if packet.message_id() == SET_GPS_GLOBAL_ORIGIN_DATA::ID {
+            core.announce(GPS_GLOBAL_ORIGIN_DATA::ID);
+        }
+    }
+
     fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
         (command.number == GET_HOME_POSITION).then(|| {
             core.request(source.link, HOME_POSITION_DATA::ID);

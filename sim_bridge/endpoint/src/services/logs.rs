@@ -1,16 +1,18 @@
-//! The flight log, and its download. <https://mavlink.io/en/services/log.html> (LOG_REQUEST_LIST and its kin)
+//! The flight log, its download and its streaming. <https://mavlink.io/en/services/log.html> (LOG_REQUEST_LIST and its
+//! kin), LOGGING_START
 //!
 //! From arming to disarming the vehicle records itself into a file of comma-separated values under `log`, which can also
 //! be read by file transfer. docs/mavlink.md describes the columns.
 
 use crate::core::Core;
-use crate::service::{Service, Source};
+use crate::service::{Answer, Service, Source};
 use std::fmt::Write;
 use vigil_link::MavMessage;
 use vigil_link::common::{
     LOG_DATA_DATA, LOG_ENTRY_DATA, LOG_ERASE_DATA, LOG_REQUEST_DATA_DATA, LOG_REQUEST_END_DATA, LOG_REQUEST_LIST_DATA,
+    LOGGING_DATA_DATA,
 };
-use vigil_link::framing::Packet;
+use vigil_link::framing::{Command, Packet};
 use vigil_link::mavlink::MessageData;
 use vigil_types::Nanos;
 
@@ -25,8 +27,13 @@ const MAX_LOGS: usize = 4;
 const SEND_NS: Nanos = 1_000_000;
 const PACKETS_AT_ONCE: usize = 2;
 const CHUNK: usize = 90;
-/// Downloads at a time, one per client.
+/// Downloads at a time, one per client; as many clients may have a log streamed.
 const MAX_DOWNLOADS: usize = 4;
+const LOGGING_START: u16 = 2510;
+const LOGGING_STOP: u16 = 2511;
+/// Bytes of LOGGING_DATA, and packets for each record: the beginning of a log is caught up with.
+const STREAM_CHUNK: usize = 249;
+const STREAM_PACKETS: usize = 4;
 
 const COLUMNS: &str = "time_s,mode,landed,failsafe,north_m,east_m,down_m,north_m_s,east_m_s,down_m_s,\
     roll_rad,pitch_rad,yaw_rad,throttle,battery_v,battery_a,battery_remaining\n";
@@ -46,6 +53,15 @@ enum Work {
     },
 }
 
+/// A log that is sent while it is written.
+#[derive(Debug, Clone)]
+struct Stream {
+    client: Source,
+    path: String,
+    offset: usize,
+    sequence: u16,
+}
+
 #[derive(Default)]
 pub(crate) struct Logs {
     /// The log that is being recorded.
@@ -59,6 +75,7 @@ pub(crate) struct Logs {
     record_ns: Nanos,
     send_ns: Nanos,
     work: Vec<(Source, Work)>,
+    streams: Vec<Stream>,
 }
 
 impl Service for Logs {
@@ -115,6 +132,26 @@ impl Service for Logs {
         }
     }
 
+    fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Option<Answer> {
+        match command.number {
+            LOGGING_START => {
+                self.streams.retain(|s| s.client != source);
+                if self.streams.len() >= MAX_DOWNLOADS {
+                    return Some(Answer::REJECTED);
+                }
+                self.streams.push(Stream {
+                    client: source,
+                    path: String::new(),
+                    offset: 0,
+                    sequence: 0,
+                });
+            }
+            LOGGING_STOP => self.streams.retain(|s| s.client != source),
+            _ => return None,
+        }
+        Some(Answer::ACCEPTED)
+    }
+
     fn due_ns(&self) -> Nanos {
         if self.work.is_empty() {
             self.record_ns
@@ -127,6 +164,9 @@ impl Service for Logs {
         if self.record_ns <= core.now_ns {
             self.record_ns = core.now_ns + RECORD_NS;
             self.record(core);
+            if let Some(path) = &self.recording {
+                self.streams.iter_mut().for_each(|s| s.send(path, core));
+            }
         }
         if !self.work.is_empty() && self.send_ns <= core.now_ns {
             self.send_ns = core.now_ns + SEND_NS;
@@ -194,6 +234,39 @@ impl Work {
                 core.outbox.send(client.link, &message);
                 goes_on
             }
+        }
+    }
+}
+
+impl Stream {
+    /// Sends what was written to the log at `path` since the last call.
+    fn send(&mut self, path: &str, core: &mut Core) {
+        if self.path != path {
+            self.path = path.to_owned();
+            self.offset = 0;
+        }
+        for _ in 0..STREAM_PACKETS {
+            let content = core.files.read(path).unwrap_or_default();
+            let to = (self.offset + STREAM_CHUNK).min(content.len());
+            let bytes = content.get(self.offset..to).unwrap_or_default();
+            if bytes.is_empty() {
+                return;
+            }
+            let mut data = [0; STREAM_CHUNK];
+            for (to, from) in data.iter_mut().zip(bytes) {
+                *to = *from;
+            }
+            let message = MavMessage::LOGGING_DATA(LOGGING_DATA_DATA {
+                sequence: self.sequence,
+                target_system: self.client.id.system,
+                target_component: self.client.id.component,
+                length: bytes.len() as u8,
+                first_message_offset: 0,
+                data,
+            });
+            self.offset = to;
+            self.sequence = self.sequence.wrapping_add(1);
+            core.outbox.send(self.client.link, &message);
         }
     }
 }

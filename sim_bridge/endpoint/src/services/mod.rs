@@ -6,6 +6,7 @@ mod actuators;
 mod arming;
 mod attitude;
 mod battery;
+mod calibration;
 mod estimator;
 mod events;
 pub(crate) mod flight_information;
@@ -15,6 +16,7 @@ mod geography;
 mod health;
 mod intervals;
 mod logs;
+mod manual;
 pub(crate) mod metadata;
 mod mission;
 mod orbit;
@@ -24,10 +26,12 @@ mod position;
 mod sensors;
 mod setpoints;
 mod shell;
+pub(crate) mod signing;
 mod state;
 mod statustext;
 mod time;
 mod version;
+mod vibration;
 
 use crate::service::Service;
 
@@ -37,12 +41,14 @@ pub(crate) use intervals::message_interval;
 pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
     vec![
         Box::new(setpoints::SetpointService),
+        Box::new(manual::Manual),
         Box::new(state::State),
         Box::new(attitude::Attitude),
         Box::new(position::Position),
         Box::new(sensors::SensorReadings),
         Box::new(actuators::Actuators),
         Box::new(estimator::Estimator),
+        Box::<vibration::Vibration>::default(),
         Box::<flight_information::FlightInformation>::default(),
         Box::new(absent::Absent),
         Box::new(battery::Battery),
@@ -50,6 +56,7 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(geography::Geography),
         Box::new(arming::Arming),
         Box::new(actions::Actions),
+        Box::<calibration::Calibration>::default(),
         Box::<plans::PlanTransfer>::default(),
         Box::new(mission::MissionService),
         Box::<geofence::Geofence>::default(),
@@ -62,6 +69,7 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::<shell::Shell>::default(),
         Box::new(time::Time),
         Box::new(version::Version),
+        Box::new(signing::SigningService),
     ]
 }
 

@@ -158,3 +158,36 @@ fn logs_are_few_and_the_one_being_written_survives_an_erase() {
     erase(&mut b);
     assert_eq!(list(&mut b)[0].num_logs, 0);
 }
+
+#[test]
+fn a_log_is_streamed_while_it_is_written_until_the_client_has_enough() {
+    let mut b = Bench::new();
+    assert_eq!(b.command_long(API, SCRIPT, 2510, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.arm(), ACCEPTED);
+    b.run_ms(2_000);
+    let streamed = |b: &Bench| -> Vec<(u16, Vec<u8>)> {
+        let data = b.messages(API).filter_map(|m| match m {
+            MavMessage::LOGGING_DATA(m) => Some((m.sequence, m.data[..usize::from(m.length)].to_vec())),
+            _ => None,
+        });
+        data.collect()
+    };
+    let packets = streamed(&b);
+    assert!(
+        packets
+            .iter()
+            .enumerate()
+            .all(|(i, (sequence, _))| usize::from(*sequence) == i)
+    );
+    let text: Vec<u8> = packets.into_iter().flat_map(|(_, bytes)| bytes).collect();
+    let text = String::from_utf8(text).expect("a text");
+    assert!(text.starts_with("time_s,mode,landed"), "{text}");
+    assert!(
+        (17..=22).contains(&text.lines().filter(|l| l.contains(",hold,")).count()),
+        "{text}"
+    );
+    assert_eq!(b.command_long(API, SCRIPT, 2511, [0.0; 7]), ACCEPTED);
+    let before = streamed(&b).len();
+    b.run_ms(1_000);
+    assert_eq!(streamed(&b).len(), before);
+}

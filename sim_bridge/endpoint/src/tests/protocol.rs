@@ -350,3 +350,81 @@ fn a_long_text_is_sent_in_chunks_of_one_id() {
     assert_eq!(joined, text);
     assert!(ids[0].0 != 0 && ids == [(ids[0].0, 0), (ids[0].0, 1)]);
 }
+
+#[test]
+fn a_calibration_is_told_as_px4_tells_it_and_one_that_needs_hands_is_refused() {
+    let mut b = Bench::new();
+    let ask = |b: &mut Bench, gyro: f32, mag: f32, accelerometer: f32| {
+        b.command_long(API, SCRIPT, 241, [gyro, mag, 0.0, 0.0, accelerometer, 0.0, 0.0])
+    };
+    for (gyro, level, name) in [(1.0, 0.0, "gyro"), (0.0, 2.0, "level")] {
+        b.sent.clear();
+        assert_eq!(ask(&mut b, gyro, 0.0, level), ACCEPTED);
+        assert_eq!(ask(&mut b, gyro, 0.0, level), REJECTED, "one at a time");
+        b.run_ms(1_500);
+        let texts = b.texts();
+        let cal: Vec<&str> = texts
+            .iter()
+            .map(String::as_str)
+            .filter(|t| t.starts_with("[cal]"))
+            .collect();
+        let (started, done) = (
+            format!("[cal] calibration started: 2 {name}"),
+            format!("[cal] calibration done: {name}"),
+        );
+        // Each text goes out on all links.
+        assert!(
+            cal.contains(&started.as_str()) && cal.contains(&"[cal] progress <50>") && cal.contains(&done.as_str())
+        );
+    }
+    assert_eq!(ask(&mut b, 0.0, 1.0, 0.0), REJECTED);
+    assert_eq!(ask(&mut b, 0.0, 0.0, 1.0), REJECTED);
+    assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), ACCEPTED);
+    assert_eq!(ask(&mut b, 0.0, 0.0, 0.0), ACCEPTED, "cancels");
+    b.run_ms(1_500);
+    assert!(b.texts().iter().any(|t| t == "[cal] calibration cancelled"));
+    assert_eq!(b.arm(), ACCEPTED);
+    assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), REJECTED, "armed");
+}
+
+#[test]
+fn vibration_is_felt_in_flight_and_not_on_the_ground() {
+    let level = |b: &mut Bench| -> f32 {
+        b.sent.clear();
+        b.run_ms(4_000);
+        let told = b.messages(API).filter_map(|m| match m {
+            MavMessage::VIBRATION(m) => Some(m.vibration_z),
+            _ => None,
+        });
+        told.last().expect("streams unasked")
+    };
+    let (still, flying) = (level(&mut Bench::new()), level(&mut Bench::airborne()));
+    assert!(still >= 0.0 && flying > 0.0 && flying < 5.0, "{still} {flying}");
+}
+
+#[test]
+fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
+    let mut b = Bench::new();
+    b.send(ONBOARD, COMPANION, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT));
+    let setup = |system, component, byte| {
+        MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+            target_system: system,
+            target_component: component,
+            secret_key: [byte; 32],
+            initial_timestamp: 77,
+        })
+    };
+    b.sent.clear();
+    for message in [setup(1, 191, 5), setup(0, 0, 5), setup(2, 1, 5), setup(1, 1, 0)] {
+        b.send(API, SCRIPT, &message);
+        assert!(b.endpoint.take_signing_setup().is_none());
+    }
+    b.send(API, SCRIPT, &setup(1, 1, 5));
+    let taken = b.endpoint.take_signing_setup().expect("taken");
+    assert_eq!((taken.key, taken.initial_timestamp), ([5; 32], 77));
+    assert!(b.endpoint.take_signing_setup().is_none(), "once");
+    b.run_ms(100);
+    for link in [ONBOARD, API, GCS] {
+        assert_eq!(b.count(link, SETUP_SIGNING_DATA::ID), 0, "a key is passed on");
+    }
+}

@@ -79,6 +79,7 @@ fn failsafe_number(failsafe: Failsafe) -> u8 {
     match failsafe {
         Failsafe::SetpointLost => 1,
         Failsafe::GeofenceBreached => 2,
+        Failsafe::ManualControlLost => 3,
     }
 }
 
@@ -246,6 +247,7 @@ pub(crate) fn definitions() -> Value {
                     "entries": entries([
                         (1, "setpoint_lost", "setpoint lost"),
                         (2, "geofence_breached", "geofence breached"),
+                        (3, "manual_control_lost", "manual control lost"),
                     ]),
                 },
                 "navigation_mode_group_t": {

@@ -2,9 +2,9 @@
 
 use super::stream::PacketStream;
 use super::{LinkError, LinkStatistics, RETRY_NS};
+use crate::Link;
+use crate::gate::Gate;
 use crate::link_url::LinkUrl;
-use crate::ports::Link;
-use crate::ports::gate::Gate;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
 use rustix::termios::{ControlModes, OptionalActions, QueueSelector};

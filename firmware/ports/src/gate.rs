@@ -10,7 +10,8 @@ use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, packets};
 use vigil_link::signing::{
-    Refusal, SIGNATURE_LEN, Signing, SigningCounters, Timestamp, UNITS_PER_SECOND, timestamp_of_unix_ns,
+    Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp, UNITS_PER_SECOND,
+    timestamp_of_unix_ns,
 };
 use vigil_types::{Datagrams, Nanos};
 
@@ -20,6 +21,8 @@ pub const MAX_DATAGRAM_BYTES: usize = 2048;
 const STORE_NS: Nanos = 1_000_000_000;
 /// How much later than it is the stored time is while packets still come: more than passes until it is stored again.
 const STORE_AHEAD: u64 = 2 * UNITS_PER_SECOND;
+/// A SETUP_SIGNING may not set the time further ahead than any packet may be.
+const MAX_AHEAD: u64 = 60 * UNITS_PER_SECOND;
 
 /// From whom packets without a signature are accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
@@ -32,6 +35,17 @@ pub enum AllowUnsigned {
     Never,
     /// Everybody who reaches the link.
     Always,
+}
+
+impl AllowUnsigned {
+    /// Whether a sender needs no signature. `is_local`: it is on this machine.
+    pub fn covers(self, is_local: bool) -> bool {
+        match self {
+            Self::Loopback => is_local,
+            Self::Never => false,
+            Self::Always => true,
+        }
+    }
 }
 
 /// Verifies what a link receives, signs what it sends.
@@ -72,17 +86,13 @@ impl Gate {
     }
 
     /// A gate with the key in `key_file`. What replay protection needs over restarts is kept beside it, in
-    /// `key_file` + `.INSTANCE.state`.
+    /// `key_file` + `.NAME.state`: each program that uses the key at the same time needs a `name` of its own.
     ///
     /// # Errors
     /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
-    pub fn with_key_file(
-        key_file: &Path,
-        instance: u32,
-        allow_unsigned: AllowUnsigned,
-    ) -> Result<Self, SigningFileError> {
+    pub fn with_key_file(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
         let key = read_key(key_file)?;
-        let (keeper, memory) = Keeper::start(key_file, instance, STORE_AHEAD)?;
+        let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
         let mut gate = Self::new(Some(Signing::new(key, 0, memory)), allow_unsigned);
         gate.keeper = Some(keeper);
         Ok(gate)
@@ -127,26 +137,40 @@ impl Gate {
         }
     }
 
-    /// Whether every datagram of a sender passes as it is, so that nobody needs to look into it.
-    fn passes_all(&self, is_local: bool) -> bool {
-        self.signing.is_none() && self.allows_unsigned(is_local)
-    }
-
-    fn allows_unsigned(&self, is_local: bool) -> bool {
-        match self.allow_unsigned {
-            AllowUnsigned::Loopback => is_local,
-            AllowUnsigned::Never => false,
-            AllowUnsigned::Always => true,
+    /// From now on signs and verifies with `key`, as SETUP_SIGNING asks. Timestamps go on from `newest` (of the message)
+    /// or what they were, whichever is later, but never from more than a minute ahead. A key that came from a file is
+    /// replaced there too.
+    pub fn set_key(&mut self, key: SigningKey, newest: Timestamp) {
+        let mut memory = SigningMemory::default();
+        let known = self.signing.as_ref().map_or(0, |s| s.memory().newest);
+        memory.newest = known.max(newest.min((self.clock)() + MAX_AHEAD));
+        if let Some(keeper) = &mut self.keeper {
+            keeper.replace_key(key, memory.clone().ahead(STORE_AHEAD));
         }
+        self.signing = Some(Signing::new(key, 0, memory));
     }
 
     /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything
     /// passed. `is_local`: the sender is on this machine.
     pub fn admit(&mut self, is_local: bool, link: u8, datagram: &[u8], received: &mut Datagrams) -> bool {
-        if self.passes_all(is_local) {
+        self.admit_by(self.allow_unsigned, is_local, link, datagram, received)
+    }
+
+    /// The same by the policy of one of several links that share the gate. They share it, and not only the key, so that a
+    /// packet taken from one link cannot be replayed on another.
+    pub fn admit_by(
+        &mut self,
+        allow_unsigned: AllowUnsigned,
+        is_local: bool,
+        link: u8,
+        datagram: &[u8],
+        received: &mut Datagrams,
+    ) -> bool {
+        let allow_unsigned = allow_unsigned.covers(is_local);
+        if allow_unsigned && self.signing.is_none() {
+            // Everything passes as it is: nobody needs to look into it.
             return received.push(link, datagram);
         }
-        let allow_unsigned = self.allows_unsigned(is_local);
         let mut len = 0;
         for packet in packets(datagram, &mut self.framing) {
             let verdict = match &mut self.signing {
@@ -209,7 +233,6 @@ mod tests {
     use vigil_link::MavHeader;
     use vigil_link::common::{HEARTBEAT_DATA, MavMessage};
     use vigil_link::framing::serialize;
-    use vigil_link::signing::{SigningKey, SigningMemory};
 
     const NOW: Timestamp = 40_000_000_000_000;
 
@@ -276,6 +299,32 @@ mod tests {
             let got = admitted(&mut gate(Some(signing()), policy), is_local, &signed(0));
             assert_eq!(got, [signed(0)], "who has the key is heard everywhere");
         }
+    }
+
+    #[test]
+    fn links_that_share_a_gate_have_their_own_policy_but_one_memory() {
+        let mut shared = gate(Some(signing()), AllowUnsigned::Loopback);
+        let mut received = Datagrams::default();
+        assert!(!shared.admit_by(AllowUnsigned::Never, true, 3, &heartbeat(0), &mut received));
+        assert!(shared.admit_by(AllowUnsigned::Loopback, true, 1, &heartbeat(0), &mut received));
+        assert!(shared.admit_by(AllowUnsigned::Never, false, 3, &signed(0), &mut received));
+        assert!(!shared.admit_by(AllowUnsigned::Always, true, 1, &signed(0), &mut received));
+        assert_eq!(shared.counters().replayed, 1, "on another link");
+    }
+
+    #[test]
+    fn a_new_key_takes_the_place_of_the_old_one_and_its_time_is_not_in_the_far_future() {
+        let mut gate = gate(Some(signing()), AllowUnsigned::Never);
+        gate.set_key(SigningKey([9; 32]), NOW * 2);
+        assert!(
+            admitted(&mut gate, true, &signed(0)).is_empty(),
+            "signed with the old key"
+        );
+        let sealed = gate.seal(&heartbeat(0)).to_vec();
+        let stamp = sealed.len() - SIGNATURE_LEN + 1;
+        let mut timestamp = [0; 8];
+        timestamp[..6].copy_from_slice(&sealed[stamp..stamp + 6]);
+        assert_eq!(u64::from_le_bytes(timestamp), NOW + MAX_AHEAD + 1);
     }
 
     #[test]

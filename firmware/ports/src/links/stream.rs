@@ -1,7 +1,7 @@
 //! MAVLink over a byte stream: packets are found in what is read, and never torn by what is written.
 
 use super::LINK;
-use crate::ports::gate::Gate;
+use crate::gate::Gate;
 use std::io::{ErrorKind, Read, Write};
 use vigil_link::framing::{FramingCounters, StreamFramer};
 use vigil_types::Datagrams;

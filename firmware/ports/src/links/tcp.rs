@@ -2,9 +2,9 @@
 
 use super::stream::PacketStream;
 use super::{LinkError, LinkStatistics, PEER_SILENCE_NS, RETRY_NS, is_local};
+use crate::Link;
+use crate::gate::Gate;
 use crate::link_url::LinkUrl;
-use crate::ports::Link;
-use crate::ports::gate::Gate;
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socket_with};
 use std::io::ErrorKind;

@@ -11,8 +11,8 @@ pub use serial::SerialLink;
 pub use tcp::TcpLink;
 pub use udp::UdpLink;
 
-use super::Link;
-use super::gate::{AllowUnsigned, Gate, SigningFileError};
+use crate::Link;
+use crate::gate::{AllowUnsigned, Gate, SigningFileError};
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
@@ -64,7 +64,8 @@ pub enum LinkError {
 }
 
 impl LinkError {
-    fn of(url: &LinkUrl, source: std::io::Error) -> Self {
+    /// What the system said of a link.
+    pub fn of(url: &LinkUrl, source: std::io::Error) -> Self {
         let url = url.clone();
         match source.kind() {
             ErrorKind::AddrInUse | ErrorKind::ResourceBusy => Self::InUse { url },

@@ -123,20 +123,27 @@ fn key_of(bytes: &[u8]) -> Option<SigningKey> {
     Some(SigningKey(key))
 }
 
-/// Writes states to a file, from a thread of its own: the loop must not wait for a disk.
+/// What is to be written.
+enum Job {
+    State(SigningMemory),
+    /// Another key, and the state that begins with it.
+    Key(SigningKey, SigningMemory),
+}
+
+/// Writes states and keys to their files, from a thread of its own: the loop must not wait for a disk.
 pub(super) struct Keeper {
     // Dropped before the thread is joined: the writer ends when nobody can offer any more.
-    ring: Option<Producer<SigningMemory>>,
+    ring: Option<Producer<Job>>,
     writer: Option<JoinHandle<()>>,
 }
 
 impl Keeper {
     /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read: whatever
     /// happens before the first state is offered is covered.
-    pub fn start(key_file: &Path, instance: u32, ahead: u64) -> Result<(Self, SigningMemory), SigningFileError> {
-        let mut name = key_file.as_os_str().to_owned();
-        name.push(format!(".{instance}.state"));
-        let path = PathBuf::from(name);
+    pub fn start(key_file: &Path, name: &str, ahead: u64) -> Result<(Self, SigningMemory), SigningFileError> {
+        let mut path = key_file.as_os_str().to_owned();
+        path.push(format!(".{name}.state"));
+        let path = PathBuf::from(path);
         let memory = read_state(&path)?;
         let state = |source| SigningFileError::State {
             path: path.clone(),
@@ -144,7 +151,7 @@ impl Keeper {
         };
         write_state(&path, &memory.clone().ahead(ahead)).map_err(state)?;
         let (ring, mut offered) = RingBuffer::new(CAPACITY);
-        let target = path.clone();
+        let (key_file, target) = (key_file.to_owned(), path.clone());
         let writer = std::thread::Builder::new()
             .name("signing".to_owned())
             .spawn(move || {
@@ -152,8 +159,17 @@ impl Keeper {
                 loop {
                     let last_look = offered.is_abandoned();
                     let mut newest = None;
-                    while let Ok(state) = offered.pop() {
-                        newest = Some(state);
+                    while let Ok(job) = offered.pop() {
+                        newest = Some(match job {
+                            Job::State(state) => state,
+                            Job::Key(key, state) => {
+                                if let Err(e) = write_key(&key_file, &key) {
+                                    let file = key_file.display();
+                                    tracing::warn!("signing key {file}: {e}; after a restart the old key is in force");
+                                }
+                                state
+                            }
+                        });
                     }
                     if let Some(newest) = newest {
                         let result = write_state(&target, &newest);
@@ -185,7 +201,16 @@ impl Keeper {
     pub fn offer(&mut self, memory: SigningMemory) {
         if let Some(ring) = &mut self.ring {
             // A state that is not written leaves an older one, which lies ahead of it.
-            let _ = ring.push(memory);
+            let _ = ring.push(Job::State(memory));
+        }
+    }
+
+    /// Has the key replaced in its file, and the state that begins with it written. Never waits.
+    pub fn replace_key(&mut self, key: SigningKey, memory: SigningMemory) {
+        if let Some(ring) = &mut self.ring
+            && ring.push(Job::Key(key, memory)).is_err()
+        {
+            tracing::warn!("the new signing key could not be stored; after a restart the old one is in force");
         }
     }
 }
@@ -206,6 +231,16 @@ fn write_state(path: &Path, memory: &SigningMemory) -> std::io::Result<()> {
     for s in &memory.streams {
         text += &format!("{} {} {} {}\n", s.link_id, s.system_id, s.component_id, s.timestamp);
     }
+    replace(path, &text)
+}
+
+/// 64 hexadecimal digits, for nobody else to read.
+fn write_key(path: &Path, key: &SigningKey) -> std::io::Result<()> {
+    let digits: String = key.0.iter().map(|byte| format!("{byte:02x}")).collect();
+    replace(path, &digits)
+}
+
+fn replace(path: &Path, text: &str) -> std::io::Result<()> {
     let mut temporary = path.as_os_str().to_owned();
     temporary.push(".new");
     let mut file = std::fs::OpenOptions::new()
@@ -325,18 +360,30 @@ mod tests {
     fn the_last_state_offered_is_read_by_the_next_run_and_a_killed_run_leaves_one_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("vigil.key");
-        let (mut keeper, first) = Keeper::start(&key, 3, 50).unwrap();
+        let (mut keeper, first) = Keeper::start(&key, "3", 50).unwrap();
         assert_eq!(first, SigningMemory::default());
         keeper.offer(memory().ahead(7));
         keeper.offer(memory());
         drop(keeper);
-        let (_killed, second) = Keeper::start(&key, 3, 50).unwrap();
+        let (_killed, second) = Keeper::start(&key, "3", 50).unwrap();
         assert_eq!(second, memory());
         // While that one runs, the file is ahead of what it knows.
-        let (_, third) = Keeper::start(&key, 3, 0).unwrap();
+        let (_, third) = Keeper::start(&key, "3", 0).unwrap();
         assert_eq!(third, memory().ahead(50));
         let state = folder.path().join("vigil.key.3.state");
         assert_eq!(std::fs::metadata(state).unwrap().permissions().mode() & 0o777, 0o600);
+    }
+
+    #[test]
+    fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = key_file(folder.path(), &[1; 32], 0o600);
+        let (mut keeper, _) = Keeper::start(&path, "3", 50).unwrap();
+        let key = SigningKey([0xA5; 32]);
+        keeper.replace_key(key, memory());
+        drop(keeper);
+        assert_eq!(read_key(&path).unwrap(), key);
+        assert_eq!(Keeper::start(&path, "3", 50).unwrap().1, memory());
     }
 
     #[test]
@@ -349,10 +396,10 @@ mod tests {
             ("5\n1 2 3 4\n1 2 3 4 5\n", "line 3"),
         ] {
             std::fs::write(folder.path().join("vigil.key.0.state"), text).unwrap();
-            let error = Keeper::start(&key, 0, 0).err().unwrap().to_string();
+            let error = Keeper::start(&key, "0", 0).err().unwrap().to_string();
             assert!(error.contains(line) && error.contains("delete"), "{error}");
         }
-        let error = Keeper::start(&folder.path().join("no/such.key"), 0, 0)
+        let error = Keeper::start(&folder.path().join("no/such.key"), "0", 0)
             .err()
             .unwrap()
             .to_string();

@@ -1,9 +1,9 @@
 //! MAVLink over one UDP socket.
 
 use super::{LINK, LinkError, LinkStatistics, PEER_SILENCE_NS, is_local};
+use crate::Link;
+use crate::gate::{Gate, MAX_DATAGRAM_BYTES};
 use crate::link_url::LinkUrl;
-use crate::ports::Link;
-use crate::ports::gate::{Gate, MAX_DATAGRAM_BYTES};
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 use vigil_types::{Datagrams, Nanos};

@@ -1,0 +1,18 @@
+//! MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`], [`link_url`]), and who may speak on a link
+//! ([`gate`]): shared by the flight stack and the simulated vehicle.
+
+pub mod gate;
+pub mod link_url;
+pub mod links;
+
+use vigil_types::{Datagrams, Nanos};
+
+/// Where datagrams come from and go to.
+pub trait Link {
+    /// Appends what arrived since the last call, in order of arrival. Never waits. What does not fit stays for the
+    /// next call.
+    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams);
+
+    /// Sends the datagrams, in order. Never waits; what cannot be sent is lost, as on any radio link.
+    fn send(&mut self, sent: &Datagrams);
+}

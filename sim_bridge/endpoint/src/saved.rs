@@ -1,0 +1,67 @@
+//! What outlives a restart of the vehicle: its parameters and plans.
+
+use crate::ConfigError;
+use crate::core::Core;
+use crate::parameters::{ParameterValue, Parameters};
+use crate::plan::{PlanItem, PlanKind};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Parameters that differ from their defaults, and the three plans. Serializes as tables that people can read.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Saved {
+    /// By name.
+    pub parameters: BTreeMap<String, f64>,
+    mission: Vec<PlanItem>,
+    geofence: Vec<PlanItem>,
+    rally: Vec<PlanItem>,
+}
+
+impl Core {
+    pub fn saved(&self) -> Saved {
+        let differing = (0..Parameters::count())
+            .filter_map(|index| self.parameters.at(index))
+            .filter(|(info, value)| info.default != *value);
+        let items = |kind| self.plans.wire(kind).items.clone();
+        Saved {
+            parameters: differing
+                .map(|(info, value)| (info.name.to_owned(), exact(value)))
+                .collect(),
+            mission: items(PlanKind::Mission),
+            geofence: items(PlanKind::Fence),
+            rally: items(PlanKind::Rally),
+        }
+    }
+
+    pub fn restore(&mut self, saved: &Saved) -> Result<(), ConfigError> {
+        for (name, value) in &saved.parameters {
+            self.parameters.set_by_name(name, *value)?;
+        }
+        for (kind, items) in [
+            (PlanKind::Mission, &saved.mission),
+            (PlanKind::Fence, &saved.geofence),
+            (PlanKind::Rally, &saved.rally),
+        ] {
+            let refused = |reason| ConfigError::Plan {
+                kind: kind.name(),
+                reason,
+            };
+            if items.len() > usize::from(kind.capacity()) {
+                return Err(refused("too many items"));
+            }
+            self.plans
+                .replace(kind, items.clone(), &self.home)
+                .map_err(|defect| refused(defect.reason))?;
+        }
+        Ok(())
+    }
+}
+
+/// The value as people write it: 0.4, not the double next to the float.
+fn exact(value: ParameterValue) -> f64 {
+    match value {
+        ParameterValue::Int32(v) => f64::from(v),
+        ParameterValue::Real32(v) => v.to_string().parse().unwrap_or(f64::from(v)),
+    }
+}

@@ -1,0 +1,531 @@
+//! The vehicle's links: the three UDP links of PX4's software in the loop, any number of others by URL, and one gate that
+//! all share.
+
+use crate::udp::{UdpError, UdpLink, onboard_api_gcs};
+use std::path::PathBuf;
+use std::str::FromStr;
+use vigil_endpoint::{LinkId, SigningSetup};
+use vigil_link::signing::{SigningCounters, SigningKey};
+use vigil_ports::Link;
+use vigil_ports::gate::{AllowUnsigned, Gate, SigningFileError};
+use vigil_ports::link_url::{LinkUrl, LinkUrlError};
+use vigil_ports::links::{LinkError, LiveLink};
+use vigil_types::{Datagrams, Nanos};
+
+/// Links by URL, besides the three that every vehicle has.
+pub const MAX_EXTRA_LINKS: usize = 4;
+/// Bits on a serial line for each byte.
+const BITS_PER_BYTE: f64 = 10.0;
+/// A link that was quiet may send this much at once: a burst of a file transfer's.
+const BURST_S: f64 = 0.25;
+
+/// A link besides the three: `URL[,unsigned=loopback|never|always][,rate=BYTES_PER_SECOND]`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ExtraLink {
+    /// Where.
+    pub url: LinkUrl,
+    /// From whom packets without a signature are accepted; the vehicle's policy if absent.
+    pub allow_unsigned: Option<AllowUnsigned>,
+    /// Most bytes that are sent in a second; a serial line's own speed if absent.
+    pub rate_bytes_s: Option<u32>,
+}
+
+/// A link that is not understood.
+#[derive(Debug, thiserror::Error)]
+pub enum ExtraLinkError {
+    /// Its URL.
+    #[error(transparent)]
+    Url(#[from] LinkUrlError),
+    /// What follows the URL.
+    #[error(
+        "link option `{0}`: use unsigned=loopback, unsigned=never, unsigned=always or rate=BYTES_PER_SECOND (1000 or more)"
+    )]
+    Option(String),
+}
+
+impl FromStr for ExtraLink {
+    type Err = ExtraLinkError;
+
+    fn from_str(text: &str) -> Result<Self, ExtraLinkError> {
+        let mut parts = text.split(',');
+        let mut link = Self {
+            url: parts.next().unwrap_or_default().parse()?,
+            allow_unsigned: None,
+            rate_bytes_s: None,
+        };
+        for option in parts {
+            let bad = || ExtraLinkError::Option(option.to_owned());
+            match option.split_once('=') {
+                Some(("unsigned", "loopback")) => link.allow_unsigned = Some(AllowUnsigned::Loopback),
+                Some(("unsigned", "never")) => link.allow_unsigned = Some(AllowUnsigned::Never),
+                Some(("unsigned", "always")) => link.allow_unsigned = Some(AllowUnsigned::Always),
+                Some(("rate", rate)) => {
+                    let rate = rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?;
+                    link.rate_bytes_s = Some(rate);
+                }
+                _ => return Err(bad()),
+            }
+        }
+        Ok(link)
+    }
+}
+
+/// How the links are opened.
+#[derive(Debug, Clone, Default)]
+pub struct LinksConfig {
+    /// Number of the vehicle, 0 to 99.
+    pub instance: u32,
+    /// File of the signing key; without it nothing is signed until SETUP_SIGNING brings a key.
+    pub signing_key: Option<PathBuf>,
+    /// From whom packets without a signature are accepted.
+    pub allow_unsigned: AllowUnsigned,
+    /// Links besides the three, at most [`MAX_EXTRA_LINKS`].
+    pub extra: Vec<ExtraLink>,
+}
+
+/// Why the links cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum LinksError {
+    /// One of the three.
+    #[error(transparent)]
+    Udp(#[from] UdpError),
+    /// One by URL.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The key or its state.
+    #[error(transparent)]
+    Signing(#[from] SigningFileError),
+    /// More than there is room for.
+    #[error("{count} links given with --link: at most {MAX_EXTRA_LINKS}")]
+    TooMany {
+        /// Links given.
+        count: usize,
+    },
+}
+
+/// Whether only this machine is at the other end.
+fn is_loopback(url: &LinkUrl) -> bool {
+    match url {
+        LinkUrl::UdpIn(a) | LinkUrl::UdpOut(a) | LinkUrl::TcpIn(a) | LinkUrl::TcpOut(a) => {
+            a.ip().to_canonical().is_loopback()
+        }
+        LinkUrl::Serial { .. } => false,
+    }
+}
+
+enum Transport {
+    Udp(UdpLink),
+    /// One peer, whose datagrams come ungated. `is_local`: it is on this machine.
+    Single {
+        link: Box<LiveLink>,
+        is_local: bool,
+    },
+}
+
+/// Bytes that may be sent, refilled as time passes.
+struct Budget {
+    bytes_per_s: f64,
+    bytes: f64,
+    last_ns: Nanos,
+}
+
+impl Budget {
+    fn new(bytes_per_s: f64) -> Self {
+        Self {
+            bytes_per_s,
+            bytes: bytes_per_s * BURST_S,
+            last_ns: 0,
+        }
+    }
+
+    fn spend(&mut self, now_ns: Nanos, len: usize) -> bool {
+        let elapsed_s = now_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
+        self.last_ns = now_ns;
+        self.bytes = (self.bytes + elapsed_s * self.bytes_per_s).min(self.bytes_per_s * BURST_S);
+        let fits = self.bytes >= len as f64;
+        if fits {
+            self.bytes -= len as f64;
+        }
+        fits
+    }
+}
+
+struct VehicleLink {
+    id: LinkId,
+    transport: Transport,
+    allow_unsigned: AllowUnsigned,
+    budget: Option<Budget>,
+    over_budget: u64,
+}
+
+/// All links of one vehicle.
+pub struct VehicleLinks {
+    links: Vec<VehicleLink>,
+    gate: Gate,
+    now_ns: Nanos,
+    received: Box<Datagrams>,
+    admitted: Box<Datagrams>,
+    to_send: Box<Datagrams>,
+}
+
+impl VehicleLinks {
+    /// Opens the links.
+    ///
+    /// # Errors
+    /// [`LinksError`], each with what to do.
+    pub fn open(config: &LinksConfig) -> Result<Self, LinksError> {
+        if config.extra.len() > MAX_EXTRA_LINKS {
+            return Err(LinksError::TooMany {
+                count: config.extra.len(),
+            });
+        }
+        let allow_unsigned = config.allow_unsigned;
+        let gate = match &config.signing_key {
+            // Not the name that a guidance computer with the same key has.
+            Some(path) => Gate::with_key_file(path, &format!("vehicle{}", config.instance), allow_unsigned)?,
+            None => Gate::new(None, allow_unsigned),
+        };
+        let mut links: Vec<VehicleLink> = onboard_api_gcs(config.instance)?
+            .into_iter()
+            .map(|(id, udp)| VehicleLink {
+                id,
+                transport: Transport::Udp(udp),
+                allow_unsigned,
+                budget: None,
+                over_budget: 0,
+            })
+            .collect();
+        for extra in &config.extra {
+            let policy = extra.allow_unsigned.unwrap_or(allow_unsigned);
+            let is_local = is_loopback(&extra.url);
+            let transport = match extra.url {
+                LinkUrl::UdpIn(local) => {
+                    Transport::Udp(UdpLink::listening(local).map_err(|e| LinkError::of(&extra.url, e))?)
+                }
+                LinkUrl::UdpOut(peer) => {
+                    Transport::Udp(UdpLink::calling(peer).map_err(|e| LinkError::of(&extra.url, e))?)
+                }
+                _ => {
+                    let link = Box::new(LiveLink::open(&extra.url, Gate::open())?);
+                    Transport::Single { link, is_local }
+                }
+            };
+            // A UDP link on all addresses hears this machine as well, sender by sender.
+            let hears_this_machine = is_local || matches!(extra.url, LinkUrl::UdpIn(a) if a.ip().is_unspecified());
+            if !gate.has_key() && !policy.covers(hears_this_machine) {
+                return Err(LinkError::NobodyHeard {
+                    url: extra.url.clone(),
+                    from_whom: "",
+                }
+                .into());
+            }
+            let line_bytes_s = match extra.url {
+                LinkUrl::Serial { baud, .. } => Some(f64::from(baud) / BITS_PER_BYTE),
+                _ => None,
+            };
+            links.push(VehicleLink {
+                id: LinkId(links.len() as u8),
+                transport,
+                allow_unsigned: policy,
+                budget: extra.rate_bytes_s.map(f64::from).or(line_bytes_s).map(Budget::new),
+                over_budget: 0,
+            });
+        }
+        Ok(Self {
+            links,
+            gate,
+            now_ns: 0,
+            received: Box::default(),
+            admitted: Box::default(),
+            to_send: Box::default(),
+        })
+    }
+
+    /// What signing accepted and refused.
+    pub fn signing(&self) -> SigningCounters {
+        self.gate.counters()
+    }
+
+    /// Packets that a link's rate did not allow.
+    pub fn over_budget(&self) -> u64 {
+        self.links.iter().map(|l| l.over_budget).sum()
+    }
+
+    /// Signs and verifies with a key that SETUP_SIGNING brought.
+    pub fn set_key(&mut self, setup: &SigningSetup) {
+        self.gate.set_key(SigningKey(setup.key), setup.initial_timestamp);
+    }
+
+    /// Hands over every datagram that has come and may pass, without waiting.
+    pub fn receive(&mut self, now_ns: Nanos, mut on_datagram: impl FnMut(LinkId, &[u8])) {
+        self.now_ns = now_ns;
+        self.gate.begin(now_ns);
+        for link in &mut self.links {
+            let (gate, admitted, policy) = (&mut self.gate, &mut self.admitted, link.allow_unsigned);
+            match &mut link.transport {
+                Transport::Udp(udp) => udp.receive(|is_local, datagram| {
+                    admitted.clear();
+                    let passes = gate.admit_by(policy, is_local, 0, datagram, admitted);
+                    admitted.iter().for_each(|(_, datagram)| on_datagram(link.id, datagram));
+                    passes
+                }),
+                Transport::Single { link: single, is_local } => {
+                    self.received.clear();
+                    single.receive(now_ns, &mut self.received);
+                    for (_, datagram) in self.received.iter() {
+                        admitted.clear();
+                        gate.admit_by(policy, *is_local, 0, datagram, admitted);
+                        admitted.iter().for_each(|(_, datagram)| on_datagram(link.id, datagram));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sends a packet to every peer of a link, signed if there is a key. What the link's rate does not allow and what the
+    /// system does not take is lost, as on any radio link.
+    pub fn send(&mut self, link: LinkId, packet: &[u8]) {
+        let Some(link) = self.links.iter_mut().find(|l| l.id == link) else {
+            return;
+        };
+        let sealed = self.gate.seal(packet);
+        if let Some(budget) = &mut link.budget
+            && !budget.spend(self.now_ns, sealed.len())
+        {
+            link.over_budget += 1;
+            return;
+        }
+        match &mut link.transport {
+            Transport::Udp(udp) => udp.send(sealed),
+            Transport::Single { link: single, .. } => {
+                self.to_send.clear();
+                self.to_send.push(0, sealed);
+                single.send(&self.to_send);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Read, Write};
+    use std::net::{Ipv4Addr, TcpStream, UdpSocket};
+    use std::os::unix::fs::PermissionsExt;
+    use std::time::Duration;
+    use vigil_link::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_link::framing::{MAX_PACKET_LEN, serialize};
+    use vigil_link::mavlink::MavHeader;
+    use vigil_link::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
+
+    const SECOND: Nanos = 1_000_000_000;
+    const KEY: SigningKey = SigningKey([3; 32]);
+
+    fn packet(sequence: u8) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: 255,
+            component_id: 190,
+            sequence,
+        };
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn now() -> Timestamp {
+        let unix = std::time::SystemTime::now()
+            .duration_since(std::time::UNIX_EPOCH)
+            .unwrap();
+        timestamp_of_unix_ns(unix.as_nanos() as u64)
+    }
+
+    fn signed(key: SigningKey, ahead: u64) -> Vec<u8> {
+        let mut out = [0; MAX_PACKET_LEN + 13];
+        let mut signing = Signing::new(key, 0, SigningMemory::default());
+        let len = signing.sign(now() + ahead, &packet(0), &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn station() -> UdpSocket {
+        let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        socket
+    }
+
+    /// What passes within a moment, by link.
+    fn passing(links: &mut VehicleLinks, now_ns: Nanos) -> Vec<(LinkId, Vec<u8>)> {
+        let mut got = Vec::new();
+        for _ in 0..20 {
+            std::thread::sleep(Duration::from_millis(2));
+            links.receive(now_ns, |link, datagram| got.push((link, datagram.to_vec())));
+        }
+        got
+    }
+
+    fn free_port() -> u16 {
+        UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))
+            .unwrap()
+            .local_addr()
+            .unwrap()
+            .port()
+    }
+
+    #[test]
+    fn a_link_is_written_as_a_url_with_options() {
+        let link: ExtraLink = "udpin://127.0.0.1:7000,unsigned=never,rate=5000".parse().unwrap();
+        assert_eq!(
+            (link.allow_unsigned, link.rate_bytes_s),
+            (Some(AllowUnsigned::Never), Some(5000))
+        );
+        for bad in [
+            "udpin://127.0.0.1:7000,unsigned=maybe",
+            "tcpin://127.0.0.1:1,rate=5",
+            "tcpin://127.0.0.1:1,x",
+        ] {
+            let error = bad.parse::<ExtraLink>().unwrap_err().to_string();
+            assert!(error.contains("rate=BYTES_PER_SECOND"), "{error}");
+        }
+        assert!(
+            "ftp://x"
+                .parse::<ExtraLink>()
+                .unwrap_err()
+                .to_string()
+                .contains("udpout://")
+        );
+    }
+
+    #[test]
+    fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let key_file = folder.path().join("vigil.key");
+        std::fs::write(&key_file, KEY.0).unwrap();
+        std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let (strict, tcp) = (free_port(), free_port());
+        let config = LinksConfig {
+            instance: 95,
+            signing_key: Some(key_file),
+            allow_unsigned: AllowUnsigned::Loopback,
+            extra: vec![
+                format!("udpin://127.0.0.1:{strict},unsigned=never").parse().unwrap(),
+                format!("tcpin://127.0.0.1:{tcp}").parse().unwrap(),
+            ],
+        };
+        let mut links = VehicleLinks::open(&config).unwrap();
+        let (api, on_strict) = (14580 + 95, LinkId(3));
+        let station = station();
+        let say = |port: u16, bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, port)).unwrap();
+
+        say(api, &packet(0));
+        say(strict, &packet(0));
+        assert_eq!(
+            passing(&mut links, SECOND),
+            [(LinkId::API, packet(0))],
+            "unsigned on loopback by default"
+        );
+        let right = signed(KEY, 0);
+        for bytes in [
+            &right,
+            &signed(SigningKey([4; 32]), 1),
+            &signed(KEY, 120 * 100_000),
+            &right,
+        ] {
+            say(strict, bytes);
+        }
+        say(api, &right);
+        assert_eq!(passing(&mut links, 2 * SECOND), [(on_strict, right.clone())]);
+        let counters = links.signing();
+        assert_eq!(
+            (counters.signed, counters.unsigned, counters.wrong_signature),
+            (1, 1, 1)
+        );
+        assert_eq!((counters.replayed, counters.from_the_future), (2, 1));
+
+        // Who was admitted hears the vehicle, and everything is signed.
+        links.send(on_strict, &packet(9));
+        let mut heard = [0; 512];
+        let (len, _) = station.recv_from(&mut heard).unwrap();
+        assert_eq!((len, heard[2] & 1), (packet(9).len() + 13, 1));
+
+        // The state is stored, so a restart does not make a replay good.
+        drop(links);
+        let mut links = VehicleLinks::open(&config).unwrap();
+        say(strict, &right);
+        assert!(passing(&mut links, 3 * SECOND).is_empty());
+
+        let mut client = TcpStream::connect((Ipv4Addr::LOCALHOST, tcp)).unwrap();
+        client.write_all(&packet(5)).unwrap();
+        assert_eq!(passing(&mut links, 4 * SECOND), [(LinkId(4), packet(5))]);
+        links.send(LinkId(4), &packet(6));
+        client.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        assert!(client.read(&mut heard).unwrap() > packet(6).len());
+    }
+
+    #[test]
+    fn a_key_from_setup_signing_is_in_force_at_once_and_after_a_restart() {
+        let folder = tempfile::tempdir().unwrap();
+        let key_file = folder.path().join("vigil.key");
+        std::fs::write(&key_file, KEY.0).unwrap();
+        std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let config = LinksConfig {
+            instance: 94,
+            signing_key: Some(key_file),
+            allow_unsigned: AllowUnsigned::Never,
+            extra: Vec::new(),
+        };
+        let setup = SigningSetup {
+            key: [8; 32],
+            initial_timestamp: 0,
+        };
+        let station = station();
+        let mut links = VehicleLinks::open(&config).unwrap();
+        links.set_key(&setup);
+        for restarted in [false, true] {
+            if restarted {
+                drop(links);
+                links = VehicleLinks::open(&config).unwrap();
+            }
+            for key in [KEY, SigningKey(setup.key)] {
+                // Beyond what the stored state is ahead by.
+                let bytes = signed(key, if restarted { 500_000 } else { 0 });
+                station.send_to(&bytes, (Ipv4Addr::LOCALHOST, 14580 + 94)).unwrap();
+            }
+            assert_eq!(passing(&mut links, SECOND).len(), 1, "restarted: {restarted}");
+        }
+    }
+
+    #[test]
+    fn a_link_sends_no_faster_than_its_rate() {
+        let port = free_port();
+        let config = LinksConfig {
+            instance: 93,
+            extra: vec![format!("udpout://127.0.0.1:{port},rate=2000").parse().unwrap()],
+            ..LinksConfig::default()
+        };
+        let mut links = VehicleLinks::open(&config).unwrap();
+        let sent = packet(0);
+        for millisecond in 0..10_000 {
+            links.receive(millisecond * 1_000_000, |_, _| {});
+            links.send(LinkId(3), &sent);
+        }
+        let passed = (10_000 - links.over_budget()) * sent.len() as u64;
+        assert!((19_000..21_500).contains(&passed), "{passed} bytes in 10 s");
+    }
+
+    #[test]
+    fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
+        let open = |link: &str| {
+            let config = LinksConfig {
+                instance: 92,
+                extra: vec![link.parse().unwrap()],
+                ..LinksConfig::default()
+            };
+            VehicleLinks::open(&config)
+                .err()
+                .map(|e| e.to_string())
+                .unwrap_or_default()
+        };
+        assert!(open("udpout://10.1.2.3:14550").contains("--signing-key"));
+        assert!(open("tcpin://0.0.0.0:5799").contains("nobody would be heard"));
+        assert_eq!(open("udpout://127.0.0.1:14999"), "");
+    }
+}
