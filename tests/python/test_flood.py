@@ -1,0 +1,63 @@
+"""A link that is flooded with 50 Mbit/s does not hold up the loop."""
+
+import random
+import re
+import signal
+import socket
+import subprocess
+import time
+
+from stack import TOP
+
+FIRMWARE = TOP / "target" / "release" / "firmware"
+SECONDS = 6.0
+RATE_BIT_S = 50e6
+DATAGRAM_BYTES = 1200
+STEP_US = 50_000.0
+
+
+def start(instance):
+    """A firmware that nobody flies."""
+    command = [FIRMWARE, "--instance", str(instance), "--priority", "0"]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def end(firmware):
+    """Its summary: the 99th percentile of a step's execution time in microseconds, and packets refused."""
+    firmware.send_signal(signal.SIGINT)
+    said = firmware.communicate(timeout=10)[0]
+    step = re.search(r"^step .*p99 ([0-9.]+) µs", said, re.MULTILINE)
+    assert step, said
+    refused = re.search(r"packets, (\d+) refused", said)
+    return float(step.group(1)), int(refused.group(1)) if refused else 0
+
+
+def flood(port):
+    """Sends random bytes; how many datagrams."""
+    noise = random.Random(1)
+    datagrams = [noise.randbytes(DATAGRAM_BYTES) for _ in range(64)]
+    sent, began = 0, time.monotonic()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.connect(("127.0.0.1", port))
+        while (elapsed := time.monotonic() - began) < SECONDS:
+            while sent < elapsed * RATE_BIT_S / (8 * DATAGRAM_BYTES):
+                station.send(datagrams[sent % len(datagrams)])
+                sent += 1
+            time.sleep(0.001)
+    return sent
+
+
+def test_a_flooded_link_costs_a_small_part_of_a_step():
+    quiet, flooded = start(62), start(63)
+    try:
+        time.sleep(1.0)
+        sent = flood(14030 + 63)
+        (quiet_us, _), (flooded_us, refused) = end(quiet), end(flooded)
+    finally:
+        quiet.kill()
+        flooded.kill()
+    print(f"99 % of steps take up to {quiet_us} us on a quiet link and {flooded_us} us on a flooded one, {sent} datagrams")
+    assert sent * DATAGRAM_BYTES * 8 / SECONDS > 0.9 * RATE_BIT_S
+    # It was read, not left aside, and read within bounds.
+    assert refused > sent / 4
+    assert flooded_us < 0.1 * STEP_US
