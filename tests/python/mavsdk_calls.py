@@ -100,8 +100,17 @@ class Api:
         plugin, call = name.split(".")
         return plugin in self.plugins and call in self.names(plugin)
 
-    async def call(self, name, *args, limit_s=ANSWER_LIMIT_S, wanted=None):
-        """Calls, notes the outcome, returns what came: of a stream the first value (that is wanted), of a transfer all."""
+    async def call(self, name, *args, **more):
+        """Calls, notes the outcome, returns what came. A plugin that is still busy with what it did before is given time."""
+        for _ in range(4):
+            value = await self._call(name, *args, **more)
+            if self.outcomes[name] != "refused: BUSY":
+                break
+            await asyncio.sleep(0.5)
+        return value
+
+    async def _call(self, name, *args, limit_s=ANSWER_LIMIT_S, wanted=None):
+        """Of a stream the first value (that is wanted), of a transfer all."""
         print(f"{time.monotonic() - self.began:.1f} {name}", file=sys.stderr)
         try:
             value = await asyncio.wait_for(self._value(name, args, wanted), limit_s)
