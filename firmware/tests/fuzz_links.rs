@@ -171,13 +171,15 @@ fn fuzz<F: FarEnd>(mut rig: Rig<F>, has_key: bool) {
     }
     for _ in 0..ALTERED_PACKETS {
         let mut packet = next(&mut random);
-        let at = random.below(packet.len());
+        // Not so that a whole packet is left: with a byte before it, or with its last one given by its successor's first.
+        let at = 1 + random.below(packet.len() - 2);
+        let another = packet[at] ^ (1 + random.below(255) as u8);
         match random.below(3) {
-            0 => packet[at] ^= 1 + random.below(255) as u8,
+            0 => packet[at] = another,
             1 => {
                 packet.remove(at);
             }
-            _ => packet.insert(at, random.next() as u8),
+            _ => packet.insert(at, another),
         }
         rig.say(&packet);
     }
@@ -191,9 +193,9 @@ fn fuzz<F: FarEnd>(mut rig: Rig<F>, has_key: bool) {
     if has_key {
         assert_eq!(settled, 1, "an altered or unsigned command was let through");
     } else {
-        // An inserted byte equal to its neighbour's copy, or an alteration behind the checksum's reach, is none: the
-        // checksum catches all but one in 65 536 of the others.
-        assert!(settled <= 3, "{settled} altered commands were let through");
+        // The first one, and what 16 bits of checksum do not catch: every single altered byte they do, of a hundred thousand
+        // others one is expected to pass.
+        assert!(settled <= 4, "{} altered commands were let through", settled - 1);
     }
     let grown = resident_bytes().saturating_sub(before);
     assert!(grown < 8 << 20, "memory grew by {grown} bytes");

@@ -53,6 +53,7 @@ class Api:
         self.plugins = {}
         self.latest = {}
         self.tasks = []
+        self.drone = None
 
     async def connect(self):
         # A thread for each call that waits: those for devices that are not there all do.
@@ -79,6 +80,11 @@ class Api:
                     module = importlib.import_module(f"mavsdk.asyncio.plugins.{name}")
                     title = "".join(part.title() for part in name.split("_"))
                     self.plugins[name] = getattr(module, f"{title}Async")(self.system)
+
+    def end(self):
+        """Ends the server that version 3 starts: it would keep the port."""
+        if self.drone is not None:
+            self.drone.__del__()
 
     def types(self, plugin):
         return importlib.import_module(f"mavsdk.plugins.{plugin}" if self.version == 4 else f"mavsdk.{plugin}")
@@ -639,8 +645,7 @@ async def home_again(api):
     await api.call("action.shutdown")
 
 
-async def main(version, instance):
-    api = Api(version, instance)
+async def main(api):
     await api.connect()
     for name in ("position_velocity_ned", "flight_mode", "armed", "health_all_ok", "attitude_angular_velocity_body"):
         api.keep(f"telemetry.{name}")
@@ -658,13 +663,14 @@ async def main(version, instance):
 
 async def run(version, instance):
     """Prints the report, or what failed, and ends: MAVSDK's threads would outlive the loop."""
-    code = 1
+    api, code = Api(version, instance), 1
     try:
-        print(json.dumps(await asyncio.wait_for(main(version, instance), LIMIT_S)), flush=True)
+        print(json.dumps(await asyncio.wait_for(main(api), LIMIT_S)), flush=True)
         code = 0
     except BaseException:
         traceback.print_exc()
     sys.stderr.flush()
+    api.end()
     os._exit(code)
 
 

@@ -255,7 +255,7 @@ fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
         b.run_ms(50);
     }
     assert!(b.position_m()[0] > there && (b.height_m() - 3.0).abs() < 0.4);
-    hold(&mut b, &sticks(0, 1000, 0), STATION, 1_000);
+    hold(&mut b, &sticks(0, 1000, 0), STATION, 3_000);
     assert!(b.height_m() > 3.5, "climbs with the throttle up");
     assert_eq!(b.status().mode, FlightMode::Position);
     b.run_ms(1_000);
