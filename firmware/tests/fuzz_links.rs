@@ -171,8 +171,9 @@ fn fuzz<F: FarEnd>(mut rig: Rig<F>, has_key: bool) {
     }
     for _ in 0..ALTERED_PACKETS {
         let mut packet = next(&mut random);
-        // Not so that a whole packet is left: with a byte before it, or with its last one given by its successor's first.
-        let at = 1 + random.below(packet.len() - 2);
+        // Not so that a whole packet is left: behind a byte too many (also one like its first), or with its last byte given
+        // by its successor's first.
+        let at = 2 + random.below(packet.len() - 3);
         let another = packet[at] ^ (1 + random.below(255) as u8);
         match random.below(3) {
             0 => packet[at] = another,
