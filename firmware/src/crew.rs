@@ -3,7 +3,7 @@
 use crate::config::{FirmwareConfig, PilotKind};
 use crate::step::StackError;
 use std::path::Path;
-use vigil_detector::{FrozenDetector, Monitor};
+use vigil_detector::{DetectorFileError, FrozenDetector, Monitor};
 use vigil_nnet::Isa;
 use vigil_policy::{ActorFileError, ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
 
@@ -84,12 +84,12 @@ impl FirmwareConfig {
     /// The detector that is to watch it; `None` when it is off, or no actor flies.
     ///
     /// # Errors
-    /// [`StackError::Detector`]: a detector that is truncated, altered or of another architecture, by name.
-    pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, StackError> {
+    /// [`DetectorFileError`]: a detector that is truncated, altered or of another architecture, by name.
+    pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, DetectorFileError> {
         match (self.pilot.kind, self.detector.enabled, &self.detector.file) {
             (PilotKind::Geometric, ..) | (_, false, _) => Ok(None),
             (PilotKind::Actor, true, Some(path)) => Ok(Some(FrozenDetector::load(path)?)),
-            (PilotKind::Actor, true, None) => Err(StackError::NoDetector),
+            (PilotKind::Actor, true, None) => Ok(Some(FrozenDetector::built_in()?)),
         }
     }
 }

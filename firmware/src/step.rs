@@ -20,11 +20,6 @@ pub enum StackError {
     /// The actor is refused.
     #[error(transparent)]
     Actor(#[from] ActorFileError),
-    /// The detector is on, and there is none.
-    #[error(
-        "no detector is built into this program: give one (--detector-file), or fly with the detector off (--detector off)"
-    )]
-    NoDetector,
     /// The detector's file is refused.
     #[error(transparent)]
     Detector(#[from] DetectorFileError),
