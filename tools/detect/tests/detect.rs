@@ -25,7 +25,7 @@ fn attacked(plan: Plan) -> Scenario {
     Scenario {
         adversary: Some(Adversary {
             config,
-            bursts: vec![12..14],
+            bursts: std::iter::once(12..14).collect(),
         }),
         steps: 30,
         ..Scenario::unattacked(Family::Training, 3001, plan)
@@ -82,7 +82,7 @@ fn the_same_seed_flies_the_same_flight() {
         let mut scenario = Scenario::drawn(Family::Training, seed, is_attacked);
         scenario.steps = 20;
         scenario.adversary = scenario.adversary.map(|a| Adversary {
-            bursts: vec![8..10],
+            bursts: std::iter::once(8..10).collect(),
             ..a
         });
         fly(Isa::detect(), &actor().params, &scenario, &mut ()).unwrap()
@@ -140,7 +140,7 @@ fn the_built_in_detector_judges_the_built_in_actor() {
     let quiet = fly(Isa::detect(), &actor.params, &scenario, &mut ()).unwrap();
     scenario.adversary = Some(Adversary {
         config: AttackConfig::PAPER,
-        bursts: vec![30..60],
+        bursts: std::iter::once(30..60).collect(),
     });
     let bent = fly(Isa::detect(), &actor.params, &scenario, &mut ()).unwrap();
     let judge = vigil_detect::Judge::from_frozen(&frozen);
