@@ -396,7 +396,7 @@ fn vibration_is_felt_in_flight_and_not_on_the_ground() {
             MavMessage::VIBRATION(m) => Some(m.vibration_z),
             _ => None,
         });
-        told.last().expect("streams unasked")
+        told.collect::<Vec<_>>().pop().expect("streams unasked")
     };
     let (still, flying) = (level(&mut Bench::new()), level(&mut Bench::airborne()));
     assert!(still >= 0.0 && flying > 0.0 && flying < 5.0, "{still} {flying}");
