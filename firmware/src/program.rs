@@ -7,6 +7,7 @@ use crate::link_url::LinkUrl;
 use crate::live::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
+use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
 use anyhow::{Context, Result, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -94,6 +95,14 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "FILE")]
     pub detector_file: Option<PathBuf>,
 
+    /// Score above which a verdict is attack, 0.01 to 0.999 [default: the detector's own].
+    #[arg(long, value_name = "SCORE", value_parser = parse_threshold)]
+    pub threshold: Option<f32>,
+
+    /// Raise the alarm when COUNT of the last WINDOW verdicts are attack [default: as in docs/guidance.md].
+    #[arg(long, value_name = "COUNT/WINDOW", value_parser = parse_raise)]
+    pub raise: Option<(u8, u8)>,
+
     /// What an alarm of the detector brings about [default: recover].
     #[arg(long, value_enum)]
     pub alarm: Option<AlarmChoice>,
@@ -144,6 +153,31 @@ pub fn parse_switch(text: &str) -> Result<bool, String> {
     }
 }
 
+/// A detector's threshold.
+///
+/// # Errors
+/// Anything that is not a number in the parameter's range, with what is allowed.
+pub fn parse_threshold(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(v) if (LEAST_THRESHOLD..=GREATEST_THRESHOLD).contains(&v) => Ok(v),
+        _ => Err(format!("give a score, {LEAST_THRESHOLD} to {GREATEST_THRESHOLD}")),
+    }
+}
+
+/// `COUNT/WINDOW`: so many attack verdicts of so many.
+///
+/// # Errors
+/// Anything else, with what is allowed.
+pub fn parse_raise(text: &str) -> Result<(u8, u8), String> {
+    let parsed = text
+        .split_once('/')
+        .and_then(|(count, window)| Some((count.parse().ok()?, window.parse().ok()?)));
+    match parsed {
+        Some((count, window)) if (1..=32).contains(&window) && (1..=window).contains(&count) => Ok((count, window)),
+        _ => Err("give COUNT/WINDOW, 1 to 32 each and the count not above the window, for example 2/3".to_owned()),
+    }
+}
+
 fn parse_height(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
         Ok(v) if (0.1..=1000.0).contains(&v) => Ok(v),
@@ -173,6 +207,10 @@ impl FirmwareArgs {
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
         config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file);
+        config.detector.threshold = self.threshold.or(config.detector.threshold);
+        if let Some((count, window)) = self.raise {
+            (config.detector.raise_count, config.detector.raise_window) = (count, window);
+        }
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
         config.rate.priority = self.priority.unwrap_or(config.rate.priority);
         if let Some([north_m, east_m]) = self.goal {

@@ -25,7 +25,7 @@ const ALARM: usize = 6;
 
 /// Thresholds of the detector that can be set; the configuration file's are the same.
 pub(crate) const LEAST_THRESHOLD: f32 = 0.01;
-pub(crate) const GREATEST_THRESHOLD: f32 = 0.99;
+pub(crate) const GREATEST_THRESHOLD: f32 = 0.999;
 
 /// The values in force.
 #[derive(Debug, Clone, Copy, PartialEq)]

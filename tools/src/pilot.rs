@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{AlarmChoice, PilotKind};
-use vigil_firmware::program::parse_switch;
+use vigil_firmware::program::{parse_raise, parse_switch, parse_threshold};
 
 /// Who decides.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -29,6 +29,14 @@ pub struct PilotArgs {
     #[arg(long, value_name = "FILE")]
     detector_file: Option<PathBuf>,
 
+    /// Score above which a verdict is attack, 0.01 to 0.999 [default: the detector's own].
+    #[arg(long, value_name = "SCORE", value_parser = parse_threshold)]
+    threshold: Option<f32>,
+
+    /// Raise the alarm when COUNT of the last WINDOW verdicts are attack [default: as in docs/guidance.md].
+    #[arg(long, value_name = "COUNT/WINDOW", value_parser = parse_raise)]
+    raise: Option<(u8, u8)>,
+
     /// What an alarm of the detector brings about [default: recover].
     #[arg(long, value_enum)]
     alarm: Option<AlarmChoice>,
@@ -42,6 +50,10 @@ impl PilotArgs {
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
         config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
+        config.detector.threshold = self.threshold.or(config.detector.threshold);
+        if let Some((count, window)) = self.raise {
+            (config.detector.raise_count, config.detector.raise_window) = (count, window);
+        }
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
     }
 
@@ -66,6 +78,12 @@ impl PilotArgs {
         }
         if let Some(file) = &self.detector_file {
             command.arg("--detector-file").arg(file);
+        }
+        if let Some(threshold) = self.threshold {
+            command.args(["--threshold", &threshold.to_string()]);
+        }
+        if let Some((count, window)) = self.raise {
+            command.args(["--raise", &format!("{count}/{window}")]);
         }
         if let Some(alarm) = self.alarm {
             command.args(["--alarm", alarm.name()]);
