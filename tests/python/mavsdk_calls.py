@@ -42,6 +42,21 @@ async def until(what, condition, limit_s):
     await plan.until(what, condition, PATIENCE * limit_s)
 
 
+class KeptCallbacks(dict):
+    """Subscriptions of a plugin of version 4 whose callbacks outlive them.
+
+    MAVSDK 4.1 may still call one that it had queued when it was unsubscribed; by then its memory is another's, and the client
+    crashes. Here every stream is subscribed and left again at once, so it happens.
+    """
+
+    ended = []
+
+    def pop(self, handle, default=None):
+        entry = super().pop(handle, default)
+        KeptCallbacks.ended.append(entry)
+        return entry
+
+
 class Api:
     """The plugins of one system of either version, and what became of each call."""
 
@@ -79,7 +94,8 @@ class Api:
                 if name != "core":
                     module = importlib.import_module(f"mavsdk.asyncio.plugins.{name}")
                     title = "".join(part.title() for part in name.split("_"))
-                    self.plugins[name] = getattr(module, f"{title}Async")(self.system)
+                    plugin = self.plugins[name] = getattr(module, f"{title}Async")(self.system)
+                    plugin._plugin._subscriptions = KeptCallbacks()
 
     def end(self):
         """Ends the server that version 3 starts: it would keep the port."""
