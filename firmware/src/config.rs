@@ -1,7 +1,10 @@
 //! Configuration of the firmware: a TOML file, command-line flags over it, and what the flight stack makes of both.
 
+use crate::link_spec::LinkSpec;
 use crate::link_url::LinkUrl;
 use crate::ports::gate::{AllowUnsigned, Gate, SigningFileError};
+use crate::ports::links::LinkError;
+use crate::ports::router::{MAX_GROUND_LINKS, RoutedLinks};
 use crate::stack::StackConfig;
 use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
 use serde::de::Error as _;
@@ -26,9 +29,20 @@ pub struct FirmwareConfig {
     #[serde(deserialize_with = "instance")]
     pub instance: u32,
     /// Where the vehicle's MAVLink is; absent means the simulator of this instance.
-    #[serde(skip_serializing_if = "Option::is_none", with = "url")]
-    pub link: Option<LinkUrl>,
-    /// Who may speak on the link.
+    #[serde(
+        skip_serializing_if = "Option::is_none",
+        serialize_with = "spec::write",
+        deserialize_with = "spec::read"
+    )]
+    pub link: Option<LinkSpec>,
+    /// Links for ground stations, besides the vehicle's.
+    #[serde(
+        skip_serializing_if = "Vec::is_empty",
+        serialize_with = "spec::write_all",
+        deserialize_with = "spec::read_all"
+    )]
+    pub links: Vec<LinkSpec>,
+    /// Who may speak on the links.
     pub signing: SigningConfig,
     /// Which autopilot the vehicle has.
     pub vehicle: Vehicle,
@@ -56,7 +70,7 @@ pub struct FirmwareConfig {
     pub log: LogConfig,
 }
 
-/// Who may speak on the link: MAVLink 2 signing.
+/// Who may speak on the links: MAVLink 2 signing.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SigningConfig {
@@ -301,6 +315,7 @@ impl Default for FirmwareConfig {
         Self {
             instance: 0,
             link: None,
+            links: Vec::new(),
             signing: SigningConfig::default(),
             vehicle: Vehicle::default(),
             sensor_id: 1,
@@ -436,14 +451,22 @@ impl FirmwareConfig {
     }
 
     /// Where the vehicle's MAVLink is, the default resolved.
-    pub fn link_url(&self) -> LinkUrl {
+    pub fn vehicle_link(&self) -> LinkSpec {
         let port = COMPANION_PORT + self.instance.min(MAX_INSTANCE) as u16;
         self.link
             .clone()
-            .unwrap_or(LinkUrl::UdpIn(([127, 0, 0, 1], port).into()))
+            .unwrap_or_else(|| LinkUrl::UdpIn(([127, 0, 0, 1], port).into()).into())
     }
 
-    /// The gate of the link, its key read.
+    /// Opens all links, the key read.
+    ///
+    /// # Errors
+    /// [`LinkError`]: a link that cannot be opened or on which nobody would be heard, or a key that is refused.
+    pub fn open_links(&self) -> Result<RoutedLinks, LinkError> {
+        RoutedLinks::open(&self.vehicle_link(), &self.links, self.gate()?)
+    }
+
+    /// The gate of all links, its key read.
     ///
     /// # Errors
     /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
@@ -615,22 +638,37 @@ fn offset<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
     within(d, 0.0, 49.0, " ms")
 }
 
-/// Link URLs as strings.
-mod url {
-    use super::LinkUrl;
+/// Links as strings, as on the command line.
+mod spec {
+    use super::{LinkSpec, MAX_GROUND_LINKS};
     use serde::de::Error as _;
     use serde::{Deserialize, Deserializer, Serializer};
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<LinkUrl>, D::Error> {
+    pub fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Option<LinkSpec>, D::Error> {
         let text = String::deserialize(d)?;
         text.parse().map(Some).map_err(D::Error::custom)
     }
 
-    pub fn serialize<S: Serializer>(url: &Option<LinkUrl>, s: S) -> Result<S::Ok, S::Error> {
-        match url {
-            Some(url) => s.collect_str(url),
+    pub fn write<S: Serializer>(link: &Option<LinkSpec>, s: S) -> Result<S::Ok, S::Error> {
+        match link {
+            Some(link) => s.collect_str(link),
             None => s.serialize_none(),
         }
+    }
+
+    pub fn read_all<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<LinkSpec>, D::Error> {
+        let texts = Vec::<String>::deserialize(d)?;
+        if texts.len() > MAX_GROUND_LINKS {
+            return Err(D::Error::custom(format_args!("at most {MAX_GROUND_LINKS} links")));
+        }
+        texts
+            .iter()
+            .map(|text| text.parse().map_err(D::Error::custom))
+            .collect()
+    }
+
+    pub fn write_all<S: Serializer>(links: &[LinkSpec], s: S) -> Result<S::Ok, S::Error> {
+        s.collect_seq(links.iter().map(ToString::to_string))
     }
 }
 
@@ -645,6 +683,10 @@ mod tests {
         let config = FirmwareConfig {
             instance: 7,
             link: Some("udpin://0.0.0.0:14540".parse().unwrap()),
+            links: vec![
+                "tcpin://0.0.0.0:5760,unsigned=always,rate=20000".parse().unwrap(),
+                "serial:///dev/ttyUSB0:57600".parse().unwrap(),
+            ],
             signing: SigningConfig {
                 key_file: Some("keys/vigil.key".into()),
                 allow_unsigned: AllowUnsigned::Never,
@@ -690,7 +732,7 @@ mod tests {
             instance: 3,
             ..FirmwareConfig::default()
         };
-        assert_eq!(config.link_url().to_string(), "udpin://127.0.0.1:14033");
+        assert_eq!(config.vehicle_link().to_string(), "udpin://127.0.0.1:14033");
     }
 
     #[test]
@@ -706,6 +748,13 @@ mod tests {
             ("instance = 100", "line 1", "0 to 99"),
             ("instance = -1", "line 1", "integer"),
             ("link = \"serial:///dev/ttyS0\"", "line 1", "udpout://"),
+            (
+                "links = [\"tcpin://127.0.0.1:1,rate=1\"]",
+                "line 1",
+                "rate=BYTES_PER_SECOND",
+            ),
+            ("links = \"tcpin://127.0.0.1:1\"", "line 1", "sequence"),
+            ("links = [\"\",\"\",\"\",\"\",\"\"]", "line 1", "at most 4 links"),
             ("[signing]\nallow_unsigned = \"yes\"", "line 2", "loopback"),
             ("[signing]\nkey = \"secret\"", "line 2", "key_file"),
             ("[rate]\npriority = 100", "line 2", "0 to 99"),

@@ -2,8 +2,9 @@
 
 use crate::config::FirmwareConfig;
 use crate::console::Console;
-use crate::ports::links::{LinkError, LinkStatistics, LiveLink};
+use crate::ports::links::{LinkError, LinkStatistics};
 use crate::ports::live::{MonotonicClock, SharedFrames};
+use crate::ports::router::{RoutedLinks, RoutingCounters};
 use crate::ports::{Clock, Link};
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
@@ -29,7 +30,7 @@ pub enum LiveError {
     /// Frames cannot be received.
     #[error(transparent)]
     Frames(#[from] FrameError),
-    /// The vehicle's link cannot be opened.
+    /// A link cannot be opened.
     #[error(transparent)]
     Link(#[from] LinkError),
     /// The log cannot be written.
@@ -65,8 +66,10 @@ pub struct FlightSummary {
     pub frame_failures: u64,
     /// What MAVLink refused or dropped.
     pub link: LinkCounters,
-    /// What the link did not take or could not deliver.
+    /// What the vehicle's link did not take or could not deliver, and what signing refused on all links.
     pub line: LinkStatistics,
+    /// What became of packets between the links.
+    pub routing: RoutingCounters,
     /// Guidance state at the end.
     pub state: GuidanceState,
     /// What became of the log, if there was one.
@@ -99,6 +102,7 @@ impl std::fmt::Display for FlightSummary {
         if line.connections > 1 {
             write!(f, "\nlink      connected {} times", line.connections)?;
         }
+        write_routing(f, &self.routing)?;
         let damaged = |f: &FramingCounters| f.bad_crc + f.truncated + f.incompatible;
         let refused = damaged(&self.link.framing) + damaged(&line.framing) + self.link.unreadable;
         if refused > 0 {
@@ -123,6 +127,24 @@ impl std::fmt::Display for FlightSummary {
             }
         }
     }
+}
+
+/// Nothing where nothing was passed on or refused.
+fn write_routing(f: &mut std::fmt::Formatter<'_>, routing: &RoutingCounters) -> std::fmt::Result {
+    let RoutingCounters {
+        forwarded,
+        over_rate,
+        impostors,
+        crowded_out,
+    } = *routing;
+    if forwarded + over_rate + impostors + crowded_out == 0 {
+        return Ok(());
+    }
+    write!(
+        f,
+        "\nlinks     {forwarded} packets passed on, {} beyond a link's rate or share, {impostors} of impostors",
+        over_rate + crowded_out
+    )
 }
 
 /// Nothing where there was nothing to verify.
@@ -174,7 +196,7 @@ pub struct LiveLoop {
     priority: i32,
     firmware: Firmware,
     frames: SharedFrames,
-    link: OperatorLink<LiveLink>,
+    link: OperatorLink<RoutedLinks>,
     execution: Durations,
     wake_late: Durations,
     last: StepReport,
@@ -193,7 +215,7 @@ impl LiveLoop {
         let domain = Domain::open(config.instance, "firmware")?;
         let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
         let link = OperatorLink {
-            link: LiveLink::open(&config.link_url(), config.gate().map_err(LinkError::from)?)?,
+            link: config.open_links()?,
             pending: Box::default(),
         };
         let recorder = start_recorder(config, clock.now_ns())?;
@@ -261,6 +283,7 @@ impl LiveLoop {
             frame_failures: self.frames.failures(),
             link: self.firmware.link_counters(),
             line: self.link.link.statistics(),
+            routing: self.link.link.routing(),
             state: self.last.state,
             log: self.firmware.finish(),
         }

@@ -3,7 +3,7 @@
 use crate::config::{
     AlarmChoice, AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, SigningConfig, Vehicle,
 };
-use crate::link_url::LinkUrl;
+use crate::link_spec::LinkSpec;
 use crate::live::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
@@ -28,6 +28,8 @@ Examples:
                                             on a vehicle of yours, over a network that only it reaches
   firmware --link serial:///dev/ttyUSB0:921600 --signing-key vigil.key
                                             over a serial line, with MAVLink signing
+  firmware --link udpin://127.0.0.1:14030 --link tcpin://127.0.0.1:5760 --link serial:///dev/ttyUSB0:57600,unsigned=always
+                                            with two further links for ground stations
   firmware --lockstep                       answer a simulator that sets the pace
   firmware --config my.toml                 with a configuration file (docs/firmware.md); flags override it
 
@@ -43,9 +45,11 @@ pub struct FirmwareArgs {
     pub instance: Option<u32>,
 
     /// Where the vehicle's MAVLink is: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcpin://ADDRESS:PORT, tcpout://HOST:PORT
-    /// or serial:///dev/DEVICE:BAUD [default: udpin://127.0.0.1:14030, the port plus the instance].
-    #[arg(long, value_name = "URL")]
-    pub link: Option<LinkUrl>,
+    /// or serial:///dev/DEVICE:BAUD [default: udpin://127.0.0.1:14030, the port plus the instance]. May be repeated: the
+    /// first is the vehicle's, the others are for ground stations. Options follow, separated by commas:
+    /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND.
+    #[arg(long, value_name = "URL[,OPTION]")]
+    pub link: Vec<LinkSpec>,
 
     /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
     #[arg(long, value_name = "FILE")]
@@ -196,7 +200,12 @@ impl FirmwareArgs {
             None => FirmwareConfig::default(),
         };
         config.instance = self.instance.unwrap_or(config.instance);
-        config.link = self.link.clone().or(config.link);
+        if let Some((vehicle, ground)) = self.link.split_first() {
+            config.link = Some(vehicle.clone());
+            if !ground.is_empty() {
+                config.links = ground.to_vec();
+            }
+        }
         config.signing.key_file = self.signing_key.clone().or(config.signing.key_file);
         config.signing.allow_unsigned = self.allow_unsigned.unwrap_or(config.signing.allow_unsigned);
         config.vehicle = self.vehicle.unwrap_or(config.vehicle);
@@ -241,17 +250,18 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
     if args.lockstep {
         ensure!(
-            args.link.is_none(),
+            args.link.is_empty(),
             "--lockstep takes the simulator's MAVLink from shared memory: leave --link out"
         );
         run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
     } else {
         let summary = live::fly(&config, &stop, |granted| {
             tracing::info!(
-                "instance {}: {} on {} ({}), engages {}; {granted}",
+                "instance {}: {} on {}{} ({}), engages {}; {granted}",
                 config.instance,
                 config.vehicle.name(),
-                config.link_url(),
+                config.vehicle_link(),
+                ground_links(&config.links),
                 config.signing,
                 config.engage.name(),
             );
@@ -293,6 +303,15 @@ impl Vehicle {
             Self::Px4 => "PX4",
             Self::ArduPilot => "ArduPilot",
         }
+    }
+}
+
+/// Those links as the terminal is told of them.
+fn ground_links(links: &[LinkSpec]) -> String {
+    let listed: Vec<_> = links.iter().map(ToString::to_string).collect();
+    match listed.is_empty() {
+        true => String::new(),
+        false => format!(", ground stations on {}", listed.join(" and ")),
     }
 }
 

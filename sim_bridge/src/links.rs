@@ -1,74 +1,19 @@
 //! The vehicle's links: the three UDP links of PX4's software in the loop, any number of others by URL, and one gate that
 //! all share.
 
-use crate::udp::{UdpError, UdpLink, onboard_api_gcs};
+use crate::udp::{UdpError, onboard_api_gcs};
 use std::path::PathBuf;
-use std::str::FromStr;
 use vigil_endpoint::{LinkId, SigningSetup};
 use vigil_link::signing::{SigningCounters, SigningKey};
 use vigil_ports::Link;
 use vigil_ports::gate::{AllowUnsigned, Gate, SigningFileError};
-use vigil_ports::link_url::{LinkUrl, LinkUrlError};
-use vigil_ports::links::{LinkError, LiveLink};
+use vigil_ports::link_spec::{Budget, LinkSpec};
+use vigil_ports::link_url::LinkUrl;
+use vigil_ports::links::{LinkError, LiveLink, UdpPeers};
 use vigil_types::{Datagrams, Nanos};
 
 /// Links by URL, besides the three that every vehicle has.
 pub const MAX_EXTRA_LINKS: usize = 4;
-/// Bits on a serial line for each byte.
-const BITS_PER_BYTE: f64 = 10.0;
-/// A link that was quiet may send this much at once: a burst of a file transfer's.
-const BURST_S: f64 = 0.25;
-
-/// A link besides the three: `URL[,unsigned=loopback|never|always][,rate=BYTES_PER_SECOND]`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ExtraLink {
-    /// Where.
-    pub url: LinkUrl,
-    /// From whom packets without a signature are accepted; the vehicle's policy if absent.
-    pub allow_unsigned: Option<AllowUnsigned>,
-    /// Most bytes that are sent in a second; a serial line's own speed if absent.
-    pub rate_bytes_s: Option<u32>,
-}
-
-/// A link that is not understood.
-#[derive(Debug, thiserror::Error)]
-pub enum ExtraLinkError {
-    /// Its URL.
-    #[error(transparent)]
-    Url(#[from] LinkUrlError),
-    /// What follows the URL.
-    #[error(
-        "link option `{0}`: use unsigned=loopback, unsigned=never, unsigned=always or rate=BYTES_PER_SECOND (1000 or more)"
-    )]
-    Option(String),
-}
-
-impl FromStr for ExtraLink {
-    type Err = ExtraLinkError;
-
-    fn from_str(text: &str) -> Result<Self, ExtraLinkError> {
-        let mut parts = text.split(',');
-        let mut link = Self {
-            url: parts.next().unwrap_or_default().parse()?,
-            allow_unsigned: None,
-            rate_bytes_s: None,
-        };
-        for option in parts {
-            let bad = || ExtraLinkError::Option(option.to_owned());
-            match option.split_once('=') {
-                Some(("unsigned", "loopback")) => link.allow_unsigned = Some(AllowUnsigned::Loopback),
-                Some(("unsigned", "never")) => link.allow_unsigned = Some(AllowUnsigned::Never),
-                Some(("unsigned", "always")) => link.allow_unsigned = Some(AllowUnsigned::Always),
-                Some(("rate", rate)) => {
-                    let rate = rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?;
-                    link.rate_bytes_s = Some(rate);
-                }
-                _ => return Err(bad()),
-            }
-        }
-        Ok(link)
-    }
-}
 
 /// How the links are opened.
 #[derive(Debug, Clone, Default)]
@@ -80,7 +25,7 @@ pub struct LinksConfig {
     /// From whom packets without a signature are accepted.
     pub allow_unsigned: AllowUnsigned,
     /// Links besides the three, at most [`MAX_EXTRA_LINKS`].
-    pub extra: Vec<ExtraLink>,
+    pub extra: Vec<LinkSpec>,
 }
 
 /// Why the links cannot be opened.
@@ -114,40 +59,12 @@ fn is_loopback(url: &LinkUrl) -> bool {
 }
 
 enum Transport {
-    Udp(UdpLink),
+    Udp(UdpPeers),
     /// One peer, whose datagrams come ungated. `is_local`: it is on this machine.
     Single {
         link: Box<LiveLink>,
         is_local: bool,
     },
-}
-
-/// Bytes that may be sent, refilled as time passes.
-struct Budget {
-    bytes_per_s: f64,
-    bytes: f64,
-    last_ns: Nanos,
-}
-
-impl Budget {
-    fn new(bytes_per_s: f64) -> Self {
-        Self {
-            bytes_per_s,
-            bytes: bytes_per_s * BURST_S,
-            last_ns: 0,
-        }
-    }
-
-    fn spend(&mut self, now_ns: Nanos, len: usize) -> bool {
-        let elapsed_s = now_ns.saturating_sub(self.last_ns) as f64 * 1e-9;
-        self.last_ns = now_ns;
-        self.bytes = (self.bytes + elapsed_s * self.bytes_per_s).min(self.bytes_per_s * BURST_S);
-        let fits = self.bytes >= len as f64;
-        if fits {
-            self.bytes -= len as f64;
-        }
-        fits
-    }
 }
 
 struct VehicleLink {
@@ -200,10 +117,10 @@ impl VehicleLinks {
             let is_local = is_loopback(&extra.url);
             let transport = match extra.url {
                 LinkUrl::UdpIn(local) => {
-                    Transport::Udp(UdpLink::listening(local).map_err(|e| LinkError::of(&extra.url, e))?)
+                    Transport::Udp(UdpPeers::listening(local).map_err(|e| LinkError::of(&extra.url, e))?)
                 }
                 LinkUrl::UdpOut(peer) => {
-                    Transport::Udp(UdpLink::calling(peer).map_err(|e| LinkError::of(&extra.url, e))?)
+                    Transport::Udp(UdpPeers::calling(peer).map_err(|e| LinkError::of(&extra.url, e))?)
                 }
                 _ => {
                     let link = Box::new(LiveLink::open(&extra.url, Gate::open())?);
@@ -219,15 +136,11 @@ impl VehicleLinks {
                 }
                 .into());
             }
-            let line_bytes_s = match extra.url {
-                LinkUrl::Serial { baud, .. } => Some(f64::from(baud) / BITS_PER_BYTE),
-                _ => None,
-            };
             links.push(VehicleLink {
                 id: LinkId(links.len() as u8),
                 transport,
                 allow_unsigned: policy,
-                budget: extra.rate_bytes_s.map(f64::from).or(line_bytes_s).map(Budget::new),
+                budget: Budget::of(extra, f64::INFINITY),
                 over_budget: 0,
             });
         }
@@ -263,7 +176,7 @@ impl VehicleLinks {
         for link in &mut self.links {
             let (gate, admitted, policy) = (&mut self.gate, &mut self.admitted, link.allow_unsigned);
             match &mut link.transport {
-                Transport::Udp(udp) => udp.receive(|is_local, datagram| {
+                Transport::Udp(udp) => udp.receive(now_ns, |is_local, datagram| {
                     admitted.clear();
                     let passes = gate.admit_by(policy, is_local, 0, datagram, admitted);
                     admitted.iter().for_each(|(_, datagram)| on_datagram(link.id, datagram));
@@ -290,7 +203,7 @@ impl VehicleLinks {
         };
         let sealed = self.gate.seal(packet);
         if let Some(budget) = &mut link.budget
-            && !budget.spend(self.now_ns, sealed.len())
+            && !budget.spend(self.now_ns, sealed.len(), 0.0)
         {
             link.over_budget += 1;
             return;
@@ -368,30 +281,6 @@ mod tests {
             .local_addr()
             .unwrap()
             .port()
-    }
-
-    #[test]
-    fn a_link_is_written_as_a_url_with_options() {
-        let link: ExtraLink = "udpin://127.0.0.1:7000,unsigned=never,rate=5000".parse().unwrap();
-        assert_eq!(
-            (link.allow_unsigned, link.rate_bytes_s),
-            (Some(AllowUnsigned::Never), Some(5000))
-        );
-        for bad in [
-            "udpin://127.0.0.1:7000,unsigned=maybe",
-            "tcpin://127.0.0.1:1,rate=5",
-            "tcpin://127.0.0.1:1,x",
-        ] {
-            let error = bad.parse::<ExtraLink>().unwrap_err().to_string();
-            assert!(error.contains("rate=BYTES_PER_SECOND"), "{error}");
-        }
-        assert!(
-            "ftp://x"
-                .parse::<ExtraLink>()
-                .unwrap_err()
-                .to_string()
-                .contains("udpout://")
-        );
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
-use crate::links::{ExtraLink, LinksConfig, VehicleLinks};
+use crate::links::{LinksConfig, VehicleLinks};
 use crate::lockstep::{FirmwarePort, fly_lockstep};
 use crate::state::StateFile;
 use crate::{CompanionView, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
@@ -14,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use vigil_endpoint::{EndpointConfig, LinkId, LinkRole};
 use vigil_ports::gate::AllowUnsigned;
+use vigil_ports::link_spec::LinkSpec;
 use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS};
 use vigil_world::Outcome;
@@ -67,7 +68,7 @@ pub struct SimArgs {
     /// A further link for ground stations: a URL as of `vigil firmware --link`, then options separated by commas:
     /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND. May be repeated.
     #[arg(long, value_name = "URL[,OPTION]")]
-    pub link: Vec<ExtraLink>,
+    pub link: Vec<LinkSpec>,
 
     /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed
     /// until SETUP_SIGNING brings a key.

@@ -25,10 +25,10 @@ const AUTOPILOT: u8 = 1;
 const NO_AUTOPILOT: u8 = 8;
 const HEARTBEAT_NS: Nanos = 1_000_000_000;
 const VALUES_NS: Nanos = 250_000_000;
-/// Answers that one step can owe.
-const REPLIES: usize = 32;
+/// Answers that one step can owe: more than several links ask for in a step.
+const REPLIES: usize = 128;
 /// Requests that guidance can owe an answer to.
-const REQUESTS: usize = 8;
+const REQUESTS: usize = 32;
 
 /// Identity and vehicle of the guidance computer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,7 +39,8 @@ pub struct CompanionConfig {
     pub component_id: u8,
     /// The vehicle's autopilot.
     pub flavour: Flavour,
-    /// Link to the vehicle; answers go back on the link that the question came from.
+    /// Link to the vehicle, which is heard there and nowhere else; answers go back on the link that the question came
+    /// from.
     pub link: u8,
 }
 
@@ -217,8 +218,12 @@ impl Companion {
     }
 
     fn packet(&mut self, now_ns: Nanos, link: u8, packet: &Packet<'_>) {
-        self.learn_vehicle(packet);
-        if self.system_id == Some(packet.system_id()) && packet.component_id() == AUTOPILOT {
+        // What the vehicle says counts on its own link only: nobody on another can speak in its place.
+        let of_vehicle = link == self.config.link;
+        if of_vehicle {
+            self.learn_vehicle(packet);
+        }
+        if of_vehicle && self.system_id == Some(packet.system_id()) && packet.component_id() == AUTOPILOT {
             self.streams.note(now_ns, packet.message_id());
             if !self.vehicle.receive(now_ns, packet) {
                 self.counters.unreadable += 1;

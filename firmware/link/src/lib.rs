@@ -16,6 +16,7 @@ mod obstacles;
 mod operator;
 mod parameters;
 mod report;
+pub mod routing;
 mod sender;
 pub mod signing;
 mod streams;

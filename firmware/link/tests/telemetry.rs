@@ -151,6 +151,18 @@ fn the_first_autopilot_heard_is_the_vehicle_and_nobody_else_is() {
 }
 
 #[test]
+fn the_vehicle_is_heard_on_its_own_link_only() {
+    let mut c = Companion::new(CompanionConfig::default());
+    c.receive(1, 1, &bytes_of(vehicle(7), &px4()));
+    assert_eq!((c.system_id(), c.telemetry().heartbeat), (None, None));
+    c.receive(1, 0, &bytes_of(vehicle(3), &px4()));
+    assert_eq!(c.system_id(), Some(3));
+    c.receive(1, 0, &bytes_of(vehicle(3), &position(10, 5.0)));
+    c.receive(2, 1, &bytes_of(vehicle(3), &position(20, 9.0)));
+    assert_eq!(c.telemetry().kinematics.unwrap().position_ned_m.x, 5.0);
+}
+
+#[test]
 fn a_configured_system_is_the_only_one() {
     let mut c = Companion::new(CompanionConfig {
         system_id: Some(3),

@@ -1,9 +1,11 @@
-//! MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`], [`link_url`]), and who may speak on a link
-//! ([`gate`]): shared by the flight stack and the simulated vehicle.
+//! MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`], [`link_url`], [`link_spec`]), several at once
+//! ([`router`]), and who may speak on a link ([`gate`]): shared by the flight stack and the simulated vehicle.
 
 pub mod gate;
+pub mod link_spec;
 pub mod link_url;
 pub mod links;
+pub mod router;
 
 use vigil_types::{Datagrams, Nanos};
 

@@ -1,11 +1,11 @@
 //! What the flight stack touches of the outside: a clock, frames, a link. The same step runs over each implementation:
-//! [`live`] and [`links`] (monotonic clock, shared memory, MAVLink over UDP, TCP or a serial line), [`handed`] (lockstep
-//! and replay: whoever drives hands everything in).
+//! [`live`], [`router`] and [`links`] (monotonic clock, shared memory, MAVLink over UDP, TCP or serial lines), [`handed`]
+//! (lockstep and replay: whoever drives hands everything in).
 
 pub mod handed;
 pub mod live;
 
-pub use vigil_ports::{Link, gate, links};
+pub use vigil_ports::{Link, gate, links, router};
 use vigil_types::{DepthFrame, Nanos};
 
 /// Time of the flight.

@@ -9,23 +9,9 @@ use crate::services::flight_information::FlightTimes;
 use crate::services::signing::SigningSetup;
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, services};
 use vigil_link::framing::FramingCounters;
+pub use vigil_link::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
 use vigil_vehicle::{Estimate, Sensors, VehicleView};
-
-/// A MAVLink component: the sender or owner of something.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ComponentId {
-    /// System id.
-    pub system: u8,
-    /// Component id.
-    pub component: u8,
-}
-
-impl core::fmt::Display for ComponentId {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        write!(f, "{}/{}", self.system, self.component)
-    }
-}
 
 /// What was refused since start, besides what the framing refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

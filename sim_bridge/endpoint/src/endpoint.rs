@@ -1,7 +1,6 @@
 //! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
 
 use crate::core::{ComponentId, Core, EndpointStatus};
-use crate::routing::Routing;
 use crate::service::{Answer, Service, Source};
 use crate::services::signing::SigningSetup;
 use crate::streams::Streams;
@@ -9,6 +8,7 @@ use crate::{ConfigError, EndpointConfig, LinkId, Saved, services};
 use vigil_link::common::{MavResult, SETUP_SIGNING_DATA};
 use vigil_link::framing::{self, Command, CommandAck, Packet};
 use vigil_link::mavlink::MessageData;
+use vigil_link::routing::{LinkSet, Routing};
 use vigil_types::Nanos;
 use vigil_vehicle::{ControlCommand, VehicleView};
 
@@ -87,8 +87,8 @@ impl Endpoint {
         let onward = self
             .routing
             .onward(self.core.id, target, link.0, self.core.outbox.links());
-        let onward = if is_secret { 0 } else { onward };
-        for to in (0..8).filter(|to| onward & (1 << to) != 0) {
+        let onward = if is_secret { LinkSet::NONE } else { onward };
+        for to in onward.iter() {
             self.core.outbox.forward(to, packet.raw());
             self.core.forwarded += 1;
         }

@@ -13,7 +13,7 @@ mod tests;
 
 pub use command::{Command, CommandAck, CommandForm};
 pub use packet::{FramingCounters, Packet, Packets, packets};
-pub use serialize::{MAX_PACKET_LEN, SerializeError, serialize, serialize_payload};
+pub use serialize::{MAX_PACKET_LEN, SerializeError, renumber, serialize, serialize_payload};
 pub use stream::StreamFramer;
 
 /// Little-endian reads at an offset of a payload whose trailing zeros were cut (MAVLink 2): what is cut reads as zero.

@@ -48,6 +48,25 @@ pub fn serialize(header: MavHeader, message: &MavMessage, out: &mut [u8]) -> Res
     serialize_payload(header, message.message_id(), payload, out)
 }
 
+/// Gives an unsigned MAVLink 2 packet of a known message another sequence number: each link counts its own. Anything else
+/// is left as it is.
+pub fn renumber(packet: &mut [u8], sequence: u8) {
+    let &[MAV_STX_V2, _, 0, _, _, _, _, id0, id1, id2, ..] = &*packet else {
+        return;
+    };
+    let message_id = u32::from_le_bytes([id0, id1, id2, 0]);
+    let extra_crc = MavMessage::extra_crc(message_id);
+    if extra_crc == 0 && MavMessage::default_message_from_id(message_id).is_none() {
+        return;
+    }
+    if let Some(slot) = packet.get_mut(4) {
+        *slot = sequence;
+    }
+    if let Some((checked, crc)) = packet.split_last_chunk_mut::<2>() {
+        *crc = calculate_crc(checked.get(1..).unwrap_or_default(), extra_crc).to_le_bytes();
+    }
+}
+
 /// Writes a packet of a raw payload: for what the crate's types cannot hold, such as the acknowledgement of a command
 /// whose number the dialect does not have. Trailing zeros of the payload are cut, as MAVLink 2 demands.
 ///

@@ -50,6 +50,19 @@ fn scan(bytes: &[u8]) -> (Vec<Packet<'_>>, FramingCounters) {
 }
 
 #[test]
+fn a_renumbered_packet_is_the_one_with_that_number_from_the_start() {
+    let mut packet = arm();
+    renumber(&mut packet, 200);
+    let (found, counters) = scan(&packet);
+    assert_eq!((found[0].sequence(), counters.bad_crc), (200, 0));
+    renumber(&mut packet, HEADER.sequence);
+    assert_eq!(packet, arm());
+    let mut foreign = unknown();
+    renumber(&mut foreign, 200);
+    assert_eq!(foreign, unknown(), "its checksum could not be made right again");
+}
+
+#[test]
 fn bytes_are_those_of_the_crates_own_serializer() {
     for message in [
         heartbeat(),

@@ -2,25 +2,34 @@
 //!
 //! None of them waits, allocates after its opening, or ends: a peer that is gone is waited for.
 
+mod peers;
 mod serial;
 mod stream;
 mod tcp;
 mod udp;
+mod wire;
 
+pub use peers::UdpPeers;
 pub use serial::SerialLink;
+pub(crate) use serial::SerialWire;
 pub use tcp::TcpLink;
+pub(crate) use tcp::TcpWire;
 pub use udp::UdpLink;
+pub(crate) use udp::UdpWire;
+pub use wire::Gated;
+pub(crate) use wire::{Door, Wire};
 
 use crate::Link;
 use crate::gate::{AllowUnsigned, Gate, SigningFileError};
 use crate::link_url::LinkUrl;
+use crate::router::MAX_GROUND_LINKS;
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
 use vigil_link::framing::FramingCounters;
 use vigil_link::signing::SigningCounters;
 use vigil_types::{Datagrams, Nanos};
 
-/// The link's number in [`Datagrams`].
+/// The number in [`Datagrams`] of a link that is alone.
 const LINK: u8 = 0;
 /// Who is answered: another caller takes over a listening link only when the present one was silent this long.
 const PEER_SILENCE_NS: Nanos = 2_000_000_000;
@@ -57,6 +66,12 @@ pub enum LinkError {
         url: LinkUrl,
         /// For whom that holds.
         from_whom: &'static str,
+    },
+    /// More links than there is room for.
+    #[error("{count} links for ground stations: at most {MAX_GROUND_LINKS} besides the vehicle's")]
+    TooMany {
+        /// Links given.
+        count: usize,
     },
     /// Signing cannot be switched on.
     #[error(transparent)]
@@ -110,19 +125,7 @@ impl LiveLink {
     /// # Errors
     /// [`LinkError`], each naming the link.
     pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
-        if !gate.has_key() {
-            let refused_from = match gate.allow_unsigned() {
-                AllowUnsigned::Always => None,
-                AllowUnsigned::Never => Some(""),
-                AllowUnsigned::Loopback => (!may_be_local(url)).then_some(" from other machines"),
-            };
-            if let Some(from_whom) = refused_from {
-                return Err(LinkError::NobodyHeard {
-                    url: url.clone(),
-                    from_whom,
-                });
-            }
-        }
+        somebody_is_heard(url, gate.has_key(), gate.allow_unsigned())?;
         match url {
             LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => UdpLink::open(url, gate).map(Self::Udp),
             LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpLink::open(url, gate).map(Self::Tcp),
@@ -161,6 +164,25 @@ impl Link for LiveLink {
             Self::Serial(link) => link.send(sent),
         }
     }
+}
+
+/// Refuses a link on which nobody could be heard.
+///
+/// # Errors
+/// [`LinkError::NobodyHeard`]: there is no key, and the policy covers nobody who could be at the other end.
+pub fn somebody_is_heard(url: &LinkUrl, has_key: bool, policy: AllowUnsigned) -> Result<(), LinkError> {
+    let refused_from = match policy {
+        _ if has_key => None,
+        AllowUnsigned::Always => None,
+        AllowUnsigned::Never => Some(""),
+        AllowUnsigned::Loopback => (!may_be_local(url)).then_some(" from other machines"),
+    };
+    refused_from.map_or(Ok(()), |from_whom| {
+        Err(LinkError::NobodyHeard {
+            url: url.clone(),
+            from_whom,
+        })
+    })
 }
 
 /// Whether a sender's address is this machine's loopback: no packet of another machine bears it.

@@ -1,8 +1,7 @@
 //! MAVLink over a serial line; the device may disappear and return.
 
 use super::stream::PacketStream;
-use super::{LinkError, LinkStatistics, RETRY_NS};
-use crate::Link;
+use super::{Door, Gated, LinkError, LinkStatistics, RETRY_NS, Wire};
 use crate::gate::Gate;
 use crate::link_url::LinkUrl;
 use rustix::fs::{Mode, OFlags, open};
@@ -14,13 +13,15 @@ use std::io::ErrorKind;
 use vigil_types::{Datagrams, Nanos};
 
 /// MAVLink over one serial line: 8 data bits, no parity, one stop bit, no flow control.
-pub struct SerialLink {
+pub type SerialLink = Gated<SerialWire>;
+
+/// The line.
+pub struct SerialWire {
     device: CString,
     baud: u32,
     port: Option<File>,
     next_attempt_ns: Nanos,
     stream: PacketStream,
-    gate: Gate,
     connections: u64,
 }
 
@@ -30,6 +31,13 @@ impl SerialLink {
     /// # Errors
     /// [`LinkError`]: the device is not there, in use, no serial device, or does not know the baud rate.
     pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+        let wire = SerialWire::open(url)?;
+        Ok(Self { wire, gate })
+    }
+}
+
+impl SerialWire {
+    pub(crate) fn open(url: &LinkUrl) -> Result<Self, LinkError> {
         let error = |source| LinkError::of(url, source);
         let LinkUrl::Serial { device, baud } = url else {
             return Err(error(ErrorKind::InvalidInput.into()));
@@ -42,20 +50,8 @@ impl SerialLink {
             port: Some(port),
             next_attempt_ns: 0,
             stream: PacketStream::new(),
-            gate,
             connections: 1,
         })
-    }
-
-    /// What was not taken or delivered.
-    pub fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
-            foreign: 0,
-            unsent: self.stream.unsent(),
-            connections: self.connections,
-            framing: self.stream.counters(),
-            signing: self.gate.counters(),
-        }
     }
 
     /// Opens the device again when it is time to try.
@@ -96,24 +92,32 @@ fn open_port(device: &CString, baud: u32) -> Result<File, Errno> {
     Ok(File::from(port))
 }
 
-impl Link for SerialLink {
-    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
-        self.gate.begin(now_ns);
+impl Wire for SerialWire {
+    const IS_STREAM: bool = true;
+
+    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
         self.reopen(now_ns);
         let Some(port) = &mut self.port else { return };
         // Whoever holds the other end of a cable is not known: never this machine.
-        if self.stream.receive(port, &mut self.gate, false, received).is_err() {
+        if self.stream.receive(port, door, false, received).is_err() {
             self.close();
         }
     }
 
-    fn send(&mut self, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
         let Some(port) = &mut self.port else {
             self.stream.discard(sent);
             return;
         };
-        if self.stream.send(port, &mut self.gate, sent).is_err() {
+        if self.stream.send(port, gate, sent).is_err() {
             self.close();
+        }
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            connections: self.connections,
+            ..self.stream.statistics()
         }
     }
 }

@@ -1,6 +1,6 @@
 //! MAVLink over a byte stream: packets are found in what is read, and never torn by what is written.
 
-use super::LINK;
+use super::{Door, LinkStatistics};
 use crate::gate::Gate;
 use std::io::{ErrorKind, Read, Write};
 use vigil_link::framing::{FramingCounters, StreamFramer};
@@ -45,13 +45,13 @@ impl PacketStream {
         }
     }
 
-    pub fn counters(&self) -> FramingCounters {
-        self.counters
-    }
-
-    /// Packets that were not sent.
-    pub fn unsent(&self) -> u64 {
-        self.unsent
+    /// What was found in the bytes read, and how many packets were not sent.
+    pub fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            unsent: self.unsent,
+            framing: self.counters,
+            ..LinkStatistics::default()
+        }
     }
 
     /// Another stream begins: halves of packets are worth nothing to it.
@@ -65,7 +65,7 @@ impl PacketStream {
     pub fn receive(
         &mut self,
         wire: &mut impl Read,
-        gate: &mut Gate,
+        door: &mut Door<'_>,
         is_local: bool,
         received: &mut Datagrams,
     ) -> Result<bool, Broken> {
@@ -82,7 +82,7 @@ impl PacketStream {
                 Err(_) => return Err(Broken),
             };
             self.framer.feed(bytes, &mut self.counters, |packet| {
-                heard |= gate.admit(is_local, LINK, packet.raw(), received);
+                heard |= door.admit(is_local, packet.raw(), received);
             });
         }
         Ok(heard)
@@ -185,6 +185,14 @@ mod tests {
         }
     }
 
+    fn door(gate: &mut Gate) -> Door<'_> {
+        Door {
+            allow_unsigned: gate.allow_unsigned(),
+            gate,
+            link: 0,
+        }
+    }
+
     fn line() -> Line {
         Line {
             written: Vec::new(),
@@ -216,8 +224,8 @@ mod tests {
         let mut found = 0;
         framer.feed(&line.written, &mut counters, |_| found += 1);
         assert_eq!((counters.garbage_bytes, counters.bad_crc), (0, 0));
-        assert!(stream.unsent() > 300 && found > 300);
-        assert_eq!(found + stream.unsent(), 1800);
+        assert!(stream.statistics().unsent > 300 && found > 300);
+        assert_eq!(found + stream.statistics().unsent, 1800);
     }
 
     #[test]
@@ -231,12 +239,16 @@ mod tests {
             .collect();
         let mut got = Vec::new();
         let mut received = Datagrams::default();
-        while stream.receive(&mut line, &mut gate, true, &mut received).unwrap() || !line.to_read.is_empty() {
+        while stream
+            .receive(&mut line, &mut door(&mut gate), true, &mut received)
+            .unwrap()
+            || !line.to_read.is_empty()
+        {
             got.extend(received.iter().map(|(_, d)| d.to_vec()));
             received.clear();
         }
         assert_eq!(got, expected);
-        assert_eq!(stream.counters().garbage_bytes, 40 * 5);
+        assert_eq!(stream.statistics().framing.garbage_bytes, 40 * 5);
     }
 
     #[test]
@@ -251,7 +263,9 @@ mod tests {
         let mut steps = 0;
         while !line.to_read.is_empty() {
             let mut received = Datagrams::default();
-            stream.receive(&mut line, &mut gate, true, &mut received).unwrap();
+            stream
+                .receive(&mut line, &mut door(&mut gate), true, &mut received)
+                .unwrap();
             assert_eq!(received.dropped(), 0);
             count += received.len();
             steps += 1;

@@ -1,8 +1,7 @@
 //! MAVLink over TCP, as client or server, reconnecting.
 
 use super::stream::PacketStream;
-use super::{LinkError, LinkStatistics, PEER_SILENCE_NS, RETRY_NS, is_local};
-use crate::Link;
+use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, RETRY_NS, Wire, is_local};
 use crate::gate::Gate;
 use crate::link_url::LinkUrl;
 use rustix::io::Errno;
@@ -33,11 +32,13 @@ struct Connection {
 }
 
 /// MAVLink over one TCP connection at a time.
-pub struct TcpLink {
+pub type TcpLink = Gated<TcpWire>;
+
+/// The connection.
+pub struct TcpWire {
     role: Role,
     connection: Option<Connection>,
     stream: PacketStream,
-    gate: Gate,
     foreign: u64,
     connections: u64,
 }
@@ -48,6 +49,24 @@ impl TcpLink {
     /// # Errors
     /// [`LinkError::InUse`] and others, each naming the link.
     pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+        let wire = TcpWire::open(url)?;
+        Ok(Self { wire, gate })
+    }
+
+    /// The address on which a server listens.
+    ///
+    /// # Errors
+    /// What the system says; a client has none.
+    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
+        match &self.wire.role {
+            Role::Server(listener) => listener.local_addr(),
+            Role::Client { .. } => Err(ErrorKind::NotConnected.into()),
+        }
+    }
+}
+
+impl TcpWire {
+    pub(crate) fn open(url: &LinkUrl) -> Result<Self, LinkError> {
         let error = |source| LinkError::of(url, source);
         let role = match *url {
             LinkUrl::TcpIn(local) => {
@@ -62,32 +81,9 @@ impl TcpLink {
             role,
             connection: None,
             stream: PacketStream::new(),
-            gate,
             foreign: 0,
             connections: 0,
         })
-    }
-
-    /// The address on which a server listens.
-    ///
-    /// # Errors
-    /// What the system says; a client has none.
-    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
-        match &self.role {
-            Role::Server(listener) => listener.local_addr(),
-            Role::Client { .. } => Err(ErrorKind::NotConnected.into()),
-        }
-    }
-
-    /// What was not taken or delivered.
-    pub fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
-            foreign: self.foreign,
-            unsent: self.stream.unsent(),
-            connections: self.connections,
-            framing: self.stream.counters(),
-            signing: self.gate.counters(),
-        }
     }
 
     fn connect(&mut self, now_ns: Nanos) {
@@ -172,33 +168,39 @@ fn call(peer: SocketAddr, now_ns: Nanos) -> Option<Connection> {
     })
 }
 
-impl Link for TcpLink {
-    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
-        self.gate.begin(now_ns);
+impl Wire for TcpWire {
+    const IS_STREAM: bool = true;
+
+    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
         self.connect(now_ns);
         self.watch(now_ns);
         let Some(connection) = self.connection.as_mut().filter(|c| c.is_up) else {
             return;
         };
         let mut socket = &connection.socket;
-        match self
-            .stream
-            .receive(&mut socket, &mut self.gate, connection.is_local, received)
-        {
+        match self.stream.receive(&mut socket, door, connection.is_local, received) {
             Ok(true) => connection.heard_ns = now_ns,
             Ok(false) => {}
             Err(_) => self.connection = None,
         }
     }
 
-    fn send(&mut self, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
         let Some(connection) = self.connection.as_ref().filter(|c| c.is_up) else {
             self.stream.discard(sent);
             return;
         };
         let mut socket = &connection.socket;
-        if self.stream.send(&mut socket, &mut self.gate, sent).is_err() {
+        if self.stream.send(&mut socket, gate, sent).is_err() {
             self.connection = None;
+        }
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            foreign: self.foreign,
+            connections: self.connections,
+            ..self.stream.statistics()
         }
     }
 }

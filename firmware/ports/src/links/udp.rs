@@ -1,7 +1,6 @@
 //! MAVLink over one UDP socket.
 
-use super::{LINK, LinkError, LinkStatistics, PEER_SILENCE_NS, is_local};
-use crate::Link;
+use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, Wire, is_local};
 use crate::gate::{Gate, MAX_DATAGRAM_BYTES};
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
@@ -13,9 +12,11 @@ const MAX_DATAGRAMS_PER_STEP: usize = 128;
 
 /// MAVLink over one UDP socket. It speaks with one peer: who called first with something that passed the gate, or who is
 /// called.
-pub struct UdpLink {
+pub type UdpLink = Gated<UdpWire>;
+
+/// The socket of one peer.
+pub struct UdpWire {
     socket: UdpSocket,
-    gate: Gate,
     peer: Option<SocketAddr>,
     peer_heard_ns: Nanos,
     calling: bool,
@@ -30,6 +31,21 @@ impl UdpLink {
     /// # Errors
     /// [`LinkError::InUse`] and others, each naming the link.
     pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+        let wire = UdpWire::open(url)?;
+        Ok(Self { wire, gate })
+    }
+
+    /// The local address.
+    ///
+    /// # Errors
+    /// What the system says.
+    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
+        self.wire.socket.local_addr()
+    }
+}
+
+impl UdpWire {
+    pub(crate) fn open(url: &LinkUrl) -> Result<Self, LinkError> {
         let error = |source| LinkError::of(url, source);
         let (local, peer) = match *url {
             LinkUrl::UdpIn(local) => (local, None),
@@ -46,7 +62,6 @@ impl UdpLink {
         socket.set_nonblocking(true).map_err(error)?;
         Ok(Self {
             socket,
-            gate,
             peer,
             peer_heard_ns: 0,
             calling: peer.is_some(),
@@ -56,25 +71,6 @@ impl UdpLink {
         })
     }
 
-    /// The local address.
-    ///
-    /// # Errors
-    /// What the system says.
-    pub fn local_address(&self) -> std::io::Result<SocketAddr> {
-        self.socket.local_addr()
-    }
-
-    /// What was not taken or delivered.
-    pub fn statistics(&self) -> LinkStatistics {
-        LinkStatistics {
-            foreign: self.foreign,
-            unsent: self.unsent,
-            connections: 0,
-            framing: self.gate.framing(),
-            signing: self.gate.counters(),
-        }
-    }
-
     /// Whether `from` is the peer, or may become it.
     fn is_welcome(&self, from: SocketAddr, now_ns: Nanos) -> bool {
         let silent = now_ns.saturating_sub(self.peer_heard_ns) > PEER_SILENCE_NS;
@@ -82,9 +78,10 @@ impl UdpLink {
     }
 }
 
-impl Link for UdpLink {
-    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
-        self.gate.begin(now_ns);
+impl Wire for UdpWire {
+    const IS_STREAM: bool = false;
+
+    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
         for _ in 0..MAX_DATAGRAMS_PER_STEP {
             if received.len() >= Datagrams::MAX_COUNT || received.free_bytes() < MAX_DATAGRAM_BYTES {
                 return;
@@ -94,7 +91,7 @@ impl Link for UdpLink {
                 Ok((len, from)) => {
                     let datagram = self.buffer.get(..len).unwrap_or_default();
                     // Who is refused at the gate neither becomes the peer nor stays it.
-                    if self.gate.admit(is_local(from), LINK, datagram, received) {
+                    if door.admit(is_local(from), datagram, received) {
                         self.peer = Some(from);
                         self.peer_heard_ns = now_ns;
                     }
@@ -106,14 +103,20 @@ impl Link for UdpLink {
         }
     }
 
-    fn send(&mut self, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
         for (_, datagram) in sent.iter() {
-            let gone = self
-                .peer
-                .map(|peer| self.socket.send_to(self.gate.seal(datagram), peer));
+            let gone = self.peer.map(|peer| self.socket.send_to(gate.seal(datagram), peer));
             if !matches!(gone, Some(Ok(_))) {
                 self.unsent += 1;
             }
+        }
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            foreign: self.foreign,
+            unsent: self.unsent,
+            ..LinkStatistics::default()
         }
     }
 }
