@@ -9,6 +9,7 @@ use crate::stack::StackConfig;
 use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 use vigil_link::{CompanionConfig, Flavour};
@@ -68,6 +69,8 @@ pub struct FirmwareConfig {
     pub rate: RateConfig,
     /// The flight log.
     pub log: LogConfig,
+    /// What outlives a restart.
+    pub state: StateConfig,
 }
 
 /// Who may speak on the links: MAVLink 2 signing.
@@ -310,6 +313,16 @@ pub struct LogConfig {
     pub scene: Option<PathBuf>,
 }
 
+/// What outlives a restart.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct StateConfig {
+    /// Where a signing key that came by SETUP_SIGNING and parameters that were set are kept; absent means that they end
+    /// with the process.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub directory: Option<PathBuf>,
+}
+
 impl Default for FirmwareConfig {
     fn default() -> Self {
         Self {
@@ -328,6 +341,7 @@ impl Default for FirmwareConfig {
             detector: DetectorConfig::default(),
             rate: RateConfig::default(),
             log: LogConfig::default(),
+            state: StateConfig::default(),
         }
     }
 }
@@ -475,9 +489,18 @@ impl FirmwareConfig {
             key_file,
             allow_unsigned,
         } = &self.signing;
-        match key_file {
-            Some(path) => Gate::with_key_file(path, &self.instance.to_string(), *allow_unsigned),
-            None => Ok(Gate::new(None, *allow_unsigned)),
+        let name = self.instance.to_string();
+        match (key_file, &self.state.directory) {
+            (Some(path), _) => Gate::with_key_file(path, &name, *allow_unsigned),
+            (None, Some(folder)) => {
+                let path = folder.join(format!("firmware{name}.key"));
+                make_folder(folder).map_err(|source| SigningFileError::State {
+                    path: folder.clone(),
+                    source,
+                })?;
+                Gate::with_kept_key(&path, &name, *allow_unsigned)
+            }
+            (None, None) => Ok(Gate::new(None, *allow_unsigned)),
         }
     }
 
@@ -543,6 +566,11 @@ impl FirmwareConfig {
             }),
         }
     }
+}
+
+/// Makes the folder of the state if it is not there, closed to others: a key will lie in it.
+fn make_folder(folder: &Path) -> std::io::Result<()> {
+    std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)
 }
 
 fn seconds(ns: u64) -> f64 {

@@ -14,6 +14,7 @@ pub mod program;
 pub mod rate;
 pub mod realtime;
 pub mod replay;
+pub mod saved;
 pub mod stack;
 pub mod step;
 pub mod timing;

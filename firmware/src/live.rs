@@ -8,6 +8,7 @@ use crate::ports::router::{RoutedLinks, RoutingCounters};
 use crate::ports::{Clock, Link};
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
+use crate::saved::{ParameterKeeper, SavedError};
 use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -42,6 +43,9 @@ pub enum LiveError {
     /// The guidance configuration must not fly, or the actor is refused.
     #[error(transparent)]
     Stack(#[from] crate::step::StackError),
+    /// Parameters that were kept are refused.
+    #[error(transparent)]
+    Saved(#[from] SavedError),
     /// No thread for the console.
     #[error("cannot start the console thread: {0}")]
     Console(std::io::Error),
@@ -202,6 +206,7 @@ pub struct LiveLoop {
     last: StepReport,
     used_frames: u64,
     console: Console,
+    parameters: Option<ParameterKeeper>,
     _domain: Domain,
 }
 
@@ -211,6 +216,13 @@ impl LiveLoop {
     /// # Errors
     /// [`LiveError`], each telling what to do.
     pub fn open(config: &FirmwareConfig) -> Result<Self, LiveError> {
+        // Parameters that were kept are part of the configuration that flies, and that the log holds.
+        let mut config = config.clone();
+        let saved = match config.state.directory.clone() {
+            Some(folder) => Some(ParameterKeeper::load(&folder, &mut config)?),
+            None => None,
+        };
+        let config = &config;
         let mut clock = MonotonicClock;
         let domain = Domain::open(config.instance, "firmware")?;
         let frames = SharedFrames::new(FrameSubscriber::create(&domain, DEPTH_TOPIC)?);
@@ -219,7 +231,11 @@ impl LiveLoop {
             pending: Box::default(),
         };
         let recorder = start_recorder(config, clock.now_ns())?;
-        let firmware = Firmware::of(config, recorder)?;
+        let mut firmware = Firmware::of(config, recorder)?;
+        let parameters = match saved {
+            Some(saved) => Some(saved.start(firmware.parameters())?),
+            None => None,
+        };
         let now_ns = clock.now_ns();
         let offset_ns = Nanos::from(config.rate.offset_ms) * 1_000_000;
         Ok(Self {
@@ -235,6 +251,7 @@ impl LiveLoop {
             last: StepReport::default(),
             used_frames: 0,
             console: Console::start(now_ns).map_err(LiveError::Console)?,
+            parameters,
             _domain: domain,
         })
     }
@@ -255,6 +272,9 @@ impl LiveLoop {
             .firmware
             .step(timing, &mut self.clock, &mut self.frames, &mut self.link);
         self.console.observe(&report);
+        if let Some(keeper) = &mut self.parameters {
+            keeper.observe(self.firmware.parameters());
+        }
         self.console.refused(report.now_ns, self.link.link.signing_refused());
         if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
             self.used_frames += 1;

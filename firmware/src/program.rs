@@ -119,6 +119,11 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "DIR")]
     pub log: Option<PathBuf>,
 
+    /// Folder that keeps a signing key that came by SETUP_SIGNING, and parameters that were set, over restarts. Without it
+    /// they end with the process.
+    #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
+    pub state: Option<PathBuf>,
+
     /// File with the course's obstacles, for display in the log only.
     #[arg(long, value_name = "FILE", requires = "log")]
     pub scene: Option<PathBuf>,
@@ -233,6 +238,7 @@ impl FirmwareArgs {
             config.height_m = height_m;
             config.goal.iter_mut().for_each(|goal| goal.height_m = None);
         }
+        config.state.directory = self.state.clone().or(config.state.directory);
         config.log.directory = self.log.clone().or(config.log.directory);
         config.log.scene = self.scene.clone().or(config.log.scene);
         Ok(config)

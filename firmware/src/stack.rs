@@ -14,7 +14,7 @@ use crate::frame_keeper::FrameKeeper;
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, framing};
+use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, framing};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{
@@ -224,6 +224,11 @@ impl FlightStack {
             // Set on the ground only, where the pilot remembers nothing of use.
             *pilot = GeometricPilot::new(self.tunables.pilot);
         }
+    }
+
+    /// The parameters and their values in force.
+    pub fn parameters(&mut self) -> &Parameters {
+        self.companion.parameters()
     }
 
     /// What the link refused or dropped, since start.

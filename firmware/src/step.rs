@@ -6,7 +6,7 @@ use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_detector::{DetectorFileError, MonitorError};
 use vigil_guidance::ConfigError;
-use vigil_link::LinkCounters;
+use vigil_link::{LinkCounters, Parameters};
 use vigil_log::Recorder;
 use vigil_policy::ActorFileError;
 use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
@@ -108,6 +108,11 @@ impl Firmware {
     pub fn shut_down(&mut self, now_ns: Nanos, link: &mut impl Link) {
         self.stack.shut_down(now_ns, &mut self.output.sent);
         link.send(&self.output.sent);
+    }
+
+    /// The parameters and their values in force.
+    pub fn parameters(&mut self) -> &Parameters {
+        self.stack.parameters()
     }
 
     /// What the link refused or dropped, since start.

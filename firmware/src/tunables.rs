@@ -87,6 +87,11 @@ impl Tunables {
         Parameters::new(all.get(..own).unwrap_or(&all))
     }
 
+    /// The table of a firmware with everything that can be set.
+    pub fn full_table(config: &StackConfig) -> Parameters {
+        Self::of(config, Some(LEAST_THRESHOLD)).parameters()
+    }
+
     /// Takes the table's values over.
     pub fn take(&mut self, parameters: &Parameters) {
         let real = |index, value: &mut f32| {

@@ -3,10 +3,12 @@
 mod common;
 
 use common::{PseudoTerminal, SENSOR_ID, TestVehicle, config};
+use std::io::{Read, Write};
 use std::net::UdpSocket;
-use std::os::unix::fs::PermissionsExt;
+use std::os::unix::fs::{PermissionsExt, symlink};
+use std::path::Path;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{Engage, SigningConfig};
+use vigil_firmware::config::{Engage, SigningConfig, StateConfig};
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
@@ -15,7 +17,7 @@ use vigil_firmware::step::Firmware;
 use vigil_link::MavHeader;
 use vigil_link::common::*;
 use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, packets, serialize};
-use vigil_link::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory, timestamp_of_unix_ns};
+use vigil_link::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns};
 use vigil_types::{Datagrams, Nanos, STEP_NS, StepTiming};
 
 const VEHICLE: (u8, u8) = (1, 1);
@@ -234,23 +236,192 @@ fn nobody_on_a_ground_link_is_taken_for_the_vehicle_and_nobody_at_all_for_the_gu
     assert_eq!(rig.vehicle.heard(), [(ME, COMMAND_LONG)]);
 }
 
+/// SETUP_SIGNING of the first station.
+fn setup(target: (u8, u8), key: [u8; 32]) -> Vec<u8> {
+    let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+        target_system: target.0,
+        target_component: target.1,
+        secret_key: key,
+        ..SETUP_SIGNING_DATA::DEFAULT
+    });
+    packet(STATION, &message)
+}
+
+/// A packet signed at this moment, or later by `ahead_s`.
+fn signed(key: [u8; 32], ahead_s: u64, bytes: &[u8]) -> Vec<u8> {
+    let unix = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap();
+    let at = timestamp_of_unix_ns(unix.as_nanos() as u64) + ahead_s * UNITS_PER_SECOND;
+    let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
+    let len = Signing::new(SigningKey(key), 0, SigningMemory::default())
+        .sign(at, bytes, &mut out)
+        .unwrap();
+    out[..len].to_vec()
+}
+
+/// A configuration that keeps its state there and hears signed packets only on the first ground link.
+fn with_state(folder: &Path) -> FirmwareConfig {
+    FirmwareConfig {
+        state: StateConfig {
+            directory: Some(folder.join("state")),
+        },
+        ..FirmwareConfig::default()
+    }
+}
+
+/// The texts in what somebody heard, and whether each packet was signed.
+fn texts(far: &Far) -> Vec<(String, bool)> {
+    let mut counters = FramingCounters::default();
+    let mut found = Vec::new();
+    for bytes in far.raw() {
+        for packet in packets(&bytes, &mut counters) {
+            if let Ok(MavMessage::STATUSTEXT(m)) = packet.message() {
+                found.push((m.text.to_str().unwrap().to_owned(), packet.is_signed()));
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn a_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_and_removed_by_a_key_of_zeros() {
+    const KEY: [u8; 32] = [0xC3; 32];
+    let folder = tempfile::tempdir().unwrap();
+    let config = with_state(folder.path());
+    let key_file = folder.path().join("state/firmware0.key");
+    let land = command(STATION, ME, MavCmd::MAV_CMD_NAV_LAND);
+    let captured = signed(KEY, 0, &land);
+    {
+        let mut rig = Rig::new(["", ""], config.gate().unwrap());
+        assert!(!key_file.exists(), "nothing is signed yet");
+        rig.stations[0].say(&setup(ME, KEY));
+        assert!(rig.step().is_empty(), "the flight stack and its log do not see the key");
+        for far in [&rig.vehicle, &rig.stations[0], &rig.stations[1]] {
+            assert_eq!(texts(far), [("signing key accepted".to_owned(), true)]);
+        }
+        for (bytes, passes) in [
+            (&captured, true),
+            (&captured, false),
+            (&signed([1; 32], 1, &land), false),
+            (&signed(KEY, 120, &land), false),
+            (&signed(KEY, 2, &land), true),
+        ] {
+            rig.stations[1].say(bytes);
+            assert_eq!(!rig.step().is_empty(), passes);
+        }
+        // A command of before comes again with another key, and then with the same: it stays refused.
+        for key in [[5; 32], KEY] {
+            rig.stations[0].say(&setup(ME, key));
+            rig.step();
+            rig.stations[1].say(&captured);
+            assert!(rig.step().is_empty());
+        }
+    }
+    let mode = std::fs::metadata(&key_file).unwrap().permissions().mode() & 0o777;
+    let folder_mode = std::fs::metadata(key_file.parent().unwrap())
+        .unwrap()
+        .permissions()
+        .mode()
+        & 0o777;
+    assert_eq!((mode, folder_mode), (0o600, 0o700));
+    {
+        let mut rig = Rig::new(["", ""], config.gate().unwrap());
+        for (bytes, passes) in [(&captured, false), (&signed(KEY, 10, &land), true)] {
+            rig.stations[0].say(bytes);
+            assert_eq!(!rig.step().is_empty(), passes, "after the restart");
+        }
+        rig.stations[0].say(&setup(ME, [0; 32]));
+        rig.step();
+        assert!(texts(&rig.stations[1]).contains(&("signing is off".to_owned(), false)));
+    }
+    assert!(!key_file.exists());
+    assert!(!config.gate().unwrap().has_key(), "and stays off");
+}
+
+#[test]
+fn who_does_not_pass_the_gate_sets_no_key_and_signing_is_not_switched_off_where_nobody_would_be_heard() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("vigil.key");
+    std::fs::write(&path, [7; 32]).unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let config = FirmwareConfig {
+        signing: SigningConfig {
+            key_file: Some(path.clone()),
+            allow_unsigned: AllowUnsigned::Loopback,
+        },
+        ..FirmwareConfig::default()
+    };
+    {
+        let mut rig = Rig::new([",unsigned=never", ""], config.gate().unwrap());
+        rig.stations[0].say(&setup(ME, [1; 32]));
+        rig.stations[0].say(&signed([1; 32], 0, &setup(ME, [1; 32])));
+        rig.step();
+        rig.hush();
+        rig.stations[0].say(&signed([7; 32], 0, &setup(ME, [0; 32])));
+        rig.step();
+        let told = texts(&rig.stations[0]);
+        assert_eq!(
+            told,
+            [("signing stays on: a link hears nobody without".to_owned(), true)]
+        );
+        // Who has the key may set another, which takes the place of the one in the file.
+        rig.stations[0].say(&signed([7; 32], 1, &setup(ME, [8; 32])));
+        rig.step();
+        rig.stations[0].say(&signed([8; 32], 2, &heartbeat(STATION)));
+        rig.step();
+        assert_eq!(rig.vehicle.heard().last(), Some(&(STATION, HEARTBEAT)));
+    }
+    assert_eq!(std::fs::read_to_string(&path).unwrap(), "08".repeat(32));
+}
+
+#[test]
+fn a_ground_stations_serial_line_that_disappears_and_returns_is_served_again_and_the_flight_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = folder.path().join("ttyStation");
+    let vehicle = Far::new();
+    let mut line = PseudoTerminal::open();
+    symlink(&line.device, &device).unwrap();
+    let ground = format!("serial://{}:57600,unsigned=always", device.display());
+    let gate = Gate::new(None, AllowUnsigned::Loopback);
+    let mut links = RoutedLinks::open(&vehicle.url().parse().unwrap(), &[ground.parse().unwrap()], gate).unwrap();
+    let mut sent = Datagrams::default();
+    sent.push(0, &heartbeat(ME));
+    let mut step = |at_step: Nanos| {
+        let mut received = Datagrams::default();
+        links.receive(at_step * STEP_NS, &mut received);
+        links.send(&sent);
+        received.len()
+    };
+    let land = command(STATION, ME, MavCmd::MAV_CMD_NAV_LAND);
+    line.master.write_all(&land).unwrap();
+    assert_eq!((1..100).map(&mut step).sum::<usize>(), 1);
+    assert_eq!(vehicle.heard().len(), 99);
+
+    drop(line);
+    std::fs::remove_file(&device).unwrap();
+    (100..200).for_each(|at| assert_eq!(step(at), 0));
+    assert_eq!(vehicle.heard().len(), 100, "each setpoint goes out");
+
+    line = PseudoTerminal::open();
+    symlink(&line.device, &device).unwrap();
+    // It is looked for once a second.
+    (200..230).for_each(|at| assert_eq!(step(at), 0));
+    line.master.write_all(&land).unwrap();
+    assert_eq!((230..330).map(&mut step).sum::<usize>(), 1);
+    let mut bytes = [0; 4096];
+    let len = line.master.read(&mut bytes).unwrap();
+    assert!(seen_in(&bytes[..len]).contains(&(ME, HEARTBEAT)), "and hears again");
+}
+
 #[test]
 fn a_signing_key_is_passed_on_to_nobody_and_is_not_in_the_log() {
     let mut rig = Rig::unsigned();
     rig.introduce();
-    let setup = |target: (u8, u8)| {
-        let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
-            target_system: target.0,
-            target_component: target.1,
-            secret_key: [9; 32],
-            ..SETUP_SIGNING_DATA::DEFAULT
-        });
-        packet(STATION, &message)
-    };
     for target in [VEHICLE, (0, 0), (254, 190)] {
-        rig.stations[0].say(&setup(target));
+        rig.stations[0].say(&setup(target, [9; 32]));
         // On the vehicle's link, behind something that may pass.
-        rig.vehicle.say(&[heartbeat((1, 50)), setup(target)].concat());
+        rig.vehicle.say(&[heartbeat((1, 50)), setup(target, [9; 32])].concat());
         assert_eq!(rig.step(), [(0, ((1, 50), HEARTBEAT))]);
         assert!(rig.vehicle.heard().is_empty());
         assert!(rig.stations[1].heard().iter().all(|(_, id)| *id == HEARTBEAT));
@@ -343,7 +514,7 @@ fn on_a_slow_line_to_the_vehicle_the_setpoints_go_first() {
         links.receive(step * STEP_NS, &mut Datagrams::default());
         links.send(&sent);
         let mut bytes = [0; 65_536];
-        while let Ok(len) = std::io::Read::read(&mut &line.master, &mut bytes) {
+        while let Ok(len) = (&line.master).read(&mut bytes) {
             framer.feed(&bytes[..len], &mut counters, |p| {
                 match (p.system_id(), p.component_id()) {
                     ME => {
@@ -405,16 +576,10 @@ fn each_link_has_its_own_signing_policy_and_what_was_taken_from_one_is_no_good_o
         [(2, (STATION, COMMAND_LONG))],
         "the first hears signed packets only"
     );
-    let unix = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .unwrap();
-    let mut signed = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
-    let len = Signing::new(SigningKey([7; 32]), 0, SigningMemory::default())
-        .sign(timestamp_of_unix_ns(unix.as_nanos() as u64), &land, &mut signed)
-        .unwrap();
-    rig.stations[0].say(&signed[..len]);
+    let signed = signed([7; 32], 0, &land);
+    rig.stations[0].say(&signed);
     assert_eq!(rig.step(), [(1, (STATION, COMMAND_LONG))]);
-    rig.stations[1].say(&signed[..len]);
+    rig.stations[1].say(&signed);
     assert!(rig.step().is_empty());
     assert_eq!(rig.links.statistics().signing.replayed, 1);
     // Everything that leaves is signed.

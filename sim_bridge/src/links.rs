@@ -226,7 +226,8 @@ mod tests {
     use std::net::{Ipv4Addr, TcpStream, UdpSocket};
     use std::os::unix::fs::PermissionsExt;
     use std::time::Duration;
-    use vigil_link::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_endpoint::{Endpoint, EndpointConfig};
+    use vigil_link::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA};
     use vigil_link::framing::{MAX_PACKET_LEN, serialize};
     use vigil_link::mavlink::MavHeader;
     use vigil_link::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
@@ -351,6 +352,122 @@ mod tests {
         links.send(LinkId(4), &packet(6));
         client.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
         assert!(client.read(&mut heard).unwrap() > packet(6).len());
+    }
+
+    #[test]
+    fn of_a_thousand_commands_each_only_the_rightly_signed_are_obeyed() {
+        let folder = tempfile::tempdir().unwrap();
+        let key_file = folder.path().join("vigil.key");
+        std::fs::write(&key_file, KEY.0).unwrap();
+        std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let config = LinksConfig {
+            instance: 91,
+            signing_key: Some(key_file),
+            allow_unsigned: AllowUnsigned::Never,
+            extra: Vec::new(),
+        };
+        let mut links = VehicleLinks::open(&config).unwrap();
+        let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
+        let station = station();
+        let set = |height_m: f32| {
+            let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+                target_system: 1,
+                target_component: 1,
+                param_id: "MIS_TAKEOFF_ALT".into(),
+                param_value: height_m,
+                param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+            });
+            let header = MavHeader {
+                system_id: 255,
+                component_id: 190,
+                sequence: 0,
+            };
+            let mut out = [0; MAX_PACKET_LEN];
+            let len = serialize(header, &message, &mut out).unwrap();
+            out[..len].to_vec()
+        };
+        let sign = |signing: &mut Signing, ahead: u64, packet: &[u8]| {
+            let mut out = [0; MAX_PACKET_LEN + 13];
+            let len = signing.sign(now() + ahead, packet, &mut out).unwrap();
+            out[..len].to_vec()
+        };
+        let fresh = |key| Signing::new(SigningKey(key), 0, SigningMemory::default());
+        let (mut right, mut other) = (fresh(KEY.0), fresh([4; 32]));
+        let mut kept = Vec::new();
+        let mut obeyed = [0; 5];
+        for i in 0..1000_usize {
+            let wanted_m = 1.0 + i as f32 * 0.01;
+            kept.push(sign(&mut right, 0, &set(wanted_m)));
+            let commands = [
+                kept[i].clone(),
+                set(50.0),
+                sign(&mut other, 0, &set(51.0)),
+                sign(&mut fresh(KEY.0), 61 * 100_000, &set(52.0)),
+                kept[i / 2].clone(),
+            ];
+            let mut height_m = vehicle.saved().parameters.get("MIS_TAKEOFF_ALT").copied();
+            for (count, command) in obeyed.iter_mut().zip(&commands) {
+                station.send_to(command, (Ipv4Addr::LOCALHOST, 14580 + 91)).unwrap();
+                links.receive(SECOND, |link, datagram| vehicle.receive(SECOND, link, datagram));
+                let now_m = vehicle.saved().parameters.get("MIS_TAKEOFF_ALT").copied();
+                *count += usize::from(now_m != height_m);
+                height_m = now_m;
+            }
+        }
+        // 2.50 m is the default, which is not among the saved: the step there and the one away from it are seen as well.
+        assert_eq!(obeyed, [1000, 0, 0, 0, 0]);
+        let c = links.signing();
+        assert_eq!((c.signed, c.unsigned, c.wrong_signature), (1000, 1000, 1000));
+        assert_eq!((c.from_the_future, c.replayed), (1000, 1000));
+    }
+
+    #[test]
+    fn a_serial_line_that_disappears_and_returns_is_heard_again_and_the_other_links_go_on() {
+        let folder = tempfile::tempdir().unwrap();
+        let device = folder.path().join("tty");
+        let plug = || {
+            let (master, path) = pseudo_terminal();
+            let _ = std::fs::remove_file(&device);
+            std::os::unix::fs::symlink(path, &device).unwrap();
+            master
+        };
+        let mut line = plug();
+        let config = LinksConfig {
+            instance: 90,
+            extra: vec![
+                format!("serial://{}:57600,unsigned=always", device.display())
+                    .parse()
+                    .unwrap(),
+            ],
+            ..LinksConfig::default()
+        };
+        let mut links = VehicleLinks::open(&config).unwrap();
+        let station = station();
+        let say_by_udp = |bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 90)).unwrap();
+        line.write_all(&packet(1)).unwrap();
+        assert_eq!(passing(&mut links, SECOND), [(LinkId(3), packet(1))]);
+
+        drop(line);
+        std::fs::remove_file(&device).unwrap();
+        say_by_udp(&packet(2));
+        assert_eq!(passing(&mut links, 2 * SECOND), [(LinkId::API, packet(2))]);
+        links.send(LinkId(3), &packet(0));
+
+        line = plug();
+        // It is looked for once a second, and what was written before it was opened is not its.
+        passing(&mut links, 4 * SECOND);
+        line.write_all(&packet(3)).unwrap();
+        assert_eq!(passing(&mut links, 5 * SECOND), [(LinkId(3), packet(3))]);
+    }
+
+    /// The end of a cable and the device at its other end.
+    fn pseudo_terminal() -> (std::fs::File, String) {
+        use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        (master.into(), path)
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::links::{LinksConfig, VehicleLinks};
 use crate::lockstep::{FirmwarePort, fly_lockstep};
-use crate::state::StateFile;
+use crate::state::state_file;
 use crate::{CompanionView, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
@@ -163,7 +163,7 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     if let Some(folder) = &args.state {
-        config.saved = StateFile::in_folder(folder, args.instance).load()?;
+        config.saved = state_file(folder, args.instance).load()?;
     }
     if !args.lockstep {
         // In lockstep nobody else is on the link, and the flight must not depend on the instance.
@@ -237,10 +237,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
     // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
     let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
     let mut simulator = Simulator::new(config, epoch_ns)?;
-    let mut state = args
-        .state
-        .as_ref()
-        .map(|folder| StateFile::in_folder(folder, args.instance));
+    let mut state = args.state.as_ref().map(|folder| state_file(folder, args.instance));
     let mut companion = CompanionView::default();
     let mut elapsed_ms = 0u64;
     let mut ended_at_ms = None;

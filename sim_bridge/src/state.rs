@@ -1,69 +1,12 @@
 //! The file that keeps a vehicle's parameters and plans over restarts.
 
-use anyhow::{Context, Result};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use vigil_endpoint::Saved;
+use vigil_ports::state::StateFile;
 
-/// `vehicleN.toml` in a folder, written when something changed.
-pub(crate) struct StateFile {
-    path: PathBuf,
-    /// What the file holds, as far as known.
-    stored: Option<String>,
-    failing: bool,
-}
-
-impl StateFile {
-    /// The file of a vehicle.
-    pub fn in_folder(folder: &Path, instance: u32) -> Self {
-        Self {
-            path: folder.join(format!("vehicle{instance}.toml")),
-            stored: None,
-            failing: false,
-        }
-    }
-
-    /// What an earlier run left; nothing if there was none. The vehicle checks names and limits.
-    ///
-    /// # Errors
-    /// The file cannot be read or holds wrong types; the message names file, line and field.
-    pub fn load(&self) -> Result<Saved> {
-        let path = self.path.display();
-        match std::fs::read_to_string(&self.path) {
-            Ok(text) => toml::from_str(&text).with_context(|| format!("{path}: mend or delete it")),
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(Saved::default()),
-            Err(e) => Err(e).with_context(|| format!("cannot read {path}")),
-        }
-    }
-
-    /// Writes what changed. A disk that refuses is told once and does not end the flight.
-    pub fn store(&mut self, saved: &Saved) {
-        // NaN differs from itself, its text does not.
-        let Ok(text) = toml::to_string(saved) else {
-            return;
-        };
-        if self.stored.as_ref() == Some(&text) {
-            return;
-        }
-        let result = self.write(&text);
-        match result {
-            Ok(()) => self.stored = Some(text),
-            Err(e) if !self.failing => {
-                tracing::warn!("cannot store {}: {e}; it will be tried again", self.path.display())
-            }
-            Err(_) => {}
-        }
-        self.failing = self.stored.is_none();
-    }
-
-    fn write(&self, text: &str) -> std::io::Result<()> {
-        if let Some(folder) = self.path.parent() {
-            std::fs::create_dir_all(folder)?;
-        }
-        let new = self.path.with_extension("toml.new");
-        std::fs::write(&new, text)?;
-        // In place at once: whoever is killed here leaves the old state or the new one.
-        std::fs::rename(&new, &self.path)
-    }
+/// The file of a vehicle.
+pub(crate) fn state_file(folder: &Path, instance: u32) -> StateFile<Saved> {
+    StateFile::in_folder(folder, &format!("vehicle{instance}"))
 }
 
 #[cfg(test)]
@@ -72,14 +15,14 @@ mod tests {
     use crate::{SimConfig, Simulator};
     use vigil_world::{Family, generate};
 
-    fn load(text: &str) -> Result<Saved> {
+    fn load(text: &str) -> anyhow::Result<Saved> {
         let folder = tempfile::tempdir()?;
         std::fs::write(folder.path().join("vehicle3.toml"), text)?;
-        StateFile::in_folder(folder.path(), 3).load()
+        Ok(state_file(folder.path(), 3).load()?)
     }
 
     /// Starts a vehicle with a state; why it does not start, or what it would save.
-    fn start(text: &str) -> Result<Saved> {
+    fn start(text: &str) -> anyhow::Result<Saved> {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.saved = load(text)?;
         Ok(Simulator::new(&config, 0)?.saved())
@@ -94,7 +37,7 @@ mod tests {
         .replacen("[[rally]]\ncommand = 16", "[[rally]]\ncommand = 5100", 1);
         let saved = start(&text).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        let mut file = StateFile::in_folder(&folder.path().join("made"), 3);
+        let mut file = state_file(&folder.path().join("made"), 3);
         assert_eq!(file.load().unwrap(), Saved::default(), "there is none yet");
         file.store(&saved);
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
@@ -110,6 +53,7 @@ mod tests {
         for (text, told) in [
             ("[parameters]\nMIS_TAKEOFF_ALT = \"high\"", "line 2"),
             ("[parameters]\nMIS_TAKEOFF_ALT = true", "vehicle3.toml"),
+            ("[parameters]\nMIS_TAKEOFF", "line 2"),
             ("parameters = 5", "line 1"),
             ("[[mission]]\ncommand = 70000", "u16"),
             ("[colours]\nsky = 1", "colours"),
@@ -132,7 +76,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let blocked = folder.path().join("file");
         std::fs::write(&blocked, "in the way").unwrap();
-        let mut file = StateFile::in_folder(&blocked, 0);
+        let mut file = state_file(&blocked, 0);
         file.store(&Saved::default());
         std::fs::remove_file(&blocked).unwrap();
         file.store(&Saved::default());

@@ -30,4 +30,4 @@ pub use mavlink;
 pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};
 pub use operator::PendingRequest;
-pub use parameters::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters};
+pub use parameters::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};

@@ -51,6 +51,25 @@ pub struct Parameter {
     pub in_flight: bool,
 }
 
+/// Why a value from a file is no value of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum ValueError {
+    /// There is no parameter of that name.
+    #[error("there is no parameter of that name")]
+    NoSuchName,
+    /// The value is not within the limits.
+    #[error("allowed: {least} to {greatest}")]
+    OutOfRange {
+        /// Least value.
+        least: f32,
+        /// Greatest value.
+        greatest: f32,
+    },
+    /// An integer parameter takes whole numbers.
+    #[error("it takes whole numbers")]
+    NotWhole,
+}
+
 /// Why a parameter was not set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum SetRefusal {
@@ -136,6 +155,31 @@ impl Parameters {
     /// A parameter's value, by its place in the table.
     pub fn value(&self, index: usize) -> Option<ParameterValue> {
         self.all.get(index).map(|p| p.value)
+    }
+
+    /// All parameters, in the table's order.
+    pub fn all(&self) -> &[Parameter] {
+        &self.all
+    }
+
+    /// The value of the type and within the limits of the parameter of that name, as a file tells it.
+    ///
+    /// # Errors
+    /// What is wrong: no such name, not a whole number, out of range.
+    pub fn check(&self, name: &str, value: f64) -> Result<ParameterValue, ValueError> {
+        let parameter = self.all.iter().find(|p| p.name == name).ok_or(ValueError::NoSuchName)?;
+        let (least, greatest) = (parameter.least, parameter.greatest);
+        // A file has decimals, the limits are the floats next to them.
+        let rounded = value as f32;
+        // NaN is in no range.
+        if !(least..=greatest).contains(&rounded) {
+            return Err(ValueError::OutOfRange { least, greatest });
+        }
+        match parameter.value {
+            ParameterValue::Real(_) => Ok(ParameterValue::Real(rounded)),
+            ParameterValue::Integer(_) if libm::trunc(value) == value => Ok(ParameterValue::Integer(value as i32)),
+            ParameterValue::Integer(_) => Err(ValueError::NotWhole),
+        }
     }
 
     /// Whether a value was set since the last call.

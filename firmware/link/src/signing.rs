@@ -181,6 +181,15 @@ impl Signing {
         }
     }
 
+    /// The same with another key, and the memory that begins with it; what was counted stays.
+    pub fn rekeyed(&self, key: SigningKey, memory: SigningMemory) -> Self {
+        Self {
+            key,
+            memory,
+            ..self.clone()
+        }
+    }
+
     /// What to keep over a restart.
     pub fn memory(&self) -> &SigningMemory {
         &self.memory

@@ -6,6 +6,7 @@ pub use files::{SigningFileError, read_key};
 
 use files::Keeper;
 use serde::{Deserialize, Serialize};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, packets};
@@ -52,6 +53,10 @@ impl AllowUnsigned {
 pub struct Gate {
     signing: Option<Signing>,
     keeper: Option<Keeper>,
+    /// The key's file was made by a program and may be removed by one.
+    owns_key_file: bool,
+    /// What replay protection knew when there was no key, or there was one last.
+    past: SigningMemory,
     allow_unsigned: AllowUnsigned,
     clock: fn() -> Timestamp,
     now: Timestamp,
@@ -74,6 +79,8 @@ impl Gate {
         Self {
             signing,
             keeper: None,
+            owns_key_file: false,
+            past: SigningMemory::default(),
             allow_unsigned,
             clock: wall_clock,
             now: 0,
@@ -95,6 +102,26 @@ impl Gate {
         let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
         let mut gate = Self::new(Some(Signing::new(key, 0, memory)), allow_unsigned);
         gate.keeper = Some(keeper);
+        Ok(gate)
+    }
+
+    /// A gate whose key, if there is one, came by SETUP_SIGNING and was kept in `key_file`: without that file it begins
+    /// without a key. What comes later is kept there too.
+    ///
+    /// # Errors
+    /// [`SigningFileError`]: a file that is not a key or that others can read, or a state that cannot be kept.
+    pub fn with_kept_key(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
+        let key = match read_key(key_file) {
+            Ok(key) => Some(key),
+            Err(SigningFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
+            Err(other) => return Err(other),
+        };
+        let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
+        let signing = key.map(|key| Signing::new(key, 0, memory.clone()));
+        let mut gate = Self::new(signing, allow_unsigned);
+        gate.keeper = Some(keeper);
+        gate.owns_key_file = true;
+        gate.past = memory;
         Ok(gate)
     }
 
@@ -141,13 +168,31 @@ impl Gate {
     /// or what they were, whichever is later, but never from more than a minute ahead. A key that came from a file is
     /// replaced there too.
     pub fn set_key(&mut self, key: SigningKey, newest: Timestamp) {
-        let mut memory = SigningMemory::default();
-        let known = self.signing.as_ref().map_or(0, |s| s.memory().newest);
-        memory.newest = known.max(newest.min((self.clock)() + MAX_AHEAD));
+        // The streams' times stay: the same key again must not make good what was accepted before.
+        let mut memory = self.signing.as_ref().map_or(&self.past, Signing::memory).clone();
+        memory.newest = memory.newest.max(newest.min((self.clock)() + MAX_AHEAD));
         if let Some(keeper) = &mut self.keeper {
             keeper.replace_key(key, memory.clone().ahead(STORE_AHEAD));
         }
-        self.signing = Some(Signing::new(key, 0, memory));
+        self.signing = Some(match &self.signing {
+            Some(signing) => signing.rekeyed(key, memory),
+            None => Signing::new(key, 0, memory),
+        });
+    }
+
+    /// From now on neither signs nor verifies, as SETUP_SIGNING with a key of zeros asks. A key that came by
+    /// SETUP_SIGNING is removed from its file; one from the user's own file is in force again at the next start, and then
+    /// the answer is `false`.
+    pub fn remove_key(&mut self) -> bool {
+        if let Some(signing) = self.signing.take() {
+            self.past = signing.memory().clone();
+            self.counters = *signing.counters();
+        }
+        match &mut self.keeper {
+            Some(keeper) if self.owns_key_file => keeper.remove_key(self.past.clone()),
+            other => return other.is_none(),
+        }
+        true
     }
 
     /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything
@@ -325,6 +370,21 @@ mod tests {
         let mut timestamp = [0; 8];
         timestamp[..6].copy_from_slice(&sealed[stamp..stamp + 6]);
         assert_eq!(u64::from_le_bytes(timestamp), NOW + MAX_AHEAD + 1);
+    }
+
+    #[test]
+    fn without_a_key_anymore_nothing_is_signed_and_what_was_counted_stays() {
+        let mut gate = gate(Some(signing()), AllowUnsigned::Loopback);
+        let taken = signed(0);
+        assert_eq!(admitted(&mut gate, true, &taken).len(), 1);
+        assert!(gate.remove_key());
+        assert_eq!(gate.seal(&heartbeat(3)), heartbeat(3));
+        assert_eq!((gate.has_key(), gate.counters().signed), (false, 1));
+        gate.set_key(SigningKey([7; 32]), 0);
+        assert!(
+            admitted(&mut gate, false, &taken).is_empty(),
+            "of before, with the same key again"
+        );
     }
 
     #[test]

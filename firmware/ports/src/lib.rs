@@ -1,11 +1,12 @@
 //! MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`], [`link_url`], [`link_spec`]), several at once
-//! ([`router`]), and who may speak on a link ([`gate`]): shared by the flight stack and the simulated vehicle.
+//! ([`router`]), who may speak on a link ([`gate`]), and files that outlive a restart ([`state`]): shared by the flight stack and the simulated vehicle.
 
 pub mod gate;
 pub mod link_spec;
 pub mod link_url;
 pub mod links;
 pub mod router;
+pub mod state;
 
 use vigil_types::{Datagrams, Nanos};
 

@@ -6,17 +6,20 @@
 //! - Nobody on a ground link is taken for the vehicle's autopilot, and nobody at all for the guidance computer.
 //! - No link can use up what another needs: each is read into room of its own, packets are passed on in turn, the guidance
 //!   computer's own packets go first, and the flight stack gets a few packets of each ground link per step.
-//! - A signing key is passed on to nobody.
+//! - A signing key is passed on to nobody. One for the guidance computer is put into force here, before the flight stack
+//!   and its log could see it.
 
 use crate::Link;
 use crate::gate::Gate;
 use crate::link_spec::{Budget, LinkSpec};
 use crate::link_url::LinkUrl;
 use crate::links::{Door, LinkError, LinkStatistics, SerialWire, TcpWire, UdpPeers, UdpWire, Wire, somebody_is_heard};
-use vigil_link::common::SETUP_SIGNING_DATA;
-use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber};
+use vigil_link::common::{MavSeverity, SETUP_SIGNING_DATA, STATUSTEXT_DATA};
+use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
 use vigil_link::mavlink::MessageData;
 use vigil_link::routing::{ComponentId, LinkSet, MAX_LINKS, Routing};
+use vigil_link::signing::{SIGNATURE_LEN, SigningKey, Timestamp};
+use vigil_link::{MavHeader, MavMessage};
 use vigil_types::{Datagrams, Nanos};
 
 /// Links for ground stations, besides the vehicle's.
@@ -34,8 +37,6 @@ const GROUND_BYTES: usize = GROUND_COUNT * 280;
 const BURST_BYTES: f64 = 4096.0;
 /// The share of a burst that is kept for them.
 const OWN_SHARE: f64 = 0.25;
-/// Bytes that a signature adds.
-const SIGNATURE_LEN: usize = 13;
 
 /// What became of packets between links, since start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -142,6 +143,8 @@ struct Switch {
     counters: RoutingCounters,
     now_ns: Nanos,
     signature_len: usize,
+    /// The newest SETUP_SIGNING for the guidance computer: key and timestamp.
+    setup: Option<([u8; 32], Timestamp)>,
 }
 
 impl Switch {
@@ -163,6 +166,7 @@ impl Switch {
             self.routing.note(self.now_ns, id_of(packet), from);
         }
         if is_secret(packet) {
+            self.set_up(packet);
             return;
         }
         let target = packet.target();
@@ -175,6 +179,15 @@ impl Switch {
         });
         if from != VEHICLE && for_own {
             self.give(packet.raw(), from, received);
+        }
+    }
+
+    /// To everybody or to another component it is ignored: a key is given to one.
+    fn set_up(&mut self, packet: &Packet<'_>) {
+        if packet.target() == Some((self.own.system, self.own.component))
+            && let Ok(MavMessage::SETUP_SIGNING(m)) = packet.message()
+        {
+            self.setup = Some((m.secret_key, m.initial_timestamp));
         }
     }
 
@@ -258,6 +271,8 @@ pub struct RoutedLinks {
     switch: Switch,
     gate: Gate,
     inboxes: Vec<Datagrams>,
+    /// What is to be told to everybody in this step.
+    text: Option<&'static str>,
 }
 
 impl RoutedLinks {
@@ -286,7 +301,9 @@ impl RoutedLinks {
                 counters: RoutingCounters::default(),
                 now_ns: 0,
                 signature_len: 0,
+                setup: None,
             },
+            text: None,
             gate,
         })
     }
@@ -311,6 +328,43 @@ impl RoutedLinks {
         self.switch.counters
     }
 
+    /// Does what SETUP_SIGNING asks, and tells what came of it. Whoever passes the gate may ask.
+    fn set_up(&mut self, key: [u8; 32], timestamp: Timestamp) -> &'static str {
+        if key != [0; 32] {
+            self.gate.set_key(SigningKey(key), timestamp);
+            return "signing key accepted";
+        }
+        let heard_without = |port: &Port| {
+            let policy = port.spec.allow_unsigned.unwrap_or_default();
+            somebody_is_heard(&port.spec.url, false, policy).is_ok()
+        };
+        if !self.switch.ports.iter().all(heard_without) {
+            return "signing stays on: a link hears nobody without";
+        }
+        match self.gate.remove_key() {
+            true => "signing is off",
+            false => "signing is off until the next start",
+        }
+    }
+
+    fn say_text(&mut self, text: &str) {
+        let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+            severity: MavSeverity::MAV_SEVERITY_NOTICE,
+            text: text.into(),
+            ..STATUSTEXT_DATA::DEFAULT
+        });
+        let own = self.switch.own;
+        let header = MavHeader {
+            system_id: own.system.into(),
+            component_id: own.component,
+            sequence: 0,
+        };
+        let mut packet = [0; MAX_PACKET_LEN];
+        // Every packet fits MAX_PACKET_LEN.
+        let len = serialize(header, &message, &mut packet).unwrap_or(0);
+        self.switch.say(VEHICLE, packet.get(..len).unwrap_or_default());
+    }
+
     /// Packets that signing refused on all links, since start.
     pub fn signing_refused(&self) -> u64 {
         self.gate.counters().refused()
@@ -319,7 +373,9 @@ impl RoutedLinks {
 
 impl Link for RoutedLinks {
     fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
-        let Self { switch, gate, inboxes } = self;
+        let Self {
+            switch, gate, inboxes, ..
+        } = self;
         gate.begin(now_ns);
         switch.now_ns = now_ns;
         switch.signature_len = if gate.has_key() { SIGNATURE_LEN } else { 0 };
@@ -336,28 +392,18 @@ impl Link for RoutedLinks {
         for (_, datagram) in inboxes.first().iter().flat_map(|inbox| inbox.iter()) {
             give_of_vehicle(switch, datagram, received);
         }
-        // In turn, a datagram of each link at a time: who sends much waits for himself only.
-        let mut heads: [_; MAX_LINKS] = core::array::from_fn(|link| inboxes.get(link).map(|inbox| inbox.iter()));
-        let mut framing = FramingCounters::default();
-        loop {
-            let mut all_read = true;
-            for (link, head) in (0..).zip(&mut heads) {
-                if let Some((_, datagram)) = head.as_mut().and_then(Iterator::next) {
-                    all_read = false;
-                    for packet in packets(datagram, &mut framing) {
-                        switch.route(&packet, link, received);
-                    }
-                }
-            }
-            if all_read {
-                break;
-            }
+        route_in_turn(switch, inboxes, received);
+        if let Some((key, timestamp)) = self.switch.setup.take() {
+            self.text = Some(self.set_up(key, timestamp));
         }
     }
 
     fn send(&mut self, sent: &Datagrams) {
         for (link, packet) in sent.iter() {
             self.switch.say(link, packet);
+        }
+        if let Some(text) = self.text.take() {
+            self.say_text(text);
         }
         for port in &mut self.switch.ports {
             port.wire.send(&mut self.gate, &port.own);
@@ -387,5 +433,26 @@ fn give_of_vehicle(switch: &mut Switch, datagram: &[u8], received: &mut Datagram
     }
     for packet in packets(datagram, &mut framing).filter(may_pass) {
         give(packet.raw());
+    }
+}
+
+/// Routes what came on all links.
+fn route_in_turn(switch: &mut Switch, inboxes: &[Datagrams], received: &mut Datagrams) {
+    // In turn, a datagram of each link at a time: who sends much waits for himself only.
+    let mut heads: [_; MAX_LINKS] = core::array::from_fn(|link| inboxes.get(link).map(|inbox| inbox.iter()));
+    let mut framing = FramingCounters::default();
+    loop {
+        let mut all_read = true;
+        for (link, head) in (0..).zip(&mut heads) {
+            if let Some((_, datagram)) = head.as_mut().and_then(Iterator::next) {
+                all_read = false;
+                for packet in packets(datagram, &mut framing) {
+                    switch.route(&packet, link, received);
+                }
+            }
+        }
+        if all_read {
+            break;
+        }
     }
 }

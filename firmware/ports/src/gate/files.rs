@@ -126,8 +126,8 @@ fn key_of(bytes: &[u8]) -> Option<SigningKey> {
 /// What is to be written.
 enum Job {
     State(SigningMemory),
-    /// Another key, and the state that begins with it.
-    Key(SigningKey, SigningMemory),
+    /// Another key or none, and the state that begins with it.
+    Key(Option<SigningKey>, SigningMemory),
 }
 
 /// Writes states and keys to their files, from a thread of its own: the loop must not wait for a disk.
@@ -163,7 +163,11 @@ impl Keeper {
                         newest = Some(match job {
                             Job::State(state) => state,
                             Job::Key(key, state) => {
-                                if let Err(e) = write_key(&key_file, &key) {
+                                let result = match &key {
+                                    Some(key) => write_key(&key_file, key),
+                                    None => std::fs::remove_file(&key_file),
+                                };
+                                if let Err(e) = result {
                                     let file = key_file.display();
                                     tracing::warn!("signing key {file}: {e}; after a restart the old key is in force");
                                 }
@@ -207,6 +211,15 @@ impl Keeper {
 
     /// Has the key replaced in its file, and the state that begins with it written. Never waits.
     pub fn replace_key(&mut self, key: SigningKey, memory: SigningMemory) {
+        self.store_key(Some(key), memory);
+    }
+
+    /// Has the key's file removed, and the state stored for the next key. Never waits.
+    pub fn remove_key(&mut self, memory: SigningMemory) {
+        self.store_key(None, memory);
+    }
+
+    fn store_key(&mut self, key: Option<SigningKey>, memory: SigningMemory) {
         if let Some(ring) = &mut self.ring
             && ring.push(Job::Key(key, memory)).is_err()
         {
@@ -243,10 +256,14 @@ fn write_key(path: &Path, key: &SigningKey) -> std::io::Result<()> {
 fn replace(path: &Path, text: &str) -> std::io::Result<()> {
     let mut temporary = path.as_os_str().to_owned();
     temporary.push(".new");
+    // What a killed run left; it must be a new file, with this mode, or others might read it or have put a link there.
+    match std::fs::remove_file(&temporary) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
+        _ => {}
+    }
     let mut file = std::fs::OpenOptions::new()
         .write(true)
-        .create(true)
-        .truncate(true)
+        .create_new(true)
         .mode(0o600)
         .open(&temporary)?;
     file.write_all(text.as_bytes())?;

@@ -1,0 +1,114 @@
+//! Files that keep what outlives a restart: tables that people can read, written as a whole.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+/// Why a state cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum StateError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file's content is not accepted; it is left as it is.
+    #[error("{path}: mend or delete it: {message}")]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// The parser's report: line and field.
+        message: String,
+    },
+}
+
+/// `NAME.toml` in a folder, written when something changed.
+pub struct StateFile<T> {
+    path: PathBuf,
+    /// What the file holds, as far as known.
+    stored: Option<String>,
+    failing: bool,
+    content: PhantomData<T>,
+}
+
+impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
+    /// The file of that name, which need not be there.
+    pub fn in_folder(folder: &Path, name: &str) -> Self {
+        Self {
+            path: folder.join(format!("{name}.toml")),
+            stored: None,
+            failing: false,
+            content: PhantomData,
+        }
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What an earlier run left; the default if there was none. Whose state it is checks names and limits.
+    ///
+    /// # Errors
+    /// [`StateError`]: the file cannot be read, is damaged or holds wrong types; the message names file, line and field.
+    pub fn load(&self) -> Result<T, StateError> {
+        match std::fs::read(&self.path) {
+            Ok(bytes) => {
+                let text = std::str::from_utf8(&bytes).map_err(|e| self.refused(&e.to_string()))?;
+                toml::from_str(text).map_err(|e| self.refused(&e.to_string()))
+            }
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
+            Err(source) => Err(StateError::Read {
+                path: self.path.clone(),
+                source,
+            }),
+        }
+    }
+
+    /// The error that names the file.
+    pub fn refused(&self, message: &str) -> StateError {
+        StateError::Content {
+            path: self.path.clone(),
+            message: message.to_owned(),
+        }
+    }
+
+    /// Writes what changed. A disk that refuses is told once and does not end the flight.
+    pub fn store(&mut self, saved: &T) {
+        // NaN differs from itself, its text does not.
+        let Ok(text) = toml::to_string(saved) else {
+            return;
+        };
+        if self.stored.as_ref() == Some(&text) {
+            return;
+        }
+        let result = self.write(&text);
+        match result {
+            Ok(()) => self.stored = Some(text),
+            Err(e) if !self.failing => {
+                tracing::warn!("cannot store {}: {e}; it will be tried again", self.path.display())
+            }
+            Err(_) => {}
+        }
+        self.failing = self.stored.is_none();
+    }
+
+    fn write(&self, text: &str) -> std::io::Result<()> {
+        if let Some(folder) = self.path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        let new = self.path.with_extension("toml.new");
+        std::fs::write(&new, text)?;
+        // In place at once: whoever is killed here leaves the old state or the new one.
+        std::fs::rename(&new, &self.path)
+    }
+}
+
+/// A float as people write it: 0.4, not the double next to it.
+pub fn exact(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or(f64::from(value))
+}

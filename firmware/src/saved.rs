@@ -1,0 +1,279 @@
+//! Parameters of the guidance computer that were set over MAVLink, kept over restarts (docs/firmware.md, "State").
+
+use crate::config::{AlarmChoice, AtGoalChoice, FirmwareConfig};
+use crate::tunables::Tunables;
+use rtrb::{Producer, RingBuffer};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::thread::JoinHandle;
+use std::time::Duration;
+use vigil_guidance::{AlarmPolicy, AtGoal};
+use vigil_link::{ParameterValue, Parameters};
+use vigil_ports::state::{StateError, StateFile, exact};
+
+/// Tables that may wait to be stored; the newest is offered again in the next step.
+const CAPACITY: usize = 8;
+/// How often the writer looks.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Why parameters cannot be kept.
+#[derive(Debug, thiserror::Error)]
+pub enum SavedError {
+    /// The file is refused.
+    #[error(transparent)]
+    File(#[from] StateError),
+    /// No thread for the writer.
+    #[error("cannot start the thread that stores parameters: {0}")]
+    Thread(std::io::Error),
+}
+
+/// The file's content: parameters that were set, by name.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Saved {
+    parameters: BTreeMap<String, f64>,
+}
+
+/// What an earlier run left, put into the configuration.
+pub struct LoadedParameters {
+    file: StateFile<Saved>,
+    saved: Saved,
+}
+
+/// Has the file written when a parameter was set, by a thread of its own: the loop must not wait for a disk.
+pub struct ParameterKeeper {
+    // Dropped before the thread is joined: the writer ends when nobody can offer any more.
+    ring: Option<Producer<Parameters>>,
+    writer: Option<JoinHandle<()>>,
+    offered: Parameters,
+}
+
+impl ParameterKeeper {
+    /// Reads the file of an instance and puts what it holds into `config`, over what the configuration file and the
+    /// command line say.
+    ///
+    /// # Errors
+    /// A file that is damaged, or that holds a wrong type, an unknown name or a value out of range; it is left as it is.
+    pub fn load(folder: &Path, config: &mut FirmwareConfig) -> Result<LoadedParameters, SavedError> {
+        let file = StateFile::<Saved>::in_folder(folder, &format!("firmware{}", config.instance));
+        let saved = file.load()?;
+        let table = Tunables::full_table(&config.stack());
+        for (name, value) in &saved.parameters {
+            let checked = table
+                .check(name, *value)
+                .map_err(|e| file.refused(&format!("{name} = {value}: {e}")))?;
+            put(config, name, checked);
+        }
+        if !saved.parameters.is_empty() {
+            let names: Vec<_> = saved.parameters.keys().map(String::as_str).collect();
+            tracing::info!("from {}: {}", file.path().display(), names.join(", "));
+        }
+        Ok(LoadedParameters { file, saved })
+    }
+
+    /// Looks at the table after a step. Never waits and allocates nothing.
+    pub fn observe(&mut self, table: &Parameters) {
+        if *table != self.offered
+            && let Some(ring) = &mut self.ring
+            && ring.push(table.clone()).is_ok()
+        {
+            self.offered = table.clone();
+        }
+    }
+}
+
+impl LoadedParameters {
+    /// Starts the writer; `table` is what the flight begins with.
+    ///
+    /// # Errors
+    /// When the thread cannot be started.
+    pub fn start(self, table: &Parameters) -> Result<ParameterKeeper, SavedError> {
+        let Self { mut file, mut saved } = self;
+        let (ring, mut offered) = RingBuffer::<Parameters>::new(CAPACITY);
+        let begun_with = table.clone();
+        let writer = std::thread::Builder::new()
+            .name("parameters".to_owned())
+            .spawn(move || {
+                loop {
+                    let last_look = offered.is_abandoned();
+                    let mut changed = false;
+                    while let Ok(table) = offered.pop() {
+                        note(&mut saved, &begun_with, &table);
+                        changed = true;
+                    }
+                    if changed {
+                        file.store(&saved);
+                    }
+                    if last_look {
+                        return;
+                    }
+                    std::thread::sleep(PAUSE);
+                }
+            })
+            .map_err(SavedError::Thread)?;
+        Ok(ParameterKeeper {
+            ring: Some(ring),
+            writer: Some(writer),
+            offered: table.clone(),
+        })
+    }
+}
+
+impl Drop for ParameterKeeper {
+    fn drop(&mut self) {
+        self.ring = None;
+        if let Some(writer) = self.writer.take() {
+            // The writer does not panic; if it did, the file keeps what it has.
+            let _ = writer.join();
+        }
+    }
+}
+
+/// What was set stays in the file, also when it was set back; what was never set is left to the configuration.
+fn note(saved: &mut Saved, begun_with: &Parameters, table: &Parameters) {
+    for (now, before) in table.all().iter().zip(begun_with.all()) {
+        if now.value != before.value || saved.parameters.contains_key(now.name) {
+            let value = match now.value {
+                ParameterValue::Real(v) => exact(v),
+                ParameterValue::Integer(v) => v.into(),
+            };
+            saved.parameters.insert(now.name.to_owned(), value);
+        }
+    }
+}
+
+/// Puts a value that was checked where the configuration has it. docs/firmware.md has the same table.
+fn put(config: &mut FirmwareConfig, name: &str, value: ParameterValue) {
+    match (name, value) {
+        ("PLT_CRUISE", ParameterValue::Real(v)) => config.pilot.cruise_m_s = v,
+        ("PLT_APF_RANGE", ParameterValue::Real(v)) => config.pilot.repulsive_range_m = v,
+        ("GD_SPEED_LIM", ParameterValue::Real(v)) => config.limits.speed_m_s = v,
+        ("GD_GOAL_RAD", ParameterValue::Real(v)) => config.limits.goal_radius_m = v,
+        ("GD_AT_GOAL", ParameterValue::Integer(v)) => {
+            config.at_goal = match v == AtGoal::Land as i32 {
+                true => AtGoalChoice::Land,
+                false => AtGoalChoice::Hold,
+            }
+        }
+        ("DT_THRESH", ParameterValue::Real(v)) => config.detector.threshold = Some(v),
+        ("DT_ALARM", ParameterValue::Integer(v)) => {
+            config.detector.alarm = match v {
+                v if v == AlarmPolicy::Ignore as i32 => AlarmChoice::Ignore,
+                v if v == AlarmPolicy::Stop as i32 => AlarmChoice::Stop,
+                _ => AlarmChoice::Recover,
+            }
+        }
+        // `check` knows the names of the table only, and the tests put each of them here.
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Starts with a state; why it is refused, or the configuration that flies.
+    fn start(text: &[u8]) -> Result<FirmwareConfig, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("firmware0.toml");
+        std::fs::write(&path, text).unwrap();
+        let mut config = FirmwareConfig::default();
+        let result = ParameterKeeper::load(folder.path(), &mut config);
+        assert_eq!(std::fs::read(&path).unwrap(), text, "the bytes are kept");
+        result.map(|_| config).map_err(|e| e.to_string())
+    }
+
+    #[test]
+    fn each_parameter_of_the_table_is_kept_and_put_where_the_configuration_has_it() {
+        let mut config = FirmwareConfig::default();
+        let table = Tunables::full_table(&config.stack());
+        for parameter in table.all() {
+            let mut with = |value: f32| {
+                let checked = table.check(parameter.name, value.into()).unwrap();
+                put(&mut config, parameter.name, checked);
+                config.clone()
+            };
+            assert_ne!(with(parameter.least), with(parameter.greatest), "{}", parameter.name);
+        }
+    }
+
+    #[test]
+    fn what_was_set_is_in_force_after_a_restart_and_what_was_not_set_is_left_to_the_configuration() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = folder.path().join("made");
+        let mut config = FirmwareConfig::default();
+        let loaded = ParameterKeeper::load(&state, &mut config).unwrap();
+        assert_eq!(config, FirmwareConfig::default(), "there is none yet");
+        let begun_with = Tunables::of(&config.stack(), None).parameters();
+        let mut keeper = loaded.start(&begun_with).unwrap();
+        config.limits.speed_m_s = 0.7;
+        config.at_goal = AtGoalChoice::Land;
+        keeper.observe(&Tunables::of(&config.stack(), None).parameters());
+        drop(keeper);
+
+        let path = state.join("firmware0.toml");
+        let text = "[parameters]\nGD_AT_GOAL = 1.0\nGD_SPEED_LIM = 0.7\n";
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+        let mut again = FirmwareConfig::default();
+        again.pilot.cruise_m_s = 1.1;
+        let loaded = ParameterKeeper::load(&state, &mut again).unwrap();
+        assert_eq!((again.limits.speed_m_s, again.at_goal), (0.7, AtGoalChoice::Land));
+        assert_eq!(again.pilot.cruise_m_s, 1.1);
+
+        // Set back, it stays set: the configuration may say something else tomorrow.
+        let mut keeper = loaded.start(&Tunables::of(&again.stack(), None).parameters()).unwrap();
+        again.at_goal = AtGoalChoice::Hold;
+        keeper.observe(&Tunables::of(&again.stack(), None).parameters());
+        drop(keeper);
+        let text = "[parameters]\nGD_AT_GOAL = 0.0\nGD_SPEED_LIM = 0.7\n";
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+    }
+
+    #[test]
+    fn the_detectors_parameters_are_kept_while_it_is_off() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("firmware0.toml"), "[parameters]\nDT_THRESH = 0.4\n").unwrap();
+        let mut config = FirmwareConfig::default();
+        let loaded = ParameterKeeper::load(folder.path(), &mut config).unwrap();
+        assert_eq!(config.detector.threshold, Some(0.4));
+        let mut keeper = loaded.start(&Tunables::of(&config.stack(), None).parameters()).unwrap();
+        config.limits.goal_radius_m = 2.5;
+        keeper.observe(&Tunables::of(&config.stack(), None).parameters());
+        drop(keeper);
+        let text = std::fs::read_to_string(folder.path().join("firmware0.toml")).unwrap();
+        assert_eq!(text, "[parameters]\nDT_THRESH = 0.4\nGD_GOAL_RAD = 2.5\n");
+    }
+
+    #[test]
+    fn a_file_with_wrong_types_names_or_values_or_a_damaged_one_is_refused_by_name_and_kept() {
+        for (text, told) in [
+            ("[parameters]\nGD_SPEED_LIM = \"fast\"", "line 2"),
+            ("[parameters]\nGD_AT_GOAL = true", "GD_AT_GOAL"),
+            ("parameters = 5", "line 1"),
+            ("[colours]\nsky = 1", "colours"),
+            ("[parameters]\nGD_SPEED", "line 2"),
+            ("[parameters]\nGD_AT_GOAL = 0.5", "whole numbers"),
+            (
+                "[parameters]\nGD_SPEED_LIM = 99.0",
+                "GD_SPEED_LIM = 99: allowed: 0.1 to 1.5",
+            ),
+            ("[parameters]\nGD_SPEED_LIM = nan", "allowed: 0.1 to 1.5"),
+            ("[parameters]\nGD_SPEED_LIM = 1e300", "allowed: 0.1 to 1.5"),
+            ("[parameters]\nMPC_XY_CRUISE = 1.0", "no parameter of that name"),
+        ] {
+            let error = start(text.as_bytes()).unwrap_err();
+            assert!(error.contains("firmware0.toml: mend or delete it"), "{error}");
+            assert!(error.contains(told), "{text}: {error}");
+        }
+        assert!(
+            start(b"[parameters]\nGD_SPEED_LIM = 0.\xFF")
+                .unwrap_err()
+                .contains("firmware0.toml")
+        );
+        assert_eq!(
+            start(b"[parameters]\nGD_SPEED_LIM = 0.1").unwrap().limits.speed_m_s,
+            0.1
+        );
+    }
+}
