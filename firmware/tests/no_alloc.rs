@@ -8,12 +8,15 @@ use std::cell::Cell;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{LogConfig, PilotKind, RateConfig, SigningConfig};
+use vigil_firmware::config::{LogConfig, PilotKind, RateConfig, SigningConfig, StateConfig};
 use vigil_firmware::crew::Crew;
 use vigil_firmware::live::LiveLoop;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
+use vigil_link::MavHeader;
+use vigil_link::common::{MavMessage, MavParamType, PARAM_SET_DATA};
+use vigil_link::framing::{MAX_PACKET_LEN, serialize};
 use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_types::{GuidanceState, Reason, STEP_NS, StepTiming};
 
@@ -118,11 +121,7 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     let key = folder.path().join("vigil.key");
     std::fs::write(&key, [7; 32]).unwrap();
     std::fs::set_permissions(&key, std::fs::Permissions::from_mode(0o600)).unwrap();
-    let port = {
-        // A port that is free at this moment.
-        let probe = UdpSocket::bind("127.0.0.1:0").unwrap();
-        probe.local_addr().unwrap().port()
-    };
+    let port = free_port();
     let config = FirmwareConfig {
         instance: instance.0,
         link: Some(format!("udpin://127.0.0.1:{port}").parse().unwrap()),
@@ -134,6 +133,11 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
         log: LogConfig {
             directory: Some(folder.path().to_owned()),
             scene: None,
+        },
+        // A ground station's link, and parameters that are kept.
+        links: vec![format!("udpin://127.0.0.1:{}", free_port()).parse().unwrap()],
+        state: StateConfig {
+            directory: Some(folder.path().join("state")),
         },
         rate: RateConfig {
             priority: 0,
@@ -153,6 +157,9 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
         for (_, datagram) in vehicle.telemetry().iter() {
             socket.send(datagram).unwrap();
         }
+        if step == 30 {
+            socket.send(&set_goal_radius()).unwrap();
+        }
         let mut state = GuidanceState::Standby;
         let allocations = counted(|| state = flight.step().state);
         // In its first steps the transport maps the publisher's memory.
@@ -168,4 +175,34 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
     let summary = flight.finish();
     assert_eq!(summary.log.unwrap().records, summary.steps);
     assert!(summary.frames >= 55, "{}", summary.frames);
+
+    // What was set is kept, and a file that was damaged since is refused by name and left as it is.
+    let state = folder.path().join(format!("state/firmware{}.toml", instance.0));
+    let kept = std::fs::read_to_string(&state).unwrap();
+    assert_eq!(kept, "[parameters]\nGD_GOAL_RAD = 2.5\n");
+    std::fs::write(&state, &kept[..kept.len() - 5]).unwrap();
+    let error = LiveLoop::open(&config).err().unwrap().to_string();
+    assert!(
+        error.contains(state.to_str().unwrap()) && error.contains("line 2"),
+        "{error}"
+    );
+    assert_eq!(std::fs::read_to_string(&state).unwrap(), kept[..kept.len() - 5]);
+}
+
+/// A port that is free at this moment.
+fn free_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+fn set_goal_radius() -> Vec<u8> {
+    let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+        target_system: 1,
+        target_component: 191,
+        param_id: "GD_GOAL_RAD".into(),
+        param_value: 2.5,
+        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+    });
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(MavHeader::default(), &message, &mut out).unwrap();
+    out[..len].to_vec()
 }
