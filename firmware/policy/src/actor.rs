@@ -13,6 +13,9 @@ pub const BEARING_SCALE_RAD: f32 = 1.0;
 /// The field that is added to an actor takes surfaces within this angle of the nose: beyond it, it steers a second time
 /// around what the actor has already dealt with.
 pub const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
+/// ... and nearer than this, metres: the trained actor keeps about 1 m by itself, and the field is there for where it does not. With
+/// the paper's 3 m it steers where the actor has long decided (docs/training.md).
+pub const FIELD_RANGE_M: f32 = 1.2;
 
 /// The actor's positional inputs: distance in units of [`DISTANCE_SCALE_M`], bearing in units of [`BEARING_SCALE_RAD`].
 pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
@@ -61,7 +64,7 @@ impl Pilot for ActorPilot {
         };
         let own = Action { forward_m_s, yaw };
         if self.field && own.is_finite() {
-            apf::add(own, apf::force(input.goal, obstacle))
+            apf::add(own, apf::force(input.goal, obstacle, FIELD_RANGE_M))
         } else {
             own
         }

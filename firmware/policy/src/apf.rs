@@ -79,11 +79,11 @@ pub fn repulsion(obstacle: NearestObstacle, range_m: f32) -> Action {
     .clipped()
 }
 
-/// Both fields added and clipped to ±[`vigil_types::ACTION_LIMIT`], with the repulsive range at [`REPULSIVE_RANGE_M`]: the "APF force
-/// added to the action" of the paper's Algorithm 1.
-pub fn force(goal: GoalRelative, obstacle: Option<NearestObstacle>) -> Action {
+/// Both fields added and clipped to ±[`vigil_types::ACTION_LIMIT`]: the "APF force added to the action" of the paper's Algorithm 1,
+/// whose repulsive range is [`REPULSIVE_RANGE_M`].
+pub fn force(goal: GoalRelative, obstacle: Option<NearestObstacle>, repulsive_range_m: f32) -> Action {
     let pull = attraction(goal);
-    let push = obstacle.map_or(Action::HOVER, |o| repulsion(o, REPULSIVE_RANGE_M));
+    let push = obstacle.map_or(Action::HOVER, |o| repulsion(o, repulsive_range_m));
     add(pull, push)
 }
 
@@ -191,11 +191,17 @@ mod tests {
 
     #[test]
     fn the_sum_is_clipped_not_its_parts_alone() {
-        let f = force(goal(10.0, 120.0), Some(obstacle(1.0, 60.0)));
+        let f = force(goal(10.0, 120.0), Some(obstacle(1.0, 60.0)), REPULSIVE_RANGE_M);
         close(f.yaw, 0.590_80 - 1.267_95);
         close(f.forward_m_s, -0.1);
-        close(force(goal(2.0, 180.0), Some(obstacle(1.0, -5.0))).yaw, 1.5);
-        assert_eq!(force(goal(10.0, 20.0), None), attraction(goal(10.0, 20.0)));
+        close(
+            force(goal(2.0, 180.0), Some(obstacle(1.0, -5.0)), REPULSIVE_RANGE_M).yaw,
+            1.5,
+        );
+        assert_eq!(
+            force(goal(10.0, 20.0), None, REPULSIVE_RANGE_M),
+            attraction(goal(10.0, 20.0))
+        );
     }
 
     #[test]

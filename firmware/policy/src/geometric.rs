@@ -40,13 +40,8 @@ const TURN_IN_PLACE_RAD: f32 = 45.0 * PI / 180.0;
 const LOOKAHEAD_M: f32 = 4.0;
 /// Nearest waypoint: taken even where the straight line to it is tight.
 const SHORT_LOOKAHEAD_M: f32 = 0.9;
-/// Clearance that a straight line to a waypoint needs; squared cells, 0.75 m.
-const SIGHT_SQUARED_CELLS: u8 = 9;
 /// Around the vehicle itself the line may be as tight as it is, metres.
 const SIGHT_FROM_M: f32 = 0.5;
-/// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this: its radius and
-/// 0.20 m. Points beside the way would push it out of every gap.
-const REPULSIVE_HALF_WIDTH_M: f32 = 0.50;
 /// A waypoint farther off the nose than this has chosen the side to pass on; the field does not overrule it.
 const SIDE_CHOSEN_RAD: f32 = 10.0 * PI / 180.0;
 /// Cells that the search settles in one step.
@@ -59,11 +54,42 @@ const LOOK_AROUND_YAW: f32 = ACTION_LIMIT;
 const STUCK_M: f32 = 0.5;
 const STUCK_NS: Nanos = 10_000_000_000;
 
+/// What a pilot keeps clear.
+#[derive(Debug, Clone, Copy)]
+struct Margins {
+    /// Clearance of a straight line to a waypoint; squared cells.
+    sight_squared_cells: u8,
+    /// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this, metres.
+    repulsive_half_width_m: f32,
+    /// What the governor keeps in addition, metres.
+    spare_m: f32,
+}
+
+/// Of a straight line to a waypoint 0.75 m, beside the way ahead the vehicle's radius and 0.20 m. Points beside the way would
+/// push it out of every gap.
+const TIGHT: Margins = Margins {
+    sight_squared_cells: 9,
+    repulsive_half_width_m: 0.50,
+    spare_m: 0.0,
+};
+/// What a teacher keeps, so that a pupil's error of 0.2 m is no collision.
+const GENEROUS: Margins = Margins {
+    sight_squared_cells: 14,
+    repulsive_half_width_m: 0.80,
+    spare_m: 0.30,
+};
+/// Clearance from which on more is no better for a teacher's way, and what the narrowest passage costs it more, per metre.
+const GENEROUS_CLEARANCE_M: f32 = 1.5;
+const GENEROUS_NARROW_FACTOR: f32 = 10.0;
+
 /// The pilot. A large value (about 120 kB) without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub struct GeometricPilot {
     /// Every frame may have been altered.
     distrusting: bool,
+    /// The newest frame is all it knows.
+    memoryless: bool,
+    margins: Margins,
     config: GeometricConfig,
     surroundings: Surroundings,
     memory: Memory,
@@ -79,6 +105,8 @@ impl GeometricPilot {
     pub fn new(config: GeometricConfig) -> Self {
         Self {
             distrusting: false,
+            memoryless: false,
+            margins: TIGHT,
             config,
             surroundings: Surroundings::new(),
             memory: Memory::new(),
@@ -95,6 +123,21 @@ impl GeometricPilot {
             distrusting: true,
             ..Self::new(config)
         }
+    }
+
+    /// A pilot that decides by the newest frame alone, as one has to that is imitated by an actor without a map, and that keeps
+    /// farther from obstacles than one that flies itself. Ways
+    /// off its nose count as longer, up to twice as long out of sight: a side once turned to is kept without a memory of it.
+    ///
+    /// Its search is not cut into slices: it is for the simulator, not for a step of 50 ms.
+    pub fn memoryless(config: GeometricConfig) -> Self {
+        let mut pilot = Self {
+            memoryless: true,
+            margins: GENEROUS,
+            ..Self::new(config)
+        };
+        pilot.way.set_clearance(GENEROUS_CLEARANCE_M, GENEROUS_NARROW_FACTOR);
+        pilot
     }
 
     /// The last step's scan.
@@ -143,7 +186,7 @@ impl GeometricPilot {
         }))
     }
 
-    /// Whether the straight line between two points is clear by [`SIGHT_SQUARED_CELLS`].
+    /// Whether the straight line between two points is clear by [`Margins::sight_squared_cells`].
     fn in_sight(&self, from: NedVector, to: NedVector) -> bool {
         const SAMPLE_M: f32 = 0.2;
         let line = to - from;
@@ -152,13 +195,14 @@ impl GeometricPilot {
         (1..=samples).all(|i| {
             let along_m = i as f32 * SAMPLE_M;
             let point = from + line * (along_m / length_m);
-            along_m < SIGHT_FROM_M || self.memory.clearance_squared_at(point.x, point.y) >= SIGHT_SQUARED_CELLS
+            along_m < SIGHT_FROM_M
+                || self.memory.clearance_squared_at(point.x, point.y) >= self.margins.sight_squared_cells
         })
     }
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
     fn repulsion(&self, seen: &Scan, bearing_of_waypoint_rad: f32) -> Action {
-        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
+        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < self.margins.repulsive_half_width_m && y.abs() <= x;
         let points = seen.points().filter(in_the_way);
         let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
             return Action::HOVER;
@@ -207,6 +251,12 @@ impl Pilot for GeometricPilot {
         let header = &input.depth.header;
         let here = header.position_ned_m + Surroundings::moved_since_capture_m(input);
         self.doubt(here, input.now_ns);
+        if self.memoryless {
+            self.memory.clear();
+            self.way.clear();
+            self.way.prefer_ahead(yaw_rad);
+            self.last_sequence = None;
+        }
 
         let (scan, hit) = if self.distrusting {
             (self.surroundings.observe_distrusting(input), memory::DOUBTFUL_HIT)
@@ -227,7 +277,8 @@ impl Pilot for GeometricPilot {
             self.memory.measure_clearance();
             self.way.start(&self.memory, here, goal);
         }
-        if self.way.advance(&self.memory, SEARCH_BUDGET) == Search::NoWay {
+        let budget = if self.memoryless { memory::CELLS } else { SEARCH_BUDGET };
+        if self.way.advance(&self.memory, budget) == Search::NoWay {
             self.way.clear();
         }
 
@@ -272,7 +323,7 @@ impl Pilot for GeometricPilot {
             yaw_rate_rad_s: wanted.yaw * YAW_RATE_PER_UNIT_RAD_S,
         };
         Action {
-            forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.memory, wanted_m_s),
+            forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.memory, wanted_m_s, self.margins.spare_m),
             yaw: wanted.yaw,
         }
     }

@@ -66,11 +66,12 @@ impl Margins {
     }
 }
 
-/// The fastest admissible forward speed up to `wanted_m_s`; 0 if none is.
-pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &Memory, wanted_m_s: f32) -> f32 {
+/// The fastest admissible forward speed up to `wanted_m_s`; 0 if none is. `spare_m` is kept in addition, except where the vehicle
+/// squeezes through.
+pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &Memory, wanted_m_s: f32, spare_m: f32) -> f32 {
     let wanted_m_s = wanted_m_s.clamp(0.0, ACTION_LIMIT);
     let here = motion.position_ned_m;
-    let margins = Margins::new(scan, memory, here, KEEP_CLEAR_M, KEEP_CLEAR_SQUARED_CELLS);
+    let margins = Margins::new(scan, memory, here, KEEP_CLEAR_M + spare_m, KEEP_CLEAR_SQUARED_CELLS);
     let free = PARTS
         .iter()
         .map(|part| part * wanted_m_s)

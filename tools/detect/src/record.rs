@@ -5,7 +5,7 @@ use crate::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
-use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, positional_inputs};
+use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, FIELD_RANGE_M, positional_inputs};
 use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings, apf};
 use vigil_train::Flight;
 use vigil_types::{Action, DepthFrame};
@@ -142,7 +142,7 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
             Helm::Actor { field: false } => own,
             Helm::Actor { field: true } => {
                 let obstacle = surroundings.observe(&input).nearest_within(FIELD_HALF_ANGLE_RAD);
-                apf::add(own, apf::force(input.goal, obstacle))
+                apf::add(own, apf::force(input.goal, obstacle, FIELD_RANGE_M))
             }
             Helm::Geometric => geometric.unwrap_or(Action::HOVER),
             Helm::Hover => Action::HOVER,

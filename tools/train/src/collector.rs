@@ -11,7 +11,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, apf};
+use vigil_policy::{GeometricPilot, Pilot, apf};
 use vigil_types::Action;
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
@@ -125,7 +125,7 @@ impl Collector {
             number: number as u64,
             environments: config.environments as u64,
             flights: 0,
-            pilot: Box::new(GeometricPilot::new(GeometricConfig::default())),
+            pilot: Box::new(config.teacher.pilot()),
             decider: Decider::new(networks),
             current: None,
         }
@@ -261,7 +261,10 @@ impl Collector {
             let wanted = own.unwrap_or(pilot);
             let mut action = apf::add(wanted, noise);
             if c.report.with_apf {
-                action = apf::add(action, flight.field(config.apf.half_angle_deg.to_radians()));
+                action = apf::add(
+                    action,
+                    flight.field(config.apf.half_angle_deg.to_radians(), apf::REPULSIVE_RANGE_M),
+                );
             }
             flown[0] += action.forward_m_s;
             flown[1] += action.yaw;

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use vigil_policy::{GeometricConfig, GeometricPilot};
 
 /// A training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -22,6 +23,8 @@ pub struct TrainConfig {
     pub time_limit_s: f32,
     /// Half of the training flights have a mean wind of up to this, metres per second, with gusts.
     pub wind_m_s: f64,
+    /// The geometric pilot that warms up and is imitated.
+    pub teacher: Teacher,
     /// The first decisions.
     pub warm_up: WarmUp,
     /// Exploration.
@@ -36,6 +39,26 @@ pub struct TrainConfig {
     pub replay: ReplayConfig,
     /// Flights that judge the actor.
     pub evaluation: EvaluationConfig,
+}
+
+/// Which geometric pilot teaches.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Teacher {
+    /// One that decides by the newest frame: the actor sees all that it decides by.
+    Memoryless,
+    /// The one that flies, with its map of where it has been, which the actor does not have.
+    Mapping,
+}
+
+impl Teacher {
+    pub(crate) fn pilot(self) -> GeometricPilot {
+        let config = GeometricConfig::default();
+        match self {
+            Self::Memoryless => GeometricPilot::memoryless(config),
+            Self::Mapping => GeometricPilot::new(config),
+        }
+    }
 }
 
 /// Who flies while the memory fills.
@@ -127,6 +150,9 @@ pub struct LearningConfig {
     /// Weight of the squared distance between the actor's action and what the geometric pilot would do, at first (the
     /// paper: 0). The pilot looks on in every training flight.
     pub imitation: f32,
+    /// Distance between the two from which on it counts as it is, not squared: where the pilot may pass on either side, the
+    /// actor takes one of them and not the middle. 0 counts it squared throughout.
+    pub imitation_width: f32,
     /// Updates over which this weight falls linearly to 0.
     pub imitation_updates: u64,
     /// The imitation's loss trains the encoder as well.
@@ -172,12 +198,13 @@ impl Default for TrainConfig {
     fn default() -> Self {
         Self {
             seed: 1,
-            decisions: 28_000,
+            decisions: 24_000,
             environments: 8,
             threads: 1,
             steps_per_decision: 4,
             time_limit_s: 45.0,
             wind_m_s: 0.0,
+            teacher: Teacher::Memoryless,
             warm_up: WarmUp::default(),
             noise: NoiseConfig::default(),
             apf: ApfConfig::default(),
@@ -192,9 +219,9 @@ impl Default for TrainConfig {
 impl Default for WarmUp {
     fn default() -> Self {
         Self {
-            decisions: 16_000,
+            decisions: 12_000,
             pilot: WarmUpPilot::Geometric,
-            updates: 1_200,
+            updates: 900,
             actor_rate: 1e-3,
         }
     }
@@ -204,9 +231,9 @@ impl Default for NoiseConfig {
     fn default() -> Self {
         Self {
             theta: 0.15,
-            sigma_first: 0.4,
-            sigma_last: 0.1,
-            falls_over: 0.8,
+            sigma_first: 0.8,
+            sigma_last: 0.2,
+            falls_over: 0.6,
         }
     }
 }
@@ -237,14 +264,15 @@ impl Default for LearningConfig {
             n_steps: 3,
             batch: 32,
             decisions_per_update: 4,
-            actor_rate: 5e-4,
+            actor_rate: 1e-3,
             critic_rate: 5e-4,
-            rates_fall_from: 1.0,
+            rates_fall_from: 0.3,
             tau: 0.005,
             gradient_norm: 5.0,
             saturation_penalty: 0.05,
             value_weight: 0.05,
             imitation: 1.0,
+            imitation_width: 0.2,
             imitation_updates: 20_000,
             imitation_trains_encoder: true,
             encoder_frames: 2,
@@ -267,7 +295,7 @@ impl Default for ReplayConfig {
 impl Default for EvaluationConfig {
     fn default() -> Self {
         Self {
-            every_updates: 600,
+            every_updates: 300,
             flights: 40,
             final_flights: 100,
             first_seed: 0,
@@ -352,7 +380,7 @@ impl TrainConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         let (l, r, n) = (&self.learning, &self.replay, &self.noise);
         let least_memory = (self.environments * (l.n_steps + l.batch + 2)) as f64;
-        let checks: [(&'static str, f64, bool, &'static str); 34] = [
+        let checks: [(&'static str, f64, bool, &'static str); 35] = [
             ("decisions", self.decisions as f64, self.decisions > 0, "1 or more"),
             (
                 "environments",
@@ -446,6 +474,7 @@ impl TrainConfig {
             ),
             number("learning.value_weight", l.value_weight, 0.0, 1e6, "0 or more"),
             number("learning.imitation", l.imitation, 0.0, 1e6, "0 or more"),
+            number("learning.imitation_width", l.imitation_width, 0.0, 10.0, "0 to 10"),
             (
                 "replay.decisions",
                 r.decisions as f64,

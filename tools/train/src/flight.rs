@@ -116,8 +116,9 @@ impl Flight {
         }
     }
 
-    /// The paper's potential field here and now, of the nearest surface within ±`half_angle_rad` of the nose.
-    pub fn field(&mut self, half_angle_rad: f32) -> Action {
+    /// The paper's potential field here and now, of the nearest surface within ±`half_angle_rad` of the nose
+    /// and nearer than `range_m`.
+    pub fn field(&mut self, half_angle_rad: f32, range_m: f32) -> Action {
         let estimate = self.vehicle.view().estimate;
         let goal = self.goal();
         let input = PilotInput {
@@ -129,7 +130,7 @@ impl Flight {
             height_m: -estimate.position_ned_m.z,
         };
         let obstacle = self.surroundings.observe(&input).nearest_within(half_angle_rad);
-        apf::force(goal, obstacle)
+        apf::force(goal, obstacle, range_m)
     }
 
     /// Horizontal distance to the goal, the truth.

@@ -83,6 +83,7 @@ impl Case {
             recurrent: &self.recurrent,
             saturation_penalty: 0.3,
             imitation: 0.4,
+            imitation_width: 0.3,
             imitation_trains_encoder: false,
             by_value: 1.0,
             batch: 1.0,
@@ -142,7 +143,24 @@ impl Case {
         let penalty: f64 = pre.iter().map(|p| f64::from((p.abs() - 1.0).max(0.0)).powi(2)).sum();
         let action = squash(pre);
         let guide = mirrored(t.guide.unwrap(), mirror);
-        let distance: f64 = action.iter().zip(guide).map(|(a, g)| f64::from(a - g).powi(2)).sum();
+        // The test's action is nearer to the guide than the width in one output and farther in the other.
+        let far = |a: f32, g: f32| (a - g).abs() > f.imitation_width;
+        assert_ne!(
+            far(action[0], guide[0]),
+            far(action[1], guide[1]),
+            "{action:?} {guide:?}"
+        );
+        let width = f64::from(f.imitation_width);
+        let distance: f64 = (action.iter().zip(guide))
+            .map(|(&a, g)| {
+                let off = f64::from((a - g).abs());
+                if off > width {
+                    off - width / 2.0
+                } else {
+                    off * off / (2.0 * width)
+                }
+            })
+            .sum();
         let (penalty, distance) = (
             f64::from(f.saturation_penalty) * penalty,
             f64::from(f.imitation) * distance,

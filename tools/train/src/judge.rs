@@ -5,7 +5,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
-use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, positional_inputs};
+use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, FIELD_RANGE_M, positional_inputs};
 use vigil_policy::apf;
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_vehicle::{ParamsError, Wind};
@@ -116,7 +116,7 @@ fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Out
             (None, _) => Action::HOVER,
         };
         if what.field {
-            action = apf::add(action, flight.field(FIELD_HALF_ANGLE_RAD));
+            action = apf::add(action, flight.field(FIELD_HALF_ANGLE_RAD, FIELD_RANGE_M));
         }
         if let Some(outcome) = flight.advance(action) {
             return Ok((outcome, flight.time_s()));

@@ -45,6 +45,9 @@ pub struct UpdateReport {
     pub imitation_loss: f32,
     /// Share of the actor's outputs beyond 1 before their last tanh.
     pub saturated: f32,
+    /// How the value's slope over yaw points where the actor's yaw is more than 0.3 from the pilot's: the share of the batch
+    /// where it points towards the pilot's, less the share where it points away.
+    pub agreement: f32,
     /// Length of the critic's gradient before it was shortened.
     pub critic_norm: f32,
     /// Length of the actor's gradient before it was shortened.
@@ -60,6 +63,7 @@ impl UpdateReport {
             value: self.value + other.value,
             imitation_loss: self.imitation_loss + other.imitation_loss,
             saturated: self.saturated + other.saturated,
+            agreement: self.agreement + other.agreement,
             critic_norm: self.critic_norm + other.critic_norm,
             actor_norm: self.actor_norm + other.actor_norm,
         }
@@ -73,6 +77,7 @@ impl UpdateReport {
             value: self.value * factor,
             imitation_loss: self.imitation_loss * factor,
             saturated: self.saturated * factor,
+            agreement: self.agreement * factor,
             critic_norm: self.critic_norm * factor,
             actor_norm: self.actor_norm * factor,
         }
@@ -218,6 +223,7 @@ impl Learner {
             recurrent: &self.recurrent,
             saturation_penalty: self.config.saturation_penalty,
             imitation: self.imitation(),
+            imitation_width: self.config.imitation_width,
             imitation_trains_encoder: self.config.imitation_trains_encoder,
             by_value: if self.warms_up() { 0.0 } else { self.config.value_weight },
             batch: batch.len() as f32,

@@ -32,10 +32,14 @@ const ACTOR_OUT: Dense = Dense {
 };
 const CRITIC_DENSE: Dense = Dense {
     inputs: ACTOR_HIDDEN + POSITIONAL.outputs + ACTOR_OUTPUTS,
+    outputs: 128,
+};
+const CRITIC_DENSE_2: Dense = Dense {
+    inputs: CRITIC_DENSE.outputs,
     outputs: 64,
 };
 const CRITIC_OUT: Dense = Dense {
-    inputs: CRITIC_DENSE.outputs,
+    inputs: CRITIC_DENSE_2.outputs,
     outputs: 1,
 };
 /// Contrast varies by about a third of what later layers get.
@@ -44,7 +48,7 @@ const CONTRAST_GAIN: f32 = 3.0;
 const FORWARD_AT_FIRST: f32 = 1.0;
 /// Layers with more inputs than this learn at a lower rate.
 const FULL_RATE_INPUTS: f32 = 64.0;
-/// The last layers' biases learn so much faster: what is the same in every state is learned there.
+/// The critic's last bias learns so much faster: the value that all states share is learned there.
 const LAST_BIAS_SHARE: f32 = 20.0;
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
 const LAST_LAYER_LIMIT: f32 = 3e-3;
@@ -55,6 +59,7 @@ struct CriticParams {
     gru: Params,
     positional: Params,
     dense: Params,
+    dense_2: Params,
     output: Params,
 }
 
@@ -105,6 +110,7 @@ impl Networks {
         let position = b.dense(position, POSITIONAL, Activation::TANH, critic.positional)?;
         let joined = b.concat(&[state, position, action])?;
         let hidden = b.dense(joined, CRITIC_DENSE, Activation::Elu, critic.dense)?;
+        let hidden = b.dense(hidden, CRITIC_DENSE_2, Activation::Elu, critic.dense_2)?;
         let value = b.dense(hidden, CRITIC_OUT, Activation::Identity, critic.output)?;
         let critic_head = b.finish(value, Purpose::Gradients)?;
 
@@ -168,6 +174,7 @@ impl Networks {
             ("critic GRU", self.critic.gru),
             ("critic positional", self.critic.positional),
             ("critic dense", self.critic.dense),
+            ("critic dense 2", self.critic.dense_2),
             ("critic output", self.critic.output),
         ]
     }
@@ -187,12 +194,7 @@ impl Networks {
         let input = gru.inputs * 3 * gru.hidden;
         actor[self.actor.gru.at..][..input].fill(share(gru.inputs));
         critic[self.critic.gru.at..][..input].fill(share(gru.inputs));
-        for (shares, output, layer) in [
-            (&mut actor, self.actor.output, ACTOR_OUT),
-            (&mut critic, self.critic.output, CRITIC_OUT),
-        ] {
-            shares[output.at + layer.weight_len()..][..layer.outputs].fill(LAST_BIAS_SHARE);
-        }
+        critic[self.critic.output.at + CRITIC_OUT.weight_len()..][..CRITIC_OUT.outputs].fill(LAST_BIAS_SHARE);
         (actor, critic)
     }
 
@@ -236,6 +238,7 @@ impl Networks {
         gru(rng, &mut critic, self.critic.gru);
         dense(rng, &mut critic, self.critic.positional, POSITIONAL);
         dense(rng, &mut critic, self.critic.dense, CRITIC_DENSE);
+        dense(rng, &mut critic, self.critic.dense_2, CRITIC_DENSE_2);
         uniform(
             rng,
             &mut critic,
@@ -262,6 +265,7 @@ fn critic_builder(gru: Gru) -> (GraphBuilder, CriticParams) {
         gru: b.params(gru.param_len()),
         positional: b.params(POSITIONAL.param_len()),
         dense: b.params(CRITIC_DENSE.param_len()),
+        dense_2: b.params(CRITIC_DENSE_2.param_len()),
         output: b.params(CRITIC_OUT.param_len()),
     };
     (b, params)

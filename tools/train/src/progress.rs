@@ -71,7 +71,7 @@ impl RowSum {
 }
 
 const COLUMNS: &str = "updates,decisions,elapsed_s,flights,successes,collisions,reward,critic_loss,imitation_loss,value,\
-    saturated,critic_norm,actor_norm,completion";
+    saturated,agreement,critic_norm,actor_norm,completion";
 
 /// The learning curve as comma-separated values.
 pub fn csv(rows: &[Row]) -> String {
@@ -80,7 +80,7 @@ pub fn csv(rows: &[Row]) -> String {
         let u = &r.update;
         let completion = r.completion.map_or(String::new(), |c| format!("{c:.4}"));
         text += &format!(
-            "{},{},{:.1},{},{},{},{:.4},{:.6},{:.6},{:.5},{:.4},{:.5},{:.5},{completion}\n",
+            "{},{},{:.1},{},{},{},{:.4},{:.6},{:.6},{:.5},{:.4},{:.3},{:.5},{:.5},{completion}\n",
             r.updates,
             r.decisions,
             r.elapsed_s,
@@ -92,6 +92,7 @@ pub fn csv(rows: &[Row]) -> String {
             u.imitation_loss,
             u.value,
             u.saturated,
+            u.agreement,
             u.critic_norm,
             u.actor_norm
         );

@@ -10,6 +10,9 @@ use rand::{Rng, RngExt};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_LIMIT, Graph, Isa, ShapeError};
 use vigil_types::DEPTH_PIXELS;
 
+/// From this difference between two yaw outputs on, one of them is wrong.
+const DISAGREEING: f32 = 0.3;
+
 /// A tape and a work buffer of a graph.
 pub struct Pass {
     pub tape: Vec<f32>,
@@ -76,6 +79,7 @@ pub struct Frozen<'a> {
     pub recurrent: &'a RecurrentSets,
     pub saturation_penalty: f32,
     pub imitation: f32,
+    pub imitation_width: f32,
     pub imitation_trains_encoder: bool,
     /// What the critic says counts for the actor.
     pub by_value: f32,
@@ -234,14 +238,21 @@ impl Shard {
         let d_action = n.critic_head.input_gradient(&head.work, 2)?;
         let mut d_pre = [0.0; 2];
         let mut d_imitation = [0.0; 2];
+        let mut distance = 0.0;
         let guide = t.guide.map_or(action, |guide| mirrored(guide, mirror));
         for i in 0..2 {
             let excess = (pre[i].abs() - 1.0).max(0.0).copysign(pre[i]);
             let tanh_slope = ACTOR_LIMIT - action[i] * action[i] / ACTOR_LIMIT;
             d_pre[i] = (2.0 * f.saturation_penalty * excess - f.by_value * d_action[i] * tanh_slope) / f.batch;
-            d_imitation[i] = 2.0 * f.imitation * (action[i] - guide[i]) * tanh_slope / f.batch;
-            self.sums.imitation_loss += (action[i] - guide[i]) * (action[i] - guide[i]);
+            let off = action[i] - guide[i];
+            d_imitation[i] = f.imitation * pull(off, f.imitation_width) * tanh_slope / f.batch;
+            distance += off.abs();
+            self.sums.imitation_loss += off * off;
             self.sums.saturated += if excess != 0.0 { 0.5 } else { 0.0 };
+        }
+        let off = guide[1] - action[1];
+        if off.abs() > DISAGREEING {
+            self.sums.agreement += (d_action[1] * off).signum();
         }
         // What the encoder learns from the actor is the imitation alone, so that is kept apart and comes last.
         if f.by_value > 0.0 || f.imitation == 0.0 {
@@ -280,7 +291,8 @@ impl Shard {
 
         self.sums.critic_loss += t.weight * error * error;
         self.sums.value += value;
-        self.errors.push((t.leaf, error));
+        // Sampled more often: what the critic does not expect and where the actor is not like its teacher.
+        self.errors.push((t.leaf, error.abs() + f.imitation * distance));
         Ok(())
     }
 
@@ -296,6 +308,15 @@ impl Shard {
         let d_gru = &mut d_actor[n.actor_gru()];
         self.actor_recur
             .backward(isa, &f.recurrent.actor, &self.features, d_state, d_gru)
+    }
+}
+
+/// Slope of the imitation's loss: |off| from `width` on, off² / (2 width) nearer; off² without a width.
+fn pull(off: f32, width: f32) -> f32 {
+    if width > 0.0 {
+        (off / width).clamp(-1.0, 1.0)
+    } else {
+        2.0 * off
     }
 }
 

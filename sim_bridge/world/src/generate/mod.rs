@@ -42,30 +42,34 @@ pub fn generate(family: Family, seed: u64) -> Course {
     builder.finish()
 }
 
-/// Scattered obstacles at a density drawn per course, columns above all; gaps of at least 2.4 m.
+/// Scattered obstacles at a density drawn per course, from open ground to denser than validation, columns above all; gaps of
+/// at least 2.0 to 2.6 m.
 fn training(b: &mut Builder) {
-    b.gap_m = 2.4;
+    b.gap_m = b.length(2.0..2.6);
     if b.chance(0.4) {
         b.side_walls(8.0..10.0);
     }
     if b.chance(0.2) {
         b.course.ceiling_height_m = Some(b.length(3.5..5.0));
     }
-    if b.chance(0.8) {
-        let kind = b.pick(&[Kind::Column, Kind::Column, Kind::Box, Kind::Wall]);
-        b.block_line(kind, 0.35..0.7);
+    for along in [0.2..0.4, 0.4..0.6, 0.6..0.8] {
+        if b.chance(0.6) {
+            let kind = b.pick(&[Kind::Column, Kind::Column, Kind::Box, Kind::Wall, Kind::LowOverhang]);
+            b.block_line(kind, along);
+        }
     }
+    let most_columns = b.pick(&[8, 16, 26]);
     let area = Area {
         north_m: 3.5..18.5,
         east_m: -8.0..8.0,
     };
     for (kind, count) in [
-        (Kind::Wall, 0..3),
-        (Kind::Box, 0..4),
+        (Kind::Wall, 0..4),
+        (Kind::Box, 0..6),
         (Kind::Beam, 0..2),
-        (Kind::LowOverhang, 0..2),
-        (Kind::LowBox, 0..2),
-        (Kind::Column, 4..10),
+        (Kind::LowOverhang, 0..3),
+        (Kind::LowBox, 0..3),
+        (Kind::Column, 4..most_columns),
     ] {
         b.scatter(kind, count, &area);
     }
