@@ -34,7 +34,6 @@ WITHOUT_DEVICE = {"camera": "no camera", "gimbal": "no gimbal", "gripper": "no g
 MAVSDK_ERRORS = {"tune.play_tune", "param.select_component"}
 NOTES = {
     "action.set_actuator": "no actuators besides the motors",
-    "action.set_home": "home is where the vehicle started; rally points are other places to return to",
     "action.shutdown": "end the simulator instead",
     "calibration.calibrate_accelerometer": "nobody turns a simulated vehicle by hand",
     "calibration.calibrate_magnetometer": "nobody turns a simulated vehicle by hand",

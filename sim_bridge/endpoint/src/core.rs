@@ -76,7 +76,10 @@ pub(crate) struct Core {
     pub boot_ns: Option<Nanos>,
     pub view: VehicleView,
     pub id: ComponentId,
+    /// Where the local origin is, which is home until somebody moves that.
     pub home: HomePosition,
+    /// Where home is: metres north and east of the local origin, at its height.
+    pub home_m: (f32, f32),
     pub unix_time_at_zero_us: u64,
     pub parameters: Parameters,
     pub commander: Commander,
@@ -114,6 +117,7 @@ impl Core {
                 component: 1,
             },
             home: config.home,
+            home_m: (0.0, 0.0),
             unix_time_at_zero_us: config.unix_time_at_zero_us,
             parameters: Parameters::new(&config.parameters)?,
             commander: Commander::default(),

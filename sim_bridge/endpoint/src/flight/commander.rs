@@ -91,7 +91,7 @@ pub(crate) struct Commander {
     has_flown: bool,
     /// Since when it is armed on the ground.
     idle_since_ns: Nanos,
-    /// Where Return mode flies to: metres north and east of home.
+    /// Where Return mode flies to: metres north and east of the local origin.
     pub(super) return_to_m: (f32, f32),
 }
 
@@ -287,7 +287,7 @@ impl Core {
     /// Returns to home or the nearest rally point.
     pub(super) fn begin_return(&mut self) {
         let here = self.view.estimate.position_ned_m;
-        let (north, east) = self.plans.rally.nearest_m((here.x, here.y));
+        let (north, east) = self.plans.rally.nearest_m((here.x, here.y), self.home_m);
         self.commander.return_to_m = (north, east);
         let is_there = libm::hypotf(here.x - north, here.y - east) < 2.0;
         let maneuver = if self.commander.is_on_ground() || is_there {

@@ -47,14 +47,14 @@ impl Core {
             || self.param(ParamId::FenceHeightM) > 0.0
     }
 
-    /// Which limit a place breaks: metres north and east of home, metres above home.
+    /// Which limit a place breaks: metres north and east of the local origin, metres above home.
     fn fence_breach(&self, place_m: (f32, f32), height_m: f32) -> Option<Breach> {
         let radius_m = self.param(ParamId::FenceRadiusM);
         let max_height_m = self.param(ParamId::FenceHeightM);
+        let from_home_m = libm::hypotf(place_m.0 - self.home_m.0, place_m.1 - self.home_m.1);
         if max_height_m > 0.0 && height_m > max_height_m {
             Some(Breach::Height)
-        } else if !self.plans.fence.allows(place_m) || (radius_m > 0.0 && libm::hypotf(place_m.0, place_m.1) > radius_m)
-        {
+        } else if !self.plans.fence.allows(place_m) || (radius_m > 0.0 && from_home_m > radius_m) {
             Some(Breach::Boundary)
         } else {
             None

@@ -10,7 +10,7 @@ const NAV_RALLY_POINT: u16 = 5100;
 #[derive(Debug, Default)]
 pub(crate) struct Rally {
     wire: Wire,
-    /// Metres north and east of home.
+    /// Metres north and east of the local origin.
     points_m: Vec<(f32, f32)>,
 }
 
@@ -26,7 +26,7 @@ impl Rally {
         })
     }
 
-    /// The point that an item stands for, metres north and east of home.
+    /// The point that an item stands for, metres north and east of the local origin.
     pub fn read(item: &PlanItem, home: &HomePosition) -> Result<(f32, f32), PlanDefect> {
         if item.command != NAV_RALLY_POINT {
             return Err(PlanDefect::new(
@@ -42,9 +42,9 @@ impl Rally {
     }
 
     /// The point to return to: home or a rally point, whichever is nearest, as PX4 chooses with RTL_TYPE 0.
-    pub fn nearest_m(&self, (north_m, east_m): (f32, f32)) -> (f32, f32) {
+    pub fn nearest_m(&self, (north_m, east_m): (f32, f32), home_m: (f32, f32)) -> (f32, f32) {
         let distance = |(n, e): (f32, f32)| libm::hypotf(n - north_m, e - east_m);
-        self.points_m.iter().fold((0.0, 0.0), |best, point| {
+        self.points_m.iter().fold(home_m, |best, point| {
             if distance(*point) < distance(best) {
                 *point
             } else {
@@ -61,10 +61,12 @@ mod tests {
     #[test]
     fn the_nearest_of_home_and_rally_points_is_returned_to() {
         let mut rally = Rally::default();
-        assert_eq!(rally.nearest_m((30.0, 40.0)), (0.0, 0.0));
+        let home = (0.0, 0.0);
+        assert_eq!(rally.nearest_m((30.0, 40.0), home), home);
         rally.points_m = vec![(30.0, 0.0), (0.0, 30.0)];
-        assert_eq!(rally.nearest_m((20.0, 1.0)), (30.0, 0.0));
-        assert_eq!(rally.nearest_m((-1.0, 20.0)), (0.0, 30.0));
-        assert_eq!(rally.nearest_m((5.0, 5.0)), (0.0, 0.0));
+        assert_eq!(rally.nearest_m((20.0, 1.0), home), (30.0, 0.0));
+        assert_eq!(rally.nearest_m((-1.0, 20.0), home), (0.0, 30.0));
+        assert_eq!(rally.nearest_m((5.0, 5.0), home), home);
+        assert_eq!(rally.nearest_m((20.0, 1.0), (20.0, 4.0)), (20.0, 4.0), "home was moved");
     }
 }

@@ -21,7 +21,7 @@ const DO_REPOSITION: u16 = 192;
 /// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
 const CUSTOM_MODE: u8 = 1;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
-const MAX_DISTANCE_M: f32 = 10_000.0;
+pub(super) const MAX_DISTANCE_M: f32 = 10_000.0;
 const MAX_HEIGHT_M: f32 = 500.0;
 
 pub(crate) struct Actions;

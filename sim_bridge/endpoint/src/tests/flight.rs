@@ -3,7 +3,7 @@
 use crate::testing::*;
 use crate::{FlightMode, LandedState};
 use vigil_link::MavMessage;
-use vigil_link::common::{MANUAL_CONTROL_DATA, MavFrame, MavModeFlag, MavState};
+use vigil_link::common::{COMMAND_INT_DATA, MANUAL_CONTROL_DATA, MavCmd, MavFrame, MavModeFlag, MavState};
 use vigil_vehicle::ControlCommand;
 
 #[test]
@@ -184,6 +184,81 @@ fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
             "{frame:?} {lat} {alt}"
         );
     }
+}
+
+#[test]
+fn home_can_be_moved_and_return_flies_there() {
+    const SET_HOME: u16 = 179;
+    let mut b = Bench::airborne();
+    let origin = crate::HomePosition::default();
+    let (lat, lon, alt) = crate::geo::to_global(&origin, vigil_types::NedVector::new(8.0, -6.0, 0.0));
+    let place = |use_current: f32, lat: f64, alt: f32| [use_current, 0.0, 0.0, 0.0, lat as f32, lon as f32, alt];
+    for refused in [
+        place(0.0, f64::NAN, 488.0),
+        place(0.0, 12.0, 488.0),
+        place(0.0, lat, 520.0),
+        place(0.5, lat, 488.0),
+    ] {
+        assert_eq!(b.command_long(API, SCRIPT, SET_HOME, refused), DENIED, "{refused:?}");
+    }
+    let told = |b: &Bench| {
+        let homes = b.messages(API).filter_map(|m| match m {
+            MavMessage::HOME_POSITION(m) => Some((m.x, m.y, m.z, m.latitude)),
+            _ => None,
+        });
+        homes.last().unwrap()
+    };
+    b.run_ms(2_500);
+    assert_eq!(told(&b), (0.0, 0.0, 0.0, (origin.latitude_deg * 1e7).round() as i32));
+
+    // A COMMAND_LONG holds a latitude to less than half a metre.
+    assert_eq!(
+        b.command_long(API, SCRIPT, SET_HOME, place(0.0, lat, alt as f32)),
+        ACCEPTED
+    );
+    b.run_ms(100);
+    let (x, y, z, latitude) = told(&b);
+    assert!(
+        (x - 8.0).abs() < 0.5 && (y + 6.0).abs() < 0.5 && z == 0.0,
+        "{x} {y} {z}"
+    );
+    assert!((f64::from(latitude) - lat * 1e7).abs() < 50.0);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
+    b.run_until(90, "landed at the new home", |b| {
+        b.status().landed == LandedState::OnGround
+    });
+    let [north, east, _] = b.position_m();
+    assert!((north - x).abs() < 0.7 && (east - y).abs() < 0.7, "{north} {east}");
+
+    // As MAVSDK sends it: a COMMAND_INT with an altitude above sea level in a frame that is relative to home.
+    let command = MavMessage::COMMAND_INT(COMMAND_INT_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_HOME,
+        frame: MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        target_system: 1,
+        target_component: 1,
+        x: (lat * 1e7).round() as i32,
+        y: (lon * 1e7).round() as i32,
+        z: 488.0,
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &command);
+    b.run_ms(100);
+    let (x, y, ..) = told(&b);
+    assert!((x - 8.0).abs() < 0.02 && (y + 6.0).abs() < 0.02, "{x} {y}");
+
+    // The heights' reference and the local origin are what they were; here is home now.
+    let last_origin = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::GPS_GLOBAL_ORIGIN(m) => Some(m.latitude),
+        _ => None,
+    });
+    assert_eq!(last_origin, Some((origin.latitude_deg * 1e7).round() as i32));
+    assert_eq!(
+        b.command_long(API, SCRIPT, SET_HOME, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ACCEPTED
+    );
+    b.run_ms(100);
+    let (x, y, ..) = told(&b);
+    assert!((north - x).abs() < 0.3 && (east - y).abs() < 0.3, "{x} {y}");
 }
 
 #[test]
