@@ -202,11 +202,11 @@ fn home_can_be_moved_and_return_flies_there() {
         assert_eq!(b.command_long(API, SCRIPT, SET_HOME, refused), DENIED, "{refused:?}");
     }
     let told = |b: &Bench| {
-        let homes = b.messages(API).filter_map(|m| match m {
+        let mut homes = b.messages(API).filter_map(|m| match m {
             MavMessage::HOME_POSITION(m) => Some((m.x, m.y, m.z, m.latitude)),
             _ => None,
         });
-        homes.last().unwrap()
+        homes.next_back().unwrap()
     };
     b.run_ms(2_500);
     assert_eq!(told(&b), (0.0, 0.0, 0.0, (origin.latitude_deg * 1e7).round() as i32));
