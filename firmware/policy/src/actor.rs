@@ -1,10 +1,11 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (PAPER.md, Algorithm 1).
 
+use crate::escape::Escape;
 use crate::surroundings::Surroundings;
 use crate::{GeometricPilot, Pilot, PilotInput, apf};
 use core::f32::consts::FRAC_PI_4;
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
-use vigil_types::{Action, GoalRelative};
+use vigil_types::{ACTION_LIMIT, Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.
 pub const DISTANCE_SCALE_M: f32 = 20.0;
@@ -16,6 +17,9 @@ pub const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
 /// ... and nearer than this, metres: the trained actor keeps about 1 m by itself, and the field is there for where it does not. With
 /// the paper's 3 m it steers where the actor has long decided (docs/training.md).
 pub const FIELD_RANGE_M: f32 = 1.2;
+
+/// What the field adds to turn from a standstill: more than the actor can turn against.
+const ESCAPE_YAW: f32 = 2.0 * ACTION_LIMIT;
 
 /// The actor's positional inputs: distance in units of [`DISTANCE_SCALE_M`], bearing in units of [`BEARING_SCALE_RAD`].
 pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
@@ -29,6 +33,7 @@ pub struct ActorPilot {
     actor: Actor,
     surroundings: Surroundings,
     field: bool,
+    escape: Escape,
 }
 
 impl ActorPilot {
@@ -38,6 +43,7 @@ impl ActorPilot {
             actor,
             surroundings: Surroundings::new(),
             field,
+            escape: Escape::default(),
         }
     }
 
@@ -64,7 +70,17 @@ impl Pilot for ActorPilot {
         };
         let own = Action { forward_m_s, yaw };
         if self.field && own.is_finite() {
-            apf::add(own, apf::force(input.goal, obstacle, FIELD_RANGE_M))
+            let here = input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input);
+            let turn = Action {
+                forward_m_s: 0.0,
+                yaw: ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle),
+            };
+            let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
+                // The goal does not pull through what stands before it: how to pass that is the actor's.
+                Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),
+                None => apf::attraction(input.goal),
+            };
+            apf::add(apf::add(own, force), turn)
         } else {
             own
         }
@@ -72,6 +88,7 @@ impl Pilot for ActorPilot {
 
     fn reset(&mut self) {
         self.actor.reset();
+        self.escape = Escape::default();
     }
 }
 

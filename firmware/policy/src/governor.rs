@@ -153,7 +153,7 @@ mod tests {
             velocity_m_s: HeadingVector::new(velocity_m_s, 0.0, 0.0),
             yaw_rate_rad_s,
         };
-        admissible_speed_m_s(&motion, &scan_of(points), &Box::new(Memory::new()), 1.5)
+        admissible_speed_m_s(&motion, &scan_of(points), &Box::new(Memory::new()), 1.5, 0.0)
     }
 
     #[test]
@@ -217,8 +217,8 @@ mod tests {
             velocity_m_s: HeadingVector::new(0.5, 0.0, 0.0),
             yaw_rate_rad_s: 0.0,
         };
-        let toward = admissible_speed_m_s(&motion, &Scan::EMPTY, &memory, 1.5);
-        let away = admissible_speed_m_s(&Motion { yaw_rad: 3.0, ..motion }, &Scan::EMPTY, &memory, 1.5);
+        let toward = admissible_speed_m_s(&motion, &Scan::EMPTY, &memory, 1.5, 0.0);
+        let away = admissible_speed_m_s(&Motion { yaw_rad: 3.0, ..motion }, &Scan::EMPTY, &memory, 1.5, 0.0);
         assert!(toward < 1.0 && away == 1.5, "{toward} {away}");
     }
 }

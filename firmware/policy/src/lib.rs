@@ -7,6 +7,7 @@ pub mod actor;
 #[cfg(feature = "actor-file")]
 mod actor_file;
 pub mod apf;
+mod escape;
 mod geometric;
 mod governor;
 mod memory;

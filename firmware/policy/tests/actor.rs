@@ -131,17 +131,24 @@ fn the_pilot_flies_what_the_whole_network_says_of_the_last_five_frames() {
 fn the_field_is_added_to_the_actor_s_action() {
     let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &frozen().params).unwrap();
     let (mut with, mut without) = (ActorPilot::new(actor.clone(), true), ActorPilot::new(actor, false));
-    // A surface 2 m away on the right half, 10 m on the left.
-    let mut frame = DepthFrame::EMPTY;
-    for (i, d) in frame.depth.iter_mut().enumerate() {
-        *d = if i % 256 > 140 { 0.02 } else { 0.10 };
-    }
-    let input = input(&frame);
-    let own = without.decide(&input);
-    let sum = with.decide(&input);
-    let pull = apf::attraction(input.goal);
-    assert!((sum.forward_m_s - (own.forward_m_s + pull.forward_m_s)).abs() < 1e-5);
-    assert!(sum.yaw < own.yaw - 0.5, "turned away: {sum:?} {own:?}");
+    // A surface on the right half of the picture, another 10 m away on the left.
+    let mut decide = |right: f32| {
+        let mut frame = DepthFrame::EMPTY;
+        for (i, d) in frame.depth.iter_mut().enumerate() {
+            *d = if i % 256 > 140 { right } else { 0.10 };
+        }
+        let input = input(&frame);
+        without.reset();
+        with.reset();
+        (without.decide(&input), with.decide(&input), apf::attraction(input.goal))
+    };
+    let (own, sum, pull) = decide(0.10);
+    assert_eq!(sum, apf::add(own, pull), "nothing near: the goal pulls");
+    let (own, sum, _) = decide(0.02);
+    assert_eq!(sum, own, "a surface 2 m ahead: the actor passes it alone");
+    let (own, sum, _) = decide(0.01);
+    assert_eq!(sum.forward_m_s, own.forward_m_s);
+    assert!(sum.yaw < own.yaw - 0.5, "1 m: turned away: {sum:?} {own:?}");
 }
 
 #[test]
