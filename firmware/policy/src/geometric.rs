@@ -126,8 +126,8 @@ impl GeometricPilot {
     }
 
     /// A pilot that decides by the newest frame alone, as one has to that is imitated by an actor without a map, and that keeps
-    /// farther from obstacles than one that flies itself. Ways
-    /// off its nose count as longer, up to twice as long out of sight: a side once turned to is kept without a memory of it.
+    /// farther from obstacles than one that flies itself. Ways off its nose count as longer, up to twice as long out of sight: a
+    /// side once turned to is kept without a memory of it.
     ///
     /// Its search is not cut into slices: it is for the simulator, not for a step of 50 ms.
     pub fn memoryless(config: GeometricConfig) -> Self {
