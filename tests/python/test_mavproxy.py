@@ -114,6 +114,10 @@ def flown(tmp_path_factory):
             session.type(f"log download 0 {log}")
             session.expect("Finished downloading")
             report["log"] = log.read_text().splitlines()
+            # The simulator tells the truth five times a second: what MAVProxy has just heard may not have been told yet.
+            limit = time.monotonic() + 5.0
+            while simulator.truth[-1]["armed"] and time.monotonic() < limit:
+                time.sleep(0.1)
             report["truth"] = simulator.truth
         finally:
             session.end()
