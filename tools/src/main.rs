@@ -11,6 +11,7 @@ mod output;
 mod pilot;
 mod recover;
 mod replay;
+mod report;
 mod scene;
 mod statistics;
 mod train;
@@ -64,6 +65,8 @@ enum Command {
     Recover(recover::RecoverArgs),
     /// Train an actor from nothing.
     Train(train::TrainArgs),
+    /// Table I and figures 9 and 10 from the logs of training runs.
+    Report(report::ReportArgs),
     /// Judge an actor alone, the potential field off and on.
     Judge(judge::JudgeArgs),
     /// Gather data for the detector, train it, measure how well it detects.
@@ -85,6 +88,7 @@ fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Report(args) => report::run(&args),
         Command::Judge(args) => judge::run(&args),
         Command::Detector(args) => detector::run(&args),
         Command::Courses(args) => courses::run(&args),

@@ -1,7 +1,6 @@
 //! `vigil train`: the actor from nothing, and how it flies.
 
 use crate::output::{EXIT_ERROR, Paint, git_commit};
-use crate::statistics::wilson_95;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -19,7 +18,8 @@ Examples:
   vigil train -o runs/mine --resume             go on after an interruption
   vigil train --print-config                    every key with its default
 
-The run leaves actor.safetensors, curves.csv, curves.png and checkpoint.safetensors in its folder. Ctrl-C stops it after the
+The run leaves actor.safetensors, result.json, curves.csv, curves.png, flights.csv, config.toml and checkpoint.safetensors in
+its folder. Ctrl-C stops it after the
 update being made; --resume goes on as if it had never stopped. docs/training.md explains the method.")]
 pub struct TrainArgs {
     /// Training file (TOML); what it does not name keeps its default.
@@ -41,6 +41,10 @@ pub struct TrainArgs {
     /// Go on from the folder's checkpoint.
     #[arg(long)]
     resume: bool,
+
+    /// Flights over unseen validation courses that test the frozen actor at the end.
+    #[arg(long, value_name = "FLIGHTS", default_value_t = 400)]
+    test_flights: u64,
 
     /// Print the configuration and end.
     #[arg(long)]
@@ -72,6 +76,7 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
         folder: args.output.clone(),
         resume: args.resume,
         git_commit: git_commit(),
+        test_flights: args.test_flights,
     };
     let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
         "{bar:30} {pos}/{len} updates, {elapsed} gone, {msg}",
@@ -84,25 +89,27 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
             println!("checkpoint       {}", checkpoint.display());
             Ok(ExitCode::from(EXIT_ERROR))
         }
-        RunEnd::Complete {
-            actor,
-            updates,
-            verdict,
-        } => {
-            let (low, high) = wilson_95(verdict.successes(), verdict.flights.len());
-            println!(
-                "completion       {:.1} % of {} training courses without the field (95 %: {:.1} to {:.1} %), mean {:.1} s",
-                100.0 * verdict.completion(),
-                verdict.flights.len(),
-                100.0 * low,
-                100.0 * high,
-                verdict.mean_time_s()
-            );
+        RunEnd::Complete { actor, result } => {
+            for count in [&result.chosen_by, &result.test] {
+                let (low, high) = count.wilson_95;
+                println!(
+                    "completion       {:.1} % of {} {} courses without the field (95 %: {:.1} to {:.1} %)",
+                    100.0 * count.completion,
+                    count.flights,
+                    count.family,
+                    100.0 * low,
+                    100.0 * high,
+                );
+            }
             println!(
                 "{}",
                 Paint::stdout().verdict(
                     true,
-                    &format!("actor            {} after {updates} updates", actor.display())
+                    &format!(
+                        "actor            {} after {} updates",
+                        actor.display(),
+                        result.frozen_after
+                    )
                 )
             );
             Ok(ExitCode::SUCCESS)

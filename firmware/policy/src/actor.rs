@@ -1,26 +1,15 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (PAPER.md, Algorithm 1).
 
-use crate::escape::Escape;
+use crate::field::{FIELD_HALF_ANGLE_RAD, FlightField};
 use crate::surroundings::Surroundings;
-use crate::{GeometricPilot, Pilot, PilotInput, apf};
-use core::f32::consts::FRAC_PI_4;
+use crate::{GeometricPilot, Pilot, PilotInput};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
-use vigil_types::{ACTION_LIMIT, Action, GoalRelative};
+use vigil_types::{Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.
 pub const DISTANCE_SCALE_M: f32 = 20.0;
 /// Bearing that its second positional input counts as 1, radians.
 pub const BEARING_SCALE_RAD: f32 = 1.0;
-/// The field that is added to an actor takes surfaces within this angle of the nose: beyond it, it steers a second time
-/// around what the actor has already dealt with.
-pub const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
-/// ... and nearer than this, metres: the trained actor keeps about 1 m by itself, and the field is there for where it does not. With
-/// the paper's 3 m it steers where the actor has long decided (docs/training.md).
-pub const FIELD_RANGE_M: f32 = 1.2;
-
-/// What the field adds to turn from a standstill: more than the actor can turn against.
-const ESCAPE_YAW: f32 = 2.0 * ACTION_LIMIT;
-
 /// The actor's positional inputs: distance in units of [`DISTANCE_SCALE_M`], bearing in units of [`BEARING_SCALE_RAD`].
 pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
     [goal.distance_m / DISTANCE_SCALE_M, goal.bearing_rad / BEARING_SCALE_RAD]
@@ -32,8 +21,7 @@ pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
 pub struct ActorPilot {
     actor: Actor,
     surroundings: Surroundings,
-    field: bool,
-    escape: Escape,
+    field: Option<FlightField>,
 }
 
 impl ActorPilot {
@@ -42,8 +30,7 @@ impl ActorPilot {
         Self {
             actor,
             surroundings: Surroundings::new(),
-            field,
-            escape: Escape::default(),
+            field: field.then(FlightField::default),
         }
     }
 
@@ -69,26 +56,15 @@ impl Pilot for ActorPilot {
             };
         };
         let own = Action { forward_m_s, yaw };
-        if self.field && own.is_finite() {
-            let here = input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input);
-            let turn = Action {
-                forward_m_s: 0.0,
-                yaw: ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle),
-            };
-            let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
-                // The goal does not pull through what stands before it: how to pass that is the actor's.
-                Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),
-                None => apf::attraction(input.goal),
-            };
-            apf::add(apf::add(own, force), turn)
-        } else {
-            own
+        match &mut self.field {
+            Some(field) if own.is_finite() => field.add_to(own, input, obstacle),
+            _ => own,
         }
     }
 
     fn reset(&mut self) {
         self.actor.reset();
-        self.escape = Escape::default();
+        self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }
 

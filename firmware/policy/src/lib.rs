@@ -7,7 +7,7 @@ pub mod actor;
 #[cfg(feature = "actor-file")]
 mod actor_file;
 pub mod apf;
-mod escape;
+mod field;
 mod geometric;
 mod governor;
 mod memory;
@@ -19,6 +19,7 @@ pub use actor::{ActorPilot, FlightPilot};
 #[cfg(feature = "actor-file")]
 pub use actor_file::{ActorFileError, FrozenActor};
 pub use apf::NearestObstacle;
+pub use field::{FIELD_HALF_ANGLE_RAD, FlightField};
 pub use geometric::{GeometricConfig, GeometricPilot};
 pub use recovery::RecoveryPilot;
 pub use surroundings::{Scan, Surroundings};

@@ -5,8 +5,10 @@ use crate::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
-use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, FIELD_RANGE_M, positional_inputs};
-use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings, apf};
+use vigil_policy::actor::positional_inputs;
+use vigil_policy::{
+    FIELD_HALF_ANGLE_RAD, FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings,
+};
 use vigil_train::Flight;
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
@@ -107,6 +109,7 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
         .needs_geometric()
         .then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
     let mut surroundings = Box::new(Surroundings::new());
+    let mut field = FlightField::default();
     let mut delivered = Box::new(flight.frame().clone());
     let mut record = Record {
         scenario: scenario.clone(),
@@ -142,7 +145,7 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
             Helm::Actor { field: false } => own,
             Helm::Actor { field: true } => {
                 let obstacle = surroundings.observe(&input).nearest_within(FIELD_HALF_ANGLE_RAD);
-                apf::add(own, apf::force(input.goal, obstacle, FIELD_RANGE_M))
+                field.add_to(own, &input, obstacle)
             }
             Helm::Geometric => geometric.unwrap_or(Action::HOVER),
             Helm::Hover => Action::HOVER,

@@ -7,14 +7,14 @@ use crate::adam::Adam;
 use crate::collector::CollectorState;
 use crate::files::{self, WriteError};
 use crate::networks::Networks;
-use crate::progress::{Row, RowSum};
+use crate::progress::{FlightRow, Row, RowSum};
 use crate::replay::LaneState;
 use crate::weights::Weights;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-const FORMAT: &str = "vigil training checkpoint 1";
+const FORMAT: &str = "vigil training checkpoint 2";
 
 /// An actor that may be the one to freeze.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,6 +53,8 @@ pub struct RunState {
     pub rows: Vec<Row>,
     /// The row being summed.
     pub row: RowSum,
+    /// The training flights that ended.
+    pub flights: Vec<FlightRow>,
     /// Updates and completion of each candidate, in the order of their tensors.
     candidates: Vec<(u64, f64)>,
 }
@@ -126,7 +128,7 @@ impl RunState {
         largest_priority: f64,
         collectors: Vec<CollectorState>,
         lanes: Vec<LaneState>,
-        (rows, row): (Vec<Row>, RowSum),
+        (rows, row, flights): (Vec<Row>, RowSum, Vec<FlightRow>),
     ) -> Self {
         Self {
             format: FORMAT.to_owned(),
@@ -141,6 +143,7 @@ impl RunState {
             lanes,
             rows,
             row,
+            flights,
             candidates: Vec::new(),
         }
     }

@@ -71,7 +71,7 @@ struct Lasting {
     checkpoints: usize,
     report: FlightReport,
     wander: Wander,
-    /// Scales the noise of a warm-up flight.
+    /// Scales the flight's noise.
     noise_scale: f32,
 }
 
@@ -200,7 +200,13 @@ impl Collector {
                 warm_up,
             },
             wander: Wander::start(&mut self.rng),
-            noise_scale: if warm_up { self.rng.random_range(0.0..1.0) } else { 1.0 },
+            noise_scale: if warm_up {
+                self.rng.random_range(0.0..1.0)
+            } else if self.rng.random_bool(config.noise.share) {
+                1.0
+            } else {
+                0.0
+            },
         };
         Ok(Current { flight, state })
     }

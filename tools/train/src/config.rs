@@ -97,6 +97,9 @@ pub struct NoiseConfig {
     pub sigma_last: f32,
     /// Share of the run over which it falls linearly.
     pub falls_over: f32,
+    /// Share of the flights after the warm-up that have noise. In the others the actor gets to where it takes itself, and stays
+    /// where it stands still by itself.
+    pub share: f64,
 }
 
 /// The potential field added to the actor's action.
@@ -234,6 +237,7 @@ impl Default for NoiseConfig {
             sigma_first: 0.8,
             sigma_last: 0.2,
             falls_over: 0.6,
+            share: 0.5,
         }
     }
 }
@@ -380,7 +384,7 @@ impl TrainConfig {
     pub fn check(&self) -> Result<(), ConfigError> {
         let (l, r, n) = (&self.learning, &self.replay, &self.noise);
         let least_memory = (self.environments * (l.n_steps + l.batch + 2)) as f64;
-        let checks: [(&'static str, f64, bool, &'static str); 35] = [
+        let checks: [(&'static str, f64, bool, &'static str); 36] = [
             ("decisions", self.decisions as f64, self.decisions > 0, "1 or more"),
             (
                 "environments",
@@ -418,6 +422,7 @@ impl TrainConfig {
             number("noise.sigma_first", n.sigma_first, 0.0, 10.0, "0 to 10"),
             number("noise.sigma_last", n.sigma_last, 0.0, 10.0, "0 to 10"),
             number("noise.falls_over", n.falls_over, 0.001, 1.0, "0.001 to 1"),
+            ("noise.share", n.share, (0.0..=1.0).contains(&n.share), "0 to 1"),
             number("apf.share", self.apf.share as f32, 0.0, 1.0, "0 to 1"),
             number("apf.half_angle_deg", self.apf.half_angle_deg, 0.0, 180.0, "0 to 180"),
             number("reward.success", self.reward.success, -1000.0, 1000.0, "-1000 to 1000"),

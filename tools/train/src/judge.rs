@@ -5,8 +5,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
-use vigil_policy::actor::{FIELD_HALF_ANGLE_RAD, FIELD_RANGE_M, positional_inputs};
-use vigil_policy::apf;
+use vigil_policy::actor::positional_inputs;
+use vigil_policy::{FIELD_HALF_ANGLE_RAD, FlightField, Surroundings};
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
@@ -103,6 +103,8 @@ fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Out
         Judged::Zero | Judged::Random => None,
     };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut surroundings = Box::new(Surroundings::new());
+    let mut field = FlightField::default();
     loop {
         let mut action = match (&mut actor, judged) {
             (Some(actor), _) => {
@@ -116,7 +118,10 @@ fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Out
             (None, _) => Action::HOVER,
         };
         if what.field {
-            action = apf::add(action, flight.field(FIELD_HALF_ANGLE_RAD, FIELD_RANGE_M));
+            let obstacle = surroundings
+                .observe(&flight.input())
+                .nearest_within(FIELD_HALF_ANGLE_RAD);
+            action = field.add_to(action, &flight.input(), obstacle);
         }
         if let Some(outcome) = flight.advance(action) {
             return Ok((outcome, flight.time_s()));

@@ -31,6 +31,15 @@ pub struct Row {
     pub completion: Option<f64>,
 }
 
+/// A training flight that ended, in the order of their ends.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FlightRow {
+    /// Updates made when it ended.
+    pub updates: u64,
+    /// What became of it.
+    pub flight: FlightReport,
+}
+
 /// Collects a row.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct RowSum {
@@ -40,9 +49,9 @@ pub struct RowSum {
 }
 
 impl RowSum {
-    /// Counts flights.
-    pub fn add_flights(&mut self, flights: impl IntoIterator<Item = FlightReport>) {
-        self.flights.extend(flights);
+    /// Counts a flight.
+    pub fn add_flight(&mut self, flight: FlightReport) {
+        self.flights.push(flight);
     }
 
     /// Counts an update.
@@ -95,6 +104,22 @@ pub fn csv(rows: &[Row]) -> String {
             u.agreement,
             u.critic_norm,
             u.actor_norm
+        );
+    }
+    text
+}
+
+/// The training flights as comma-separated values: the data of the paper's figures 9 and 10.
+pub fn flights_csv(rows: &[FlightRow]) -> String {
+    let mut text = String::from("flight,updates,warm_up,field,outcome,decisions,reward\n");
+    for (number, FlightRow { updates, flight }) in (1..).zip(rows) {
+        let outcome = flight.outcome.map_or(String::new(), |o| o.to_string());
+        text += &format!(
+            "{number},{updates},{},{},{outcome},{},{:.4}\n",
+            u8::from(flight.warm_up),
+            u8::from(flight.with_apf),
+            flight.decisions,
+            flight.reward
         );
     }
     text

@@ -7,8 +7,9 @@ use crate::files::{self, WriteError};
 use crate::judge::{JudgeError, Judged, Judgement, Verdict, judge};
 use crate::learner::{Learner, UpdateError};
 use crate::networks::Networks;
-use crate::progress::{self, Progress, Row, RowSum, UPDATES_PER_ROW};
+use crate::progress::{self, FlightRow, Progress, Row, RowSum, UPDATES_PER_ROW};
 use crate::replay::Memory;
+use crate::result::{FlightCount, RunResult};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -22,6 +23,10 @@ use vigil_world::Family;
 
 /// Actors that are judged once more at the end.
 const CANDIDATES: usize = 3;
+/// Seed of the first course that tests the frozen actor, the same for every run. Nothing is chosen by these flights.
+const FIRST_TEST_SEED: u64 = 7_000_000;
+/// A test flight that takes longer has failed, seconds: the courses' own limit.
+const TEST_TIME_LIMIT_S: f32 = 90.0;
 
 /// Why training stopped early.
 #[derive(Debug, thiserror::Error)]
@@ -80,6 +85,8 @@ pub struct RunOptions {
     pub resume: bool,
     /// Commit of the program, for the frozen actor's metadata.
     pub git_commit: Option<String>,
+    /// Flights over validation courses that test the frozen actor without the field.
+    pub test_flights: u64,
 }
 
 /// What became of a run.
@@ -91,10 +98,8 @@ pub enum RunEnd {
     Complete {
         /// The frozen actor.
         actor: PathBuf,
-        /// Updates after which it was taken.
-        updates: u64,
-        /// Completion of the last judgement without the field.
-        verdict: Verdict,
+        /// What the run came to, as in `result.json`.
+        result: Box<RunResult>,
     },
 }
 
@@ -127,6 +132,7 @@ struct Run<'a> {
     decisions: u64,
     rows: Vec<Row>,
     row: RowSum,
+    flights: Vec<FlightRow>,
     candidates: Vec<Candidate>,
     begun: Instant,
     /// Time spent and updates made before this session.
@@ -146,6 +152,7 @@ impl<'a> Run<'a> {
         if !options.resume && checkpoint.exists() {
             return Err(TrainError::Occupied { path: folder.clone() });
         }
+        files::replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
         let isa = Isa::detect();
         let networks = Arc::new(Networks::new()?);
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
@@ -163,6 +170,7 @@ impl<'a> Run<'a> {
             decisions: 0,
             rows: Vec::new(),
             row: RowSum::default(),
+            flights: Vec::new(),
             candidates: Vec::new(),
             begun: Instant::now(),
             earlier_s: 0.0,
@@ -207,6 +215,7 @@ impl<'a> Run<'a> {
         self.decisions = state.decisions;
         self.rows = state.rows;
         self.row = state.row;
+        self.flights = state.flights;
         self.candidates = saved.candidates;
         self.earlier_s = state.elapsed_s;
         self.earlier_updates = state.updates;
@@ -226,7 +235,7 @@ impl<'a> Run<'a> {
             largest,
             self.collectors.iter().map(Collector::state).collect(),
             self.memory.lanes.iter().map(|l| l.state().clone()).collect(),
-            (self.rows.clone(), self.row.clone()),
+            (self.rows.clone(), self.row.clone(), self.flights.clone()),
         );
         Checkpoint::save(
             &self.checkpoint,
@@ -238,6 +247,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// Time spent on training so far, seconds.
     fn elapsed_s(&self) -> f64 {
         self.earlier_s + self.begun.elapsed().as_secs_f64()
     }
@@ -283,7 +293,11 @@ impl<'a> Run<'a> {
             .zip(&mut self.memory.lanes)
             .map(|(collector, lane)| collector.decide(config, policy, lane))
             .collect::<Result<_, _>>()?;
-        self.row.add_flights(finished.into_iter().flatten());
+        let updates = self.learner.updates();
+        for flight in finished.into_iter().flatten() {
+            self.row.add_flight(flight);
+            self.flights.push(FlightRow { updates, flight });
+        }
         self.memory.settle();
         self.decisions += config.environments as u64;
         Ok(())
@@ -308,17 +322,29 @@ impl<'a> Run<'a> {
         let mut row = self.row.finish(updates, self.decisions, self.elapsed_s());
         if judged {
             let completion = self
-                .judge(self.learner.frozen(), self.config.evaluation.flights)?
+                .judge(self.learner.frozen(), &self.judgement(self.config.evaluation.flights))?
                 .completion();
             row.completion = Some(completion);
             self.consider(updates, completion);
         }
         self.rows.push(row);
-        write_curves(&options.folder, &self.rows, judged)?;
+        self.write_curves(&options.folder, judged)?;
         if judged {
             self.save()?;
         }
         self.tell(report, self.rows.last());
+        Ok(())
+    }
+
+    fn write_curves(&self, folder: &Path, picture: bool) -> Result<(), WriteError> {
+        files::replace(&folder.join("curves.csv"), progress::csv(&self.rows).as_bytes())?;
+        files::replace(
+            &folder.join("flights.csv"),
+            progress::flights_csv(&self.flights).as_bytes(),
+        )?;
+        if picture {
+            files::replace(&folder.join("curves.png"), &crate::curves::png(&self.rows))?;
+        }
         Ok(())
     }
 
@@ -343,17 +369,20 @@ impl<'a> Run<'a> {
         });
     }
 
-    /// Flights over the judging courses without the field.
-    fn judge(&self, actor: &[f32], flights: u64) -> Result<Verdict, JudgeError> {
+    /// So many judging courses without the field.
+    fn judgement(&self, flights: u64) -> Judgement {
         let e = &self.config.evaluation;
-        let what = Judgement {
+        Judgement {
             family: Family::Training,
             first_seed: e.first_seed,
             flights,
             time_limit_s: e.time_limit_s,
             field: false,
-        };
-        judge(Judged::Actor(actor), self.isa, &what)
+        }
+    }
+
+    fn judge(&self, actor: &[f32], what: &Judgement) -> Result<Verdict, JudgeError> {
+        judge(Judged::Actor(actor), self.isa, what)
     }
 
     /// Keeps the actor if it is among the best; of equals the later.
@@ -370,14 +399,16 @@ impl<'a> Run<'a> {
         self.candidates.truncate(CANDIDATES);
     }
 
-    /// Judges the best once more over more courses and writes the one that flies best.
+    /// Judges the best once more over more courses, writes the one that flies best, and tests that one.
     fn freeze(mut self, options: &RunOptions) -> Result<RunEnd, TrainError> {
         if self.candidates.is_empty() {
             self.consider(self.learner.updates(), 0.0);
         }
         let mut best: Option<(Verdict, &Candidate)> = None;
+        let elapsed_s = self.elapsed_s();
+        let choice = self.judgement(self.config.evaluation.final_flights);
         for candidate in &self.candidates {
-            let verdict = self.judge(&candidate.params, self.config.evaluation.final_flights)?;
+            let verdict = self.judge(&candidate.params, &choice)?;
             if best.as_ref().is_none_or(|(b, _)| verdict.completion() > b.completion()) {
                 best = Some((verdict, candidate));
             }
@@ -392,20 +423,35 @@ impl<'a> Run<'a> {
             git_commit: options.git_commit.clone(),
         };
         actor.save(&path)?;
+        let test = Judgement {
+            family: Family::Validation,
+            first_seed: FIRST_TEST_SEED,
+            flights: options.test_flights,
+            time_limit_s: TEST_TIME_LIMIT_S,
+            field: false,
+        };
+        let tested = self.judge(&candidate.params, &test)?;
+        let result = RunResult {
+            seed: self.config.seed,
+            apf_share: self.config.apf.share,
+            decisions: self.decisions,
+            steps: self.decisions * self.config.steps_per_decision as u64,
+            flights: self.flights.len(),
+            updates: self.learner.updates(),
+            elapsed_s,
+            threads: self.config.threads,
+            frozen_after: candidate.updates,
+            chosen_by: FlightCount::new(&choice, &verdict),
+            test: FlightCount::new(&test, &tested),
+        };
+        // Numbers, names and plain structures always have a JSON form.
+        let json = serde_json::to_string_pretty(&result).unwrap_or_else(|e| unreachable!("{e}"));
+        files::replace(&options.folder.join("result.json"), json.as_bytes())?;
         Ok(RunEnd::Complete {
             actor: path,
-            updates: candidate.updates,
-            verdict,
+            result: Box::new(result),
         })
     }
-}
-
-fn write_curves(folder: &Path, rows: &[Row], picture: bool) -> Result<(), WriteError> {
-    files::replace(&folder.join("curves.csv"), progress::csv(rows).as_bytes())?;
-    if picture {
-        files::replace(&folder.join("curves.png"), &crate::curves::png(rows))?;
-    }
-    Ok(())
 }
 
 /// Standard deviation of the noise after so many decisions.

@@ -47,6 +47,7 @@ fn train(config: &TrainConfig, folder: &Folder, resume: bool, stop_at: Option<u6
         folder: folder.0.clone(),
         resume,
         git_commit: None,
+        test_flights: 0,
     };
     let stop = AtomicBool::new(false);
     run(config, &options, &stop, &mut |progress| {
@@ -109,6 +110,7 @@ fn what_cannot_be_resumed_is_refused_and_left_as_it_is() {
             folder: folder.0.clone(),
             resume,
             git_commit: None,
+            test_flights: 0,
         };
         let error = run(config, &options, &AtomicBool::new(false), &mut |_| {})
             .unwrap_err()

@@ -1,9 +1,21 @@
-//! The way out of a standstill: where actor, attraction and repulsion cancel out, the potential field has a local minimum, and a
-//! vehicle without memory would hover there for good. Local minima are the field's known weakness (Koren, Borenstein 1991).
+//! The potential field as it is added to a frozen actor in flight: the paper's, where it helps one that deals with obstacles itself,
+//! and a way out of standstills (docs/training.md, "The field in flight").
+//!
+//! Where actor, attraction and repulsion cancel out, the field has a local minimum, and a vehicle without memory would hover there
+//! for good: the field's known weakness (Koren, Borenstein 1991).
 
-use crate::NearestObstacle;
-use vigil_types::{Nanos, NedVector};
+use crate::{NearestObstacle, PilotInput, Surroundings, apf};
+use core::f32::consts::FRAC_PI_4;
+use vigil_types::{ACTION_LIMIT, Action, Nanos, NedVector};
 
+/// The field that is added to an actor takes surfaces within this angle of the nose: beyond it, it steers a second time
+/// around what the actor has already dealt with.
+pub const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
+/// ... and nearer than this, metres: the trained actor keeps about 1 m by itself, and the field is there for where it does not. With
+/// the paper's 3 m it steers where the actor has long decided (docs/training.md).
+const FIELD_RANGE_M: f32 = 1.2;
+/// What the field adds to turn from a standstill: more than the actor can turn against.
+const ESCAPE_YAW: f32 = 2.0 * ACTION_LIMIT;
 /// Not having moved by this in this time is a standstill.
 const MOVED_M: f32 = 0.5;
 const STANDSTILL_NS: Nanos = 4_000_000_000;
@@ -12,9 +24,32 @@ const TURN_NS: Nanos = 1_500_000_000;
 /// A pause in deciding is somebody else's standstill.
 const PAUSE_NS: Nanos = 500_000_000;
 
+/// The field of one flight. No allocation.
+#[derive(Debug, Clone, Default)]
+pub struct FlightField {
+    escape: Escape,
+}
+
+impl FlightField {
+    /// The actor's own action and the field's, clipped. `obstacle` is the nearest surface within [`FIELD_HALF_ANGLE_RAD`] of the nose.
+    pub fn add_to(&mut self, own: Action, input: &PilotInput<'_>, obstacle: Option<NearestObstacle>) -> Action {
+        let here = input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input);
+        let turn = Action {
+            forward_m_s: 0.0,
+            yaw: ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle),
+        };
+        let force = match obstacle.filter(|o| o.distance_m < apf::REPULSIVE_RANGE_M) {
+            // The goal does not pull through what stands before it: how to pass that is the actor's.
+            Some(obstacle) => apf::repulsion(obstacle, FIELD_RANGE_M),
+            None => apf::attraction(input.goal),
+        };
+        apf::add(apf::add(own, force), turn)
+    }
+}
+
 /// Notices a standstill and turns from what is ahead.
 #[derive(Debug, Clone, Default)]
-pub struct Escape {
+struct Escape {
     /// Where the vehicle last got to, and when.
     progress: Option<(NedVector, Nanos)>,
     /// Until when it turns, and to which side: 1 is right.
@@ -24,7 +59,7 @@ pub struct Escape {
 
 impl Escape {
     /// The side to turn to now: 1 is right, −1 left, 0 none. `obstacle` is the nearest one ahead.
-    pub fn side(&mut self, here: NedVector, now_ns: Nanos, obstacle: Option<NearestObstacle>) -> f32 {
+    fn side(&mut self, here: NedVector, now_ns: Nanos, obstacle: Option<NearestObstacle>) -> f32 {
         let paused = now_ns.saturating_sub(self.last_ns) > PAUSE_NS;
         self.last_ns = now_ns;
         if paused {
