@@ -16,6 +16,8 @@ fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
         "actor",
         "--apf",
         "off",
+        "--detector",
+        "off",
         "--flights",
         "2",
         "--seed",

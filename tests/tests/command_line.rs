@@ -168,3 +168,37 @@ fn a_course_is_drawn_as_a_picture() {
         assert!(bytes.starts_with(b"\x89PNG") && bytes.len() > 2000);
     }
 }
+
+#[test]
+fn a_flight_s_explanations_add_up_to_its_decisions_and_its_attack_is_noticed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let drawn = run(&[
+        "detector",
+        "figures",
+        "--seed",
+        "7",
+        "--attacked",
+        "--pictures",
+        "1",
+        "-o",
+        text(folder.path()),
+    ]);
+    assert_eq!(drawn.status.code(), Some(0), "{}", said(&drawn));
+    for picture in ["figure-12.png", "figure-13.png", "figure-14.png"] {
+        assert!(folder.path().join(picture).is_file(), "{picture} is missing");
+    }
+    let table = std::fs::read_to_string(folder.path().join("explanations.csv")).expect("a table");
+    let (mut altered, mut found) = (0, 0);
+    for row in table.lines().skip(1) {
+        let columns: Vec<&str> = row.split(',').collect();
+        let number = |i: usize| columns[i].parse::<f64>().expect("a number");
+        let sum: f64 = (3..7).map(number).sum();
+        assert!((sum - number(2)).abs() < 1e-3, "{row}");
+        if columns[1] == "1" {
+            altered += 1;
+            found += i32::from(columns[8] == "attack");
+        }
+    }
+    assert_eq!(altered, 50);
+    assert!(found >= 45, "{found} of {altered} altered frames were judged attacked");
+}

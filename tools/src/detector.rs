@@ -34,9 +34,10 @@ Examples:
   vigil detector ablate                     the same network on GRU state, actions, gradients instead
   vigil detector images                     states with the SHAP images of all pixels, for the next
   vigil detector table                      CNN-AD, FCN-AD, PCA and LSTM-AD on the same states
+  vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
   vigil detector gather --actor my.safetensors -o runs/mine
 
-Each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
+But for figures, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
 pub struct DetectorArgs {
     #[command(subcommand)]
     command: DetectorCommand,
@@ -83,6 +84,21 @@ enum DetectorCommand {
     Ablate {
         #[command(flatten)]
         size: SizeArgs,
+    },
+    /// Fly one course and draw how its decisions are explained: the paper's figures 12, 13 and 14.
+    Figures {
+        /// Validation course.
+        #[arg(long, default_value_t = 7)]
+        seed: u64,
+        /// Alter frames by the paper's attack, 50 steps from step 100 on.
+        #[arg(long)]
+        attacked: bool,
+        /// Steps whose pixels are explained.
+        #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=20))]
+        pictures: u64,
+        /// The frozen detector [default: the one built in].
+        #[arg(long, value_name = "FILE")]
+        detector: Option<PathBuf>,
     },
     /// Fly states and explain all pixels of their five frames; about 0.12 s of one core a state.
     Images {
@@ -167,6 +183,26 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
         DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
         DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
+        DetectorCommand::Figures {
+            seed,
+            attacked,
+            pictures,
+            detector,
+        } => {
+            let detector = match detector {
+                Some(file) => FrozenDetector::load(file)?,
+                None => FrozenDetector::built_in()?,
+            };
+            let course = (*seed, *attacked);
+            crate::portrait::draw(
+                stage.isa,
+                &stage.actor,
+                &detector,
+                course,
+                *pictures as usize,
+                stage.folder,
+            )
+        }
         DetectorCommand::Images {
             states,
             judged,

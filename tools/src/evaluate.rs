@@ -25,11 +25,12 @@ use vigil_world::{Course, Family, FlightPath, Outcome, generate};
 #[command(after_help = "\
 Examples:
   vigil evaluate --flights 500 --seed 1000000           500 validation courses, seeds 1000000 to 1000499
-  vigil evaluate --flights 200 --wind 4                 the same pilot in a mean wind of 4 m/s
+  vigil evaluate --flights 200 --wind 4                 the same in a mean wind of 4 m/s
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
   vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles
-  vigil evaluate --flights 200 --pilot actor --apf off  the frozen actor without the potential field
-  vigil evaluate --pilot actor --apf off --attack bim-accumulating --burst 50
+  vigil evaluate --flights 200 --pilot geometric        the geometric pilot
+  vigil evaluate --flights 200 --apf off --detector off the frozen actor alone
+  vigil evaluate --apf off --attack bim-accumulating --burst 50
                                                         frames altered for 50 steps of each flight
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
 

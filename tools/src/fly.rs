@@ -31,8 +31,9 @@ const END_LIMIT: Duration = Duration::from_secs(5);
 Examples:
   vigil fly                          a random validation course
   vigil fly --seed 7                 validation course 7
-  vigil fly --pilot actor            the frozen actor instead of the geometric pilot
-  vigil fly --pilot actor --apf off --attack bim-accumulating --burst continuous
+  vigil fly --pilot geometric        the geometric pilot instead of the learned actor
+  vigil fly --apf off                the actor without the potential field
+  vigil fly --apf off --attack bim-accumulating --burst continuous
                                      ... with an adversary between the sensor and the firmware
   vigil fly --course my.toml         your own course (docs/courses.md)
   vigil fly --instance 1             beside another flight on the same machine

@@ -9,6 +9,7 @@ mod fly;
 mod judge;
 mod output;
 mod pilot;
+mod portrait;
 mod recover;
 mod replay;
 mod report;

@@ -9,7 +9,7 @@ use vigil_firmware::program::{parse_raise, parse_switch, parse_threshold};
 /// Who decides.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct PilotArgs {
-    /// Who decides [default: geometric].
+    /// Who decides [default: actor].
     #[arg(long, value_enum)]
     pilot: Option<PilotKind>,
 
@@ -21,7 +21,7 @@ pub struct PilotArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     apf: Option<bool>,
 
-    /// Whether a detector watches the actor [default: off].
+    /// Whether a detector watches the actor [default: on, where the actor flies].
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     detector: Option<bool>,
 
@@ -43,12 +43,22 @@ pub struct PilotArgs {
 }
 
 impl PilotArgs {
-    /// Sets what was given.
+    /// The pilot that flies.
+    fn kind(&self) -> PilotKind {
+        self.pilot.unwrap_or(PilotKind::Actor)
+    }
+
+    /// Whether a detector watches.
+    fn detector(&self) -> bool {
+        self.detector.unwrap_or(self.kind() == PilotKind::Actor)
+    }
+
+    /// Sets what was given, and what is flown where nothing was.
     pub fn apply(&self, config: &mut FirmwareConfig) {
-        config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
+        config.pilot.kind = self.kind();
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
-        config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
+        config.detector.enabled = self.detector();
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
         config.detector.threshold = self.threshold.or(config.detector.threshold);
         if let Some((count, window)) = self.raise {
@@ -62,19 +72,15 @@ impl PilotArgs {
         self.actor.as_deref()
     }
 
-    /// Hands on to a `firmware` process what was given.
+    /// Hands on to a `firmware` process what was given, pilot and detector in any case.
     pub fn hand_on(&self, command: &mut Command) {
-        if let Some(kind) = self.pilot {
-            command.args(["--pilot", kind.name()]);
-        }
+        command.args(["--pilot", self.kind().name()]);
+        command.args(["--detector", if self.detector() { "on" } else { "off" }]);
         if let Some(file) = &self.actor {
             command.arg("--actor").arg(file);
         }
         if let Some(apf) = self.apf {
             command.args(["--apf", if apf { "on" } else { "off" }]);
-        }
-        if let Some(detector) = self.detector {
-            command.args(["--detector", if detector { "on" } else { "off" }]);
         }
         if let Some(file) = &self.detector_file {
             command.arg("--detector-file").arg(file);

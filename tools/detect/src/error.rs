@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use vigil_adversary::AttackError;
-use vigil_detector::{DetectorFileError, ShapError};
+use vigil_detector::{DetectorFileError, MonitorError, ShapError};
 use vigil_nnet::ShapeError;
 use vigil_vehicle::ParamsError;
 
@@ -24,6 +24,9 @@ pub enum DetectError {
     /// The detector's file.
     #[error(transparent)]
     Detector(#[from] DetectorFileError),
+    /// The detector does not fit the actor.
+    #[error(transparent)]
+    Monitor(#[from] MonitorError),
     /// A file that cannot be read or written.
     #[error("cannot access {path}: {source}")]
     Access {

@@ -20,7 +20,7 @@ use vigil_world::Family;
 /// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
 const SHAP_THREADS: usize = 2;
 /// Number of the actor's yaw output.
-const YAW: usize = 1;
+pub(crate) const YAW: usize = 1;
 /// First seed of the unattacked training flights that backgrounds come from, and how many.
 const BACKGROUND_SEED: u64 = 2900;
 const BACKGROUND_FLIGHTS: u64 = 6;
@@ -52,12 +52,12 @@ pub struct States {
 
 /// The last five delivered frames.
 #[derive(Default)]
-struct Memory {
+pub(crate) struct Memory {
     frames: VecDeque<Vec<f32>>,
 }
 
 impl Memory {
-    fn push(&mut self, frame: &DepthFrame) {
+    pub(crate) fn push(&mut self, frame: &DepthFrame) {
         if self.frames.len() == ACTOR_FRAMES {
             self.frames.pop_front();
         }
@@ -65,7 +65,7 @@ impl Memory {
     }
 
     /// Frames, oldest first, then the positional values; `None` before there are five.
-    fn inputs<'a>(&'a self, position: &'a [f32; ACTOR_POSITIONAL]) -> Option<Vec<&'a [f32]>> {
+    pub(crate) fn inputs<'a>(&'a self, position: &'a [f32; ACTOR_POSITIONAL]) -> Option<Vec<&'a [f32]>> {
         let frames = self.frames.iter().map(Vec::as_slice);
         (self.frames.len() == ACTOR_FRAMES).then(|| frames.chain([position.as_slice()]).collect())
     }
@@ -92,7 +92,7 @@ impl Onlooker for Backgrounds {
 }
 
 /// The explainer of all pixels of five frames, with backgrounds of unattacked training flights.
-fn explainer(isa: Isa, params: &[f32], count: usize) -> Result<DeepShap, DetectError> {
+pub(crate) fn explainer(isa: Isa, params: &[f32], count: usize) -> Result<DeepShap, DetectError> {
     let mut inputs = Vec::new();
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
         let mut onlooker = Backgrounds {
