@@ -30,6 +30,39 @@ impl Axis {
         let count = if skip > top { 0 } else { by_kernel.min(output + 1) };
         Phase { first, count, output }
     }
+
+    /// The inputs in runs, a stride apart, that are seen through the same taps by outputs that go along with them.
+    fn runs_of_inputs(self) -> impl Iterator<Item = Inputs> {
+        let (mut phase, mut at) = (0, 0);
+        core::iter::from_fn(move || {
+            while at >= self.size {
+                phase += 1;
+                at = phase;
+                if phase >= self.stride.min(self.size) {
+                    return None;
+                }
+            }
+            let (from, taps) = (at, self.phase(at));
+            let by_kernel = self.kernel.saturating_sub(taps.first).div_ceil(self.stride);
+            // All taps lead to an output until there are no more outputs; at the border each input sees others.
+            let last = (at + self.padding) / self.stride >= self.out;
+            let count = if last || taps.count < by_kernel {
+                1
+            } else {
+                (self.out - taps.output).min((self.size - at).div_ceil(self.stride))
+            };
+            at += count * self.stride;
+            Some(Inputs { from, count, taps })
+        })
+    }
+}
+
+/// `count` inputs from `from` on, a stride apart; `taps` are the first one's.
+#[derive(Clone, Copy)]
+struct Inputs {
+    from: usize,
+    count: usize,
+    taps: Phase,
 }
 
 impl Conv2d {
@@ -140,50 +173,34 @@ impl Conv2d {
         let (w_row, w_col) = (self.kernel * self.channels * self.filters, self.channels * self.filters);
         let dy_row = horizontal.out * self.filters;
         let stride = self.stride;
-        for (iy, dx_row) in dx.chunks_exact_mut(row_len).enumerate() {
-            let rows = vertical.phase(iy);
-            // `count` inputs a stride apart that are seen through the same taps.
-            let mut run = |from: usize, count: usize, cols: Phase| {
-                let product = Product {
-                    rows: count,
-                    cols: self.channels,
-                    n_u: rows.count,
-                    n_v: 1,
-                    n_k: cols.count * self.filters,
-                    a_at: (rows.output * dy_row + (cols.output + 1 - cols.count) * self.filters) as isize,
-                    a_row: self.filters as isize,
-                    a_u: -(dy_row as isize),
-                    a_k: 1,
-                    b_at: (rows.first * w_row + self.slot_of_taps(cols.first, cols.count) * w_col) as isize,
-                    b_u: (stride * w_row) as isize,
-                    b_k: self.channels as isize,
-                    out_at: from * self.channels,
-                    out_row: stride * self.channels,
-                    ..Product::default()
-                };
-                product.run(isa, dy, packed, Start::Zero, dx_row)
-            };
-            for phase in 0..stride.min(self.cols) {
-                let mut ix = phase;
-                while ix < self.cols {
-                    let taps = horizontal.phase(ix);
-                    // Extend the run while the next input sees the same taps, one output further.
-                    let mut count = 1;
-                    let mut next = ix + stride;
-                    while next < self.cols {
-                        let further = horizontal.phase(next);
-                        if further.first != taps.first
-                            || further.count != taps.count
-                            || further.output != taps.output + count
-                        {
-                            break;
-                        }
-                        count += 1;
-                        next += stride;
-                    }
-                    run(ix, count, taps)?;
-                    ix = next;
+        // `rows` inputs of a run, `down` or along the columns; the first sees output `down` of the vertical run.
+        let product = |v: Inputs, h: Inputs, down: usize, rows: usize, a_row: usize, out_row: usize| Product {
+            rows,
+            cols: self.channels,
+            n_u: v.taps.count,
+            n_k: h.taps.count * self.filters,
+            a_at: ((v.taps.output + down) * dy_row + (h.taps.output + 1 - h.taps.count) * self.filters) as isize,
+            a_row: a_row as isize,
+            a_u: -(dy_row as isize),
+            a_k: 1,
+            b_at: (v.taps.first * w_row + self.slot_of_taps(h.taps.first, h.taps.count) * w_col) as isize,
+            b_u: (stride * w_row) as isize,
+            b_k: self.channels as isize,
+            out_at: (v.from + down * stride) * row_len + h.from * self.channels,
+            out_row: stride * out_row,
+            ..Product::single()
+        };
+        for v in vertical.runs_of_inputs() {
+            for down in 0..v.count {
+                for h in horizontal.runs_of_inputs().filter(|h| h.count > 1) {
+                    let along = product(v, h, down, h.count, self.filters, self.channels);
+                    along.run(isa, dy, packed, Start::Zero, dx)?;
                 }
+            }
+            // The border's columns run downwards: one input at a time would wait for each sum.
+            for h in horizontal.runs_of_inputs().filter(|h| h.count == 1) {
+                let down = product(v, h, 0, v.count, dy_row, row_len);
+                down.run(isa, dy, packed, Start::Zero, dx)?;
             }
         }
         Ok(())
@@ -260,11 +277,13 @@ impl Conv2d {
                     let product = Product {
                         rows: members * self.channels,
                         cols: phase_len,
+                        bands: 1,
                         n_u: rows.count,
                         n_v: to - from,
                         n_k: self.filters,
                         a_at: (rows.first * w_row + (first + from * stride) * tap) as isize,
                         a_row: self.filters as isize,
+                        a_band: 0,
                         a_u: (stride * w_row) as isize,
                         a_v: (stride * tap) as isize,
                         a_k: 1,
