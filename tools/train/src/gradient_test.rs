@@ -96,9 +96,9 @@ impl Case {
             mirror,
             frame_shares: [1.0; ACTOR_FRAMES],
         };
-        shard
-            .learn(&self.frozen(&self.weights), &self.transition(), draw)
-            .unwrap();
+        let frozen = self.frozen(&self.weights);
+        shard.learn(&frozen, &self.transition(), draw).unwrap();
+        shard.finish(&frozen).unwrap();
         shard
     }
 

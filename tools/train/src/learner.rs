@@ -242,7 +242,7 @@ impl Learner {
                 for (transition, draw) in own {
                     shard.learn(&frozen, transition, *draw)?;
                 }
-                Ok(())
+                shard.finish(&frozen)
             })?;
         self.apply(batch.len())
     }

@@ -61,6 +61,9 @@ pub struct Recurrent {
     states: [[f32; ACTOR_HIDDEN]; ACTOR_FRAMES + 1],
     d_gates: Aligned,
     d_projections: Aligned,
+    /// Features and gradients at the projections of all backward passes since [`Self::finish`].
+    seen: Vec<f32>,
+    d_seen: Vec<f32>,
     /// Gradient with respect to the features after [`Self::backward`], five frames in a row.
     pub d_features: Aligned,
 }
@@ -74,6 +77,8 @@ impl Recurrent {
             states: [[0.0; ACTOR_HIDDEN]; ACTOR_FRAMES + 1],
             d_gates: Aligned::zeros(STEP.gate_gradient_len()),
             d_projections: Aligned::zeros(ACTOR_FRAMES * GATES),
+            seen: Vec::new(),
+            d_seen: Vec::new(),
             d_features: Aligned::zeros(ACTOR_FRAMES * features),
         }
     }
@@ -111,8 +116,9 @@ impl Recurrent {
         Ok(self.states[ACTOR_FRAMES])
     }
 
-    /// Adds to `d_params` (a GRU's parameters) the gradient for `d_state`, the gradient at the last state, and leaves that
-    /// with respect to the features in [`Self::d_features`] if it is wanted.
+    /// Adds to `d_params` (a GRU's parameters) the recurrent side's gradient for `d_state`, the gradient at the last state,
+    /// and leaves that with respect to the features in [`Self::d_features`] if it is wanted. The input's side follows with
+    /// [`Self::finish`].
     ///
     /// # Errors
     /// Slices of other lengths.
@@ -146,20 +152,34 @@ impl Recurrent {
             self.d_projections[t * GATES..(t + 1) * GATES].copy_from_slice(&self.d_gates[..GATES]);
             d = d_previous;
         }
-        // The dense layer adds its bias's gradient behind its weights, where a GRU has recurrent weights; the bias is in the
-        // recurrent side's gradient already.
-        let mut kept = [0.0; GATES];
-        kept.copy_from_slice(&d_params[weights..weights + GATES]);
-        params
-            .input
-            .weight_gradient(isa, features, &self.d_projections, &mut d_params[..weights + GATES])?;
-        d_params[weights..weights + GATES].copy_from_slice(&kept);
+        self.seen.extend_from_slice(features);
+        self.d_seen.extend_from_slice(&self.d_projections);
         if features_wanted {
             let d_features = &mut self.d_features;
             params
                 .input
                 .input_gradient(isa, &params.projection_packed, &self.d_projections, d_features)?;
         }
+        Ok(())
+    }
+
+    /// Adds to `d_params` the gradient of the input matrix for all backward passes since the last time: in one product,
+    /// because the matrix is larger than what each state has to say about it.
+    ///
+    /// # Errors
+    /// Slices of other lengths.
+    pub fn finish(&mut self, isa: Isa, params: &RecurrentParams, d_params: &mut [f32]) -> Result<(), ShapeError> {
+        let weights = params.input.weight_len();
+        // The dense layer adds its bias's gradient behind its weights, where a GRU has recurrent weights; the bias is in the
+        // recurrent side's gradient already.
+        let mut kept = [0.0; GATES];
+        kept.copy_from_slice(&d_params[weights..weights + GATES]);
+        params
+            .input
+            .weight_gradient(isa, &self.seen, &self.d_seen, &mut d_params[..weights + GATES])?;
+        d_params[weights..weights + GATES].copy_from_slice(&kept);
+        self.seen.clear();
+        self.d_seen.clear();
         Ok(())
     }
 }

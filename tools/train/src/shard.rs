@@ -210,7 +210,7 @@ impl Shard {
         Ok(n.critic_head.output(&self.critic_head.tape)?[0])
     }
 
-    /// Adds one transition's share to the gradients.
+    /// Adds one transition's share to the gradients; [`Self::finish`] completes them.
     ///
     /// # Errors
     /// Weights of other networks.
@@ -316,6 +316,18 @@ impl Shard {
         // Sampled more often: what the critic does not expect and where the actor is not like its teacher.
         self.errors.push((t.leaf, error.abs() + f.imitation * distance));
         Ok(())
+    }
+
+    /// Completes the gradients after the last transition.
+    ///
+    /// # Errors
+    /// Weights of other networks.
+    pub fn finish(&mut self, f: &Frozen<'_>) -> Result<(), ShapeError> {
+        let (n, sets) = (f.networks, f.arranged);
+        let d_critic = &mut self.d_critic[n.critic_gru()];
+        self.critic_recur.finish(f.isa, &sets.critic, d_critic)?;
+        let d_actor = &mut self.d_actor[n.actor_gru()];
+        self.actor_recur.finish(f.isa, &sets.actor, d_actor)
     }
 
     /// Adds the actor's gradient for `d_pre` at its outputs before their last tanh; the gradient with respect to the

@@ -3,7 +3,7 @@
 use super::reorder::{Interleave, Transpose};
 use super::{Axis, Conv2d};
 use crate::dense::transpose;
-use crate::error::{ShapeError, expect, part};
+use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 use crate::kernels::{self, Product, Start};
 
@@ -77,6 +77,20 @@ impl Conv2d {
         let tap = self.channels * self.filters;
         let rows = packed.chunks_exact_mut((self.kernel * tap).max(1));
         for (ky, row) in rows.take(self.kernel).enumerate() {
+            if self.is_grouped() {
+                for kx in 0..self.kernel {
+                    let from = part("conv2d weights", params, (ky * self.kernel + kx) * tap, tap)?;
+                    let (first, members) = self.group(kx / self.stride);
+                    let group = part_mut("packed conv2d group", row, first * tap, members * tap)?;
+                    let to = group.get_mut((kx - first) * self.channels..).unwrap_or_default();
+                    for (f, to) in to.chunks_mut(members * self.channels).take(self.filters).enumerate() {
+                        for (to, w) in to.iter_mut().zip(from.iter().skip(f).step_by(self.filters)) {
+                            *to = *w;
+                        }
+                    }
+                }
+                continue;
+            }
             for (slot, to) in row.chunks_exact_mut(tap.max(1)).enumerate() {
                 if self.is_planar() {
                     // [tap][channel][filter] is already the order that the planar kernel reads.
@@ -89,6 +103,17 @@ impl Conv2d {
             }
         }
         Ok(())
+    }
+
+    /// With few input channels a vector is filled by those of neighbouring columns.
+    fn is_grouped(&self) -> bool {
+        !self.is_planar() && self.channels <= 16 && self.stride > 1
+    }
+
+    /// First and number of the kernel columns of group `n`: through them an output sees `stride` neighbouring inputs.
+    fn group(&self, n: usize) -> (usize, usize) {
+        let first = n * self.stride;
+        (first, self.kernel.saturating_sub(first).min(self.stride))
     }
 
     /// Kernel columns of one phase: those that are `phase` modulo the stride.
@@ -168,6 +193,9 @@ impl Conv2d {
         if self.is_planar() {
             return self.input_gradient_planar(isa, packed, dy, dx, scratch);
         }
+        if self.is_grouped() {
+            return self.input_gradient_grouped(isa, packed, dy, dx);
+        }
         let (vertical, horizontal) = (self.vertical(), self.horizontal());
         let row_len = self.cols * self.channels;
         let (w_row, w_col) = (self.kernel * self.channels * self.filters, self.channels * self.filters);
@@ -204,6 +232,97 @@ impl Conv2d {
             }
         }
         Ok(())
+    }
+
+    /// The input gradient with vectors along several columns: each output adds its share to the `stride` neighbouring
+    /// inputs that it sees through a group of kernel columns, group by group.
+    fn input_gradient_grouped(&self, isa: Isa, packed: &[f32], dy: &[f32], dx: &mut [f32]) -> Result<(), ShapeError> {
+        let (vertical, horizontal) = (self.vertical(), self.horizontal());
+        let row_len = self.cols * self.channels;
+        let (tap, dy_row) = (self.channels * self.filters, horizontal.out * self.filters);
+        let w_row = self.kernel * tap;
+        let groups = self.kernel.div_ceil(self.stride);
+        // Kernel columns `members` of group `n` from output column `o` on, for image row `down` of a run.
+        let product = |v: Inputs, down: usize, n: usize, o: usize, (from, to): (usize, usize)| {
+            let (first, members) = self.group(n);
+            Product {
+                cols: (to - from) * self.channels,
+                n_u: v.taps.count,
+                n_k: self.filters,
+                a_at: ((v.taps.output + down) * dy_row + o * self.filters) as isize,
+                a_u: -(dy_row as isize),
+                a_k: 1,
+                b_at: (v.taps.first * w_row + first * tap + from * self.channels) as isize,
+                b_u: (self.stride * w_row) as isize,
+                b_k: (members * self.channels) as isize,
+                out_at: (v.from + down * self.stride) * row_len + (horizontal.input(o, first + from)) * self.channels,
+                ..Product::single()
+            }
+        };
+        // Members of group `n` that output `o` sees.
+        let seen = |n: usize, o: usize| {
+            let (first, members) = self.group(n);
+            let at = o * self.stride + first;
+            let from = self.padding.saturating_sub(at).min(members);
+            (
+                from,
+                (self.cols + self.padding).saturating_sub(at).min(members).max(from),
+            )
+        };
+        for v in vertical.runs_of_inputs() {
+            for down in 0..v.count {
+                part_mut(
+                    "conv2d input gradient",
+                    dx,
+                    (v.from + down * self.stride) * row_len,
+                    row_len,
+                )?
+                .fill(0.0);
+                for n in 0..groups {
+                    let (from, to) = self.outputs_of_group(n);
+                    if from == to {
+                        continue;
+                    }
+                    let along = Product {
+                        rows: to - from,
+                        a_row: self.filters as isize,
+                        out_row: self.stride * self.channels,
+                        ..product(v, down, n, from, (0, self.group(n).1))
+                    };
+                    along.run(isa, dy, packed, Start::Output, dx)?;
+                }
+            }
+            // The border's columns run downwards: one output at a time would wait for each sum.
+            for n in 0..groups {
+                let (from, to) = self.outputs_of_group(n);
+                for o in (0..from).chain(to..horizontal.out) {
+                    let members = seen(n, o);
+                    if members.0 == members.1 {
+                        continue;
+                    }
+                    let downwards = Product {
+                        rows: v.count,
+                        a_row: dy_row as isize,
+                        out_row: self.stride * row_len,
+                        ..product(v, 0, n, o, members)
+                    };
+                    downwards.run(isa, dy, packed, Start::Output, dx)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Outputs all of whose columns of group `n` fall on the input, `from..to`.
+    fn outputs_of_group(&self, n: usize) -> (usize, usize) {
+        let (first, members) = self.group(n);
+        let from = self
+            .padding
+            .saturating_sub(first)
+            .div_ceil(self.stride)
+            .min(self.out_cols());
+        let reach = (self.cols + self.padding + self.stride).saturating_sub(first + members) / self.stride;
+        (from, reach.clamp(from, self.out_cols()))
     }
 
     /// The input gradient with vectors along the columns: `dy` is first turned into planes `[row][filter][column]` with
