@@ -30,7 +30,7 @@ class CriticNet(nn.Module):
     def __init__(self, weights: Weights) -> None:
         super().__init__()
         self.gru, self.positional = gru(weights), linear(weights, "positional")
-        self.dense, self.output = linear(weights, "dense"), linear(weights, "output")
+        self.dense, self.dense_2, self.output = (linear(weights, name) for name in ("dense", "dense_2", "output"))
 
     def state(self, features: torch.Tensor) -> torch.Tensor:
         """The GRU's state."""
@@ -39,7 +39,8 @@ class CriticNet(nn.Module):
     def value(self, state: torch.Tensor, position: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
         """Of an action in a state."""
         joined = torch.cat([torch.tanh(state), torch.tanh(self.positional(position)), action], dim=1)
-        return self.output(nn.functional.elu(self.dense(joined)))[:, 0]
+        hidden = nn.functional.elu(self.dense_2(nn.functional.elu(self.dense(joined))))
+        return self.output(hidden)[:, 0]
 
 
 def squash(pre: torch.Tensor) -> torch.Tensor:

@@ -6,7 +6,7 @@
 
 use crate::error::{ShapeError, expect, part, part_mut};
 use crate::graph::{Graph, GraphBuilder, NodeId, Params, Purpose};
-use crate::{Activation, Conv2d, Dense, Gru, Isa};
+use crate::{Activation, Aligned, Conv2d, Dense, Gru, Isa};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -276,10 +276,10 @@ const OUTPUT: Dense = Dense {
 pub struct Actor {
     spec: ActorSpec,
     isa: Isa,
-    params: Vec<f32>,
+    params: Aligned,
     layout: ActorParams,
     encoder: Graph,
-    encoder_tape: Vec<f32>,
+    encoder_tape: Aligned,
     head: Graph,
     head_tape: Vec<f32>,
     /// Features of each remembered frame; a ring of [`ACTOR_FRAMES`].
@@ -306,9 +306,9 @@ impl Actor {
         let layout = spec.reserve(&mut GraphBuilder::new());
         Ok(Self {
             isa,
-            params: params.to_vec(),
+            params: Aligned::from(params),
             layout,
-            encoder_tape: vec![0.0; encoder.tape_len()],
+            encoder_tape: Aligned::zeros(encoder.tape_len()),
             encoder,
             head_tape: vec![0.0; head.tape_len()],
             head,

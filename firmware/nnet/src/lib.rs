@@ -11,6 +11,7 @@ extern crate std;
 
 mod activation;
 mod actor;
+mod aligned;
 mod conv;
 mod dense;
 mod error;
@@ -29,6 +30,7 @@ pub use activation::{Activation, RESCALE_THRESHOLD};
 pub use actor::{
     ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorParams, ActorSpec,
 };
+pub use aligned::Aligned;
 pub use conv::Conv2d;
 pub use dense::Dense;
 pub use error::ShapeError;

@@ -3,13 +3,13 @@
 use crate::networks::{Networks, squash};
 use crate::replay::{State, unpack_frame};
 use crate::shard::five;
-use vigil_nnet::{ACTOR_FRAMES, Isa, ShapeError};
+use vigil_nnet::{ACTOR_FRAMES, Aligned, Isa, ShapeError};
 use vigil_types::DEPTH_PIXELS;
 
 /// Decides with weights that are still being trained, from kept frames.
 pub struct Decider {
     contrast: Vec<f32>,
-    encoder: Vec<f32>,
+    encoder: Aligned,
     features: Vec<f32>,
     recur: Vec<f32>,
     head: Vec<f32>,
@@ -20,7 +20,7 @@ impl Decider {
     pub fn new(n: &Networks) -> Self {
         Self {
             contrast: vec![0.0; DEPTH_PIXELS],
-            encoder: vec![0.0; n.encoder.tape_len()],
+            encoder: Aligned::zeros(n.encoder.tape_len()),
             features: vec![0.0; ACTOR_FRAMES * n.encoder.output_len()],
             recur: vec![0.0; n.actor_recur.tape_len()],
             head: vec![0.0; n.actor_head.tape_len()],

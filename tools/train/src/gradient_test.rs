@@ -14,9 +14,9 @@ use vigil_types::DEPTH_PIXELS;
 struct Case {
     networks: Networks,
     weights: Weights,
-    packed_actor: Vec<f32>,
-    packed_critic: Vec<f32>,
-    recurrent: RecurrentSets,
+    packed_actor: Aligned,
+    packed_critic: Aligned,
+    arranged: Arranged,
     frames: Vec<Vec<u8>>,
 }
 
@@ -50,7 +50,7 @@ impl Case {
             networks,
             packed_actor: learner.packed_actor.clone(),
             packed_critic: learner.packed_critic.clone(),
-            recurrent: learner.recurrent,
+            arranged: learner.arranged,
             weights: learner.weights,
             frames,
         }
@@ -80,7 +80,7 @@ impl Case {
             weights,
             packed_actor: &self.packed_actor,
             packed_critic: &self.packed_critic,
-            recurrent: &self.recurrent,
+            arranged: &self.arranged,
             saturation_penalty: 0.3,
             imitation: 0.4,
             imitation_width: 0.3,
@@ -96,9 +96,9 @@ impl Case {
             mirror,
             frame_shares: [1.0; ACTOR_FRAMES],
         };
-        shard
-            .learn(&self.frozen(&self.weights), &self.transition(), draw)
-            .unwrap();
+        let frozen = self.frozen(&self.weights);
+        shard.learn(&frozen, &self.transition(), draw).unwrap();
+        shard.finish(&frozen).unwrap();
         shard
     }
 
@@ -107,7 +107,9 @@ impl Case {
         let f = self.frozen(weights);
         let (n, t) = (&self.networks, self.transition());
         let mut shard = Shard::new(n);
-        shard.encode(&f, &weights.actor, &t.state, mirror).unwrap();
+        shard
+            .encode(&f, &weights.actor, &t.state, mirror, [0.0; ACTOR_FRAMES])
+            .unwrap();
         let gru = |params: &[f32]| {
             let mut set = RecurrentParams::new(n.encoder.output_len());
             set.set(params).unwrap();
@@ -263,7 +265,7 @@ fn the_recurrent_part_is_the_graph_s_gru() {
         .map(|i| libm::sinf(i as f32 * 0.7))
         .collect();
     let state = Recurrent::new(n.encoder.output_len())
-        .forward(Isa::detect(), &case.recurrent.actor, &features)
+        .forward(Isa::detect(), &case.arranged.actor, &features)
         .unwrap();
     let mut tape = vec![0.0; n.actor_recur.tape_len()];
     n.actor_recur

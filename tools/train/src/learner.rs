@@ -4,14 +4,14 @@ use crate::adam;
 use crate::config::{LearningConfig, TrainConfig, WarmUp};
 use crate::networks::Networks;
 use crate::replay::Transition;
-use crate::shard::{Draw, Frozen, RecurrentSets, Shard, add, scale_by};
+use crate::shard::{Arranged, Draw, Frozen, Shard, add, scale_by};
 use crate::weights::Weights;
 use rand::Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::train::soft_update;
-use vigil_nnet::{Isa, Params, ShapeError};
+use vigil_nnet::{Aligned, Isa, Params, ShapeError};
 
 /// Parts into which a batch is cut. Their gradients are added in a fixed order, so any number of threads gives the same bits.
 const SHARDS: usize = 4;
@@ -94,9 +94,9 @@ pub struct Learner {
     /// Shares of the learning rate.
     actor_shares: Vec<f32>,
     critic_shares: Vec<f32>,
-    packed_actor: Vec<f32>,
-    packed_critic: Vec<f32>,
-    recurrent: RecurrentSets,
+    packed_actor: Aligned,
+    packed_critic: Aligned,
+    arranged: Arranged,
     shards: Vec<Shard>,
     updates: u64,
     /// Updates of the whole run.
@@ -139,9 +139,9 @@ impl Learner {
             isa,
             config: config.learning.clone(),
             warm_up: config.warm_up.clone(),
-            packed_actor: vec![0.0; networks.actor_len()],
-            packed_critic: vec![0.0; networks.critic_len()],
-            recurrent: RecurrentSets::new(&networks),
+            packed_actor: Aligned::zeros(networks.actor_len()),
+            packed_critic: Aligned::zeros(networks.critic_len()),
+            arranged: Arranged::new(&networks),
             shards: (0..SHARDS).map(|_| Shard::new(&networks)).collect(),
             networks,
             weights,
@@ -158,7 +158,7 @@ impl Learner {
         n.encoder.pack(&w.actor, &mut self.packed_actor)?;
         n.actor_head.pack(&w.actor, &mut self.packed_actor)?;
         n.critic_head.pack(&w.critic, &mut self.packed_critic)?;
-        self.recurrent.set(n, w)
+        self.arranged.set(n, w)
     }
 
     /// Everything that is learned.
@@ -220,7 +220,7 @@ impl Learner {
             weights: &self.weights,
             packed_actor: &self.packed_actor,
             packed_critic: &self.packed_critic,
-            recurrent: &self.recurrent,
+            arranged: &self.arranged,
             saturation_penalty: self.config.saturation_penalty,
             imitation: self.imitation(),
             imitation_width: self.config.imitation_width,
@@ -242,7 +242,7 @@ impl Learner {
                 for (transition, draw) in own {
                     shard.learn(&frozen, transition, *draw)?;
                 }
-                Ok(())
+                shard.finish(&frozen)
             })?;
         self.apply(batch.len())
     }

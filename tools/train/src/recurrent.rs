@@ -3,7 +3,7 @@
 //! Same parameters and same result as five nodes of a graph; the large input matrix is read once per state instead of five
 //! times, which is what an update's recurrent part costs.
 
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, Activation, Dense, Gru, Isa, ShapeError};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, Activation, Aligned, Dense, Gru, Isa, ShapeError};
 
 const GATES: usize = 3 * ACTOR_HIDDEN;
 /// The recurrent side alone: a GRU without inputs whose projection comes from outside.
@@ -16,11 +16,11 @@ const STEP: Gru = Gru {
 pub struct RecurrentParams {
     input: Dense,
     /// Input weights, input bias.
-    projection: Vec<f32>,
-    projection_packed: Vec<f32>,
+    projection: Aligned,
+    projection_packed: Aligned,
     /// Recurrent weights, input bias, recurrent bias.
-    step: Vec<f32>,
-    step_packed: Vec<f32>,
+    step: Aligned,
+    step_packed: Aligned,
 }
 
 impl RecurrentParams {
@@ -31,10 +31,10 @@ impl RecurrentParams {
             outputs: GATES,
         };
         Self {
-            projection: vec![0.0; input.param_len()],
-            projection_packed: vec![0.0; input.param_len()],
-            step: vec![0.0; STEP.param_len()],
-            step_packed: vec![0.0; STEP.param_len()],
+            projection: Aligned::zeros(input.param_len()),
+            projection_packed: Aligned::zeros(input.param_len()),
+            step: Aligned::zeros(STEP.param_len()),
+            step_packed: Aligned::zeros(STEP.param_len()),
             input,
         }
     }
@@ -56,25 +56,30 @@ impl RecurrentParams {
 
 /// Buffers of one state's pass.
 pub struct Recurrent {
-    projections: Vec<f32>,
+    projections: Aligned,
     gates: [Vec<f32>; ACTOR_FRAMES],
     states: [[f32; ACTOR_HIDDEN]; ACTOR_FRAMES + 1],
-    d_gates: Vec<f32>,
-    d_projections: Vec<f32>,
+    d_gates: Aligned,
+    d_projections: Aligned,
+    /// Features and gradients at the projections of all backward passes since [`Self::finish`].
+    seen: Vec<f32>,
+    d_seen: Vec<f32>,
     /// Gradient with respect to the features after [`Self::backward`], five frames in a row.
-    pub d_features: Vec<f32>,
+    pub d_features: Aligned,
 }
 
 impl Recurrent {
     /// For features of a length.
     pub fn new(features: usize) -> Self {
         Self {
-            projections: vec![0.0; ACTOR_FRAMES * GATES],
+            projections: Aligned::zeros(ACTOR_FRAMES * GATES),
             gates: core::array::from_fn(|_| vec![0.0; STEP.gates_len()]),
             states: [[0.0; ACTOR_HIDDEN]; ACTOR_FRAMES + 1],
-            d_gates: vec![0.0; STEP.gate_gradient_len()],
-            d_projections: vec![0.0; ACTOR_FRAMES * GATES],
-            d_features: vec![0.0; ACTOR_FRAMES * features],
+            d_gates: Aligned::zeros(STEP.gate_gradient_len()),
+            d_projections: Aligned::zeros(ACTOR_FRAMES * GATES),
+            seen: Vec::new(),
+            d_seen: Vec::new(),
+            d_features: Aligned::zeros(ACTOR_FRAMES * features),
         }
     }
 
@@ -111,8 +116,9 @@ impl Recurrent {
         Ok(self.states[ACTOR_FRAMES])
     }
 
-    /// Adds to `d_params` (a GRU's parameters) the gradient for `d_state`, the gradient at the last state, and leaves that
-    /// with respect to the features in [`Self::d_features`].
+    /// Adds to `d_params` (a GRU's parameters) the recurrent side's gradient for `d_state`, the gradient at the last state,
+    /// and leaves that with respect to the features in [`Self::d_features`] if it is wanted. The input's side follows with
+    /// [`Self::finish`].
     ///
     /// # Errors
     /// Slices of other lengths.
@@ -123,6 +129,7 @@ impl Recurrent {
         features: &[f32],
         d_state: &[f32],
         d_params: &mut [f32],
+        features_wanted: bool,
     ) -> Result<(), ShapeError> {
         let weights = params.input.weight_len();
         let d_step = &mut d_params[weights..];
@@ -145,19 +152,34 @@ impl Recurrent {
             self.d_projections[t * GATES..(t + 1) * GATES].copy_from_slice(&self.d_gates[..GATES]);
             d = d_previous;
         }
+        self.seen.extend_from_slice(features);
+        self.d_seen.extend_from_slice(&self.d_projections);
+        if features_wanted {
+            let d_features = &mut self.d_features;
+            params
+                .input
+                .input_gradient(isa, &params.projection_packed, &self.d_projections, d_features)?;
+        }
+        Ok(())
+    }
+
+    /// Adds to `d_params` the gradient of the input matrix for all backward passes since the last time: in one product,
+    /// because the matrix is larger than what each state has to say about it.
+    ///
+    /// # Errors
+    /// Slices of other lengths.
+    pub fn finish(&mut self, isa: Isa, params: &RecurrentParams, d_params: &mut [f32]) -> Result<(), ShapeError> {
+        let weights = params.input.weight_len();
         // The dense layer adds its bias's gradient behind its weights, where a GRU has recurrent weights; the bias is in the
         // recurrent side's gradient already.
         let mut kept = [0.0; GATES];
         kept.copy_from_slice(&d_params[weights..weights + GATES]);
         params
             .input
-            .weight_gradient(isa, features, &self.d_projections, &mut d_params[..weights + GATES])?;
+            .weight_gradient(isa, &self.seen, &self.d_seen, &mut d_params[..weights + GATES])?;
         d_params[weights..weights + GATES].copy_from_slice(&kept);
-        params.input.input_gradient(
-            isa,
-            &params.projection_packed,
-            &self.d_projections,
-            &mut self.d_features,
-        )
+        self.seen.clear();
+        self.d_seen.clear();
+        Ok(())
     }
 }

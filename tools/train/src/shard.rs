@@ -7,7 +7,7 @@ use crate::recurrent::{Recurrent, RecurrentParams};
 use crate::replay::{State, Transition, unpack_frame};
 use crate::weights::Weights;
 use rand::{Rng, RngExt};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_LIMIT, Graph, Isa, ShapeError};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_LIMIT, Aligned, Graph, Isa, ShapeError};
 use vigil_types::DEPTH_PIXELS;
 
 /// From this difference between two yaw outputs on, one of them is wrong.
@@ -15,15 +15,15 @@ const DISAGREEING: f32 = 0.3;
 
 /// A tape and a work buffer of a graph.
 pub struct Pass {
-    pub tape: Vec<f32>,
-    pub work: Vec<f32>,
+    pub tape: Aligned,
+    pub work: Aligned,
 }
 
 impl Pass {
     fn new(graph: &Graph) -> Self {
         Self {
-            tape: vec![0.0; graph.tape_len()],
-            work: vec![0.0; graph.work_len()],
+            tape: Aligned::zeros(graph.tape_len()),
+            work: Aligned::zeros(graph.work_len()),
         }
     }
 }
@@ -31,17 +31,19 @@ impl Pass {
 /// What one part of a batch needs.
 pub struct Shard {
     pub contrast: Vec<f32>,
-    pub encoders: [Vec<f32>; ACTOR_FRAMES],
-    pub encoder_work: Vec<f32>,
-    pub features: Vec<f32>,
-    pub d_features: Vec<f32>,
+    /// A tape for each frame whose gradient is wanted, and one for the others.
+    pub encoders: [Aligned; ACTOR_FRAMES],
+    pub passing_encoder: Aligned,
+    pub encoder_work: Aligned,
+    pub features: Aligned,
+    pub d_features: Aligned,
     pub actor_recur: Recurrent,
     pub actor_head: Pass,
     pub critic_recur: Recurrent,
     pub critic_head: Pass,
-    pub d_encoder: Vec<f32>,
-    pub d_actor: Vec<f32>,
-    pub d_critic: Vec<f32>,
+    pub d_encoder: Aligned,
+    pub d_actor: Aligned,
+    pub d_critic: Aligned,
     pub sums: UpdateReport,
     pub errors: Vec<(usize, f32)>,
 }
@@ -52,17 +54,18 @@ impl Shard {
         let features = n.encoder.output_len();
         Self {
             contrast: vec![0.0; DEPTH_PIXELS],
-            encoders: core::array::from_fn(|_| vec![0.0; n.encoder.tape_len()]),
-            encoder_work: vec![0.0; n.encoder.work_len()],
-            features: vec![0.0; ACTOR_FRAMES * features],
-            d_features: vec![0.0; features],
+            encoders: core::array::from_fn(|_| Aligned::zeros(n.encoder.tape_len())),
+            passing_encoder: Aligned::zeros(n.encoder.tape_len()),
+            encoder_work: Aligned::zeros(n.encoder.work_len()),
+            features: Aligned::zeros(ACTOR_FRAMES * features),
+            d_features: Aligned::zeros(features),
             actor_recur: Recurrent::new(features),
             actor_head: Pass::new(&n.actor_head),
             critic_recur: Recurrent::new(features),
             critic_head: Pass::new(&n.critic_head),
-            d_encoder: vec![0.0; n.actor_len()],
-            d_actor: vec![0.0; n.actor_len()],
-            d_critic: vec![0.0; n.critic_len()],
+            d_encoder: Aligned::zeros(n.actor_len()),
+            d_actor: Aligned::zeros(n.actor_len()),
+            d_critic: Aligned::zeros(n.critic_len()),
             sums: UpdateReport::default(),
             errors: Vec::new(),
         }
@@ -76,7 +79,7 @@ pub struct Frozen<'a> {
     pub weights: &'a Weights,
     pub packed_actor: &'a [f32],
     pub packed_critic: &'a [f32],
-    pub recurrent: &'a RecurrentSets,
+    pub arranged: &'a Arranged,
     pub saturation_penalty: f32,
     pub imitation: f32,
     pub imitation_width: f32,
@@ -111,19 +114,23 @@ impl Draw {
     }
 }
 
-/// The four GRUs, arranged for the update.
-pub struct RecurrentSets {
+/// The weights that an update reads most, arranged for it: the four GRUs, the encoders at a cache line's beginning.
+pub struct Arranged {
+    pub encoder: Aligned,
+    pub encoder_target: Aligned,
     pub actor: RecurrentParams,
     pub critic: RecurrentParams,
     pub actor_target: RecurrentParams,
     pub critic_target: RecurrentParams,
 }
 
-impl RecurrentSets {
+impl Arranged {
     /// Buffers.
     pub fn new(n: &Networks) -> Self {
         let set = || RecurrentParams::new(n.encoder.output_len());
         Self {
+            encoder: Aligned::zeros(n.actor_len()),
+            encoder_target: Aligned::zeros(n.actor_len()),
             actor: set(),
             critic: set(),
             actor_target: set(),
@@ -136,6 +143,9 @@ impl RecurrentSets {
     /// # Errors
     /// Weights of other networks.
     pub fn set(&mut self, n: &Networks, w: &Weights) -> Result<(), ShapeError> {
+        let encoder = ..n.encoder_len();
+        self.encoder[encoder].copy_from_slice(&w.actor[encoder]);
+        self.encoder_target[encoder].copy_from_slice(&w.actor_target[encoder]);
         self.actor.set(&w.actor[n.actor_gru()])?;
         self.critic.set(&w.critic[n.critic_gru()])?;
         self.actor_target.set(&w.actor_target[n.actor_gru()])?;
@@ -155,13 +165,26 @@ pub fn five(features: &[f32]) -> [&[f32]; ACTOR_FRAMES] {
 }
 
 impl Shard {
-    /// Encodes a state with the given weights, one tape per frame, and collects the features.
-    pub fn encode(&mut self, f: &Frozen<'_>, actor: &[f32], state: &State<'_>, mirror: bool) -> Result<(), ShapeError> {
+    /// Encodes a state with the given weights and collects the features; keeps the tapes of the frames that have a share.
+    pub fn encode(
+        &mut self,
+        f: &Frozen<'_>,
+        encoder_weights: &[f32],
+        state: &State<'_>,
+        mirror: bool,
+        shares: [f32; ACTOR_FRAMES],
+    ) -> Result<(), ShapeError> {
         let encoder = &f.networks.encoder;
         let len = encoder.output_len();
-        for (i, (packed, tape)) in state.frames.iter().zip(&mut self.encoders).enumerate() {
+        for (i, (packed, own)) in state.frames.iter().zip(&mut self.encoders).enumerate() {
+            // One tape for all that nobody reads again stays in the cache.
+            let tape = if shares[i] > 0.0 {
+                own
+            } else {
+                &mut self.passing_encoder
+            };
             unpack_frame(packed, mirror, &mut self.contrast);
-            encoder.forward(f.isa, actor, &[&self.contrast], tape)?;
+            encoder.forward(f.isa, encoder_weights, &[&self.contrast], tape)?;
             self.features[i * len..(i + 1) * len].copy_from_slice(encoder.output(tape)?);
         }
         Ok(())
@@ -170,24 +193,24 @@ impl Shard {
     /// What the target networks think the next state is worth.
     fn next_value(&mut self, f: &Frozen<'_>, t: &Transition<'_>, mirror: bool) -> Result<f32, ShapeError> {
         let (n, w) = (f.networks, f.weights);
-        self.encode(f, &w.actor_target, &t.next, mirror)?;
+        self.encode(f, &f.arranged.encoder_target, &t.next, mirror, [0.0; ACTOR_FRAMES])?;
         let position = mirrored(t.next.position, mirror);
         let state = self
             .actor_recur
-            .forward(f.isa, &f.recurrent.actor_target, &self.features)?;
+            .forward(f.isa, &f.arranged.actor_target, &self.features)?;
         n.actor_head
             .forward(f.isa, &w.actor_target, &[&state, &position], &mut self.actor_head.tape)?;
         let action = squash(n.actor_head.output(&self.actor_head.tape)?);
         let state = self
             .critic_recur
-            .forward(f.isa, &f.recurrent.critic_target, &self.features)?;
+            .forward(f.isa, &f.arranged.critic_target, &self.features)?;
         let inputs: [&[f32]; 3] = [&state, &position, &action];
         n.critic_head
             .forward(f.isa, &w.critic_target, &inputs, &mut self.critic_head.tape)?;
         Ok(n.critic_head.output(&self.critic_head.tape)?[0])
     }
 
-    /// Adds one transition's share to the gradients.
+    /// Adds one transition's share to the gradients; [`Self::finish`] completes them.
     ///
     /// # Errors
     /// Weights of other networks.
@@ -199,12 +222,12 @@ impl Shard {
         } else {
             t.reward
         };
-        self.encode(f, &w.actor, &t.state, mirror)?;
+        self.encode(f, &f.arranged.encoder, &t.state, mirror, draw.frame_shares)?;
         let position = mirrored(t.state.position, mirror);
         let flown = mirrored(t.action, mirror);
 
         // Critic: L = w (Q(s, a) − y)² / batch.
-        let critic_state = self.critic_recur.forward(isa, &f.recurrent.critic, &self.features)?;
+        let critic_state = self.critic_recur.forward(isa, &f.arranged.critic, &self.features)?;
         let head_inputs: [&[f32]; 3] = [&critic_state, &position, &flown];
         let head = &mut self.critic_head;
         n.critic_head.forward(isa, &w.critic, &head_inputs, &mut head.tape)?;
@@ -222,10 +245,10 @@ impl Shard {
         let d_state = n.critic_head.input_gradient(&head.work, 0)?;
         let d_gru = &mut d_critic[n.critic_gru()];
         self.critic_recur
-            .backward(isa, &f.recurrent.critic, &self.features, d_state, d_gru)?;
+            .backward(isa, &f.arranged.critic, &self.features, d_state, d_gru, true)?;
 
         // Actor: L = (penalty + imitation − Q(s, μ(s))) / batch.
-        let actor_state = self.actor_recur.forward(isa, &f.recurrent.actor, &self.features)?;
+        let actor_state = self.actor_recur.forward(isa, &f.arranged.actor, &self.features)?;
         n.actor_head
             .forward(isa, &w.actor, &[&actor_state, &position], &mut self.actor_head.tape)?;
         let pre = n.actor_head.output(&self.actor_head.tape)?;
@@ -254,24 +277,23 @@ impl Shard {
         if off.abs() > DISAGREEING {
             self.sums.agreement += (d_action[1] * off).signum();
         }
+        let with_imitation = f.imitation > 0.0 && f.imitation_trains_encoder;
         // What the encoder learns from the actor is the imitation alone, so that is kept apart and comes last.
         if f.by_value > 0.0 || f.imitation == 0.0 {
-            self.learn_actor(f, &d_pre)?;
+            self.learn_actor(f, &d_pre, false)?;
         } else {
             add(&mut d_imitation, &d_pre);
         }
         if f.imitation > 0.0 {
-            self.learn_actor(f, &d_imitation)?;
+            self.learn_actor(f, &d_imitation, with_imitation)?;
         }
 
-        let with_imitation = f.imitation > 0.0 && f.imitation_trains_encoder;
         let len = self.d_features.len();
-        for (i, share) in draw
-            .frame_shares
-            .into_iter()
-            .enumerate()
-            .filter(|(_, share)| *share > 0.0)
-        {
+        // The newest first: it was encoded last and is still in the cache.
+        for (i, share) in draw.frame_shares.into_iter().enumerate().rev() {
+            if share <= 0.0 {
+                continue;
+            }
             let own = i * len..(i + 1) * len;
             let d_features = &mut self.d_features;
             d_features.copy_from_slice(&self.critic_recur.d_features[own.clone()]);
@@ -296,9 +318,21 @@ impl Shard {
         Ok(())
     }
 
+    /// Completes the gradients after the last transition.
+    ///
+    /// # Errors
+    /// Weights of other networks.
+    pub fn finish(&mut self, f: &Frozen<'_>) -> Result<(), ShapeError> {
+        let (n, sets) = (f.networks, f.arranged);
+        let d_critic = &mut self.d_critic[n.critic_gru()];
+        self.critic_recur.finish(f.isa, &sets.critic, d_critic)?;
+        let d_actor = &mut self.d_actor[n.actor_gru()];
+        self.actor_recur.finish(f.isa, &sets.actor, d_actor)
+    }
+
     /// Adds the actor's gradient for `d_pre` at its outputs before their last tanh; the gradient with respect to the
-    /// features stays in the work buffer.
-    fn learn_actor(&mut self, f: &Frozen<'_>, d_pre: &[f32; 2]) -> Result<(), ShapeError> {
+    /// features stays in the work buffer if it is wanted.
+    fn learn_actor(&mut self, f: &Frozen<'_>, d_pre: &[f32; 2], features_wanted: bool) -> Result<(), ShapeError> {
         let (n, isa) = (f.networks, f.isa);
         let d_actor = &mut self.d_actor;
         let head = &mut self.actor_head;
@@ -307,7 +341,7 @@ impl Shard {
         let d_state = n.actor_head.input_gradient(&head.work, 0)?;
         let d_gru = &mut d_actor[n.actor_gru()];
         self.actor_recur
-            .backward(isa, &f.recurrent.actor, &self.features, d_state, d_gru)
+            .backward(isa, &f.arranged.actor, &self.features, d_state, d_gru, features_wanted)
     }
 }
 

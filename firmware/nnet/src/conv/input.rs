@@ -3,7 +3,7 @@
 use super::reorder::{Interleave, Transpose};
 use super::{Axis, Conv2d};
 use crate::dense::transpose;
-use crate::error::{ShapeError, expect, part};
+use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 use crate::kernels::{self, Product, Start};
 
@@ -30,6 +30,39 @@ impl Axis {
         let count = if skip > top { 0 } else { by_kernel.min(output + 1) };
         Phase { first, count, output }
     }
+
+    /// The inputs in runs, a stride apart, that are seen through the same taps by outputs that go along with them.
+    fn runs_of_inputs(self) -> impl Iterator<Item = Inputs> {
+        let (mut phase, mut at) = (0, 0);
+        core::iter::from_fn(move || {
+            while at >= self.size {
+                phase += 1;
+                at = phase;
+                if phase >= self.stride.min(self.size) {
+                    return None;
+                }
+            }
+            let (from, taps) = (at, self.phase(at));
+            let by_kernel = self.kernel.saturating_sub(taps.first).div_ceil(self.stride);
+            // All taps lead to an output until there are no more outputs; at the border each input sees others.
+            let last = (at + self.padding) / self.stride >= self.out;
+            let count = if last || taps.count < by_kernel {
+                1
+            } else {
+                (self.out - taps.output).min((self.size - at).div_ceil(self.stride))
+            };
+            at += count * self.stride;
+            Some(Inputs { from, count, taps })
+        })
+    }
+}
+
+/// `count` inputs from `from` on, a stride apart; `taps` are the first one's.
+#[derive(Clone, Copy)]
+struct Inputs {
+    from: usize,
+    count: usize,
+    taps: Phase,
 }
 
 impl Conv2d {
@@ -44,6 +77,20 @@ impl Conv2d {
         let tap = self.channels * self.filters;
         let rows = packed.chunks_exact_mut((self.kernel * tap).max(1));
         for (ky, row) in rows.take(self.kernel).enumerate() {
+            if self.is_grouped() {
+                for kx in 0..self.kernel {
+                    let from = part("conv2d weights", params, (ky * self.kernel + kx) * tap, tap)?;
+                    let (first, members) = self.group(kx / self.stride);
+                    let group = part_mut("packed conv2d group", row, first * tap, members * tap)?;
+                    let to = group.get_mut((kx - first) * self.channels..).unwrap_or_default();
+                    for (f, to) in to.chunks_mut(members * self.channels).take(self.filters).enumerate() {
+                        for (to, w) in to.iter_mut().zip(from.iter().skip(f).step_by(self.filters)) {
+                            *to = *w;
+                        }
+                    }
+                }
+                continue;
+            }
             for (slot, to) in row.chunks_exact_mut(tap.max(1)).enumerate() {
                 if self.is_planar() {
                     // [tap][channel][filter] is already the order that the planar kernel reads.
@@ -56,6 +103,17 @@ impl Conv2d {
             }
         }
         Ok(())
+    }
+
+    /// With few input channels a vector is filled by those of neighbouring columns.
+    fn is_grouped(&self) -> bool {
+        !self.is_planar() && self.channels <= 16 && self.stride > 1
+    }
+
+    /// First and number of the kernel columns of group `n`: through them an output sees `stride` neighbouring inputs.
+    fn group(&self, n: usize) -> (usize, usize) {
+        let first = n * self.stride;
+        (first, self.kernel.saturating_sub(first).min(self.stride))
     }
 
     /// Kernel columns of one phase: those that are `phase` modulo the stride.
@@ -135,58 +193,136 @@ impl Conv2d {
         if self.is_planar() {
             return self.input_gradient_planar(isa, packed, dy, dx, scratch);
         }
+        if self.is_grouped() {
+            return self.input_gradient_grouped(isa, packed, dy, dx);
+        }
         let (vertical, horizontal) = (self.vertical(), self.horizontal());
         let row_len = self.cols * self.channels;
         let (w_row, w_col) = (self.kernel * self.channels * self.filters, self.channels * self.filters);
         let dy_row = horizontal.out * self.filters;
         let stride = self.stride;
-        for (iy, dx_row) in dx.chunks_exact_mut(row_len).enumerate() {
-            let rows = vertical.phase(iy);
-            // `count` inputs a stride apart that are seen through the same taps.
-            let mut run = |from: usize, count: usize, cols: Phase| {
-                let product = Product {
-                    rows: count,
-                    cols: self.channels,
-                    n_u: rows.count,
-                    n_v: 1,
-                    n_k: cols.count * self.filters,
-                    a_at: (rows.output * dy_row + (cols.output + 1 - cols.count) * self.filters) as isize,
-                    a_row: self.filters as isize,
-                    a_u: -(dy_row as isize),
-                    a_k: 1,
-                    b_at: (rows.first * w_row + self.slot_of_taps(cols.first, cols.count) * w_col) as isize,
-                    b_u: (stride * w_row) as isize,
-                    b_k: self.channels as isize,
-                    out_at: from * self.channels,
-                    out_row: stride * self.channels,
-                    ..Product::default()
-                };
-                product.run(isa, dy, packed, Start::Zero, dx_row)
-            };
-            for phase in 0..stride.min(self.cols) {
-                let mut ix = phase;
-                while ix < self.cols {
-                    let taps = horizontal.phase(ix);
-                    // Extend the run while the next input sees the same taps, one output further.
-                    let mut count = 1;
-                    let mut next = ix + stride;
-                    while next < self.cols {
-                        let further = horizontal.phase(next);
-                        if further.first != taps.first
-                            || further.count != taps.count
-                            || further.output != taps.output + count
-                        {
-                            break;
-                        }
-                        count += 1;
-                        next += stride;
+        // `rows` inputs of a run, `down` or along the columns; the first sees output `down` of the vertical run.
+        let product = |v: Inputs, h: Inputs, down: usize, rows: usize, a_row: usize, out_row: usize| Product {
+            rows,
+            cols: self.channels,
+            n_u: v.taps.count,
+            n_k: h.taps.count * self.filters,
+            a_at: ((v.taps.output + down) * dy_row + (h.taps.output + 1 - h.taps.count) * self.filters) as isize,
+            a_row: a_row as isize,
+            a_u: -(dy_row as isize),
+            a_k: 1,
+            b_at: (v.taps.first * w_row + self.slot_of_taps(h.taps.first, h.taps.count) * w_col) as isize,
+            b_u: (stride * w_row) as isize,
+            b_k: self.channels as isize,
+            out_at: (v.from + down * stride) * row_len + h.from * self.channels,
+            out_row: stride * out_row,
+            ..Product::single()
+        };
+        for v in vertical.runs_of_inputs() {
+            for down in 0..v.count {
+                for h in horizontal.runs_of_inputs().filter(|h| h.count > 1) {
+                    let along = product(v, h, down, h.count, self.filters, self.channels);
+                    along.run(isa, dy, packed, Start::Zero, dx)?;
+                }
+            }
+            // The border's columns run downwards: one input at a time would wait for each sum.
+            for h in horizontal.runs_of_inputs().filter(|h| h.count == 1) {
+                let down = product(v, h, 0, v.count, dy_row, row_len);
+                down.run(isa, dy, packed, Start::Zero, dx)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The input gradient with vectors along several columns: each output adds its share to the `stride` neighbouring
+    /// inputs that it sees through a group of kernel columns, group by group.
+    fn input_gradient_grouped(&self, isa: Isa, packed: &[f32], dy: &[f32], dx: &mut [f32]) -> Result<(), ShapeError> {
+        let (vertical, horizontal) = (self.vertical(), self.horizontal());
+        let row_len = self.cols * self.channels;
+        let (tap, dy_row) = (self.channels * self.filters, horizontal.out * self.filters);
+        let w_row = self.kernel * tap;
+        let groups = self.kernel.div_ceil(self.stride);
+        // Kernel columns `members` of group `n` from output column `o` on, for image row `down` of a run.
+        let product = |v: Inputs, down: usize, n: usize, o: usize, (from, to): (usize, usize)| {
+            let (first, members) = self.group(n);
+            Product {
+                cols: (to - from) * self.channels,
+                n_u: v.taps.count,
+                n_k: self.filters,
+                a_at: ((v.taps.output + down) * dy_row + o * self.filters) as isize,
+                a_u: -(dy_row as isize),
+                a_k: 1,
+                b_at: (v.taps.first * w_row + first * tap + from * self.channels) as isize,
+                b_u: (self.stride * w_row) as isize,
+                b_k: (members * self.channels) as isize,
+                out_at: (v.from + down * self.stride) * row_len + (horizontal.input(o, first + from)) * self.channels,
+                ..Product::single()
+            }
+        };
+        // Members of group `n` that output `o` sees.
+        let seen = |n: usize, o: usize| {
+            let (first, members) = self.group(n);
+            let at = o * self.stride + first;
+            let from = self.padding.saturating_sub(at).min(members);
+            (
+                from,
+                (self.cols + self.padding).saturating_sub(at).min(members).max(from),
+            )
+        };
+        for v in vertical.runs_of_inputs() {
+            for down in 0..v.count {
+                part_mut(
+                    "conv2d input gradient",
+                    dx,
+                    (v.from + down * self.stride) * row_len,
+                    row_len,
+                )?
+                .fill(0.0);
+                for n in 0..groups {
+                    let (from, to) = self.outputs_of_group(n);
+                    if from == to {
+                        continue;
                     }
-                    run(ix, count, taps)?;
-                    ix = next;
+                    let along = Product {
+                        rows: to - from,
+                        a_row: self.filters as isize,
+                        out_row: self.stride * self.channels,
+                        ..product(v, down, n, from, (0, self.group(n).1))
+                    };
+                    along.run(isa, dy, packed, Start::Output, dx)?;
+                }
+            }
+            // The border's columns run downwards: one output at a time would wait for each sum.
+            for n in 0..groups {
+                let (from, to) = self.outputs_of_group(n);
+                for o in (0..from).chain(to..horizontal.out) {
+                    let members = seen(n, o);
+                    if members.0 == members.1 {
+                        continue;
+                    }
+                    let downwards = Product {
+                        rows: v.count,
+                        a_row: dy_row as isize,
+                        out_row: self.stride * row_len,
+                        ..product(v, 0, n, o, members)
+                    };
+                    downwards.run(isa, dy, packed, Start::Output, dx)?;
                 }
             }
         }
         Ok(())
+    }
+
+    /// Outputs all of whose columns of group `n` fall on the input, `from..to`.
+    fn outputs_of_group(&self, n: usize) -> (usize, usize) {
+        let (first, members) = self.group(n);
+        let from = self
+            .padding
+            .saturating_sub(first)
+            .div_ceil(self.stride)
+            .min(self.out_cols());
+        let reach = (self.cols + self.padding + self.stride).saturating_sub(first + members) / self.stride;
+        (from, reach.clamp(from, self.out_cols()))
     }
 
     /// The input gradient with vectors along the columns: `dy` is first turned into planes `[row][filter][column]` with
@@ -260,11 +396,13 @@ impl Conv2d {
                     let product = Product {
                         rows: members * self.channels,
                         cols: phase_len,
+                        bands: 1,
                         n_u: rows.count,
                         n_v: to - from,
                         n_k: self.filters,
                         a_at: (rows.first * w_row + (first + from * stride) * tap) as isize,
                         a_row: self.filters as isize,
+                        a_band: 0,
                         a_u: (stride * w_row) as isize,
                         a_v: (stride * tap) as isize,
                         a_k: 1,

@@ -9,6 +9,9 @@ use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 
+/// Values of an output gradient that are read while they are in the nearest cache.
+const NEAR_CACHE: usize = 4096;
+
 /// A convolution of one image with zero padding.
 ///
 /// Images are `[row][column][channel]`; weights are `[kernel row][kernel column][input channel][output channel]`, then
@@ -41,6 +44,15 @@ struct Axis {
     padding: usize,
 }
 
+/// Neighbouring outputs `from..to` that see the input through kernel taps `taps.0..taps.1`.
+#[derive(Clone, Copy)]
+struct Run {
+    from: usize,
+    to: usize,
+    taps: (usize, usize),
+    border: bool,
+}
+
 impl Axis {
     /// Kernel taps of output `o` that fall on the input, `from..to`.
     fn taps(self, o: usize) -> (usize, usize) {
@@ -57,11 +69,23 @@ impl Axis {
         (from, reach.clamp(from, self.out))
     }
 
-    /// Outputs whose tap `t` falls on the input, `from..to`.
-    fn outputs_of_tap(self, t: usize) -> (usize, usize) {
-        let from = self.padding.saturating_sub(t).div_ceil(self.stride).min(self.out);
-        let to = (self.size + self.padding).saturating_sub(t).div_ceil(self.stride);
-        (from, to.clamp(from, self.out))
+    /// The outputs in runs that see the input through the same taps: those at the border one by one.
+    fn runs(self) -> impl Iterator<Item = Run> {
+        let (from, to) = self.interior();
+        let border = move |o: usize| Run {
+            from: o,
+            to: o + 1,
+            taps: self.taps(o),
+            border: true,
+        };
+        let interior = Run {
+            from,
+            to,
+            taps: (0, self.kernel),
+            border: false,
+        };
+        let inside = core::iter::once(interior).filter(|run| run.from < run.to);
+        (0..from).map(border).chain(inside).chain((to..self.out).map(border))
     }
 
     /// First input coordinate of output `o` through tap `t`; the pair must be one of the above.
@@ -167,48 +191,56 @@ impl Conv2d {
         let (row, column) = (self.cols * self.channels, self.channels);
         let (w_row, w_col) = (self.kernel * self.channels * self.filters, self.channels * self.filters);
         let out_row_len = self.out_cols() * self.filters;
-        let (inner_from, inner_to) = horizontal.interior();
-        for (oy, y_row) in y.chunks_exact_mut(out_row_len).enumerate() {
-            let (t0, t1) = vertical.taps(oy);
-            // One or more neighbouring outputs that see the same columns of the kernel.
-            let mut run = |from: usize, to: usize, s0: usize, s1: usize| {
-                if from == to {
-                    return Ok(());
-                }
-                let sees = t1 > t0 && s1 > s0;
+        // `rows` outputs, `out_row` values apart, that see the same taps.
+        let product = |h: Run, v: Run, oy: usize, rows: usize, a_row: usize, out_row: usize| {
+            let ((t0, t1), (s0, s1)) = (v.taps, h.taps);
+            let sees = t1 > t0 && s1 > s0;
+            Product {
+                rows,
+                cols: self.filters,
+                n_u: t1 - t0,
+                n_k: (s1 - s0) * self.channels,
+                a_at: if sees {
+                    (vertical.input(oy, t0) * row + horizontal.input(h.from, s0) * column) as isize
+                } else {
+                    0
+                },
+                a_row: (self.stride * a_row) as isize,
+                a_u: row as isize,
+                a_k: 1,
+                b_at: (t0 * w_row + s0 * w_col) as isize,
+                b_u: w_row as isize,
+                b_k: self.filters as isize,
+                out_row,
+                ..Product::single()
+            }
+        };
+        // The border's columns run downwards: one output at a time would wait for each sum.
+        for h in horizontal.runs().filter(|h| h.border) {
+            for v in vertical.runs() {
                 let product = Product {
-                    rows: to - from,
-                    cols: self.filters,
-                    n_u: t1 - t0,
-                    n_v: 1,
-                    n_k: (s1 - s0) * self.channels,
-                    a_at: if sees {
-                        (vertical.input(oy, t0) * row + horizontal.input(from, s0) * column) as isize
-                    } else {
-                        0
-                    },
-                    a_row: (self.stride * column) as isize,
-                    a_u: row as isize,
-                    a_k: 1,
-                    b_at: (t0 * w_row + s0 * w_col) as isize,
-                    b_u: w_row as isize,
-                    b_k: self.filters as isize,
-                    out_at: from * self.filters,
-                    out_row: self.filters,
-                    ..Product::default()
+                    out_at: v.from * out_row_len + h.from * self.filters,
+                    ..product(h, v, v.from, v.to - v.from, row, out_row_len)
                 };
-                product.run(isa, x, weights, bias, y_row)
-            };
-            run(inner_from, inner_to, 0, self.kernel)?;
-            for ox in (0..inner_from).chain(inner_to..horizontal.out) {
-                let (s0, s1) = horizontal.taps(ox);
-                run(ox, ox + 1, s0, s1)?;
+                product.run(isa, x, weights, bias, y)?;
             }
-            // While the row is in the nearest cache.
-            if let Some(pre) = &mut pre {
-                part_mut("conv2d pre-activation", pre, oy * out_row_len, out_row_len)?.copy_from_slice(y_row);
+        }
+        for v in vertical.runs() {
+            for oy in v.from..v.to {
+                let y_row = part_mut("conv2d output", y, oy * out_row_len, out_row_len)?;
+                for h in horizontal.runs().filter(|h| !h.border) {
+                    let product = Product {
+                        out_at: h.from * self.filters,
+                        ..product(h, v, oy, h.to - h.from, column, self.filters)
+                    };
+                    product.run(isa, x, weights, bias, y_row)?;
+                }
+                // While the row is in the nearest cache.
+                if let Some(pre) = &mut pre {
+                    part_mut("conv2d pre-activation", pre, oy * out_row_len, out_row_len)?.copy_from_slice(y_row);
+                }
+                activation.apply_in_place(isa, y_row);
             }
-            activation.apply_in_place(isa, y_row);
         }
         Ok(())
     }
@@ -225,40 +257,47 @@ impl Conv2d {
         let (vertical, horizontal) = (self.vertical(), self.horizontal());
         let (row, column) = (self.cols * self.channels, self.channels);
         let dy_row = horizontal.out * self.filters;
-        let (inner_from, inner_to) = horizontal.interior();
-        for t in 0..self.kernel {
-            let (o0, o1) = vertical.outputs_of_tap(t);
-            if o0 == o1 {
-                continue;
-            }
-            // A run of outputs per image row that see kernel columns s0..s1; all image rows in one sum.
-            let mut run = |from: usize, to: usize, s0: usize, s1: usize| {
-                if from == to || s0 == s1 {
-                    return Ok(());
-                }
-                let product = Product {
-                    rows: (s1 - s0) * self.channels,
-                    cols: self.filters,
-                    n_u: o1 - o0,
-                    n_v: 1,
-                    n_k: to - from,
-                    a_at: (vertical.input(o0, t) * row + horizontal.input(from, s0) * column) as isize,
-                    a_row: 1,
-                    a_u: (self.stride * row) as isize,
-                    a_k: (self.stride * column) as isize,
-                    b_at: (o0 * dy_row + from * self.filters) as isize,
-                    b_u: dy_row as isize,
-                    b_k: self.filters as isize,
-                    out_at: (t * self.kernel + s0) * self.channels * self.filters,
-                    out_row: self.filters,
-                    ..Product::default()
+        // As many image rows at a time as stay in the nearest cache while all weights pass.
+        let block = (NEAR_CACHE / dy_row.max(1)).max(1);
+        for v in vertical.runs() {
+            let (t0, t1) = v.taps;
+            for h in horizontal.runs() {
+                let (s0, s1) = h.taps;
+                // Kernel rows `t..t + bands`, image rows `from..to`.
+                let mut run = |t: usize, bands: usize, from: usize, to: usize| {
+                    let product = Product {
+                        rows: (s1 - s0) * self.channels,
+                        cols: self.filters,
+                        bands,
+                        n_u: to - from,
+                        n_k: h.to - h.from,
+                        a_at: (vertical.input(from, t) * row + horizontal.input(h.from, s0) * column) as isize,
+                        a_row: 1,
+                        a_band: row as isize,
+                        a_u: (self.stride * row) as isize,
+                        a_k: (self.stride * column) as isize,
+                        b_at: (from * dy_row + h.from * self.filters) as isize,
+                        b_u: dy_row as isize,
+                        b_k: self.filters as isize,
+                        out_at: (t * self.kernel + s0) * self.channels * self.filters,
+                        out_row: self.filters,
+                        ..Product::single()
+                    };
+                    product.run(isa, x, dy, Start::Output, d_params)
                 };
-                product.run(isa, x, dy, Start::Output, d_params)
-            };
-            run(inner_from, inner_to, 0, self.kernel)?;
-            for ox in (0..inner_from).chain(inner_to..horizontal.out) {
-                let (s0, s1) = horizontal.taps(ox);
-                run(ox, ox + 1, s0, s1)?;
+                if s0 == s1 {
+                    continue;
+                }
+                if h.border {
+                    // The weights of some kernel columns do not lie one behind the other.
+                    for t in t0..t1 {
+                        run(t, 1, v.from, v.to)?;
+                    }
+                } else {
+                    for from in (v.from..v.to).step_by(block) {
+                        run(t0, t1 - t0, from, v.to.min(from + block))?;
+                    }
+                }
             }
         }
         let pixels = vertical.out * horizontal.out;

@@ -1,5 +1,7 @@
 //! The product kernel.
 
+#[cfg(target_arch = "x86_64")]
+use super::simd::{Avx2Fma, Avx512};
 use super::simd::{Portable, Simd};
 use crate::error::ShapeError;
 use crate::isa::{Isa, Level};
@@ -9,16 +11,20 @@ use crate::isa::{Isa, Level};
 /// `out[out_at + i·out_row + c] = start + Σ_u Σ_v Σ_k a[a_at + i·a_row + u·a_u + v·a_v + k·a_k] · b[b_at + u·b_u + v·b_v + k·b_k + c]`
 ///
 /// for `i < rows`, `c < cols`, summed in the order written (`k` innermost). Strides count elements and may be negative.
+///
+/// `bands` such products lie one behind the other in the output; each begins `a_band` further in `a`.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Product {
     pub rows: usize,
     pub cols: usize,
+    pub bands: usize,
     /// Extents of the three sums.
     pub n_u: usize,
     pub n_v: usize,
     pub n_k: usize,
     pub a_at: isize,
     pub a_row: isize,
+    pub a_band: isize,
     pub a_u: isize,
     pub a_v: isize,
     pub a_k: isize,
@@ -42,9 +48,10 @@ pub(crate) enum Start<'a> {
 }
 
 impl Product {
-    /// One sum only: `n_u = n_v = 1`.
+    /// One sum only: `n_u = n_v = 1`, in one band.
     pub fn single() -> Self {
         Self {
+            bands: 1,
             n_u: 1,
             n_v: 1,
             ..Self::default()
@@ -56,7 +63,7 @@ impl Product {
     /// # Errors
     /// When a stride leads outside `a`, `b`, `out` or the bias; nothing is written then.
     pub fn run(&self, isa: Isa, a: &[f32], b: &[f32], start: Start<'_>, out: &mut [f32]) -> Result<(), ShapeError> {
-        if self.rows == 0 || self.cols == 0 {
+        if self.rows == 0 || self.cols == 0 || self.bands == 0 {
             return Ok(());
         }
         let summed = self.n_u > 0 && self.n_v > 0 && self.n_k > 0;
@@ -67,6 +74,7 @@ impl Product {
             let mut a_range = Range::at(self.a_at);
             let mut b_range = Range::at(self.b_at);
             a_range.walk(self.rows, self.a_row);
+            a_range.walk(self.bands, self.a_band);
             b_range.walk(self.cols, 1);
             for (n, which) in sums {
                 a_range.walk(n, a_strides.get(which).copied().unwrap_or(0));
@@ -76,7 +84,7 @@ impl Product {
             b_range.check("right factor", b.len())?;
         }
         let mut out_range = Range::at(self.out_at as isize);
-        out_range.walk(self.rows, self.out_row as isize);
+        out_range.walk(self.rows.saturating_mul(self.bands), self.out_row as isize);
         out_range.walk(self.cols, 1);
         out_range.check("output", out.len())?;
         let (keep, bias) = match start {
@@ -102,9 +110,9 @@ impl Product {
             match isa.0 {
                 Level::Portable => tiles.all::<Portable>(),
                 #[cfg(target_arch = "x86_64")]
-                Level::Avx2Fma => avx2(&tiles),
+                Level::Avx2Fma => tiles.all::<Avx2Fma>(),
                 #[cfg(target_arch = "x86_64")]
-                Level::Avx512 => avx512(&tiles),
+                Level::Avx512 => tiles.all::<Avx512>(),
             }
         }
         Ok(())
@@ -141,22 +149,11 @@ impl Range {
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-unsafe fn avx2(tiles: &Tiles) {
-    // SAFETY: the caller's.
-    unsafe { tiles.all::<super::simd::Avx2Fma>() }
-}
-
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx2,fma")]
-unsafe fn avx512(tiles: &Tiles) {
-    // SAFETY: the caller's.
-    unsafe { tiles.all::<super::simd::Avx512>() }
-}
+/// Side of the first convolution's kernel, for which there are tiles of their own.
+const SIDE: usize = 5;
 
 /// A checked product with its pointers.
-struct Tiles {
+pub(super) struct Tiles {
     product: Product,
     a: *const f32,
     b: *const f32,
@@ -170,8 +167,31 @@ impl Tiles {
     ///
     /// # Safety
     /// All elements that the product reaches are valid and `S`'s instruction set exists.
-    #[inline(always)]
     unsafe fn all<S: Simd>(&self) {
+        let p = &self.product;
+        // SAFETY: the caller's; each band is a part of the product.
+        unsafe {
+            if S::CONSTANT && (p.bands, p.rows, p.a_row, p.a_k, p.cols) == (SIDE, SIDE, 1, 2, S::LANES) {
+                S::square(self);
+                return;
+            }
+            for band in 0..p.bands {
+                let product = Product {
+                    bands: 1,
+                    a_at: p.a_at + band as isize * p.a_band,
+                    out_at: p.out_at + band * p.rows * p.out_row,
+                    ..*p
+                };
+                Self { product, ..*self }.band::<S>();
+            }
+        }
+    }
+
+    /// The same for one band.
+    ///
+    /// # Safety
+    /// As [`Self::all`].
+    unsafe fn band<S: Simd>(&self) {
         let p = &self.product;
         let mut col = 0;
         while col < p.cols {
@@ -179,55 +199,107 @@ impl Tiles {
             // SAFETY: `col` and the row ranges below stay inside `rows × cols`.
             unsafe {
                 if p.rows == 1 && left >= 8 * S::LANES {
-                    self.tile::<S, 1, 8, false>(0, col, S::LANES);
+                    S::tile::<1, 8, 0, false>(self, 0, col, S::LANES);
                     col += 8 * S::LANES;
                 } else if p.rows == 1 && left >= 4 * S::LANES {
-                    self.tile::<S, 1, 4, false>(0, col, S::LANES);
+                    S::tile::<1, 4, 0, false>(self, 0, col, S::LANES);
                     col += 4 * S::LANES;
                 } else if p.rows == 2 && left >= 4 * S::LANES {
-                    self.tile::<S, 2, 4, false>(0, col, S::LANES);
+                    S::tile::<2, 4, 0, false>(self, 0, col, S::LANES);
                     col += 4 * S::LANES;
                 } else if left >= 2 * S::LANES {
-                    self.column::<S, 2, false>(col, S::LANES);
+                    match p.a_row {
+                        1 if S::CONSTANT => self.column::<S, 2, 1, false>(col, S::LANES),
+                        32 if S::CONSTANT => self.column::<S, 2, 32, false>(col, S::LANES),
+                        64 if S::CONSTANT => self.column::<S, 2, 64, false>(col, S::LANES),
+                        _ => self.column::<S, 2, 0, false>(col, S::LANES),
+                    }
                     col += 2 * S::LANES;
                 } else if left > S::LANES {
-                    self.column::<S, 2, true>(col, left - S::LANES);
+                    self.column::<S, 2, 0, true>(col, left - S::LANES);
                     col = p.cols;
                 } else if left == S::LANES {
-                    self.column::<S, 1, false>(col, S::LANES);
+                    match p.a_row {
+                        2 if S::CONSTANT && (p.n_k, p.a_k) == (SIDE, 1) => self.strips::<S>(col),
+                        32 if S::CONSTANT => self.column::<S, 1, 32, false>(col, S::LANES),
+                        _ => self.column::<S, 1, 0, false>(col, S::LANES),
+                    }
                     col = p.cols;
                 } else {
-                    self.column::<S, 1, true>(col, left);
+                    self.column::<S, 1, 0, true>(col, left);
                     col = p.cols;
                 }
             }
         }
     }
 
-    /// All rows of `C` vectors of columns, of which the last has `last` lanes.
+    /// All rows of `C` vectors of columns, of which the last has `last` lanes, in tiles of about the same height.
+    ///
+    /// With `A_ROW`, a layer's stride of rows compiled in, a tile needs one pointer for all its rows, so it may have more
+    /// rows than there are registers for pointers.
     ///
     /// # Safety
-    /// As [`Self::all`]; the columns exist.
-    #[inline(always)]
-    unsafe fn column<S: Simd, const C: usize, const MASKED: bool>(&self, col: usize, last: usize) {
-        let most = if C == 2 { S::ROWS_2 } else { S::ROWS_1 };
-        let mut row = 0;
-        while row < self.product.rows {
-            let rows = (self.product.rows - row).min(most);
-            // SAFETY: `row + rows ≤ product.rows`.
+    /// As [`Self::all`]; the columns exist; `A_ROW` is the product's `a_row` or 0.
+    unsafe fn column<S: Simd, const C: usize, const A_ROW: isize, const MASKED: bool>(&self, col: usize, last: usize) {
+        let wide = A_ROW != 0;
+        let most = match (C, wide) {
+            (2, true) => 12,
+            (2, false) => S::ROWS_2,
+            (_, true) => 16,
+            (_, false) => S::ROWS_1,
+        };
+        let rows = self.product.rows;
+        let (mut row, mut tiles) = (0, rows.div_ceil(most));
+        while tiles > 0 {
+            let height = (rows - row).div_ceil(tiles);
+            // SAFETY: `row + height ≤ rows`.
             unsafe {
-                match rows {
-                    1 => self.tile::<S, 1, C, MASKED>(row, col, last),
-                    2 => self.tile::<S, 2, C, MASKED>(row, col, last),
-                    3 => self.tile::<S, 3, C, MASKED>(row, col, last),
-                    4 => self.tile::<S, 4, C, MASKED>(row, col, last),
-                    5 if most >= 5 => self.tile::<S, 5, C, MASKED>(row, col, last),
-                    6 if most >= 6 => self.tile::<S, 6, C, MASKED>(row, col, last),
-                    7 if most >= 7 => self.tile::<S, 7, C, MASKED>(row, col, last),
-                    _ => self.tile::<S, 8, C, MASKED>(row, col, last),
+                match height {
+                    1 => S::tile::<1, C, A_ROW, MASKED>(self, row, col, last),
+                    2 => S::tile::<2, C, A_ROW, MASKED>(self, row, col, last),
+                    3 => S::tile::<3, C, A_ROW, MASKED>(self, row, col, last),
+                    4 => S::tile::<4, C, A_ROW, MASKED>(self, row, col, last),
+                    5 if most >= 5 => S::tile::<5, C, A_ROW, MASKED>(self, row, col, last),
+                    6 if most >= 6 => S::tile::<6, C, A_ROW, MASKED>(self, row, col, last),
+                    7 if most >= 7 => S::tile::<7, C, A_ROW, MASKED>(self, row, col, last),
+                    8 if most >= 8 => S::tile::<8, C, A_ROW, MASKED>(self, row, col, last),
+                    9 if most >= 9 => S::tile::<9, C, A_ROW, MASKED>(self, row, col, last),
+                    10 if most >= 10 => S::tile::<10, C, A_ROW, MASKED>(self, row, col, last),
+                    11 if most >= 11 => S::tile::<11, C, A_ROW, MASKED>(self, row, col, last),
+                    12 if most >= 12 => S::tile::<12, C, A_ROW, MASKED>(self, row, col, last),
+                    13 if most >= 13 => S::tile::<13, C, A_ROW, MASKED>(self, row, col, last),
+                    14 if most >= 14 => S::tile::<14, C, A_ROW, MASKED>(self, row, col, last),
+                    15 if most >= 15 => S::tile::<15, C, A_ROW, MASKED>(self, row, col, last),
+                    16 if most >= 16 => S::tile::<16, C, A_ROW, MASKED>(self, row, col, last),
+                    _ => {}
                 }
             }
-            row += rows;
+            row += height;
+            tiles -= 1;
+        }
+    }
+
+    /// All rows of one vector of columns in strips.
+    ///
+    /// # Safety
+    /// As [`Self::strip`].
+    unsafe fn strips<S: Simd>(&self, col: usize) {
+        const MOST: usize = 9;
+        let (mut row, rows) = (0, self.product.rows);
+        // SAFETY: `row` stays below `rows`.
+        unsafe {
+            while rows - row >= MOST {
+                S::strip::<MOST>(self, row, col);
+                row += MOST;
+            }
+            while rows - row >= 3 {
+                S::strip::<3>(self, row, col);
+                row += 3;
+            }
+            while row < rows {
+                S::strip::<1>(self, row, col);
+                row += 1;
+            }
         }
     }
 
@@ -236,7 +308,7 @@ impl Tiles {
     /// # Safety
     /// As [`Self::all`]; rows `row..row + R` and the columns exist.
     #[inline(always)]
-    unsafe fn tile<S: Simd, const R: usize, const C: usize, const MASKED: bool>(
+    pub(super) unsafe fn tile<S: Simd, const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
         &self,
         row: usize,
         col: usize,
@@ -246,55 +318,95 @@ impl Tiles {
         // SAFETY: `Product::run` checked the reach of all strides over all rows and columns; a masked vector touches
         // only its first `last` lanes. Offsets are applied with `wrapping_offset` where they may be intermediate.
         unsafe {
-            let load = |at: *const f32, c: usize| {
-                if MASKED && c + 1 == C {
-                    S::load_first(at.add(c * S::LANES), last)
-                } else {
-                    S::load(at.add(c * S::LANES))
-                }
-            };
-            let out = self.out.add(p.out_at + row * p.out_row + col);
-            let mut acc = [[S::splat(0.0); C]; R];
-            if self.keep {
-                for (r, acc) in acc.iter_mut().enumerate() {
-                    for (c, acc) in acc.iter_mut().enumerate() {
-                        *acc = load(out.add(r * p.out_row), c);
-                    }
-                }
-            } else if !self.bias.is_null() {
-                let mut bias = [S::splat(0.0); C];
-                for (c, bias) in bias.iter_mut().enumerate() {
-                    *bias = load(self.bias.add(col), c);
-                }
-                acc = [bias; R];
-            }
+            let mut acc = self.begin::<S, R, C, MASKED>(row, col, last);
             for u in 0..p.n_u as isize {
                 for v in 0..p.n_v as isize {
-                    let a = self
+                    let mut a = self
                         .a
                         .wrapping_offset(p.a_at + row as isize * p.a_row + u * p.a_u + v * p.a_v);
                     let mut a_rows = [a; R];
-                    for (r, at) in a_rows.iter_mut().enumerate() {
-                        *at = a.wrapping_offset(r as isize * p.a_row);
+                    if A_ROW == 0 {
+                        for (r, at) in a_rows.iter_mut().enumerate() {
+                            *at = a.wrapping_offset(r as isize * p.a_row);
+                        }
                     }
                     let mut b = self.b.wrapping_offset(p.b_at + col as isize + u * p.b_u + v * p.b_v);
                     let mut a_k = 0;
                     for _ in 0..p.n_k {
                         let mut b_vectors = [S::splat(0.0); C];
                         for (c, b_vector) in b_vectors.iter_mut().enumerate() {
-                            *b_vector = load(b, c);
+                            *b_vector = load::<S, C, MASKED>(b, c, last);
                         }
-                        for (a_row, acc) in a_rows.iter().zip(&mut acc) {
-                            let a = S::splat(a_row.wrapping_offset(a_k).read());
+                        for (r, (a_row, acc)) in a_rows.iter().zip(&mut acc).enumerate() {
+                            let at = if A_ROW == 0 {
+                                a_row.wrapping_offset(a_k)
+                            } else {
+                                a.wrapping_offset(r as isize * A_ROW)
+                            };
+                            let a = S::splat(at.read());
                             for (b, acc) in b_vectors.iter().zip(acc) {
                                 *acc = S::mul_add(a, *b, *acc);
                             }
                         }
                         a_k += p.a_k;
+                        a = a.wrapping_offset(p.a_k);
                         b = b.wrapping_offset(p.b_k);
                     }
                 }
             }
+            self.end::<S, R, C, MASKED>(&acc, row, col, last);
+        }
+    }
+
+    /// What the sums of a tile begin with.
+    ///
+    /// # Safety
+    /// As [`Self::tile`].
+    #[inline(always)]
+    unsafe fn begin<S: Simd, const R: usize, const C: usize, const MASKED: bool>(
+        &self,
+        row: usize,
+        col: usize,
+        last: usize,
+    ) -> [[S::V; C]; R] {
+        let p = &self.product;
+        // SAFETY: the caller's.
+        unsafe {
+            let mut acc = [[S::splat(0.0); C]; R];
+            if self.keep {
+                let out = self.out.add(p.out_at + row * p.out_row + col);
+                for (r, acc) in acc.iter_mut().enumerate() {
+                    for (c, acc) in acc.iter_mut().enumerate() {
+                        *acc = load::<S, C, MASKED>(out.add(r * p.out_row), c, last);
+                    }
+                }
+            } else if !self.bias.is_null() {
+                let mut bias = [S::splat(0.0); C];
+                for (c, bias) in bias.iter_mut().enumerate() {
+                    *bias = load::<S, C, MASKED>(self.bias.add(col), c, last);
+                }
+                acc = [bias; R];
+            }
+            acc
+        }
+    }
+
+    /// Writes the sums of a tile.
+    ///
+    /// # Safety
+    /// As [`Self::tile`].
+    #[inline(always)]
+    unsafe fn end<S: Simd, const R: usize, const C: usize, const MASKED: bool>(
+        &self,
+        acc: &[[S::V; C]; R],
+        row: usize,
+        col: usize,
+        last: usize,
+    ) {
+        let p = &self.product;
+        // SAFETY: the caller's.
+        unsafe {
+            let out = self.out.add(p.out_at + row * p.out_row + col);
             for (r, acc) in acc.iter().enumerate() {
                 for (c, acc) in acc.iter().enumerate() {
                     let at = out.add(r * p.out_row + c * S::LANES);
@@ -305,6 +417,108 @@ impl Tiles {
                     }
                 }
             }
+        }
+    }
+
+    /// `R` rows by one vector where each row sees [`SIDE`] neighbours and the next row begins two further: the first
+    /// convolution. Rows share what they read, for reading a value into all lanes is what limits a tile one vector wide.
+    ///
+    /// # Safety
+    /// As [`Self::tile`]; the product has this shape.
+    #[inline(always)]
+    pub(super) unsafe fn strip<S: Simd, const R: usize>(&self, row: usize, col: usize) {
+        let p = &self.product;
+        // SAFETY: as in `tile`.
+        unsafe {
+            let mut acc = self.begin::<S, R, 1, false>(row, col, S::LANES);
+            for u in 0..p.n_u as isize {
+                for v in 0..p.n_v as isize {
+                    let a = self
+                        .a
+                        .wrapping_offset(p.a_at + 2 * row as isize + u * p.a_u + v * p.a_v);
+                    let b = self.b.wrapping_offset(p.b_at + col as isize + u * p.b_u + v * p.b_v);
+                    let mut vectors = [S::splat(0.0); SIDE];
+                    for (k, vector) in vectors.iter_mut().enumerate() {
+                        *vector = S::load(b.wrapping_offset(k as isize * p.b_k));
+                    }
+                    for (r, [acc]) in acc.iter_mut().enumerate() {
+                        for (k, vector) in vectors.iter().enumerate() {
+                            *acc = S::mul_add(S::splat(a.add(2 * r + k).read()), *vector, *acc);
+                        }
+                    }
+                }
+            }
+            self.end::<S, R, 1, false>(&acc, row, col, S::LANES);
+        }
+    }
+
+    /// [`SIDE`] bands of [`SIDE`] rows whose left factors are neighbours, by one vector, all in one tile; the left factors
+    /// of the next summand are two further: the first convolution's weight gradient. Summands share what they read, as in
+    /// [`Self::strip`].
+    ///
+    /// # Safety
+    /// As [`Self::all`]; the product has this shape.
+    #[inline(always)]
+    pub(super) unsafe fn square<S: Simd>(&self) {
+        let p = &self.product;
+        // SAFETY: as in `tile`; the rows of all bands lie one behind the other in the output.
+        unsafe {
+            let mut acc = [[S::splat(0.0); SIDE]; SIDE];
+            for (band, acc) in acc.iter_mut().enumerate() {
+                *acc = self
+                    .begin::<S, SIDE, 1, false>(band * SIDE, 0, S::LANES)
+                    .map(|[acc]| acc);
+            }
+            for u in 0..p.n_u as isize {
+                for v in 0..p.n_v as isize {
+                    let mut a = self.a.wrapping_offset(p.a_at + u * p.a_u + v * p.a_v);
+                    let mut b = self.b.wrapping_offset(p.b_at + u * p.b_u + v * p.b_v);
+                    for _ in 0..p.n_k / 2 {
+                        let vectors = [S::load(b), S::load(b.wrapping_offset(p.b_k))];
+                        let mut band = a;
+                        for acc in &mut acc {
+                            for (j, acc) in acc.iter_mut().enumerate() {
+                                for (k, vector) in vectors.iter().enumerate() {
+                                    let a = S::splat(band.wrapping_add(j + 2 * k).read());
+                                    *acc = S::mul_add(a, *vector, *acc);
+                                }
+                            }
+                            band = band.wrapping_offset(p.a_band);
+                        }
+                        a = a.wrapping_add(4);
+                        b = b.wrapping_offset(2 * p.b_k);
+                    }
+                    if p.n_k % 2 == 1 {
+                        let vector = S::load(b);
+                        let mut band = a;
+                        for acc in &mut acc {
+                            for (j, acc) in acc.iter_mut().enumerate() {
+                                *acc = S::mul_add(S::splat(band.wrapping_add(j).read()), vector, *acc);
+                            }
+                            band = band.wrapping_offset(p.a_band);
+                        }
+                    }
+                }
+            }
+            for (band, acc) in acc.iter().enumerate() {
+                self.end::<S, SIDE, 1, false>(&acc.map(|acc| [acc]), band * SIDE, 0, S::LANES);
+            }
+        }
+    }
+}
+
+/// Vector `c` of `C`, the last one masked if `MASKED`.
+///
+/// # Safety
+/// The lanes are valid and `S`'s instruction set exists.
+#[inline(always)]
+unsafe fn load<S: Simd, const C: usize, const MASKED: bool>(at: *const f32, c: usize, last: usize) -> S::V {
+    // SAFETY: the caller's.
+    unsafe {
+        if MASKED && c + 1 == C {
+            S::load_first(at.add(c * S::LANES), last)
+        } else {
+            S::load(at.add(c * S::LANES))
         }
     }
 }

@@ -1,11 +1,13 @@
 //! Vectors of three widths behind one trait.
 
+use super::product::Tiles;
+
 /// A vector of [`Simd::LANES`] float32.
 ///
 /// # Safety
 /// All methods may only be called where the implementor's instruction set exists; pointers must be valid for the lanes
 /// that are read or written (all of them, or the first `n`). No alignment is required.
-pub(super) trait Simd {
+pub(super) trait Simd: Sized {
     /// Register type.
     type V: Copy;
     /// Lanes in one register.
@@ -14,6 +16,8 @@ pub(super) trait Simd {
     const ROWS_2: usize;
     /// Largest number of rows beside one vector of columns.
     const ROWS_1: usize;
+    /// Whether there are registers for the higher tiles that constant strides of rows allow.
+    const CONSTANT: bool;
 
     unsafe fn splat(x: f32) -> Self::V;
     unsafe fn load(p: *const f32) -> Self::V;
@@ -24,6 +28,17 @@ pub(super) trait Simd {
     unsafe fn store_first(p: *mut f32, v: Self::V, n: usize);
     /// `a · b + c`, fused where the instruction set fuses.
     unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// [`Tiles::tile`], compiled for the instruction set.
+    unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+        tiles: &Tiles,
+        row: usize,
+        col: usize,
+        last: usize,
+    );
+    /// [`Tiles::square`], compiled for the instruction set.
+    unsafe fn square(tiles: &Tiles);
+    /// [`Tiles::strip`], compiled for the instruction set.
+    unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize);
 }
 
 /// Four lanes of plain Rust: SSE2 or NEON registers after optimisation.
@@ -34,6 +49,7 @@ impl Simd for Portable {
     const LANES: usize = 4;
     const ROWS_2: usize = 4;
     const ROWS_1: usize = 8;
+    const CONSTANT: bool = false;
 
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self::V {
@@ -81,6 +97,26 @@ impl Simd for Portable {
         let [c0, c1, c2, c3] = c;
         [a0 * b0 + c0, a1 * b1 + c1, a2 * b2 + c2, a3 * b3 + c3]
     }
+
+    unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+        tiles: &Tiles,
+        row: usize,
+        col: usize,
+        last: usize,
+    ) {
+        // SAFETY: the caller's.
+        unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+    }
+
+    unsafe fn square(tiles: &Tiles) {
+        // SAFETY: the caller's.
+        unsafe { tiles.square::<Self>() }
+    }
+
+    unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+        // SAFETY: the caller's.
+        unsafe { tiles.strip::<Self, R>(row, col) }
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -88,7 +124,7 @@ pub(super) use x86::{Avx2Fma, Avx512};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
-    use super::Simd;
+    use super::{Simd, Tiles};
     use core::arch::x86_64::*;
 
     /// Eight lanes; sixteen registers.
@@ -110,6 +146,7 @@ mod x86 {
         const LANES: usize = 8;
         const ROWS_2: usize = 6;
         const ROWS_1: usize = 8;
+        const CONSTANT: bool = false;
 
         #[inline(always)]
         unsafe fn splat(x: f32) -> Self::V {
@@ -140,6 +177,29 @@ mod x86 {
         unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
             unsafe { _mm256_fmadd_ps(a, b, c) }
         }
+
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+            tiles: &Tiles,
+            row: usize,
+            col: usize,
+            last: usize,
+        ) {
+            // SAFETY: the caller's.
+            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+        }
+
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn square(tiles: &Tiles) {
+            // SAFETY: the caller's.
+            unsafe { tiles.square::<Self>() }
+        }
+
+        #[target_feature(enable = "avx2,fma")]
+        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+            // SAFETY: the caller's.
+            unsafe { tiles.strip::<Self, R>(row, col) }
+        }
     }
 
     /// Sixteen lanes; thirty-two registers.
@@ -150,6 +210,7 @@ mod x86 {
         const LANES: usize = 16;
         const ROWS_2: usize = 8;
         const ROWS_1: usize = 8;
+        const CONSTANT: bool = true;
 
         #[inline(always)]
         unsafe fn splat(x: f32) -> Self::V {
@@ -179,6 +240,29 @@ mod x86 {
         #[inline(always)]
         unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
             unsafe { _mm512_fmadd_ps(a, b, c) }
+        }
+
+        #[target_feature(enable = "avx512f,avx2,fma")]
+        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+            tiles: &Tiles,
+            row: usize,
+            col: usize,
+            last: usize,
+        ) {
+            // SAFETY: the caller's.
+            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+        }
+
+        #[target_feature(enable = "avx512f,avx2,fma")]
+        unsafe fn square(tiles: &Tiles) {
+            // SAFETY: the caller's.
+            unsafe { tiles.square::<Self>() }
+        }
+
+        #[target_feature(enable = "avx512f,avx2,fma")]
+        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+            // SAFETY: the caller's.
+            unsafe { tiles.strip::<Self, R>(row, col) }
         }
     }
 }
