@@ -1,8 +1,8 @@
 //! The actor as the adversary sees it: differentiable down to the pixels, its outputs before saturation.
 
 use vigil_nnet::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Graph, GraphBuilder, Isa, NodeId, Purpose,
-    ShapeError,
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Aligned, Graph, GraphBuilder, Isa, NodeId,
+    Purpose, ShapeError,
 };
 
 /// A weight for each output before saturation, and for each value of the GRU's last state.
@@ -12,11 +12,11 @@ pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];
 #[derive(Debug, Clone)]
 pub(crate) struct Lens {
     isa: Isa,
-    params: Vec<f32>,
-    packed: Vec<f32>,
+    params: Aligned,
+    packed: Aligned,
     graph: Graph,
-    tape: Vec<f32>,
-    work: Vec<f32>,
+    tape: Aligned,
+    work: Aligned,
     /// Frames among the inputs, and whether a GRU state comes before them.
     frames: usize,
     from_state: bool,
@@ -58,14 +58,14 @@ impl Lens {
         // The state beside the outputs, so that a gradient can begin at either.
         let outputs = b.concat(&[outputs, state])?;
         let graph = b.finish(outputs, Purpose::Gradients)?;
-        let mut packed = vec![0.0; graph.param_len()];
+        let mut packed = Aligned::zeros(graph.param_len());
         graph.pack(given, &mut packed)?;
         Ok(Self {
             isa,
-            params: given.to_vec(),
+            params: Aligned::from(given),
             packed,
-            tape: vec![0.0; graph.tape_len()],
-            work: vec![0.0; graph.work_len()],
+            tape: Aligned::zeros(graph.tape_len()),
+            work: Aligned::zeros(graph.work_len()),
             graph,
             frames,
             from_state,
