@@ -141,8 +141,6 @@ pub struct Judge {
     pub windows: usize,
 }
 
-/// The threshold in flight is passed by this share of the unattacked windows of the flights that choose.
-const FALSE_ALARMS: f64 = 1e-4;
 /// Highest threshold: an attack's score still passes it.
 const HIGHEST_THRESHOLD: f32 = 0.99;
 
@@ -221,7 +219,7 @@ impl Judge {
             scale: row(&self.scale),
             threshold,
             threshold_choice: format!(
-                "passed by {FALSE_ALARMS} of the unattacked windows of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
+                "passed by no unattacked window of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
             ),
             params: self.fitted.params.clone(),
             training_config: config.to_toml(),
@@ -230,8 +228,8 @@ impl Judge {
         }
     }
 
-    /// The threshold for flight, from the flights that choose: few false alarms count for more there than a few attacked
-    /// windows missed, since an attack that matters lasts.
+    /// The threshold for flight: none of the unattacked windows of the flights that choose passes it. An hour of flight has 72 000 windows, and
+    /// few false alarms count for more there than a few attacked windows missed, since an attack that matters lasts.
     ///
     /// # Errors
     /// Parameters of another architecture.
@@ -246,9 +244,8 @@ impl Judge {
                 Class::of(record, *step) == Class::Unattacked && record.altered_of_last(*step, WINDOW) == 0
             })
         });
-        let scores: Vec<f64> = windows.map(|(_, score)| f64::from(score)).collect();
-        let passed = vigil_train::statistics::quantile(&scores, 1.0 - FALSE_ALARMS).unwrap_or(0.5);
-        Ok((passed as f32).clamp(0.5, HIGHEST_THRESHOLD))
+        let highest = windows.map(|(_, score)| score).fold(0.5, f32::max);
+        Ok(highest.min(HIGHEST_THRESHOLD))
     }
 
     /// From its file.
