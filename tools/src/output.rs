@@ -52,3 +52,8 @@ pub fn git_commit() -> Option<String> {
     let text = String::from_utf8(output.stdout).ok()?;
     (output.status.success() && !text.trim().is_empty()).then(|| text.trim().to_owned())
 }
+
+/// Colour of a range over full scale in pictures of frames: near is bright, as in the contrast that the actor sees.
+pub fn range_grey(range: f32) -> [u8; 3] {
+    [(255.0 / (1.0 + range * 100.0 / 3.0)) as u8; 3]
+}

@@ -1,5 +1,6 @@
 //! `vigil detector figures`: the paper's figures 12 to 14 of one flight.
 
+use crate::output::range_grey;
 use anyhow::{Context, Result};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -84,7 +85,7 @@ fn figure_12(frames: &[ExplainedFrame]) -> Image {
         };
         let x_of = |from: usize| x.checked_sub(from).filter(|x| *x < DEPTH_COLS && y < DEPTH_ROWS);
         if let Some(x) = x_of(0) {
-            return [(255.0 / (1.0 + frame.depth[y * DEPTH_COLS + x] * 100.0 / 3.0)) as u8; 3];
+            return range_grey(frame.depth[y * DEPTH_COLS + x]);
         }
         let Some(x) = x_of(DEPTH_COLS + GAP) else {
             return [255; 3];

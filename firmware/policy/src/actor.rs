@@ -1,6 +1,6 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (PAPER.md, Algorithm 1).
 
-use crate::field::{FIELD_HALF_ANGLE_RAD, FlightField};
+use crate::field::FlightField;
 use crate::surroundings::Surroundings;
 use crate::{GeometricPilot, Pilot, PilotInput};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
@@ -10,6 +10,7 @@ use vigil_types::{Action, GoalRelative};
 pub const DISTANCE_SCALE_M: f32 = 20.0;
 /// Bearing that its second positional input counts as 1, radians.
 pub const BEARING_SCALE_RAD: f32 = 1.0;
+
 /// The actor's positional inputs: distance in units of [`DISTANCE_SCALE_M`], bearing in units of [`BEARING_SCALE_RAD`].
 pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
     [goal.distance_m / DISTANCE_SCALE_M, goal.bearing_rad / BEARING_SCALE_RAD]
@@ -47,7 +48,7 @@ impl ActorPilot {
 
 impl Pilot for ActorPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        let obstacle = self.surroundings.observe(input).nearest_within(FIELD_HALF_ANGLE_RAD);
+        let scan = self.surroundings.observe(input);
         let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, positional_inputs(input.goal)) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action {
@@ -57,7 +58,7 @@ impl Pilot for ActorPilot {
         };
         let own = Action { forward_m_s, yaw };
         match &mut self.field {
-            Some(field) if own.is_finite() => field.add_to(own, input, obstacle),
+            Some(field) if own.is_finite() => field.add_to(own, input, scan),
             _ => own,
         }
     }

@@ -4,13 +4,13 @@
 //! Where actor, attraction and repulsion cancel out, the field has a local minimum, and a vehicle without memory would hover there
 //! for good: the field's known weakness (Koren, Borenstein 1991).
 
-use crate::{NearestObstacle, PilotInput, Surroundings, apf};
+use crate::{NearestObstacle, PilotInput, Scan, Surroundings, apf};
 use core::f32::consts::FRAC_PI_4;
 use vigil_types::{ACTION_LIMIT, Action, Nanos, NedVector};
 
 /// The field that is added to an actor takes surfaces within this angle of the nose: beyond it, it steers a second time
 /// around what the actor has already dealt with.
-pub const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
+const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
 /// ... and nearer than this, metres: the trained actor keeps about 1 m by itself, and the field is there for where it does not. With
 /// the paper's 3 m it steers where the actor has long decided (docs/training.md).
 const FIELD_RANGE_M: f32 = 1.2;
@@ -31,8 +31,9 @@ pub struct FlightField {
 }
 
 impl FlightField {
-    /// The actor's own action and the field's, clipped. `obstacle` is the nearest surface within [`FIELD_HALF_ANGLE_RAD`] of the nose.
-    pub fn add_to(&mut self, own: Action, input: &PilotInput<'_>, obstacle: Option<NearestObstacle>) -> Action {
+    /// The actor's own action and the field's, clipped. `scan` is what the input's frame shows.
+    pub fn add_to(&mut self, own: Action, input: &PilotInput<'_>, scan: &Scan) -> Action {
+        let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
         let here = input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input);
         let turn = Action {
             forward_m_s: 0.0,

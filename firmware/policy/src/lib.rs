@@ -19,7 +19,7 @@ pub use actor::{ActorPilot, FlightPilot};
 #[cfg(feature = "actor-file")]
 pub use actor_file::{ActorFileError, FrozenActor};
 pub use apf::NearestObstacle;
-pub use field::{FIELD_HALF_ANGLE_RAD, FlightField};
+pub use field::FlightField;
 pub use geometric::{GeometricConfig, GeometricPilot};
 pub use recovery::RecoveryPilot;
 pub use surroundings::{Scan, Surroundings};

@@ -2,6 +2,7 @@
 
 use crate::data::Flights;
 use crate::error::{DetectError, access};
+use crate::features::YAW;
 use crate::record::{Frame, Onlooker, Record, Step, fly};
 use crate::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::seq::SliceRandom;
@@ -19,8 +20,6 @@ use vigil_world::Family;
 
 /// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
 const SHAP_THREADS: usize = 2;
-/// Number of the actor's yaw output.
-pub(crate) const YAW: usize = 1;
 /// First seed of the unattacked training flights that backgrounds come from, and how many.
 const BACKGROUND_SEED: u64 = 2900;
 const BACKGROUND_FLIGHTS: u64 = 6;

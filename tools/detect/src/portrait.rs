@@ -1,7 +1,8 @@
 //! One flight explained step by step: the data of the paper's figures 12 to 14.
 
 use crate::error::DetectError;
-use crate::pixels::{Memory, YAW, explainer};
+use crate::features::YAW;
+use crate::pixels::{Memory, explainer};
 use crate::record::{Frame, Onlooker, Record, Step, fly};
 use crate::scenario::Scenario;
 use vigil_detector::{DeepShap, FrozenDetector, Monitor};

@@ -6,9 +6,7 @@ use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{
-    FIELD_HALF_ANGLE_RAD, FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings,
-};
+use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
 use vigil_train::Flight;
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
@@ -143,10 +141,7 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
         let geometric = geometric.as_mut().map(|pilot| pilot.decide(&input));
         let action = match helmsman.take(number, frame != Frame::Unaltered) {
             Helm::Actor { field: false } => own,
-            Helm::Actor { field: true } => {
-                let obstacle = surroundings.observe(&input).nearest_within(FIELD_HALF_ANGLE_RAD);
-                field.add_to(own, &input, obstacle)
-            }
+            Helm::Actor { field: true } => field.add_to(own, &input, surroundings.observe(&input)),
             Helm::Geometric => geometric.unwrap_or(Action::HOVER),
             Helm::Hover => Action::HOVER,
         };

@@ -2,6 +2,7 @@
 
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, bar, write_json};
+use crate::output::range_grey;
 use crate::statistics::wilson_95;
 use anyhow::{Context, Result};
 use rayon::prelude::*;
@@ -212,12 +213,11 @@ fn picture(params: &[f32], state: &State) -> Result<Image> {
     let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
     let (clean, altered) = (newest(&state.frames), newest(&frames));
     let reach = AttackConfig::PAPER.reach(DEPTH_PIXELS);
-    let grey = |range: f32| [(255.0 / (1.0 + range * 100.0 / 3.0)) as u8; 3];
     Ok(Image::from_fn(DEPTH_COLS, 3 * DEPTH_ROWS, |x, y| {
         let at = y % DEPTH_ROWS * DEPTH_COLS + x;
         match y / DEPTH_ROWS {
-            0 => grey(clean[at]),
-            1 => grey(altered[at]),
+            0 => range_grey(clean[at]),
+            1 => range_grey(altered[at]),
             _ => {
                 let change = ((altered[at] - clean[at]) / reach).clamp(-1.0, 1.0);
                 let faded = (255.0 * (1.0 - change.abs())) as u8;

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{FIELD_HALF_ANGLE_RAD, FlightField, Surroundings};
+use vigil_policy::{FlightField, Surroundings};
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
@@ -118,10 +118,8 @@ fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Out
             (None, _) => Action::HOVER,
         };
         if what.field {
-            let obstacle = surroundings
-                .observe(&flight.input())
-                .nearest_within(FIELD_HALF_ANGLE_RAD);
-            action = field.add_to(action, &flight.input(), obstacle);
+            let input = flight.input();
+            action = field.add_to(action, &input, surroundings.observe(&input));
         }
         if let Some(outcome) = flight.advance(action) {
             return Ok((outcome, flight.time_s()));

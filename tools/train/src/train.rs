@@ -152,7 +152,6 @@ impl<'a> Run<'a> {
         if !options.resume && checkpoint.exists() {
             return Err(TrainError::Occupied { path: folder.clone() });
         }
-        files::replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
         let isa = Isa::detect();
         let networks = Arc::new(Networks::new()?);
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
@@ -180,6 +179,8 @@ impl<'a> Run<'a> {
         if options.resume {
             run.restore()?;
         }
+        // After that: a run that is refused keeps its own.
+        files::replace(&folder.join("config.toml"), config.to_toml().as_bytes())?;
         Ok(run)
     }
 

@@ -128,6 +128,8 @@ fn what_cannot_be_resumed_is_refused_and_left_as_it_is() {
     let mut other = config.clone();
     other.learning.gamma = 0.9;
     refused(&other, true, "another configuration");
+    let kept = std::fs::read_to_string(folder.0.join("config.toml")).unwrap();
+    assert_eq!(kept, config.to_toml(), "the run keeps its own configuration");
     std::fs::write(&path, &good[..good.len() / 2]).unwrap();
     refused(&config, true, "truncated");
     // A directory in the way of the new file stands for a disk that takes no more.
