@@ -183,7 +183,7 @@ pub fn parse_raise(text: &str) -> Result<(u8, u8), String> {
         .and_then(|(count, window)| Some((count.parse().ok()?, window.parse().ok()?)));
     match parsed {
         Some((count, window)) if (1..=32).contains(&window) && (1..=window).contains(&count) => Ok((count, window)),
-        _ => Err("give COUNT/WINDOW, 1 to 32 each and the count not above the window, for example 2/3".to_owned()),
+        _ => Err("give COUNT/WINDOW, 1 to 32 each and the count not above the window, for example 5/6".to_owned()),
     }
 }
 

@@ -369,6 +369,9 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
     assert_eq!(flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32), 0.4);
     assert_eq!(flight.last.judgement.unwrap().verdict, Verdict::Attack);
     assert_eq!(values(&flight.vehicle, "dt_state"), [2.0], "at once");
+    for _ in 0..3 {
+        assert_eq!(flight.step().alarm, None);
+    }
     let alarm = flight.step();
     assert_eq!(
         (alarm.state, alarm.reasons),

@@ -1,4 +1,4 @@
-"""Compares our programs with PyTorch, ONNX Runtime, shap, captum and ART, side by side in one run.
+"""Compares our programs with PyTorch, ONNX Runtime, tract, shap, captum and ART, side by side in one run.
 
 Each case first checks that both sides compute the same, then times them in turns, one thread each, on one core, in processor time.
 tools/peers/run.sh builds our side and calls this.
@@ -28,6 +28,7 @@ for variable in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPE
 
 import captum.attr
 import numpy as np
+import onnx
 import shap
 import torch
 from art.attacks.evasion import BasicIterativeMethod
@@ -54,11 +55,15 @@ ORDER = ("actor", "update", "update-as-trained", "shap-hidden", "shap-pixels", "
 
 @dataclass
 class Peer:
-    """Another program for the same work: how to run it, and how often for one measurement."""
+    """Another program for the same work: how to run it, and how often for one measurement.
 
-    run: Callable[[], object]
+    `time_ns` replaces `run` for one in another process: the processor time of one run, the mean over as many as it is given.
+    """
+
+    run: Callable[[], object] | None = None
     runs: int = 1
     goal: float | None = None
+    time_ns: Callable[[int], float] | None = None
 
 
 @dataclass
@@ -104,11 +109,42 @@ class Ours:
 
 
 @dataclass
+class Tract:
+    """tract in a process of its own, waiting for requests."""
+
+    process: subprocess.Popen
+    first: np.ndarray
+
+    @classmethod
+    def start(cls, program: Path, folder: Path, model: onnx.ModelProto, inputs: list[np.ndarray]) -> "Tract":
+        """Starts it with a model and its inputs; `first` are the values of the first output."""
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "tract.onnx").write_bytes(model.SerializeToString())
+        (folder / "tract.bin").write_bytes(b"".join(x.astype("<f4").tobytes() for x in inputs))
+        arguments = [str(program), str(folder / "tract.onnx"), str(folder / "tract.bin")]
+        process = subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        state, *values = process.stdout.readline().split() or [""]
+        if state != "ready":
+            raise SystemExit(f"{program} did not start; see above")
+        return cls(process, np.array(values, dtype=np.float32))
+
+    def time_ns(self, runs: int) -> float:
+        """Processor time of one run."""
+        self.process.stdin.write(f"{runs}\n")
+        self.process.stdin.flush()
+        answer = self.process.stdout.readline()
+        if not answer:
+            raise SystemExit("tract ended; see above")
+        return float(answer)
+
+
+@dataclass
 class Context:
     """What the cases are made of."""
 
     ours: Ours
     actor: frozen.Actor
+    tract: Path | None = None
     config: dict[str, float] = field(default_factory=dict)
 
     def state(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -143,7 +179,8 @@ def actor_case(c: Context) -> Case:
     ]
     older = net.encoder(net.contrast(frames[0, :4, None])).numpy()
     feed = {"frame": t["state_frames"][:1, 4:], "older": older, "position": t["state_position"][:1]}
-    newest = export_onnx.session(export_onnx.newest_frame(c.actor))
+    model = export_onnx.newest_frame(c.actor)
+    newest = export_onnx.session(model)
     agreement.append(within("newest frame", newest.run(["action"], feed)[0], t["state_action"][:1], 1e-5))
     torch_newest = networks.NewestFrame(net)
     inputs = [torch.from_numpy(feed[name]) for name in ("frame", "older", "position")]
@@ -156,6 +193,10 @@ def actor_case(c: Context) -> Case:
         "ONNX Runtime": Peer(lambda: newest.run(None, feed), 50, goal=0.9),
         "PyTorch": Peer(by_torch, 20),
     }
+    if c.tract is not None:
+        tract = Tract.start(c.tract, frozen.REPOSITORY / "target/peers", model, list(feed.values()))
+        agreement.append(within("tract", tract.first, t["state_action"][0], 1e-5))
+        peers["tract"] = Peer(runs=20, goal=3.0, time_ns=tract.time_ns)
     return Case("One new frame through the actor", "actor", 50, peers, ", ".join(agreement), 30)
 
 
@@ -345,6 +386,8 @@ def measure(case: Case, ours: Ours, rounds: int | None) -> dict:
     """Times both sides in turns."""
 
     def once(peer: Peer) -> float:
+        if peer.time_ns is not None:
+            return peer.time_ns(peer.runs)
         before = time.process_time_ns()
         for _ in range(peer.runs):
             peer.run()
@@ -459,6 +502,7 @@ def main() -> None:
     parser.add_argument("--actor", type=Path, help="another actor.safetensors than the built-in one")
     parser.add_argument("--core", type=int, help="core to run on; default: the first one this process may use")
     parser.add_argument("--ours", type=Path, default=frozen.REPOSITORY / "target/release/vigil-peers", help=argparse.SUPPRESS)
+    parser.add_argument("--tract", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--no-write", dest="write", action="store_false", help="leave results.json and docs/peers.md as they are")
     arguments = parser.parse_args()
     for name in arguments.cases:
@@ -472,7 +516,7 @@ def main() -> None:
     # captum says with every call that it sets hooks.
     warnings.filterwarnings("ignore", message="Setting forward, backward hooks")
     ours = Ours.start(arguments.ours, frozen.REPOSITORY / "target/peers", arguments.actor)
-    context = Context(ours, frozen.load(arguments.actor or frozen.ACTOR))
+    context = Context(ours, frozen.load(arguments.actor or frozen.ACTOR), arguments.tract)
     if context.actor.sha256 != ours.notes["actor_sha256"]:
         raise SystemExit("our program holds another actor than the repository; build it again (tools/peers/run.sh does)")
     chosen = arguments.cases or list(makers)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Compares our programs with PyTorch, ONNX Runtime, shap, captum and ART, side by side (docs/peers.md).
+# Compares our programs with PyTorch, ONNX Runtime, tract, shap, captum and ART, side by side (docs/peers.md).
 # Makes its own virtual environment under target/ (5 GB: PyPI's torch brings its GPU libraries). --help for what can be chosen.
 set -euo pipefail
 repository=$(cd "$(dirname "$0")/../.." && pwd)
@@ -12,4 +12,6 @@ if ! cmp -s "$requirements" "$venv/installed.txt"; then
     cp "$requirements" "$venv/installed.txt"
 fi
 cargo build --release --locked --manifest-path "$repository/Cargo.toml" -p vigil-peers
-exec "$venv/bin/python" "$repository/tools/peers/compare.py" "$@"
+# Outside the workspace: its 200 crates take minutes, and nothing else needs them.
+cargo build --release --locked --manifest-path "$repository/tools/peers/tract/Cargo.toml" --target-dir "$repository/target/tract"
+exec "$venv/bin/python" "$repository/tools/peers/compare.py" --tract "$repository/target/tract/release/vigil-peers-tract" "$@"

@@ -1,6 +1,6 @@
 //! From verdicts to an alarm, and from the alarm to what guidance does: with hysteresis, pure.
 //!
-//! A single verdict neither raises nor ends an alarm. *Unknown* ends none, and too many of them in a row raise one.
+//! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one.
 
 use vigil_types::{Alarm, AlarmCause, AlarmResponse, Nanos, Verdict};
 
@@ -40,8 +40,8 @@ impl Default for AlarmConfig {
     fn default() -> Self {
         Self {
             policy: AlarmPolicy::default(),
-            raise_count: 2,
-            raise_window: 3,
+            raise_count: 5,
+            raise_window: 6,
             unknown_limit: 10,
             clear_steps: 40,
             stopped_m_s: 0.2,
@@ -165,34 +165,37 @@ mod tests {
     }
 
     #[test]
-    fn one_verdict_raises_nothing_and_two_of_three_do() {
+    fn four_verdicts_of_six_raise_nothing_and_five_do() {
         let config = AlarmConfig::default();
         let quiet = responses(
             &config,
-            &[Attack, Clean, Clean, Attack, Clean, Clean, Attack, Unknown, Clean],
+            &[
+                Attack, Attack, Clean, Attack, Attack, Clean, Attack, Attack, Unknown, Attack,
+            ],
         );
         assert!(quiet.iter().all(Option::is_none));
-        let raised = responses(&config, &[Attack, Unknown, Attack]);
-        assert_eq!(raised, [None, None, Some(AlarmResponse::Stop)]);
+        let raised = responses(&config, &[Attack, Attack, Unknown, Attack, Attack, Attack]);
+        assert_eq!(raised, [None, None, None, None, None, Some(AlarmResponse::Stop)]);
+        assert_eq!(responses(&config, &[Attack; 5])[4], Some(AlarmResponse::Stop));
     }
 
     #[test]
     fn a_vehicle_that_gusts_keep_moving_is_handed_to_the_recovery_pilot_all_the_same() {
         let raised = responses(&AlarmConfig::default(), &[Attack; 70]);
-        assert_eq!(raised[60], Some(AlarmResponse::Stop));
-        assert_eq!(raised[61], Some(AlarmResponse::Recovery), "3 s after the alarm");
+        assert_eq!(raised[63], Some(AlarmResponse::Stop));
+        assert_eq!(raised[64], Some(AlarmResponse::Recovery), "3 s after the alarm");
     }
 
     #[test]
     fn an_unknown_verdict_starts_the_count_of_clean_ones_anew() {
         let config = AlarmConfig::default();
-        let mut story = vec![Attack, Attack];
+        let mut story = vec![Attack; 5];
         story.extend([Clean; 39]);
         story.push(Unknown);
         story.extend([Clean; 40]);
         let raised = responses(&config, &story);
-        assert!(raised[1..81].iter().all(Option::is_some));
-        assert_eq!(raised[81], None);
+        assert!(raised[4..84].iter().all(Option::is_some));
+        assert_eq!(raised[84], None);
     }
 
     #[test]

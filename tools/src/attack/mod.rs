@@ -1,5 +1,6 @@
 //! `vigil attack`: how far the actor can be deceived. One command for each table of docs/adversary.md.
 
+mod defended;
 mod deflection;
 mod flights;
 mod states;
@@ -21,6 +22,10 @@ Examples:
   vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
   vigil attack cells --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
   vigil attack worst                     which streaming attack hurts most
+  vigil attack defended --flights 500 --burst continuous
+                                         completion undefended, with the stop alone, with recovery, and not attacked
+  vigil attack defended --flights 500 --burst continuous --resume
+                                         go on after an interruption
 
 One flight under attack: vigil evaluate --attack …, vigil fly --attack …. The same seeds give the same figures on any
 number of threads.")]
@@ -39,6 +44,8 @@ enum AttackCommand {
     Cells(flights::CellsArgs),
     /// Completion under each streaming attack: method, burst and direction.
     Worst(flights::WorstArgs),
+    /// Completion attacked and not, undefended, with the stop alone and with recovery, on the same courses.
+    Defended(defended::DefendedArgs),
 }
 
 /// What all of them take.
@@ -100,6 +107,7 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
         AttackCommand::Deflection(args) => deflection::run(args),
         AttackCommand::Cells(args) => flights::run_cells(args),
         AttackCommand::Worst(args) => flights::run_worst(args),
+        AttackCommand::Defended(args) => defended::run(args),
     }
 }
 

@@ -1,0 +1,618 @@
+//! What the detector is worth: the same flights attacked and not, undefended, with the stop alone, with recovery.
+//!
+//! Each flight is a line of `defended.csv` as soon as it has ended, so a campaign of hours loses at most the flights in the air, and
+//! `--resume` flies what is missing.
+
+use super::{Common, bar, write_json};
+use crate::campaign::{self, Flown};
+use crate::statistics::wilson_95;
+use anyhow::{Context, Result, bail, ensure};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Mutex;
+use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_detector::FrozenDetector;
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::config::{AlarmChoice, PilotKind};
+use vigil_sim::{Attack, AttackArgs, SimConfig, Start};
+use vigil_types::STEP_S;
+use vigil_world::{Family, Outcome, generate};
+
+/// Arguments of `vigil attack defended`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct DefendedArgs {
+    /// Flights of each arm, on the same courses in all arms.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+
+    /// Seed of the first validation course.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    /// Arms to fly.
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_value = "none,none-watched,undefended,stop,recover"
+    )]
+    arms: Vec<Arm>,
+
+    /// The attack.
+    #[arg(long, value_enum, default_value_t = Method::BimAccumulating)]
+    method: Method,
+
+    /// Steps attacked, once in a flight at a moment drawn from its seed, or `continuous`.
+    #[arg(long, value_name = "STEPS|continuous", default_value = "100")]
+    burst: Burst,
+
+    /// The yaw limit aimed at.
+    #[arg(long, value_enum, default_value_t = Towards::Away)]
+    towards: Towards,
+
+    /// ε in 1/255 of the image's range.
+    #[arg(long, default_value_t = 1.0)]
+    epsilon: f32,
+
+    /// Iterations.
+    #[arg(long, default_value_t = 20)]
+    iterations: u32,
+
+    /// Adaptive: deceive this detector as well.
+    #[arg(long, value_name = "FILE")]
+    evade: Option<PathBuf>,
+
+    /// Add the potential field to the actor.
+    #[arg(long)]
+    apf: bool,
+
+    /// Fly only what the folder's defended.csv does not have yet.
+    #[arg(long)]
+    resume: bool,
+
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Who flies against what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Arm {
+    /// Not attacked, no detector.
+    None,
+    /// Not attacked, detector and recovery on: what do they cost?
+    NoneWatched,
+    /// Attacked, no detector.
+    Undefended,
+    /// Attacked; an alarm stops the vehicle.
+    Stop,
+    /// Attacked; an alarm stops the vehicle, then the recovery pilot flies on.
+    Recover,
+}
+
+impl Arm {
+    const ALL: [Self; 5] = [
+        Self::None,
+        Self::NoneWatched,
+        Self::Undefended,
+        Self::Stop,
+        Self::Recover,
+    ];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::NoneWatched => "none-watched",
+            Self::Undefended => "undefended",
+            Self::Stop => "stop",
+            Self::Recover => "recover",
+        }
+    }
+
+    fn attacked(self) -> bool {
+        !matches!(self, Self::None | Self::NoneWatched)
+    }
+
+    fn alarm(self) -> Option<AlarmChoice> {
+        match self {
+            Self::None | Self::Undefended => None,
+            Self::Stop => Some(AlarmChoice::Stop),
+            Self::NoneWatched | Self::Recover => Some(AlarmChoice::Recover),
+        }
+    }
+}
+
+/// What every flight of a campaign has in common; the first line of `defended.csv`.
+#[derive(Debug, Clone, Serialize)]
+struct Settings {
+    version: &'static str,
+    actor_sha256: String,
+    detector_sha256: String,
+    /// Verdicts that raise the alarm, and of how many.
+    raise: (u8, u8),
+    first_seed: u64,
+    apf: bool,
+    attack: AttackConfig,
+    burst: Burst,
+    /// The detector that the attacker deceives as well.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    evades: Option<PathBuf>,
+}
+
+/// A flight: a line of `defended.csv`.
+#[derive(Debug, Clone, PartialEq)]
+struct Line {
+    arm: Arm,
+    seed: u64,
+    /// As [`Outcome`] says it; `none` when the vehicle never took off.
+    outcome: String,
+    flight_time_s: f64,
+    attacked_steps: u64,
+    effective_steps: u64,
+    judged_steps: u64,
+    alarms: u64,
+    stop_steps: u64,
+    recovery_steps: u64,
+}
+
+const COLUMNS: &str =
+    "arm,seed,outcome,flight_time_s,attacked_steps,effective_steps,judged_steps,alarms,stop_steps,recovery_steps";
+
+impl fmt::Display for Line {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{},{},{},{:.2},{},{},{},{},{},{}",
+            self.arm.name(),
+            self.seed,
+            self.outcome,
+            self.flight_time_s,
+            self.attacked_steps,
+            self.effective_steps,
+            self.judged_steps,
+            self.alarms,
+            self.stop_steps,
+            self.recovery_steps,
+        )
+    }
+}
+
+impl Line {
+    fn of(arm: Arm, seed: u64, flown: &Flown) -> Self {
+        let attack = flown.attack.clone().unwrap_or_default();
+        let watch = flown.watch.clone().unwrap_or_default();
+        Self {
+            arm,
+            seed,
+            outcome: flown
+                .record
+                .outcome
+                .map_or_else(|| "none".to_owned(), |o| o.to_string()),
+            flight_time_s: flown.record.flight_time_s,
+            attacked_steps: attack.attacked_steps,
+            effective_steps: attack.effective_steps,
+            judged_steps: watch.judged_steps,
+            alarms: watch.alarms,
+            stop_steps: watch.stop_steps,
+            recovery_steps: watch.recovery_steps,
+        }
+    }
+
+    fn parse(text: &str) -> Option<Self> {
+        let mut fields = text.split(',');
+        let arm = fields.next()?;
+        let line = Self {
+            arm: Arm::ALL.into_iter().find(|known| known.name() == arm)?,
+            seed: fields.next()?.parse().ok()?,
+            outcome: fields.next()?.to_owned(),
+            flight_time_s: fields.next()?.parse().ok()?,
+            attacked_steps: fields.next()?.parse().ok()?,
+            effective_steps: fields.next()?.parse().ok()?,
+            judged_steps: fields.next()?.parse().ok()?,
+            alarms: fields.next()?.parse().ok()?,
+            stop_steps: fields.next()?.parse().ok()?,
+            recovery_steps: fields.next()?.parse().ok()?,
+        };
+        fields.next().is_none().then_some(line)
+    }
+
+    fn is_success(&self) -> bool {
+        self.outcome == Outcome::Success.to_string()
+    }
+}
+
+/// The flights of a campaign, on disk and in memory.
+struct Log {
+    path: PathBuf,
+    heading: String,
+    lines: BTreeMap<(u64, Arm), Line>,
+}
+
+impl Log {
+    /// Reads what there is, when it is to be gone on with. A line that a killed process left half written is flown again.
+    fn open(path: PathBuf, settings: &Settings, resume: bool) -> Result<Self> {
+        let heading = format!("# {}\n{COLUMNS}\n", serde_json::to_string(settings)?);
+        let mut log = Self {
+            path,
+            heading,
+            lines: BTreeMap::new(),
+        };
+        let name = log.path.display().to_string();
+        if !log.path.exists() {
+            return Ok(log);
+        }
+        ensure!(
+            resume,
+            "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another folder with --output"
+        );
+        let text = std::fs::read_to_string(&log.path).with_context(|| format!("cannot read {name}"))?;
+        let Some(lines) = text.strip_prefix(&log.heading) else {
+            bail!("{name} is of another campaign (its first line tells which); name another folder with --output");
+        };
+        let whole = lines.rfind('\n').map_or("", |end| &lines[..end]);
+        for (number, text) in whole.lines().enumerate() {
+            let line =
+                Line::parse(text).with_context(|| format!("{name}, line {}: not a flight: {text:?}", number + 3))?;
+            log.lines.insert((line.seed, line.arm), line);
+        }
+        Ok(log)
+    }
+
+    /// Writes all flights in their order: what a finished campaign leaves does not depend on threads or interruptions.
+    fn write(&self) -> Result<std::fs::File> {
+        let mut text = self.heading.clone();
+        for line in self.lines.values() {
+            text += &format!("{line}\n");
+        }
+        let beside = self.path.with_extension("csv.new");
+        let context = || format!("cannot write {}", self.path.display());
+        std::fs::write(&beside, text).with_context(context)?;
+        std::fs::rename(&beside, &self.path).with_context(context)?;
+        std::fs::OpenOptions::new()
+            .append(true)
+            .open(&self.path)
+            .with_context(context)
+    }
+}
+
+/// What an arm came to.
+#[derive(Serialize)]
+struct Row {
+    arm: Arm,
+    flights: usize,
+    completed: usize,
+    completion: f64,
+    wilson_95: (f64, f64),
+    collisions: usize,
+    out_of_bounds: usize,
+    time_outs: usize,
+    attacked_steps: u64,
+    effective_steps: u64,
+    /// Flights with an alarm, alarms, and alarms per hour of judged flight.
+    alarmed_flights: usize,
+    alarms: u64,
+    alarms_per_hour: f64,
+    stopping_share: f64,
+    recovering_share: f64,
+    failed_seeds: Vec<u64>,
+}
+
+impl Row {
+    fn of<'a>(arm: Arm, lines: impl Iterator<Item = &'a Line>) -> Option<Self> {
+        let lines: Vec<&Line> = lines.filter(|line| line.arm == arm).collect();
+        let count = |outcome: Outcome| lines.iter().filter(|l| l.outcome == outcome.to_string()).count();
+        let sum = |of: fn(&Line) -> u64| lines.iter().map(|line| of(line)).sum::<u64>();
+        let completed = count(Outcome::Success);
+        let judged = sum(|l| l.judged_steps).max(1) as f64;
+        let alarms = sum(|l| l.alarms);
+        (!lines.is_empty()).then(|| Self {
+            arm,
+            flights: lines.len(),
+            completed,
+            completion: completed as f64 / lines.len() as f64,
+            wilson_95: wilson_95(completed, lines.len()),
+            collisions: count(Outcome::Collision),
+            out_of_bounds: count(Outcome::OutOfBounds),
+            time_outs: count(Outcome::TimeOut),
+            attacked_steps: sum(|l| l.attacked_steps),
+            effective_steps: sum(|l| l.effective_steps),
+            alarmed_flights: lines.iter().filter(|l| l.alarms > 0).count(),
+            alarms,
+            alarms_per_hour: alarms as f64 / (judged * f64::from(STEP_S) / 3600.0),
+            stopping_share: sum(|l| l.stop_steps) as f64 / judged,
+            recovering_share: sum(|l| l.recovery_steps) as f64 / judged,
+            failed_seeds: lines.iter().filter(|l| !l.is_success()).map(|l| l.seed).collect(),
+        })
+    }
+
+    fn print_heading() {
+        println!(
+            "{:<13} {:>7} {:>10}   {:<15} {:>9} {:>7} {:>9}   {:<16} alarms",
+            "arm", "flights", "completion", "95 % interval", "collision", "bounds", "time-out", "yaw moved ≥ 1.0"
+        );
+    }
+
+    fn print(&self) {
+        let interval = format!("{:.1} to {:.1} %", 100.0 * self.wilson_95.0, 100.0 * self.wilson_95.1);
+        let effective = if self.attacked_steps == 0 {
+            "—".to_owned()
+        } else {
+            format!(
+                "{:.0} % of steps",
+                100.0 * self.effective_steps as f64 / self.attacked_steps as f64
+            )
+        };
+        let alarms = if self.arm.alarm().is_none() {
+            "—".to_owned()
+        } else {
+            format!(
+                "{} in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
+                self.alarms,
+                self.alarmed_flights,
+                self.alarms_per_hour,
+                100.0 * self.stopping_share,
+                100.0 * self.recovering_share
+            )
+        };
+        println!(
+            "{:<13} {:>7} {:>8.1} %   {interval:<15} {:>9} {:>7} {:>9}   {effective:<16} {alarms}",
+            self.arm.name(),
+            self.flights,
+            100.0 * self.completion,
+            self.collisions,
+            self.out_of_bounds,
+            self.time_outs,
+        );
+    }
+}
+
+/// Of the courses flown in both arms: those that only the second completed, and those that only the first did.
+#[derive(Debug, PartialEq, Serialize)]
+struct Pair {
+    without: Arm,
+    with: Arm,
+    flights: usize,
+    won: usize,
+    lost: usize,
+}
+
+fn pair(lines: &BTreeMap<(u64, Arm), Line>, without: Arm, with: Arm) -> Option<Pair> {
+    let (mut flights, mut won, mut lost) = (0, 0, 0);
+    for line in lines.values().filter(|line| line.arm == with) {
+        if let Some(other) = lines.get(&(line.seed, without)) {
+            flights += 1;
+            won += usize::from(line.is_success() && !other.is_success());
+            lost += usize::from(!line.is_success() && other.is_success());
+        }
+    }
+    (flights > 0).then_some(Pair {
+        without,
+        with,
+        flights,
+        won,
+        lost,
+    })
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    settings: &'a Settings,
+    rows: Vec<Row>,
+    pairs: Vec<Pair>,
+}
+
+/// Flies what is missing, prints and writes the table.
+///
+/// # Errors
+/// A file that is no actor or no detector, a folder that cannot be written, flights of another campaign there.
+pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
+    let folder = args.common.folder()?;
+    let attack = AttackArgs {
+        attack: Some(args.method),
+        epsilon: args.epsilon,
+        iterations: args.iterations,
+        burst: args.burst,
+        towards: args.towards,
+        attack_actor: None,
+        evade: args.evade.clone(),
+    };
+    let attack = attack
+        .attack(args.common.actor.as_deref())?
+        .context("an attack was asked for")?;
+    let alarm = FirmwareConfig::default().detector;
+    let settings = Settings {
+        version: env!("CARGO_PKG_VERSION"),
+        actor_sha256: args.common.victim()?.sha256,
+        detector_sha256: FrozenDetector::built_in()?.sha256(),
+        raise: (alarm.raise_count, alarm.raise_window),
+        first_seed: args.seed,
+        apf: args.apf,
+        attack: attack.config,
+        burst: attack.burst,
+        evades: args.evade.clone(),
+    };
+    let log = Log::open(folder.join("defended.csv"), &settings, args.resume)?;
+    fly_missing(args, &attack, log, &settings, folder)
+}
+
+fn fly_missing(
+    args: &DefendedArgs,
+    attack: &Attack,
+    mut log: Log,
+    settings: &Settings,
+    folder: &Path,
+) -> Result<ExitCode> {
+    let seeds = args.seed..args.seed.saturating_add(args.flights);
+    // All arms of a course before the next course: an interrupted campaign is one of fewer courses.
+    let missing: Vec<(u64, Arm)> = seeds
+        .flat_map(|seed| args.arms.iter().map(move |arm| (seed, *arm)))
+        .filter(|key| !log.lines.contains_key(key))
+        .collect();
+    let bar = bar(missing.len() as u64, "flights")?;
+    let file = Mutex::new(log.write()?);
+    let flown: Vec<Line> = args.common.pool()?.install(|| {
+        missing
+            .into_iter()
+            .par_bridge()
+            .map(|(seed, arm)| {
+                let line = Line::of(arm, seed, &fly(args, arm, attack, seed)?);
+                let mut file = file.lock().map_err(|_| anyhow::anyhow!("another flight failed"))?;
+                writeln!(file, "{line}").with_context(|| format!("cannot write {}", log.path.display()))?;
+                bar.inc(1);
+                Ok(line)
+            })
+            .collect::<Result<_>>()
+    })?;
+    bar.finish_and_clear();
+    log.lines
+        .extend(flown.into_iter().map(|line| ((line.seed, line.arm), line)));
+    log.write()?;
+
+    println!(
+        "{}, ε = {}/255, {} iterations, {}, burst {}, field {}; validation courses from seed {}, the same in every arm",
+        settings.attack.method.name(),
+        settings.attack.epsilon_255,
+        settings.attack.iterations,
+        settings.attack.towards.name(),
+        settings.burst,
+        if settings.apf { "on" } else { "off" },
+        settings.first_seed
+    );
+    Row::print_heading();
+    let rows: Vec<Row> = Arm::ALL
+        .into_iter()
+        .filter_map(|arm| Row::of(arm, log.lines.values()))
+        .inspect(Row::print)
+        .collect();
+    let pairs: Vec<Pair> = [
+        (Arm::None, Arm::NoneWatched),
+        (Arm::Undefended, Arm::Stop),
+        (Arm::Undefended, Arm::Recover),
+    ]
+    .into_iter()
+    .filter_map(|(without, with)| pair(&log.lines, without, with))
+    .inspect(|p| {
+        println!(
+            "{} against {}: of {} courses {} completed only with, {} only without",
+            p.with.name(),
+            p.without.name(),
+            p.flights,
+            p.won,
+            p.lost
+        );
+    })
+    .collect();
+    println!("flights   {}", log.path.display());
+    write_json(&folder.join("defended.json"), &Report { settings, rows, pairs })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
+    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
+    config.start = Start::Airborne;
+    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    firmware.pilot.kind = PilotKind::Actor;
+    firmware.pilot.actor_file.clone_from(&args.common.actor);
+    firmware.pilot.apf = args.apf;
+    firmware.detector.enabled = arm.alarm().is_some();
+    firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
+    campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn line(arm: Arm, seed: u64, outcome: Outcome) -> Line {
+        Line {
+            arm,
+            seed,
+            outcome: outcome.to_string(),
+            flight_time_s: 21.35,
+            attacked_steps: 100,
+            effective_steps: 87,
+            judged_steps: 418,
+            alarms: 1,
+            stop_steps: 14,
+            recovery_steps: 120,
+        }
+    }
+
+    fn settings(burst: u32) -> Settings {
+        Settings {
+            version: "0",
+            actor_sha256: "a".to_owned(),
+            detector_sha256: "d".to_owned(),
+            raise: (2, 3),
+            first_seed: 7,
+            apf: false,
+            attack: AttackConfig::PAPER,
+            burst: Burst::Steps(burst),
+            evades: None,
+        }
+    }
+
+    #[test]
+    fn a_killed_campaign_goes_on_with_every_flight_that_had_ended() {
+        let folder = std::env::temp_dir().join(format!("vigil-defended-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("defended.csv");
+        let _ = std::fs::remove_file(&path);
+
+        let mut log = Log::open(path.clone(), &settings(100), false).unwrap();
+        let flown = [
+            line(Arm::Recover, 7, Outcome::Success),
+            line(Arm::Stop, 7, Outcome::TimeOut),
+        ];
+        let mut file = log.write().unwrap();
+        for line in &flown {
+            writeln!(file, "{line}").unwrap();
+        }
+        // The third was being written when the process was killed.
+        write!(file, "undefended,7,coll").unwrap();
+
+        let again = Log::open(path.clone(), &settings(100), true).unwrap();
+        assert_eq!(
+            again.lines.values().cloned().collect::<Vec<_>>(),
+            [flown[1].clone(), flown[0].clone()]
+        );
+        // Rewritten, it is whole and in order.
+        again.write().unwrap();
+        log.lines.clone_from(&again.lines);
+        assert_eq!(Log::open(path.clone(), &settings(100), true).unwrap().lines, log.lines);
+
+        let refused = |settings, resume| Log::open(path.clone(), &settings, resume).err().unwrap().to_string();
+        assert!(refused(settings(100), false).contains("--resume"));
+        assert!(refused(settings(50), true).contains("another campaign"));
+        std::fs::write(&path, format!("{}stop,x,\n", again.heading)).unwrap();
+        assert!(refused(settings(100), true).contains("line 3"));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn arms_are_compared_on_the_courses_that_both_flew() {
+        let flown = [
+            line(Arm::Undefended, 1, Outcome::Collision),
+            line(Arm::Recover, 1, Outcome::Success),
+            line(Arm::Undefended, 2, Outcome::Success),
+            line(Arm::Recover, 2, Outcome::TimeOut),
+            line(Arm::Undefended, 3, Outcome::TimeOut),
+            line(Arm::Recover, 3, Outcome::Success),
+            line(Arm::Recover, 4, Outcome::Success),
+        ];
+        let lines: BTreeMap<_, _> = flown.iter().map(|l| ((l.seed, l.arm), l.clone())).collect();
+        let pair = pair(&lines, Arm::Undefended, Arm::Recover).unwrap();
+        assert_eq!((pair.flights, pair.won, pair.lost), (3, 2, 1));
+        let row = Row::of(Arm::Recover, lines.values()).unwrap();
+        assert_eq!((row.flights, row.completed, row.time_outs), (4, 3, 1));
+        assert_eq!(row.failed_seeds, [2]);
+        // Four alarms in 4 · 418 steps of 0.05 s.
+        assert!((row.alarms_per_hour - 4.0 / (4.0 * 418.0 * 0.05 / 3600.0)).abs() < 1e-3);
+        assert!(Row::of(Arm::Stop, lines.values()).is_none());
+    }
+}
