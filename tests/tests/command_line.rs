@@ -202,3 +202,22 @@ fn a_flight_s_explanations_add_up_to_its_decisions_and_its_attack_is_noticed() {
     assert_eq!(altered, 50);
     assert!(found >= 45, "{found} of {altered} altered frames were judged attacked");
 }
+
+#[test]
+fn every_part_of_a_decision_is_timed_beside_the_paper_s_figure() {
+    let timed = run(&["detector", "times", "--pictures", "1"]);
+    assert_eq!(timed.status.code(), Some(0), "{}", said(&timed));
+    let text = String::from_utf8_lossy(&timed.stdout).into_owned();
+    let rows: Vec<Vec<f64>> = text
+        .lines()
+        .skip(2)
+        .map(|line| line.split_whitespace().filter_map(|word| word.parse().ok()).collect())
+        .collect();
+    assert_eq!(rows.len(), 7, "{text}");
+    for row in &rows {
+        let [median, late, paper] = row[..] else {
+            panic!("{text}")
+        };
+        assert!(0.0 < median && median <= late && paper > 0.0, "{text}");
+    }
+}

@@ -1,6 +1,7 @@
 //! `vigil detector`: data for the detectors, their training, and how well they detect.
 
 use crate::output::git_commit;
+use crate::statistics::quantile;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
@@ -35,9 +36,10 @@ Examples:
   vigil detector images                     states with the SHAP images of all pixels, for the next
   vigil detector table                      CNN-AD, FCN-AD, PCA and LSTM-AD on the same states
   vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
+  vigil detector times                      how long deciding, explaining and judging take
   vigil detector gather --actor my.safetensors -o runs/mine
 
-But for figures, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
+But for figures and times, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
 pub struct DetectorArgs {
     #[command(subcommand)]
     command: DetectorCommand,
@@ -99,6 +101,15 @@ enum DetectorCommand {
         /// The frozen detector [default: the one built in].
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
+    },
+    /// Time decision, explanation and verdict on one flight's states, one thread: the paper's table IV.
+    Times {
+        /// Validation course.
+        #[arg(long, default_value_t = 7)]
+        seed: u64,
+        /// Steps whose pixels are explained.
+        #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100))]
+        pictures: u64,
     },
     /// Fly states and explain all pixels of their five frames; about 0.12 s of one core a state.
     Images {
@@ -203,6 +214,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
                 stage.folder,
             )
         }
+        DetectorCommand::Times { seed, pictures } => stage.times(*seed, *pictures as usize),
         DetectorCommand::Images {
             states,
             judged,
@@ -402,6 +414,40 @@ impl Stage<'_> {
             return Err(DetectError::OtherActor { path, found, expected }.into());
         }
         Ok(frozen)
+    }
+
+    fn times(&self, seed: u64, pictures: usize) -> Result<()> {
+        let detector = FrozenDetector::built_in()?;
+        let (record, times) = vigil_detect::time(self.isa, &self.actor, &detector, seed, pictures)?;
+        println!(
+            "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
+            record.steps.len(),
+            times.pixels_s.len(),
+            self.isa.name()
+        );
+        println!("                                             median        99 %       paper");
+        let step_s: Vec<f64> = (0..times.action_s.len())
+            .map(|i| times.action_s[i] + times.explanation_s[i] + times.verdict_s[i])
+            .collect();
+        let rows = [
+            ("action", &times.action_s, 0.056),
+            ("SHAP values at the split point", &times.explanation_s, 0.019),
+            ("LSTM-AD", &times.verdict_s, 0.001),
+            ("a step of the three", &step_s, 0.076),
+            ("SHAP values of all pixels of five frames", &times.pixels_s, 13.33),
+            ("CNN-AD", &times.cnn_s, 0.162),
+            ("FCN-AD", &times.fcn_s, 0.056),
+        ];
+        for (name, seconds, paper_s) in rows {
+            let at = |share| 1e3 * quantile(seconds, share).unwrap_or(f64::NAN);
+            println!(
+                "{name:<42} {:>7.3} ms {:>8.3} ms {:>8.0} ms",
+                at(0.5),
+                at(0.99),
+                1e3 * paper_s
+            );
+        }
+        Ok(())
     }
 
     fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {

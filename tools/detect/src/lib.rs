@@ -12,6 +12,7 @@ mod portrait;
 mod record;
 mod scenario;
 mod table;
+mod times;
 
 pub use data::{Class, Counts, Flights, WEAK_YAW, gather};
 pub use error::DetectError;
@@ -27,3 +28,4 @@ pub use portrait::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use record::{Ending, Frame, Onlooker, Record, Step, fly};
 pub use scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 pub use table::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
+pub use times::{Times, time};

@@ -21,6 +21,8 @@ use vigil_world::Family;
 /// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
 const SHAP_THREADS: usize = 2;
 /// First seed of the unattacked training flights that backgrounds come from, and how many.
+/// States of the background sample, where nothing else is asked for.
+pub(crate) const BACKGROUNDS: usize = 30;
 const BACKGROUND_SEED: u64 = 2900;
 const BACKGROUND_FLIGHTS: u64 = 6;
 /// Steps between states of one class in one flight, and how many at most.

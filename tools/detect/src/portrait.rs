@@ -2,16 +2,13 @@
 
 use crate::error::DetectError;
 use crate::features::YAW;
-use crate::pixels::{Memory, explainer};
+use crate::pixels::{BACKGROUNDS, Memory, explainer};
 use crate::record::{Frame, Onlooker, Record, Step, fly};
 use crate::scenario::Scenario;
 use vigil_detector::{DeepShap, FrozenDetector, Monitor};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_POSITIONAL, Isa};
 use vigil_policy::FrozenActor;
 use vigil_types::{DEPTH_PIXELS, DepthFrame, Judgement};
-
-/// States of the background sample of the pixels' explanations.
-const BACKGROUNDS: usize = 30;
 
 /// A step of the flight, explained at the split point and judged.
 #[derive(Debug, Clone, PartialEq)]

@@ -68,7 +68,7 @@ impl ImageNetwork {
         }
     }
 
-    fn graph(self, output: Activation) -> Result<Graph, DetectError> {
+    pub(crate) fn graph(self, output: Activation) -> Result<Graph, DetectError> {
         Ok(match self {
             Self::Cnn => cnn_ad(output)?,
             Self::Fcn => fcn_ad(output)?,

@@ -543,7 +543,7 @@ mod tests {
         }
     }
 
-    fn settings(burst: u32) -> Settings {
+    fn settings(burst: u64) -> Settings {
         Settings {
             version: "0",
             actor_sha256: "a".to_owned(),
