@@ -205,7 +205,7 @@ def update_case(c: Context, as_trained: bool) -> Case:
     t, notes = c.ours.tensors, c.ours.notes
     first = frozen.channel_first(frozen.split(t["before_actor"], frozen.actor_shapes()))
     critic = frozen.channel_first(frozen.split(t["before_critic"], frozen.critic_shapes()))
-    keys = ("gradient_norm", "tau", "actor_rate", "critic_rate", "saturation_penalty", "value_weight")
+    keys = ("gradient_norm", "tau", "actor_rate", "critic_rate", "saturation_penalty", "value_weight", "imitation_width")
     config = {key: float(notes[key]) for key in keys}
     batch = batch_of(t)
     if as_trained:

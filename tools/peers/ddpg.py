@@ -133,7 +133,8 @@ class Ddpg:
         actor_parameters = list(self.actor.parameters())
         actor_gradients = torch.autograd.grad(actor_loss, actor_parameters, retain_graph=self.as_trained)
         if self.as_trained:
-            imitation = (mine - guide).square().sum(1).mean()
+            width = self.config["imitation_width"]
+            imitation = nn.functional.smooth_l1_loss(mine, guide, beta=width, reduction="none").sum(1).mean()
             d_imitation, *more = torch.autograd.grad(imitation, [cut, *actor_parameters])
             d_features = d_features + d_imitation
             actor_gradients = [a + b for a, b in zip(actor_gradients, more)]

@@ -276,6 +276,7 @@ fn update_cases(
                 ("critic_rate", l.critic_rate),
                 ("saturation_penalty", l.saturation_penalty),
                 ("value_weight", value_weight),
+                ("imitation_width", l.imitation_width),
             ] {
                 record.note(key, value);
             }
