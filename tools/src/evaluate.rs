@@ -27,7 +27,7 @@ Examples:
   vigil evaluate --flights 500 --seed 1000000           500 validation courses, seeds 1000000 to 1000499
   vigil evaluate --flights 200 --wind 4                 the same in a mean wind of 4 m/s
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
-  vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles
+  vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles; or dense
   vigil evaluate --flights 200 --pilot geometric        the geometric pilot
   vigil evaluate --flights 200 --apf off --detector off the frozen actor alone
   vigil evaluate --apf off --attack bim-accumulating --burst 50

@@ -68,11 +68,13 @@ pub enum Family {
     Validation,
     /// Doors, pockets, gaps near 2 m and moving obstacles: where pilots fail.
     Hard,
+    /// Validation's layouts filled up, with gaps from 1.8 m.
+    Dense,
 }
 
 impl Family {
     /// All families.
-    pub const ALL: [Self; 3] = [Self::Training, Self::Validation, Self::Hard];
+    pub const ALL: [Self; 4] = [Self::Training, Self::Validation, Self::Hard, Self::Dense];
 
     /// The name used in files and on the command line.
     pub fn name(self) -> &'static str {
@@ -80,6 +82,7 @@ impl Family {
             Self::Training => "training",
             Self::Validation => "validation",
             Self::Hard => "hard",
+            Self::Dense => "dense",
         }
     }
 }

@@ -7,10 +7,11 @@ const SEEDS: u64 = 150;
 
 /// The courses of a family, made once for all tests.
 fn courses(family: Family) -> impl Iterator<Item = &'static Course> {
-    static ALL: [LazyLock<Vec<Course>>; 3] = [
+    static ALL: [LazyLock<Vec<Course>>; 4] = [
         LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Training, seed)).collect()),
         LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Validation, seed)).collect()),
         LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Hard, seed)).collect()),
+        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Dense, seed)).collect()),
     ];
     ALL[family as usize].iter()
 }
@@ -242,6 +243,13 @@ fn the_start_is_free_and_the_vehicle_can_stand_there() {
             assert!(world.clearance_m(course.goal_ned_m()) > VEHICLE.radius_m);
         }
     }
+}
+
+#[test]
+fn a_dense_course_has_a_third_more_obstacles_than_a_validation_course() {
+    let mean = |family| courses(family).map(|c| c.solids().len()).sum::<usize>() as f64 / SEEDS as f64;
+    let (dense, validation) = (mean(Family::Dense), mean(Family::Validation));
+    assert!(dense > 1.33 * validation, "{dense} against {validation}");
 }
 
 /// Reported by the note on courses (docs/courses.md).

@@ -38,6 +38,7 @@ pub fn generate(family: Family, seed: u64) -> Course {
         Family::Training => training(&mut builder),
         Family::Validation => validation(&mut builder),
         Family::Hard => hard::fill(&mut builder),
+        Family::Dense => dense(&mut builder),
     }
     builder.finish()
 }
@@ -78,6 +79,24 @@ fn training(b: &mut Builder) {
 /// One of four layouts that training does not have, each denser, with gaps from 2 m.
 fn validation(b: &mut Builder) {
     b.gap_m = 2.0;
+    lay_out(b);
+}
+
+/// Validation's layouts with gaps from 1.8 m, filled up with columns, boxes and walls wherever there is room.
+fn dense(b: &mut Builder) {
+    b.gap_m = 1.8;
+    lay_out(b);
+    let area = Area {
+        north_m: 3.0..18.5,
+        east_m: -7.5..7.5,
+    };
+    b.scatter(Kind::Wall, 2..5, &area);
+    b.scatter(Kind::Box, 3..7, &area);
+    b.scatter(Kind::Column, 20..40, &area);
+}
+
+/// A layout drawn.
+fn lay_out(b: &mut Builder) {
     if b.chance(0.5) {
         b.side_walls(7.5..9.0);
     }
