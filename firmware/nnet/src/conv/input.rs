@@ -157,6 +157,17 @@ impl Conv2d {
         self.out_cols().max(self.cols.div_ceil(self.stride)) + 2 * self.halo()
     }
 
+    /// Output rows that one image row of the input is seen by, at most.
+    fn rows_seen(&self) -> usize {
+        self.kernel.div_ceil(self.stride)
+    }
+
+    /// Output rows that are kept transposed: few enough for the nearest cache, several times as many as one image row needs, so
+    /// that moving those that are needed again costs little.
+    fn plane_rows(&self) -> usize {
+        (3 * self.rows_seen()).min(self.out_rows())
+    }
+
     /// Length of one image row of the input, its columns sorted by phase and channel.
     fn phases_len(&self) -> usize {
         self.stride.min(self.cols) * self.channels * self.cols.div_ceil(self.stride)
@@ -165,7 +176,7 @@ impl Conv2d {
     /// Length of the scratch slice that [`Self::input_gradient`] needs.
     pub fn input_gradient_scratch_len(&self) -> usize {
         if self.is_planar() {
-            self.out_rows() * self.filters * self.plane_row_len() + self.phases_len()
+            self.plane_rows() * self.filters * self.plane_row_len() + self.phases_len()
         } else {
             0
         }
@@ -325,9 +336,9 @@ impl Conv2d {
         (from, reach.clamp(from, self.out_cols()))
     }
 
-    /// The input gradient with vectors along the columns: `dy` is first turned into planes `[row][filter][column]` with
-    /// zeros around each row, so that no tap needs a bounds check; then each phase of columns is a product of weights
-    /// (broadcast) and shifted planes, and the phases are interleaved into the image row.
+    /// The input gradient with vectors along the columns: row by row, as they are needed, `dy` is turned into planes
+    /// `[row][filter][column]` with zeros around each row, so that no tap needs a bounds check; then each phase of columns is
+    /// a product of weights (broadcast) and shifted planes, and the phases are interleaved into the image row.
     fn input_gradient_planar(
         &self,
         isa: Isa,
@@ -342,36 +353,45 @@ impl Conv2d {
         let plane_image_row = self.filters * plane_row;
         let phase_len = self.cols.div_ceil(stride);
         let phases = stride.min(self.cols);
-        let planes_len = self.out_rows() * plane_image_row;
+        let (plane_rows, kept) = (self.plane_rows(), self.rows_seen().saturating_sub(1));
+        let planes_len = plane_rows * plane_image_row;
         let (planes, phase_rows) = scratch
             .split_at_mut_checked(planes_len)
             .ok_or(ShapeError::Description {
                 what: "conv2d",
                 why: "scratch is too short",
             })?;
-        let dy_rows = dy.chunks_exact(horizontal.out * self.filters);
-        for (plane, dy_row) in planes.chunks_exact_mut(plane_image_row).zip(dy_rows) {
-            for row in plane.chunks_exact_mut(plane_row) {
-                let (left, rest) = row.split_at_mut_checked(halo).unwrap_or_default();
-                left.fill(0.0);
-                if let Some(right) = rest.get_mut(horizontal.out..) {
-                    right.fill(0.0);
-                }
-            }
-            kernels::run(
-                isa,
-                Transpose {
-                    width: self.filters,
-                    from: dy_row,
-                    to: plane.get_mut(halo..).unwrap_or_default(),
-                    to_row: plane_row,
-                },
-            );
-        }
+        // Halos stay zero: only what lies between them is written again.
+        planes.fill(0.0);
+        let mut dy_rows = dy.chunks_exact(horizontal.out * self.filters);
+        // The planes hold output rows `oldest..next`.
+        let (mut oldest, mut next) = (0, 0);
         let tap = self.channels * self.filters;
         let w_row = self.kernel * tap;
         for (iy, dx_row) in dx.chunks_exact_mut(self.cols * self.channels).enumerate() {
             let rows = vertical.phase(iy);
+            while next <= rows.output
+                && let Some(dy_row) = dy_rows.next()
+            {
+                if next == oldest + plane_rows {
+                    let from = planes_len.saturating_sub(kept * plane_image_row);
+                    planes.copy_within(from.., 0);
+                    oldest = next - kept;
+                }
+                let at = (next - oldest) * plane_image_row;
+                kernels::run(
+                    isa,
+                    Transpose {
+                        width: self.filters,
+                        from: dy_row,
+                        to: part_mut("conv2d scratch", planes, at, plane_image_row)?
+                            .get_mut(halo..)
+                            .unwrap_or_default(),
+                        to_row: plane_row,
+                    },
+                );
+                next += 1;
+            }
             let mut phase = 0;
             while phase < phases {
                 // Input phase + m·stride is seen through taps first, first + stride, … by outputs top + m, top + m − 1,
@@ -406,7 +426,8 @@ impl Conv2d {
                         a_u: (stride * w_row) as isize,
                         a_v: (stride * tap) as isize,
                         a_k: 1,
-                        b_at: (rows.output * plane_image_row + halo + top) as isize - from as isize,
+                        b_at: (rows.output.saturating_sub(oldest) * plane_image_row + halo + top) as isize
+                            - from as isize,
                         b_u: -(plane_image_row as isize),
                         b_v: -1,
                         b_k: plane_row as isize,

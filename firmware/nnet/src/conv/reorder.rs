@@ -17,10 +17,39 @@ fn four(values: &[f32], at: usize) -> [f32; 4] {
     values.copied().unwrap_or([0.0; 4])
 }
 
+/// Turns rows of 16 values into 16 columns, four by four: the compiler makes shuffles of it.
+#[inline(always)]
+fn sixteen(from: &[[f32; 16]], to: &mut [f32], to_row: usize) {
+    let mut columns = to.chunks_mut(to_row);
+    let mut columns: [&mut [f32]; 16] = core::array::from_fn(|_| columns.next().unwrap_or_default());
+    let (squares, rest) = from.as_chunks::<4>();
+    for (block, [a, b, c, d]) in squares.iter().enumerate() {
+        let first = block * 4;
+        for (n, four) in columns.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+            for (i, column) in four.iter_mut().enumerate() {
+                if let Some(slot) = column.get_mut(first..first + 4) {
+                    let at = 4 * n + i;
+                    slot.copy_from_slice(&[a[at], b[at], c[at], d[at]]);
+                }
+            }
+        }
+    }
+    for (r, row) in rest.iter().enumerate() {
+        for (column, value) in columns.iter_mut().zip(row) {
+            if let Some(slot) = column.get_mut(squares.len() * 4 + r) {
+                *slot = *value;
+            }
+        }
+    }
+}
+
 impl Task for Transpose<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         let (width, to_row) = (self.width, self.to_row);
+        if let (16, (rows, [])) = (width, self.from.as_chunks::<16>()) {
+            return sixteen(rows, self.to, to_row);
+        }
         for (block, rows) in self.from.chunks(4 * width).enumerate() {
             let first = block * 4;
             let square = if rows.len() == 4 * width { width / 4 * 4 } else { 0 };
