@@ -11,9 +11,9 @@ use vigil_types::{ACTION_LIMIT, Action, Nanos, NedVector};
 /// The field that is added to an actor takes surfaces within this angle of the nose: beyond it, it steers a second time
 /// around what the actor has already dealt with.
 const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
-/// ... and nearer than this, metres: the trained actor keeps about 1 m by itself, and the field is there for where it does not. With
-/// the paper's 3 m it steers where the actor has long decided (docs/training.md).
-const FIELD_RANGE_M: f32 = 1.2;
+/// ... and nearer than this, metres: the trained actor keeps farther away by itself, and the field is there for where it does not. From
+/// farther off it steers where the actor has long decided, and what it holds back from a gap stands still (docs/training.md).
+const FIELD_RANGE_M: f32 = 0.6;
 /// What the field adds to turn from a standstill: more than the actor can turn against.
 const ESCAPE_YAW: f32 = 2.0 * ACTION_LIMIT;
 /// Not having moved by this in this time is a standstill.
@@ -21,6 +21,8 @@ const MOVED_M: f32 = 0.5;
 const STANDSTILL_NS: Nanos = 4_000_000_000;
 /// It is turned from for this long: 67° at 45 °/s.
 const TURN_NS: Nanos = 1_500_000_000;
+/// Within this of the last turn the next one goes to the same side: turns to and fro end where they began.
+const SAME_SIDE_NS: Nanos = 30_000_000_000;
 /// A pause in deciding is somebody else's standstill.
 const PAUSE_NS: Nanos = 500_000_000;
 
@@ -53,8 +55,10 @@ impl FlightField {
 struct Escape {
     /// Where the vehicle last got to, and when.
     progress: Option<(NedVector, Nanos)>,
-    /// Until when it turns, and to which side: 1 is right.
-    turn: Option<(Nanos, f32)>,
+    /// Until when it turns.
+    turn_until_ns: Option<Nanos>,
+    /// The side of the last turn, 1 is right, and when it began.
+    last_turn: Option<(f32, Nanos)>,
     last_ns: Nanos,
 }
 
@@ -64,23 +68,30 @@ impl Escape {
         let paused = now_ns.saturating_sub(self.last_ns) > PAUSE_NS;
         self.last_ns = now_ns;
         if paused {
-            (self.progress, self.turn) = (None, None);
+            *self = Self {
+                last_ns: now_ns,
+                ..Self::default()
+            };
         }
-        if let Some((until_ns, side)) = self.turn {
+        if let (Some(until_ns), Some((side, _))) = (self.turn_until_ns, self.last_turn) {
             if now_ns < until_ns {
                 return side;
             }
-            (self.progress, self.turn) = (None, None);
+            (self.progress, self.turn_until_ns) = (None, None);
         }
         match self.progress {
             Some((at, since_ns)) if (here - at).horizontal_norm() < MOVED_M => {
                 if now_ns.saturating_sub(since_ns) > STANDSTILL_NS {
-                    let side = if obstacle.is_some_and(|o| o.bearing_rad > 0.0) {
-                        -1.0
-                    } else {
-                        1.0
+                    let before = self
+                        .last_turn
+                        .filter(|(_, begun_ns)| now_ns.saturating_sub(*begun_ns) < SAME_SIDE_NS);
+                    let side = match (before, obstacle) {
+                        (Some((side, _)), _) => side,
+                        (None, Some(obstacle)) if obstacle.bearing_rad > 0.0 => -1.0,
+                        (None, _) => 1.0,
                     };
-                    self.turn = Some((now_ns + TURN_NS, side));
+                    self.turn_until_ns = Some(now_ns + TURN_NS);
+                    self.last_turn = Some((side, now_ns));
                     return side;
                 }
             }
@@ -119,6 +130,21 @@ mod tests {
         assert!(sides[..80].iter().all(|s| *s == 0.0));
         assert_eq!(sides.iter().filter(|s| **s == 1.0).count(), 30);
         assert!(sides[115..].iter().all(|s| *s == 0.0));
+    }
+
+    #[test]
+    fn whoever_still_stands_is_turned_on_to_the_same_side() {
+        let mut escape = Escape::default();
+        let mut turned = sides(&mut escape, 1, 160, 0.0);
+        // What is nearest lies on the other side now.
+        let right = NearestObstacle {
+            bearing_rad: 0.1,
+            ..AHEAD_LEFT
+        };
+        let here = NedVector::new(0.0, 0.0, -1.5);
+        turned.extend((160..240).map(|i| escape.side(here, 1_000_000_000 + i * STEP_NS, Some(right))));
+        assert_eq!(turned.iter().filter(|s| **s == 1.0).count(), 60);
+        assert!(turned.iter().all(|s| *s >= 0.0));
     }
 
     #[test]
