@@ -184,7 +184,7 @@ impl fmt::Display for Line {
 
 impl Line {
     fn of(arm: Arm, seed: u64, flown: &Flown) -> Self {
-        let attack = flown.attack.clone().unwrap_or_default();
+        let attack = flown.attack.unwrap_or_default();
         let watch = flown.watch.clone().unwrap_or_default();
         Self {
             arm,

@@ -25,11 +25,15 @@ fn sixteen(from: &[[f32; 16]], to: &mut [f32], to_row: usize) {
     let (squares, rest) = from.as_chunks::<4>();
     for (block, [a, b, c, d]) in squares.iter().enumerate() {
         let first = block * 4;
-        for (n, four) in columns.as_chunks_mut::<4>().0.iter_mut().enumerate() {
-            for (i, column) in four.iter_mut().enumerate() {
+        let [a, b, c, d] = [a, b, c, d].map(|row| row.as_chunks::<4>().0);
+        let fours = columns.as_chunks_mut::<4>().0.iter_mut();
+        for ((((columns, a), b), c), d) in fours.zip(a).zip(b).zip(c).zip(d) {
+            let ([a0, a1, a2, a3], [b0, b1, b2, b3]) = (*a, *b);
+            let ([c0, c1, c2, c3], [d0, d1, d2, d3]) = (*c, *d);
+            let lines = [[a0, b0, c0, d0], [a1, b1, c1, d1], [a2, b2, c2, d2], [a3, b3, c3, d3]];
+            for (column, line) in columns.iter_mut().zip(lines) {
                 if let Some(slot) = column.get_mut(first..first + 4) {
-                    let at = 4 * n + i;
-                    slot.copy_from_slice(&[a[at], b[at], c[at], d[at]]);
+                    slot.copy_from_slice(&line);
                 }
             }
         }
