@@ -146,9 +146,9 @@ fn the_field_is_added_to_the_actor_s_action() {
     assert_eq!(sum, apf::add(own, pull), "nothing near: the goal pulls");
     let (own, sum, _) = decide(0.02);
     assert_eq!(sum, own, "a surface 2 m ahead: the actor passes it alone");
-    let (own, sum, _) = decide(0.01);
+    let (own, sum, _) = decide(0.005);
     assert_eq!(sum.forward_m_s, own.forward_m_s);
-    assert!(sum.yaw < own.yaw - 0.5, "1 m: turned away: {sum:?} {own:?}");
+    assert!(sum.yaw < own.yaw - 0.5, "0.5 m: turned away: {sum:?} {own:?}");
 }
 
 #[test]
