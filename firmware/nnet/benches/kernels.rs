@@ -4,7 +4,7 @@ use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{Activation, Actor, ActorSpec, Conv2d, Graph, Gru, Isa, Purpose};
+use vigil_nnet::{Activation, Actor, ActorSpec, Aligned, Conv2d, Graph, Gru, Isa, Purpose};
 
 fn main() {
     println!(
@@ -22,8 +22,8 @@ fn uniform(rng: &mut impl Rng, len: usize, limit: f32) -> Vec<f32> {
     (0..len).map(|_| rng.random_range(-limit..limit)).collect()
 }
 
-fn values(len: usize, limit: f32) -> Vec<f32> {
-    uniform(&mut ChaCha8Rng::seed_from_u64(1), len, limit)
+fn values(len: usize, limit: f32) -> Aligned {
+    Aligned::from(&*uniform(&mut ChaCha8Rng::seed_from_u64(1), len, limit))
 }
 
 /// Names an instruction set in the table.
@@ -67,7 +67,7 @@ fn flops(layer: &Conv2d) -> ItemsCount {
 fn convolution_forward(bencher: Bencher, case: &Layer) {
     let layer = layer(case.0);
     let (params, x) = (values(layer.param_len(), 0.1), values(layer.input_len(), 1.0));
-    let mut y = vec![0.0; layer.output_len()];
+    let mut y = Aligned::zeros(layer.output_len());
     bencher.counter(flops(&layer)).bench_local(|| {
         layer
             .forward(case.1, &params, Activation::Identity, black_box(&x), None, &mut y)
@@ -79,8 +79,8 @@ fn convolution_forward(bencher: Bencher, case: &Layer) {
 fn convolution_input_gradient(bencher: Bencher, case: &Layer) {
     let layer = layer(case.0);
     let (packed, dy) = (values(layer.param_len(), 0.1), values(layer.output_len(), 1.0));
-    let mut dx = vec![0.0; layer.input_len()];
-    let mut scratch = vec![0.0; layer.input_gradient_scratch_len()];
+    let mut dx = Aligned::zeros(layer.input_len());
+    let mut scratch = Aligned::zeros(layer.input_gradient_scratch_len());
     bencher.counter(flops(&layer)).bench_local(|| {
         layer
             .input_gradient(case.1, &packed, black_box(&dy), &mut dx, &mut scratch)
@@ -92,7 +92,7 @@ fn convolution_input_gradient(bencher: Bencher, case: &Layer) {
 fn convolution_weight_gradient(bencher: Bencher, case: &Layer) {
     let layer = layer(case.0);
     let (x, dy) = (values(layer.input_len(), 1.0), values(layer.output_len(), 1.0));
-    let mut d_params = vec![0.0; layer.param_len()];
+    let mut d_params = Aligned::zeros(layer.param_len());
     bencher.counter(flops(&layer)).bench_local(|| {
         layer
             .weight_gradient(case.1, black_box(&x), &dy, &mut d_params)
@@ -125,7 +125,7 @@ fn gru_step(bencher: Bencher, isa: Named) {
     });
 }
 
-fn initial(graph: &Graph) -> Vec<f32> {
+fn initial(graph: &Graph) -> Aligned {
     values(graph.param_len(), 0.08)
 }
 
@@ -133,7 +133,7 @@ fn initial(graph: &Graph) -> Vec<f32> {
 fn encoder_one_frame(bencher: Bencher, isa: Named) {
     let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false).unwrap();
     let (params, frame) = (initial(&graph), values(ActorSpec::FULL.frame_len(), 0.5));
-    let mut tape = vec![0.0; graph.tape_len()];
+    let mut tape = Aligned::zeros(graph.tape_len());
     bencher.bench_local(|| graph.forward(isa.0, &params, &[black_box(&frame)], &mut tape).unwrap());
 }
 
@@ -150,13 +150,13 @@ fn actor_one_new_frame(bencher: Bencher, isa: Named) {
 fn batch_32_forward_and_backward(bencher: Bencher, isa: Named) {
     let graph = ActorSpec::FULL.graph(Purpose::Gradients, false).unwrap();
     let params = initial(&graph);
-    let mut packed = vec![0.0; graph.param_len()];
-    let mut d_params = vec![0.0; graph.param_len()];
-    let mut tape = vec![0.0; graph.tape_len()];
-    let mut work = vec![0.0; graph.work_len()];
+    let mut packed = Aligned::zeros(graph.param_len());
+    let mut d_params = Aligned::zeros(graph.param_len());
+    let mut tape = Aligned::zeros(graph.tape_len());
+    let mut work = Aligned::zeros(graph.work_len());
     let frames: Vec<_> = (0..5).map(|_| values(ActorSpec::FULL.frame_len(), 0.5)).collect();
     let position = [0.3, 0.1];
-    let mut inputs: Vec<&[f32]> = frames.iter().map(Vec::as_slice).collect();
+    let mut inputs: Vec<&[f32]> = frames.iter().map(|frame| &**frame).collect();
     inputs.push(&position);
     bencher.bench_local(|| {
         graph.pack(&params, &mut packed).unwrap();

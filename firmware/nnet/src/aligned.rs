@@ -5,7 +5,7 @@ use alloc::vec::Vec;
 use core::ops::{Deref, DerefMut};
 
 /// Float32 of one cache line, which is the longest vector as well.
-const LINE: usize = 16;
+pub(crate) const LINE: usize = 16;
 
 /// Float32 that begin at a cache line. An allocator promises less, and then each vector of 512 bits is two accesses: the
 /// convolutions take a fifth longer.

@@ -181,7 +181,8 @@ impl Perturber {
     fn along_sign(&self, frames: &mut [f32], step: f32, reach: f32) {
         for ((x, g), clean) in frames.iter_mut().zip(&self.gradient).zip(&self.clean) {
             let sign = if *g > 0.0 { step } else { 0.0 } - if *g < 0.0 { step } else { 0.0 };
-            *x = (*x - sign).clamp((clean - reach).max(0.0), (clean + reach).min(1.0));
+            // Not `clamp`: its check of the bounds keeps the compiler from vectors.
+            *x = (*x - sign).max((clean - reach).max(0.0)).min((clean + reach).min(1.0));
         }
     }
 

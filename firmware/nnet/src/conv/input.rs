@@ -1,11 +1,10 @@
 //! The input gradient of a convolution: the transposed convolution, without its zeros.
 
-use super::reorder::{Interleave, Transpose};
 use super::{Axis, Conv2d};
 use crate::dense::transpose;
 use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
-use crate::kernels::{self, Product, Start};
+use crate::kernels::{Product, Start};
 
 /// One set of taps of the transposed convolution: `first + n · stride`, of which `count` reach an output.
 #[derive(Clone, Copy)]
@@ -74,6 +73,9 @@ impl Conv2d {
     pub fn pack(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
         expect("conv2d parameters", params, self.param_len())?;
         expect("packed conv2d parameters", packed, self.param_len())?;
+        if self.is_planar() {
+            return self.pack_planar(params, packed);
+        }
         let tap = self.channels * self.filters;
         let rows = packed.chunks_exact_mut((self.kernel * tap).max(1));
         for (ky, row) in rows.take(self.kernel).enumerate() {
@@ -92,14 +94,9 @@ impl Conv2d {
                 continue;
             }
             for (slot, to) in row.chunks_exact_mut(tap.max(1)).enumerate() {
-                if self.is_planar() {
-                    // [tap][channel][filter] is already the order that the planar kernel reads.
-                    to.copy_from_slice(part("conv2d weights", params, (ky * self.kernel + slot) * tap, tap)?);
-                } else {
-                    let kx = self.tap_of_slot(slot);
-                    let from = part("conv2d weights", params, (ky * self.kernel + kx) * tap, tap)?;
-                    transpose(self.channels, self.filters, from, to);
-                }
+                let kx = self.tap_of_slot(slot);
+                let from = part("conv2d weights", params, (ky * self.kernel + kx) * tap, tap)?;
+                transpose(self.channels, self.filters, from, to);
             }
         }
         Ok(())
@@ -147,39 +144,9 @@ impl Conv2d {
         self.channels <= 4
     }
 
-    /// Zeros left of each row of the transposed output gradient; also the least right of it.
-    fn halo(&self) -> usize {
-        self.kernel
-    }
-
-    /// Length of a row of the transposed output gradient with its halo.
-    fn plane_row_len(&self) -> usize {
-        self.out_cols().max(self.cols.div_ceil(self.stride)) + 2 * self.halo()
-    }
-
-    /// Output rows that one image row of the input is seen by, at most.
-    fn rows_seen(&self) -> usize {
-        self.kernel.div_ceil(self.stride)
-    }
-
-    /// Output rows that are kept transposed: few enough for the nearest cache, several times as many as one image row needs, so
-    /// that moving those that are needed again costs little.
-    fn plane_rows(&self) -> usize {
-        (3 * self.rows_seen()).min(self.out_rows())
-    }
-
-    /// Length of one image row of the input, its columns sorted by phase and channel.
-    fn phases_len(&self) -> usize {
-        self.stride.min(self.cols) * self.channels * self.cols.div_ceil(self.stride)
-    }
-
     /// Length of the scratch slice that [`Self::input_gradient`] needs.
     pub fn input_gradient_scratch_len(&self) -> usize {
-        if self.is_planar() {
-            self.plane_rows() * self.filters * self.plane_row_len() + self.phases_len()
-        } else {
-            0
-        }
+        if self.is_planar() { self.planar_scratch_len() } else { 0 }
     }
 
     /// `dx`, the gradient with respect to the input, from `dy` with respect to `x ∗ w + b`. The same for multipliers.
@@ -334,124 +301,5 @@ impl Conv2d {
             .min(self.out_cols());
         let reach = (self.cols + self.padding + self.stride).saturating_sub(first + members) / self.stride;
         (from, reach.clamp(from, self.out_cols()))
-    }
-
-    /// The input gradient with vectors along the columns: row by row, as they are needed, `dy` is turned into planes
-    /// `[row][filter][column]` with zeros around each row, so that no tap needs a bounds check; then each phase of columns is
-    /// a product of weights (broadcast) and shifted planes, and the phases are interleaved into the image row.
-    fn input_gradient_planar(
-        &self,
-        isa: Isa,
-        packed: &[f32],
-        dy: &[f32],
-        dx: &mut [f32],
-        scratch: &mut [f32],
-    ) -> Result<(), ShapeError> {
-        expect("conv2d scratch", scratch, self.input_gradient_scratch_len())?;
-        let (vertical, horizontal) = (self.vertical(), self.horizontal());
-        let (halo, plane_row, stride) = (self.halo(), self.plane_row_len(), self.stride);
-        let plane_image_row = self.filters * plane_row;
-        let phase_len = self.cols.div_ceil(stride);
-        let phases = stride.min(self.cols);
-        let (plane_rows, kept) = (self.plane_rows(), self.rows_seen().saturating_sub(1));
-        let planes_len = plane_rows * plane_image_row;
-        let (planes, phase_rows) = scratch
-            .split_at_mut_checked(planes_len)
-            .ok_or(ShapeError::Description {
-                what: "conv2d",
-                why: "scratch is too short",
-            })?;
-        // Halos stay zero: only what lies between them is written again.
-        planes.fill(0.0);
-        let mut dy_rows = dy.chunks_exact(horizontal.out * self.filters);
-        // The planes hold output rows `oldest..next`.
-        let (mut oldest, mut next) = (0, 0);
-        let tap = self.channels * self.filters;
-        let w_row = self.kernel * tap;
-        for (iy, dx_row) in dx.chunks_exact_mut(self.cols * self.channels).enumerate() {
-            let rows = vertical.phase(iy);
-            while next <= rows.output
-                && let Some(dy_row) = dy_rows.next()
-            {
-                if next == oldest + plane_rows {
-                    let from = planes_len.saturating_sub(kept * plane_image_row);
-                    planes.copy_within(from.., 0);
-                    oldest = next - kept;
-                }
-                let at = (next - oldest) * plane_image_row;
-                kernels::run(
-                    isa,
-                    Transpose {
-                        width: self.filters,
-                        from: dy_row,
-                        to: part_mut("conv2d scratch", planes, at, plane_image_row)?
-                            .get_mut(halo..)
-                            .unwrap_or_default(),
-                        to_row: plane_row,
-                    },
-                );
-                next += 1;
-            }
-            let mut phase = 0;
-            while phase < phases {
-                // Input phase + m·stride is seen through taps first, first + stride, … by outputs top + m, top + m − 1,
-                // …; those that do not exist are zeros of the halo. Phases with the same top share the planes' values.
-                let (first, top) = ((phase + self.padding) % stride, (phase + self.padding) / stride);
-                let group = (stride - first).min(phases - phase);
-                let taps = |member: usize| self.taps_of_phase(first + member);
-                let mut from = 0;
-                loop {
-                    // The members that have tap `from`, and how far all of them go on.
-                    let members = (0..group).take_while(|member| taps(*member) > from).count();
-                    let to = members.checked_sub(1).map_or(0, taps);
-                    let start = if from > 0 {
-                        Start::Output
-                    } else {
-                        // Only in the first group can a member lack even the first tap (a kernel smaller than the stride).
-                        if members < group {
-                            phase_rows.fill(0.0);
-                        }
-                        Start::Zero
-                    };
-                    let product = Product {
-                        rows: members * self.channels,
-                        cols: phase_len,
-                        bands: 1,
-                        n_u: rows.count,
-                        n_v: to - from,
-                        n_k: self.filters,
-                        a_at: (rows.first * w_row + (first + from * stride) * tap) as isize,
-                        a_row: self.filters as isize,
-                        a_band: 0,
-                        a_u: (stride * w_row) as isize,
-                        a_v: (stride * tap) as isize,
-                        a_k: 1,
-                        b_at: (rows.output.saturating_sub(oldest) * plane_image_row + halo + top) as isize
-                            - from as isize,
-                        b_u: -(plane_image_row as isize),
-                        b_v: -1,
-                        b_k: plane_row as isize,
-                        out_at: phase * self.channels * phase_len,
-                        out_row: phase_len,
-                    };
-                    product.run(isa, packed, planes, start, phase_rows)?;
-                    from = to;
-                    if from >= taps(0) {
-                        break;
-                    }
-                }
-                phase += group;
-            }
-            let sorted = phase_rows.len() / phase_len;
-            kernels::run(
-                isa,
-                Interleave {
-                    from: phase_rows,
-                    lists: sorted,
-                    to: dx_row,
-                },
-            );
-        }
-        Ok(())
     }
 }

@@ -1,6 +1,7 @@
 //! Two-dimensional convolution, direct, rows × columns × channels.
 
 mod input;
+mod planar;
 mod reorder;
 
 use crate::activation::Activation;

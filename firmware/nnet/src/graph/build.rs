@@ -1,6 +1,7 @@
 //! Describing a network.
 
 use super::{Edge, Graph, Layer, Node, NodeId, Params, Purpose};
+use crate::aligned::LINE;
 use crate::error::ShapeError;
 use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
 use alloc::vec;
@@ -261,8 +262,9 @@ impl GraphBuilder {
             for source in &sources {
                 spill_len = spill_len.max(nodes.get(*source).map_or(0, |n| n.len));
             }
-            tape_len += len + aux_len;
-            gradient_len += len;
+            // Every node's values begin at a cache line of an `Aligned` buffer.
+            tape_len += (len + aux_len).next_multiple_of(LINE);
+            gradient_len += len.next_multiple_of(LINE);
             nodes.push(node);
         }
         // Backwards, the first edge into a node writes its gradient and every further one adds to it.
@@ -283,7 +285,7 @@ impl GraphBuilder {
             tape_len,
             gradient_len,
             // The recurrent layers write the gradients of both of their sources at once.
-            spill_len: 2 * spill_len,
+            spill_len: (2 * spill_len).next_multiple_of(LINE),
             scratch_len,
         })
     }

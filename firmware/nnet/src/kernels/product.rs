@@ -207,6 +207,9 @@ impl Tiles {
                 } else if p.rows == 2 && left >= 4 * S::LANES {
                     S::tile::<2, 4, 0, false>(self, 0, col, S::LANES);
                     col += 4 * S::LANES;
+                } else if S::CONSTANT && p.rows == 4 && left >= 4 * S::LANES {
+                    S::tile::<4, 4, 0, false>(self, 0, col, S::LANES);
+                    col += 4 * S::LANES;
                 } else if left >= 2 * S::LANES {
                     match p.a_row {
                         1 if S::CONSTANT => self.column::<S, 2, 1, false>(col, S::LANES),
