@@ -223,7 +223,9 @@ pub struct DetectorConfig {
     /// Consecutive steps without a verdict that the actor may fly.
     #[serde(deserialize_with = "alarm_steps")]
     pub unknown_steps: u16,
-    /// Consecutive clean verdicts that end the alarm.
+    /// Whether the recovery pilot raises the alarm, whatever the verdict, when the actor is about to fly into something.
+    pub guard: bool,
+    /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
     #[serde(deserialize_with = "alarm_steps")]
     pub clear_steps: u16,
 }
@@ -262,6 +264,7 @@ impl Default for DetectorConfig {
             raise_count: d.raise_count,
             raise_window: d.raise_window,
             unknown_steps: d.unknown_limit,
+            guard: true,
             clear_steps: d.clear_steps,
         }
     }
@@ -506,7 +509,7 @@ impl FirmwareConfig {
 
     /// What the flight stack needs of this.
     pub fn stack(&self) -> StackConfig {
-        let limits = &self.limits;
+        let (limits, alarm) = (&self.limits, AlarmConfig::default());
         let guidance = GuidanceConfig {
             engage: match self.engage {
                 Engage::Auto => EngagePolicy::Auto,
@@ -542,7 +545,8 @@ impl FirmwareConfig {
                 raise_window: self.detector.raise_window,
                 unknown_limit: self.detector.unknown_steps,
                 clear_steps: self.detector.clear_steps,
-                ..AlarmConfig::default()
+                guard_steps: if self.detector.guard { alarm.guard_steps } else { 0 },
+                ..alarm
             },
             ..GuidanceConfig::default()
         };

@@ -107,7 +107,12 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "COUNT/WINDOW", value_parser = parse_raise)]
     pub raise: Option<(u8, u8)>,
 
-    /// What an alarm of the detector brings about [default: recover].
+    /// Whether the recovery pilot raises the alarm as well when the actor is about to fly into something [default: on, with the
+    /// detector].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    pub guard: Option<bool>,
+
+    /// What an alarm brings about [default: recover].
     #[arg(long, value_enum)]
     pub alarm: Option<AlarmChoice>,
 
@@ -222,6 +227,7 @@ impl FirmwareArgs {
         config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file);
         config.detector.threshold = self.threshold.or(config.detector.threshold);
+        config.detector.guard = self.guard.unwrap_or(config.detector.guard);
         if let Some((count, window)) = self.raise {
             (config.detector.raise_count, config.detector.raise_window) = (count, window);
         }

@@ -154,6 +154,7 @@ impl FlightStack {
             action,
             recovery,
             judgement,
+            collision_course,
         } = self.decide(now_ns, view);
         // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
         let verdict = judgement.map_or(Verdict::Unknown, |judgement| judgement.verdict);
@@ -169,6 +170,7 @@ impl FlightStack {
             action,
             recovery,
             verdict: self.crew.watch.as_ref().map(|_| verdict),
+            collision_course,
             timing: input.timing,
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
@@ -319,6 +321,7 @@ impl FlightStack {
         if let (Some(watch), Some(state)) = (watch, pilot.state()) {
             decision.judgement = Some(watch.monitor.judge(state, positional_inputs(view.goal)));
             decision.recovery = Some(limited(watch.recovery.decide(&input, self.recovering)));
+            decision.collision_course = watch.recovery.foresees_collision(&input, action);
         }
         decision
     }
@@ -330,6 +333,8 @@ struct Decision {
     action: Option<Action>,
     recovery: Option<Action>,
     judgement: Option<Judgement>,
+    /// The recovery pilot sees the action lead into something.
+    collision_course: bool,
 }
 
 /// What the pilot may see of the vehicle and the goal.

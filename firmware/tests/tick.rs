@@ -344,7 +344,7 @@ fn texts(vehicle: &TestVehicle) -> Vec<(u8, String)> {
         MavMessage::STATUSTEXT(told) => Some((told.severity as u8, told.text.to_str().unwrap().to_owned())),
         _ => None,
     });
-    told.filter(|(_, text)| text.starts_with("detector")).collect()
+    told.filter(|(_, text)| text.starts_with("alarm")).collect()
 }
 
 #[test]
@@ -378,7 +378,7 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
         (GuidanceState::Hold, Reasons::of(Reason::Attack))
     );
     assert_eq!(flight.velocity(), [0.0; 4]);
-    assert_eq!(texts(&flight.vehicle), [(2, "detector: attack, stopping".to_owned())]);
+    assert_eq!(texts(&flight.vehicle), [(2, "alarm: attack, stopping".to_owned())]);
 
     flight.until(GuidanceState::Guided, 5.0);
     assert_eq!(flight.last.reasons, Reasons::of(Reason::Recovering));
@@ -390,7 +390,7 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
     );
     assert_eq!(
         texts(&flight.vehicle).last().unwrap().1,
-        "detector: attack, recovery pilot flies"
+        "alarm: attack, recovery pilot flies"
     );
 
     flight.set("DT_THRESH", 0.6, MavParamType::MAV_PARAM_TYPE_REAL32);
@@ -398,10 +398,7 @@ fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back
         assert!(flight.step().reasons.contains(Reason::Recovering));
     }
     assert_eq!(flight.step().alarm, None);
-    assert_eq!(
-        texts(&flight.vehicle).last().unwrap(),
-        &(6, "detector: clear".to_owned())
-    );
+    assert_eq!(texts(&flight.vehicle).last().unwrap(), &(6, "alarm: clear".to_owned()));
 }
 
 #[test]

@@ -36,6 +36,8 @@ pub struct FlightRecord {
     pub path_length_m: f64,
     /// Smallest horizontal distance to the goal.
     pub closest_goal_m: f32,
+    /// Smallest distance of the vehicle's middle from an obstacle, once a step; its radius is 0.30 m.
+    pub closest_obstacle_m: f32,
     /// Steps taken.
     pub steps: u64,
     /// Digest of everything that happened, see [`Simulator::state_hash`]; hexadecimal.
@@ -97,14 +99,18 @@ pub fn fly_lockstep_through<P: FirmwarePort>(
     let mut frame = Box::new(DepthFrame::EMPTY);
     let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
     let mut path_ned_m = Vec::with_capacity((most_steps / PATH_STRIDE) as usize + 1);
+    let mut closest_obstacle_m = f32::INFINITY;
     let mut step = 0;
     while step < last_step {
         simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
         from_firmware.clear();
         between(step, &mut frame);
         port.step(step, simulator.now_ns(), &frame, &to_firmware, &mut from_firmware)?;
-        if simulator.ending().is_none() && step.is_multiple_of(PATH_STRIDE) {
-            path_ned_m.push(simulator.truth().position_ned_m);
+        if simulator.ending().is_none() {
+            closest_obstacle_m = closest_obstacle_m.min(simulator.obstacle_distance_m());
+            if step.is_multiple_of(PATH_STRIDE) {
+                path_ned_m.push(simulator.truth().position_ned_m);
+            }
         }
         if simulator.ending().is_some() && last_step == most_steps {
             path_ned_m.push(simulator.truth().position_ned_m);
@@ -118,6 +124,7 @@ pub fn fly_lockstep_through<P: FirmwarePort>(
         flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
         path_length_m: simulator.path_length_m(),
         closest_goal_m: simulator.closest_goal_m(),
+        closest_obstacle_m,
         steps: step,
         state_hash: simulator.state_hash(),
         path_ned_m,

@@ -216,6 +216,11 @@ impl Simulator {
         self.closest_goal_m
     }
 
+    /// Distance of the vehicle's middle from the nearest obstacle now; infinite in an empty world.
+    pub fn obstacle_distance_m(&self) -> f32 {
+        self.world.clearance_m(self.vehicle.truth().position_ned_m)
+    }
+
     /// Horizontal distance to the goal now.
     pub fn goal_distance_m(&self) -> f32 {
         (self.goal_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()

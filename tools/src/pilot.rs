@@ -37,7 +37,12 @@ pub struct PilotArgs {
     #[arg(long, value_name = "COUNT/WINDOW", value_parser = parse_raise)]
     raise: Option<(u8, u8)>,
 
-    /// What an alarm of the detector brings about [default: recover].
+    /// Whether the recovery pilot raises the alarm as well when the actor is about to fly into something [default: on, with the
+    /// detector].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    guard: Option<bool>,
+
+    /// What an alarm brings about [default: recover].
     #[arg(long, value_enum)]
     alarm: Option<AlarmChoice>,
 }
@@ -64,6 +69,7 @@ impl PilotArgs {
         if let Some((count, window)) = self.raise {
             (config.detector.raise_count, config.detector.raise_window) = (count, window);
         }
+        config.detector.guard = self.guard.unwrap_or(config.detector.guard);
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
     }
 
@@ -90,6 +96,9 @@ impl PilotArgs {
         }
         if let Some((count, window)) = self.raise {
             command.args(["--raise", &format!("{count}/{window}")]);
+        }
+        if let Some(guard) = self.guard {
+            command.args(["--guard", if guard { "on" } else { "off" }]);
         }
         if let Some(alarm) = self.alarm {
             command.args(["--alarm", alarm.name()]);

@@ -1,7 +1,7 @@
 //! What the detector did in a flight: for campaigns.
 
 use serde::Serialize;
-use vigil_types::{AlarmResponse, GuidanceState, STEP_S, StepReport, Verdict};
+use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepReport, Verdict};
 
 /// What the detector did in a flight.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -14,6 +14,8 @@ pub struct WatchRecord {
     pub unknown_verdicts: u64,
     /// How often the alarm was raised.
     pub alarms: u64,
+    /// How often of these by the guard: the actor was about to fly into something.
+    pub guard_alarms: u64,
     /// Step of the first alarm.
     pub first_alarm_step: Option<u64>,
     /// Steps in which the alarm demanded a stop.
@@ -38,6 +40,10 @@ impl WatchRecord {
         self.recovery_steps += u64::from(response == Some(AlarmResponse::Recovery));
         if response.is_some() && !self.raised {
             self.alarms += 1;
+            let guard = report
+                .alarm
+                .is_some_and(|alarm| alarm.cause == AlarmCause::CollisionCourse);
+            self.guard_alarms += u64::from(guard);
             self.first_alarm_step = self.first_alarm_step.or(Some(step));
         }
         self.raised = response.is_some();
@@ -56,14 +62,16 @@ impl WatchRecord {
             alarmed += u64::from(flight.alarms > 0);
             sum.judged_steps += flight.judged_steps;
             sum.alarms += flight.alarms;
+            sum.guard_alarms += flight.guard_alarms;
             sum.stop_steps += flight.stop_steps;
             sum.recovery_steps += flight.recovery_steps;
         }
         let share = |steps: u64| 100.0 * steps as f64 / sum.judged_steps.max(1) as f64;
         let hours = sum.judged_steps as f64 * f64::from(STEP_S) / 3600.0;
         format!(
-            "{} alarms in {alarmed} of {count} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
+            "{} alarms ({} by the guard) in {alarmed} of {count} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
             sum.alarms,
+            sum.guard_alarms,
             sum.alarms as f64 / hours.max(f64::MIN_POSITIVE),
             share(sum.stop_steps),
             share(sum.recovery_steps),
@@ -74,7 +82,7 @@ impl WatchRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_types::{Alarm, AlarmCause, Judgement};
+    use vigil_types::{Alarm, Judgement};
 
     #[test]
     fn an_alarm_counts_once_however_long_it_lasts() {
@@ -106,6 +114,9 @@ mod tests {
         assert_eq!((record.stop_steps, record.recovery_steps), (2, 2));
         assert_eq!((record.judged_steps, record.unknown_verdicts), (6, 6));
         let line = WatchRecord::summary([&record, &WatchRecord::default()].into_iter());
-        assert!(line.starts_with("2 alarms in 1 of 2 flights"), "{line}");
+        assert!(
+            line.starts_with("2 alarms (0 by the guard) in 1 of 2 flights"),
+            "{line}"
+        );
     }
 }

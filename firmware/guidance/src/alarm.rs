@@ -28,7 +28,9 @@ pub struct AlarmConfig {
     pub raise_window: u8,
     /// Consecutive steps without a verdict that the actor may fly.
     pub unknown_limit: u16,
-    /// Consecutive clean verdicts that end the alarm.
+    /// Consecutive steps on a collision course that raise the alarm; 0 raises none.
+    pub guard_steps: u16,
+    /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
     pub clear_steps: u16,
     /// The vehicle counts as stopped below this speed, metres per second.
     pub stopped_m_s: f32,
@@ -43,6 +45,7 @@ impl Default for AlarmConfig {
             raise_count: 5,
             raise_window: 6,
             unknown_limit: 10,
+            guard_steps: 2,
             clear_steps: 40,
             stopped_m_s: 0.2,
             stop_limit_ns: 3_000_000_000,
@@ -56,6 +59,8 @@ pub(crate) struct AlarmInput {
     pub now_ns: Nanos,
     /// `None` without a detector.
     pub verdict: Option<Verdict>,
+    /// The actor's action leads into something.
+    pub collision_course: bool,
     /// Guidance is in a flight.
     pub in_flight: bool,
     /// The pilot's actions reach the vehicle.
@@ -81,9 +86,21 @@ pub(crate) struct AlarmLogic {
     /// Consecutive steps without a verdict, and with a clean one.
     unknown_steps: u16,
     clean_steps: u16,
+    /// Consecutive steps on a collision course.
+    course_steps: u16,
+    /// Alarms of this flight that have ended.
+    ended: u8,
 }
 
+/// The number of clean verdicts that end an alarm doubles this often at the most.
+const MOST_DOUBLINGS: u8 = 6;
+
 impl AlarmLogic {
+    /// Consecutive clean verdicts that end this alarm: who deceived the actor again will do it once more.
+    fn clear_steps(&self, config: &AlarmConfig) -> u32 {
+        u32::from(config.clear_steps) << self.ended.min(MOST_DOUBLINGS)
+    }
+
     /// One step; says what is raised after it.
     pub fn step(&mut self, config: &AlarmConfig, input: &AlarmInput) -> Option<Alarm> {
         let Some(verdict) = input.verdict.filter(|_| input.in_flight) else {
@@ -93,10 +110,14 @@ impl AlarmLogic {
         let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
         self.attacks = self.attacks << 1 | u32::from(verdict == Verdict::Attack);
         count(&mut self.unknown_steps, verdict == Verdict::Unknown);
-        count(&mut self.clean_steps, verdict == Verdict::Clean);
+        count(
+            &mut self.clean_steps,
+            verdict == Verdict::Clean && !input.collision_course,
+        );
+        count(&mut self.course_steps, input.collision_course);
         if self.raised.is_none() && !input.guided {
             // What is judged while the vehicle holds moves nothing.
-            (self.attacks, self.unknown_steps) = (0, 0);
+            (self.attacks, self.unknown_steps, self.course_steps) = (0, 0, 0);
         }
 
         let looked_back_on = u32::MAX >> (32 - u32::from(config.raise_window.clamp(1, 32)));
@@ -104,9 +125,12 @@ impl AlarmLogic {
             Some(AlarmCause::Attack)
         } else if self.unknown_steps > config.unknown_limit {
             Some(AlarmCause::NoVerdict)
+        } else if config.guard_steps > 0 && self.course_steps >= config.guard_steps {
+            Some(AlarmCause::CollisionCourse)
         } else {
             None
         };
+        let clean = u32::from(self.clean_steps) >= self.clear_steps(config);
         match (&mut self.raised, cause) {
             (None, Some(cause)) => {
                 self.raised = Some(Raised {
@@ -117,7 +141,12 @@ impl AlarmLogic {
             }
             // It is known now to be an attack; the actor does not fly any more, so there is nothing to stop anew.
             (Some(raised), Some(AlarmCause::Attack)) => raised.cause = AlarmCause::Attack,
-            (Some(_), _) if self.clean_steps >= config.clear_steps => *self = Self::default(),
+            (Some(_), _) if clean => {
+                *self = Self {
+                    ended: self.ended.saturating_add(1),
+                    ..Self::default()
+                };
+            }
             _ => {}
         }
         let raised = self.raised.as_mut()?;
@@ -145,6 +174,7 @@ mod tests {
     const FLYING: AlarmInput = AlarmInput {
         now_ns: 0,
         verdict: Some(Clean),
+        collision_course: false,
         in_flight: true,
         guided: true,
         speed_m_s: Some(1.5),

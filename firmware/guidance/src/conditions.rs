@@ -49,7 +49,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 19] = [
+pub static CONDITIONS: [Condition; 20] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -161,7 +161,7 @@ pub static CONDITIONS: [Condition; 19] = [
         Demand::Hold,
         false,
         "{raise_count} of the last {raise_window} verdicts on the flying actor were *attack*, and the policy is *stop* or *recover*",
-        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean verdicts in a row",
+        "*recover*: slower than {stopped}, at the latest after {stop_limit}; *stop*: {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many",
     ),
     condition(
         Reason::NoVerdict,
@@ -174,8 +174,15 @@ pub static CONDITIONS: [Condition; 19] = [
         Reason::Recovering,
         Demand::Recover,
         false,
-        "the policy is *recover*, and *attack* or *no verdict* has stopped the vehicle",
-        "{alarm_clear_steps} clean verdicts in a row; the end of the flight",
+        "the policy is *recover*, and *attack*, *no verdict* or *collision course* has stopped the vehicle",
+        "{alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; the end of the flight",
+    ),
+    condition(
+        Reason::CollisionCourse,
+        Demand::Hold,
+        false,
+        "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
+        "as *attack*",
     ),
 ];
 

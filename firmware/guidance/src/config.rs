@@ -250,6 +250,13 @@ impl GuidanceConfig {
             "1 to 1200 steps",
         )?;
         range(
+            "alarm.guard_steps",
+            alarm.guard_steps.into(),
+            0.0,
+            1200.0,
+            "0 to 1200 steps",
+        )?;
+        range(
             "alarm.clear_steps",
             alarm.clear_steps.into(),
             1.0,

@@ -40,6 +40,8 @@ pub struct GuidanceInput<'a> {
     pub recovery: Option<Action>,
     /// What the detector says of the pilot's action; `None` without a detector.
     pub verdict: Option<Verdict>,
+    /// The recovery pilot sees the pilot's action lead into something.
+    pub collision_course: bool,
     /// Steps missed.
     pub timing: StepTiming,
     /// How far the vehicle is with the hand-over.
@@ -367,6 +369,7 @@ impl Guidance {
             .with_if(stops_for(AlarmCause::Attack), Reason::Attack)
             .with_if(stops_for(AlarmCause::NoVerdict), Reason::NoVerdict)
             .with_if(recovering, Reason::Recovering)
+            .with_if(stops_for(AlarmCause::CollisionCourse), Reason::CollisionCourse)
     }
 
     fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {
@@ -376,6 +379,7 @@ impl Guidance {
             &AlarmInput {
                 now_ns: input.now_ns,
                 verdict: input.verdict,
+                collision_course: input.collision_course,
                 // A hand-over in the air regains a flight; the alarm survives it.
                 in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
                 guided: self.state == GuidanceState::Guided,

@@ -25,6 +25,7 @@ fn thresholds(text: &str) -> String {
         ("{stopped}", format!("{} m/s", c.alarm.stopped_m_s)),
         ("{stop_limit}", seconds(c.alarm.stop_limit_ns)),
         ("{alarm_clear_steps}", c.alarm.clear_steps.to_string()),
+        ("{guard_steps}", c.alarm.guard_steps.to_string()),
         ("{unknown_limit}", c.alarm.unknown_limit.to_string()),
         ("{battery_limit}", format!("{} %", (c.battery_limit * 100.0).round())),
     ]

@@ -785,6 +785,47 @@ fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
 }
 
 #[test]
+fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_clean() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    s.collision_course = true;
+    assert_eq!(s.step().alarm, None, "one step may be noise");
+    let alarm = s.step();
+    assert_eq!(
+        (alarm.state, alarm.reasons, alarm.setpoint),
+        (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().action, Some(RECOVERY));
+
+    // Clean verdicts are worth nothing while the actor would fly into it again.
+    assert_eq!(s.run(seconds(20.0)).setpoint.unwrap().velocity_m_s.x, 0.6);
+    s.collision_course = false;
+    s.run(39);
+    assert!(s.last.unwrap().alarm.is_some());
+    assert_eq!(s.step().alarm, None);
+
+    // The second time in a flight it takes twice as many, for the verdicts were clean the first time too.
+    s.collision_course = true;
+    assert_eq!(s.run(2).alarm.unwrap().cause, AlarmCause::CollisionCourse);
+    s.collision_course = false;
+    s.run(79);
+    assert!(s.last.unwrap().alarm.is_some());
+    assert_eq!(s.step().alarm, None);
+}
+
+#[test]
+fn without_the_guard_a_collision_course_raises_nothing() {
+    let mut config = GuidanceConfig::default();
+    config.alarm.guard_steps = 0;
+    let mut s = Story::guided(config);
+    s.verdict = Some(Verdict::Clean);
+    s.collision_course = true;
+    assert_eq!(s.run(seconds(5.0)).alarm, None);
+}
+
+#[test]
 fn a_recovery_pilot_without_an_action_leaves_the_vehicle_holding() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Attack);

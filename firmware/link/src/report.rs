@@ -77,7 +77,7 @@ fn named(now_ns: Nanos, name: &str, value: f32) -> MavMessage {
 pub(crate) fn state_values(report: &StepReport) -> [MavMessage; 2] {
     [
         named(report.now_ns, "gd_state", f32::from(report.state as u8)),
-        // 19 bits: exact in a float.
+        // 20 bits: exact in a float.
         named(report.now_ns, "gd_reason", report.reasons.0 as f32),
     ]
 }
@@ -167,15 +167,15 @@ pub(crate) fn state_text(state: GuidanceState, reasons: Reasons) -> MavMessage {
     })
 }
 
-/// "detector: attack, stopping", "detector: attack, recovery pilot flies", "detector: clear".
+/// "alarm: attack, stopping", "detector: attack, recovery pilot flies", "detector: clear".
 pub(crate) fn alarm_text(alarm: Option<Alarm>) -> MavMessage {
     let severity = match alarm.map(|alarm| alarm.response) {
         Some(AlarmResponse::Stop | AlarmResponse::Ignored) => MavSeverity::MAV_SEVERITY_CRITICAL,
         Some(AlarmResponse::Recovery) | None => MavSeverity::MAV_SEVERITY_INFO,
     };
     status_text(severity, |text| match alarm {
-        Some(Alarm { cause, response }) => write!(text, "detector: {}, {}", cause.name(), response.name()),
-        None => text.write_str("detector: clear"),
+        Some(Alarm { cause, response }) => write!(text, "alarm: {}, {}", cause.name(), response.name()),
+        None => text.write_str("alarm: clear"),
     })
 }
 

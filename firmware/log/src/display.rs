@@ -275,9 +275,9 @@ impl Narrator {
         match (before.and_then(|b| b.alarm), now.alarm) {
             (before, Some(alarm)) if before != now.alarm => {
                 let (cause, response) = (alarm.cause.name(), alarm.response.name());
-                tell(Level::Error, format!("detector: {cause}, {response}"));
+                tell(Level::Error, format!("alarm: {cause}, {response}"));
             }
-            (Some(_), None) => tell(Level::Info, "detector: clear".to_owned()),
+            (Some(_), None) => tell(Level::Info, "alarm: clear".to_owned()),
             _ => {}
         }
         if before.is_some_and(|b| b.armed != now.armed) {
@@ -400,9 +400,9 @@ mod tests {
             cause: AlarmCause::Attack,
             response: AlarmResponse::Stop,
         });
-        assert_eq!(told(&record), [(Level::Error, "detector: attack, stopping".to_owned())]);
+        assert_eq!(told(&record), [(Level::Error, "alarm: attack, stopping".to_owned())]);
         record.report.alarm = None;
-        assert_eq!(told(&record), [(Level::Info, "detector: clear".to_owned())]);
+        assert_eq!(told(&record), [(Level::Info, "alarm: clear".to_owned())]);
         record.report.reasons = Reasons::of(Reason::GoalReached);
         assert_eq!(
             told(&record),

@@ -118,7 +118,7 @@ messages! {
 
     /// The raised alarm.
     message Alarm {
-        /// 0 attack, 1 no verdict.
+        /// 0 attack, 1 no verdict, 2 collision course.
         [uint32] cause: u32 = 1;
         /// 0 ignored, 1 stop, 2 recovery.
         [uint32] response: u32 = 2;

@@ -224,6 +224,18 @@ impl GeometricPilot {
         self.progress = None;
     }
 
+    /// Whether another pilot's action leads into something remembered, even if the vehicle is told to stop after it. To be asked
+    /// after [`Pilot::decide`], with the same input.
+    pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
+        let motion = Motion {
+            position_ned_m: input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input),
+            yaw_rad: input.attitude.yaw_rad(),
+            velocity_m_s: input.velocity_m_s,
+            yaw_rate_rad_s: action.yaw * YAW_RATE_PER_UNIT_RAD_S,
+        };
+        governor::on_collision_course(&motion, &self.memory, action.forward_m_s)
+    }
+
     /// Forgets everything after a jump of the position, and what is remembered of the obstacles when the vehicle has not
     /// got anywhere for [`STUCK_NS`]: then the memory, not the world, may be what blocks it.
     fn doubt(&mut self, here: NedVector, now_ns: Nanos) {

@@ -88,6 +88,15 @@ pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &Memory, wante
     }
 }
 
+/// Whether the vehicle, commanded this speed for [`REACTION_S`] and then to stop, would run into what is remembered.
+///
+/// Only its own cell counts: with a cell more around it, pilots that pass half a metre beside an obstacle would be stopped for it.
+pub fn on_collision_course(motion: &Motion, memory: &Memory, speed_m_s: f32) -> bool {
+    const NOTHING_SEEN: &Scan = &Scan::EMPTY;
+    let margins = Margins::new(NOTHING_SEEN, memory, motion.position_ned_m, 0.0, 1);
+    !stays_clear(motion, NOTHING_SEEN, &margins, memory, speed_m_s)
+}
+
 /// Whether the vehicle stays clear if it is commanded this speed for [`REACTION_S`] and then to stop.
 fn stays_clear(motion: &Motion, scan: &Scan, margins: &Margins, memory: &Memory, speed_m_s: f32) -> bool {
     let turn_rad = motion.yaw_rate_rad_s * STEP_S;
@@ -201,6 +210,31 @@ mod tests {
         let beside = [(0.0, 0.38), (0.05, 0.38)];
         assert!(speed(&beside, 0.0, 0.0) > 1.0, "past it");
         assert_eq!(speed(&[(0.38, 0.0)], 0.0, 0.0), 0.0, "into it");
+    }
+
+    #[test]
+    fn a_collision_course_is_one_that_braking_does_not_end() {
+        let mut memory = Box::new(Memory::new());
+        memory.follow(NedVector::ZERO);
+        for i in -4..=4 {
+            memory.occupy(1.6, i as f32 * 0.25);
+        }
+        memory.measure_clearance();
+        let course = |north_m: f32, velocity_m_s: f32, yaw_rad: f32, wanted_m_s: f32| {
+            let motion = Motion {
+                position_ned_m: NedVector::new(north_m, 0.0, 0.0),
+                yaw_rad,
+                velocity_m_s: HeadingVector::new(velocity_m_s, 0.0, 0.0),
+                yaw_rate_rad_s: 0.0,
+            };
+            on_collision_course(&motion, &memory, wanted_m_s)
+        };
+        assert!(!course(0.0, 1.5, 0.0, 1.5), "1.6 m are enough to stop from 1.5 m/s");
+        assert!(course(0.5, 1.5, 0.0, 1.5), "1.1 m and the reaction are not");
+        assert!(!course(0.5, 0.7, 0.0, 0.7), "at half the speed they are");
+        assert!(!course(0.5, 1.5, 3.1, 1.5), "away from it");
+        // Along it, half a metre beside.
+        assert!(!course(1.1, 1.5, 1.57, 1.5));
     }
 
     #[test]

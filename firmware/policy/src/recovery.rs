@@ -1,10 +1,10 @@
 //! The recovery pilot: flies on when the actor's eyes are being lied to (docs/detection.md).
 
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
+use vigil_types::Action;
 
 /// Fastest forward speed, metres per second: slower than the actor, whose eyes were better.
 const CRUISE_M_S: f32 = 0.8;
-use vigil_types::Action;
 
 /// The pilot. It is asked in every step, also while another one flies, so that it remembers what trusted frames showed.
 /// A large value without pointers; no allocation.
@@ -35,6 +35,12 @@ impl RecoveryPilot {
             self.pilot.excuse_standstill();
         }
         self.pilot.decide(input)
+    }
+
+    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.2 s
+    /// later. To be asked after [`Self::decide`], with the same input.
+    pub fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
+        self.pilot.foresees_collision(input, action)
     }
 }
 

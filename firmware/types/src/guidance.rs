@@ -90,11 +90,13 @@ pub enum Reason {
     NoVerdict = 17,
     /// The recovery pilot flies in the actor's place.
     Recovering = 18,
+    /// The actor was about to fly into something; the vehicle is being stopped.
+    CollisionCourse = 19,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 19] = [
+    pub const ALL: [Self; 20] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -114,6 +116,7 @@ impl Reason {
         Self::Attack,
         Self::NoVerdict,
         Self::Recovering,
+        Self::CollisionCourse,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -138,6 +141,7 @@ impl Reason {
             Self::Attack => "attack",
             Self::NoVerdict => "no verdict",
             Self::Recovering => "recovering",
+            Self::CollisionCourse => "collision course",
         }
     }
 }

@@ -72,17 +72,20 @@ pub enum AlarmCause {
     Attack = 0,
     /// There was no verdict for too long.
     NoVerdict = 1,
+    /// The actor was about to fly into something, whatever the verdict.
+    CollisionCourse = 2,
 }
 
 impl AlarmCause {
     /// All causes, in the order of their numbers.
-    pub const ALL: [Self; 2] = [Self::Attack, Self::NoVerdict];
+    pub const ALL: [Self; 3] = [Self::Attack, Self::NoVerdict, Self::CollisionCourse];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Attack => "attack",
             Self::NoVerdict => "no verdict",
+            Self::CollisionCourse => "collision course",
         }
     }
 }

@@ -19,6 +19,7 @@ use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{AlarmChoice, PilotKind};
+use vigil_firmware::program::parse_switch;
 use vigil_sim::{Attack, AttackArgs, SimConfig, Start};
 use vigil_types::STEP_S;
 use vigil_world::{Family, Outcome, generate};
@@ -70,6 +71,10 @@ pub struct DefendedArgs {
     /// Add the potential field to the actor.
     #[arg(long)]
     apf: bool,
+
+    /// Whether the recovery pilot raises the alarm as well when the actor is about to fly into something.
+    #[arg(long, value_name = "on|off", value_parser = parse_switch, default_value = "on", action = clap::ArgAction::Set)]
+    guard: bool,
 
     /// Fly only what the folder's defended.csv does not have yet.
     #[arg(long)]
@@ -135,6 +140,7 @@ struct Settings {
     detector_sha256: String,
     /// Verdicts that raise the alarm, and of how many.
     raise: (u8, u8),
+    guard: bool,
     first_seed: u64,
     apf: bool,
     attack: AttackConfig,
@@ -152,30 +158,35 @@ struct Line {
     /// As [`Outcome`] says it; `none` when the vehicle never took off.
     outcome: String,
     flight_time_s: f64,
+    /// Of the vehicle's middle.
+    closest_obstacle_m: f32,
     attacked_steps: u64,
     effective_steps: u64,
     judged_steps: u64,
     alarms: u64,
+    /// Alarms of these that the guard raised, not the verdict.
+    guard_alarms: u64,
     stop_steps: u64,
     recovery_steps: u64,
 }
 
-const COLUMNS: &str =
-    "arm,seed,outcome,flight_time_s,attacked_steps,effective_steps,judged_steps,alarms,stop_steps,recovery_steps";
+const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,stop_steps,recovery_steps";
 
 impl fmt::Display for Line {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "{},{},{},{:.2},{},{},{},{},{},{}",
+            "{},{},{},{:.2},{:.2},{},{},{},{},{},{},{}",
             self.arm.name(),
             self.seed,
             self.outcome,
             self.flight_time_s,
+            self.closest_obstacle_m,
             self.attacked_steps,
             self.effective_steps,
             self.judged_steps,
             self.alarms,
+            self.guard_alarms,
             self.stop_steps,
             self.recovery_steps,
         )
@@ -194,10 +205,12 @@ impl Line {
                 .outcome
                 .map_or_else(|| "none".to_owned(), |o| o.to_string()),
             flight_time_s: flown.record.flight_time_s,
+            closest_obstacle_m: flown.record.closest_obstacle_m,
             attacked_steps: attack.attacked_steps,
             effective_steps: attack.effective_steps,
             judged_steps: watch.judged_steps,
             alarms: watch.alarms,
+            guard_alarms: watch.guard_alarms,
             stop_steps: watch.stop_steps,
             recovery_steps: watch.recovery_steps,
         }
@@ -211,10 +224,12 @@ impl Line {
             seed: fields.next()?.parse().ok()?,
             outcome: fields.next()?.to_owned(),
             flight_time_s: fields.next()?.parse().ok()?,
+            closest_obstacle_m: fields.next()?.parse().ok()?,
             attacked_steps: fields.next()?.parse().ok()?,
             effective_steps: fields.next()?.parse().ok()?,
             judged_steps: fields.next()?.parse().ok()?,
             alarms: fields.next()?.parse().ok()?,
+            guard_alarms: fields.next()?.parse().ok()?,
             stop_steps: fields.next()?.parse().ok()?,
             recovery_steps: fields.next()?.parse().ok()?,
         };
@@ -296,6 +311,7 @@ struct Row {
     /// Flights with an alarm, alarms, and alarms per hour of judged flight.
     alarmed_flights: usize,
     alarms: u64,
+    guard_alarms: u64,
     alarms_per_hour: f64,
     stopping_share: f64,
     recovering_share: f64,
@@ -323,6 +339,7 @@ impl Row {
             effective_steps: sum(|l| l.effective_steps),
             alarmed_flights: lines.iter().filter(|l| l.alarms > 0).count(),
             alarms,
+            guard_alarms: sum(|l| l.guard_alarms),
             alarms_per_hour: alarms as f64 / (judged * f64::from(STEP_S) / 3600.0),
             stopping_share: sum(|l| l.stop_steps) as f64 / judged,
             recovering_share: sum(|l| l.recovery_steps) as f64 / judged,
@@ -351,8 +368,9 @@ impl Row {
             "—".to_owned()
         } else {
             format!(
-                "{} in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
+                "{} ({} by the guard) in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
                 self.alarms,
+                self.guard_alarms,
                 self.alarmed_flights,
                 self.alarms_per_hour,
                 100.0 * self.stopping_share,
@@ -430,6 +448,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         actor_sha256: args.common.victim()?.sha256,
         detector_sha256: FrozenDetector::built_in()?.sha256(),
         raise: (alarm.raise_count, alarm.raise_window),
+        guard: args.guard,
         first_seed: args.seed,
         apf: args.apf,
         attack: attack.config,
@@ -520,6 +539,7 @@ fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flow
     firmware.pilot.actor_file.clone_from(&args.common.actor);
     firmware.pilot.apf = args.apf;
     firmware.detector.enabled = arm.alarm().is_some();
+    firmware.detector.guard = args.guard;
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
 }
@@ -534,10 +554,12 @@ mod tests {
             seed,
             outcome: outcome.to_string(),
             flight_time_s: 21.35,
+            closest_obstacle_m: 0.62,
             attacked_steps: 100,
             effective_steps: 87,
             judged_steps: 418,
             alarms: 1,
+            guard_alarms: 0,
             stop_steps: 14,
             recovery_steps: 120,
         }
@@ -549,6 +571,7 @@ mod tests {
             actor_sha256: "a".to_owned(),
             detector_sha256: "d".to_owned(),
             raise: (2, 3),
+            guard: true,
             first_seed: 7,
             apf: false,
             attack: AttackConfig::PAPER,

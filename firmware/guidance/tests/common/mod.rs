@@ -22,6 +22,7 @@ pub struct Story {
     pub action: Option<Action>,
     pub recovery: Option<Action>,
     pub verdict: Option<Verdict>,
+    pub collision_course: bool,
     pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
     pub slips: u64,
@@ -60,6 +61,7 @@ impl Story {
             }),
             recovery: None,
             verdict: None,
+            collision_course: false,
             velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
             slips: 0,
@@ -127,6 +129,7 @@ impl Story {
             action: self.action,
             recovery: self.recovery,
             verdict: self.verdict,
+            collision_course: self.collision_course,
             timing: StepTiming {
                 slips: self.slips,
                 ..Default::default()

@@ -184,6 +184,7 @@ impl Flight {
             action,
             recovery: None,
             verdict: None,
+            collision_course: false,
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
