@@ -6,11 +6,12 @@
 //! `scale`, and the parameters in the order of [`LstmAd::tensors`].
 
 use crate::lstm_ad::{LstmAd, ROW};
+use crate::{DeepShap, ShapError};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec, Isa, Purpose};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil detector 1";
@@ -125,6 +126,20 @@ pub enum DetectorFileError {
     },
 }
 
+/// DeepSHAP of an actor at its split point, against a background sample.
+///
+/// # Errors
+/// Parameters of another architecture, an empty background sample.
+pub fn split_point_shap(
+    isa: Isa,
+    spec: ActorSpec,
+    actor_params: &[f32],
+    backgrounds: &[Background],
+) -> Result<DeepShap, ShapError> {
+    let views: Vec<[&[f32]; 2]> = backgrounds.iter().map(|(h, p)| [h.as_slice(), p.as_slice()]).collect();
+    DeepShap::new(isa, spec.head_graph(Purpose::Multipliers)?, actor_params, &views)
+}
+
 /// A named tensor: shape and values.
 type Tensor = (String, Vec<usize>, Vec<f32>);
 
@@ -154,6 +169,14 @@ impl FrozenDetector {
     /// [`DetectorFileError`] if it is another architecture's.
     pub fn built_in() -> Result<Self, DetectorFileError> {
         Self::from_bytes("built into this program", BUILT_IN)
+    }
+
+    /// DeepSHAP of the actor with these parameters at its split point, against this detector's background sample.
+    ///
+    /// # Errors
+    /// Parameters of another architecture, an empty background sample.
+    pub fn explainer(&self, isa: Isa, spec: ActorSpec, actor_params: &[f32]) -> Result<DeepShap, ShapError> {
+        split_point_shap(isa, spec, actor_params, &self.backgrounds)
     }
 
     fn entries(&self) -> BTreeMap<&'static str, String> {

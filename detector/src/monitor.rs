@@ -2,7 +2,7 @@
 
 use crate::lstm_ad::{LstmAd, ROW, WINDOW, normalise};
 use crate::{DeepShap, FrozenDetector, ShapError};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec, Isa, Purpose, ShapeError};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.
@@ -62,13 +62,7 @@ impl Monitor {
                 found: actor_sha256.to_owned(),
             });
         }
-        let head = ActorSpec::FULL.head_graph(Purpose::Multipliers)?;
-        let backgrounds: Vec<[&[f32]; 2]> = detector
-            .backgrounds
-            .iter()
-            .map(|(state, position)| [state.as_slice(), position.as_slice()])
-            .collect();
-        let shap = DeepShap::new(isa, head, actor_params, &backgrounds)?;
+        let shap = detector.explainer(isa, ActorSpec::FULL, actor_params)?;
         Ok(Self {
             base: shap.expected().get(YAW).copied().unwrap_or(f32::NAN),
             shap,

@@ -56,6 +56,57 @@ fn an_attacked_campaign_is_the_same_on_any_number_of_threads_and_says_what_was_a
     assert_ne!(moments[0], moments[1], "each flight's seed draws its own moment");
 }
 
+/// Outcome, alarms and the guard's of them in a flight against an attacker who deceives the detector as well.
+fn against_one_who_knows_the_detector(folder: &Path, guard: &str) -> (String, u32, u32) {
+    let detector = concat!(env!("CARGO_MANIFEST_DIR"), "/../detector/frozen/lstm_ad.safetensors");
+    let folder = folder.join(guard);
+    let output = run(&[
+        "attack",
+        "defended",
+        "--arms",
+        "recover",
+        "--flights",
+        "1",
+        "--seed",
+        "5000",
+        "--burst",
+        "continuous",
+        "--epsilon",
+        "2",
+        "--iterations",
+        "5",
+        "--evade",
+        detector,
+        "--guard",
+        guard,
+        "--output",
+        folder.to_str().expect("a UTF-8 path"),
+    ]);
+    assert!(output.status.success(), "{}", said(&output));
+    let table = std::fs::read_to_string(folder.join("defended.csv")).expect("the flights");
+    let lines: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();
+    let [names, flight] = &lines[..] else {
+        panic!("not one flight: {table}")
+    };
+    let of = |name| flight[names.iter().position(|n| *n == name).expect("a column")];
+    let count = |name| of(name).parse().expect("a number");
+    (of("outcome").to_owned(), count("alarms"), count("guard_alarms"))
+}
+
+#[test]
+fn who_deceives_the_detector_too_still_does_not_fly_the_vehicle_into_an_obstacle() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (outcome, alarms, _) = against_one_who_knows_the_detector(folder.path(), "off");
+    assert_eq!(
+        (outcome.as_str(), alarms),
+        ("collision", 0),
+        "no verdict gives the attacker away"
+    );
+    let (outcome, alarms, by_guard) = against_one_who_knows_the_detector(folder.path(), "on");
+    assert_eq!(outcome, "success");
+    assert!(by_guard >= 1 && alarms >= by_guard, "{by_guard} of {alarms}");
+}
+
 #[test]
 fn an_attack_that_cannot_be_is_refused_by_name() {
     for (arguments, wanted) in [

@@ -16,7 +16,7 @@ use vigil_sim::adversary::RAW_TOPIC;
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::{AttackArgs, CourseChoice};
 use vigil_types::NedVector;
-use vigil_world::{Course, FlightPath, Outcome};
+use vigil_world::{Course, FlightPath};
 
 /// After reaching the goal the vehicle may take this long to land.
 const LANDING_LIMIT: Duration = Duration::from_secs(30);
@@ -147,7 +147,10 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         );
     }
     let Flight { last, path } = watched?;
-    let outcome = last.as_ref().and_then(|s| s.outcome.as_deref()).and_then(outcome_named);
+    let outcome = last
+        .as_ref()
+        .and_then(|s| s.outcome.as_deref())
+        .and_then(|name| name.parse().ok());
     let drawn = FlightPath {
         label: "flown".to_owned(),
         points_ned_m: path,
@@ -366,12 +369,8 @@ fn summarise(
     }
     println!("files     {}", folder.display());
     Ok(ExitCode::from(match (&status.outcome, interrupted) {
-        (Some(outcome), _) => ending_code(outcome_named(outcome)),
+        (Some(outcome), _) => ending_code(outcome.parse().ok()),
         (None, true) => 130,
         (None, false) => EXIT_ERROR,
     }))
-}
-
-fn outcome_named(name: &str) -> Option<Outcome> {
-    Outcome::ALL.into_iter().find(|o| o.to_string() == name)
 }

@@ -1,6 +1,8 @@
 //! From verdicts to an alarm, and from the alarm to what guidance does: with hysteresis, pure.
 //!
-//! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one.
+//! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false
+//! verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one. So does, whatever the
+//! verdict, an action that leads into something.
 
 use vigil_types::{Alarm, AlarmCause, AlarmResponse, Nanos, Verdict};
 

@@ -2,7 +2,7 @@
 
 use crate::config::AttackError;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, ActorSpec, Graph, Isa, Purpose};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, ActorSpec, Graph, Isa};
 
 /// The actor's output that the detector explains.
 const YAW: usize = 1;
@@ -36,18 +36,13 @@ pub(crate) struct Evasion {
 
 impl Evasion {
     pub fn new(spec: ActorSpec, isa: Isa, actor: &[f32], detector: &FrozenDetector) -> Result<Self, AttackError> {
-        let backgrounds: Vec<[&[f32]; 2]> = detector
-            .backgrounds
-            .iter()
-            .map(|(state, position)| [state.as_slice(), position.as_slice()])
-            .collect();
         let graph = LstmAd::graph(ROW, LstmAd::CELL, Activation::Identity)?;
         let mut packed = vec![0.0; graph.param_len()];
         graph.pack(&detector.params, &mut packed)?;
         let threshold = detector.threshold;
         Ok(Self {
             isa,
-            shap: DeepShap::new(isa, spec.head_graph(Purpose::Multipliers)?, actor, &backgrounds)?,
+            shap: detector.explainer(isa, spec, actor)?,
             params: detector.params.clone(),
             packed,
             tape: vec![0.0; graph.tape_len()],

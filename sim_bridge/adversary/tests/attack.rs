@@ -5,7 +5,7 @@ mod oracle;
 
 use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
 use vigil_adversary::{AttackConfig, AttackError, Method, StateAttack, StreamAttack, Towards};
-use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, normalise};
+use vigil_detector::{FrozenDetector, LstmAd, ROW, WINDOW, normalise};
 use vigil_nnet::{
     ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Activation, Actor, ActorSpec, Dense, GraphBuilder, Isa, Purpose,
 };
@@ -367,9 +367,7 @@ fn random_detector() -> FrozenDetector {
 fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetector) -> (f32, f32) {
     let (params, isa, position) = (small_params(3), Isa::detect(), [0.4, 0.3]);
     let mut actor = Actor::new(SMALL, isa, &params).unwrap();
-    let backgrounds: Vec<[&[f32]; 2]> = detector.backgrounds.iter().map(|(h, p)| [&h[..], &p[..]]).collect();
-    let head = SMALL.head_graph(Purpose::Multipliers).unwrap();
-    let mut shap = DeepShap::new(isa, head, &params, &backgrounds).unwrap();
+    let mut shap = detector.explainer(isa, SMALL, &params).unwrap();
     let mut rows = Vec::new();
     let mut bent = 0.0;
     for step in 0..15 {

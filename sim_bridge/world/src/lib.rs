@@ -35,7 +35,7 @@ pub use lidar::{
     beam_direction_frd, pixel_of, ring_row,
 };
 pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
-pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee};
+pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee, UnknownOutcome};
 pub use solid::Solid;
 pub use vehicle::{VEHICLE, VehicleSolid};
 pub use world::World;

@@ -30,16 +30,35 @@ pub enum Outcome {
 impl Outcome {
     /// All outcomes.
     pub const ALL: [Self; 4] = [Self::Success, Self::Collision, Self::OutOfBounds, Self::TimeOut];
-}
 
-impl core::fmt::Display for Outcome {
-    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.write_str(match self {
+    /// Name in tables and files; [`core::str::FromStr`] reads it.
+    pub const fn name(self) -> &'static str {
+        match self {
             Self::Success => "success",
             Self::Collision => "collision",
             Self::OutOfBounds => "out of bounds",
             Self::TimeOut => "time-out",
-        })
+        }
+    }
+}
+
+/// A name that is no outcome's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("not an outcome: success, collision, out of bounds or time-out")]
+pub struct UnknownOutcome;
+
+impl core::str::FromStr for Outcome {
+    type Err = UnknownOutcome;
+
+    fn from_str(name: &str) -> Result<Self, UnknownOutcome> {
+        let known = Self::ALL.into_iter().find(|outcome| outcome.name() == name);
+        known.ok_or(UnknownOutcome)
+    }
+}
+
+impl core::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.name())
     }
 }
 

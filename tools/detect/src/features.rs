@@ -68,9 +68,7 @@ impl Extractor {
     /// # Errors
     /// Parameters of another architecture, an empty background sample.
     pub fn new(feature: Feature, isa: Isa, params: &[f32], backgrounds: &[Background]) -> Result<Self, DetectError> {
-        let inputs: Vec<[&[f32]; 2]> = backgrounds.iter().map(|(h, p)| [h.as_slice(), p.as_slice()]).collect();
-        let graph = ActorSpec::FULL.head_graph(Purpose::Multipliers)?;
-        let shap = DeepShap::new(isa, graph, params, &inputs)?;
+        let shap = vigil_detector::split_point_shap(isa, ActorSpec::FULL, params, backgrounds)?;
         let head = ActorSpec::FULL.head_graph(Purpose::Gradients)?;
         let mut packed = vec![0.0; head.param_len()];
         head.pack(params, &mut packed)?;

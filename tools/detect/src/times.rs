@@ -10,7 +10,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, images, normalise};
-use vigil_nnet::{ACTOR_POSITIONAL, Activation, Actor, ActorSpec, Graph, Isa, Purpose};
+use vigil_nnet::{ACTOR_POSITIONAL, Activation, Actor, ActorSpec, Graph, Isa};
 use vigil_policy::FrozenActor;
 use vigil_types::DepthFrame;
 use vigil_world::Family;
@@ -127,16 +127,10 @@ pub fn time(
     pictures: usize,
 ) -> Result<(Record, Times), DetectError> {
     let pixels = explainer(isa, &actor.params, BACKGROUNDS)?;
-    let head = ActorSpec::FULL.head_graph(Purpose::Multipliers)?;
-    let backgrounds: Vec<[&[f32]; 2]> = detector
-        .backgrounds
-        .iter()
-        .map(|(state, position)| [state.as_slice(), position.as_slice()])
-        .collect();
     let mut timing = Timing {
         isa,
         actor: Actor::new(ActorSpec::FULL, isa, &actor.params)?,
-        shap: DeepShap::new(isa, head, &actor.params, &backgrounds)?,
+        shap: detector.explainer(isa, ActorSpec::FULL, &actor.params)?,
         detector: detector.clone(),
         lstm: LstmAd::new(isa, &detector.params)?,
         rows: [[0.0; ROW]; WINDOW],

@@ -155,9 +155,7 @@ fn hidden_shap_case(
     let (points, inputs) = (split(backgrounds)?, split(states)?);
     let hidden = points.iter().flat_map(|(hidden, _)| hidden);
     record.floats("background_hidden", &[ACTOR_HIDDEN], hidden);
-    let views: Vec<[&[f32]; 2]> = points.iter().map(|(h, p)| [h.as_slice(), p]).collect();
-    let graph = ActorSpec::FULL.head_graph(Purpose::Multipliers)?;
-    let mut shap = DeepShap::new(isa, graph, &frozen.params, &views)?;
+    let mut shap = vigil_detector::split_point_shap(isa, ActorSpec::FULL, &frozen.params, &points)?;
     let mut phi = vec![0.0; shap.phi_len()];
     let mut all = Vec::new();
     for (hidden, position) in &inputs {

@@ -4,8 +4,7 @@
 //! `--resume` flies what is missing.
 
 use super::{Common, bar, write_json};
-use crate::campaign::{self, Flown};
-use crate::statistics::wilson_95;
+use crate::campaign::{self, Flown, Tally};
 use anyhow::{Context, Result, bail, ensure};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -18,11 +17,11 @@ use std::sync::Mutex;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{AlarmChoice, PilotKind};
+use vigil_firmware::config::AlarmChoice;
 use vigil_firmware::program::parse_switch;
-use vigil_sim::{Attack, AttackArgs, SimConfig, Start};
+use vigil_sim::{Attack, AttackArgs};
 use vigil_types::STEP_S;
-use vigil_world::{Family, Outcome, generate};
+use vigil_world::Outcome;
 
 /// Arguments of `vigil attack defended`.
 #[derive(Debug, Clone, clap::Args)]
@@ -155,8 +154,8 @@ struct Settings {
 struct Line {
     arm: Arm,
     seed: u64,
-    /// As [`Outcome`] says it; `none` when the vehicle never took off.
-    outcome: String,
+    /// `none` in the file when the vehicle never took off.
+    outcome: Option<Outcome>,
     flight_time_s: f64,
     /// Of the vehicle's middle.
     closest_obstacle_m: f32,
@@ -170,6 +169,7 @@ struct Line {
     recovery_steps: u64,
 }
 
+const NO_FLIGHT: &str = "none";
 const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,stop_steps,recovery_steps";
 
 impl fmt::Display for Line {
@@ -179,7 +179,7 @@ impl fmt::Display for Line {
             "{},{},{},{:.2},{:.2},{},{},{},{},{},{},{}",
             self.arm.name(),
             self.seed,
-            self.outcome,
+            self.outcome.map_or(NO_FLIGHT, Outcome::name),
             self.flight_time_s,
             self.closest_obstacle_m,
             self.attacked_steps,
@@ -200,10 +200,7 @@ impl Line {
         Self {
             arm,
             seed,
-            outcome: flown
-                .record
-                .outcome
-                .map_or_else(|| "none".to_owned(), |o| o.to_string()),
+            outcome: flown.record.outcome,
             flight_time_s: flown.record.flight_time_s,
             closest_obstacle_m: flown.record.closest_obstacle_m,
             attacked_steps: attack.attacked_steps,
@@ -222,7 +219,10 @@ impl Line {
         let line = Self {
             arm: Arm::ALL.into_iter().find(|known| known.name() == arm)?,
             seed: fields.next()?.parse().ok()?,
-            outcome: fields.next()?.to_owned(),
+            outcome: match fields.next()? {
+                NO_FLIGHT => None,
+                name => Some(name.parse().ok()?),
+            },
             flight_time_s: fields.next()?.parse().ok()?,
             closest_obstacle_m: fields.next()?.parse().ok()?,
             attacked_steps: fields.next()?.parse().ok()?,
@@ -237,7 +237,7 @@ impl Line {
     }
 
     fn is_success(&self) -> bool {
-        self.outcome == Outcome::Success.to_string()
+        self.outcome == Some(Outcome::Success)
     }
 }
 
@@ -299,13 +299,8 @@ impl Log {
 #[derive(Serialize)]
 struct Row {
     arm: Arm,
-    flights: usize,
-    completed: usize,
-    completion: f64,
-    wilson_95: (f64, f64),
-    collisions: usize,
-    out_of_bounds: usize,
-    time_outs: usize,
+    #[serde(flatten)]
+    tally: Tally,
     attacked_steps: u64,
     effective_steps: u64,
     /// Flights with an alarm, alarms, and alarms per hour of judged flight.
@@ -321,20 +316,13 @@ struct Row {
 impl Row {
     fn of<'a>(arm: Arm, lines: impl Iterator<Item = &'a Line>) -> Option<Self> {
         let lines: Vec<&Line> = lines.filter(|line| line.arm == arm).collect();
-        let count = |outcome: Outcome| lines.iter().filter(|l| l.outcome == outcome.to_string()).count();
+        let outcomes: Vec<_> = lines.iter().map(|line| line.outcome).collect();
         let sum = |of: fn(&Line) -> u64| lines.iter().map(|line| of(line)).sum::<u64>();
-        let completed = count(Outcome::Success);
         let judged = sum(|l| l.judged_steps).max(1) as f64;
         let alarms = sum(|l| l.alarms);
         (!lines.is_empty()).then(|| Self {
             arm,
-            flights: lines.len(),
-            completed,
-            completion: completed as f64 / lines.len() as f64,
-            wilson_95: wilson_95(completed, lines.len()),
-            collisions: count(Outcome::Collision),
-            out_of_bounds: count(Outcome::OutOfBounds),
-            time_outs: count(Outcome::TimeOut),
+            tally: Tally::of(&outcomes),
             attacked_steps: sum(|l| l.attacked_steps),
             effective_steps: sum(|l| l.effective_steps),
             alarmed_flights: lines.iter().filter(|l| l.alarms > 0).count(),
@@ -349,21 +337,16 @@ impl Row {
 
     fn print_heading() {
         println!(
-            "{:<13} {:>7} {:>10}   {:<15} {:>9} {:>7} {:>9}   {:<16} alarms",
-            "arm", "flights", "completion", "95 % interval", "collision", "bounds", "time-out", "yaw moved ≥ 1.0"
+            "{:<13} {:>7} {}   {:<22} alarms",
+            "arm",
+            "flights",
+            Tally::HEADING,
+            "yaw moved ≥ 1.0"
         );
     }
 
     fn print(&self) {
-        let interval = format!("{:.1} to {:.1} %", 100.0 * self.wilson_95.0, 100.0 * self.wilson_95.1);
-        let effective = if self.attacked_steps == 0 {
-            "—".to_owned()
-        } else {
-            format!(
-                "{:.0} % of steps",
-                100.0 * self.effective_steps as f64 / self.attacked_steps as f64
-            )
-        };
+        let effective = campaign::effective_share(self.attacked_steps, self.effective_steps);
         let alarms = if self.arm.alarm().is_none() {
             "—".to_owned()
         } else {
@@ -378,13 +361,10 @@ impl Row {
             )
         };
         println!(
-            "{:<13} {:>7} {:>8.1} %   {interval:<15} {:>9} {:>7} {:>9}   {effective:<16} {alarms}",
+            "{:<13} {:>7} {}   {effective:<22} {alarms}",
             self.arm.name(),
-            self.flights,
-            100.0 * self.completion,
-            self.collisions,
-            self.out_of_bounds,
-            self.time_outs,
+            self.tally.flights,
+            self.tally.columns(),
         );
     }
 }
@@ -532,12 +512,7 @@ fn fly_missing(
 }
 
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
-    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
-    config.start = Start::Airborne;
-    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
-    firmware.pilot.kind = PilotKind::Actor;
-    firmware.pilot.actor_file.clone_from(&args.common.actor);
-    firmware.pilot.apf = args.apf;
+    let (config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = arm.alarm().is_some();
     firmware.detector.guard = args.guard;
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
@@ -552,7 +527,7 @@ mod tests {
         Line {
             arm,
             seed,
-            outcome: outcome.to_string(),
+            outcome: Some(outcome),
             flight_time_s: 21.35,
             closest_obstacle_m: 0.62,
             attacked_steps: 100,
@@ -632,7 +607,7 @@ mod tests {
         let pair = pair(&lines, Arm::Undefended, Arm::Recover).unwrap();
         assert_eq!((pair.flights, pair.won, pair.lost), (3, 2, 1));
         let row = Row::of(Arm::Recover, lines.values()).unwrap();
-        assert_eq!((row.flights, row.completed, row.time_outs), (4, 3, 1));
+        assert_eq!((row.tally.flights, row.tally.completed, row.tally.time_outs), (4, 3, 1));
         assert_eq!(row.failed_seeds, [2]);
         // Four alarms in 4 · 418 steps of 0.05 s.
         assert!((row.alarms_per_hour - 4.0 / (4.0 * 418.0 * 0.05 / 3600.0)).abs() < 1e-3);

@@ -1,8 +1,7 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
 use super::{Common, bar, write_json};
-use crate::campaign::{self, Flown};
-use crate::statistics::wilson_95;
+use crate::campaign::{self, Flown, Tally};
 use anyhow::Result;
 use indicatif::ProgressBar;
 use rayon::prelude::*;
@@ -10,10 +9,7 @@ use serde::Serialize;
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
-use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::PilotKind;
-use vigil_sim::{Attack, SimConfig, Start};
-use vigil_world::{Family, Outcome, generate};
+use vigil_sim::Attack;
 
 /// Arguments of `vigil attack cells`.
 #[derive(Debug, Clone, clap::Args)]
@@ -87,13 +83,8 @@ struct Row {
     apf: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     attack: Option<Setting>,
-    flights: u64,
-    completed: usize,
-    completion: f64,
-    wilson_95: (f64, f64),
-    collisions: usize,
-    out_of_bounds: usize,
-    time_outs: usize,
+    #[serde(flatten)]
+    tally: Tally,
     attacked_steps: u64,
     effective_steps: u64,
     /// Of those that failed.
@@ -119,8 +110,12 @@ struct Report<'a> {
 impl Row {
     fn print_heading() {
         println!(
-            "{:<6} {:<17} {:<11} {:<8} {:>10}   {:<15} {:>9} {:>7} {:>9}   yaw moved ≥ 1.0",
-            "field", "attack", "burst", "towards", "completion", "95 % interval", "collision", "bounds", "time-out"
+            "{:<6} {:<17} {:<11} {:<8} {}   yaw moved ≥ 1.0",
+            "field",
+            "attack",
+            "burst",
+            "towards",
+            Tally::HEADING
         );
     }
 
@@ -128,20 +123,11 @@ impl Row {
         let (attack, burst, towards) = self.attack.map_or(("none", "—".to_owned(), "—"), |s| {
             (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
         });
-        let interval = format!("{:.1} to {:.1} %", 100.0 * self.wilson_95.0, 100.0 * self.wilson_95.1);
-        let effective = if self.attacked_steps == 0 {
-            "—".to_owned()
-        } else {
-            let share = 100.0 * self.effective_steps as f64 / self.attacked_steps as f64;
-            format!("{share:.0} % of {} steps", self.attacked_steps)
-        };
         println!(
-            "{:<6} {attack:<17} {burst:<11} {towards:<8} {:>8.1} %   {interval:<15} {:>9} {:>7} {:>9}   {effective}",
+            "{:<6} {attack:<17} {burst:<11} {towards:<8} {}   {}",
             if self.apf { "on" } else { "off" },
-            100.0 * self.completion,
-            self.collisions,
-            self.out_of_bounds,
-            self.time_outs,
+            self.tally.columns(),
+            campaign::effective_share(self.attacked_steps, self.effective_steps),
         );
     }
 }
@@ -167,34 +153,21 @@ impl Campaign<'_> {
             (self.seed..self.seed + self.flights)
                 .into_par_iter()
                 .map(|seed| {
-                    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
-                    config.start = Start::Airborne;
-                    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
-                    firmware.pilot.kind = PilotKind::Actor;
-                    firmware.pilot.actor_file.clone_from(&self.common.actor);
-                    firmware.pilot.apf = apf;
-                    // Undefended; with a detector: `vigil evaluate --attack … --detector on`.
-                    firmware.detector.enabled = false;
+                    // Undefended; with a detector: `vigil attack defended`.
+                    let (config, firmware) = campaign::actor_flight(self.common.actor.as_deref(), apf, seed);
                     let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
                     self.bar.inc(1);
                     Ok((seed, flown))
                 })
                 .collect::<Result<_>>()
         })?;
-        let count = |outcome| flown.iter().filter(|(_, f)| f.record.outcome == Some(outcome)).count();
+        let outcomes: Vec<_> = flown.iter().map(|(_, flown)| flown.record.outcome).collect();
         let steps =
             |of: fn(&vigil_sim::AttackRecord) -> u64| flown.iter().filter_map(|(_, f)| f.attack.as_ref()).map(of).sum();
-        let completed = count(Outcome::Success);
         Ok(Row {
             apf,
             attack: setting,
-            flights: self.flights,
-            completed,
-            completion: completed as f64 / flown.len() as f64,
-            wilson_95: wilson_95(completed, flown.len()),
-            collisions: count(Outcome::Collision),
-            out_of_bounds: count(Outcome::OutOfBounds),
-            time_outs: count(Outcome::TimeOut),
+            tally: Tally::of(&outcomes),
             attacked_steps: steps(|a| a.attacked_steps),
             effective_steps: steps(|a| a.effective_steps),
             failed_seeds: flown

@@ -342,12 +342,8 @@ mod outcome_name {
     }
 
     pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Outcome>, D::Error> {
-        let Some(name) = Option::<String>::deserialize(d)? else {
-            return Ok(None);
-        };
-        let known = Outcome::ALL.into_iter().find(|o| o.to_string() == name);
-        known
-            .map(Some)
-            .ok_or_else(|| serde::de::Error::custom(format_args!("unknown outcome {name}")))
+        let name = Option::<String>::deserialize(d)?;
+        let outcome = name.map(|name| name.parse()).transpose();
+        outcome.map_err(serde::de::Error::custom)
     }
 }
