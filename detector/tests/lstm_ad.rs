@@ -6,7 +6,8 @@ mod common;
 use common::{dense, lstm, rng, uniform, wide};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
-use vigil_detector::{DetectorFileError, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
+use vigil_detector::{FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
+use vigil_nnet::file::FileError;
 use vigil_nnet::{Activation, Dense, Isa, Lstm};
 
 thread_local! {
@@ -180,14 +181,11 @@ fn an_altered_byte_anywhere_is_noticed() {
         let mut bytes = bytes.clone();
         bytes[at] ^= 1;
         let refused = FrozenDetector::from_bytes("mine", &bytes).unwrap_err();
-        assert!(
-            matches!(refused, DetectorFileError::Altered { .. }),
-            "byte {at}: {refused}"
-        );
+        assert!(matches!(refused, FileError::Altered { .. }), "byte {at}: {refused}");
         assert!(refused.to_string().contains("mine"), "{refused}");
     }
     let short = FrozenDetector::from_bytes("mine", &bytes[..last - 5]).unwrap_err();
-    assert!(matches!(short, DetectorFileError::Container { .. }), "{short}");
+    assert!(matches!(short, FileError::Container { .. }), "{short}");
 }
 
 #[test]
@@ -201,7 +199,7 @@ fn detectors_that_cannot_judge_are_not_written() {
     assert!(refused(|d| d.scale[4] = 0.0).contains("`scale`"));
     assert!(refused(|d| d.threshold = f32::NAN).contains("`threshold`"));
     assert!(refused(|d| d.params[9] = f32::INFINITY).contains("lstm.input_weight"));
-    assert!(refused(|d| d.params.truncate(9)).contains("9 parameters"));
+    assert!(refused(|d| d.params.truncate(9)).contains("9 values"));
 }
 
 #[test]

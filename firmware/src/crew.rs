@@ -3,9 +3,10 @@
 use crate::config::{FirmwareConfig, PilotKind};
 use crate::step::StackError;
 use std::path::Path;
-use vigil_detector::{DetectorFileError, FrozenDetector, Monitor};
+use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::Isa;
-use vigil_policy::{ActorFileError, ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
+use vigil_nnet::file::FileError;
+use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
 
 /// Who flies, and what watches it.
 pub struct Crew {
@@ -72,8 +73,8 @@ impl FirmwareConfig {
     /// The actor that is to fly; `None` when another pilot is.
     ///
     /// # Errors
-    /// [`ActorFileError`]: an actor that is truncated, altered or of another architecture, by name.
-    pub fn frozen_actor(&self) -> Result<Option<FrozenActor>, ActorFileError> {
+    /// [`FileError`]: an actor that is truncated, altered or of another architecture, by name.
+    pub fn frozen_actor(&self) -> Result<Option<FrozenActor>, FileError> {
         match (self.pilot.kind, &self.pilot.actor_file) {
             (PilotKind::Geometric, _) => Ok(None),
             (PilotKind::Actor, Some(path)) => FrozenActor::load(path).map(Some),
@@ -84,8 +85,8 @@ impl FirmwareConfig {
     /// The detector that is to watch it; `None` when it is off, or no actor flies.
     ///
     /// # Errors
-    /// [`DetectorFileError`]: a detector that is truncated, altered or of another architecture, by name.
-    pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, DetectorFileError> {
+    /// [`FileError`]: a detector that is truncated, altered or of another architecture, by name.
+    pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, FileError> {
         match (self.pilot.kind, self.detector.enabled, &self.detector.file) {
             (PilotKind::Geometric, ..) | (_, false, _) => Ok(None),
             (PilotKind::Actor, true, Some(path)) => Ok(Some(FrozenDetector::load(path)?)),

@@ -4,11 +4,11 @@ use crate::config::FirmwareConfig;
 use crate::crew::Crew;
 use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
-use vigil_detector::{DetectorFileError, MonitorError};
+use vigil_detector::MonitorError;
 use vigil_guidance::ConfigError;
 use vigil_link::{LinkCounters, Parameters};
 use vigil_log::Recorder;
-use vigil_policy::ActorFileError;
+use vigil_nnet::file::FileError;
 use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
 
 /// Why a flight stack cannot be made of a configuration.
@@ -17,12 +17,9 @@ pub enum StackError {
     /// The guidance configuration must not fly.
     #[error(transparent)]
     Guidance(#[from] ConfigError),
-    /// The actor is refused.
+    /// The actor's or the detector's file is refused.
     #[error(transparent)]
-    Actor(#[from] ActorFileError),
-    /// The detector's file is refused.
-    #[error(transparent)]
-    Detector(#[from] DetectorFileError),
+    Frozen(#[from] FileError),
     /// The detector is not this actor's, or cannot explain it.
     #[error("detector {file}: {source}")]
     Monitor {

@@ -15,6 +15,8 @@ mod aligned;
 mod conv;
 mod dense;
 mod error;
+#[cfg(feature = "file")]
+pub mod file;
 mod graph;
 mod gru;
 mod isa;

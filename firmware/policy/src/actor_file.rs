@@ -1,20 +1,17 @@
-//! The frozen actor's file: safetensors whose metadata say what it is, and whose digest covers all of it.
+//! The frozen actor's file ([`vigil_nnet::file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
-//! `seed`, `updates`, `git_commit`, and `sha256` over all other entries (sorted by key; key, zero byte, value, zero byte) and
-//! then all tensors' bytes in the order of [`vigil_nnet::ActorParams`].
+//! `seed`, `updates`, `git_commit`, `sha256`; tensors in the order of [`vigil_nnet::ActorParams`].
 
 extern crate std;
 
-use safetensors::{Dtype, SafeTensors, tensor::TensorView};
-use sha2::{Digest, Sha256};
 use std::borrow::ToOwned;
-use std::collections::{BTreeMap, HashMap};
 use std::format;
 use std::path::Path;
 use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
+use vigil_nnet::file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, GraphBuilder, Isa};
 
 /// Value of the entry `format`.
@@ -39,75 +36,6 @@ pub struct FrozenActor {
     pub updates: u64,
     /// Commit of the program that trained it, if known.
     pub git_commit: Option<String>,
-}
-
-/// Why an actor's file is refused. Every message names the file.
-#[derive(Debug, thiserror::Error)]
-pub enum ActorFileError {
-    /// It cannot be read or written.
-    #[error("cannot access actor {file}: {source}")]
-    Access {
-        /// The file.
-        file: String,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Truncated, or something else altogether.
-    #[error("actor {file} is truncated or not a safetensors file: {message}")]
-    Container {
-        /// The file.
-        file: String,
-        /// What is wrong.
-        message: String,
-    },
-    /// A metadata entry is missing.
-    #[error("actor {file} lacks the metadata entry `{key}`; it was not written by this program")]
-    Missing {
-        /// The file.
-        file: String,
-        /// The entry.
-        key: &'static str,
-    },
-    /// Another version, architecture or normalisation.
-    #[error("actor {file} has {key} \"{found}\", this program flies \"{expected}\"")]
-    Other {
-        /// The file.
-        file: String,
-        /// The entry.
-        key: &'static str,
-        /// Its value.
-        found: String,
-        /// What it must be.
-        expected: &'static str,
-    },
-    /// A tensor is missing or has another shape.
-    #[error("actor {file}: tensor `{tensor}` is missing or not float32 of shape {shape:?}")]
-    Tensor {
-        /// The file.
-        file: String,
-        /// The tensor.
-        tensor: String,
-        /// The shape it must have.
-        shape: Vec<usize>,
-    },
-    /// The digest does not match.
-    #[error("actor {file} was altered: its content has SHA-256 {found}, its own entry says {expected}")]
-    Altered {
-        /// The file.
-        file: String,
-        /// Digest of the content.
-        found: String,
-        /// The entry.
-        expected: String,
-    },
-    /// A parameter is NaN or infinite.
-    #[error("actor {file}: tensor `{tensor}` holds a number that is not finite")]
-    NotFinite {
-        /// The file.
-        file: String,
-        /// The tensor.
-        tensor: String,
-    },
 }
 
 /// Names and shapes of the tensors, in the order of the parameters.
@@ -144,19 +72,15 @@ fn tensors() -> Vec<(String, Vec<usize>)> {
     tensors
 }
 
-/// The digest over metadata (without `sha256`) and parameters.
-fn digest(entries: &BTreeMap<&str, String>, params: &[f32]) -> String {
-    let mut hash = Sha256::new();
-    for (key, value) in entries {
-        for part in [key.as_bytes(), &[0], value.as_bytes(), &[0]] {
-            hash.update(part);
-        }
-    }
-    for p in params {
-        hash.update(p.to_le_bytes());
-    }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
-}
+const KIND: Kind = Kind {
+    noun: "actor",
+    identity: [
+        ("format", FORMAT),
+        ("architecture", ARCHITECTURE),
+        ("normalisation", NORMALISATION),
+    ],
+    tensors,
+};
 
 /// The actor that comes with this program.
 const BUILT_IN: &[u8] = include_bytes!("../actor/actor.safetensors");
@@ -165,176 +89,72 @@ impl FrozenActor {
     /// The actor that comes with this program.
     ///
     /// # Errors
-    /// [`ActorFileError`] if it is another architecture's.
-    pub fn built_in() -> Result<Self, ActorFileError> {
+    /// [`FileError`] if it is another architecture's.
+    pub fn built_in() -> Result<Self, FileError> {
         Self::from_bytes("built into this program", BUILT_IN)
     }
 
-    fn entries(&self) -> BTreeMap<&'static str, String> {
-        let mut entries = BTreeMap::from([
-            ("format", FORMAT.to_owned()),
-            ("architecture", ARCHITECTURE.to_owned()),
-            ("normalisation", NORMALISATION.to_owned()),
+    fn contents(&self) -> Contents {
+        let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
+        let entries = [
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
             ("updates", self.updates.to_string()),
-        ]);
-        if let Some(commit) = &self.git_commit {
-            entries.insert("git_commit", commit.clone());
-        }
-        entries
+        ];
+        let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit));
+        contents.push_all(&tensors(), &self.params);
+        contents
     }
 
     /// The actor itself, ready to fly.
     ///
     /// # Errors
     /// Parameters of another length.
-    pub fn actor(&self, isa: Isa) -> Result<Actor, ActorFileError> {
-        Actor::new(ActorSpec::FULL, isa, &self.params).map_err(|e| ActorFileError::Container {
-            file: "in memory".to_owned(),
-            message: e.to_string(),
-        })
+    pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
+        Actor::new(ActorSpec::FULL, isa, &self.params).map_err(|e| KIND.content_error("in memory", e.to_string()))
     }
 
     /// The digest of the actor and its metadata.
     pub fn sha256(&self) -> String {
-        digest(&self.entries(), &self.params)
+        self.contents().sha256()
     }
 
     /// The file's content.
     ///
     /// # Errors
-    /// Parameters of another length.
-    pub fn to_bytes(&self) -> Result<Vec<u8>, ActorFileError> {
-        let container = |message: String| ActorFileError::Container {
-            file: "to be written".to_owned(),
-            message,
-        };
-        let bytes: Vec<u8> = self.params.iter().flat_map(|p| p.to_le_bytes()).collect();
-        let mut views = Vec::new();
-        let mut rest = bytes.as_slice();
-        for (name, shape) in tensors() {
-            let len = 4 * shape.iter().product::<usize>();
-            let (own, after) = rest
-                .split_at_checked(len)
-                .ok_or_else(|| container("too few parameters".to_owned()))?;
-            rest = after;
-            let view = TensorView::new(Dtype::F32, shape, own).map_err(|e| container(e.to_string()))?;
-            views.push((name, view));
-        }
-        if !rest.is_empty() {
-            return Err(container("too many parameters".to_owned()));
-        }
-        let mut metadata: HashMap<String, String> =
-            self.entries().into_iter().map(|(k, v)| (k.to_owned(), v)).collect();
-        metadata.insert("sha256".to_owned(), self.sha256());
-        safetensors::serialize(views, Some(metadata)).map_err(|e| container(e.to_string()))
+    /// Parameters of another length, or not finite.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
+        self.contents().to_bytes(&KIND)
     }
 
     /// Reads and verifies a file's content. `file` names it in errors.
     ///
     /// # Errors
-    /// [`ActorFileError`]: anything but an unaltered actor of this architecture.
-    pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, ActorFileError> {
-        let named = || file.to_owned();
-        let container = |e: safetensors::SafeTensorError| ActorFileError::Container {
-            file: file.to_owned(),
-            message: e.to_string(),
-        };
-        let (_, header) = SafeTensors::read_metadata(bytes).map_err(container)?;
-        let content = SafeTensors::deserialize(bytes).map_err(container)?;
-        let metadata = header.metadata().clone().unwrap_or_default();
-        let entry = |key: &'static str| {
-            metadata
-                .get(key)
-                .cloned()
-                .ok_or_else(|| ActorFileError::Missing { file: named(), key })
-        };
-        for (key, expected) in [
-            ("format", FORMAT),
-            ("architecture", ARCHITECTURE),
-            ("normalisation", NORMALISATION),
-        ] {
-            let found = entry(key)?;
-            if found != expected {
-                return Err(ActorFileError::Other {
-                    file: named(),
-                    key,
-                    found,
-                    expected,
-                });
-            }
-        }
-        let mut params = Vec::new();
-        for (tensor, shape) in tensors() {
-            let view = content
-                .tensor(&tensor)
-                .ok()
-                .filter(|view| view.dtype() == Dtype::F32 && view.shape() == shape);
-            let Some(view) = view else {
-                return Err(ActorFileError::Tensor {
-                    file: named(),
-                    tensor,
-                    shape,
-                });
-            };
-            let from = params.len();
-            params.extend(view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)));
-            if !params.iter().skip(from).all(|p: &f32| p.is_finite()) {
-                return Err(ActorFileError::NotFinite { file: named(), tensor });
-            }
-        }
-        let expected = entry("sha256")?;
-        let entries: BTreeMap<&str, String> = metadata
-            .iter()
-            .filter(|(key, _)| *key != "sha256")
-            .map(|(key, value)| (key.as_str(), value.clone()))
-            .collect();
-        let found = digest(&entries, &params);
-        if found != expected {
-            return Err(ActorFileError::Altered {
-                file: named(),
-                found,
-                expected,
-            });
-        }
-        let number = |key: &'static str| {
-            let text = entry(key)?;
-            text.parse().map_err(|_| ActorFileError::Missing { file: named(), key })
-        };
+    /// [`FileError`]: anything but an unaltered actor of this architecture.
+    pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
+        let read = Verified::from_bytes(&KIND, file, bytes)?;
         Ok(Self {
-            params,
-            training_config: entry("training_config")?,
-            seed: number("seed")?,
-            updates: number("updates")?,
-            git_commit: metadata.get("git_commit").cloned(),
+            training_config: read.text("training_config")?,
+            seed: read.number("seed")?,
+            updates: read.number("updates")?,
+            git_commit: read.optional("git_commit"),
+            params: read.into_values().flatten().collect(),
         })
     }
 
     /// Reads and verifies a file.
     ///
     /// # Errors
-    /// [`ActorFileError`].
-    pub fn load(path: &Path) -> Result<Self, ActorFileError> {
-        let file = path.display().to_string();
-        match std::fs::read(path) {
-            Ok(bytes) => Self::from_bytes(&file, &bytes),
-            Err(source) => Err(ActorFileError::Access { file, source }),
-        }
+    /// [`FileError`].
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
     }
 
     /// Writes a file beside and renames it, so that an earlier one survives a full disk.
     ///
     /// # Errors
-    /// [`ActorFileError`].
-    pub fn save(&self, path: &Path) -> Result<(), ActorFileError> {
-        let bytes = self.to_bytes()?;
-        let beside = path.with_extension("new");
-        std::fs::write(&beside, bytes)
-            .and_then(|()| std::fs::rename(&beside, path))
-            .map_err(|source| ActorFileError::Access {
-                file: path.display().to_string(),
-                source,
-            })
+    /// [`FileError`].
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        KIND.save(path, &self.to_bytes()?)
     }
 }

@@ -17,7 +17,7 @@ mod way;
 
 pub use actor::{ActorPilot, FlightPilot};
 #[cfg(feature = "actor-file")]
-pub use actor_file::{ActorFileError, FrozenActor};
+pub use actor_file::FrozenActor;
 pub use apf::NearestObstacle;
 pub use field::FlightField;
 pub use geometric::{GeometricConfig, GeometricPilot};

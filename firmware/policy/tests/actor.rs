@@ -67,10 +67,10 @@ fn wrong_truncated_and_altered_files_are_refused_by_name() {
     let at = text.find("conv 5x5/2 16").unwrap() + 5;
     let mut altered = good.clone();
     altered[at] = b'7';
-    refused(&altered, "this program flies");
+    refused(&altered, "this program takes");
     let mut broken = frozen();
     broken.params[7] = f32::NAN;
-    refused(&broken.to_bytes().unwrap(), "not finite");
+    assert!(broken.to_bytes().unwrap_err().to_string().contains("not finite"));
     let mut short = frozen();
     short.params.pop();
     assert!(short.to_bytes().is_err());

@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 use vigil_adversary::AttackError;
-use vigil_detector::{DetectorFileError, MonitorError, ShapError};
+use vigil_detector::{MonitorError, ShapError};
 use vigil_nnet::ShapeError;
+use vigil_nnet::file::FileError;
 use vigil_vehicle::ParamsError;
 
 /// Why nothing could be gathered, trained or measured.
@@ -23,7 +24,7 @@ pub enum DetectError {
     Shap(#[from] ShapError),
     /// The detector's file.
     #[error(transparent)]
-    Detector(#[from] DetectorFileError),
+    Detector(#[from] FileError),
     /// The detector does not fit the actor.
     #[error(transparent)]
     Monitor(#[from] MonitorError),

@@ -17,8 +17,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
+use vigil_nnet::file::FileError;
 use vigil_nnet::{Isa, ShapeError};
-use vigil_policy::{ActorFileError, FrozenActor};
+use vigil_policy::FrozenActor;
 use vigil_world::Family;
 
 /// Actors that are judged once more at the end.
@@ -51,7 +52,7 @@ pub enum TrainError {
     Write(#[from] WriteError),
     /// The frozen actor.
     #[error(transparent)]
-    Actor(#[from] ActorFileError),
+    Actor(#[from] FileError),
     /// Threads.
     #[error("cannot start {threads} threads: {source}")]
     Threads {

@@ -1,0 +1,361 @@
+//! The file of a frozen network: safetensors whose metadata say what it is, and whose digest covers all of it.
+//!
+//! The metadata entry `sha256` is over all other entries (sorted by key; key, zero byte, value, zero byte) and then the
+//! bytes of all tensors in the order of their kind.
+
+use alloc::borrow::ToOwned;
+use alloc::collections::BTreeMap;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+use core::str::FromStr;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use sha2::{Digest, Sha256};
+use std::collections::HashMap;
+use std::path::Path;
+
+const DIGEST: &str = "sha256";
+
+/// What a file must be.
+#[derive(Debug, Clone, Copy)]
+pub struct Kind {
+    /// What errors call it.
+    pub noun: &'static str,
+    /// Entries that must be this version's.
+    pub identity: [(&'static str, &'static str); 3],
+    /// Names and shapes of its tensors, in their order. A first size of 0 is any.
+    pub tensors: fn() -> Vec<(String, Vec<usize>)>,
+}
+
+/// A tensor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tensor {
+    /// Its name.
+    pub name: String,
+    /// Its shape.
+    pub shape: Vec<usize>,
+    /// Its values.
+    pub values: Vec<f32>,
+}
+
+/// Why a file is refused. Every message names the file.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// It cannot be read or written.
+    #[error("cannot access {noun} {file}: {source}")]
+    Access {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Truncated, or something else altogether.
+    #[error("{noun} {file} is truncated or not a safetensors file: {message}")]
+    Container {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// A metadata entry is missing or not of its kind.
+    #[error("{noun} {file} lacks a valid metadata entry `{key}`; it was not written by this program")]
+    Missing {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// The entry.
+        key: &'static str,
+    },
+    /// Another version, architecture or normalisation.
+    #[error("{noun} {file} has {key} \"{found}\", this program takes \"{expected}\"")]
+    Other {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// The entry.
+        key: &'static str,
+        /// Its value.
+        found: String,
+        /// What it must be.
+        expected: &'static str,
+    },
+    /// A tensor is missing or has another shape.
+    #[error("{noun} {file}: tensor `{tensor}` is missing or not float32 of shape {shape}")]
+    Tensor {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// The tensor.
+        tensor: String,
+        /// The shape it must have.
+        shape: String,
+    },
+    /// The digest does not match.
+    #[error("{noun} {file} was altered: its content has SHA-256 {found}, its own entry says {expected}")]
+    Altered {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// Digest of the content.
+        found: String,
+        /// The entry.
+        expected: String,
+    },
+    /// Unaltered, but nothing to fly with.
+    #[error("{noun} {file} {message}")]
+    Content {
+        /// What it should be.
+        noun: &'static str,
+        /// The file.
+        file: String,
+        /// What is wrong.
+        message: String,
+    },
+}
+
+impl Kind {
+    /// An error about what a file holds.
+    pub fn content_error(&self, file: &str, message: impl Into<String>) -> FileError {
+        FileError::Content {
+            noun: self.noun,
+            file: file.to_owned(),
+            message: message.into(),
+        }
+    }
+
+    fn container_error(&self, file: &str, e: &safetensors::SafeTensorError) -> FileError {
+        FileError::Container {
+            noun: self.noun,
+            file: file.to_owned(),
+            message: e.to_string(),
+        }
+    }
+
+    fn missing(&self, file: &str, key: &'static str) -> FileError {
+        FileError::Missing {
+            noun: self.noun,
+            file: file.to_owned(),
+            key,
+        }
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`FileError::Access`].
+    pub fn load(&self, path: &Path) -> Result<Vec<u8>, FileError> {
+        std::fs::read(path).map_err(|source| self.access_error(path, source))
+    }
+
+    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
+    ///
+    /// # Errors
+    /// [`FileError::Access`].
+    pub fn save(&self, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+        let beside = path.with_extension("new");
+        std::fs::write(&beside, bytes)
+            .and_then(|()| std::fs::rename(&beside, path))
+            .map_err(|source| self.access_error(path, source))
+    }
+
+    fn access_error(&self, path: &Path, source: std::io::Error) -> FileError {
+        FileError::Access {
+            noun: self.noun,
+            file: path.display().to_string(),
+            source,
+        }
+    }
+}
+
+/// What a file holds: metadata without the digest, and tensors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Contents {
+    /// Metadata.
+    pub entries: BTreeMap<String, String>,
+    /// Tensors in the order of their kind.
+    pub tensors: Vec<Tensor>,
+}
+
+impl Contents {
+    /// The kind's own entries and these; tensors to be added.
+    pub fn new(kind: &Kind, entries: impl IntoIterator<Item = (&'static str, String)>) -> Self {
+        let identity = kind.identity.into_iter().map(|(key, value)| (key, value.to_owned()));
+        Self {
+            entries: identity.chain(entries).map(|(k, v)| (k.to_owned(), v)).collect(),
+            tensors: Vec::new(),
+        }
+    }
+
+    /// Adds a tensor.
+    pub fn push(&mut self, name: &str, shape: &[usize], values: Vec<f32>) {
+        self.tensors.push(Tensor {
+            name: name.to_owned(),
+            shape: shape.to_owned(),
+            values,
+        });
+    }
+
+    /// Adds tensors whose values lie one behind the other. The last one takes what is left over, so that a wrong length is
+    /// found by [`Self::to_bytes`].
+    pub fn push_all(&mut self, shapes: &[(String, Vec<usize>)], mut values: &[f32]) {
+        for (i, (name, shape)) in shapes.iter().enumerate() {
+            let len = if i + 1 == shapes.len() {
+                values.len()
+            } else {
+                shape.iter().product::<usize>().min(values.len())
+            };
+            let (own, rest) = values.split_at_checked(len).unwrap_or((values, &[]));
+            self.push(name, shape, own.to_owned());
+            values = rest;
+        }
+    }
+
+    /// SHA-256 over entries and tensors.
+    pub fn sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        for (key, value) in &self.entries {
+            for part in [key.as_bytes(), &[0], value.as_bytes(), &[0]] {
+                hash.update(part);
+            }
+        }
+        for value in self.tensors.iter().flat_map(|tensor| &tensor.values) {
+            hash.update(value.to_le_bytes());
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
+    /// The file.
+    ///
+    /// # Errors
+    /// A tensor whose values do not fill its shape or are not finite.
+    pub fn to_bytes(&self, kind: &Kind) -> Result<Vec<u8>, FileError> {
+        const FILE: &str = "to be written";
+        self.check(kind, FILE)?;
+        let bytes_of = |tensor: &Tensor| tensor.values.iter().flat_map(|x| x.to_le_bytes()).collect();
+        let bytes: Vec<Vec<u8>> = self.tensors.iter().map(bytes_of).collect();
+        let mut views = Vec::new();
+        for (tensor, bytes) in self.tensors.iter().zip(&bytes) {
+            let view = TensorView::new(Dtype::F32, tensor.shape.clone(), bytes);
+            views.push((tensor.name.clone(), view.map_err(|e| kind.container_error(FILE, &e))?));
+        }
+        let mut metadata: HashMap<String, String> = self.entries.clone().into_iter().collect();
+        metadata.insert(DIGEST.to_owned(), self.sha256());
+        safetensors::serialize(views, Some(metadata)).map_err(|e| kind.container_error(FILE, &e))
+    }
+
+    fn check(&self, kind: &Kind, file: &str) -> Result<(), FileError> {
+        for Tensor { name, shape, values } in &self.tensors {
+            let (got, expected) = (values.len(), shape.iter().product::<usize>());
+            if got != expected {
+                let message = format!("has {got} values of tensor `{name}` instead of {expected}");
+                return Err(kind.content_error(file, message));
+            }
+            if !values.iter().all(|x| x.is_finite()) {
+                return Err(kind.content_error(file, format!("has a number in tensor `{name}` that is not finite")));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A file that was read and verified: of the kind, whole, unaltered, finite.
+#[derive(Debug)]
+pub struct Verified<'a> {
+    kind: &'a Kind,
+    file: &'a str,
+    contents: Contents,
+}
+
+impl<'a> Verified<'a> {
+    /// Reads and verifies a file's content; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`FileError`]: anything but an unaltered file of the kind.
+    pub fn from_bytes(kind: &'a Kind, file: &'a str, bytes: &[u8]) -> Result<Self, FileError> {
+        let container = |e: safetensors::SafeTensorError| kind.container_error(file, &e);
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(container)?;
+        let content = SafeTensors::deserialize(bytes).map_err(container)?;
+        let mut entries: BTreeMap<String, String> = header.metadata().clone().unwrap_or_default().into_iter().collect();
+        for (key, expected) in kind.identity {
+            let found = entries.get(key).ok_or_else(|| kind.missing(file, key))?;
+            if found != expected {
+                return Err(FileError::Other {
+                    noun: kind.noun,
+                    file: file.to_owned(),
+                    key,
+                    found: found.clone(),
+                    expected,
+                });
+            }
+        }
+        let expected = entries.remove(DIGEST).ok_or_else(|| kind.missing(file, DIGEST))?;
+        let mut tensors = Vec::new();
+        for (name, shape) in (kind.tensors)() {
+            let fits = |got: &[usize]| {
+                got.len() == shape.len() && got.iter().zip(&shape).all(|(got, want)| *want == 0 || got == want)
+            };
+            let view = content.tensor(&name).ok();
+            let Some(view) = view.filter(|view| view.dtype() == Dtype::F32 && fits(view.shape())) else {
+                return Err(FileError::Tensor {
+                    noun: kind.noun,
+                    file: file.to_owned(),
+                    tensor: name,
+                    shape: format!("{shape:?}").replace("[0,", "[any,"),
+                });
+            };
+            let values = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b));
+            tensors.push(Tensor {
+                name,
+                shape: view.shape().to_owned(),
+                values: values.collect(),
+            });
+        }
+        let contents = Contents { entries, tensors };
+        let found = contents.sha256();
+        if found != expected {
+            return Err(FileError::Altered {
+                noun: kind.noun,
+                file: file.to_owned(),
+                found,
+                expected,
+            });
+        }
+        contents.check(kind, file)?;
+        Ok(Self { kind, file, contents })
+    }
+
+    /// An entry's text.
+    ///
+    /// # Errors
+    /// [`FileError::Missing`].
+    pub fn text(&self, key: &'static str) -> Result<String, FileError> {
+        self.optional(key).ok_or_else(|| self.kind.missing(self.file, key))
+    }
+
+    /// An entry's number.
+    ///
+    /// # Errors
+    /// [`FileError::Missing`].
+    pub fn number<T: FromStr>(&self, key: &'static str) -> Result<T, FileError> {
+        let number = self.text(key)?.parse();
+        number.map_err(|_| self.kind.missing(self.file, key))
+    }
+
+    /// An entry that a file may lack.
+    pub fn optional(&self, key: &str) -> Option<String> {
+        self.contents.entries.get(key).cloned()
+    }
+
+    /// The tensors' values, in the order of the kind.
+    pub fn into_values(self) -> impl Iterator<Item = Vec<f32>> {
+        self.contents.tensors.into_iter().map(|tensor| tensor.values)
+    }
+}
