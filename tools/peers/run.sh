@@ -12,6 +12,6 @@ if ! cmp -s "$requirements" "$venv/installed.txt"; then
     cp "$requirements" "$venv/installed.txt"
 fi
 cargo build --release --locked --manifest-path "$repository/Cargo.toml" -p vigil-peers
-# Outside the workspace: its 200 crates take minutes, and nothing else needs them.
+# Outside the workspace: its 115 crates take minutes, and nothing else needs them.
 cargo build --release --locked --manifest-path "$repository/tools/peers/tract/Cargo.toml" --target-dir "$repository/target/tract"
 exec "$venv/bin/python" "$repository/tools/peers/compare.py" --tract "$repository/target/tract/release/vigil-peers-tract" "$@"

@@ -17,7 +17,7 @@ fn four(values: &[f32], at: usize) -> [f32; 4] {
     values.copied().unwrap_or([0.0; 4])
 }
 
-/// Turns rows of 16 values into 16 columns, four by four: the compiler makes shuffles of it.
+/// Turns rows of 16 values into 16 columns, four by four: one check of bounds for four values.
 #[inline(always)]
 fn sixteen(from: &[[f32; 16]], to: &mut [f32], to_row: usize) {
     let mut columns = to.chunks_mut(to_row);
@@ -57,7 +57,7 @@ impl Task for Transpose<'_> {
         for (block, rows) in self.from.chunks(4 * width).enumerate() {
             let first = block * 4;
             let square = if rows.len() == 4 * width { width / 4 * 4 } else { 0 };
-            // Four by four: the compiler makes shuffles of it.
+            // Four by four, as in `sixteen`.
             for column in (0..square).step_by(4) {
                 let [a0, a1, a2, a3] = four(rows, column);
                 let [b0, b1, b2, b3] = four(rows, column + width);
