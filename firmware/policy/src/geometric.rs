@@ -227,13 +227,11 @@ impl GeometricPilot {
     /// Whether another pilot's action leads into something remembered, even if the vehicle is told to stop after it. To be asked
     /// after [`Pilot::decide`], with the same input.
     pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
-        let motion = Motion {
-            position_ned_m: input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input),
-            yaw_rad: input.attitude.yaw_rad(),
-            velocity_m_s: input.velocity_m_s,
-            yaw_rate_rad_s: action.yaw * YAW_RATE_PER_UNIT_RAD_S,
-        };
-        governor::on_collision_course(&motion, &self.memory, action.forward_m_s)
+        governor::on_collision_course(
+            &motion_of(input, position_ned_m(input), action.yaw),
+            &self.memory,
+            action.forward_m_s,
+        )
     }
 
     /// Forgets everything after a jump of the position, and what is remembered of the obstacles when the vehicle has not
@@ -257,11 +255,26 @@ impl GeometricPilot {
     }
 }
 
+/// Where the vehicle is now: where it was at capture, and how far it has come since.
+fn position_ned_m(input: &PilotInput<'_>) -> NedVector {
+    input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input)
+}
+
+/// How the vehicle moves under a yaw output.
+fn motion_of(input: &PilotInput<'_>, position_ned_m: NedVector, yaw: f32) -> Motion {
+    Motion {
+        position_ned_m,
+        yaw_rad: input.attitude.yaw_rad(),
+        velocity_m_s: input.velocity_m_s,
+        yaw_rate_rad_s: yaw * YAW_RATE_PER_UNIT_RAD_S,
+    }
+}
+
 impl Pilot for GeometricPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let yaw_rad = input.attitude.yaw_rad();
         let header = &input.depth.header;
-        let here = header.position_ned_m + Surroundings::moved_since_capture_m(input);
+        let here = position_ned_m(input);
         self.doubt(here, input.now_ns);
         if self.memoryless {
             self.memory.clear();
@@ -328,12 +341,7 @@ impl Pilot for GeometricPilot {
             .forward_m_s
             .min(self.config.cruise_m_s * alignment.clamp(0.0, 1.0))
             .min(near_goal_m_s);
-        let motion = Motion {
-            position_ned_m: here,
-            yaw_rad,
-            velocity_m_s: input.velocity_m_s,
-            yaw_rate_rad_s: wanted.yaw * YAW_RATE_PER_UNIT_RAD_S,
-        };
+        let motion = motion_of(input, here, wanted.yaw);
         Action {
             forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.memory, wanted_m_s, self.margins.spare_m),
             yaw: wanted.yaw,

@@ -114,9 +114,14 @@ impl Conv2d {
         (3 * self.rows_seen()).min(self.out_rows())
     }
 
+    /// Phases that the input's columns have.
+    fn column_phases(&self) -> usize {
+        self.stride.min(self.cols)
+    }
+
     /// Length of one image row of the input, its columns sorted by phase and channel.
     fn phases_len(&self) -> usize {
-        self.stride.min(self.cols) * self.channels * self.cols.div_ceil(self.stride)
+        self.column_phases() * self.channels * self.cols.div_ceil(self.stride)
     }
 
     /// Length of the scratch slice of [`Self::input_gradient_planar`].
@@ -174,8 +179,8 @@ impl Conv2d {
             let phase_rows = part_mut("conv2d scratch", phase_rows, 0, rows.len() * phases_len)?;
             phase_rows.fill(0.0);
             let mut phase = 0;
-            while phase < self.stride.min(self.cols) {
-                let columns = Group::of(self, phase, self.stride.min(self.cols));
+            while phase < self.column_phases() {
+                let columns = Group::of(self, phase, self.column_phases());
                 for y in self.taps() {
                     for x in self.taps() {
                         self.add_taps(isa, packed, planes, oldest, (rows, y), (columns, x), phase, phase_rows)?;
@@ -184,12 +189,11 @@ impl Conv2d {
                 phase += columns.len();
             }
             for (phases, dx_row) in phase_rows.chunks_exact(phases_len).zip(&mut dx_rows) {
-                let lists = self.stride.min(self.cols) * self.channels;
                 kernels::run(
                     isa,
                     Interleave {
                         from: phases,
-                        lists,
+                        lists: self.column_phases() * self.channels,
                         to: dx_row,
                     },
                 );
@@ -225,7 +229,7 @@ impl Conv2d {
         let tap = self.channels * self.filters;
         let step = y.phases * x.phases;
         let begin = self.block(y, x) + (from - y.from) * (x.to - x.from) * step + first_y * x.phases + first_x;
-        let phases = self.stride.min(self.cols);
+        let phases = self.column_phases();
         // All phases in one product if their weights and their places lie at equal distances.
         let (lines, rows_of_line, a_row, out_row) = if count_x == x.phases && count_x == phases {
             (1, count_y * count_x * self.channels, self.filters, phase_len)
