@@ -1,13 +1,16 @@
-//! What all services share: time, the vehicle's view, flight state, parameters, and what waits to be sent.
+//! What all services share: time, the vehicle's view, flight state, parameters, and what waits to be sent. It knows none of
+//! them.
 
 use crate::files::FileSystem;
-use crate::flight::{Commander, Failsafe, FenceWatch, FlightMode, LandedState, Setpoints, Sticks};
+use crate::flight::mode::FlightMode;
+use crate::flight::setpoints::Setpoints;
+use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, Sticks};
 use crate::outbox::Outbox;
 use crate::parameters::{ParamId, Parameters};
 use crate::plan::Plans;
-use crate::services::flight_information::FlightTimes;
-use crate::services::signing::SigningSetup;
-use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, services};
+use crate::{ConfigError, EndpointConfig, HomePosition, LinkId};
+use vigil_link::MavMessage;
+use vigil_link::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_link::framing::FramingCounters;
 pub use vigil_link::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
@@ -69,6 +72,18 @@ pub struct EndpointStatus {
     pub last_text: String,
 }
 
+/// What SETUP_SIGNING asks for: for whoever owns the links.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct SigningSetup {
+    /// The key.
+    pub key: [u8; 32],
+    /// Timestamp to begin with, in units of 10 µs since 2015-01-01.
+    pub initial_timestamp: u64,
+}
+
+/// Bytes of a STATUSTEXT.
+const TEXT_CHUNK: usize = 50;
+
 /// Shared state.
 pub(crate) struct Core {
     pub now_ns: Nanos,
@@ -85,15 +100,12 @@ pub(crate) struct Core {
     pub commander: Commander,
     pub setpoints: Setpoints,
     pub sticks: Sticks,
-    /// See `services::vibration`.
-    pub vibration_m_s2: [f32; 3],
     /// A new signing key that the links have not taken yet.
     pub signing_setup: Option<SigningSetup>,
     pub plans: Plans,
     pub fence_watch: FenceWatch,
     pub outbox: Outbox,
     pub files: FileSystem,
-    pub flight_times: FlightTimes,
     pub framing: FramingCounters,
     pub refusals: Refusals,
     pub forwarded: u64,
@@ -106,8 +118,6 @@ pub(crate) struct Core {
 impl Core {
     pub fn new(config: &EndpointConfig) -> Result<Self, ConfigError> {
         config.check()?;
-        let mut files = FileSystem::default();
-        services::metadata::provide(&mut files, config.unix_time_at_zero_us / 1_000_000);
         Ok(Self {
             now_ns: 0,
             boot_ns: None,
@@ -123,13 +133,11 @@ impl Core {
             commander: Commander::default(),
             setpoints: Setpoints::default(),
             sticks: Sticks::default(),
-            vibration_m_s2: [0.0; 3],
             signing_setup: None,
             plans: Plans::default(),
             fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),
-            files,
-            flight_times: FlightTimes::default(),
+            files: FileSystem::default(),
             framing: FramingCounters::default(),
             refusals: Refusals::default(),
             forwarded: 0,
@@ -163,6 +171,30 @@ impl Core {
     /// Unix time in seconds, by the endpoint's own fixed calendar.
     pub fn unix_time_s(&self) -> u64 {
         self.unix_time_at_zero_us / 1_000_000 + self.now_ns / 1_000_000_000
+    }
+
+    /// Sends a text to people on all links; longer than 50 bytes in chunks of one id.
+    /// <https://mavlink.io/en/messages/common.html#STATUSTEXT>
+    pub fn text(&mut self, severity: MavSeverity, text: &str) {
+        self.texts += 1;
+        text.clone_into(&mut self.last_text);
+        // An id of 0 means that the text is not continued.
+        let id = if text.len() > TEXT_CHUNK {
+            (self.texts % u64::from(u16::MAX)) as u16 + 1
+        } else {
+            0
+        };
+        for (chunk_seq, chunk) in text.as_bytes().chunks(TEXT_CHUNK).enumerate() {
+            let mut padded = [0; TEXT_CHUNK];
+            padded[..chunk.len()].copy_from_slice(chunk);
+            let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+                severity,
+                text: padded.into(),
+                id,
+                chunk_seq: chunk_seq as u8,
+            });
+            self.outbox.send_all(&message);
+        }
     }
 
     /// Asks for a message to be sent on all links at once, besides its stream: it changed.

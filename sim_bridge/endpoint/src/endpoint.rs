@@ -1,8 +1,7 @@
 //! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
 
-use crate::core::{ComponentId, Core, EndpointStatus};
+use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup};
 use crate::service::{Answer, Service, Source};
-use crate::services::signing::SigningSetup;
 use crate::streams::Streams;
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services};
 use vigil_link::common::{MavResult, SETUP_SIGNING_DATA};
@@ -39,10 +38,12 @@ impl Endpoint {
     /// # Errors
     /// [`ConfigError`] names the field and what it may be.
     pub fn new(config: EndpointConfig) -> Result<Self, ConfigError> {
-        let core = Core::new(&config)?;
-        let services = services::all();
-        let produced = services.iter().flat_map(|s| s.messages().iter().copied());
-        let streams = Streams::new(&config.links, produced);
+        let mut core = Core::new(&config)?;
+        let mut services = services::all();
+        for service in &mut services {
+            service.start(&mut core);
+        }
+        let streams = Streams::new(&config.links, &services);
         Ok(Self {
             core,
             services,
@@ -64,7 +65,7 @@ impl Endpoint {
             self.packet(link, &packet);
         }
         self.core.framing = counters;
-        self.streams.send_wanted(&mut self.core);
+        self.streams.send_wanted(&mut self.core, &self.services);
         self.due_ns = self.next_due_ns();
     }
 
@@ -110,7 +111,7 @@ impl Endpoint {
 
     fn command(&mut self, command: &Command, source: Source) {
         let core = &mut self.core;
-        let answer = services::message_interval(command, source, core, &mut self.streams)
+        let answer = services::message_interval(command, source, core, &mut self.streams, &mut self.services)
             .or_else(|| self.services.iter_mut().find_map(|s| s.command(command, source, core)))
             .unwrap_or(Answer::UNSUPPORTED);
         match answer.result {
@@ -150,10 +151,10 @@ impl Endpoint {
                     service.step(&mut self.core);
                 }
             }
-            self.streams.step(&mut self.core);
+            self.streams.step(&mut self.core, &self.services);
             self.due_ns = self.next_due_ns();
         }
-        self.streams.send_wanted(&mut self.core);
+        self.streams.send_wanted(&mut self.core, &self.services);
         command
     }
 

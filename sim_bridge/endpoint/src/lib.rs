@@ -5,7 +5,8 @@
 //! the same bytes and the same flight. What it speaks is described in docs/mavlink.md, from
 //! <https://mavlink.io/en/services/> and the behaviour of PX4's software in the loop.
 //!
-//! A protocol service is a file in `services` that implements `service::Service` and one line in `services::all`.
+//! A protocol service is a file in `services` that implements `service::Service` and its line in `services`: `services`
+//! know the core, the core knows none of them.
 #![forbid(unsafe_code)]
 // Clients still send what the protocol calls superseded (PING, SET_MODE, MAV_FRAME_BODY_NED), and expect answers.
 #![allow(deprecated)]
@@ -16,6 +17,7 @@ mod endpoint;
 mod files;
 mod flight;
 mod geo;
+mod message_ids;
 mod outbox;
 mod parameters;
 mod plan;
@@ -30,10 +32,9 @@ mod testing;
 mod tests;
 
 pub use config::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
-pub use core::{EndpointStatus, Refusals};
+pub use core::{EndpointStatus, Refusals, SigningSetup};
 pub use endpoint::Endpoint;
 pub use flight::{Failsafe, FlightMode, LandedState};
 pub use parameters::{ParameterError, ParameterInfo, ParameterType, ParameterValue, parameter_table};
 pub use saved::Saved;
-pub use services::signing::SigningSetup;
 pub use vigil_link::routing::ComponentId;

@@ -43,12 +43,27 @@ pub(crate) struct Produced {
     pub id: u32,
     /// Messages per second on an onboard, API and GCS link; 0 is on request only.
     pub rate_hz: [f32; 3],
-    /// Builds it; `None` if there is nothing to tell.
-    pub build: fn(&Core) -> Option<MavMessage>,
+    /// How it is built.
+    pub build: Build,
+}
+
+/// Where a message's contents are.
+#[derive(Clone, Copy)]
+pub(crate) enum Build {
+    /// In what all services share; `None` if there is nothing to tell.
+    From(fn(&Core) -> Option<MavMessage>),
+    /// In the service itself: [`Service::produce`] builds it.
+    Stateful,
 }
 
 /// One protocol service. All methods have a default, so that a service implements what it needs.
+///
+/// It knows the core; neither the core nor the endpoint knows it. To add one: a file in `services`, and its line in the table
+/// of `services::all`.
 pub(crate) trait Service {
+    /// Runs once, before everything else.
+    fn start(&mut self, _core: &mut Core) {}
+
     /// A packet that is addressed to the vehicle or to everybody, except commands.
     fn receive(&mut self, _packet: &Packet<'_>, _source: Source, _core: &mut Core) {}
 
@@ -62,6 +77,11 @@ pub(crate) trait Service {
         &[]
     }
 
+    /// Builds one of its messages whose contents it keeps itself ([`Build::Stateful`]); `None` if there is nothing to tell.
+    fn produce(&self, _message_id: u32, _core: &Core) -> Option<MavMessage> {
+        None
+    }
+
     /// When [`Service::step`] wants to run next.
     fn due_ns(&self) -> Nanos {
         Nanos::MAX
@@ -70,3 +90,6 @@ pub(crate) trait Service {
     /// Runs in the first step at or after [`Service::due_ns`].
     fn step(&mut self, _core: &mut Core) {}
 }
+
+/// The services of a vehicle, in the order in which commands are offered to them.
+pub(crate) type Services = [Box<dyn Service + Send>];

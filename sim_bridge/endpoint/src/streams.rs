@@ -1,8 +1,9 @@
 //! Which message goes out on which link when.
 
 use crate::core::Core;
-use crate::service::Produced;
+use crate::service::{Build, Produced, Services};
 use crate::{LinkId, LinkRole};
+use vigil_link::MavMessage;
 use vigil_types::Nanos;
 
 /// Shortest interval that can be asked for.
@@ -15,9 +16,24 @@ struct Schedule {
     next_ns: Nanos,
 }
 
-struct Stream {
+/// A message and the index of the service that produces it.
+struct Origin {
     produced: Produced,
+    service: usize,
+}
+
+struct Stream {
+    origin: Origin,
     per_link: Vec<Schedule>,
+}
+
+impl Origin {
+    fn build(&self, core: &Core, services: &Services) -> Option<MavMessage> {
+        match self.produced.build {
+            Build::From(build) => build(core),
+            Build::Stateful => services.get(self.service)?.produce(self.produced.id, core),
+        }
+    }
 }
 
 /// All streams of all links.
@@ -33,10 +49,14 @@ fn default_interval_ns(produced: &Produced, role: LinkRole) -> Option<Nanos> {
 }
 
 impl Streams {
-    pub fn new(roles: &[LinkRole], produced: impl Iterator<Item = Produced>) -> Self {
+    pub fn new(roles: &[LinkRole], services: &Services) -> Self {
+        let produced = services
+            .iter()
+            .enumerate()
+            .flat_map(|(index, service)| service.messages().iter().map(move |produced| (index, *produced)));
         let mut streams: Vec<Stream> = produced
-            .map(|produced| Stream {
-                produced,
+            .map(|(service, produced)| Stream {
+                origin: Origin { produced, service },
                 per_link: roles
                     .iter()
                     .map(|role| Schedule {
@@ -46,8 +66,8 @@ impl Streams {
                     .collect(),
             })
             .collect();
-        streams.sort_by_key(|s| s.produced.id);
-        debug_assert!(streams.is_sorted_by(|a, b| a.produced.id < b.produced.id));
+        streams.sort_by_key(|s| s.origin.produced.id);
+        debug_assert!(streams.is_sorted_by(|a, b| a.origin.produced.id < b.origin.produced.id));
         Self {
             streams,
             roles: roles.to_vec(),
@@ -62,7 +82,7 @@ impl Streams {
     }
 
     fn find(&self, id: u32) -> Option<usize> {
-        self.streams.binary_search_by_key(&id, |s| s.produced.id).ok()
+        self.streams.binary_search_by_key(&id, |s| s.origin.produced.id).ok()
     }
 
     /// Interval of a message on a link in microseconds as MESSAGE_INTERVAL tells it: 0 unknown message, −1 off.
@@ -92,7 +112,7 @@ impl Streams {
         schedule.interval_ns = if interval_us < 0.0 {
             None
         } else if interval_us == 0.0 {
-            default_interval_ns(&stream.produced, *role)
+            default_interval_ns(&stream.origin.produced, *role)
         } else {
             // A float beyond the integer's range saturates.
             Some(((f64::from(interval_us) * 1e3) as Nanos).max(MIN_INTERVAL_NS))
@@ -108,16 +128,16 @@ impl Streams {
     }
 
     /// Whether there is such a message and something for it to tell now.
-    pub fn has(&self, core: &Core, id: u32) -> bool {
+    pub fn has(&self, core: &Core, services: &Services, id: u32) -> bool {
         self.find(id)
-            .is_some_and(|i| (self.streams[i].produced.build)(core).is_some())
+            .is_some_and(|i| self.streams[i].origin.build(core, services).is_some())
     }
 
     /// Sends everything that was asked for besides the streams.
-    pub fn send_wanted(&self, core: &mut Core) {
+    pub fn send_wanted(&self, core: &mut Core, services: &Services) {
         let mut wanted = core.take_wanted();
         for (link, id) in wanted.drain(..) {
-            let message = self.find(id).and_then(|i| (self.streams[i].produced.build)(core));
+            let message = self.find(id).and_then(|i| self.streams[i].origin.build(core, services));
             match (message, link) {
                 (Some(message), Some(link)) => core.outbox.send(link, &message),
                 (Some(message), None) => core.outbox.send_all(&message),
@@ -128,7 +148,7 @@ impl Streams {
     }
 
     /// Sends what is due.
-    pub fn step(&mut self, core: &mut Core) {
+    pub fn step(&mut self, core: &mut Core, services: &Services) {
         let now_ns = core.now_ns;
         let mut next_ns = Nanos::MAX;
         for stream in &mut self.streams {
@@ -138,7 +158,7 @@ impl Streams {
                     continue;
                 };
                 if schedule.next_ns <= now_ns {
-                    let message = built.get_or_insert_with(|| (stream.produced.build)(core));
+                    let message = built.get_or_insert_with(|| stream.origin.build(core, services));
                     if let Some(message) = message {
                         core.outbox.send(LinkId(link as u8), message);
                     }

@@ -1,10 +1,11 @@
 //! Arming, mode changes, failsafes and the landed state: the decisions that PX4's commander takes.
 
 use crate::core::{ComponentId, Core};
-use crate::flight::control::Maneuver;
-use crate::flight::{Claim, FlightMode, Setpoints, Sticks};
+use crate::flight::mode::FlightMode;
+use crate::flight::setpoints::{Claim, Setpoints};
+use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
+use crate::message_ids;
 use crate::parameters::ParamId;
-use crate::services::message_ids;
 use vigil_link::common::MavSeverity;
 use vigil_types::{Nanos, NedVector};
 use vigil_vehicle::YawCommand;
@@ -15,111 +16,6 @@ const LANDED_AFTER_NS: Nanos = 300_000_000;
 const AIRBORNE_AFTER_NS: Nanos = 50_000_000;
 /// Tilt beyond which the vehicle does not arm: it lies on its side.
 const ARMING_TILT_RAD: f32 = core::f32::consts::FRAC_PI_4;
-
-/// Whether the vehicle is on the ground, as EXTENDED_SYS_STATE tells it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum LandedState {
-    /// Weight on the ground.
-    #[default]
-    OnGround,
-    /// Climbing in a take-off.
-    TakingOff,
-    /// In the air.
-    InAir,
-    /// Descending in a landing.
-    Landing,
-}
-
-/// A failsafe in force: the vehicle acts by itself until a new mode command comes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Failsafe {
-    /// The owner's setpoints stopped in OFFBOARD.
-    SetpointLost,
-    /// The vehicle left its geofence.
-    GeofenceBreached,
-    /// The sticks stopped in position mode.
-    ManualControlLost,
-}
-
-/// Why arming, disarming or a mode change is refused.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum Denial {
-    #[error("arming denied: flight terminated, reboot first")]
-    Terminated,
-    #[error("arming denied: vehicle is tilted")]
-    Tilted,
-    #[error("position denied: no manual control")]
-    NoSticks,
-    #[error("disarming denied: not landed")]
-    NotLanded,
-    #[error("offboard denied: no setpoints")]
-    NoSetpoints,
-    #[error("offboard denied: setpoints from {}", list(.0))]
-    SeveralSources(Vec<ComponentId>),
-    #[error("offboard denied: {0} owns it")]
-    OwnedByOther(ComponentId),
-    #[error("denied: not in the air")]
-    NotInAir,
-    #[error("speed denied: not on a way of its own")]
-    NoWay,
-    #[error("mission denied: no mission")]
-    NoMission,
-    #[error("mission denied: item {0} is outside the geofence")]
-    MissionOutsideFence(usize),
-    #[error("denied: outside the geofence")]
-    OutsideFence,
-}
-
-fn list(sources: &[ComponentId]) -> String {
-    let names: Vec<String> = sources.iter().map(ToString::to_string).collect();
-    names.join(", ")
-}
-
-/// Flight state.
-#[derive(Debug, Default)]
-pub(crate) struct Commander {
-    armed: bool,
-    terminated: bool,
-    mode: FlightMode,
-    pub(super) maneuver: Maneuver,
-    failsafe: Option<Failsafe>,
-    landed: LandedState,
-    /// Contact with the ground (or its absence) and since when.
-    contact: bool,
-    contact_since_ns: Nanos,
-    /// Was in the air since it was armed.
-    has_flown: bool,
-    /// Since when it is armed on the ground.
-    idle_since_ns: Nanos,
-    /// Where Return mode flies to: metres north and east of the local origin.
-    pub(super) return_to_m: (f32, f32),
-}
-
-impl Commander {
-    pub fn mode(&self) -> FlightMode {
-        self.mode
-    }
-
-    pub fn is_armed(&self) -> bool {
-        self.armed
-    }
-
-    pub fn is_terminated(&self) -> bool {
-        self.terminated
-    }
-
-    pub fn failsafe(&self) -> Option<Failsafe> {
-        self.failsafe
-    }
-
-    pub fn landed(&self) -> LandedState {
-        self.landed
-    }
-
-    pub fn is_on_ground(&self) -> bool {
-        self.landed == LandedState::OnGround
-    }
-}
 
 impl Core {
     /// Whether the vehicle could be armed now.

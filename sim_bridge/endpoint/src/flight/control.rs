@@ -1,87 +1,17 @@
 //! From mode to the command for the vehicle's controllers, once per millisecond.
 
 use crate::core::Core;
-use crate::flight::FlightMode;
-use crate::flight::orbit::Orbit;
+use crate::flight::mode::FlightMode;
+use crate::flight::state::{Climb, Maneuver};
 use crate::parameters::ParamId;
 use vigil_link::common::{
     ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
 };
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, Estimate, YawCommand};
+use vigil_vehicle::{ControlCommand, YawCommand};
 
-/// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
-const CLIMB_BRAKING_M_S2: f32 = 0.4;
-/// Margin on that distance, for the jerk limit's delay.
-const CLIMB_MARGIN_M: f32 = 0.5;
 /// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
 const BRAKE_NS: Nanos = 3_000_000_000;
-
-/// A climb straight up: at a constant rate, then by position control.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Climb {
-    target_ned_m: NedVector,
-    rate_m_s: f32,
-}
-
-/// What is being flown. The mode decides what follows when it is done.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Maneuver {
-    /// Stop, then hold where it stopped, at `height_m` if given.
-    Brake {
-        began_ns: Option<Nanos>,
-        height_m: Option<f32>,
-    },
-    /// Waits for arming to take off to this height.
-    Grounded { height_m: Option<f32> },
-    /// Climbs straight up.
-    Climb(Climb),
-    /// Goes to a position and holds it.
-    Station {
-        position_ned_m: NedVector,
-        yaw: YawCommand,
-        speed_limit_m_s: f32,
-    },
-    /// Descends straight down until on the ground.
-    Descend,
-    /// Obeys the owner's setpoints.
-    Offboard,
-    /// Flown by sticks.
-    Sticks,
-    /// Circles a point.
-    Orbit(Orbit),
-}
-
-impl Default for Maneuver {
-    fn default() -> Self {
-        Self::Brake {
-            began_ns: None,
-            height_m: None,
-        }
-    }
-}
-
-impl Maneuver {
-    pub fn climb(from_ned_m: NedVector, target_z_m: f32, rate_m_s: f32) -> Self {
-        Self::Climb(Climb {
-            target_ned_m: NedVector::new(from_ned_m.x, from_ned_m.y, target_z_m),
-            rate_m_s,
-        })
-    }
-}
-
-impl Climb {
-    /// Whether what is left of the way is so long that the rate limits the climb.
-    fn is_cruising(&self, z_m: f32) -> bool {
-        let braking_m = self.rate_m_s * self.rate_m_s / (2.0 * CLIMB_BRAKING_M_S2);
-        z_m - self.target_ned_m.z > braking_m + CLIMB_MARGIN_M
-    }
-
-    /// Whether the height is reached and the vehicle rests there.
-    pub fn is_done(&self, estimate: &Estimate) -> bool {
-        (estimate.position_ned_m.z - self.target_ned_m.z).abs() < 0.2 && estimate.velocity_ned_m_s.z.abs() < 0.2
-    }
-}
 
 impl Core {
     /// One step of flight: ground contact, failsafes, maneuver.

@@ -1,10 +1,11 @@
 //! What the geofence does in flight. <https://docs.px4.io/main/en/flying/geofence.html>
 
 use crate::core::Core;
-use crate::flight::{Failsafe, FlightMode};
+use crate::flight::mode::FlightMode;
+use crate::flight::state::Failsafe;
+use crate::message_ids;
 use crate::parameters::ParamId;
 use crate::plan::Breach;
-use crate::services::message_ids;
 use vigil_link::common::MavSeverity;
 
 /// GF_ACTION.
@@ -16,16 +17,6 @@ enum Action {
     Return,
     Terminate,
     Land,
-}
-
-/// Whether the vehicle is outside its geofence, and how often it has been.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct FenceWatch {
-    pub breach: Option<Breach>,
-    /// Breaches since start.
-    pub count: u16,
-    /// Milliseconds since boot of the last one.
-    pub last_ms: u32,
 }
 
 impl Core {

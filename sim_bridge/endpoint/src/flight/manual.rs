@@ -1,52 +1,17 @@
 //! Flying by sticks: MANUAL_CONTROL in position mode. <https://docs.px4.io/main/en/flight_modes_mc/position.html>
 
-use crate::core::{ComponentId, Core};
-use crate::flight::control::Maneuver;
-use crate::flight::{Failsafe, FlightMode};
+use crate::core::Core;
+use crate::flight::mode::FlightMode;
+use crate::flight::state::{Deflections, Failsafe, Maneuver};
 use crate::parameters::ParamId;
 use vigil_link::common::MavSeverity;
-use vigil_types::{HeadingVector, Nanos};
+use vigil_types::HeadingVector;
 use vigil_vehicle::{ControlCommand, YawCommand};
 
-/// Sticks that are older are lost; PX4's COM_RC_LOSS_T.
-const LOST_AFTER_NS: Nanos = 500_000_000;
 /// Deflections below this are the centre.
 const DEAD_ZONE: f32 = 0.05;
 /// Turning rate at full deflection.
 const MAX_YAW_RATE_RAD_S: f32 = 1.5;
-
-/// Deflections, each from −1 to 1.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct Deflections {
-    pub forward: f32,
-    pub right: f32,
-    pub up: f32,
-    pub clockwise: f32,
-}
-
-/// The newest sticks, and whose they are. Two stations' sticks never mix: who streams keeps the vehicle until silent.
-#[derive(Debug, Default)]
-pub(crate) struct Sticks {
-    newest: Option<(ComponentId, Nanos, Deflections)>,
-}
-
-impl Sticks {
-    /// Takes what a station sends; `false` if another one has the vehicle.
-    pub fn take(&mut self, now_ns: Nanos, from: ComponentId, deflections: Deflections) -> bool {
-        let is_others = self.current(now_ns).is_some() && self.newest.is_some_and(|(owner, ..)| owner != from);
-        if !is_others {
-            self.newest = Some((from, now_ns, deflections));
-        }
-        !is_others
-    }
-
-    /// The sticks, unless they are lost.
-    pub fn current(&self, now_ns: Nanos) -> Option<Deflections> {
-        self.newest
-            .filter(|(_, at_ns, _)| now_ns.saturating_sub(*at_ns) <= LOST_AFTER_NS)
-            .map(|(_, _, deflections)| deflections)
-    }
-}
 
 fn beyond_dead_zone(deflection: f32) -> f32 {
     let beyond = (deflection.abs() - DEAD_ZONE).max(0.0) / (1.0 - DEAD_ZONE);

@@ -1,11 +1,11 @@
 //! Flying a mission item by item. <https://docs.px4.io/main/en/flight_modes_mc/mission.html>
 
 use crate::core::Core;
-use crate::flight::control::Maneuver;
-use crate::flight::{Denial, FlightMode};
+use crate::flight::mode::FlightMode;
+use crate::flight::state::{Denial, Maneuver};
+use crate::message_ids;
 use crate::parameters::ParamId;
 use crate::plan::{Leg, MissionItem, Purpose, Stage};
-use crate::services::message_ids;
 use vigil_link::common::MavSeverity;
 use vigil_types::{Nanos, NedVector, wrap_pi};
 use vigil_vehicle::YawCommand;

@@ -5,19 +5,15 @@ mod control;
 mod fence;
 mod manual;
 mod mission;
-mod mode;
+pub(crate) mod mode;
 mod orbit;
-mod setpoints;
+pub(crate) mod setpoints;
+pub(crate) mod state;
 
-pub use commander::{Failsafe, LandedState};
 pub use mode::FlightMode;
+pub use state::{Failsafe, LandedState};
 
-pub(crate) use commander::{Commander, Denial};
 pub(crate) use control::{attitude_target, position_target};
-pub(crate) use fence::FenceWatch;
-pub(crate) use manual::{Deflections, Sticks};
 pub(crate) use mode::Requested;
-pub(crate) use orbit::{Facing, Orbit};
-pub(crate) use setpoints::{
-    Claim, SetpointDefect, Setpoints, Taken, attitude_setpoint, global_setpoint, position_setpoint,
-};
+pub(crate) use setpoints::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
+pub(crate) use state::{Deflections, Denial, Facing, Orbit};

@@ -1,8 +1,8 @@
 //! Circling a point. <https://docs.px4.io/main/en/flight_modes_mc/orbit.html>
 
 use crate::core::Core;
-use crate::flight::control::Maneuver;
-use crate::flight::{Denial, FlightMode};
+use crate::flight::mode::FlightMode;
+use crate::flight::state::{Denial, Facing, Maneuver, Orbit};
 use crate::parameters::ParamId;
 use core::f32::consts::TAU;
 use vigil_types::{NedVector, wrap_pi};
@@ -16,29 +16,6 @@ const CAPTURE_M: f32 = 3.0;
 const VELOCITY_DELAY_S: f32 = 0.6;
 /// Points of the circle that are compared with the geofence.
 const FENCE_POINTS: u16 = 32;
-
-/// Where the nose points (ORBIT_YAW_BEHAVIOUR).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Facing {
-    Centre,
-    /// As it was.
-    Unchanged,
-    Tangent,
-}
-
-/// A circle and how it is flown.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Orbit {
-    pub centre_ned_m: NedVector,
-    pub radius_m: f32,
-    pub is_clockwise: bool,
-    pub speed_m_s: f32,
-    pub facing: Facing,
-    /// Angle that is left; `None` is without end.
-    pub left_rad: Option<f32>,
-    /// Bearing from the centre in the last step on the circle.
-    pub bearing_rad: Option<f32>,
-}
 
 impl Core {
     /// Begins to circle.

@@ -4,12 +4,12 @@
 //! are fresh, else the only source whose setpoints are fresh. Everybody else's setpoints are counted and ignored until
 //! OFFBOARD is left.
 
-use crate::core::ComponentId;
 use crate::{HomePosition, geo};
 use vigil_link::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
     SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
+use vigil_link::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, YawCommand};
 

@@ -4,7 +4,7 @@
 //! may with PX4 where the sensor is missing; none is ever sent, and a request for one is DENIED.
 
 use crate::core::Core;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
     ACTUATOR_CONTROL_TARGET_DATA, ADSB_VEHICLE_DATA, DISTANCE_SENSOR_DATA, HIL_STATE_QUATERNION_DATA, RC_CHANNELS_DATA,
@@ -33,7 +33,7 @@ const fn absent(id: u32) -> Produced {
     Produced {
         id,
         rate_hz: [0.0; 3],
-        build: nothing,
+        build: Build::From(nothing),
     }
 }
 

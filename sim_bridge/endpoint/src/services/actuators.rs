@@ -2,7 +2,7 @@
 //! the top speed; disarmed motors get 900 µs, as PX4 has it.
 
 use crate::core::Core;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{ACTUATOR_OUTPUT_STATUS_DATA, SERVO_OUTPUT_RAW_DATA};
 use vigil_link::mavlink::MessageData;
@@ -17,12 +17,12 @@ impl Service for Actuators {
             Produced {
                 id: SERVO_OUTPUT_RAW_DATA::ID,
                 rate_hz: [0.0, 1.0, 1.0],
-                build: servo_outputs,
+                build: Build::From(servo_outputs),
             },
             Produced {
                 id: ACTUATOR_OUTPUT_STATUS_DATA::ID,
                 rate_hz: [0.0, 5.0, 0.0],
-                build: actuator_outputs,
+                build: Build::From(actuator_outputs),
             },
         ]
     }

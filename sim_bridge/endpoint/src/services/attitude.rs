@@ -2,7 +2,7 @@
 
 use crate::core::Core;
 use crate::flight::attitude_target;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ATTITUDE_TARGET_DATA};
 use vigil_link::mavlink::MessageData;
@@ -15,17 +15,17 @@ impl Service for Attitude {
             Produced {
                 id: ATTITUDE_DATA::ID,
                 rate_hz: [50.0, 50.0, 20.0],
-                build: attitude,
+                build: Build::From(attitude),
             },
             Produced {
                 id: ATTITUDE_QUATERNION_DATA::ID,
                 rate_hz: [50.0, 20.0, 10.0],
-                build: attitude_quaternion,
+                build: Build::From(attitude_quaternion),
             },
             Produced {
                 id: ATTITUDE_TARGET_DATA::ID,
                 rate_hz: [0.0, 5.0, 2.0],
-                build: target,
+                build: Build::From(target),
             },
         ]
     }

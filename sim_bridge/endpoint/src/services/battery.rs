@@ -1,7 +1,7 @@
 //! BATTERY_STATUS. <https://mavlink.io/en/services/battery.html>
 
 use crate::core::Core;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
     BATTERY_STATUS_DATA, MavBatteryChargeState, MavBatteryFunction, MavBatteryMode, MavBatteryType,
@@ -15,7 +15,7 @@ impl Service for Battery {
         &[Produced {
             id: BATTERY_STATUS_DATA::ID,
             rate_hz: [0.5, 0.5, 0.5],
-            build: battery,
+            build: Build::From(battery),
         }]
     }
 }

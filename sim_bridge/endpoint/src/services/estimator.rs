@@ -1,7 +1,7 @@
 //! ESTIMATOR_STATUS: what the estimator believes it knows.
 
 use crate::core::Core;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{ESTIMATOR_STATUS_DATA, EstimatorStatusFlags as Flags};
 use vigil_link::mavlink::MessageData;
@@ -13,7 +13,7 @@ impl Service for Estimator {
         &[Produced {
             id: ESTIMATOR_STATUS_DATA::ID,
             rate_hz: [0.0, 1.0, 1.0],
-            build: estimator_status,
+            build: Build::From(estimator_status),
         }]
     }
 }

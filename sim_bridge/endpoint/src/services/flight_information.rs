@@ -1,7 +1,7 @@
 //! FLIGHT_INFORMATION: when the vehicle was armed and took off, and the number of the flight.
 
 use crate::core::Core;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::FLIGHT_INFORMATION_DATA;
 use vigil_link::mavlink::MessageData;
@@ -12,7 +12,7 @@ const WATCH_NS: Nanos = 20_000_000;
 
 /// Times of the present or last flight, microseconds since the first step; 0 where it has not happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct FlightTimes {
+struct FlightTimes {
     armed_us: u64,
     took_off_us: u64,
     landed_ms: u32,
@@ -22,6 +22,7 @@ pub(crate) struct FlightTimes {
 
 #[derive(Default)]
 pub(crate) struct FlightInformation {
+    times: FlightTimes,
     armed: bool,
     in_air: bool,
     watch_ns: Nanos,
@@ -32,8 +33,12 @@ impl Service for FlightInformation {
         &[Produced {
             id: FLIGHT_INFORMATION_DATA::ID,
             rate_hz: [0.0; 3],
-            build: flight_information,
+            build: Build::Stateful,
         }]
+    }
+
+    fn produce(&self, _id: u32, core: &Core) -> Option<MavMessage> {
+        Some(flight_information(&self.times, core))
     }
 
     fn due_ns(&self) -> Nanos {
@@ -44,7 +49,7 @@ impl Service for FlightInformation {
         self.watch_ns = core.now_ns + WATCH_NS;
         let (armed, in_air) = (core.commander.is_armed(), !core.commander.is_on_ground());
         let (now_us, now_ms) = (core.time_boot_us(), core.time_boot_ms());
-        let times = &mut core.flight_times;
+        let times = &mut self.times;
         if armed && !self.armed {
             *times = FlightTimes {
                 armed_us: now_us,
@@ -64,13 +69,12 @@ impl Service for FlightInformation {
 }
 
 /// Times since boot and the number of the flight, as the message is defined; its fields are misnamed.
-fn flight_information(core: &Core) -> Option<MavMessage> {
-    let times = core.flight_times;
-    Some(MavMessage::FLIGHT_INFORMATION(FLIGHT_INFORMATION_DATA {
+fn flight_information(times: &FlightTimes, core: &Core) -> MavMessage {
+    MavMessage::FLIGHT_INFORMATION(FLIGHT_INFORMATION_DATA {
         arming_time_utc: times.armed_us,
         takeoff_time_utc: times.took_off_us,
         flight_uuid: times.flight,
         time_boot_ms: core.time_boot_ms(),
         landing_time: times.landed_ms,
-    }))
+    })
 }

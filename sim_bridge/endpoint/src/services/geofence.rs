@@ -2,7 +2,7 @@
 
 use crate::core::Core;
 use crate::plan::Breach;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{FENCE_STATUS_DATA, FenceBreach, FenceMitigate};
 use vigil_link::mavlink::MessageData;
@@ -21,7 +21,7 @@ impl Service for Geofence {
         &[Produced {
             id: FENCE_STATUS_DATA::ID,
             rate_hz: [0.0, 1.0, 1.0],
-            build: fence_status,
+            build: Build::From(fence_status),
         }]
     }
 

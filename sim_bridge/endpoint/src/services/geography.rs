@@ -5,7 +5,7 @@
 
 use crate::core::Core;
 use crate::geo::{self, deg_e7};
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::{Answer, Build, Produced, Service, Source};
 use crate::services::actions::MAX_DISTANCE_M;
 use vigil_link::MavMessage;
 use vigil_link::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, MavSeverity, SET_GPS_GLOBAL_ORIGIN_DATA};
@@ -48,12 +48,12 @@ impl Service for Geography {
             Produced {
                 id: HOME_POSITION_DATA::ID,
                 rate_hz: [0.5, 0.5, 0.5],
-                build: home,
+                build: Build::From(home),
             },
             Produced {
                 id: GPS_GLOBAL_ORIGIN_DATA::ID,
                 rate_hz: [0.5, 0.5, 0.5],
-                build: origin,
+                build: Build::From(origin),
             },
         ]
     }

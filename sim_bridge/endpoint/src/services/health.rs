@@ -1,7 +1,7 @@
 //! SYS_STATUS: which sensors there are and whether they work, and whether the vehicle can be armed.
 
 use crate::core::Core;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use crate::services::battery;
 use vigil_link::MavMessage;
 use vigil_link::common::{MavSysStatusSensor as Sensor, SYS_STATUS_DATA};
@@ -14,7 +14,7 @@ impl Service for Health {
         &[Produced {
             id: SYS_STATUS_DATA::ID,
             rate_hz: [1.0, 1.0, 1.0],
-            build: sys_status,
+            build: Build::From(sys_status),
         }]
     }
 }

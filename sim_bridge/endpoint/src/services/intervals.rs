@@ -2,7 +2,7 @@
 //! <https://mavlink.io/en/mavgen_python/howto_requestmessages.html>
 
 use crate::core::Core;
-use crate::service::{Answer, Source};
+use crate::service::{Answer, Services, Source};
 use crate::streams::Streams;
 use vigil_link::MavMessage;
 use vigil_link::common::MESSAGE_INTERVAL_DATA;
@@ -19,6 +19,7 @@ pub(crate) fn message_interval(
     source: Source,
     core: &mut Core,
     streams: &mut Streams,
+    services: &mut Services,
 ) -> Option<Answer> {
     if !(GET_MESSAGE_INTERVAL..=REQUEST_MESSAGE).contains(&command.number) {
         return None;
@@ -46,7 +47,7 @@ pub(crate) fn message_interval(
             streams.set_interval(core.now_ns, source.link, id, interval_us);
         }
         // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
-        _ if !streams.has(core, id) => return Some(Answer::DENIED),
+        _ if !streams.has(core, services, id) => return Some(Answer::DENIED),
         _ => core.request(source.link, id),
     }
     Some(Answer::ACCEPTED)

@@ -4,7 +4,7 @@
 use crate::core::Core;
 use crate::files::{FileSystem, crc32};
 use crate::parameters::{ParameterInfo, ParameterValue, parameter_table};
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use crate::services::events::definitions;
 use serde::Serialize;
 use serde_json::json;
@@ -20,11 +20,16 @@ const EVENTS: &str = "etc/extras/all_events.json";
 pub(crate) struct Metadata;
 
 impl Service for Metadata {
+    fn start(&mut self, core: &mut Core) {
+        let now_s = core.unix_time_s();
+        provide(&mut core.files, now_s);
+    }
+
     fn messages(&self) -> &'static [Produced] {
         &[Produced {
             id: COMPONENT_METADATA_DATA::ID,
             rate_hz: [0.0; 3],
-            build: component_metadata,
+            build: Build::From(component_metadata),
         }]
     }
 }
@@ -98,7 +103,7 @@ fn text(value: &impl Serialize) -> Vec<u8> {
 }
 
 /// Puts the metadata among the vehicle's own files.
-pub(crate) fn provide(files: &mut FileSystem, now_s: u64) {
+fn provide(files: &mut FileSystem, now_s: u64) {
     let parameters = text(&ParameterFile {
         version: 1,
         parameters: parameter_table().iter().map(Described::from).collect(),

@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::FlightMode;
 use crate::plan::PlanKind;
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::{Answer, Build, Produced, Service, Source};
 use crate::services::arming::answer;
 use vigil_link::MavMessage;
 use vigil_link::common::{MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA, MISSION_SET_CURRENT_DATA, MavSeverity};
@@ -72,12 +72,12 @@ impl Service for MissionService {
             Produced {
                 id: MISSION_CURRENT_DATA::ID,
                 rate_hz: [0.0, 1.0, 1.0],
-                build: current,
+                build: Build::From(current),
             },
             Produced {
                 id: MISSION_ITEM_REACHED_DATA::ID,
                 rate_hz: [0.0, 1.0, 1.0],
-                build: reached,
+                build: Build::From(reached),
             },
         ]
     }

@@ -1,4 +1,4 @@
-//! The protocol services, one file each.
+//! The protocol services, one file each. A new one is its file and its line in the table below, besides its `mod`.
 
 mod absent;
 mod actions;
@@ -9,7 +9,7 @@ mod battery;
 mod calibration;
 mod estimator;
 mod events;
-pub(crate) mod flight_information;
+mod flight_information;
 mod ftp;
 mod geofence;
 mod geography;
@@ -17,7 +17,7 @@ mod health;
 mod intervals;
 mod logs;
 mod manual;
-pub(crate) mod metadata;
+mod metadata;
 mod mission;
 mod orbit;
 mod parameters;
@@ -26,9 +26,8 @@ mod position;
 mod sensors;
 mod setpoints;
 mod shell;
-pub(crate) mod signing;
+mod signing;
 mod state;
-mod statustext;
 mod time;
 mod version;
 mod vibration;
@@ -37,7 +36,7 @@ use crate::service::Service;
 
 pub(crate) use intervals::message_interval;
 
-/// Every service. Commands are offered in this order; a message goes to all.
+/// Every service: a new one needs its line here. Commands are offered in this order; a message goes to all.
 pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
     vec![
         Box::new(setpoints::SetpointService),
@@ -71,21 +70,4 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(version::Version),
         Box::new(signing::SigningService),
     ]
-}
-
-/// Ids of messages that are announced besides their stream.
-pub(crate) mod message_ids {
-    use vigil_link::common::{
-        EXTENDED_SYS_STATE_DATA, FENCE_STATUS_DATA, HEARTBEAT_DATA, MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA,
-        NAMED_VALUE_FLOAT_DATA,
-    };
-    use vigil_link::mavlink::MessageData;
-
-    pub const HEARTBEAT: u32 = HEARTBEAT_DATA::ID;
-    pub const EXTENDED_SYS_STATE: u32 = EXTENDED_SYS_STATE_DATA::ID;
-    pub const FENCE_STATUS: u32 = FENCE_STATUS_DATA::ID;
-    pub const MISSION_CURRENT: u32 = MISSION_CURRENT_DATA::ID;
-    pub const MISSION_ITEM_REACHED: u32 = MISSION_ITEM_REACHED_DATA::ID;
-    /// The setpoint owner.
-    pub const NAMED_VALUE_FLOAT: u32 = NAMED_VALUE_FLOAT_DATA::ID;
 }

@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::{Facing, Orbit};
 use crate::geo;
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::{Answer, Build, Produced, Service, Source};
 use crate::services::{actions, arming::answer};
 use vigil_link::MavMessage;
 use vigil_link::common::{MavFrame, ORBIT_EXECUTION_STATUS_DATA};
@@ -26,7 +26,7 @@ impl Service for OrbitService {
         &[Produced {
             id: ORBIT_EXECUTION_STATUS_DATA::ID,
             rate_hz: [0.0, 2.0, 2.0],
-            build: status,
+            build: Build::From(status),
         }]
     }
 }

@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::position_target;
 use crate::geo;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
     ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA, MavEstimatorType, MavFrame, ODOMETRY_DATA,
@@ -20,32 +20,32 @@ impl Service for Position {
             Produced {
                 id: LOCAL_POSITION_NED_DATA::ID,
                 rate_hz: [50.0, 30.0, 10.0],
-                build: local_position,
+                build: Build::From(local_position),
             },
             Produced {
                 id: GLOBAL_POSITION_INT_DATA::ID,
                 rate_hz: [5.0, 10.0, 5.0],
-                build: global_position,
+                build: Build::From(global_position),
             },
             Produced {
                 id: VFR_HUD_DATA::ID,
                 rate_hz: [0.0, 5.0, 5.0],
-                build: heads_up_display,
+                build: Build::From(heads_up_display),
             },
             Produced {
                 id: ALTITUDE_DATA::ID,
                 rate_hz: [0.0, 5.0, 2.0],
-                build: altitude,
+                build: Build::From(altitude),
             },
             Produced {
                 id: ODOMETRY_DATA::ID,
                 rate_hz: [0.0, 10.0, 0.0],
-                build: odometry,
+                build: Build::From(odometry),
             },
             Produced {
                 id: POSITION_TARGET_LOCAL_NED_DATA::ID,
                 rate_hz: [0.0, 5.0, 2.0],
-                build: target,
+                build: Build::From(target),
             },
         ]
     }

@@ -2,7 +2,7 @@
 
 use crate::core::Core;
 use crate::geo;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
     GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, RAW_IMU_DATA, SCALED_IMU_DATA,
@@ -25,27 +25,27 @@ impl Service for SensorReadings {
             Produced {
                 id: HIGHRES_IMU_DATA::ID,
                 rate_hz: [0.0, 20.0, 0.0],
-                build: imu,
+                build: Build::From(imu),
             },
             Produced {
                 id: SCALED_PRESSURE_DATA::ID,
                 rate_hz: [0.0, 1.0, 1.0],
-                build: pressure,
+                build: Build::From(pressure),
             },
             Produced {
                 id: SCALED_IMU_DATA::ID,
                 rate_hz: [0.0; 3],
-                build: scaled_imu,
+                build: Build::From(scaled_imu),
             },
             Produced {
                 id: RAW_IMU_DATA::ID,
                 rate_hz: [0.0; 3],
-                build: raw_imu,
+                build: Build::From(raw_imu),
             },
             Produced {
                 id: GPS_RAW_INT_DATA::ID,
                 rate_hz: [1.0, 1.0, 1.0],
-                build: gps,
+                build: Build::From(gps),
             },
         ]
     }

@@ -1,21 +1,12 @@
 //! SETUP_SIGNING: a new key for MAVLink signing. The links put it into force; it is never passed on.
 //! <https://mavlink.io/en/messages/common.html#SETUP_SIGNING>
 
-use crate::core::Core;
+use crate::core::{Core, SigningSetup};
 use crate::service::{Service, Source};
 use vigil_link::MavMessage;
 use vigil_link::common::{MavSeverity, SETUP_SIGNING_DATA};
 use vigil_link::framing::Packet;
 use vigil_link::mavlink::MessageData;
-
-/// What SETUP_SIGNING asks for.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub struct SigningSetup {
-    /// The key.
-    pub key: [u8; 32],
-    /// Timestamp to begin with, in units of 10 µs since 2015-01-01.
-    pub initial_timestamp: u64,
-}
 
 pub(crate) struct SigningService;
 

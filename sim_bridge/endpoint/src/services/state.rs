@@ -3,7 +3,7 @@
 
 use crate::core::Core;
 use crate::flight::LandedState;
-use crate::service::{Produced, Service};
+use crate::service::{Build, Produced, Service};
 use vigil_link::MavMessage;
 use vigil_link::common::{
     EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavAutopilot, MavLandedState, MavModeFlag, MavState, MavType,
@@ -19,17 +19,17 @@ impl Service for State {
             Produced {
                 id: HEARTBEAT_DATA::ID,
                 rate_hz: [1.0, 1.0, 1.0],
-                build: heartbeat,
+                build: Build::From(heartbeat),
             },
             Produced {
                 id: EXTENDED_SYS_STATE_DATA::ID,
                 rate_hz: [5.0, 5.0, 1.0],
-                build: extended_sys_state,
+                build: Build::From(extended_sys_state),
             },
             Produced {
                 id: NAMED_VALUE_FLOAT_DATA::ID,
                 rate_hz: [1.0, 1.0, 1.0],
-                build: setpoint_owner,
+                build: Build::From(setpoint_owner),
             },
         ]
     }

@@ -1,7 +1,7 @@
 //! PING, TIMESYNC and SYSTEM_TIME. <https://mavlink.io/en/services/ping.html>, <https://mavlink.io/en/services/timesync.html>
 
 use crate::core::Core;
-use crate::service::{Produced, Service, Source};
+use crate::service::{Build, Produced, Service, Source};
 use vigil_link::MavMessage;
 use vigil_link::common::{PING_DATA, SYSTEM_TIME_DATA, TIMESYNC_DATA};
 use vigil_link::framing::Packet;
@@ -48,7 +48,7 @@ impl Service for Time {
         &[Produced {
             id: SYSTEM_TIME_DATA::ID,
             rate_hz: [1.0, 1.0, 1.0],
-            build: system_time,
+            build: Build::From(system_time),
         }]
     }
 }

@@ -1,7 +1,7 @@
 //! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do.
 
 use crate::core::Core;
-use crate::service::{Answer, Produced, Service, Source};
+use crate::service::{Answer, Build, Produced, Service, Source};
 use vigil_link::MavMessage;
 use vigil_link::common::{AUTOPILOT_VERSION_DATA, MavProtocolCapability as Capability, PROTOCOL_VERSION_DATA};
 use vigil_link::framing::Command;
@@ -31,12 +31,12 @@ impl Service for Version {
             Produced {
                 id: AUTOPILOT_VERSION_DATA::ID,
                 rate_hz: [0.0; 3],
-                build: autopilot_version,
+                build: Build::From(autopilot_version),
             },
             Produced {
                 id: PROTOCOL_VERSION_DATA::ID,
                 rate_hz: [0.0; 3],
-                build: protocol_version,
+                build: Build::From(protocol_version),
             },
         ]
     }
