@@ -146,6 +146,10 @@ pub struct Limits {
     /// Greatest age of the vehicle's heartbeat.
     #[serde(deserialize_with = "age")]
     pub heartbeat_age_s: f64,
+    /// Longest time that the vehicle may keep to its last setpoint; a longer one is set in its parameters when it is taken
+    /// over. 0 leaves them alone.
+    #[serde(deserialize_with = "setpoint_timeout")]
+    pub setpoint_timeout_s: f32,
     /// Missed steps within a second that are too many.
     #[serde(deserialize_with = "slips")]
     pub slips: u8,
@@ -356,6 +360,7 @@ impl Default for Limits {
             frame_age_s: seconds(d.frame_age_limit_ns),
             telemetry_age_s: seconds(d.telemetry_age_limit_ns),
             heartbeat_age_s: seconds(d.heartbeat_age_limit_ns),
+            setpoint_timeout_s: CompanionConfig::default().setpoint_timeout_s.unwrap_or(0.0),
             slips: d.slip_limit,
             goal_radius_m: d.goal_radius_m,
             speed_m_s: vigil_types::ACTION_LIMIT,
@@ -558,6 +563,7 @@ impl FirmwareConfig {
                     Vehicle::Px4 => Flavour::Px4,
                     Vehicle::ArduPilot => Flavour::ArduPilot,
                 },
+                setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
                 ..CompanionConfig::default()
             },
             pilot: GeometricConfig {
@@ -624,6 +630,10 @@ fn positive_length<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
 
 fn age<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
     within(d, 0.05, 10.0, " s")
+}
+
+fn setpoint_timeout<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 0.0, 10.0, " s")
 }
 
 fn slips<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {

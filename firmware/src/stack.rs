@@ -18,8 +18,8 @@ use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{
-    Action, AlarmResponse, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, HeadingVector, Judgement, Nanos,
-    OperatorRequest, StepReport, StepTiming, VehicleTelemetry, Verdict,
+    Action, AlarmResponse, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, GuidanceState, HeadingVector,
+    Judgement, Nanos, OperatorRequest, StepReport, StepTiming, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -80,6 +80,8 @@ pub struct FlightStack {
     recovering: bool,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
+    /// The recovery pilot has seen nothing since its last reset.
+    recovery_is_new: bool,
     tunables: Tunables,
     component_id: u8,
     link: u8,
@@ -119,6 +121,7 @@ impl FlightStack {
             crew,
             recovering: false,
             pilot_asked: false,
+            recovery_is_new: true,
             component_id: config.companion.component_id,
             link: config.companion.link,
         })
@@ -150,12 +153,14 @@ impl FlightStack {
         // Pilot.
         let goal = self.guidance.goal();
         let view = self.view(now_ns, &telemetry, goal.as_ref(), frame_age_ns);
+        // Frames taken on the ground show the ground at the vehicle's own height: nobody looks before the vehicle is handed over.
+        let flying = self.guidance.expects_action(self.companion.handover());
         let Decision {
             action,
             recovery,
             judgement,
             collision_course,
-        } = self.decide(now_ns, view);
+        } = self.decide(now_ns, view.filter(|_| flying));
         // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
         let verdict = judgement.map_or(Verdict::Unknown, |judgement| judgement.verdict);
 
@@ -288,11 +293,17 @@ impl FlightStack {
     /// Asks the pilots, or tells them once that what they remember is out of date.
     fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Decision {
         let Crew { pilot, watch } = &mut self.crew;
+        let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
+        if let (true, Some(watch)) = (before_flight && !self.recovery_is_new, &mut *watch) {
+            watch.recovery.reset();
+            self.recovery_is_new = true;
+        }
         let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
             if self.pilot_asked {
                 pilot.reset();
                 if let Some(watch) = watch {
-                    // The recovery pilot keeps its memory: whoever can hold back frames must not be able to erase it.
+                    // The recovery pilot keeps its memory through the whole flight: whoever can hold back frames must not be able
+                    // to erase it.
                     watch.monitor.reset();
                 }
                 self.pilot_asked = false;
@@ -320,6 +331,7 @@ impl FlightStack {
         };
         if let (Some(watch), Some(state)) = (watch, pilot.state()) {
             decision.judgement = Some(watch.monitor.judge(state, positional_inputs(view.goal)));
+            self.recovery_is_new = false;
             decision.recovery = Some(limited(watch.recovery.decide(&input, self.recovering)));
             decision.collision_course = watch.recovery.foresees_collision(&input, action);
         }

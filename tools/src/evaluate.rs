@@ -34,7 +34,8 @@ Examples:
                                                         frames altered for 50 steps of each flight
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
 
-Each flight begins hovering at the start and ends as success, collision, out of bounds or time-out (docs/courses.md).
+Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
+arm and take off first. Each ends as success, collision, out of bounds or time-out (docs/courses.md).
 The same seeds give the same flights, bit for bit, on any number of threads.")]
 pub struct EvaluateArgs {
     /// Number of flights; flight i uses seed SEED + i.
@@ -69,6 +70,10 @@ pub struct EvaluateArgs {
     #[arg(long)]
     still: bool,
 
+    /// Flights whose seed divides by this begin on the ground, disarmed, all others in the air; 0: none, 1: all.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    ground_every: u64,
+
     #[command(flatten)]
     pilot: PilotArgs,
 
@@ -87,6 +92,8 @@ pub struct EvaluateArgs {
 #[derive(Serialize)]
 struct Flight {
     seed: u64,
+    /// Began on the ground.
+    from_ground: bool,
     #[serde(flatten)]
     record: FlightRecord,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -121,6 +128,7 @@ struct Report<'a> {
     wind_m_s: f64,
     noise_factor: f32,
     still: bool,
+    ground_every: u64,
     threads: usize,
     wall_s: f64,
     simulated_s: f64,
@@ -213,7 +221,8 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
         models.wind = wind(args.wind, seed);
     }
     let mut config = SimConfig::with_models(course, seed, models);
-    config.start = Start::Airborne;
+    let from_ground = args.ground_every > 0 && seed.is_multiple_of(args.ground_every);
+    config.start = if from_ground { Start::Ground } else { Start::Airborne };
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     args.pilot.apply(&mut firmware);
     let Flown { record, attack, watch } = campaign::fly(&config, &firmware, attack)?;
@@ -226,6 +235,7 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
     }
     Ok(Flight {
         seed,
+        from_ground,
         record,
         attack,
         watch,
@@ -283,6 +293,8 @@ fn report(
         );
         println!("{}", paint.verdict(r.outcome == "success", &row));
     }
+    let from_ground = flights.iter().filter(|f| f.from_ground).count();
+    println!("from the ground  {from_ground} of {} flights", flights.len());
     let times: Vec<f64> = flights
         .iter()
         .filter(|f| f.record.is_success())
@@ -333,6 +345,7 @@ fn report(
             wind_m_s: args.wind,
             noise_factor: args.noise,
             still: args.still,
+            ground_every: args.ground_every,
             threads,
             wall_s,
             simulated_s,

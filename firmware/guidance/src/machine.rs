@@ -33,8 +33,8 @@ pub struct GuidanceInput<'a> {
     pub telemetry: &'a VehicleTelemetry,
     /// Depth frames.
     pub frame: FrameStatus,
-    /// The pilot's action. The pilot is asked in every step, whatever the state, in which there are a fresh frame, fresh
-    /// finite telemetry and a goal; `None` when it was not asked.
+    /// The pilot's action. The pilot is asked in every step for which [`Guidance::expects_action`] and in which there are a
+    /// fresh frame, fresh finite telemetry and a goal; `None` when it was not asked.
     pub action: Option<Action>,
     /// The recovery pilot's action, asked together with the pilot; `None` without a recovery pilot.
     pub recovery: Option<Action>,
@@ -144,6 +144,13 @@ impl Guidance {
     /// The present state.
     pub fn state(&self) -> GuidanceState {
         self.state
+    }
+
+    /// Whether the pilot is to be asked in the next [`Guidance::step`], given how far the vehicle is with the hand-over: in
+    /// *guided* and *hold*, and in the step in which the vehicle is handed over, so that its first action is there with
+    /// *guided*. Before that the vehicle stands or climbs, and what its sensor shows is the ground.
+    pub fn expects_action(&self, handover: HandoverProgress) -> bool {
+        self.flying_to_goal() || self.state == GuidanceState::Engaging && handover == HandoverProgress::Done
     }
 
     /// The goal in force.
@@ -314,8 +321,12 @@ impl Guidance {
         let link_lost = older(heartbeat_age_ns, self.config.heartbeat_age_limit_ns);
         let received = telemetry.kinematics.is_some() && telemetry.attitude.is_some();
         let bad_telemetry = received && !telemetry.is_finite();
-        let pilot_could =
-            !stale_frame && !input.frame.refused && !stale_telemetry && !bad_telemetry && self.goal.is_some();
+        let pilot_could = self.expects_action(input.handover)
+            && !stale_frame
+            && !input.frame.refused
+            && !stale_telemetry
+            && !bad_telemetry
+            && self.goal.is_some();
         let bad_action = action.map_or(pilot_could, |action| !action.is_finite());
         let usable = !stale_telemetry && !bad_telemetry;
         if let (true, Some(kinematics)) = (usable, telemetry.kinematics) {

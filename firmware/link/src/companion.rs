@@ -8,6 +8,7 @@ use crate::operator::{PendingRequest, ReplyTo, decode, result, result_of};
 use crate::parameters::{ParameterRequest, Parameters, SetRefusal};
 use crate::report;
 use crate::sender::Sender;
+use crate::setpoint_timeout::{Next, SetpointTimeout};
 use crate::streams::Streams;
 use crate::time;
 use crate::vehicle::Vehicle;
@@ -30,8 +31,11 @@ const REPLIES: usize = 128;
 /// Requests that guidance can owe an answer to.
 const REQUESTS: usize = 32;
 
+/// Ten setpoints.
+const DEFAULT_SETPOINT_TIMEOUT_S: f32 = 0.5;
+
 /// Identity and vehicle of the guidance computer.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CompanionConfig {
     /// The vehicle's system; `None` takes the first vehicle whose heartbeat is heard.
     pub system_id: Option<u8>,
@@ -39,6 +43,9 @@ pub struct CompanionConfig {
     pub component_id: u8,
     /// The vehicle's autopilot.
     pub flavour: Flavour,
+    /// The longest time, seconds, that the vehicle may keep to its last setpoint; a longer one is set in the vehicle's
+    /// parameters when it is taken over. `None` neither asks nor sets.
+    pub setpoint_timeout_s: Option<f32>,
     /// Link to the vehicle, which is heard there and nowhere else; answers go back on the link that the question came
     /// from.
     pub link: u8,
@@ -51,6 +58,7 @@ impl Default for CompanionConfig {
             // MAV_COMP_ID_ONBOARD_COMPUTER
             component_id: 191,
             flavour: Flavour::Px4,
+            setpoint_timeout_s: Some(DEFAULT_SETPOINT_TIMEOUT_S),
             link: 0,
         }
     }
@@ -126,6 +134,7 @@ pub struct Companion {
     vehicle: Vehicle,
     handover: Handover,
     streams: Streams,
+    setpoint_timeout: SetpointTimeout,
     counters: LinkCounters,
     replies: Vec<Reply, REPLIES>,
     requests: Deque<PendingRequest, REQUESTS>,
@@ -153,6 +162,7 @@ impl Companion {
             vehicle: Vehicle::new(config.flavour),
             handover: Handover::new(config.flavour),
             streams: Streams::new(config.flavour),
+            setpoint_timeout: SetpointTimeout::new(config.flavour, config.setpoint_timeout_s),
             counters: LinkCounters::default(),
             replies: Vec::new(),
             requests: Deque::new(),
@@ -225,6 +235,7 @@ impl Companion {
         }
         if of_vehicle && self.system_id == Some(packet.system_id()) && packet.component_id() == AUTOPILOT {
             self.streams.note(now_ns, packet.message_id());
+            self.setpoint_timeout.receive(packet);
             if !self.vehicle.receive(now_ns, packet) {
                 self.counters.unreadable += 1;
             }
@@ -431,6 +442,19 @@ impl Companion {
         }
         if let Some(trouble) = action.trouble {
             self.say(out, &report::trouble_text(trouble, self.config.flavour));
+        }
+        let taking = matches!(request, VehicleRequest::FlyExternal { .. }) && !self.vehicle.is_other_autopilot();
+        let message = match self.setpoint_timeout.step(now_ns, taking) {
+            Next::Nothing => None,
+            Next::Read => Some(self.setpoint_timeout.read(system)),
+            Next::Set(value_s) => Some(self.setpoint_timeout.set(system, value_s)),
+            Next::Tell(finding) => {
+                let name = self.setpoint_timeout.name();
+                Some(report::setpoint_timeout_text(name, finding))
+            }
+        };
+        if let Some(message) = message {
+            self.say(out, &message);
         }
         if let Some((number, params)) = self.streams.step(now_ns, &self.vehicle) {
             let command = Command::to_autopilot(system, number, params, 0);

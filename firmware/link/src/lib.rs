@@ -18,6 +18,7 @@ mod parameters;
 mod report;
 pub mod routing;
 mod sender;
+mod setpoint_timeout;
 pub mod signing;
 mod streams;
 mod time;

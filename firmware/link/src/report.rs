@@ -2,6 +2,7 @@
 
 use crate::autopilot::{Flavour, command_number};
 use crate::handover::Trouble;
+use crate::setpoint_timeout::Finding;
 use core::fmt::Write;
 use mavlink::dialects::common::{
     HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavParamError, MavSeverity, MavState, MavType,
@@ -191,6 +192,21 @@ pub(crate) fn trouble_text(trouble: Trouble, configured: Flavour) -> MavMessage 
             named.name(),
             configured.name()
         ),
+    })
+}
+
+/// "GUID_TIMEOUT was 3 s, set to 0.5 s".
+pub(crate) fn setpoint_timeout_text(name: &str, finding: Finding) -> MavMessage {
+    let severity = match finding {
+        Finding::Good(_) => MavSeverity::MAV_SEVERITY_INFO,
+        Finding::Set(..) => MavSeverity::MAV_SEVERITY_NOTICE,
+        Finding::Stays(..) | Finding::NotTold => MavSeverity::MAV_SEVERITY_WARNING,
+    };
+    status_text(severity, |text| match finding {
+        Finding::Good(value_s) => write!(text, "{name} is {value_s} s"),
+        Finding::Set(before_s, value_s) => write!(text, "{name} was {before_s} s, set to {value_s} s"),
+        Finding::Stays(value_s, wanted_s) => write!(text, "{name} stays {value_s} s, wanted {wanted_s} s"),
+        Finding::NotTold => write!(text, "{name} is not told by the vehicle"),
     })
 }
 

@@ -343,3 +343,91 @@ fn a_refused_landing_is_asked_for_again() {
         .collect();
     assert!(lands.windows(2).all(|w| w[1] - w[0] >= 2 * SECOND), "{lands:?}");
 }
+
+fn told(f: &Flight, parameter: &str) -> Vec<String> {
+    f.texts
+        .iter()
+        .filter(|text| text.starts_with(parameter))
+        .cloned()
+        .collect()
+}
+
+#[test]
+fn a_vehicle_that_would_fly_on_for_seconds_is_told_not_to_and_stops_when_the_firmware_dies() {
+    for (flavour, name, before) in [(ArduPilot, "GUID_TIMEOUT", "3"), (Px4, "COM_OF_LOSS_T", "1")] {
+        let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
+        f.until(Guided);
+        f.run(60);
+        assert_eq!(told(&f, name), [format!("{name} was {before} s, set to 0.5 s")]);
+        assert_eq!((f.peer.setpoint_timeout_s, f.peer.parameters_set.len()), (0.5, 1));
+        assert_eq!(f.peer.parameters_read, 1);
+        // Killed: nothing comes from now on.
+        let killed_m = f.peer.north_m;
+        for _ in 0..100 {
+            f.now_ns += STEP_NS;
+            f.peer.step(f.now_ns);
+        }
+        let blind_m = f.peer.north_m - killed_m;
+        assert!(
+            (0.3..=0.56).contains(&blind_m),
+            "{} flew on for {blind_m} m",
+            flavour.name()
+        );
+    }
+}
+
+#[test]
+fn a_short_setpoint_timeout_is_left_as_it_is() {
+    let peer = Peer {
+        setpoint_timeout_s: 0.4,
+        ..Peer::in_the_air(Px4)
+    };
+    let mut f = Flight::new(Px4, peer);
+    f.until(Guided);
+    f.run(60);
+    assert_eq!(told(&f, "COM_OF_LOSS_T"), ["COM_OF_LOSS_T is 0.4 s"]);
+    assert!(f.peer.parameters_set.is_empty());
+}
+
+#[test]
+fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_told() {
+    for flavour in [ArduPilot, Px4] {
+        let silent = Peer {
+            tells_parameters: false,
+            ..Peer::in_the_air(flavour)
+        };
+        let mut f = Flight::new(flavour, silent);
+        f.until(Guided);
+        f.run(100);
+        assert_eq!(f.peer.parameters_read, 4, "asked a few times, and not for ever");
+        assert!(
+            f.texts.iter().any(|t| t.ends_with("is not told by the vehicle")),
+            "{:?}",
+            f.texts
+        );
+
+        let locked = Peer {
+            sets_parameters: false,
+            ..Peer::in_the_air(flavour)
+        };
+        let mut f = Flight::new(flavour, locked);
+        f.until(Guided);
+        f.run(100);
+        assert_eq!(f.peer.parameters_set, [0.5; 4]);
+        assert!(f.texts.iter().any(|t| t.ends_with("s, wanted 0.5 s")), "{:?}", f.texts);
+        assert_eq!(f.last.unwrap().state, Guided);
+    }
+}
+
+#[test]
+fn a_companion_told_to_leave_the_timeout_alone_neither_asks_nor_sets() {
+    let mut f = Flight::new(ArduPilot, Peer::in_the_air(ArduPilot));
+    f.companion = vigil_link::Companion::new(vigil_link::CompanionConfig {
+        flavour: ArduPilot,
+        setpoint_timeout_s: None,
+        ..Default::default()
+    });
+    f.until(Guided);
+    f.run(100);
+    assert_eq!((f.peer.parameters_read, f.peer.parameters_set.len()), (0, 0));
+}

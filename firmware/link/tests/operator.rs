@@ -70,7 +70,11 @@ fn a_ground_station_commands_a_whole_flight() {
     assert_eq!(say(&mut f, &land), [(21, ACCEPTED, (255, 190))]);
     f.until(Standby);
     assert!(!f.peer.armed);
-    let states: Vec<&str> = f.texts.iter().map(|t| t.split(' ').nth(1).unwrap()).collect();
+    let states: Vec<&str> = f
+        .texts
+        .iter()
+        .filter_map(|t| t.strip_prefix("guidance: ")?.split(' ').next())
+        .collect();
     assert_eq!(
         states,
         ["standby", "ready", "engaging", "guided", "hold", "land", "standby"]

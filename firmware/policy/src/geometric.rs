@@ -59,6 +59,8 @@ const STUCK_NS: Nanos = 10_000_000_000;
 struct Margins {
     /// Clearance of a straight line to a waypoint; squared cells.
     sight_squared_cells: u8,
+    /// A straight line towards the goal that is clear this far is taken whatever the way, metres.
+    goal_sight_m: f32,
     /// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this, metres.
     repulsive_half_width_m: f32,
     /// What the governor keeps in addition, metres.
@@ -69,12 +71,15 @@ struct Margins {
 /// push it out of every gap.
 const TIGHT: Margins = Margins {
     sight_squared_cells: 9,
+    // As far as surfaces are remembered.
+    goal_sight_m: memory::MARK_RANGE_M,
     repulsive_half_width_m: 0.50,
     spare_m: 0.0,
 };
 /// What a teacher keeps, so that a pupil's error of 0.2 m is no collision.
 const GENEROUS: Margins = Margins {
     sight_squared_cells: 14,
+    goal_sight_m: LOOKAHEAD_M,
     repulsive_half_width_m: 0.80,
     spare_m: 0.30,
 };
@@ -156,8 +161,13 @@ impl GeometricPilot {
         let from_here = |p: NedVector| (p - here).horizontal_norm();
         let points = self.way.points();
         let end = at(points.last()?);
-        if from_here(goal) < LOOKAHEAD_M && self.in_sight(here, goal) {
-            return Some(goal);
+        // The way is made of eighths of a turn: on open ground it is up to 8 % longer than the straight line, and as much as
+        // 31° off it.
+        let goal_m = from_here(goal);
+        let towards_goal = |distance_m: f32| here + (goal - here) * (distance_m / goal_m.max(distance_m));
+        let known = goal_m < self.margins.goal_sight_m || !self.memoryless;
+        if known && self.in_sight(here, towards_goal(self.margins.goal_sight_m)) {
+            return Some(towards_goal(LOOKAHEAD_M));
         }
         // The way began where the vehicle was when the search began: drop what lies behind.
         let (nearest, _) = points

@@ -25,7 +25,7 @@ pub const DOUBTFUL_HIT: i8 = 2;
 /// The most a score can be: a cell is free again after as many rays.
 const SCORE_LIMIT: i8 = 12;
 /// Farther surfaces are left to later frames.
-const MARK_RANGE_M: f32 = 11.0;
+pub const MARK_RANGE_M: f32 = 11.0;
 /// Nearer than this, the band of heights is not wholly within the vertical field of view (0.35 m / tan 30°, and tilt):
 /// a ray there does not prove that a cell is free.
 const FREE_FROM_M: f32 = 1.0;

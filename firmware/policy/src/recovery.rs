@@ -37,6 +37,11 @@ impl RecoveryPilot {
         self.pilot.decide(input)
     }
 
+    /// Forgets everything it remembered: a new flight.
+    pub fn reset(&mut self) {
+        self.pilot.reset();
+    }
+
     /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.2 s
     /// later. To be asked after [`Self::decide`], with the same input.
     pub fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {

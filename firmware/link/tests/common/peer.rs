@@ -53,6 +53,14 @@ pub struct Peer {
     pub failsafe: bool,
     pub north_m: f32,
     pub height_m: f32,
+    /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
+    pub setpoint_timeout_s: f32,
+    /// It tells that parameter, and lets it be set.
+    pub tells_parameters: bool,
+    pub sets_parameters: bool,
+    /// Parameters asked for, and set.
+    pub parameters_read: u32,
+    pub parameters_set: Vec<f32>,
     /// EXTENDED_SYS_STATE is sent.
     pub tells_landed: bool,
     pub quirks: Vec<Quirk>,
@@ -82,6 +90,15 @@ impl Peer {
             failsafe: false,
             north_m: 0.0,
             height_m: 0.0,
+            // What either autopilot ships with.
+            setpoint_timeout_s: match flavour {
+                Flavour::Px4 => 1.0,
+                Flavour::ArduPilot => 3.0,
+            },
+            tells_parameters: true,
+            sets_parameters: true,
+            parameters_read: 0,
+            parameters_set: Vec::new(),
             tells_landed: true,
             quirks: Vec::new(),
             commands: Vec::new(),
@@ -239,12 +256,13 @@ impl Peer {
         }
         let last = self.setpoints.last().copied();
         let age_ns = last.map_or(Nanos::MAX, |(at_ns, _)| now_ns - at_ns);
+        let timeout_ns = (self.setpoint_timeout_s * 1e9) as Nanos;
         match self.mode {
-            Mode::External if self.flavour == Flavour::Px4 && age_ns > SECOND => {
+            Mode::External if self.flavour == Flavour::Px4 && age_ns > timeout_ns => {
                 (self.mode, self.failsafe) = (Mode::Loiter, true);
             }
-            // A Copter stops 3 s after the last setpoint.
-            Mode::External if age_ns <= 3 * SECOND => {
+            // A Copter stops, and stays in its mode.
+            Mode::External if age_ns <= timeout_ns => {
                 if let Some((_, [vx, _, vz, _])) = last {
                     self.north_m += vx * STEP_S;
                     self.height_m -= vz * STEP_S;
@@ -279,6 +297,21 @@ impl Peer {
                     }
                     self.setpoints.push((now_ns, [s.vx, s.vy, s.vz, s.yaw_rate]));
                 }
+                MavMessage::PARAM_REQUEST_READ(p) if p.target_system == self.system && p.target_component == 1 => {
+                    assert_eq!((p.param_index, p.param_id.to_str()), (-1, Ok(self.timeout_name())));
+                    self.parameters_read += 1;
+                    if self.tells_parameters {
+                        self.replies.push(self.timeout_value());
+                    }
+                }
+                MavMessage::PARAM_SET(p) if p.target_system == self.system && p.target_component == 1 => {
+                    assert_eq!(p.param_id.to_str(), Ok(self.timeout_name()));
+                    self.parameters_set.push(p.param_value);
+                    if self.sets_parameters {
+                        self.setpoint_timeout_s = p.param_value;
+                    }
+                    self.replies.push(self.timeout_value());
+                }
                 MavMessage::COMMAND_LONG(c) if c.target_system == self.system && c.target_component == 1 => {
                     self.commands.push(Got {
                         at_ns: now_ns,
@@ -310,6 +343,23 @@ impl Peer {
                 _ => {}
             }
         }
+    }
+
+    fn timeout_name(&self) -> &'static str {
+        match self.flavour {
+            Flavour::Px4 => "COM_OF_LOSS_T",
+            Flavour::ArduPilot => "GUID_TIMEOUT",
+        }
+    }
+
+    fn timeout_value(&self) -> MavMessage {
+        MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+            param_value: self.setpoint_timeout_s,
+            param_count: 900,
+            param_index: u16::MAX,
+            param_id: self.timeout_name().into(),
+            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+        })
     }
 
     fn obey(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) -> MavResult {

@@ -1,0 +1,183 @@
+//! How long the vehicle keeps to its last setpoint when no more come: read while the vehicle is handed over, and set where
+//! that is too long.
+//!
+//! An ArduPilot's Copter flies on for `GUID_TIMEOUT`, 3 s unless somebody changed it
+//! (<https://ardupilot.org/copter/docs/parameters.html#guid-timeout>); a PX4 leaves OFFBOARD after `COM_OF_LOSS_T`, 1 s
+//! (<https://docs.px4.io/main/en/advanced_config/parameter_reference#COM_OF_LOSS_T>). Nothing waits for this: a vehicle that
+//! does not answer is flown all the same, and people are told.
+
+use crate::autopilot::Flavour;
+use crate::framing::{Packet, Zeroed};
+use mavlink::MessageData;
+use mavlink::dialects::common::{
+    MavMessage, MavParamType, PARAM_ERROR_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
+};
+use vigil_types::Nanos;
+
+/// Questions before a vehicle counts as not answering, and attempts to set the value.
+const ATTEMPTS: u8 = 4;
+/// Pause between two of them.
+const RETRY_NS: Nanos = 500_000_000;
+/// A value counts as set when it is as near as this: what an autopilot may round.
+const SAME_S: f32 = 1e-3;
+
+/// What was found; told once for each hand-over.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Finding {
+    /// Short enough, seconds.
+    Good(f32),
+    /// It was too long, and was set: before and after, seconds.
+    Set(f32, f32),
+    /// It is too long, and the vehicle did not let it be set: the value and the longest wanted, seconds.
+    Stays(f32, f32),
+    /// The vehicle did not tell.
+    NotTold,
+}
+
+/// What to do in a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Next {
+    Nothing,
+    /// Ask for the value.
+    Read,
+    /// Set it, seconds.
+    Set(f32),
+    Tell(Finding),
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Stage {
+    /// No hand-over, or its finding was told.
+    Idle,
+    Reading,
+    /// It was this long.
+    Setting(f32),
+    /// To be told.
+    Found(Finding),
+}
+
+/// Follows the one parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct SetpointTimeout {
+    flavour: Flavour,
+    /// The longest wanted, seconds; `None` leaves the parameter alone.
+    longest_s: Option<f32>,
+    stage: Stage,
+    attempts: u8,
+    sent_ns: Nanos,
+    /// The vehicle was being taken in the step before.
+    taking: bool,
+}
+
+impl SetpointTimeout {
+    pub fn new(flavour: Flavour, longest_s: Option<f32>) -> Self {
+        Self {
+            flavour,
+            longest_s,
+            stage: Stage::Idle,
+            attempts: 0,
+            sent_ns: 0,
+            taking: false,
+        }
+    }
+
+    /// The parameter's name.
+    pub fn name(&self) -> &'static str {
+        match self.flavour {
+            Flavour::Px4 => "COM_OF_LOSS_T",
+            Flavour::ArduPilot => "GUID_TIMEOUT",
+        }
+    }
+
+    fn is_named(&self, id: &[u8; 16]) -> bool {
+        let len = id.iter().position(|byte| *byte == 0).unwrap_or(id.len());
+        id.get(..len) == Some(self.name().as_bytes())
+    }
+
+    /// Takes a packet of the vehicle.
+    pub fn receive(&mut self, packet: &Packet<'_>) {
+        let payload = Zeroed(packet.payload());
+        let Some(longest_s) = self.longest_s else { return };
+        match packet.message_id() {
+            PARAM_VALUE_DATA::ID if self.is_named(&payload.bytes(8)) => {
+                let value_s = f32::from_le_bytes(payload.bytes(0));
+                // Either autopilot's is a REAL32; what is not a time is no answer.
+                if !(value_s.is_finite() && value_s >= 0.0) {
+                    return;
+                }
+                let short = value_s <= longest_s + SAME_S;
+                match self.stage {
+                    Stage::Reading if short => self.stage = Stage::Found(Finding::Good(value_s)),
+                    Stage::Reading => {
+                        self.stage = Stage::Setting(value_s);
+                        self.attempts = 0;
+                    }
+                    // Anything else than a short value is the answer of a vehicle that did not set it; it is asked again.
+                    Stage::Setting(before_s) if short => self.stage = Stage::Found(Finding::Set(before_s, value_s)),
+                    Stage::Setting(_) | Stage::Idle | Stage::Found(_) => {}
+                }
+            }
+            PARAM_ERROR_DATA::ID if self.is_named(&payload.bytes(4)) => match self.stage {
+                Stage::Reading => self.stage = Stage::Found(Finding::NotTold),
+                Stage::Setting(value_s) => self.stage = Stage::Found(Finding::Stays(value_s, longest_s)),
+                Stage::Idle | Stage::Found(_) => {}
+            },
+            _ => {}
+        }
+    }
+
+    /// One step. `taking`: guidance asks for the vehicle. What then began goes on to its end, in flight too.
+    pub fn step(&mut self, now_ns: Nanos, taking: bool) -> Next {
+        let Some(longest_s) = self.longest_s else {
+            return Next::Nothing;
+        };
+        if taking && !core::mem::replace(&mut self.taking, taking) {
+            self.stage = Stage::Reading;
+            self.attempts = 0;
+        }
+        self.taking = taking;
+        let gives_up = match self.stage {
+            Stage::Idle => return Next::Nothing,
+            Stage::Found(finding) => {
+                self.stage = Stage::Idle;
+                return Next::Tell(finding);
+            }
+            Stage::Reading => Finding::NotTold,
+            Stage::Setting(value_s) => Finding::Stays(value_s, longest_s),
+        };
+        if self.attempts > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
+            return Next::Nothing;
+        }
+        if self.attempts >= ATTEMPTS {
+            self.stage = Stage::Idle;
+            return Next::Tell(gives_up);
+        }
+        self.attempts += 1;
+        self.sent_ns = now_ns;
+        match self.stage {
+            Stage::Setting(_) => Next::Set(longest_s),
+            Stage::Idle | Stage::Reading | Stage::Found(_) => Next::Read,
+        }
+    }
+
+    /// Asks the autopilot of a system for the parameter.
+    pub fn read(&self, system: u8) -> MavMessage {
+        MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+            param_index: -1,
+            target_system: system,
+            target_component: 1,
+            param_id: self.name().into(),
+        })
+    }
+
+    /// Sets it.
+    pub fn set(&self, system: u8, value_s: f32) -> MavMessage {
+        MavMessage::PARAM_SET(PARAM_SET_DATA {
+            param_value: value_s,
+            target_system: system,
+            target_component: 1,
+            param_id: self.name().into(),
+            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+        })
+    }
+}
