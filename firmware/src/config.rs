@@ -12,8 +12,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
-use vigil_link::{CompanionConfig, Flavour};
 use vigil_log::FlightInfo;
+use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::{Goal, NedVector};
 

@@ -23,4 +23,4 @@ mod tunables;
 pub use config::FirmwareConfig;
 pub use lockstep::LockstepFirmware;
 pub use replay::{ReplayReport, replay};
-pub use vigil_ports::{link_spec, link_url};
+pub use vigil_io::{link_spec, link_url};

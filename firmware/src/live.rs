@@ -12,11 +12,11 @@ use crate::saved::{ParameterKeeper, SavedError};
 use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
 use std::sync::atomic::{AtomicBool, Ordering};
-use vigil_link::LinkCounters;
-use vigil_link::framing::FramingCounters;
-use vigil_link::signing::SigningCounters;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
 use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, StartError, epoch_offset_ns};
-use vigil_transport::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
+use vigil_mavlink::LinkCounters;
+use vigil_mavlink::framing::FramingCounters;
+use vigil_mavlink::signing::SigningCounters;
 use vigil_types::{Datagrams, GuidanceState, Nanos, StepReport};
 
 /// Steps between a request to end and the end: guidance brakes and sends zeros in them.

@@ -4,8 +4,8 @@ use crate::config::FirmwareConfig;
 use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
 use crate::step::{Firmware, StackError};
 use std::time::Duration;
+use vigil_io::shared_memory::{Domain, LockstepError, LockstepServer, Served};
 use vigil_log::Recorder;
-use vigil_transport::{Domain, LockstepError, LockstepServer, Served};
 use vigil_types::{Datagrams, DepthFrame, Nanos, StepReport, StepTiming};
 
 /// The firmware in the simulator's own process.

@@ -14,8 +14,8 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use vigil_io::shared_memory::Domain;
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
-use vigil_transport::Domain;
 use vigil_types::StepReport;
 
 /// Arguments of `vigil firmware` and of the `firmware` program.

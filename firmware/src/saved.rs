@@ -9,8 +9,8 @@ use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_guidance::{AlarmPolicy, AtGoal};
-use vigil_link::{ParameterValue, Parameters};
-use vigil_ports::state::{StateError, StateFile, exact};
+use vigil_io::state::{StateError, StateFile, exact};
+use vigil_mavlink::{ParameterValue, Parameters};
 
 /// Tables that may wait to be stored; the newest is offered again in the next step.
 const CAPACITY: usize = 8;

@@ -13,8 +13,8 @@ use crate::crew::Crew;
 use crate::frame_keeper::FrameKeeper;
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
-use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_link::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, framing};
+use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
+use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, framing};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{

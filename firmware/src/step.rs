@@ -6,8 +6,8 @@ use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_detector::MonitorError;
 use vigil_guidance::ConfigError;
-use vigil_link::{LinkCounters, Parameters};
 use vigil_log::Recorder;
+use vigil_mavlink::{LinkCounters, Parameters};
 use vigil_nnet::file::FileError;
 use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
 

@@ -10,7 +10,7 @@
 
 use crate::stack::StackConfig;
 use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, GuidanceConfig};
-use vigil_link::{Parameter, ParameterValue, Parameters};
+use vigil_mavlink::{Parameter, ParameterValue, Parameters};
 use vigil_policy::GeometricConfig;
 use vigil_types::ACTION_LIMIT;
 

@@ -17,10 +17,10 @@ use vigil_firmware::ports::live::{MonotonicClock, SharedFrames};
 use vigil_firmware::ports::{Clock, Link};
 use vigil_firmware::step::Firmware;
 use vigil_firmware::{LockstepFirmware, lockstep, replay};
-use vigil_link::common::MavMessage;
-use vigil_link::framing::{FramingCounters, Packet, StreamFramer};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient};
 use vigil_log::TickRecord;
-use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient};
+use vigil_mavlink::common::MavMessage;
+use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, STEP_NS, StepReport, StepTiming};
 
 /// The far end of the ports: the suite puts things there, lets the firmware step, and looks at what came out.

@@ -10,10 +10,10 @@ use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
 use vigil_firmware::ports::links::{LiveLink, SerialLink, TcpLink, UdpLink};
-use vigil_link::MavHeader;
-use vigil_link::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-use vigil_link::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory};
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory};
 use vigil_types::{Datagrams, Nanos};
 
 const FUZZED_BYTES: usize = 10_000_000;

@@ -14,10 +14,12 @@ use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
 use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
-use vigil_link::MavHeader;
-use vigil_link::common::*;
-use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, packets, serialize};
-use vigil_link::signing::{SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns};
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, packets, serialize};
+use vigil_mavlink::signing::{
+    SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
+};
 use vigil_types::{Datagrams, Nanos, STEP_NS, StepTiming};
 
 const VEHICLE: (u8, u8) = (1, 1);

@@ -11,9 +11,9 @@ use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
 use vigil_firmware::ports::links::{LinkError, LiveLink, SerialLink, TcpLink};
-use vigil_link::MavHeader;
-use vigil_link::common::{MavMessage, STATUSTEXT_DATA};
-use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, serialize};
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{MavMessage, STATUSTEXT_DATA};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, serialize};
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND: Nanos = 1_000_000_000;

@@ -14,10 +14,10 @@ use vigil_firmware::live::LiveLoop;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
-use vigil_link::MavHeader;
-use vigil_link::common::{MavMessage, MavParamType, PARAM_SET_DATA};
-use vigil_link::framing::{MAX_PACKET_LEN, serialize};
-use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_types::{GuidanceState, Reason, STEP_NS, StepTiming};
 
 thread_local! {

@@ -11,9 +11,9 @@ use std::time::{Duration, Instant};
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::{LockstepFirmware, replay};
-use vigil_link::common::MavMessage;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, LockstepClient, remove_leftovers};
 use vigil_log::{LogEnd, Reader, TickRecord};
-use vigil_transport::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, LockstepClient, remove_leftovers};
+use vigil_mavlink::common::MavMessage;
 use vigil_types::{Datagrams, STEP_NS};
 
 fn firmware(arguments: &[&str]) -> Command {

@@ -9,10 +9,10 @@ use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
 use vigil_firmware::ports::links::UdpLink;
-use vigil_link::MavHeader;
-use vigil_link::common::{HEARTBEAT_DATA, MavMessage};
-use vigil_link::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-use vigil_link::signing::{
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, Timestamp, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
 use vigil_types::{Datagrams, Nanos};

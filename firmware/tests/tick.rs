@@ -5,9 +5,9 @@ mod common;
 use common::{LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
 use vigil_firmware::config::{AtGoalChoice, Engage};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_link::MavHeader;
-use vigil_link::common::{MavMessage, MavParamType, PARAM_SET_DATA};
-use vigil_link::framing::{MAX_PACKET_LEN, serialize};
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, Reasons, STEP_NS, StepReport, Verdict};
 
 /// Vehicle and firmware in step; either side's contribution can be left out of a step.

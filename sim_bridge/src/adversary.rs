@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber};
 use vigil_types::{DepthFrame, NedVector};
 
 /// The service on which the simulator publishes when an adversary stands behind it.

@@ -1,7 +1,7 @@
 //! What the guidance computer says of itself, read from its own telemetry as any ground station would.
 
 use mavlink::dialects::common::MavMessage;
-use vigil_link::framing::{self, FramingCounters};
+use vigil_mavlink::framing::{self, FramingCounters};
 
 /// The last values heard from the guidance computer.
 #[derive(Debug, Clone, Default)]

@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
-use vigil_endpoint::{EndpointConfig, Saved};
+use vigil_autopilot::{EndpointConfig, Saved};
 use vigil_vehicle::{ParamsError, VehicleParams, Wind};
 use vigil_world::{Course, CourseError, Family, LidarConfig, generate};
 
@@ -49,7 +49,7 @@ pub enum SimError {
     Lidar(#[from] vigil_world::LidarConfigError),
     /// A MAVLink setting.
     #[error(transparent)]
-    Endpoint(#[from] vigil_endpoint::ConfigError),
+    Endpoint(#[from] vigil_autopilot::ConfigError),
 }
 
 impl SimConfig {

@@ -3,13 +3,13 @@
 
 use crate::udp::{UdpError, onboard_api_gcs};
 use std::path::PathBuf;
-use vigil_endpoint::{LinkId, SigningSetup};
-use vigil_link::signing::{SigningCounters, SigningKey};
-use vigil_ports::Link;
-use vigil_ports::gate::{AllowUnsigned, Gate, SigningFileError};
-use vigil_ports::link_spec::{Budget, LinkSpec};
-use vigil_ports::link_url::LinkUrl;
-use vigil_ports::links::{LinkError, LiveLink, UdpPeers};
+use vigil_autopilot::{LinkId, SigningSetup};
+use vigil_io::Link;
+use vigil_io::gate::{AllowUnsigned, Gate, SigningFileError};
+use vigil_io::link_spec::{Budget, LinkSpec};
+use vigil_io::link_url::LinkUrl;
+use vigil_io::links::{LinkError, LiveLink, UdpPeers};
+use vigil_mavlink::signing::{SigningCounters, SigningKey};
 use vigil_types::{Datagrams, Nanos};
 
 /// Links by URL, besides the three that every vehicle has.
@@ -226,11 +226,11 @@ mod tests {
     use std::net::{Ipv4Addr, TcpStream, UdpSocket};
     use std::os::unix::fs::PermissionsExt;
     use std::time::Duration;
-    use vigil_endpoint::{Endpoint, EndpointConfig};
-    use vigil_link::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA};
-    use vigil_link::framing::{MAX_PACKET_LEN, serialize};
-    use vigil_link::mavlink::MavHeader;
-    use vigil_link::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
+    use vigil_autopilot::{Endpoint, EndpointConfig};
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA};
+    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+    use vigil_mavlink::mavlink::MavHeader;
+    use vigil_mavlink::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
 
     const SECOND: Nanos = 1_000_000_000;
     const KEY: SigningKey = SigningKey([3; 32]);

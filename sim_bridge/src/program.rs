@@ -12,10 +12,10 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use vigil_endpoint::{EndpointConfig, LinkId, LinkRole};
-use vigil_ports::gate::AllowUnsigned;
-use vigil_ports::link_spec::LinkSpec;
-use vigil_transport::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
+use vigil_autopilot::{EndpointConfig, LinkId, LinkRole};
+use vigil_io::gate::AllowUnsigned;
+use vigil_io::link_spec::LinkSpec;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS};
 use vigil_world::Outcome;
 

@@ -2,7 +2,7 @@
 
 use crate::config::{SimConfig, SimError, Start};
 use twox_hash::XxHash3_64;
-use vigil_endpoint::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup};
+use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup};
 use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS};
 use vigil_vehicle::{ControlCommand, Truth, Vehicle};
 use vigil_world::{Lidar, Outcome, Referee, Shot, World};

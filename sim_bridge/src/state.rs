@@ -1,8 +1,8 @@
 //! The file that keeps a vehicle's parameters and plans over restarts.
 
 use std::path::Path;
-use vigil_endpoint::Saved;
-use vigil_ports::state::StateFile;
+use vigil_autopilot::Saved;
+use vigil_io::state::StateFile;
 
 /// The file of a vehicle.
 pub(crate) fn state_file(folder: &Path, instance: u32) -> StateFile<Saved> {

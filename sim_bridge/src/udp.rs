@@ -2,8 +2,8 @@
 
 use std::io::ErrorKind;
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
-use vigil_endpoint::LinkId;
-use vigil_ports::links::UdpPeers;
+use vigil_autopilot::LinkId;
+use vigil_io::links::UdpPeers;
 
 /// Highest instance whose peer port on the API and GCS links is its own, as in PX4; those above share it. Beyond it the
 /// numbers of one instance would be those of another.

@@ -8,7 +8,7 @@ from torch import nn
 from actor import FEATURES, FRAMES, LIMIT
 from networks import Encoder, Head, Weights, gru, linear
 
-# Layers with more inputs learn at a lower rate; last biases at a higher one (tools/train/src/networks.rs).
+# Layers with more inputs learn at a lower rate; last biases at a higher one (tools/src/actor_training/networks.rs).
 FULL_RATE_INPUTS = 64.0
 LAST_BIAS_SHARE = 20.0
 

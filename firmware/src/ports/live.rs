@@ -3,7 +3,7 @@
 use super::{Clock, FrameSource};
 use rustix::thread::{ClockId, clock_nanosleep_absolute};
 use rustix::time::{Timespec, clock_gettime};
-use vigil_transport::{BorrowedFrame, FrameSubscriber};
+use vigil_io::shared_memory::{BorrowedFrame, FrameSubscriber};
 use vigil_types::{DepthFrame, Nanos};
 
 /// The machine's monotonic clock, which all processes on it share.

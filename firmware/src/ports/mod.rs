@@ -5,7 +5,7 @@
 pub mod handed;
 pub mod live;
 
-pub use vigil_ports::{Link, gate, links, router};
+pub use vigil_io::{Link, gate, links, router};
 use vigil_types::{DepthFrame, Nanos};
 
 /// Time of the flight.

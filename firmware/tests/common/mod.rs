@@ -8,13 +8,13 @@ use std::time::Duration;
 use vigil_detector::{FrozenDetector, LstmAd};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{DetectorConfig, Engage, GoalConfig, PilotConfig, PilotKind};
-use vigil_link::MavHeader;
-use vigil_link::common::{
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{
     ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
     LOCAL_POSITION_NED_DATA, MavAutopilot, MavCmd, MavLandedState, MavMessage, MavModeFlag, MavResult, MavState,
     MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
-use vigil_link::framing::{self, FramingCounters};
+use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_types::{Attitude, Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
 
 /// Bounds every wait; far above what any of them takes.
@@ -31,7 +31,7 @@ impl Instance {
 
 impl Drop for Instance {
     fn drop(&mut self) {
-        let _ = vigil_transport::remove_leftovers(self.0);
+        let _ = vigil_io::shared_memory::remove_leftovers(self.0);
     }
 }
 

@@ -12,7 +12,7 @@ use vigil_adversary::{AttackConfig, Method, StateAttack, Towards};
 use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec, Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_train::{Example, KeptState, Rehearsal, TrainConfig};
+use vigil_tools::actor_training::{Example, KeptState, Rehearsal, TrainConfig};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// A program to time.

@@ -1,0 +1,55 @@
+//! What a frame and a lockstep step cost between two threads that meet in shared memory as two processes do.
+
+use std::time::Duration;
+use vigil_io::shared_memory::{
+    DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient, LockstepServer, Served,
+};
+use vigil_types::{Datagrams, DepthFrame};
+
+fn main() {
+    divan::main();
+}
+
+/// An instance of this process's own.
+fn own_instance(number: u32) -> u32 {
+    1_000_000 + std::process::id() * 16 + number
+}
+
+#[divan::bench]
+fn publish_and_receive_a_frame(bencher: divan::Bencher) {
+    let domain = Domain::open(own_instance(0), "bench").unwrap();
+    let mut publisher = FramePublisher::create(&domain, DEPTH_TOPIC).unwrap();
+    let mut subscriber = FrameSubscriber::create(&domain, DEPTH_TOPIC).unwrap();
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    frame.seal();
+    bencher.bench_local(|| {
+        publisher.publish(&frame).unwrap();
+        subscriber.newest().unwrap().unwrap().header.checksum
+    });
+    drop((publisher, subscriber, domain));
+    vigil_io::shared_memory::remove_leftovers(own_instance(0)).unwrap();
+}
+
+#[divan::bench(args = [false, true])]
+fn lockstep_exchange(bencher: divan::Bencher, with_frame: bool) {
+    let instance = own_instance(1);
+    let firmware = std::thread::spawn(move || {
+        let domain = Domain::open(instance, "bench-firmware").unwrap();
+        let mut server = LockstepServer::create(&domain).unwrap();
+        let sent = Datagrams::default();
+        while server.serve(Duration::from_secs(10), || false, |_| &sent).unwrap() == Served::Step {}
+    });
+    let domain = Domain::open(instance, "bench-simulator").unwrap();
+    let mut client = LockstepClient::connect(&domain, Duration::from_secs(10)).unwrap();
+    let (received, mut sent) = (Datagrams::default(), Datagrams::default());
+    let frame = Box::new(DepthFrame::EMPTY);
+    bencher.bench_local(|| {
+        client
+            .exchange(0, 0, with_frame.then_some(&*frame), &received, &mut sent)
+            .unwrap()
+    });
+    client.finish(0).unwrap();
+    firmware.join().unwrap();
+    drop(domain);
+    vigil_io::shared_memory::remove_leftovers(instance).unwrap();
+}

@@ -1,0 +1,406 @@
+//! Who may speak on a link: MAVLink signing, and the policy on packets without a signature.
+
+mod files;
+
+pub use files::{SigningFileError, read_key};
+
+use files::Keeper;
+use serde::{Deserialize, Serialize};
+use std::io::ErrorKind;
+use std::path::Path;
+use std::time::{SystemTime, UNIX_EPOCH};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets};
+use vigil_mavlink::signing::{
+    Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp, UNITS_PER_SECOND,
+    timestamp_of_unix_ns,
+};
+use vigil_types::{Datagrams, Nanos};
+
+/// Longest datagram that is read; MAVLink's longest packet is 293 bytes, senders may put several into one datagram.
+pub const MAX_DATAGRAM_BYTES: usize = 2048;
+/// How often what replay protection needs goes to its file.
+const STORE_NS: Nanos = 1_000_000_000;
+/// How much later than it is the stored time is while packets still come: more than passes until it is stored again.
+const STORE_AHEAD: u64 = 2 * UNITS_PER_SECOND;
+/// A SETUP_SIGNING may not set the time further ahead than any packet may be.
+const MAX_AHEAD: u64 = 60 * UNITS_PER_SECOND;
+
+/// From whom packets without a signature are accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum AllowUnsigned {
+    /// Senders on this machine.
+    #[default]
+    Loopback,
+    /// Nobody.
+    Never,
+    /// Everybody who reaches the link.
+    Always,
+}
+
+impl AllowUnsigned {
+    /// Whether a sender needs no signature. `is_local`: it is on this machine.
+    pub fn covers(self, is_local: bool) -> bool {
+        match self {
+            Self::Loopback => is_local,
+            Self::Never => false,
+            Self::Always => true,
+        }
+    }
+}
+
+/// Verifies what a link receives, signs what it sends.
+pub struct Gate {
+    signing: Option<Signing>,
+    keeper: Option<Keeper>,
+    /// The key's file was made by a program and may be removed by one.
+    owns_key_file: bool,
+    /// What replay protection knew when there was no key, or there was one last.
+    past: SigningMemory,
+    allow_unsigned: AllowUnsigned,
+    clock: fn() -> Timestamp,
+    now: Timestamp,
+    stored_ns: Nanos,
+    /// Verdicts without a key.
+    counters: SigningCounters,
+    framing: FramingCounters,
+    admitted: Box<[u8; MAX_DATAGRAM_BYTES]>,
+    sealed: Box<[u8; MAX_PACKET_LEN + SIGNATURE_LEN]>,
+}
+
+impl Gate {
+    /// Everything passes, nothing is signed.
+    pub fn open() -> Self {
+        Self::new(None, AllowUnsigned::Always)
+    }
+
+    /// A gate without a file: with `signing` packets are verified and signed. What replay protection knows is lost with it.
+    pub fn new(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Self {
+        Self {
+            signing,
+            keeper: None,
+            owns_key_file: false,
+            past: SigningMemory::default(),
+            allow_unsigned,
+            clock: wall_clock,
+            now: 0,
+            stored_ns: 0,
+            counters: SigningCounters::default(),
+            framing: FramingCounters::default(),
+            admitted: Box::new([0; MAX_DATAGRAM_BYTES]),
+            sealed: Box::new([0; MAX_PACKET_LEN + SIGNATURE_LEN]),
+        }
+    }
+
+    /// A gate with the key in `key_file`. What replay protection needs over restarts is kept beside it, in
+    /// `key_file` + `.NAME.state`: each program that uses the key at the same time needs a `name` of its own.
+    ///
+    /// # Errors
+    /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
+    pub fn with_key_file(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
+        let key = read_key(key_file)?;
+        let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
+        let mut gate = Self::new(Some(Signing::new(key, 0, memory)), allow_unsigned);
+        gate.keeper = Some(keeper);
+        Ok(gate)
+    }
+
+    /// A gate whose key, if there is one, came by SETUP_SIGNING and was kept in `key_file`: without that file it begins
+    /// without a key. What comes later is kept there too.
+    ///
+    /// # Errors
+    /// [`SigningFileError`]: a file that is not a key or that others can read, or a state that cannot be kept.
+    pub fn with_kept_key(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
+        let key = match read_key(key_file) {
+            Ok(key) => Some(key),
+            Err(SigningFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
+            Err(other) => return Err(other),
+        };
+        let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
+        let signing = key.map(|key| Signing::new(key, 0, memory.clone()));
+        let mut gate = Self::new(signing, allow_unsigned);
+        gate.keeper = Some(keeper);
+        gate.owns_key_file = true;
+        gate.past = memory;
+        Ok(gate)
+    }
+
+    /// Takes the signatures' time from `clock` instead of the machine's: for tests.
+    pub fn with_clock(mut self, clock: fn() -> Timestamp) -> Self {
+        self.clock = clock;
+        self
+    }
+
+    /// Whether packets are signed and verified.
+    pub fn has_key(&self) -> bool {
+        self.signing.is_some()
+    }
+
+    /// From whom packets without a signature are accepted.
+    pub fn allow_unsigned(&self) -> AllowUnsigned {
+        self.allow_unsigned
+    }
+
+    /// What was accepted and refused. Empty where everything passes.
+    pub fn counters(&self) -> SigningCounters {
+        self.signing.as_ref().map_or(self.counters, |s| *s.counters())
+    }
+
+    /// What was found in the datagrams that were looked into.
+    pub fn framing(&self) -> FramingCounters {
+        self.framing
+    }
+
+    /// Before anything is received in a step: looks at the clock, and has the state stored once a second.
+    pub fn begin(&mut self, now_ns: Nanos) {
+        let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) else {
+            self.now = if self.signing.is_some() { (self.clock)() } else { 0 };
+            return;
+        };
+        self.now = (self.clock)();
+        if now_ns.saturating_sub(self.stored_ns) >= STORE_NS {
+            self.stored_ns = now_ns;
+            keeper.offer(signing.memory().clone().ahead(STORE_AHEAD));
+        }
+    }
+
+    /// From now on signs and verifies with `key`, as SETUP_SIGNING asks. Timestamps go on from `newest` (of the message)
+    /// or what they were, whichever is later, but never from more than a minute ahead. A key that came from a file is
+    /// replaced there too.
+    pub fn set_key(&mut self, key: SigningKey, newest: Timestamp) {
+        // The streams' times stay: the same key again must not make good what was accepted before.
+        let mut memory = self.signing.as_ref().map_or(&self.past, Signing::memory).clone();
+        memory.newest = memory.newest.max(newest.min((self.clock)() + MAX_AHEAD));
+        if let Some(keeper) = &mut self.keeper {
+            keeper.replace_key(key, memory.clone().ahead(STORE_AHEAD));
+        }
+        self.signing = Some(match &self.signing {
+            Some(signing) => signing.rekeyed(key, memory),
+            None => Signing::new(key, 0, memory),
+        });
+    }
+
+    /// From now on neither signs nor verifies, as SETUP_SIGNING with a key of zeros asks. A key that came by
+    /// SETUP_SIGNING is removed from its file; one from the user's own file is in force again at the next start, and then
+    /// the answer is `false`.
+    pub fn remove_key(&mut self) -> bool {
+        if let Some(signing) = self.signing.take() {
+            self.past = signing.memory().clone();
+            self.counters = *signing.counters();
+        }
+        match &mut self.keeper {
+            Some(keeper) if self.owns_key_file => keeper.remove_key(self.past.clone()),
+            other => return other.is_none(),
+        }
+        true
+    }
+
+    /// Appends to `received` what may pass of a datagram; refused packets are left out and counted. Tells whether anything
+    /// passed. `is_local`: the sender is on this machine.
+    pub fn admit(&mut self, is_local: bool, link: u8, datagram: &[u8], received: &mut Datagrams) -> bool {
+        self.admit_by(self.allow_unsigned, is_local, link, datagram, received)
+    }
+
+    /// The same by the policy of one of several links that share the gate. They share it, and not only the key, so that a
+    /// packet taken from one link cannot be replayed on another.
+    pub fn admit_by(
+        &mut self,
+        allow_unsigned: AllowUnsigned,
+        is_local: bool,
+        link: u8,
+        datagram: &[u8],
+        received: &mut Datagrams,
+    ) -> bool {
+        let allow_unsigned = allow_unsigned.covers(is_local);
+        if allow_unsigned && self.signing.is_none() {
+            // Everything passes as it is: nobody needs to look into it.
+            return received.push(link, datagram);
+        }
+        let mut len = 0;
+        for packet in packets(datagram, &mut self.framing) {
+            let verdict = match &mut self.signing {
+                Some(signing) => signing.verify(self.now, &packet, allow_unsigned),
+                None => {
+                    // Without a key no signature can be right.
+                    let refusal = match packet.is_signed() {
+                        true => Refusal::WrongSignature,
+                        false => Refusal::Unsigned,
+                    };
+                    self.counters.count(packet.is_signed(), Err(refusal));
+                    Err(refusal)
+                }
+            };
+            // The packets of a datagram are together no longer than it.
+            if verdict.is_ok()
+                && let Some(slot) = self.admitted.get_mut(len..len + packet.raw().len())
+            {
+                slot.copy_from_slice(packet.raw());
+                len += packet.raw().len();
+            }
+        }
+        match self.admitted.get(..len) {
+            Some(admitted) if len > 0 => received.push(link, admitted),
+            _ => false,
+        }
+    }
+
+    /// The packet as it is to be sent: signed if there is a key.
+    pub fn seal<'a>(&'a mut self, packet: &'a [u8]) -> &'a [u8] {
+        let Some(signing) = &mut self.signing else {
+            return packet;
+        };
+        match signing.sign(self.now, packet, self.sealed.as_mut_slice()) {
+            Ok(len) => self.sealed.get(..len).unwrap_or(packet),
+            // Not a packet of the flight stack's, which are all MAVLink 2.
+            Err(_) => packet,
+        }
+    }
+}
+
+impl Drop for Gate {
+    fn drop(&mut self) {
+        if let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) {
+            // Exact, now that nothing more is accepted.
+            keeper.offer(signing.memory().clone());
+        }
+    }
+}
+
+fn wall_clock() -> Timestamp {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    // Nanoseconds since 1970 fit until the year 2554.
+    timestamp_of_unix_ns(since_1970.as_nanos() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_mavlink::MavHeader;
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_mavlink::framing::serialize;
+
+    const NOW: Timestamp = 40_000_000_000_000;
+
+    fn heartbeat(sequence: u8) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: 1,
+            component_id: 1,
+            sequence,
+        };
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn signing() -> Signing {
+        Signing::new(SigningKey([7; 32]), 0, SigningMemory::default())
+    }
+
+    fn gate(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Gate {
+        let mut gate = Gate::new(signing, allow_unsigned).with_clock(|| NOW);
+        gate.begin(0);
+        gate
+    }
+
+    fn signed(sequence: u8) -> Vec<u8> {
+        let mut sender = gate(Some(signing()), AllowUnsigned::Never);
+        for _ in 0..sequence {
+            sender.seal(&heartbeat(0));
+        }
+        sender.seal(&heartbeat(sequence)).to_vec()
+    }
+
+    fn admitted(gate: &mut Gate, is_local: bool, datagram: &[u8]) -> Vec<Vec<u8>> {
+        let mut received = Datagrams::default();
+        let passed = gate.admit(is_local, 0, datagram, &mut received);
+        assert_eq!(passed, !received.is_empty());
+        received.iter().map(|(_, bytes)| bytes.to_vec()).collect()
+    }
+
+    #[test]
+    fn the_default_hears_unsigned_packets_of_this_machine_only() {
+        let mut default = gate(None, AllowUnsigned::default());
+        assert_eq!(admitted(&mut default, true, &heartbeat(0)), [heartbeat(0)]);
+        assert!(admitted(&mut default, false, &heartbeat(0)).is_empty());
+        assert!(admitted(&mut default, false, &signed(0)).is_empty());
+        let counters = default.counters();
+        assert_eq!((counters.unsigned, counters.wrong_signature), (1, 1));
+    }
+
+    #[test]
+    fn who_may_speak_unsigned_depends_on_policy_and_sender() {
+        for (policy, is_local, passes) in [
+            (AllowUnsigned::Loopback, true, true),
+            (AllowUnsigned::Loopback, false, false),
+            (AllowUnsigned::Never, true, false),
+            (AllowUnsigned::Never, false, false),
+            (AllowUnsigned::Always, true, true),
+            (AllowUnsigned::Always, false, true),
+        ] {
+            for key in [None, Some(signing())] {
+                let got = admitted(&mut gate(key, policy), is_local, &heartbeat(0));
+                assert_eq!(!got.is_empty(), passes, "{policy:?} {is_local}");
+            }
+            let got = admitted(&mut gate(Some(signing()), policy), is_local, &signed(0));
+            assert_eq!(got, [signed(0)], "who has the key is heard everywhere");
+        }
+    }
+
+    #[test]
+    fn links_that_share_a_gate_have_their_own_policy_but_one_memory() {
+        let mut shared = gate(Some(signing()), AllowUnsigned::Loopback);
+        let mut received = Datagrams::default();
+        assert!(!shared.admit_by(AllowUnsigned::Never, true, 3, &heartbeat(0), &mut received));
+        assert!(shared.admit_by(AllowUnsigned::Loopback, true, 1, &heartbeat(0), &mut received));
+        assert!(shared.admit_by(AllowUnsigned::Never, false, 3, &signed(0), &mut received));
+        assert!(!shared.admit_by(AllowUnsigned::Always, true, 1, &signed(0), &mut received));
+        assert_eq!(shared.counters().replayed, 1, "on another link");
+    }
+
+    #[test]
+    fn a_new_key_takes_the_place_of_the_old_one_and_its_time_is_not_in_the_far_future() {
+        let mut gate = gate(Some(signing()), AllowUnsigned::Never);
+        gate.set_key(SigningKey([9; 32]), NOW * 2);
+        assert!(
+            admitted(&mut gate, true, &signed(0)).is_empty(),
+            "signed with the old key"
+        );
+        let sealed = gate.seal(&heartbeat(0)).to_vec();
+        let stamp = sealed.len() - SIGNATURE_LEN + 1;
+        let mut timestamp = [0; 8];
+        timestamp[..6].copy_from_slice(&sealed[stamp..stamp + 6]);
+        assert_eq!(u64::from_le_bytes(timestamp), NOW + MAX_AHEAD + 1);
+    }
+
+    #[test]
+    fn without_a_key_anymore_nothing_is_signed_and_what_was_counted_stays() {
+        let mut gate = gate(Some(signing()), AllowUnsigned::Loopback);
+        let taken = signed(0);
+        assert_eq!(admitted(&mut gate, true, &taken).len(), 1);
+        assert!(gate.remove_key());
+        assert_eq!(gate.seal(&heartbeat(3)), heartbeat(3));
+        assert_eq!((gate.has_key(), gate.counters().signed), (false, 1));
+        gate.set_key(SigningKey([7; 32]), 0);
+        assert!(
+            admitted(&mut gate, false, &taken).is_empty(),
+            "of before, with the same key again"
+        );
+    }
+
+    #[test]
+    fn of_a_datagram_only_what_may_pass_does() {
+        let mut gate = gate(Some(signing()), AllowUnsigned::Never);
+        let mixed = [heartbeat(9), signed(0), b"garbage".to_vec(), signed(1), signed(0)].concat();
+        assert_eq!(admitted(&mut gate, true, &mixed), [[signed(0), signed(1)].concat()]);
+        let counters = gate.counters();
+        assert_eq!((counters.signed, counters.unsigned, counters.replayed), (2, 1, 1));
+        assert_eq!(gate.framing().garbage_bytes, 7);
+    }
+
+    #[test]
+    fn an_open_gate_changes_nothing() {
+        let mut gate = gate(None, AllowUnsigned::Always);
+        assert_eq!(admitted(&mut gate, false, b"no packet"), [b"no packet"]);
+        assert_eq!(gate.seal(b"no packet"), b"no packet");
+    }
+}

@@ -1,0 +1,425 @@
+//! The files of signing: the key, and what replay protection needs over restarts.
+
+use rtrb::{Producer, RingBuffer};
+use std::io::{Read, Write};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use vigil_mavlink::signing::{SigningKey, SigningMemory, StreamTime};
+
+/// A key file is longer than this only by mistake.
+const LONGEST_KEY_FILE: u64 = 4096;
+/// States that may wait to be written; the newest is offered again a second later.
+const CAPACITY: usize = 8;
+/// How often the writer looks.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// Why signing cannot be switched on.
+#[derive(Debug, thiserror::Error)]
+pub enum SigningFileError {
+    /// The key cannot be read.
+    #[error("signing key {path}: {source}")]
+    Read {
+        /// The key file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Others can read or write the key.
+    #[error(
+        "signing key {path} has mode {mode:04o}, so others can read or change it: chmod 600 {path}, and make a new key if they may have"
+    )]
+    Permissions {
+        /// The key file.
+        path: PathBuf,
+        /// Its permission bits.
+        mode: u32,
+    },
+    /// Another user owns the key.
+    #[error("signing key {path} belongs to user {owner}: it must be yours or root's")]
+    Owner {
+        /// The key file.
+        path: PathBuf,
+        /// The owner's number.
+        owner: u32,
+    },
+    /// The file does not hold a key.
+    #[error(
+        "signing key {path} is not a key: write 64 hexadecimal digits or exactly 32 bytes, for example with: head -c 32 /dev/urandom > {path}"
+    )]
+    Content {
+        /// The key file.
+        path: PathBuf,
+    },
+    /// The state cannot be read or written.
+    #[error("signing state {path}: {source}; without it packets could be replayed after a restart")]
+    State {
+        /// The state file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The state is not what was written.
+    #[error(
+        "signing state {path}, line {line}, is damaged: delete the file, and make sure that no packets signed before are replayed"
+    )]
+    Damaged {
+        /// The state file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+    },
+}
+
+/// Reads a key: 64 hexadecimal digits with white space around them, or 32 bytes. The file must be the user's or root's
+/// and closed to everybody else.
+///
+/// # Errors
+/// [`SigningFileError`].
+pub fn read_key(path: &Path) -> Result<SigningKey, SigningFileError> {
+    let read = |source| SigningFileError::Read {
+        path: path.to_owned(),
+        source,
+    };
+    let mut file = std::fs::File::open(path).map_err(read)?;
+    // Of the open file, so that nobody can exchange it in between.
+    let metadata = file.metadata().map_err(read)?;
+    let mode = metadata.permissions().mode() & 0o7777;
+    if mode & 0o077 != 0 {
+        return Err(SigningFileError::Permissions {
+            path: path.to_owned(),
+            mode,
+        });
+    }
+    let owner = metadata.uid();
+    if owner != 0 && owner != rustix::process::geteuid().as_raw() {
+        return Err(SigningFileError::Owner {
+            path: path.to_owned(),
+            owner,
+        });
+    }
+    let mut bytes = Vec::new();
+    (&mut file)
+        .take(LONGEST_KEY_FILE)
+        .read_to_end(&mut bytes)
+        .map_err(read)?;
+    key_of(&bytes).ok_or_else(|| SigningFileError::Content { path: path.to_owned() })
+}
+
+fn key_of(bytes: &[u8]) -> Option<SigningKey> {
+    if let Ok(raw) = <[u8; 32]>::try_from(bytes) {
+        return Some(SigningKey(raw));
+    }
+    let digits = std::str::from_utf8(bytes).ok()?.trim().as_bytes();
+    if digits.len() != 64 {
+        return None;
+    }
+    let mut key = [0; 32];
+    for (byte, pair) in key.iter_mut().zip(digits.chunks_exact(2)) {
+        let digit = |d: &u8| char::from(*d).to_digit(16);
+        *byte = pair.iter().try_fold(0, |sum, d| Some(sum << 4 | digit(d)? as u8))?;
+    }
+    Some(SigningKey(key))
+}
+
+/// What is to be written.
+enum Job {
+    State(SigningMemory),
+    /// Another key or none, and the state that begins with it.
+    Key(Option<SigningKey>, SigningMemory),
+}
+
+/// Writes states and keys to their files, from a thread of its own: the loop must not wait for a disk.
+pub(super) struct Keeper {
+    // Dropped before the thread is joined: the writer ends when nobody can offer any more.
+    ring: Option<Producer<Job>>,
+    writer: Option<JoinHandle<()>>,
+}
+
+impl Keeper {
+    /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read: whatever
+    /// happens before the first state is offered is covered.
+    pub fn start(key_file: &Path, name: &str, ahead: u64) -> Result<(Self, SigningMemory), SigningFileError> {
+        let mut path = key_file.as_os_str().to_owned();
+        path.push(format!(".{name}.state"));
+        let path = PathBuf::from(path);
+        let memory = read_state(&path)?;
+        let state = |source| SigningFileError::State {
+            path: path.clone(),
+            source,
+        };
+        write_state(&path, &memory.clone().ahead(ahead)).map_err(state)?;
+        let (ring, mut offered) = RingBuffer::new(CAPACITY);
+        let (key_file, target) = (key_file.to_owned(), path.clone());
+        let writer = std::thread::Builder::new()
+            .name("signing".to_owned())
+            .spawn(move || {
+                let mut failing = false;
+                loop {
+                    let last_look = offered.is_abandoned();
+                    let mut newest = None;
+                    while let Ok(job) = offered.pop() {
+                        newest = Some(match job {
+                            Job::State(state) => state,
+                            Job::Key(key, state) => {
+                                let result = match &key {
+                                    Some(key) => write_key(&key_file, key),
+                                    None => std::fs::remove_file(&key_file),
+                                };
+                                if let Err(e) = result {
+                                    let file = key_file.display();
+                                    tracing::warn!("signing key {file}: {e}; after a restart the old key is in force");
+                                }
+                                state
+                            }
+                        });
+                    }
+                    if let Some(newest) = newest {
+                        let result = write_state(&target, &newest);
+                        if let Err(e) = &result
+                            && !failing
+                        {
+                            tracing::warn!(
+                                "signing state {}: {e}; packets could be replayed after a restart",
+                                target.display()
+                            );
+                        }
+                        failing = result.is_err();
+                    }
+                    if last_look {
+                        return;
+                    }
+                    std::thread::sleep(PAUSE);
+                }
+            })
+            .map_err(state)?;
+        let keeper = Self {
+            ring: Some(ring),
+            writer: Some(writer),
+        };
+        Ok((keeper, memory))
+    }
+
+    /// Has a state written. Never waits; when too many wait, the ones offered later do.
+    pub fn offer(&mut self, memory: SigningMemory) {
+        if let Some(ring) = &mut self.ring {
+            // A state that is not written leaves an older one, which lies ahead of it.
+            let _ = ring.push(Job::State(memory));
+        }
+    }
+
+    /// Has the key replaced in its file, and the state that begins with it written. Never waits.
+    pub fn replace_key(&mut self, key: SigningKey, memory: SigningMemory) {
+        self.store_key(Some(key), memory);
+    }
+
+    /// Has the key's file removed, and the state stored for the next key. Never waits.
+    pub fn remove_key(&mut self, memory: SigningMemory) {
+        self.store_key(None, memory);
+    }
+
+    fn store_key(&mut self, key: Option<SigningKey>, memory: SigningMemory) {
+        if let Some(ring) = &mut self.ring
+            && ring.push(Job::Key(key, memory)).is_err()
+        {
+            tracing::warn!("the new signing key could not be stored; after a restart the old one is in force");
+        }
+    }
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.ring = None;
+        if let Some(writer) = self.writer.take() {
+            // The writer does not panic; if it did, the file keeps what it has.
+            let _ = writer.join();
+        }
+    }
+}
+
+/// One line with the newest timestamp, then one for each stream: link id, system, component, timestamp.
+fn write_state(path: &Path, memory: &SigningMemory) -> std::io::Result<()> {
+    let mut text = format!("{}\n", memory.newest);
+    for s in &memory.streams {
+        text += &format!("{} {} {} {}\n", s.link_id, s.system_id, s.component_id, s.timestamp);
+    }
+    replace(path, &text)
+}
+
+/// 64 hexadecimal digits, for nobody else to read.
+fn write_key(path: &Path, key: &SigningKey) -> std::io::Result<()> {
+    let digits: String = key.0.iter().map(|byte| format!("{byte:02x}")).collect();
+    replace(path, &digits)
+}
+
+fn replace(path: &Path, text: &str) -> std::io::Result<()> {
+    let mut temporary = path.as_os_str().to_owned();
+    temporary.push(".new");
+    // What a killed run left; it must be a new file, with this mode, or others might read it or have put a link there.
+    match std::fs::remove_file(&temporary) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
+        _ => {}
+    }
+    let mut file = std::fs::OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(0o600)
+        .open(&temporary)?;
+    file.write_all(text.as_bytes())?;
+    // In place at once: whoever is killed here leaves the old state or the new one.
+    std::fs::rename(&temporary, path)
+}
+
+fn read_state(path: &Path) -> Result<SigningMemory, SigningFileError> {
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(SigningMemory::default()),
+        Err(source) => {
+            return Err(SigningFileError::State {
+                path: path.to_owned(),
+                source,
+            });
+        }
+    };
+    let mut memory = SigningMemory::default();
+    let damaged = |line: usize| SigningFileError::Damaged {
+        path: path.to_owned(),
+        line,
+    };
+    let mut lines = text.lines();
+    memory.newest = lines.next().and_then(|l| l.parse().ok()).ok_or_else(|| damaged(1))?;
+    for (i, line) in lines.enumerate() {
+        let stream = stream_of(line).ok_or_else(|| damaged(i + 2))?;
+        memory.streams.push(stream).map_err(|_| damaged(i + 2))?;
+    }
+    Ok(memory)
+}
+
+fn stream_of(line: &str) -> Option<StreamTime> {
+    let mut fields = line.split(' ');
+    let stream = StreamTime {
+        link_id: fields.next()?.parse().ok()?,
+        system_id: fields.next()?.parse().ok()?,
+        component_id: fields.next()?.parse().ok()?,
+        timestamp: fields.next()?.parse().ok()?,
+    };
+    fields.next().is_none().then_some(stream)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key_file(folder: &Path, content: &[u8], mode: u32) -> PathBuf {
+        let path = folder.join("vigil.key");
+        std::fs::write(&path, content).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        path
+    }
+
+    #[test]
+    fn a_key_is_32_bytes_or_64_digits() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = SigningKey(std::array::from_fn(|i| i as u8 * 8));
+        let hex: String = key.0.iter().map(|b| format!("{b:02X}")).collect();
+        for content in [
+            key.0.to_vec(),
+            hex.clone().into_bytes(),
+            format!(" {hex}\n").into_bytes(),
+        ] {
+            assert_eq!(read_key(&key_file(folder.path(), &content, 0o600)).unwrap(), key);
+        }
+        for content in [&key.0[..31], &hex.as_bytes()[..63], &[b'g'; 64], b""] {
+            let error = read_key(&key_file(folder.path(), content, 0o400)).unwrap_err();
+            assert!(matches!(error, SigningFileError::Content { .. }));
+            assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_key_that_others_can_read_is_refused_with_what_to_do() {
+        let folder = tempfile::tempdir().unwrap();
+        for mode in [0o644, 0o640, 0o604, 0o660, 0o610] {
+            let error = read_key(&key_file(folder.path(), &[1; 32], mode))
+                .unwrap_err()
+                .to_string();
+            assert!(
+                error.contains(&format!("{mode:04o}")) && error.contains("chmod 600"),
+                "{error}"
+            );
+        }
+        assert!(read_key(&key_file(folder.path(), &[1; 32], 0o400)).is_ok());
+        let error = read_key(&folder.path().join("none.key")).unwrap_err().to_string();
+        assert!(error.contains("none.key"), "{error}");
+    }
+
+    fn memory() -> SigningMemory {
+        let mut memory = SigningMemory {
+            newest: 123_456,
+            ..SigningMemory::default()
+        };
+        for component_id in [1, 190] {
+            memory
+                .streams
+                .push(StreamTime {
+                    link_id: 3,
+                    system_id: 255,
+                    component_id,
+                    timestamp: 100_000 + u64::from(component_id),
+                })
+                .unwrap();
+        }
+        memory
+    }
+
+    #[test]
+    fn the_last_state_offered_is_read_by_the_next_run_and_a_killed_run_leaves_one_ahead() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("vigil.key");
+        let (mut keeper, first) = Keeper::start(&key, "3", 50).unwrap();
+        assert_eq!(first, SigningMemory::default());
+        keeper.offer(memory().ahead(7));
+        keeper.offer(memory());
+        drop(keeper);
+        let (_killed, second) = Keeper::start(&key, "3", 50).unwrap();
+        assert_eq!(second, memory());
+        // While that one runs, the file is ahead of what it knows.
+        let (_, third) = Keeper::start(&key, "3", 0).unwrap();
+        assert_eq!(third, memory().ahead(50));
+        let state = folder.path().join("vigil.key.3.state");
+        assert_eq!(std::fs::metadata(state).unwrap().permissions().mode() & 0o777, 0o600);
+    }
+
+    #[test]
+    fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = key_file(folder.path(), &[1; 32], 0o600);
+        let (mut keeper, _) = Keeper::start(&path, "3", 50).unwrap();
+        let key = SigningKey([0xA5; 32]);
+        keeper.replace_key(key, memory());
+        drop(keeper);
+        assert_eq!(read_key(&path).unwrap(), key);
+        assert_eq!(Keeper::start(&path, "3", 50).unwrap().1, memory());
+    }
+
+    #[test]
+    fn a_damaged_state_and_one_that_cannot_be_kept_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let key = folder.path().join("vigil.key");
+        for (text, line) in [
+            ("", "line 1"),
+            ("5\n1 2 3", "line 2"),
+            ("5\n1 2 3 4\n1 2 3 4 5\n", "line 3"),
+        ] {
+            std::fs::write(folder.path().join("vigil.key.0.state"), text).unwrap();
+            let error = Keeper::start(&key, "0", 0).err().unwrap().to_string();
+            assert!(error.contains(line) && error.contains("delete"), "{error}");
+        }
+        let error = Keeper::start(&folder.path().join("no/such.key"), "0", 0)
+            .err()
+            .unwrap()
+            .to_string();
+        assert!(error.contains("replayed"), "{error}");
+    }
+}

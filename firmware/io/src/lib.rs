@@ -1,0 +1,23 @@
+//! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
+//! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), files that outlive a restart ([`state`]), and
+//! [`shared_memory`] with depth frames and lockstep exchanges.
+
+pub mod gate;
+pub mod link_spec;
+pub mod link_url;
+pub mod links;
+pub mod router;
+pub mod shared_memory;
+pub mod state;
+
+use vigil_types::{Datagrams, Nanos};
+
+/// Where datagrams come from and go to.
+pub trait Link {
+    /// Appends what arrived since the last call, in order of arrival. Never waits. What does not fit stays for the
+    /// next call.
+    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams);
+
+    /// Sends the datagrams, in order. Never waits; what cannot be sent is lost, as on any radio link.
+    fn send(&mut self, sent: &Datagrams);
+}

@@ -1,0 +1,201 @@
+//! The link to the vehicle in a real flight: MAVLink over UDP, TCP or a serial line, behind one type.
+//!
+//! None of them waits, allocates after its opening, or ends: a peer that is gone is waited for.
+
+mod peers;
+mod serial;
+mod stream;
+mod tcp;
+mod udp;
+mod wire;
+
+pub use peers::UdpPeers;
+pub use serial::SerialLink;
+pub(crate) use serial::SerialWire;
+pub use tcp::TcpLink;
+pub(crate) use tcp::TcpWire;
+pub use udp::UdpLink;
+pub(crate) use udp::UdpWire;
+pub use wire::Gated;
+pub(crate) use wire::{Door, Wire};
+
+use crate::Link;
+use crate::gate::{AllowUnsigned, Gate, SigningFileError};
+use crate::link_url::LinkUrl;
+use crate::router::MAX_GROUND_LINKS;
+use std::io::ErrorKind;
+use std::net::{IpAddr, SocketAddr};
+use vigil_mavlink::framing::FramingCounters;
+use vigil_mavlink::signing::SigningCounters;
+use vigil_types::{Datagrams, Nanos};
+
+/// The number in [`Datagrams`] of a link that is alone.
+const LINK: u8 = 0;
+/// Who is answered: another caller takes over a listening link only when the present one was silent this long.
+const PEER_SILENCE_NS: Nanos = 2_000_000_000;
+/// Pause between two attempts to reach a peer or a device that is not there.
+const RETRY_NS: Nanos = 1_000_000_000;
+
+/// Why a link could not be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// The port or device is taken.
+    #[error("{url}: in use by another process: stop it, or choose another --link or --instance")]
+    InUse {
+        /// The link.
+        url: LinkUrl,
+    },
+    /// Any other refusal by the system.
+    #[error("{url}: {source}{hint}")]
+    Io {
+        /// The link.
+        url: LinkUrl,
+        /// What the system said.
+        source: std::io::Error,
+        /// What may help.
+        hint: &'static str,
+    },
+    /// The policy leaves nobody who could be heard.
+    #[error(
+        "{url}: nobody would be heard: there is no signing key, and packets without a signature are refused{from_whom}. \
+         Give --signing-key, or --allow-unsigned always if everybody who reaches the link may command the vehicle \
+         (docs/firmware.md, \"Signing\")"
+    )]
+    NobodyHeard {
+        /// The link.
+        url: LinkUrl,
+        /// For whom that holds.
+        from_whom: &'static str,
+    },
+    /// More links than there is room for.
+    #[error("{count} links for ground stations: at most {MAX_GROUND_LINKS} besides the vehicle's")]
+    TooMany {
+        /// Links given.
+        count: usize,
+    },
+    /// Signing cannot be switched on.
+    #[error(transparent)]
+    Signing(#[from] SigningFileError),
+}
+
+impl LinkError {
+    /// What the system said of a link.
+    pub fn of(url: &LinkUrl, source: std::io::Error) -> Self {
+        let url = url.clone();
+        match source.kind() {
+            ErrorKind::AddrInUse | ErrorKind::ResourceBusy => Self::InUse { url },
+            ErrorKind::PermissionDenied if matches!(url, LinkUrl::Serial { .. }) => Self::Io {
+                url,
+                source,
+                hint: ": add yourself to the device's group (dialout on most systems)",
+            },
+            _ => Self::Io { url, source, hint: "" },
+        }
+    }
+}
+
+/// What a link did not take or could not deliver, since it was opened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LinkStatistics {
+    /// Datagrams or connections of others than the peer, which were not read.
+    pub foreign: u64,
+    /// Packets that could not be sent: no peer, or the line is full.
+    pub unsent: u64,
+    /// Connections made or devices opened; always 0 on UDP.
+    pub connections: u64,
+    /// What the framing of a byte stream or of the signatures' check refused.
+    pub framing: FramingCounters,
+    /// What signing accepted and refused.
+    pub signing: SigningCounters,
+}
+
+/// Any link.
+pub enum LiveLink {
+    /// Datagrams.
+    Udp(UdpLink),
+    /// A connection.
+    Tcp(TcpLink),
+    /// A line.
+    Serial(SerialLink),
+}
+
+impl LiveLink {
+    /// Opens the link. A TCP peer may come later; a serial device must be there.
+    ///
+    /// # Errors
+    /// [`LinkError`], each naming the link.
+    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+        somebody_is_heard(url, gate.has_key(), gate.allow_unsigned())?;
+        match url {
+            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => UdpLink::open(url, gate).map(Self::Udp),
+            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpLink::open(url, gate).map(Self::Tcp),
+            LinkUrl::Serial { .. } => SerialLink::open(url, gate).map(Self::Serial),
+        }
+    }
+
+    /// Packets that signing refused, since the link was opened.
+    pub fn signing_refused(&self) -> u64 {
+        self.statistics().signing.refused()
+    }
+
+    /// What was not taken or delivered.
+    pub fn statistics(&self) -> LinkStatistics {
+        match self {
+            Self::Udp(link) => link.statistics(),
+            Self::Tcp(link) => link.statistics(),
+            Self::Serial(link) => link.statistics(),
+        }
+    }
+}
+
+impl Link for LiveLink {
+    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
+        match self {
+            Self::Udp(link) => link.receive(now_ns, received),
+            Self::Tcp(link) => link.receive(now_ns, received),
+            Self::Serial(link) => link.receive(now_ns, received),
+        }
+    }
+
+    fn send(&mut self, sent: &Datagrams) {
+        match self {
+            Self::Udp(link) => link.send(sent),
+            Self::Tcp(link) => link.send(sent),
+            Self::Serial(link) => link.send(sent),
+        }
+    }
+}
+
+/// Refuses a link on which nobody could be heard.
+///
+/// # Errors
+/// [`LinkError::NobodyHeard`]: there is no key, and the policy covers nobody who could be at the other end.
+pub fn somebody_is_heard(url: &LinkUrl, has_key: bool, policy: AllowUnsigned) -> Result<(), LinkError> {
+    let refused_from = match policy {
+        _ if has_key => None,
+        AllowUnsigned::Always => None,
+        AllowUnsigned::Never => Some(""),
+        AllowUnsigned::Loopback => (!may_be_local(url)).then_some(" from other machines"),
+    };
+    refused_from.map_or(Ok(()), |from_whom| {
+        Err(LinkError::NobodyHeard {
+            url: url.clone(),
+            from_whom,
+        })
+    })
+}
+
+/// Whether a sender's address is this machine's loopback: no packet of another machine bears it.
+fn is_local(address: SocketAddr) -> bool {
+    address.ip().to_canonical().is_loopback()
+}
+
+/// Whether a peer on this machine can speak on the link.
+fn may_be_local(url: &LinkUrl) -> bool {
+    let local = |ip: IpAddr| ip.to_canonical().is_loopback();
+    match url {
+        LinkUrl::UdpIn(a) | LinkUrl::TcpIn(a) => local(a.ip()) || a.ip().is_unspecified(),
+        LinkUrl::UdpOut(a) | LinkUrl::TcpOut(a) => local(a.ip()),
+        LinkUrl::Serial { .. } => false,
+    }
+}

@@ -1,0 +1,276 @@
+//! MAVLink over a byte stream: packets are found in what is read, and never torn by what is written.
+
+use super::{Door, LinkStatistics};
+use crate::gate::Gate;
+use std::io::{ErrorKind, Read, Write};
+use vigil_mavlink::framing::{FramingCounters, StreamFramer};
+use vigil_types::Datagrams;
+
+/// Bytes read at once. The packets that one read can complete must fit in what [`MIN_FREE_COUNT`] and [`MIN_FREE_BYTES`]
+/// leave: a packet has at least 8 bytes, and fewer than 300 were held back.
+const CHUNK: usize = 512;
+const MIN_FREE_COUNT: usize = (CHUNK + 300) / 8 + 1;
+const MIN_FREE_BYTES: usize = CHUNK + 300;
+/// Reads in one step at most; bounds the step.
+const MAX_READS_PER_STEP: usize = 64;
+/// Bytes that may wait to be written: some steps' worth. What is older is of no use to the vehicle.
+const OUTBOX: usize = 8192;
+
+/// The stream is no more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Broken;
+
+/// The state of a byte stream, whatever carries it.
+pub(super) struct PacketStream {
+    framer: StreamFramer,
+    counters: FramingCounters,
+    chunk: Box<[u8; CHUNK]>,
+    outbox: Box<[u8; OUTBOX]>,
+    /// What waits to be written is `outbox[written..queued]`.
+    written: usize,
+    queued: usize,
+    unsent: u64,
+}
+
+impl PacketStream {
+    pub fn new() -> Self {
+        Self {
+            framer: StreamFramer::default(),
+            counters: FramingCounters::default(),
+            chunk: Box::new([0; CHUNK]),
+            outbox: Box::new([0; OUTBOX]),
+            written: 0,
+            queued: 0,
+            unsent: 0,
+        }
+    }
+
+    /// What was found in the bytes read, and how many packets were not sent.
+    pub fn statistics(&self) -> LinkStatistics {
+        LinkStatistics {
+            unsent: self.unsent,
+            framing: self.counters,
+            ..LinkStatistics::default()
+        }
+    }
+
+    /// Another stream begins: halves of packets are worth nothing to it.
+    pub fn reset(&mut self) {
+        self.framer.reset();
+        self.written = 0;
+        self.queued = 0;
+    }
+
+    /// Reads what is there; each packet that passes the gate becomes a datagram. Tells whether one did.
+    pub fn receive(
+        &mut self,
+        wire: &mut impl Read,
+        door: &mut Door<'_>,
+        is_local: bool,
+        received: &mut Datagrams,
+    ) -> Result<bool, Broken> {
+        let mut heard = false;
+        for _ in 0..MAX_READS_PER_STEP {
+            if Datagrams::MAX_COUNT - received.len() < MIN_FREE_COUNT || received.free_bytes() < MIN_FREE_BYTES {
+                break;
+            }
+            let bytes = match wire.read(self.chunk.as_mut_slice()) {
+                Ok(0) => return Err(Broken),
+                Ok(len) => self.chunk.get(..len).unwrap_or_default(),
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
+                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
+                Err(_) => return Err(Broken),
+            };
+            self.framer.feed(bytes, &mut self.counters, |packet| {
+                heard |= door.admit(is_local, packet.raw(), received);
+            });
+        }
+        Ok(heard)
+    }
+
+    /// Queues the packets, as many as fit, and writes what the stream takes.
+    pub fn send(&mut self, wire: &mut impl Write, gate: &mut Gate, sent: &Datagrams) -> Result<(), Broken> {
+        self.flush(wire)?;
+        for (_, datagram) in sent.iter() {
+            let packet = gate.seal(datagram);
+            match self.outbox.get_mut(self.queued..self.queued + packet.len()) {
+                Some(slot) => {
+                    slot.copy_from_slice(packet);
+                    self.queued += packet.len();
+                }
+                None => self.unsent += 1,
+            }
+        }
+        self.flush(wire)
+    }
+
+    /// Nobody is there to send to.
+    pub fn discard(&mut self, sent: &Datagrams) {
+        self.unsent += sent.len() as u64;
+    }
+
+    fn flush(&mut self, wire: &mut impl Write) -> Result<(), Broken> {
+        while self.written < self.queued {
+            let waiting = self.outbox.get(self.written..self.queued).unwrap_or_default();
+            match wire.write(waiting) {
+                Ok(0) => return Err(Broken),
+                Ok(len) => self.written += len,
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
+                Err(e) if e.kind() == ErrorKind::Interrupted => {}
+                Err(_) => return Err(Broken),
+            }
+        }
+        self.outbox.copy_within(self.written..self.queued, 0);
+        self.queued -= self.written;
+        self.written = 0;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_mavlink::MavHeader;
+    use vigil_mavlink::common::{MavMessage, STATUSTEXT_DATA};
+    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+
+    fn packet(sequence: u8) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: 1,
+            component_id: 1,
+            sequence,
+        };
+        let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+            text: "of some length".into(),
+            ..STATUSTEXT_DATA::DEFAULT
+        });
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &message, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    /// A line that takes `room` bytes at a time, then is busy, and delivers in portions.
+    struct Line {
+        written: Vec<u8>,
+        room: usize,
+        to_read: Vec<u8>,
+        portion: usize,
+    }
+
+    impl Write for Line {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            let len = bytes.len().min(self.room);
+            if len == 0 {
+                return Err(ErrorKind::WouldBlock.into());
+            }
+            self.room -= len;
+            self.written.extend(&bytes[..len]);
+            Ok(len)
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Read for Line {
+        fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+            let len = out.len().min(self.portion).min(self.to_read.len());
+            if len == 0 {
+                return Err(ErrorKind::WouldBlock.into());
+            }
+            out[..len].copy_from_slice(&self.to_read[..len]);
+            self.to_read.drain(..len);
+            Ok(len)
+        }
+    }
+
+    fn door(gate: &mut Gate) -> Door<'_> {
+        Door {
+            allow_unsigned: gate.allow_unsigned(),
+            gate,
+            link: 0,
+        }
+    }
+
+    fn line() -> Line {
+        Line {
+            written: Vec::new(),
+            room: 0,
+            to_read: Vec::new(),
+            portion: 1,
+        }
+    }
+
+    #[test]
+    fn a_slow_line_loses_whole_packets_and_tears_none() {
+        let mut stream = PacketStream::new();
+        let (mut gate, mut line) = (Gate::open(), line());
+        let mut sequence = 0u8;
+        for step in 0..600 {
+            let mut sent = Datagrams::default();
+            for _ in 0..3 {
+                sent.push(0, &packet(sequence));
+                sequence = sequence.wrapping_add(1);
+            }
+            // It takes less than is sent, and never a multiple of a packet.
+            line.room = 41 + step % 7;
+            stream.send(&mut line, &mut gate, &sent).unwrap();
+        }
+        line.room = usize::MAX;
+        stream.send(&mut line, &mut gate, &Datagrams::default()).unwrap();
+        let mut counters = FramingCounters::default();
+        let mut framer = StreamFramer::default();
+        let mut found = 0;
+        framer.feed(&line.written, &mut counters, |_| found += 1);
+        assert_eq!((counters.garbage_bytes, counters.bad_crc), (0, 0));
+        assert!(stream.statistics().unsent > 300 && found > 300);
+        assert_eq!(found + stream.statistics().unsent, 1800);
+    }
+
+    #[test]
+    fn packets_that_arrive_byte_by_byte_among_garbage_are_given_whole_once_and_in_order() {
+        let mut stream = PacketStream::new();
+        let (mut gate, mut line) = (Gate::open(), line());
+        let expected: Vec<_> = (0..40).map(packet).collect();
+        line.to_read = expected
+            .iter()
+            .flat_map(|p| [p.as_slice(), b"noise"].concat())
+            .collect();
+        let mut got = Vec::new();
+        let mut received = Datagrams::default();
+        while stream
+            .receive(&mut line, &mut door(&mut gate), true, &mut received)
+            .unwrap()
+            || !line.to_read.is_empty()
+        {
+            got.extend(received.iter().map(|(_, d)| d.to_vec()));
+            received.clear();
+        }
+        assert_eq!(got, expected);
+        assert_eq!(stream.statistics().framing.garbage_bytes, 40 * 5);
+    }
+
+    #[test]
+    fn a_flood_of_the_smallest_packets_fits_step_by_step_and_none_is_lost() {
+        let mut stream = PacketStream::new();
+        let (mut gate, mut line) = (Gate::open(), line());
+        // An empty packet of MAVLink 1, of a message that the dialect does not know: 8 bytes.
+        let smallest = [0xFE, 0, 0, 1, 1, 200, 0, 0];
+        line.to_read = smallest.repeat(2000);
+        line.portion = usize::MAX;
+        let mut count = 0;
+        let mut steps = 0;
+        while !line.to_read.is_empty() {
+            let mut received = Datagrams::default();
+            stream
+                .receive(&mut line, &mut door(&mut gate), true, &mut received)
+                .unwrap();
+            assert_eq!(received.dropped(), 0);
+            count += received.len();
+            steps += 1;
+        }
+        assert!(steps > 1);
+        assert_eq!(count, 2000);
+    }
+}

@@ -1,0 +1,424 @@
+//! Lockstep between two processes: the simulator asks (client), the firmware answers (server), one step at a time.
+
+use super::Domain;
+use super::wire::{KIND_FINISH, KIND_STEP, WireDatagrams, WireRequest, WireResponse};
+use iceoryx2::port::client::Client;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::server::Server;
+use iceoryx2::prelude::*;
+use iceoryx2::service::builder::request_response::{RequestResponseOpenError, RequestResponseOpenOrCreateError};
+use iceoryx2::service::port_factory::{client::ClientCreateError, request_response, server::ServerCreateError};
+use std::time::{Duration, Instant};
+use vigil_types::{Datagrams, DepthFrame, Nanos};
+
+const SERVICE: &str = "lockstep";
+const REQUEST_EVENT: &str = "lockstep-request";
+const ANSWER_EVENT: &str = "lockstep-answer";
+/// How long a wait lasts at most before it looks whether it was cancelled or the other side came or went.
+const WAIT_SLICE: Duration = Duration::from_millis(50);
+
+/// Why a lockstep exchange failed.
+#[derive(Debug, thiserror::Error)]
+pub enum LockstepError {
+    /// Nobody serves.
+    #[error(
+        "no firmware came to lockstep on instance {instance} within {waited_s} s: start it with `--lockstep --instance \
+         {instance}`"
+    )]
+    NoFirmware {
+        /// The instance.
+        instance: u32,
+        /// How long was waited.
+        waited_s: f64,
+    },
+    /// The firmware stopped answering.
+    #[error("firmware did not answer step {step} within {waited_s} s")]
+    FirmwareSilent {
+        /// The step that was asked.
+        step: u64,
+        /// How long was waited.
+        waited_s: f64,
+    },
+    /// The simulator stopped asking.
+    #[error("simulator did not send step {step} within {waited_s} s")]
+    SimulatorSilent {
+        /// The step that was expected.
+        step: u64,
+        /// How long was waited.
+        waited_s: f64,
+    },
+    /// The role is taken.
+    #[error("another {role} already runs lockstep on instance {instance}: stop it, or use another --instance")]
+    RoleTaken {
+        /// "firmware" or "simulator".
+        role: &'static str,
+        /// The instance.
+        instance: u32,
+    },
+    /// The service exists and carries something else.
+    #[error(
+        "lockstep on instance {instance} carries another type of data ({reason}): the other process is of another \
+         version of Vigil"
+    )]
+    WrongType {
+        /// The instance.
+        instance: u32,
+        /// iceoryx2's error.
+        reason: String,
+    },
+    /// The other side wrote something impossible.
+    #[error("{who} sent a malformed message at step {step}: is it of the same version of Vigil?")]
+    Malformed {
+        /// "firmware" or "simulator".
+        who: &'static str,
+        /// The step.
+        step: u64,
+    },
+    /// Any other refusal by the transport.
+    #[error("lockstep on instance {instance}: cannot {action}: {reason}")]
+    Transport {
+        /// The instance.
+        instance: u32,
+        /// What was tried.
+        action: &'static str,
+        /// iceoryx2's error.
+        reason: String,
+    },
+}
+
+type Factory = request_response::PortFactory<ipc::Service, WireRequest, (), WireResponse, ()>;
+
+struct Bell {
+    listener: Listener<ipc::Service>,
+    notifier: Notifier<ipc::Service>,
+}
+
+fn transport_error(instance: u32, action: &'static str, reason: impl ToString) -> LockstepError {
+    LockstepError::Transport {
+        instance,
+        action,
+        reason: reason.to_string(),
+    }
+}
+
+fn service_name(instance: u32, name: &str) -> Result<ServiceName, LockstepError> {
+    ServiceName::new(name).map_err(|e| transport_error(instance, "use this name", format!("{e:?}")))
+}
+
+fn open(domain: &Domain) -> Result<Factory, LockstepError> {
+    let instance = domain.instance();
+    domain
+        .node()
+        .service_builder(&service_name(instance, SERVICE)?)
+        .request_response::<WireRequest, WireResponse>()
+        .max_clients(1)
+        .max_servers(1)
+        .max_active_requests_per_client(1)
+        .max_response_buffer_size(1)
+        .open_or_create()
+        .map_err(|e| match e {
+            RequestResponseOpenOrCreateError::RequestResponseOpenError(
+                reason @ (RequestResponseOpenError::IncompatibleRequestOrResponseType
+                | RequestResponseOpenError::IncompatibleMessagingPattern
+                | RequestResponseOpenError::VersionMismatch),
+            ) => LockstepError::WrongType {
+                instance,
+                reason: reason.to_string(),
+            },
+            other => transport_error(instance, "open the service", other),
+        })
+}
+
+impl Bell {
+    fn open(domain: &Domain, listens_to: &str, rings: &str) -> Result<Self, LockstepError> {
+        let instance = domain.instance();
+        let event = |name: &str| -> Result<_, LockstepError> {
+            domain
+                .node()
+                .service_builder(&service_name(instance, name)?)
+                .event()
+                .open_or_create()
+                .map_err(|e| transport_error(instance, "open the wake-up service", e))
+        };
+        Ok(Self {
+            listener: event(listens_to)?
+                .listener_builder()
+                .create()
+                .map_err(|e| transport_error(instance, "listen for wake-ups", e))?,
+            notifier: event(rings)?
+                .notifier_builder()
+                .create()
+                .map_err(|e| transport_error(instance, "prepare wake-ups", e))?,
+        })
+    }
+
+    /// Wakes the other side. A failure only costs it a part of its [`WAIT_SLICE`].
+    fn ring(&self) {
+        let _ = self.notifier.notify();
+    }
+
+    /// Waits for a ring, at most a slice and not past `deadline`.
+    fn wait(&self, deadline: Instant) {
+        let left = deadline.saturating_duration_since(Instant::now()).min(WAIT_SLICE);
+        let _ = self.listener.timed_wait(|_| {}, left);
+    }
+}
+
+/// The simulator's end: asks the firmware for each step.
+pub struct LockstepClient {
+    // Declared before the factory, so that it is dropped first.
+    client: Client<ipc::Service, WireRequest, (), WireResponse, ()>,
+    factory: Factory,
+    bell: Bell,
+    instance: u32,
+    timeout: Duration,
+}
+
+impl LockstepClient {
+    /// Becomes the simulator of this instance and waits for the firmware, at most `timeout`, which also bounds each
+    /// later exchange.
+    ///
+    /// # Errors
+    /// [`LockstepError::NoFirmware`] and others.
+    pub fn connect(domain: &Domain, timeout: Duration) -> Result<Self, LockstepError> {
+        let instance = domain.instance();
+        let factory = open(domain)?;
+        let bell = Bell::open(domain, ANSWER_EVENT, REQUEST_EVENT)?;
+        let client = factory.client_builder().create().map_err(|e| match e {
+            ClientCreateError::ExceedsMaxSupportedClients => LockstepError::RoleTaken {
+                role: "simulator",
+                instance,
+            },
+            other => transport_error(instance, "create the client", other),
+        })?;
+        let this = Self {
+            client,
+            factory,
+            bell,
+            instance,
+            timeout,
+        };
+        let deadline = Instant::now() + timeout;
+        while this.factory.dynamic_config().number_of_servers() == 0 {
+            if Instant::now() >= deadline {
+                return Err(LockstepError::NoFirmware {
+                    instance,
+                    waited_s: timeout.as_secs_f64(),
+                });
+            }
+            this.bell.wait(deadline);
+        }
+        Ok(this)
+    }
+
+    /// One step: hands time, a new frame if there is one, and the received datagrams to the firmware; fills `sent`
+    /// with its answer.
+    ///
+    /// # Errors
+    /// [`LockstepError::FirmwareSilent`] names the step; [`LockstepError::Malformed`].
+    pub fn exchange(
+        &mut self,
+        step: u64,
+        now_ns: Nanos,
+        frame: Option<&DepthFrame>,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> Result<(), LockstepError> {
+        let error = |action, reason| transport_error(self.instance, action, reason);
+        let request = self
+            .client
+            .loan_uninit()
+            .map_err(|e| error("loan memory", e.to_string()))?;
+        let mut request = request.write_payload(WireRequest {
+            step,
+            now_ns,
+            kind: KIND_STEP,
+            has_frame: u32::from(frame.is_some()),
+            received: WireDatagrams::EMPTY,
+            frame: DepthFrame::EMPTY,
+        });
+        request.payload_mut().received.fill(received);
+        if let Some(frame) = frame {
+            request.payload_mut().frame.clone_from(frame);
+        }
+        let pending = request.send().map_err(|e| error("send", e.to_string()))?;
+        self.bell.ring();
+        let deadline = Instant::now() + self.timeout;
+        loop {
+            if let Some(answer) = pending.receive().map_err(|e| error("receive", e.to_string()))? {
+                return if answer.step == step && answer.sent.read_into(sent) {
+                    Ok(())
+                } else {
+                    Err(LockstepError::Malformed { who: "firmware", step })
+                };
+            }
+            if Instant::now() >= deadline {
+                return Err(LockstepError::FirmwareSilent {
+                    step,
+                    waited_s: self.timeout.as_secs_f64(),
+                });
+            }
+            self.bell.wait(deadline);
+        }
+    }
+
+    /// Tells the firmware that no more steps come and waits until it knows.
+    ///
+    /// # Errors
+    /// [`LockstepError::FirmwareSilent`] with the step given here.
+    pub fn finish(self, step: u64) -> Result<(), LockstepError> {
+        let request = self
+            .client
+            .loan_uninit()
+            .map_err(|e| transport_error(self.instance, "loan memory", e))?;
+        let pending = request
+            .write_payload(WireRequest {
+                step,
+                now_ns: 0,
+                kind: KIND_FINISH,
+                has_frame: 0,
+                received: WireDatagrams::EMPTY,
+                frame: DepthFrame::EMPTY,
+            })
+            .send()
+            .map_err(|e| transport_error(self.instance, "send", e))?;
+        self.bell.ring();
+        let deadline = Instant::now() + self.timeout;
+        while pending
+            .receive()
+            .map_err(|e| transport_error(self.instance, "receive", e))?
+            .is_none()
+        {
+            if Instant::now() >= deadline {
+                return Err(LockstepError::FirmwareSilent {
+                    step,
+                    waited_s: self.timeout.as_secs_f64(),
+                });
+            }
+            self.bell.wait(deadline);
+        }
+        Ok(())
+    }
+}
+
+/// A step as the firmware gets it.
+#[derive(Debug, Clone, Copy)]
+pub struct StepRequest<'a> {
+    /// Number of the step.
+    pub step: u64,
+    /// Simulated time.
+    pub now_ns: Nanos,
+    /// The frame that is new in this step; unchecked.
+    pub frame: Option<&'a DepthFrame>,
+    /// What the links received since the last step.
+    pub received: &'a Datagrams,
+}
+
+/// How a wait for a step ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Served {
+    /// A step was answered.
+    Step,
+    /// The simulator said that no more steps come.
+    Finished,
+    /// `cancelled` said so.
+    Cancelled,
+}
+
+/// The firmware's end: answers each step.
+pub struct LockstepServer {
+    server: Server<ipc::Service, WireRequest, (), WireResponse, ()>,
+    bell: Bell,
+    instance: u32,
+    next_step: u64,
+    received: Box<Datagrams>,
+}
+
+impl LockstepServer {
+    /// Becomes the firmware of this instance.
+    ///
+    /// # Errors
+    /// [`LockstepError::RoleTaken`] while another firmware serves.
+    pub fn create(domain: &Domain) -> Result<Self, LockstepError> {
+        let instance = domain.instance();
+        let factory = open(domain)?;
+        let bell = Bell::open(domain, REQUEST_EVENT, ANSWER_EVENT)?;
+        let server = factory.server_builder().create().map_err(|e| match e {
+            ServerCreateError::ExceedsMaxSupportedServers => LockstepError::RoleTaken {
+                role: "firmware",
+                instance,
+            },
+            other => transport_error(instance, "create the server", other),
+        })?;
+        // A simulator may be waiting for exactly this.
+        bell.ring();
+        Ok(Self {
+            server,
+            bell,
+            instance,
+            next_step: 0,
+            received: Box::default(),
+        })
+    }
+
+    /// Waits for one step, at most `timeout`, and answers it with the datagrams that `tick` gives. `cancelled` is asked a few times
+    /// a second.
+    ///
+    /// # Errors
+    /// [`LockstepError::SimulatorSilent`] names the step; [`LockstepError::Malformed`].
+    pub fn serve<'a>(
+        &mut self,
+        timeout: Duration,
+        mut cancelled: impl FnMut() -> bool,
+        tick: impl FnOnce(StepRequest<'_>) -> &'a Datagrams,
+    ) -> Result<Served, LockstepError> {
+        let deadline = Instant::now() + timeout;
+        let request = loop {
+            let waiting = self
+                .server
+                .receive()
+                .map_err(|e| transport_error(self.instance, "receive", e))?;
+            if let Some(request) = waiting {
+                break request;
+            }
+            if cancelled() {
+                return Ok(Served::Cancelled);
+            }
+            if Instant::now() >= deadline {
+                return Err(LockstepError::SimulatorSilent {
+                    step: self.next_step,
+                    waited_s: timeout.as_secs_f64(),
+                });
+            }
+            self.bell.wait(deadline);
+        };
+        let step = request.step;
+        let response = request
+            .loan_uninit()
+            .map_err(|e| transport_error(self.instance, "loan memory", e))?;
+        let mut response = response.write_payload(WireResponse {
+            step,
+            sent: WireDatagrams::EMPTY,
+        });
+        let served = if request.kind == KIND_FINISH {
+            Served::Finished
+        } else {
+            if !request.received.read_into(&mut self.received) {
+                return Err(LockstepError::Malformed { who: "simulator", step });
+            }
+            let sent = tick(StepRequest {
+                step,
+                now_ns: request.now_ns,
+                frame: (request.has_frame != 0).then_some(&request.frame),
+                received: &self.received,
+            });
+            response.payload_mut().sent.fill(sent);
+            Served::Step
+        };
+        response.send().map_err(|e| transport_error(self.instance, "send", e))?;
+        self.bell.ring();
+        self.next_step = step + 1;
+        Ok(served)
+    }
+}

@@ -1,0 +1,251 @@
+//! The depth frame service: one publisher, any number of readers, newest frame wins.
+
+use super::Domain;
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
+use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
+use iceoryx2::prelude::*;
+use iceoryx2::sample::Sample;
+use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
+use iceoryx2::service::port_factory::publish_subscribe;
+use std::ops::Deref;
+use vigil_types::DepthFrame;
+
+/// The service on which the firmware expects its frames.
+pub const DEPTH_TOPIC: &str = "depth";
+
+/// Readers that may listen at the same time (firmware, recorders, displays).
+const MAX_SUBSCRIBERS: usize = 8;
+
+/// Publishers that can have left a frame behind in a reader's buffers; bounds the search for the newest one.
+const MAX_PENDING: usize = 8;
+
+/// A depth frame in shared memory.
+#[repr(transparent)]
+pub(crate) struct ShmFrame(pub(crate) DepthFrame);
+
+// SAFETY: DepthFrame is `repr(C)` plain data without padding, pointers or invalid bit patterns (its tests assert the
+// layout), so any process may read it, whatever bytes another one wrote.
+unsafe impl ZeroCopySend for ShmFrame {
+    unsafe fn type_name() -> &'static str {
+        "vigil_depth_frame_v1"
+    }
+}
+
+impl std::fmt::Debug for ShmFrame {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.header.fmt(f)
+    }
+}
+
+/// Why frames cannot be published or received.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    /// Somebody already publishes here.
+    #[error(
+        "another process already publishes `{topic}` frames on instance {instance}: stop it, or use another --instance"
+    )]
+    AlreadyPublished {
+        /// The service.
+        topic: String,
+        /// The instance.
+        instance: u32,
+    },
+    /// Too many readers.
+    #[error("instance {instance} already has {MAX_SUBSCRIBERS} readers of `{topic}` frames: stop one of them")]
+    TooManyReaders {
+        /// The service.
+        topic: String,
+        /// The instance.
+        instance: u32,
+    },
+    /// The service exists and carries something else.
+    #[error(
+        "`{topic}` on instance {instance} carries another type of data ({reason}): its other processes are of another \
+         version of Vigil; stop them, or use another --instance"
+    )]
+    WrongType {
+        /// The service.
+        topic: String,
+        /// The instance.
+        instance: u32,
+        /// iceoryx2's error.
+        reason: String,
+    },
+    /// Any other refusal by the transport.
+    #[error("`{topic}` frames on instance {instance}: cannot {action}: {reason}")]
+    Transport {
+        /// The service.
+        topic: String,
+        /// The instance.
+        instance: u32,
+        /// What was tried.
+        action: &'static str,
+        /// iceoryx2's error.
+        reason: String,
+    },
+}
+
+type Service = publish_subscribe::PortFactory<ipc::Service, ShmFrame, ()>;
+
+fn transport_error(domain: &Domain, topic: &str, action: &'static str, reason: impl ToString) -> FrameError {
+    FrameError::Transport {
+        topic: topic.to_owned(),
+        instance: domain.instance(),
+        action,
+        reason: reason.to_string(),
+    }
+}
+
+fn open_service(domain: &Domain, topic: &str) -> Result<Service, FrameError> {
+    let name =
+        ServiceName::new(topic).map_err(|e| transport_error(domain, topic, "use this name", format!("{e:?}")))?;
+    domain
+        .node()
+        .service_builder(&name)
+        .publish_subscribe::<ShmFrame>()
+        .enable_safe_overflow(true)
+        .subscriber_max_buffer_size(1)
+        // One in use by the reader, one while it fetches the next.
+        .subscriber_max_borrowed_samples(2)
+        .history_size(0)
+        .max_publishers(1)
+        .max_subscribers(MAX_SUBSCRIBERS)
+        .open_or_create()
+        .map_err(|e| match e {
+            PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+                reason @ (PublishSubscribeOpenError::IncompatibleTypes
+                | PublishSubscribeOpenError::IncompatibleMessagingPattern
+                | PublishSubscribeOpenError::VersionMismatch),
+            ) => FrameError::WrongType {
+                topic: topic.to_owned(),
+                instance: domain.instance(),
+                reason: reason.to_string(),
+            },
+            other => transport_error(domain, topic, "open the service", other),
+        })
+}
+
+/// The one source of frames on a topic.
+pub struct FramePublisher {
+    publisher: Publisher<ipc::Service, ShmFrame, ()>,
+    instance: u32,
+    topic: String,
+}
+
+impl FramePublisher {
+    /// Becomes the publisher of `topic` ([`DEPTH_TOPIC`] is what the firmware reads).
+    ///
+    /// # Errors
+    /// [`FrameError::AlreadyPublished`] while another process publishes; a killed one does not count.
+    pub fn create(domain: &Domain, topic: &str) -> Result<Self, FrameError> {
+        let service = open_service(domain, topic)?;
+        let publisher = service.publisher_builder().create().map_err(|e| match e {
+            PublisherCreateError::ExceedsMaxSupportedPublishers => FrameError::AlreadyPublished {
+                topic: topic.to_owned(),
+                instance: domain.instance(),
+            },
+            other => transport_error(domain, topic, "create the publisher", other),
+        })?;
+        Ok(Self {
+            publisher,
+            instance: domain.instance(),
+            topic: topic.to_owned(),
+        })
+    }
+
+    /// Publishes what `fill` writes. It gets a frame in shared memory, [`DepthFrame::EMPTY`] at first, and must
+    /// [`DepthFrame::seal`] it. Returns the number of readers it went to. Never waits for a reader.
+    ///
+    /// # Errors
+    /// [`FrameError::Transport`].
+    pub fn publish_with(&mut self, fill: impl FnOnce(&mut DepthFrame)) -> Result<usize, FrameError> {
+        let sample = self
+            .publisher
+            .loan_uninit()
+            .map_err(|e| self.error("loan memory", e.to_string()))?;
+        let mut sample = sample.write_payload(ShmFrame(DepthFrame::EMPTY));
+        fill(&mut sample.payload_mut().0);
+        sample.send().map_err(|e| self.error("send", e.to_string()))
+    }
+
+    /// Publishes a copy of a sealed frame. Returns the number of readers it went to.
+    ///
+    /// # Errors
+    /// [`FrameError::Transport`].
+    pub fn publish(&mut self, frame: &DepthFrame) -> Result<usize, FrameError> {
+        self.publish_with(|slot| slot.clone_from(frame))
+    }
+
+    fn error(&self, action: &'static str, reason: String) -> FrameError {
+        FrameError::Transport {
+            topic: self.topic.clone(),
+            instance: self.instance,
+            action,
+            reason,
+        }
+    }
+}
+
+/// A reader of frames.
+pub struct FrameSubscriber {
+    subscriber: Subscriber<ipc::Service, ShmFrame, ()>,
+    instance: u32,
+    topic: String,
+}
+
+/// A frame in shared memory, given back when dropped. It is unchecked and, from a hostile publisher, may even change
+/// while it is read: copy it, then call [`DepthFrame::check`] on the copy.
+pub struct BorrowedFrame(Sample<ipc::Service, ShmFrame, ()>);
+
+impl Deref for BorrowedFrame {
+    type Target = DepthFrame;
+    fn deref(&self) -> &DepthFrame {
+        &self.0.payload().0
+    }
+}
+
+impl FrameSubscriber {
+    /// Starts to listen to `topic`; its publisher may come later, go, and come again.
+    ///
+    /// # Errors
+    /// [`FrameError`].
+    pub fn create(domain: &Domain, topic: &str) -> Result<Self, FrameError> {
+        let service = open_service(domain, topic)?;
+        let subscriber = service.subscriber_builder().create().map_err(|e| match e {
+            SubscriberCreateError::ExceedsMaxSupportedSubscribers => FrameError::TooManyReaders {
+                topic: topic.to_owned(),
+                instance: domain.instance(),
+            },
+            other => transport_error(domain, topic, "create the reader", other),
+        })?;
+        Ok(Self {
+            subscriber,
+            instance: domain.instance(),
+            topic: topic.to_owned(),
+        })
+    }
+
+    /// The newest frame published since the last call, if any. Never waits; does not allocate in steady state
+    /// (when a publisher appears, its memory is mapped).
+    ///
+    /// # Errors
+    /// [`FrameError::Transport`]; the next call may succeed.
+    pub fn newest(&mut self) -> Result<Option<BorrowedFrame>, FrameError> {
+        let mut newest = None;
+        for _ in 0..MAX_PENDING {
+            match self.subscriber.receive() {
+                Ok(Some(sample)) => newest = Some(BorrowedFrame(sample)),
+                Ok(None) => break,
+                Err(e) => {
+                    return Err(FrameError::Transport {
+                        topic: self.topic.clone(),
+                        instance: self.instance,
+                        action: "receive",
+                        reason: e.to_string(),
+                    });
+                }
+            }
+        }
+        Ok(newest)
+    }
+}

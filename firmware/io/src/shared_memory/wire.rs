@@ -1,0 +1,147 @@
+//! Layouts of what crosses between processes in lockstep.
+
+use super::frames::ShmFrame;
+use iceoryx2::prelude::ZeroCopySend;
+use vigil_types::{Datagrams, DepthFrame};
+
+/// [`Datagrams`] with a fixed layout.
+#[derive(Clone, Copy)]
+#[repr(C)]
+pub(crate) struct WireDatagrams {
+    count: u32,
+    /// End offset of each datagram.
+    ends: [u32; Datagrams::MAX_COUNT],
+    links: [u8; Datagrams::MAX_COUNT],
+    bytes: [u8; Datagrams::CAPACITY],
+}
+
+impl WireDatagrams {
+    pub(crate) const EMPTY: Self = Self {
+        count: 0,
+        ends: [0; Datagrams::MAX_COUNT],
+        links: [0; Datagrams::MAX_COUNT],
+        bytes: [0; Datagrams::CAPACITY],
+    };
+
+    pub(crate) fn fill(&mut self, datagrams: &Datagrams) {
+        self.count = 0;
+        let mut start = 0;
+        for ((link, bytes), (end, link_slot)) in datagrams.iter().zip(self.ends.iter_mut().zip(&mut self.links)) {
+            let stop = start + bytes.len();
+            let Some(slot) = self.bytes.get_mut(start..stop) else {
+                return;
+            };
+            slot.copy_from_slice(bytes);
+            // At most CAPACITY, which is far below 2³².
+            *end = stop as u32;
+            *link_slot = link;
+            self.count += 1;
+            start = stop;
+        }
+    }
+
+    /// Copies into `datagrams`; `false` when the other side wrote something impossible.
+    pub(crate) fn read_into(&self, datagrams: &mut Datagrams) -> bool {
+        datagrams.clear();
+        let count = self.count as usize;
+        if count > Datagrams::MAX_COUNT {
+            return false;
+        }
+        let mut start = 0;
+        for (end, link) in self.ends.iter().zip(&self.links).take(count) {
+            let stop = *end as usize;
+            let Some(bytes) = self.bytes.get(start..stop) else {
+                return false;
+            };
+            if !datagrams.push(*link, bytes) {
+                return false;
+            }
+            start = stop;
+        }
+        true
+    }
+}
+
+pub(crate) const KIND_STEP: u32 = 0;
+pub(crate) const KIND_FINISH: u32 = 1;
+
+#[repr(C)]
+pub(crate) struct WireRequest {
+    pub(crate) step: u64,
+    pub(crate) now_ns: u64,
+    /// [`KIND_STEP`] or [`KIND_FINISH`].
+    pub(crate) kind: u32,
+    /// 1 when `frame` is new in this step.
+    pub(crate) has_frame: u32,
+    pub(crate) received: WireDatagrams,
+    pub(crate) frame: DepthFrame,
+}
+
+#[repr(C)]
+pub(crate) struct WireResponse {
+    pub(crate) step: u64,
+    pub(crate) sent: WireDatagrams,
+}
+
+// SAFETY: both are `repr(C)` plain data without pointers or invalid bit patterns (the frame: see `ShmFrame`).
+unsafe impl ZeroCopySend for WireRequest {
+    unsafe fn type_name() -> &'static str {
+        "vigil_lockstep_request_v1"
+    }
+}
+// SAFETY: as above.
+unsafe impl ZeroCopySend for WireResponse {
+    unsafe fn type_name() -> &'static str {
+        "vigil_lockstep_response_v1"
+    }
+}
+
+const _: () = assert!(size_of::<ShmFrame>() == size_of::<DepthFrame>());
+
+impl std::fmt::Debug for WireRequest {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "WireRequest {{ step: {} }}", self.step)
+    }
+}
+
+impl std::fmt::Debug for WireResponse {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "WireResponse {{ step: {} }}", self.step)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn datagrams_cross_unchanged_and_lies_are_refused() {
+        let mut sent = Datagrams::default();
+        assert!(sent.push(0, b"heartbeat") && sent.push(2, b"") && sent.push(1, &[7; 2000]));
+        let mut wire = Box::new(WireDatagrams::EMPTY);
+        wire.fill(&sent);
+        let mut received = Datagrams::default();
+        assert!(wire.read_into(&mut received));
+        assert_eq!(received, sent);
+
+        wire.ends[1] = Datagrams::CAPACITY as u32 + 1;
+        assert!(!wire.read_into(&mut received));
+        wire.ends[1] = 3;
+        assert!(!wire.read_into(&mut received), "an end before its start");
+        wire.count = u32::MAX;
+        assert!(!wire.read_into(&mut received));
+    }
+
+    #[test]
+    fn a_full_set_of_datagrams_crosses() {
+        let mut sent = Datagrams::default();
+        for i in 0..Datagrams::MAX_COUNT {
+            assert!(sent.push(i as u8, &[i as u8; Datagrams::CAPACITY / Datagrams::MAX_COUNT]));
+        }
+        let mut wire = Box::new(WireDatagrams::EMPTY);
+        wire.fill(&sent);
+        let mut received = Datagrams::default();
+        assert!(wire.read_into(&mut received));
+        assert_eq!(received, sent);
+    }
+}

@@ -1,0 +1,158 @@
+//! The lockstep exchange between two threads that share nothing but the instance number.
+
+use std::thread;
+use std::time::Duration;
+use vigil_io::shared_memory::{Domain, LockstepClient, LockstepError, LockstepServer, Served, StepRequest};
+use vigil_types::{Datagrams, DepthFrame};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// An instance of a test's own, so that tests run side by side, with each other and with flights; dropped last.
+struct Instance(u32);
+
+impl Instance {
+    fn own(number: u32) -> Self {
+        Self(1_000_000 + std::process::id() * 16 + number)
+    }
+}
+
+impl Drop for Instance {
+    fn drop(&mut self) {
+        let _ = vigil_io::shared_memory::remove_leftovers(self.0);
+    }
+}
+
+/// A firmware that echoes: sends back what it received, then a datagram with the time and the frame's sequence. Ends
+/// when told, returns the number of steps it answered.
+fn echo(instance: u32) -> u64 {
+    let domain = Domain::open(instance, "test-firmware").unwrap();
+    let mut server = LockstepServer::create(&domain).unwrap();
+    let mut sent = Datagrams::default();
+    for answered in 0.. {
+        let sent = &mut sent;
+        let served = server.serve(
+            PATIENCE,
+            || false,
+            move |request: StepRequest<'_>| {
+                sent.clear();
+                for (link, bytes) in request.received.iter() {
+                    assert!(sent.push(link, bytes));
+                }
+                assert!(sent.push(9, &summary(request.now_ns, request.frame)));
+                &*sent
+            },
+        );
+        if served.unwrap() == Served::Finished {
+            return answered;
+        }
+    }
+    unreachable!()
+}
+
+fn summary(now_ns: u64, frame: Option<&DepthFrame>) -> Vec<u8> {
+    let sequence = frame.map_or(u64::MAX, |f| f.header.sequence);
+    [now_ns.to_le_bytes(), sequence.to_le_bytes()].concat()
+}
+
+#[test]
+fn each_step_is_answered_with_its_own_data_until_the_simulator_says_that_it_is_over() {
+    let instance = Instance::own(0);
+    let firmware = thread::spawn({
+        let instance = instance.0;
+        move || echo(instance)
+    });
+    let domain = Domain::open(instance.0, "test-simulator").unwrap();
+    let mut client = LockstepClient::connect(&domain, PATIENCE).unwrap();
+    let mut sent = Datagrams::default();
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    for step in 0..200 {
+        let mut received = Datagrams::default();
+        for i in 0..step % 5 {
+            assert!(received.push(i as u8, &vec![step as u8; 10 * i as usize]));
+        }
+        frame.header.sequence = step;
+        let new_frame = (step % 2 == 0).then_some(&*frame);
+        client
+            .exchange(step, step * 50, new_frame, &received, &mut sent)
+            .unwrap();
+        assert!(received.push(9, &summary(step * 50, new_frame)));
+        assert_eq!(sent, received);
+    }
+    client.finish(200).unwrap();
+    assert_eq!(firmware.join().unwrap(), 200);
+}
+
+#[test]
+fn a_time_out_names_who_is_missing() {
+    let instance = Instance::own(1);
+    let domain = Domain::open(instance.0, "test-simulator").unwrap();
+    let nobody = LockstepClient::connect(&domain, Duration::from_millis(60))
+        .err()
+        .unwrap();
+    assert!(matches!(nobody, LockstepError::NoFirmware { .. }), "{nobody}");
+
+    // A firmware that answers one step and then falls silent without going.
+    let (quit, until_quit) = std::sync::mpsc::channel::<()>();
+    let number = instance.0;
+    let firmware = thread::spawn(move || {
+        let domain = Domain::open(number, "test-firmware").unwrap();
+        let mut server = LockstepServer::create(&domain).unwrap();
+        let sent = Datagrams::default();
+        assert_eq!(server.serve(PATIENCE, || false, |_| &sent).unwrap(), Served::Step);
+        until_quit.recv().unwrap();
+    });
+    let client = LockstepClient::connect(&domain, PATIENCE);
+    drop(client);
+    let mut client = LockstepClient::connect(&domain, Duration::from_millis(500)).unwrap();
+    let (received, mut sent) = (Datagrams::default(), Datagrams::default());
+    client.exchange(122, 0, None, &received, &mut sent).unwrap();
+    let silent = client.exchange(123, 0, None, &received, &mut sent).unwrap_err();
+    assert_eq!(silent.to_string(), "firmware did not answer step 123 within 0.5 s");
+    quit.send(()).unwrap();
+    firmware.join().unwrap();
+
+    let mut server = LockstepServer::create(&domain).unwrap();
+    let unused = |_: StepRequest<'_>| -> &Datagrams { panic!("no step was sent") };
+    let absent = server.serve(Duration::from_millis(60), || false, unused).unwrap_err();
+    assert_eq!(absent.to_string(), "simulator did not send step 0 within 0.06 s");
+    assert_eq!(server.serve(PATIENCE, || true, unused).unwrap(), Served::Cancelled);
+}
+
+#[test]
+fn each_role_exists_once() {
+    let instance = Instance::own(2);
+    let domain = Domain::open(instance.0, "test").unwrap();
+    let _server = LockstepServer::create(&domain).unwrap();
+    let second = LockstepServer::create(&domain).err().unwrap();
+    assert!(
+        matches!(second, LockstepError::RoleTaken { role: "firmware", .. }),
+        "{second}"
+    );
+    let _client = LockstepClient::connect(&domain, PATIENCE).unwrap();
+    let second = LockstepClient::connect(&domain, PATIENCE).err().unwrap();
+    assert!(
+        matches!(second, LockstepError::RoleTaken { role: "simulator", .. }),
+        "{second}"
+    );
+}
+
+#[test]
+fn another_payload_type_is_refused_by_name() {
+    use iceoryx2::prelude::*;
+    // What a program of another version would have put there: same names, other type.
+    let instance = Instance::own(3);
+    let domain = Domain::open(instance.0, "test").unwrap();
+    let mut config = Config::default();
+    let uid = rustix::process::getuid().as_raw();
+    let root = format!("/dev/shm/vigil-{uid}/{}", instance.0);
+    config.global.set_root_path(&Path::new(root.as_bytes()).unwrap());
+    config.global.prefix = FileName::new(format!("vigil{uid}_{}_", instance.0).as_bytes()).unwrap();
+    let node = NodeBuilder::new().config(&config).create::<ipc::Service>().unwrap();
+    let _foreign = node
+        .service_builder(&"lockstep".try_into().unwrap())
+        .request_response::<u64, u64>()
+        .create()
+        .unwrap();
+    let refused = LockstepServer::create(&domain).err().unwrap();
+    assert!(matches!(&refused, LockstepError::WrongType { .. }), "{refused}");
+}

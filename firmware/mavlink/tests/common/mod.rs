@@ -1,0 +1,272 @@
+//! Scripted vehicles and a loop around companion and guidance.
+#![allow(dead_code)] // each test program uses a part of it
+
+pub mod peer;
+
+use peer::Peer;
+use vigil_guidance::{EngagePolicy, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
+use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame, NAMED_VALUE_FLOAT_DATA};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
+use vigil_types::{
+    Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, STEP_NS, StepReport, StepTiming, VehicleRequest,
+    VelocitySetpoint,
+};
+
+/// A ground station, as most are numbered.
+pub const GROUND_STATION: MavHeader = MavHeader {
+    system_id: 255,
+    component_id: 190,
+    sequence: 0,
+};
+
+pub fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, message, &mut out).expect("the buffer holds any message");
+    out[..len].to_vec()
+}
+
+/// All messages of all datagrams with their senders, parsed by the crate.
+pub fn messages(sent: &Datagrams) -> Vec<(MavHeader, MavMessage)> {
+    let mut counters = FramingCounters::default();
+    let found = sent
+        .iter()
+        .flat_map(|(_, datagram)| {
+            packets(datagram, &mut counters)
+                .map(|p| (p.header(), p.message().expect("what the companion sends can be parsed")))
+                .collect::<Vec<_>>()
+        })
+        .collect();
+    let refused = FramingCounters { packets: 0, ..counters };
+    assert_eq!(
+        refused,
+        FramingCounters::default(),
+        "what the companion sends is well formed"
+    );
+    found
+}
+
+pub fn texts(sent: &Datagrams) -> Vec<String> {
+    messages(sent)
+        .into_iter()
+        .filter_map(|(_, m)| match m {
+            MavMessage::STATUSTEXT(t) => Some(t.text.to_str().expect("text is UTF-8").to_owned()),
+            _ => None,
+        })
+        .collect()
+}
+
+pub fn named_values(sent: &Datagrams) -> Vec<(String, f32)> {
+    messages(sent)
+        .into_iter()
+        .filter_map(|(_, m)| match m {
+            MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA { name, value, .. }) => {
+                Some((name.to_str().expect("a name is UTF-8").to_owned(), value))
+            }
+            _ => None,
+        })
+        .collect()
+}
+
+pub fn command_long(command: MavCmd, target: (u8, u8), param1: f32) -> MavMessage {
+    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1,
+        command,
+        target_system: target.0,
+        target_component: target.1,
+        ..Default::default()
+    })
+}
+
+pub fn reposition(frame: MavFrame, x: i32, y: i32, z: f32) -> MavMessage {
+    MavMessage::COMMAND_INT(COMMAND_INT_DATA {
+        param1: -1.0,
+        param2: 1.0,
+        param4: f32::NAN,
+        x,
+        y,
+        z,
+        command: MavCmd::MAV_CMD_DO_REPOSITION,
+        target_system: 1,
+        target_component: 191,
+        frame,
+        ..Default::default()
+    })
+}
+
+/// A report of a step in which nothing happens.
+pub fn report(now_ns: Nanos, state: GuidanceState) -> StepReport {
+    StepReport {
+        now_ns,
+        state,
+        ..Default::default()
+    }
+}
+
+/// Companion, guidance and a scripted vehicle, 20 steps a second. The pilot flies straight ahead.
+pub struct Flight {
+    pub now_ns: Nanos,
+    pub companion: Companion,
+    pub guidance: Guidance,
+    pub peer: Peer,
+    pub sent: Datagrams,
+    pub last: Option<GuidanceOutput>,
+    /// Everything told by STATUSTEXT.
+    pub texts: Vec<String>,
+    /// Frames are delivered.
+    pub sees: bool,
+    /// Packets from the vehicle arrive.
+    pub hears: bool,
+}
+
+impl Flight {
+    pub fn new(flavour: Flavour, peer: Peer) -> Self {
+        Self::with(
+            flavour,
+            peer,
+            GuidanceConfig {
+                engage: EngagePolicy::Auto,
+                ..Default::default()
+            },
+        )
+    }
+
+    pub fn with(flavour: Flavour, peer: Peer, config: GuidanceConfig) -> Self {
+        let mut guidance = Guidance::new(config).expect("valid");
+        guidance.request(OperatorRequest::Goal {
+            north_m: 12.0,
+            east_m: 0.0,
+            height_m: Some(3.0),
+        });
+        Self {
+            now_ns: 50_000_000_000,
+            companion: Companion::new(CompanionConfig {
+                flavour,
+                ..Default::default()
+            }),
+            guidance,
+            peer,
+            sent: Datagrams::default(),
+            last: None,
+            texts: Vec::new(),
+            sees: true,
+            hears: true,
+        }
+    }
+
+    pub fn step(&mut self) -> GuidanceOutput {
+        self.now_ns += STEP_NS;
+        for datagram in self.peer.step(self.now_ns) {
+            if self.hears {
+                self.companion.receive(self.now_ns, 0, &datagram);
+            }
+        }
+        while let Some(pending) = self.companion.take_request() {
+            let outcome = self.guidance.request(pending.request());
+            self.companion.answer(&pending, outcome);
+        }
+        let telemetry = *self.companion.telemetry();
+        let limit_ns = self.guidance.config().telemetry_age_limit_ns;
+        let fresh = telemetry
+            .flight_data_age_ns(self.now_ns)
+            .is_some_and(|age| age <= limit_ns);
+        let action = (self.sees && fresh && telemetry.is_finite()).then_some(Action {
+            forward_m_s: 1.0,
+            yaw: 0.0,
+        });
+        let output = self.guidance.step(&GuidanceInput {
+            now_ns: self.now_ns,
+            telemetry: &telemetry,
+            frame: FrameStatus {
+                age_ns: self.sees.then_some(STEP_NS),
+                refused: false,
+            },
+            action,
+            recovery: None,
+            verdict: None,
+            collision_course: false,
+            timing: StepTiming::default(),
+            handover: self.companion.handover(),
+            vehicle_restarts: self.companion.vehicle_restarts(),
+        });
+        let report = StepReport {
+            now_ns: self.now_ns,
+            state: output.state,
+            reasons: output.reasons,
+            setpoint: output.setpoint,
+            telemetry,
+            ..Default::default()
+        };
+        self.sent.clear();
+        self.companion.emit(&report, output.request, &mut self.sent);
+        assert_eq!(self.sent.dropped(), 0);
+        self.texts.extend(texts(&self.sent));
+        for (_, datagram) in self.sent.iter() {
+            self.peer.receive(self.now_ns, datagram);
+        }
+        self.last = Some(output);
+        output
+    }
+
+    /// Steps until the state is reached, at most 60 s.
+    pub fn until(&mut self, state: GuidanceState) {
+        for _ in 0..1200 {
+            if self.step().state == state {
+                return;
+            }
+        }
+        panic!(
+            "{} was not reached: {:?} {:?} {:?}",
+            state.name(),
+            self.last,
+            self.texts,
+            self.peer
+        );
+    }
+
+    pub fn run(&mut self, steps: usize) -> GuidanceOutput {
+        (0..steps).map(|_| self.step()).last().expect("at least one step")
+    }
+}
+
+/// Emits steps of a companion without guidance.
+pub struct Bench {
+    pub now_ns: Nanos,
+    pub companion: Companion,
+    pub sent: Datagrams,
+}
+
+impl Bench {
+    pub fn new(flavour: Flavour) -> Self {
+        Self {
+            now_ns: 7_000_000_000,
+            companion: Companion::new(CompanionConfig {
+                flavour,
+                ..Default::default()
+            }),
+            sent: Datagrams::default(),
+        }
+    }
+
+    pub fn hear(&mut self, header: MavHeader, message: &MavMessage) {
+        self.companion.receive(self.now_ns, 0, &bytes_of(header, message));
+    }
+
+    pub fn step(
+        &mut self,
+        state: GuidanceState,
+        reasons: Reasons,
+        request: VehicleRequest,
+    ) -> Vec<(MavHeader, MavMessage)> {
+        self.now_ns += STEP_NS;
+        let setpoint = (state == GuidanceState::Hold).then_some(VelocitySetpoint::HOLD);
+        let report = StepReport {
+            reasons,
+            setpoint,
+            ..report(self.now_ns, state)
+        };
+        self.sent.clear();
+        self.companion.emit(&report, request, &mut self.sent);
+        messages(&self.sent)
+    }
+}

@@ -1,0 +1,438 @@
+//! Scripted vehicles of both flavours, written from the protocol's and the autopilots' documentation, on the crate's own
+//! parser: they share no code with the companion but the packet scanner.
+
+use super::bytes_of;
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{FramingCounters, packets};
+use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_types::{Nanos, STEP_NS};
+
+/// Above sea level, where both peers' home and local origin are.
+pub const HOME_ALTITUDE_M: f32 = 488.0;
+const STEP_S: f32 = 0.05;
+const CLIMB_M_S: f32 = 1.5;
+const SECOND: Nanos = 1_000_000_000;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// AUTO.LOITER or LOITER.
+    Loiter,
+    /// AUTO.TAKEOFF; a Copter has no such mode.
+    Takeoff,
+    /// OFFBOARD or GUIDED.
+    External,
+    Land,
+    /// POSCTL or STABILIZE.
+    Manual,
+}
+
+/// What a command is answered with instead of what is right.
+#[derive(Debug, Clone, Copy)]
+pub struct Quirk {
+    pub command: u16,
+    pub answer: Option<MavResult>,
+    /// How often.
+    pub times: u32,
+}
+
+/// A command as it arrived.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Got {
+    pub at_ns: Nanos,
+    pub command: u16,
+    pub confirmation: u8,
+    pub params: [f32; 7],
+}
+
+#[derive(Debug)]
+pub struct Peer {
+    pub flavour: Flavour,
+    pub system: u8,
+    pub armed: bool,
+    pub mode: Mode,
+    pub failsafe: bool,
+    pub north_m: f32,
+    pub height_m: f32,
+    /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
+    pub setpoint_timeout_s: f32,
+    /// It tells that parameter, and lets it be set.
+    pub tells_parameters: bool,
+    pub sets_parameters: bool,
+    /// Parameters asked for, and set.
+    pub parameters_read: u32,
+    pub parameters_set: Vec<f32>,
+    /// EXTENDED_SYS_STATE is sent.
+    pub tells_landed: bool,
+    pub quirks: Vec<Quirk>,
+    pub commands: Vec<Got>,
+    /// Time, velocity and yaw rate of each setpoint.
+    pub setpoints: Vec<(Nanos, [f32; 4])>,
+    /// A setpoint came well before the take-off's height (it ends a Copter's take-off).
+    pub disturbed_takeoff: bool,
+    pub boot_ns: Nanos,
+    pub target_height_m: Option<f32>,
+    pub wanted_messages: Vec<u32>,
+    pub replies: Vec<MavMessage>,
+    pub sequence: u8,
+    pub steps: u32,
+}
+
+impl Peer {
+    pub fn on_the_ground(flavour: Flavour) -> Self {
+        Self {
+            flavour,
+            system: 1,
+            armed: false,
+            mode: match flavour {
+                Flavour::Px4 => Mode::Loiter,
+                Flavour::ArduPilot => Mode::Manual,
+            },
+            failsafe: false,
+            north_m: 0.0,
+            height_m: 0.0,
+            // What either autopilot ships with.
+            setpoint_timeout_s: match flavour {
+                Flavour::Px4 => 1.0,
+                Flavour::ArduPilot => 3.0,
+            },
+            tells_parameters: true,
+            sets_parameters: true,
+            parameters_read: 0,
+            parameters_set: Vec::new(),
+            tells_landed: true,
+            quirks: Vec::new(),
+            commands: Vec::new(),
+            setpoints: Vec::new(),
+            disturbed_takeoff: false,
+            boot_ns: 20 * SECOND,
+            target_height_m: None,
+            wanted_messages: Vec::new(),
+            replies: Vec::new(),
+            sequence: 0,
+            steps: 0,
+        }
+    }
+
+    pub fn in_the_air(flavour: Flavour) -> Self {
+        Self {
+            armed: true,
+            mode: Mode::Loiter,
+            height_m: 3.0,
+            ..Self::on_the_ground(flavour)
+        }
+    }
+
+    /// Command numbers in order, repetitions and requests for messages left out.
+    pub fn flight_commands(&self) -> Vec<u16> {
+        let mut numbers: Vec<u16> = self.commands.iter().map(|c| c.command).filter(|c| *c < 500).collect();
+        numbers.dedup();
+        numbers
+    }
+
+    /// The power was cut and came back, on the ground.
+    pub fn reboot(&mut self, now_ns: Nanos) {
+        *self = Self {
+            boot_ns: now_ns,
+            quirks: std::mem::take(&mut self.quirks),
+            commands: std::mem::take(&mut self.commands),
+            ..Self::on_the_ground(self.flavour)
+        };
+    }
+
+    fn custom_mode(&self) -> u32 {
+        match (self.flavour, self.mode) {
+            (Flavour::Px4, Mode::Loiter) => 4 << 16 | 3 << 24,
+            (Flavour::Px4, Mode::Takeoff) => 4 << 16 | 2 << 24,
+            (Flavour::Px4, Mode::External) => 6 << 16,
+            (Flavour::Px4, Mode::Land) => 4 << 16 | 6 << 24,
+            (Flavour::Px4, Mode::Manual) => 3 << 16,
+            (Flavour::ArduPilot, Mode::Loiter) => 5,
+            (Flavour::ArduPilot, Mode::External | Mode::Takeoff) => 4,
+            (Flavour::ArduPilot, Mode::Land) => 9,
+            (Flavour::ArduPilot, Mode::Manual) => 0,
+        }
+    }
+
+    fn heartbeat(&self) -> MavMessage {
+        let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED;
+        base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, self.armed);
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+            custom_mode: self.custom_mode(),
+            mavtype: MavType::MAV_TYPE_QUADROTOR,
+            autopilot: match self.flavour {
+                Flavour::Px4 => MavAutopilot::MAV_AUTOPILOT_PX4,
+                Flavour::ArduPilot => MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
+            },
+            base_mode,
+            system_status: match (self.failsafe, self.armed) {
+                (true, _) => MavState::MAV_STATE_CRITICAL,
+                (_, true) => MavState::MAV_STATE_ACTIVE,
+                _ => MavState::MAV_STATE_STANDBY,
+            },
+            mavlink_version: 3,
+        })
+    }
+
+    fn landed_state(&self) -> MavLandedState {
+        match (self.height_m > 0.1, self.target_height_m.is_some(), self.mode) {
+            (false, ..) => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
+            (_, true, _) => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
+            (_, _, Mode::Land) => MavLandedState::MAV_LANDED_STATE_LANDING,
+            _ => MavLandedState::MAV_LANDED_STATE_IN_AIR,
+        }
+    }
+
+    /// One step of flying; the datagrams it sends, one packet each.
+    pub fn step(&mut self, now_ns: Nanos) -> Vec<Vec<u8>> {
+        self.fly(now_ns);
+        let time_boot_ms = ((now_ns - self.boot_ns) / 1_000_000) as u32;
+        let mut out = std::mem::take(&mut self.replies);
+        if self.steps.is_multiple_of(20) {
+            out.push(self.heartbeat());
+        }
+        let streams = |id: u32, unprompted: bool, wanted: &[u32]| unprompted || wanted.contains(&id);
+        let px4 = self.flavour == Flavour::Px4;
+        if streams(32, px4, &self.wanted_messages) {
+            out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+                time_boot_ms,
+                x: self.north_m,
+                z: -self.height_m,
+                ..Default::default()
+            }));
+        }
+        if streams(30, px4, &self.wanted_messages) {
+            out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
+                time_boot_ms,
+                ..Default::default()
+            }));
+        }
+        if self.tells_landed && self.steps.is_multiple_of(4) && streams(245, px4, &self.wanted_messages) {
+            out.push(MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
+                landed_state: self.landed_state(),
+                ..Default::default()
+            }));
+        }
+        if self.steps.is_multiple_of(20) && streams(1, px4, &self.wanted_messages) {
+            out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
+                battery_remaining: 87,
+                ..Default::default()
+            }));
+        }
+        if px4 && self.steps.is_multiple_of(40) {
+            out.push(self.home_position());
+        }
+        self.steps += 1;
+        out.iter()
+            .map(|message| {
+                self.sequence = self.sequence.wrapping_add(1);
+                let header = MavHeader {
+                    system_id: self.system.into(),
+                    component_id: 1,
+                    sequence: self.sequence,
+                };
+                bytes_of(header, message)
+            })
+            .collect()
+    }
+
+    fn home_position(&self) -> MavMessage {
+        MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+            latitude: 473_977_420,
+            longitude: 85_455_940,
+            altitude: (HOME_ALTITUDE_M * 1000.0) as i32,
+            ..Default::default()
+        })
+    }
+
+    fn fly(&mut self, now_ns: Nanos) {
+        if let Some(target_m) = self.target_height_m {
+            self.height_m = (self.height_m + CLIMB_M_S * STEP_S).min(target_m);
+            if self.height_m >= target_m {
+                self.target_height_m = None;
+                if self.mode == Mode::Takeoff {
+                    self.mode = Mode::Loiter;
+                }
+            }
+        }
+        let last = self.setpoints.last().copied();
+        let age_ns = last.map_or(Nanos::MAX, |(at_ns, _)| now_ns - at_ns);
+        let timeout_ns = (self.setpoint_timeout_s * 1e9) as Nanos;
+        match self.mode {
+            Mode::External if self.flavour == Flavour::Px4 && age_ns > timeout_ns => {
+                (self.mode, self.failsafe) = (Mode::Loiter, true);
+            }
+            // A Copter stops, and stays in its mode.
+            Mode::External if age_ns <= timeout_ns => {
+                if let Some((_, [vx, _, vz, _])) = last {
+                    self.north_m += vx * STEP_S;
+                    self.height_m -= vz * STEP_S;
+                }
+            }
+            Mode::Land => {
+                self.height_m = (self.height_m - CLIMB_M_S * STEP_S).max(0.0);
+                if self.height_m <= 0.0 {
+                    self.armed = false;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    pub fn receive(&mut self, now_ns: Nanos, datagram: &[u8]) {
+        let mut counters = FramingCounters::default();
+        for packet in packets(datagram, &mut counters) {
+            assert_eq!(
+                (packet.system_id(), packet.component_id()),
+                (self.system, 191),
+                "the companion's identity"
+            );
+            match packet.message().expect("a known message") {
+                MavMessage::SET_POSITION_TARGET_LOCAL_NED(s) => {
+                    assert_eq!((s.target_system, s.target_component), (self.system, 1));
+                    assert_eq!((s.coordinate_frame as u8, s.type_mask.bits()), (8, 0x5C7));
+                    if self.flavour == Flavour::ArduPilot
+                        && let Some(target_m) = self.target_height_m.take()
+                    {
+                        self.disturbed_takeoff |= self.height_m < 0.89 * target_m;
+                    }
+                    self.setpoints.push((now_ns, [s.vx, s.vy, s.vz, s.yaw_rate]));
+                }
+                MavMessage::PARAM_REQUEST_READ(p) if p.target_system == self.system && p.target_component == 1 => {
+                    assert_eq!((p.param_index, p.param_id.to_str()), (-1, Ok(self.timeout_name())));
+                    self.parameters_read += 1;
+                    if self.tells_parameters {
+                        self.replies.push(self.timeout_value());
+                    }
+                }
+                MavMessage::PARAM_SET(p) if p.target_system == self.system && p.target_component == 1 => {
+                    assert_eq!(p.param_id.to_str(), Ok(self.timeout_name()));
+                    self.parameters_set.push(p.param_value);
+                    if self.sets_parameters {
+                        self.setpoint_timeout_s = p.param_value;
+                    }
+                    self.replies.push(self.timeout_value());
+                }
+                MavMessage::COMMAND_LONG(c) if c.target_system == self.system && c.target_component == 1 => {
+                    self.commands.push(Got {
+                        at_ns: now_ns,
+                        command: c.command as u16,
+                        confirmation: c.confirmation,
+                        params: [c.param1, c.param2, c.param3, c.param4, c.param5, c.param6, c.param7],
+                    });
+                    let answer = match self
+                        .quirks
+                        .iter_mut()
+                        .find(|q| q.command == c.command as u16 && q.times > 0)
+                    {
+                        Some(quirk) => {
+                            quirk.times -= 1;
+                            quirk.answer
+                        }
+                        None => Some(self.obey(now_ns, &c)),
+                    };
+                    if let Some(result) = answer {
+                        self.replies.push(MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
+                            command: c.command,
+                            result,
+                            target_system: self.system,
+                            target_component: 191,
+                            ..Default::default()
+                        }));
+                    }
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn timeout_name(&self) -> &'static str {
+        match self.flavour {
+            Flavour::Px4 => "COM_OF_LOSS_T",
+            Flavour::ArduPilot => "GUID_TIMEOUT",
+        }
+    }
+
+    fn timeout_value(&self) -> MavMessage {
+        MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+            param_value: self.setpoint_timeout_s,
+            param_count: 900,
+            param_index: u16::MAX,
+            param_id: self.timeout_name().into(),
+            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+        })
+    }
+
+    fn obey(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) -> MavResult {
+        use MavResult::{MAV_RESULT_ACCEPTED as ACCEPTED, MAV_RESULT_DENIED as DENIED, MAV_RESULT_FAILED as FAILED};
+        let px4 = self.flavour == Flavour::Px4;
+        match c.command as u16 {
+            400 if c.param1 == 1.0 => {
+                // A Copter cannot be armed for guided flight in a mode flown by sticks.
+                if !px4 && self.mode != Mode::External {
+                    return FAILED;
+                }
+                self.armed = true;
+                ACCEPTED
+            }
+            22 => {
+                let height_m = if px4 && c.param7.is_nan() {
+                    2.5
+                } else if px4 {
+                    c.param7 - HOME_ALTITUDE_M
+                } else {
+                    c.param7
+                };
+                let guided = px4 || self.mode == Mode::External;
+                if !self.armed || !guided || height_m <= 0.0 {
+                    return FAILED;
+                }
+                self.target_height_m = Some(height_m);
+                if px4 {
+                    self.mode = Mode::Takeoff;
+                }
+                ACCEPTED
+            }
+            176 if px4 => match (c.param2, c.param3) {
+                (6.0, _) => {
+                    let recent = self
+                        .setpoints
+                        .iter()
+                        .filter(|(at_ns, _)| now_ns - at_ns <= SECOND)
+                        .count();
+                    if recent < 2 {
+                        return DENIED;
+                    }
+                    (self.mode, self.failsafe) = (Mode::External, false);
+                    ACCEPTED
+                }
+                _ => DENIED,
+            },
+            176 => match (c.param1, c.param2) {
+                (1.0, 4.0) => {
+                    self.mode = Mode::External;
+                    ACCEPTED
+                }
+                _ => DENIED,
+            },
+            21 => {
+                self.mode = Mode::Land;
+                ACCEPTED
+            }
+            511 => {
+                self.wanted_messages.push(c.param1 as u32);
+                ACCEPTED
+            }
+            512 => {
+                self.replies.push(self.home_position());
+                ACCEPTED
+            }
+            _ => MavResult::MAV_RESULT_UNSUPPORTED,
+        }
+    }
+}
+
+/// Longest gap between setpoints from `from_ns` on.
+pub fn longest_gap_ns(setpoints: &[(Nanos, [f32; 4])], from_ns: Nanos) -> Nanos {
+    let at: Vec<Nanos> = setpoints.iter().map(|s| s.0).filter(|at| *at >= from_ns).collect();
+    at.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(STEP_NS)
+}

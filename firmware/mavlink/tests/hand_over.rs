@@ -1,0 +1,433 @@
+//! Whole flights against scripted vehicles of both flavours.
+
+mod common;
+
+use common::Flight;
+use common::peer::{HOME_ALTITUDE_M, Mode, Peer, Quirk, longest_gap_ns};
+use vigil_guidance::{AtGoal, EngagePolicy, GuidanceConfig};
+use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
+use vigil_mavlink::common::MavResult;
+use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
+use vigil_types::{Reason, STEP_NS};
+
+const SECOND: u64 = 1_000_000_000;
+
+fn is_zero(v: &[f32; 4]) -> bool {
+    v.iter().all(|x| *x == 0.0)
+}
+
+#[test]
+fn a_px4_on_the_ground_is_armed_taken_off_and_flown_to_the_goal() {
+    let mut f = Flight::new(Px4, Peer::on_the_ground(Px4));
+    f.until(Guided);
+    assert_eq!(f.peer.flight_commands(), [400, 22, 176]);
+    let of = |number| *f.peer.commands.iter().find(|c| c.command == number).unwrap();
+    assert_eq!(of(400).params[..2], [1.0, 0.0]);
+    assert_eq!(of(22).params[6], HOME_ALTITUDE_M + 3.0, "above sea level");
+    assert!(of(22).params[4].is_nan());
+    assert_eq!(of(176).params[..3], [129.0, 6.0, 0.0]);
+    let first_ns = f.peer.setpoints[0].0;
+    assert!(
+        of(176).at_ns - first_ns >= SECOND,
+        "a second of setpoints before OFFBOARD"
+    );
+    assert!(
+        f.peer.setpoints[..f.peer.setpoints.len() - 1]
+            .iter()
+            .all(|(_, v)| is_zero(v)),
+        "zeros until guided"
+    );
+    assert!(f.peer.height_m > 2.6);
+
+    f.until(Hold);
+    assert!(f.last.unwrap().reasons.contains(Reason::GoalReached));
+    assert!((f.peer.north_m - 11.0).abs() < 0.3, "{}", f.peer.north_m);
+    assert!((f.peer.height_m - 3.0).abs() < 0.15, "{}", f.peer.height_m);
+    assert_eq!(longest_gap_ns(&f.peer.setpoints, first_ns), STEP_NS);
+    f.run(100);
+    assert_eq!((f.peer.mode, f.peer.failsafe), (Mode::External, false));
+}
+
+#[test]
+fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_silence() {
+    let config = GuidanceConfig {
+        engage: EngagePolicy::Auto,
+        at_goal: AtGoal::Land,
+        ..Default::default()
+    };
+    let mut f = Flight::with(ArduPilot, Peer::on_the_ground(ArduPilot), config);
+    f.until(Guided);
+    assert_eq!(f.peer.flight_commands(), [176, 400, 22]);
+    let of = |number| *f.peer.commands.iter().find(|c| c.command == number).unwrap();
+    assert_eq!(of(176).params, [1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!(of(22).params[6], 3.0, "above home");
+    assert!(!f.peer.disturbed_takeoff, "a setpoint would have ended the take-off");
+    assert_eq!(f.peer.setpoints.len(), 1, "no setpoint before guided");
+    let wanted: Vec<f32> = f
+        .peer
+        .commands
+        .iter()
+        .filter(|c| c.command == 511)
+        .map(|c| c.params[0])
+        .collect();
+    assert_eq!(wanted, [32.0, 30.0, 245.0, 1.0], "an ArduPilot sends what is asked for");
+
+    f.until(Land);
+    f.until(Standby);
+    assert!(!f.peer.armed && f.peer.height_m <= 0.0);
+    let after_land: Vec<_> = f.peer.setpoints.iter().rev().take(20).collect();
+    assert!(
+        after_land.iter().all(|(_, v)| is_zero(v)),
+        "at least a second of zeros at the end"
+    );
+    assert_eq!(f.run(1200).state, Ready, "it does not take off again");
+}
+
+#[test]
+fn a_vehicle_in_the_air_only_gets_the_change_of_mode() {
+    for flavour in [Px4, ArduPilot] {
+        let mut f = Flight::new(flavour, Peer::in_the_air(flavour));
+        f.until(Guided);
+        assert_eq!(f.peer.flight_commands(), [176], "{}", flavour.name());
+    }
+}
+
+#[test]
+fn a_vehicle_that_already_obeys_is_not_commanded_at_all() {
+    let mut f = Flight::new(
+        ArduPilot,
+        Peer {
+            mode: Mode::External,
+            ..Peer::in_the_air(ArduPilot)
+        },
+    );
+    f.until(Guided);
+    assert!(f.peer.flight_commands().is_empty());
+}
+
+#[test]
+fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
+    for flavour in [Px4, ArduPilot] {
+        let mut f = Flight::new(
+            flavour,
+            Peer {
+                tells_landed: false,
+                ..Peer::on_the_ground(flavour)
+            },
+        );
+        f.until(Guided);
+        assert!(f.peer.flight_commands().contains(&22) && !f.peer.disturbed_takeoff);
+        let mut f = Flight::new(
+            flavour,
+            Peer {
+                tells_landed: false,
+                ..Peer::in_the_air(flavour)
+            },
+        );
+        f.until(Guided);
+        assert_eq!(f.peer.flight_commands(), [176]);
+    }
+}
+
+/// A flight whose hand-over of an airborne vehicle or one on the ground fails; the text that tells why.
+fn failed_with(flavour: Flavour, quirk: Quirk) -> (Flight, String) {
+    let config = GuidanceConfig::default();
+    let mut f = Flight::with(flavour, Peer::on_the_ground(flavour), config);
+    f.peer.quirks.push(quirk);
+    f.until(Ready);
+    f.guidance.request(vigil_types::OperatorRequest::Engage);
+    f.until(Engaging);
+    f.until(Standby);
+    let text = f
+        .texts
+        .iter()
+        .find(|t| t.starts_with("hand-over:"))
+        .cloned()
+        .unwrap_or_default();
+    (f, text)
+}
+
+#[test]
+fn a_refused_command_fails_the_hand_over_with_its_result() {
+    let quirk = |command, answer| Quirk {
+        command,
+        answer: Some(answer),
+        times: 9,
+    };
+    let (f, text) = failed_with(Px4, quirk(400, MavResult::MAV_RESULT_DENIED));
+    assert_eq!(text, "hand-over: arm denied");
+    assert_eq!(
+        f.peer.commands.iter().filter(|c| c.command == 400).count(),
+        1,
+        "a refusal is not argued with"
+    );
+    assert!(!f.peer.armed);
+    let (_, text) = failed_with(ArduPilot, quirk(22, MavResult::MAV_RESULT_FAILED));
+    assert_eq!(text, "hand-over: take-off failed");
+    let (f, text) = failed_with(ArduPilot, quirk(176, MavResult::MAV_RESULT_TEMPORARILY_REJECTED));
+    assert_eq!(text, "hand-over: mode temporarily rejected");
+    assert_eq!(
+        f.peer.commands.iter().filter(|c| c.command == 176).count(),
+        4,
+        "for now is asked again"
+    );
+}
+
+#[test]
+fn silence_is_asked_four_times_half_a_second_apart() {
+    let (f, text) = failed_with(
+        Px4,
+        Quirk {
+            command: 400,
+            answer: None,
+            times: 9,
+        },
+    );
+    assert_eq!(text, "hand-over: arm not answered");
+    let arms: Vec<_> = f.peer.commands.iter().filter(|c| c.command == 400).collect();
+    assert_eq!(arms.iter().map(|c| c.confirmation).collect::<Vec<_>>(), [0, 1, 2, 3]);
+    assert!(arms.windows(2).all(|w| w[1].at_ns - w[0].at_ns == SECOND / 2));
+}
+
+#[test]
+fn a_command_accepted_without_effect_is_not_believed() {
+    let (f, text) = failed_with(
+        Px4,
+        Quirk {
+            command: 400,
+            answer: Some(MavResult::MAV_RESULT_ACCEPTED),
+            times: 9,
+        },
+    );
+    assert_eq!(text, "hand-over: arm without effect");
+    assert_eq!(f.peer.commands.iter().filter(|c| c.command == 400).count(), 4);
+}
+
+#[test]
+fn lost_and_delayed_answers_do_not_stop_the_hand_over() {
+    for answer in [None, Some(MavResult::MAV_RESULT_TEMPORARILY_REJECTED)] {
+        for flavour in [Px4, ArduPilot] {
+            let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
+            for command in [400, 22, 176] {
+                f.peer.quirks.push(Quirk {
+                    command,
+                    answer,
+                    times: 2,
+                });
+            }
+            f.until(Guided);
+        }
+    }
+}
+
+#[test]
+fn in_progress_extends_the_patience() {
+    let mut f = Flight::new(Px4, Peer::on_the_ground(Px4));
+    f.peer.quirks.push(Quirk {
+        command: 400,
+        answer: Some(MavResult::MAV_RESULT_IN_PROGRESS),
+        times: 1,
+    });
+    f.until(Engaging);
+    f.run(150);
+    assert_eq!(
+        f.peer.commands.iter().filter(|c| c.command == 400).count(),
+        1,
+        "waits longer than four attempts last"
+    );
+    f.until(Guided);
+}
+
+#[test]
+fn a_vehicle_of_another_autopilot_is_never_commanded() {
+    for (configured, actual, text) in [
+        (Px4, ArduPilot, "hand-over: vehicle is ArduPilot, not PX4"),
+        (ArduPilot, Px4, "hand-over: vehicle is PX4, not ArduPilot"),
+    ] {
+        let mut f = Flight::new(configured, Peer::in_the_air(actual));
+        // A PX4 streams unprompted, so that guidance becomes ready; an ArduPilot is not even asked to.
+        f.run(400);
+        assert!(
+            f.peer.commands.is_empty() && f.peer.setpoints.iter().all(|(_, v)| is_zero(v)),
+            "{:?}",
+            f.peer.commands
+        );
+        if actual == Px4 {
+            assert!(f.texts.iter().any(|t| t == text), "{:?}", f.texts);
+        }
+    }
+}
+
+#[test]
+fn a_failsafe_hold_of_the_vehicle_is_regained_with_the_mode_alone() {
+    let mut f = Flight::new(Px4, Peer::on_the_ground(Px4));
+    f.until(Guided);
+    f.run(20);
+    f.peer.commands.clear();
+    // The firmware's packets were lost for a while: the vehicle holds by itself.
+    (f.peer.mode, f.peer.failsafe) = (Mode::Loiter, true);
+    f.until(Hold);
+    f.until(Guided);
+    assert_eq!(f.peer.flight_commands(), [176]);
+    assert!(!f.peer.failsafe);
+}
+
+#[test]
+fn a_pilot_who_takes_the_sticks_is_left_alone() {
+    for flavour in [Px4, ArduPilot] {
+        let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
+        f.until(Guided);
+        f.run(20);
+        f.peer.commands.clear();
+        f.peer.mode = Mode::Manual;
+        f.until(Standby);
+        f.run(600);
+        assert!(f.peer.flight_commands().is_empty() && f.peer.mode == Mode::Manual);
+    }
+}
+
+#[test]
+fn a_vehicle_that_restarts_is_handed_over_anew() {
+    for flavour in [Px4, ArduPilot] {
+        let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
+        f.until(Guided);
+        f.run(40);
+        f.hears = false;
+        f.run(30);
+        assert_eq!(f.last.unwrap().state, Hold);
+        let now_ns = f.now_ns;
+        f.peer.reboot(now_ns);
+        f.peer.commands.clear();
+        f.hears = true;
+        f.until(Standby);
+        f.until(Guided);
+        assert!(f.peer.flight_commands().contains(&22), "{}", flavour.name());
+    }
+}
+
+#[test]
+fn frames_that_stop_make_the_vehicle_hover_and_it_flies_on_when_they_return() {
+    let mut f = Flight::new(ArduPilot, Peer::on_the_ground(ArduPilot));
+    f.until(Guided);
+    f.run(20);
+    f.sees = false;
+    f.step();
+    assert!(is_zero(&f.peer.setpoints.last().unwrap().1), "zero in the same step");
+    assert_eq!(f.texts.last().unwrap(), "guidance: hold (stale frame)");
+    f.run(200);
+    f.sees = true;
+    f.until(Guided);
+    assert_eq!(longest_gap_ns(&f.peer.setpoints, f.peer.setpoints[0].0), STEP_NS);
+}
+
+#[test]
+fn a_refused_landing_is_asked_for_again() {
+    let mut f = Flight::new(Px4, Peer::in_the_air(Px4));
+    f.peer.quirks.push(Quirk {
+        command: 21,
+        answer: Some(MavResult::MAV_RESULT_DENIED),
+        times: 3,
+    });
+    f.until(Guided);
+    f.guidance.request(vigil_types::OperatorRequest::Land);
+    f.until(Land);
+    f.until(Standby);
+    assert!(!f.peer.armed);
+    assert_eq!(f.texts.iter().filter(|t| *t == "hand-over: land denied").count(), 3);
+    let lands: Vec<u64> = f
+        .peer
+        .commands
+        .iter()
+        .filter(|c| c.command == 21)
+        .map(|c| c.at_ns)
+        .collect();
+    assert!(lands.windows(2).all(|w| w[1] - w[0] >= 2 * SECOND), "{lands:?}");
+}
+
+fn told(f: &Flight, parameter: &str) -> Vec<String> {
+    f.texts
+        .iter()
+        .filter(|text| text.starts_with(parameter))
+        .cloned()
+        .collect()
+}
+
+#[test]
+fn a_vehicle_that_would_fly_on_for_seconds_is_told_not_to_and_stops_when_the_firmware_dies() {
+    for (flavour, name, before) in [(ArduPilot, "GUID_TIMEOUT", "3"), (Px4, "COM_OF_LOSS_T", "1")] {
+        let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
+        f.until(Guided);
+        f.run(60);
+        assert_eq!(told(&f, name), [format!("{name} was {before} s, set to 0.5 s")]);
+        assert_eq!((f.peer.setpoint_timeout_s, f.peer.parameters_set.len()), (0.5, 1));
+        assert_eq!(f.peer.parameters_read, 1);
+        // Killed: nothing comes from now on.
+        let killed_m = f.peer.north_m;
+        for _ in 0..100 {
+            f.now_ns += STEP_NS;
+            f.peer.step(f.now_ns);
+        }
+        let blind_m = f.peer.north_m - killed_m;
+        assert!(
+            (0.3..=0.56).contains(&blind_m),
+            "{} flew on for {blind_m} m",
+            flavour.name()
+        );
+    }
+}
+
+#[test]
+fn a_short_setpoint_timeout_is_left_as_it_is() {
+    let peer = Peer {
+        setpoint_timeout_s: 0.4,
+        ..Peer::in_the_air(Px4)
+    };
+    let mut f = Flight::new(Px4, peer);
+    f.until(Guided);
+    f.run(60);
+    assert_eq!(told(&f, "COM_OF_LOSS_T"), ["COM_OF_LOSS_T is 0.4 s"]);
+    assert!(f.peer.parameters_set.is_empty());
+}
+
+#[test]
+fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_told() {
+    for flavour in [ArduPilot, Px4] {
+        let silent = Peer {
+            tells_parameters: false,
+            ..Peer::in_the_air(flavour)
+        };
+        let mut f = Flight::new(flavour, silent);
+        f.until(Guided);
+        f.run(100);
+        assert_eq!(f.peer.parameters_read, 4, "asked a few times, and not for ever");
+        assert!(
+            f.texts.iter().any(|t| t.ends_with("is not told by the vehicle")),
+            "{:?}",
+            f.texts
+        );
+
+        let locked = Peer {
+            sets_parameters: false,
+            ..Peer::in_the_air(flavour)
+        };
+        let mut f = Flight::new(flavour, locked);
+        f.until(Guided);
+        f.run(100);
+        assert_eq!(f.peer.parameters_set, [0.5; 4]);
+        assert!(f.texts.iter().any(|t| t.ends_with("s, wanted 0.5 s")), "{:?}", f.texts);
+        assert_eq!(f.last.unwrap().state, Guided);
+    }
+}
+
+#[test]
+fn a_companion_told_to_leave_the_timeout_alone_neither_asks_nor_sets() {
+    let mut f = Flight::new(ArduPilot, Peer::in_the_air(ArduPilot));
+    f.companion = vigil_mavlink::Companion::new(vigil_mavlink::CompanionConfig {
+        flavour: ArduPilot,
+        setpoint_timeout_s: None,
+        ..Default::default()
+    });
+    f.until(Guided);
+    f.run(100);
+    assert_eq!((f.peer.parameters_read, f.peer.parameters_set.len()), (0, 0));
+}

@@ -1,0 +1,303 @@
+//! Signing against packets that pymavlink signed, and what is refused.
+
+use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::signing::{
+    MAX_STREAMS, Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp,
+    UNITS_PER_SECOND, timestamp_of_unix_ns,
+};
+use vigil_mavlink::{MavHeader, framing::Packet};
+
+const NOW: Timestamp = 37_000_000_000_000;
+const MINUTE: Timestamp = 60 * UNITS_PER_SECOND;
+
+fn key(first: u8) -> SigningKey {
+    SigningKey(std::array::from_fn(|i| first + i as u8))
+}
+
+fn signing(first: u8, link_id: u8) -> Signing {
+    Signing::new(key(first), link_id, SigningMemory::default())
+}
+
+/// One line of the file that `tests/data/sign_with_pymavlink.py` wrote.
+struct Vector {
+    what: &'static str,
+    link_id: u8,
+    timestamp: Timestamp,
+    unsigned: Vec<u8>,
+    signed: Vec<u8>,
+}
+
+fn vectors() -> Vec<Vector> {
+    let hex = |text: &str| -> Vec<u8> {
+        (0..text.len())
+            .step_by(2)
+            .map(|i| u8::from_str_radix(&text[i..i + 2], 16).unwrap())
+            .collect()
+    };
+    include_str!("data/signed_by_pymavlink.txt")
+        .lines()
+        .map(|line| {
+            let fields: Vec<&'static str> = line.split(' ').collect();
+            let [what, link_id, timestamp, unsigned, signed] = fields[..] else {
+                panic!("{line}");
+            };
+            Vector {
+                what,
+                link_id: link_id.parse().unwrap(),
+                timestamp: timestamp.parse().unwrap(),
+                unsigned: hex(unsigned),
+                signed: hex(signed),
+            }
+        })
+        .collect()
+}
+
+/// The one packet in `bytes`.
+fn with_packet<T>(bytes: &[u8], take: impl FnOnce(&Packet<'_>) -> T) -> T {
+    let mut counters = FramingCounters::default();
+    let mut found = packets(bytes, &mut counters);
+    let packet = found.next().unwrap();
+    assert_eq!(packet.raw().len(), bytes.len());
+    take(&packet)
+}
+
+fn verdict(verifier: &mut Signing, now: Timestamp, bytes: &[u8]) -> Result<(), Refusal> {
+    with_packet(bytes, |packet| verifier.verify(now, packet, false))
+}
+
+/// A command that would be obeyed.
+fn unsigned(i: u32, sender: (u8, u8)) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: sender.0.into(),
+        component_id: sender.1,
+        sequence: i as u8,
+    };
+    let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 1.0,
+        param7: i as f32,
+        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        target_system: 1,
+        target_component: 191,
+        ..COMMAND_LONG_DATA::DEFAULT
+    });
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, &message, &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+fn signed(signer: &mut Signing, now: Timestamp, packet: &[u8]) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
+    let len = signer.sign(now, packet, &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+fn from_ground(signer: &mut Signing, now: Timestamp, i: u32) -> Vec<u8> {
+    signed(signer, now, &unsigned(i, (255, 190)))
+}
+
+#[test]
+fn packets_signed_by_pymavlink_are_accepted_and_those_of_another_key_are_not() {
+    let mut verifier = signing(0, 0);
+    for v in vectors() {
+        let expected = match v.what {
+            "right" => Ok(()),
+            _ => Err(Refusal::WrongSignature),
+        };
+        assert_eq!(verdict(&mut verifier, NOW, &v.signed), expected, "{}", v.timestamp);
+    }
+    let counters = verifier.counters();
+    assert_eq!((counters.signed, counters.wrong_signature), (120, 30));
+    assert_eq!(
+        verifier.memory().streams.len(),
+        3,
+        "link 0 and 3 of one station, and another system"
+    );
+}
+
+#[test]
+fn signing_gives_the_bytes_that_pymavlink_gives() {
+    for v in vectors() {
+        let first = if v.what == "right" { 0 } else { 1 };
+        let ours = signed(&mut signing(first, v.link_id), v.timestamp, &v.unsigned);
+        assert_eq!(ours, v.signed);
+    }
+}
+
+#[test]
+fn of_a_thousand_packets_each_all_right_ones_are_accepted_and_no_others() {
+    let mut station = signing(0, 0);
+    let mut stranger = signing(1, 0);
+    let mut verifier = signing(0, 1);
+    let mut heard = Vec::new();
+    let at = |i: u32| NOW + u64::from(i) * 5_000;
+    for i in 0..1000 {
+        let right = from_ground(&mut station, at(i), i);
+        assert_eq!(verdict(&mut verifier, at(i), &right), Ok(()));
+        heard.push(right);
+        assert_eq!(
+            verdict(&mut verifier, at(i), &unsigned(i, (255, 190))),
+            Err(Refusal::Unsigned)
+        );
+        let foreign = from_ground(&mut stranger, at(i) + 1, i);
+        assert_eq!(verdict(&mut verifier, at(i), &foreign), Err(Refusal::WrongSignature));
+        // A signer of the right key, whose clock is ahead.
+        let future = from_ground(&mut signing(0, 0), at(i) + MINUTE + 1_000, i);
+        assert_eq!(verdict(&mut verifier, at(i), &future), Err(Refusal::FromTheFuture));
+    }
+    for packet in &heard {
+        assert_eq!(verdict(&mut verifier, at(1000), packet), Err(Refusal::Replayed));
+    }
+    // Every byte counts, the signature's own too.
+    let right = from_ground(&mut station, at(1001), 1001);
+    for byte in 10..right.len() {
+        let mut altered = right.clone();
+        altered[byte] ^= 0x40;
+        let mut counters = FramingCounters::default();
+        for packet in packets(&altered, &mut counters) {
+            assert!(verifier.verify(at(1001), &packet, false).is_err(), "byte {byte}");
+        }
+    }
+    let wrong_after = verifier.counters().wrong_signature;
+    assert_eq!(
+        *verifier.counters(),
+        SigningCounters {
+            signed: 1000,
+            unsigned: 1000,
+            wrong_signature: wrong_after,
+            replayed: 1000,
+            from_the_future: 1000,
+            ..SigningCounters::default()
+        }
+    );
+    // The thirteen altered bytes of the signature; alterations before it do not pass the checksum.
+    assert_eq!(wrong_after, 1000 + 13);
+    assert_eq!(
+        verdict(&mut verifier, at(1001), &right),
+        Ok(()),
+        "and the packet itself is right"
+    );
+}
+
+#[test]
+fn each_stream_has_its_own_time_and_a_new_one_may_lag_a_minute() {
+    let mut verifier = signing(0, 0);
+    let from = |sender, at: Timestamp| signed(&mut signing(0, 7), at, &unsigned(0, sender));
+    assert_eq!(verdict(&mut verifier, NOW, &from((255, 190), NOW)), Ok(()));
+    // Another component, half a minute behind: its own stream.
+    assert_eq!(verdict(&mut verifier, NOW, &from((255, 191), NOW - MINUTE / 2)), Ok(()));
+    assert_eq!(
+        verdict(&mut verifier, NOW, &from((255, 191), NOW - MINUTE / 2)),
+        Err(Refusal::Replayed)
+    );
+    assert_eq!(
+        verdict(&mut verifier, NOW, &from((254, 190), NOW - MINUTE - 1)),
+        Err(Refusal::Outdated)
+    );
+    // A stream that is known may lag as far as it likes, as long as it goes forward.
+    let later = NOW + 10 * MINUTE;
+    assert_eq!(verdict(&mut verifier, later, &from((255, 191), NOW)), Ok(()));
+}
+
+#[test]
+fn what_was_received_before_a_restart_is_refused_after_it() {
+    let mut station = signing(0, 0);
+    let mut verifier = signing(0, 1);
+    let heard: Vec<_> = (0..50)
+        .map(|i| from_ground(&mut station, NOW + u64::from(i), i))
+        .collect();
+    for packet in &heard {
+        assert_eq!(verdict(&mut verifier, NOW, packet), Ok(()));
+    }
+    let stored = verifier.memory().clone();
+
+    let mut forgetful = signing(0, 1);
+    assert_eq!(
+        verdict(&mut forgetful, NOW, &heard[49]),
+        Ok(()),
+        "without the memory it would be accepted"
+    );
+
+    let mut restarted = Signing::new(key(0), 1, stored.clone());
+    for packet in &heard {
+        assert_eq!(verdict(&mut restarted, NOW, packet), Err(Refusal::Replayed));
+    }
+    let next = from_ground(&mut station, NOW + 60, 50);
+    assert_eq!(verdict(&mut restarted, NOW + 60, &next), Ok(()));
+
+    // Stored ahead: what came between the storing and the end is refused too.
+    let mut killed = Signing::new(key(0), 1, stored.ahead(2 * UNITS_PER_SECOND));
+    assert_eq!(verdict(&mut killed, NOW + 60, &next), Err(Refusal::Replayed));
+    let after = from_ground(&mut station, NOW + 3 * UNITS_PER_SECOND, 51);
+    assert_eq!(verdict(&mut killed, NOW + 3 * UNITS_PER_SECOND, &after), Ok(()));
+}
+
+#[test]
+fn sent_timestamps_only_grow_whatever_the_clock_does() {
+    let mut signer = signing(0, 0);
+    let mut verifier = signing(0, 0);
+    for (i, clock) in [NOW, NOW, NOW - MINUTE / 2, 0, NOW + 5].into_iter().enumerate() {
+        let packet = from_ground(&mut signer, clock, i as u32);
+        assert_eq!(verdict(&mut verifier, NOW, &packet), Ok(()), "packet {i}");
+    }
+    // A clock that begins at zero goes on where the memory ends.
+    let mut restarted = Signing::new(key(0), 0, signer.memory().clone());
+    let packet = from_ground(&mut restarted, 0, 9);
+    assert_eq!(verdict(&mut verifier, NOW, &packet), Ok(()));
+}
+
+#[test]
+fn a_link_that_allows_unsigned_packets_still_refuses_wrong_signatures() {
+    let mut verifier = signing(0, 0);
+    let wrong = from_ground(&mut signing(1, 0), NOW, 0);
+    with_packet(&wrong, |packet| {
+        assert_eq!(verifier.verify(NOW, packet, true), Err(Refusal::WrongSignature));
+    });
+    with_packet(&unsigned(0, (255, 190)), |packet| {
+        assert_eq!(verifier.verify(NOW, packet, true), Ok(()));
+    });
+    assert_eq!(
+        (verifier.counters().unsigned_allowed, verifier.counters().refused()),
+        (1, 1)
+    );
+}
+
+#[test]
+fn senders_beyond_the_table_are_refused_and_those_in_it_go_on() {
+    let mut verifier = signing(0, 0);
+    let from = |component: usize, at| signed(&mut signing(0, 0), at, &unsigned(0, (9, component as u8)));
+    for component in 0..MAX_STREAMS {
+        assert_eq!(verdict(&mut verifier, NOW, &from(component, NOW)), Ok(()));
+    }
+    assert_eq!(
+        verdict(&mut verifier, NOW, &from(MAX_STREAMS, NOW)),
+        Err(Refusal::TooManyStreams)
+    );
+    assert_eq!(verdict(&mut verifier, NOW, &from(0, NOW + 1)), Ok(()));
+}
+
+#[test]
+fn what_cannot_be_signed_is_said() {
+    let mut signer = signing(0, 0);
+    let packet = unsigned(0, (1, 191));
+    let mut out = [0; 400];
+    assert!(signer.sign(NOW, &packet, &mut out[..packet.len() + 12]).is_err());
+    let len = signer.sign(NOW, &packet, &mut out).unwrap();
+    let twice = out[..len].to_vec();
+    assert!(signer.sign(NOW, &twice, &mut out).is_err());
+    assert!(signer.sign(NOW, &[0xFE, 0, 0, 1, 1, 0, 0, 0], &mut out).is_err());
+    assert!(signer.sign(NOW, &[], &mut out).is_err());
+}
+
+#[test]
+fn the_protocols_epoch_is_2015() {
+    assert_eq!(timestamp_of_unix_ns(1_420_070_400_000_000_000), 0);
+    assert_eq!(timestamp_of_unix_ns(1_420_070_401_000_000_000), UNITS_PER_SECOND);
+    assert_eq!(timestamp_of_unix_ns(0), 0);
+}
+
+#[test]
+fn the_key_is_not_shown() {
+    assert_eq!(format!("{:?}", key(65)), "SigningKey(..)");
+    assert!(!format!("{:?}", signing(65, 0)).contains("65"));
+}

@@ -1,0 +1,268 @@
+//! What all services share: time, the vehicle's view, flight state, parameters, and what waits to be sent. It knows none of
+//! them.
+
+use crate::files::FileSystem;
+use crate::flight::mode::FlightMode;
+use crate::flight::setpoints::Setpoints;
+use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, Sticks};
+use crate::outbox::Outbox;
+use crate::parameters::{ParamId, Parameters};
+use crate::plan::Plans;
+use crate::{ConfigError, EndpointConfig, HomePosition, LinkId};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
+use vigil_mavlink::framing::FramingCounters;
+pub use vigil_mavlink::routing::ComponentId;
+use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
+use vigil_vehicle::{Estimate, Sensors, VehicleView};
+
+/// What was refused since start, besides what the framing refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Refusals {
+    /// Packets that claim to come from this vehicle's autopilot.
+    pub own_identity: u64,
+    /// Messages addressed to the vehicle that hold a value which the protocol does not have.
+    pub not_parsed: u64,
+    /// Setpoints with a frame or type mask that the vehicle does not fly.
+    pub setpoint_form: u64,
+    /// Setpoints with a value that is not finite or absurd.
+    pub setpoint_value: u64,
+    /// Setpoints of others while the owner holds OFFBOARD.
+    pub setpoint_foreign: u64,
+    /// Commands answered UNSUPPORTED.
+    pub command_unsupported: u64,
+    /// Commands answered DENIED or TEMPORARILY_REJECTED.
+    pub command_denied: u64,
+    /// Parameter sets and reads refused.
+    pub parameter: u64,
+    /// File transfer requests answered NAK, the end of a file or listing included.
+    pub file: u64,
+    /// Plans refused, and messages of the mission protocol that fit no transfer.
+    pub plan: u64,
+}
+
+/// What the simulator may show and a test may check.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EndpointStatus {
+    /// Flight mode.
+    pub mode: FlightMode,
+    /// Motors armed.
+    pub armed: bool,
+    /// On the ground or in the air.
+    pub landed: LandedState,
+    /// The failsafe in force.
+    pub failsafe: Option<Failsafe>,
+    /// Flight was terminated: motors off until a reboot.
+    pub terminated: bool,
+    /// Whose setpoints are flown.
+    pub setpoint_owner: Option<ComponentId>,
+    /// Age of the owner's last setpoint.
+    pub setpoint_age_ns: Option<Nanos>,
+    /// Packets found and refused by the framing.
+    pub framing: FramingCounters,
+    /// Everything else refused.
+    pub refusals: Refusals,
+    /// Packets passed on between links.
+    pub forwarded: u64,
+    /// Packets that were not sent because nobody took them.
+    pub dropped: u64,
+    /// Status texts sent since start.
+    pub texts: u64,
+    /// The last status text.
+    pub last_text: String,
+}
+
+/// What SETUP_SIGNING asks for: for whoever owns the links.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct SigningSetup {
+    /// The key.
+    pub key: [u8; 32],
+    /// Timestamp to begin with, in units of 10 µs since 2015-01-01.
+    pub initial_timestamp: u64,
+}
+
+/// Bytes of a STATUSTEXT.
+const TEXT_CHUNK: usize = 50;
+
+/// Shared state.
+pub(crate) struct Core {
+    pub now_ns: Nanos,
+    /// Time of the first step, the origin of `time_boot_ms`.
+    pub boot_ns: Option<Nanos>,
+    pub view: VehicleView,
+    pub id: ComponentId,
+    /// Where the local origin is, which is home until somebody moves that.
+    pub home: HomePosition,
+    /// Where home is: metres north and east of the local origin, at its height.
+    pub home_m: (f32, f32),
+    pub unix_time_at_zero_us: u64,
+    pub parameters: Parameters,
+    pub commander: Commander,
+    pub setpoints: Setpoints,
+    pub sticks: Sticks,
+    /// A new signing key that the links have not taken yet.
+    pub signing_setup: Option<SigningSetup>,
+    pub plans: Plans,
+    pub fence_watch: FenceWatch,
+    pub outbox: Outbox,
+    pub files: FileSystem,
+    pub framing: FramingCounters,
+    pub refusals: Refusals,
+    pub forwarded: u64,
+    pub texts: u64,
+    pub last_text: String,
+    /// Messages to send at the end of this call, besides their streams: on one link or on all.
+    wanted: Vec<(Option<LinkId>, u32)>,
+}
+
+impl Core {
+    pub fn new(config: &EndpointConfig) -> Result<Self, ConfigError> {
+        config.check()?;
+        Ok(Self {
+            now_ns: 0,
+            boot_ns: None,
+            view: at_rest(),
+            id: ComponentId {
+                system: config.system_id,
+                component: 1,
+            },
+            home: config.home,
+            home_m: (0.0, 0.0),
+            unix_time_at_zero_us: config.unix_time_at_zero_us,
+            parameters: Parameters::new(&config.parameters)?,
+            commander: Commander::default(),
+            setpoints: Setpoints::default(),
+            sticks: Sticks::default(),
+            signing_setup: None,
+            plans: Plans::default(),
+            fence_watch: FenceWatch::default(),
+            outbox: Outbox::new(config.system_id, config.links.len()),
+            files: FileSystem::default(),
+            framing: FramingCounters::default(),
+            refusals: Refusals::default(),
+            forwarded: 0,
+            texts: 0,
+            last_text: String::new(),
+            wanted: Vec::with_capacity(8),
+        })
+    }
+
+    /// A parameter's value.
+    #[inline]
+    pub fn param(&self, id: ParamId) -> f32 {
+        self.parameters.get(id)
+    }
+
+    /// Milliseconds since the first step.
+    pub fn time_boot_ms(&self) -> u32 {
+        (self.since_boot_ns() / 1_000_000) as u32
+    }
+
+    /// Nanoseconds since the first step.
+    pub fn since_boot_ns(&self) -> Nanos {
+        self.now_ns.saturating_sub(self.boot_ns.unwrap_or(self.now_ns))
+    }
+
+    /// Microseconds since the first step.
+    pub fn time_boot_us(&self) -> u64 {
+        self.since_boot_ns() / 1000
+    }
+
+    /// Unix time in seconds, by the endpoint's own fixed calendar.
+    pub fn unix_time_s(&self) -> u64 {
+        self.unix_time_at_zero_us / 1_000_000 + self.now_ns / 1_000_000_000
+    }
+
+    /// Sends a text to people on all links; longer than 50 bytes in chunks of one id.
+    /// <https://mavlink.io/en/messages/common.html#STATUSTEXT>
+    pub fn text(&mut self, severity: MavSeverity, text: &str) {
+        self.texts += 1;
+        text.clone_into(&mut self.last_text);
+        // An id of 0 means that the text is not continued.
+        let id = if text.len() > TEXT_CHUNK {
+            (self.texts % u64::from(u16::MAX)) as u16 + 1
+        } else {
+            0
+        };
+        for (chunk_seq, chunk) in text.as_bytes().chunks(TEXT_CHUNK).enumerate() {
+            let mut padded = [0; TEXT_CHUNK];
+            padded[..chunk.len()].copy_from_slice(chunk);
+            let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+                severity,
+                text: padded.into(),
+                id,
+                chunk_seq: chunk_seq as u8,
+            });
+            self.outbox.send_all(&message);
+        }
+    }
+
+    /// Asks for a message to be sent on all links at once, besides its stream: it changed.
+    pub fn announce(&mut self, message_id: u32) {
+        if !self.wanted.contains(&(None, message_id)) {
+            self.wanted.push((None, message_id));
+        }
+    }
+
+    /// Asks for a message to be sent once on one link.
+    pub fn request(&mut self, link: LinkId, message_id: u32) {
+        self.wanted.push((Some(link), message_id));
+    }
+
+    /// The messages asked for, in order; to be given back with [`Core::keep_wanted`].
+    pub fn take_wanted(&mut self) -> Vec<(Option<LinkId>, u32)> {
+        std::mem::take(&mut self.wanted)
+    }
+
+    /// Gives the emptied list back, so that its memory is used again.
+    pub fn keep_wanted(&mut self, emptied: Vec<(Option<LinkId>, u32)>) {
+        self.wanted = emptied;
+    }
+
+    /// A snapshot for display and tests.
+    pub fn status(&self) -> EndpointStatus {
+        EndpointStatus {
+            mode: self.commander.mode(),
+            armed: self.commander.is_armed(),
+            landed: self.commander.landed(),
+            failsafe: self.commander.failsafe(),
+            terminated: self.commander.is_terminated(),
+            setpoint_owner: self.setpoints.owner(),
+            setpoint_age_ns: self.setpoints.owner_age_ns(self.now_ns),
+            framing: self.framing,
+            refusals: self.refusals,
+            forwarded: self.forwarded,
+            dropped: self.outbox.dropped(),
+            texts: self.texts,
+            last_text: self.last_text.clone(),
+        }
+    }
+}
+
+/// What is believed before the first step.
+fn at_rest() -> VehicleView {
+    VehicleView {
+        estimate: Estimate {
+            at_ns: 0,
+            position_ned_m: NedVector::ZERO,
+            velocity_ned_m_s: NedVector::ZERO,
+            acceleration_ned_m_s2: NedVector::ZERO,
+            attitude: Attitude::LEVEL_NORTH,
+            rates_frd_rad_s: FrdVector::ZERO,
+        },
+        sensors: Sensors {
+            accelerometer_frd_m_s2: FrdVector::ZERO,
+            gyroscope_frd_rad_s: FrdVector::ZERO,
+            gps_position_ned_m: NedVector::ZERO,
+            gps_velocity_ned_m_s: NedVector::ZERO,
+            barometer_height_m: 0.0,
+            battery_voltage_v: 0.0,
+            battery_current_a: 0.0,
+            battery_remaining: 1.0,
+            throttle: 0.0,
+            motors: [0.0; 4],
+        },
+        on_ground: true,
+        armed: false,
+    }
+}

@@ -1,0 +1,197 @@
+//! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
+
+use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup};
+use crate::service::{Answer, Service, Source};
+use crate::streams::Streams;
+use crate::{ConfigError, EndpointConfig, LinkId, Saved, services};
+use vigil_mavlink::common::{MavResult, SETUP_SIGNING_DATA};
+use vigil_mavlink::framing::{self, Command, CommandAck, Packet};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::routing::{LinkSet, Routing};
+use vigil_types::Nanos;
+use vigil_vehicle::{ControlCommand, VehicleView};
+
+/// A PX4-flavoured MAVLink vehicle, sans IO.
+///
+/// Call [`Endpoint::receive`] for every datagram that came, [`Endpoint::step`] once per millisecond of simulated time, and
+/// [`Endpoint::transmit`] whenever datagrams can go out (at least once per 50 ms step).
+pub struct Endpoint {
+    core: Core,
+    services: Vec<Box<dyn Service + Send>>,
+    streams: Streams,
+    routing: Routing,
+    /// Earliest time at which a service or stream wants to run.
+    due_ns: Nanos,
+}
+
+impl core::fmt::Debug for Endpoint {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Endpoint")
+            .field("status", &self.status())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Endpoint {
+    /// A vehicle on the ground, disarmed, in Hold.
+    ///
+    /// # Errors
+    /// [`ConfigError`] names the field and what it may be.
+    pub fn new(config: EndpointConfig) -> Result<Self, ConfigError> {
+        let mut core = Core::new(&config)?;
+        let mut services = services::all();
+        for service in &mut services {
+            service.start(&mut core);
+        }
+        let streams = Streams::new(&config.links, &services);
+        Ok(Self {
+            core,
+            services,
+            streams,
+            routing: Routing::default(),
+            due_ns: 0,
+        })
+    }
+
+    /// Takes one datagram that came on `link`. Whatever it holds, it is obeyed, passed on or counted; never a panic.
+    /// A link that the configuration does not have is ignored.
+    pub fn receive(&mut self, now_ns: Nanos, link: LinkId, datagram: &[u8]) {
+        if usize::from(link.0) >= self.core.outbox.links() {
+            return;
+        }
+        self.core.now_ns = self.core.now_ns.max(now_ns);
+        let mut counters = self.core.framing;
+        for packet in framing::packets(datagram, &mut counters) {
+            self.packet(link, &packet);
+        }
+        self.core.framing = counters;
+        self.streams.send_wanted(&mut self.core, &self.services);
+        self.due_ns = self.next_due_ns();
+    }
+
+    fn packet(&mut self, link: LinkId, packet: &Packet<'_>) {
+        let id = ComponentId {
+            system: packet.system_id(),
+            component: packet.component_id(),
+        };
+        if id == self.core.id {
+            self.core.refusals.own_identity += 1;
+            return;
+        }
+        // The checksum of an unknown message cannot be verified: it is passed on, but teaches nothing.
+        if packet.is_known() {
+            self.routing.note(self.core.now_ns, id, link.0);
+        }
+        let target = packet.target();
+        // A signing key is nobody else's business.
+        let is_secret = packet.message_id() == SETUP_SIGNING_DATA::ID;
+        let onward = self
+            .routing
+            .onward(self.core.id, target, link.0, self.core.outbox.links());
+        let onward = if is_secret { LinkSet::NONE } else { onward };
+        for to in onward.iter() {
+            self.core.outbox.forward(to, packet.raw());
+            self.core.forwarded += 1;
+        }
+        let for_us = target.is_none_or(|(system, component)| {
+            system == 0 || (system == self.core.id.system && (component == 0 || component == self.core.id.component))
+        });
+        if !for_us || !packet.is_known() {
+            return;
+        }
+        let source = Source { link, id };
+        if let Some(command) = packet.command() {
+            self.command(&command, source);
+        } else {
+            for service in &mut self.services {
+                service.receive(packet, source, &mut self.core);
+            }
+        }
+    }
+
+    fn command(&mut self, command: &Command, source: Source) {
+        let core = &mut self.core;
+        let answer = services::message_interval(command, source, core, &mut self.streams, &mut self.services)
+            .or_else(|| self.services.iter_mut().find_map(|s| s.command(command, source, core)))
+            .unwrap_or(Answer::UNSUPPORTED);
+        match answer.result {
+            MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
+            MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
+                core.refusals.command_denied += 1
+            }
+            _ => {}
+        }
+        let ack = CommandAck {
+            command: command.number,
+            result: answer.result as u8,
+            progress: 0,
+            result_param2: answer.result_param2,
+            target_system: source.id.system,
+            target_component: source.id.component,
+        };
+        core.outbox.acknowledge(source.link, &ack);
+    }
+
+    fn next_due_ns(&self) -> Nanos {
+        self.services
+            .iter()
+            .fold(self.streams.due_ns(), |due, service| due.min(service.due_ns()))
+    }
+
+    /// Advances to `now_ns` and gives the command for the vehicle's controllers until the next call.
+    pub fn step(&mut self, now_ns: Nanos, view: &VehicleView) -> ControlCommand {
+        let core = &mut self.core;
+        core.now_ns = core.now_ns.max(now_ns);
+        core.boot_ns.get_or_insert(now_ns);
+        core.view = *view;
+        let command = core.fly();
+        if self.due_ns <= now_ns {
+            for service in &mut self.services {
+                if service.due_ns() <= now_ns {
+                    service.step(&mut self.core);
+                }
+            }
+            self.streams.step(&mut self.core, &self.services);
+            self.due_ns = self.next_due_ns();
+        }
+        self.streams.send_wanted(&mut self.core, &self.services);
+        command
+    }
+
+    /// Hands out the datagrams that wait, in order.
+    pub fn transmit(&mut self, send: impl FnMut(LinkId, &[u8])) {
+        if !self.core.outbox.is_empty() {
+            self.core.outbox.drain(send);
+        }
+    }
+
+    /// What is to outlive a restart.
+    pub fn saved(&self) -> Saved {
+        self.core.saved()
+    }
+
+    /// Takes over what was saved, before the first step.
+    ///
+    /// # Errors
+    /// A parameter or plan that this vehicle does not have or take, by name.
+    pub fn restore(&mut self, saved: &Saved) -> Result<(), ConfigError> {
+        self.core.restore(saved)
+    }
+
+    /// The signing key that SETUP_SIGNING brought since the last call, for whoever owns the links.
+    pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
+        self.core.signing_setup.take()
+    }
+
+    /// What is going on.
+    pub fn status(&self) -> EndpointStatus {
+        self.core.status()
+    }
+
+    /// Arms and puts the vehicle into Hold in the air at `height_m` above home: for campaigns that begin in flight. The
+    /// caller places the vehicle there; it holds where the next step finds it.
+    pub fn start_airborne(&mut self, now_ns: Nanos, height_m: f32) {
+        self.core.now_ns = self.core.now_ns.max(now_ns);
+        self.core.start_airborne(height_m);
+    }
+}

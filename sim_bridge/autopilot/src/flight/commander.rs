@@ -1,0 +1,339 @@
+//! Arming, mode changes, failsafes and the landed state: the decisions that PX4's commander takes.
+
+use crate::core::{ComponentId, Core};
+use crate::flight::mode::FlightMode;
+use crate::flight::setpoints::{Claim, Setpoints};
+use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
+use crate::message_ids;
+use crate::parameters::ParamId;
+use vigil_mavlink::common::MavSeverity;
+use vigil_types::{Nanos, NedVector};
+use vigil_vehicle::YawCommand;
+
+/// Contact that lasts this long is "on the ground"; a bounce is not.
+const LANDED_AFTER_NS: Nanos = 300_000_000;
+/// No contact for this long is "in the air".
+const AIRBORNE_AFTER_NS: Nanos = 50_000_000;
+/// Tilt beyond which the vehicle does not arm: it lies on its side.
+const ARMING_TILT_RAD: f32 = core::f32::consts::FRAC_PI_4;
+
+impl Core {
+    /// Whether the vehicle could be armed now.
+    pub fn arming_check(&self) -> Result<(), Denial> {
+        if self.commander.terminated {
+            return Err(Denial::Terminated);
+        }
+        let attitude = self.view.estimate.attitude;
+        if attitude.roll_rad().abs() > ARMING_TILT_RAD || attitude.pitch_rad().abs() > ARMING_TILT_RAD {
+            return Err(Denial::Tilted);
+        }
+        if !self.is_inside_fence() {
+            return Err(Denial::OutsideFence);
+        }
+        Ok(())
+    }
+
+    /// Arms. Armed already is accepted.
+    pub fn arm(&mut self) -> Result<(), Denial> {
+        self.arming_check()?;
+        if !self.commander.armed {
+            self.commander.armed = true;
+            self.commander.has_flown = !self.commander.is_on_ground();
+            self.commander.idle_since_ns = self.now_ns;
+            if self.commander.mode == FlightMode::Takeoff {
+                self.begin_climb(None);
+            }
+            self.text(MavSeverity::MAV_SEVERITY_INFO, "armed");
+            self.announce(message_ids::HEARTBEAT);
+        }
+        Ok(())
+    }
+
+    /// Disarms; in the air only when forced.
+    pub fn disarm(&mut self, forced: bool) -> Result<(), Denial> {
+        if !self.commander.armed {
+            return Ok(());
+        }
+        if !forced && !self.commander.is_on_ground() && !self.commander.terminated {
+            return Err(Denial::NotLanded);
+        }
+        self.disarm_with(if forced { "disarmed: kill" } else { "disarmed" });
+        Ok(())
+    }
+
+    fn disarm_with(&mut self, text: &str) {
+        self.commander.armed = false;
+        self.commander.failsafe = None;
+        self.enter(FlightMode::Hold, Maneuver::default());
+        self.text(MavSeverity::MAV_SEVERITY_INFO, text);
+        self.announce(message_ids::HEARTBEAT);
+    }
+
+    /// Stops the motors for good: only a reboot ends it.
+    pub fn terminate(&mut self) {
+        if !self.commander.terminated {
+            self.commander.terminated = true;
+            self.text(MavSeverity::MAV_SEVERITY_EMERGENCY, "flight terminated");
+            self.announce(message_ids::HEARTBEAT);
+        }
+    }
+
+    /// Starts the autopilot anew; the caller has checked that the vehicle is disarmed or terminated.
+    pub fn reboot(&mut self) {
+        let landed = self.commander.landed;
+        self.commander = Commander {
+            landed,
+            contact: self.commander.contact,
+            contact_since_ns: self.commander.contact_since_ns,
+            ..Commander::default()
+        };
+        self.setpoints = Setpoints::default();
+        self.sticks = Sticks::default();
+        self.text(MavSeverity::MAV_SEVERITY_INFO, "rebooted");
+        self.announce(message_ids::HEARTBEAT);
+        self.announce(message_ids::NAMED_VALUE_FLOAT);
+    }
+
+    /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
+    pub fn change_mode(&mut self, mode: FlightMode, commander: ComponentId) -> Result<(), Denial> {
+        if mode == FlightMode::Offboard {
+            return self.enter_offboard(commander);
+        }
+        if mode == FlightMode::Mission {
+            return self.begin_mission();
+        }
+        if mode == FlightMode::Position {
+            return if self.enter_manual() {
+                Ok(())
+            } else {
+                Err(Denial::NoSticks)
+            };
+        }
+        self.clear_failsafe();
+        match mode {
+            FlightMode::Takeoff => self.take_off(None),
+            FlightMode::Return => self.begin_return(),
+            FlightMode::Land => self.enter(mode, Maneuver::Descend),
+            _ => self.enter(FlightMode::Hold, Maneuver::default()),
+        }
+        Ok(())
+    }
+
+    fn enter_offboard(&mut self, commander: ComponentId) -> Result<(), Denial> {
+        let max_age_ns = self.setpoint_max_age_ns();
+        if self.commander.mode == FlightMode::Offboard
+            && let Some(owner) = self.setpoints.owner()
+        {
+            // Whoever streams itself and is not the owner wants something else than what is flown.
+            let claim = self.setpoints.claim(self.now_ns, max_age_ns, commander);
+            return if claim == Claim::Owner(commander) && commander != owner {
+                Err(Denial::OwnedByOther(owner))
+            } else {
+                Ok(())
+            };
+        }
+        match self.setpoints.claim(self.now_ns, max_age_ns, commander) {
+            Claim::Nobody => Err(Denial::NoSetpoints),
+            Claim::Several(sources) => Err(Denial::SeveralSources(sources)),
+            Claim::Owner(owner) => {
+                self.clear_failsafe();
+                self.enter(FlightMode::Offboard, Maneuver::Offboard);
+                self.setpoints.set_owner(Some(owner));
+                self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("setpoint owner: {owner}"));
+                self.announce(message_ids::NAMED_VALUE_FLOAT);
+                Ok(())
+            }
+        }
+    }
+
+    /// Climbs to `height_m` above home, or to MIS_TAKEOFF_ALT where none is given or it is not above the vehicle.
+    pub fn take_off(&mut self, height_m: Option<f32>) {
+        self.clear_failsafe();
+        if self.commander.armed {
+            self.begin_climb(height_m);
+        } else {
+            self.enter(FlightMode::Takeoff, Maneuver::Grounded { height_m });
+        }
+    }
+
+    pub(super) fn begin_climb(&mut self, height_m: Option<f32>) {
+        let waiting = match self.commander.maneuver {
+            Maneuver::Grounded { height_m } => height_m,
+            _ => None,
+        };
+        let here = self.view.estimate.position_ned_m;
+        let default_m = self.param(ParamId::TakeoffAltitudeM);
+        let height_m = match height_m.or(waiting) {
+            Some(wanted) if wanted > -here.z + 0.3 => wanted,
+            Some(_) => {
+                self.text(
+                    MavSeverity::MAV_SEVERITY_WARNING,
+                    "take-off height not above vehicle: default",
+                );
+                default_m
+            }
+            None => default_m,
+        }
+        .max(-here.z);
+        let rate_m_s = self.param(ParamId::TakeoffSpeedMS);
+        self.enter(FlightMode::Takeoff, Maneuver::climb(here, -height_m, rate_m_s));
+        self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("take-off to {height_m:.1} m"));
+    }
+
+    /// Returns to home or the nearest rally point.
+    pub(super) fn begin_return(&mut self) {
+        let here = self.view.estimate.position_ned_m;
+        let (north, east) = self.plans.rally.nearest_m((here.x, here.y), self.home_m);
+        self.commander.return_to_m = (north, east);
+        let is_there = libm::hypotf(here.x - north, here.y - east) < 2.0;
+        let maneuver = if self.commander.is_on_ground() || is_there {
+            Maneuver::Descend
+        } else {
+            let height_m = self.param(ParamId::ReturnAltitudeM).max(-here.z);
+            Maneuver::climb(here, -height_m, self.param(ParamId::MaxUpMS))
+        };
+        self.enter(FlightMode::Return, maneuver);
+    }
+
+    /// Goes to a position and holds there.
+    pub fn go_to(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_m_s: Option<f32>) -> Result<(), Denial> {
+        if !self.commander.armed || self.commander.is_on_ground() {
+            return Err(Denial::NotInAir);
+        }
+        if !self.fence_allows((position_ned_m.x, position_ned_m.y), -position_ned_m.z) {
+            return Err(Denial::OutsideFence);
+        }
+        self.clear_failsafe();
+        let cruise_m_s = self.param(ParamId::CruiseSpeedMS);
+        let speed_limit_m_s = speed_m_s.map_or(cruise_m_s, |s| s.clamp(0.5, self.param(ParamId::MaxSpeedMS)));
+        self.enter(
+            FlightMode::Hold,
+            Maneuver::Station {
+                position_ned_m,
+                yaw,
+                speed_limit_m_s,
+            },
+        );
+        Ok(())
+    }
+
+    /// Changes mode and maneuver; leaving OFFBOARD clears its owner.
+    pub(super) fn enter(&mut self, mode: FlightMode, maneuver: Maneuver) {
+        self.commander.maneuver = maneuver;
+        if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
+            self.setpoints.set_owner(None);
+            self.text(MavSeverity::MAV_SEVERITY_INFO, "setpoint owner: none");
+            self.announce(message_ids::NAMED_VALUE_FLOAT);
+        }
+        if self.commander.mode != mode {
+            self.commander.mode = mode;
+            self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("mode: {}", mode.name()));
+            self.announce(message_ids::HEARTBEAT);
+        }
+    }
+
+    pub(super) fn clear_failsafe(&mut self) {
+        if self.commander.failsafe.take().is_some() {
+            self.announce(message_ids::HEARTBEAT);
+        }
+    }
+
+    pub(super) fn setpoint_max_age_ns(&self) -> Nanos {
+        (f64::from(self.param(ParamId::OffboardLossS)) * 1e9) as Nanos
+    }
+
+    /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until the next mode command.
+    pub(super) fn lose_setpoints(&mut self) {
+        let action = match self.param(ParamId::OffboardLossAction) as i32 {
+            3 => FlightMode::Return,
+            4 => FlightMode::Land,
+            _ => FlightMode::Hold,
+        };
+        let text = format!("setpoint lost: {}", action.name());
+        self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+        self.fail_over(action, Failsafe::SetpointLost);
+    }
+
+    /// Enters Return, Land or Hold by itself; CRITICAL until the next mode command.
+    pub(super) fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
+        match action {
+            FlightMode::Return => self.begin_return(),
+            FlightMode::Land => self.enter(action, Maneuver::Descend),
+            _ => self.enter(FlightMode::Hold, Maneuver::default()),
+        }
+        self.commander.failsafe = Some(failsafe);
+        self.announce(message_ids::HEARTBEAT);
+    }
+
+    /// Follows contact with the ground, and disarms by itself after a landing or a wait.
+    pub(super) fn watch_ground(&mut self) {
+        let now_ns = self.now_ns;
+        let c = &mut self.commander;
+        if self.view.on_ground != c.contact {
+            c.contact = self.view.on_ground;
+            c.contact_since_ns = now_ns;
+        }
+        let lasted_ns = now_ns.saturating_sub(c.contact_since_ns);
+        let was_on_ground = c.is_on_ground();
+        let on_ground = if c.contact {
+            was_on_ground || lasted_ns >= LANDED_AFTER_NS
+        } else {
+            was_on_ground && lasted_ns < AIRBORNE_AFTER_NS
+        };
+        let landed = if on_ground {
+            LandedState::OnGround
+        } else {
+            match (c.mode, c.maneuver) {
+                (FlightMode::Takeoff, _) | (FlightMode::Mission, Maneuver::Climb(_)) => LandedState::TakingOff,
+                (_, Maneuver::Descend) => LandedState::Landing,
+                _ => LandedState::InAir,
+            }
+        };
+        if on_ground && !was_on_ground {
+            c.idle_since_ns = now_ns;
+        }
+        if !on_ground {
+            c.has_flown = true;
+        }
+        if landed != c.landed {
+            c.landed = landed;
+            self.announce(message_ids::EXTENDED_SYS_STATE);
+        }
+        if self.commander.armed && on_ground {
+            self.disarm_when_idle();
+        }
+    }
+
+    /// The vehicle is about to leave the ground: the time until it disarms itself begins anew.
+    pub(super) fn expect_lift_off(&mut self) {
+        self.commander.idle_since_ns = self.now_ns;
+    }
+
+    fn disarm_when_idle(&mut self) {
+        let (limit_s, text) = if self.commander.has_flown {
+            (self.param(ParamId::DisarmLandS), "disarmed: landed")
+        } else {
+            (self.param(ParamId::DisarmPreflightS), "disarmed: no take-off")
+        };
+        let idle_ns = self.now_ns.saturating_sub(self.commander.idle_since_ns);
+        if limit_s > 0.0 && idle_ns >= (f64::from(limit_s) * 1e9) as Nanos {
+            self.disarm_with(text);
+        }
+    }
+
+    /// See [`crate::Endpoint::start_airborne`].
+    pub fn start_airborne(&mut self, height_m: f32) {
+        self.commander.armed = true;
+        self.commander.has_flown = true;
+        self.commander.landed = LandedState::InAir;
+        self.commander.contact = false;
+        self.commander.contact_since_ns = self.now_ns;
+        self.enter(
+            FlightMode::Hold,
+            Maneuver::Brake {
+                began_ns: None,
+                height_m: Some(height_m),
+            },
+        );
+    }
+}

@@ -1,0 +1,269 @@
+//! From mode to the command for the vehicle's controllers, once per millisecond.
+
+use crate::core::Core;
+use crate::flight::mode::FlightMode;
+use crate::flight::state::{Climb, Maneuver};
+use crate::parameters::ParamId;
+use vigil_mavlink::common::{
+    ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
+};
+use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
+use vigil_vehicle::{ControlCommand, YawCommand};
+
+/// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
+const BRAKE_NS: Nanos = 3_000_000_000;
+
+impl Core {
+    /// One step of flight: ground contact, failsafes, maneuver.
+    pub fn fly(&mut self) -> ControlCommand {
+        self.watch_ground();
+        if !self.commander.is_armed() || self.commander.is_terminated() {
+            return ControlCommand::MotorsOff;
+        }
+        let on_ground = self.commander.is_on_ground();
+        if self.commander.mode() == FlightMode::Mission {
+            self.step_mission();
+        }
+        match self.commander.maneuver {
+            Maneuver::Climb(climb) => {
+                self.expect_lift_off();
+                self.fly_climb(climb)
+            }
+            Maneuver::Offboard => self.fly_offboard(on_ground),
+            Maneuver::Sticks => self.fly_by_sticks(on_ground),
+            _ if on_ground => ControlCommand::Idle,
+            Maneuver::Brake { began_ns, height_m } => self.fly_brake(began_ns, height_m),
+            Maneuver::Station {
+                position_ned_m,
+                yaw,
+                speed_limit_m_s,
+            } => self.fly_station(position_ned_m, yaw, speed_limit_m_s),
+            Maneuver::Descend => ControlCommand::Descend {
+                rate_m_s: self.descent_rate_m_s(),
+            },
+            Maneuver::Orbit(orbit) => self.fly_orbit(orbit),
+            // In the air there is nothing to wait for.
+            Maneuver::Grounded { .. } => self.fly_brake(None, None),
+        }
+    }
+
+    fn fly_brake(&mut self, began_ns: Option<Nanos>, height_m: Option<f32>) -> ControlCommand {
+        let began = began_ns.unwrap_or(self.now_ns);
+        let velocity = self.view.estimate.velocity_ned_m_s;
+        let stopped = velocity.horizontal_norm() < 0.2 && velocity.z.abs() < 0.2;
+        if !stopped && self.now_ns.saturating_sub(began) < BRAKE_NS {
+            self.commander.maneuver = Maneuver::Brake {
+                began_ns: Some(began),
+                height_m,
+            };
+            return ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::ZERO,
+                yaw: YawCommand::Hold,
+            };
+        }
+        let mut position_ned_m = self.view.estimate.position_ned_m;
+        if let Some(height_m) = height_m {
+            position_ned_m.z = -height_m;
+        }
+        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        self.commander.maneuver = Maneuver::Station {
+            position_ned_m,
+            yaw: YawCommand::Hold,
+            speed_limit_m_s,
+        };
+        self.fly_station(position_ned_m, YawCommand::Hold, speed_limit_m_s)
+    }
+
+    fn fly_station(&mut self, position_ned_m: NedVector, yaw: YawCommand, speed_limit_m_s: f32) -> ControlCommand {
+        if self.commander.mode() == FlightMode::Return {
+            let off = self.view.estimate.position_ned_m - position_ned_m;
+            if off.horizontal_norm() < 0.5 && self.view.estimate.velocity_ned_m_s.horizontal_norm() < 0.5 {
+                self.commander.maneuver = Maneuver::Descend;
+            }
+        }
+        ControlCommand::Position {
+            position_ned_m,
+            velocity_m_s: NedVector::ZERO,
+            speed_limit_m_s,
+            yaw,
+        }
+    }
+
+    fn fly_climb(&mut self, climb: Climb) -> ControlCommand {
+        if climb.is_cruising(self.view.estimate.position_ned_m.z) {
+            return ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::new(0.0, 0.0, -climb.rate_m_s),
+                yaw: YawCommand::Hold,
+            };
+        }
+        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        let station = |position_ned_m| Maneuver::Station {
+            position_ned_m,
+            yaw: YawCommand::Hold,
+            speed_limit_m_s,
+        };
+        let target = climb.target_ned_m;
+        if climb.is_done(&self.view.estimate) {
+            match self.commander.mode() {
+                FlightMode::Return => {
+                    let (north, east) = self.commander.return_to_m;
+                    self.commander.maneuver = station(NedVector::new(north, east, target.z));
+                }
+                // The mission goes on in its next step.
+                FlightMode::Mission => {}
+                _ => self.enter(FlightMode::Hold, station(target)),
+            }
+        }
+        ControlCommand::Position {
+            position_ned_m: target,
+            velocity_m_s: NedVector::ZERO,
+            speed_limit_m_s,
+            yaw: YawCommand::Hold,
+        }
+    }
+
+    fn descent_rate_m_s(&self) -> f32 {
+        let height_m = -self.view.estimate.position_ned_m.z;
+        let slow_m_s = self.param(ParamId::LandSpeedMS);
+        if height_m > self.param(ParamId::LandSlowHeightM) {
+            self.param(ParamId::MaxDownMS).max(slow_m_s)
+        } else {
+            slow_m_s
+        }
+    }
+
+    fn fly_offboard(&mut self, on_ground: bool) -> ControlCommand {
+        let Some(command) = self.setpoints.current(self.now_ns, self.setpoint_max_age_ns()) else {
+            self.lose_setpoints();
+            return if on_ground {
+                ControlCommand::Idle
+            } else {
+                ControlCommand::VelocityNed {
+                    velocity_m_s: NedVector::ZERO,
+                    yaw: YawCommand::Hold,
+                }
+            };
+        };
+        if on_ground {
+            if !self.lifts(&command) {
+                return ControlCommand::Idle;
+            }
+            self.expect_lift_off();
+        }
+        self.limited(command)
+    }
+
+    /// Whether a setpoint means to leave the ground.
+    fn lifts(&self, command: &ControlCommand) -> bool {
+        match command {
+            ControlCommand::VelocityHeading { velocity_m_s, .. } => velocity_m_s.z < -0.1,
+            ControlCommand::VelocityNed { velocity_m_s, .. } => velocity_m_s.z < -0.1,
+            ControlCommand::Position { position_ned_m, .. } => {
+                position_ned_m.z < self.view.estimate.position_ned_m.z - 0.3
+            }
+            // The thrust is the sender's.
+            ControlCommand::Attitude { .. } | ControlCommand::Rates { .. } => true,
+            _ => false,
+        }
+    }
+
+    /// Velocities within MPC_XY_VEL_MAX and MPC_Z_VEL_MAX_*; the direction is kept.
+    fn limited(&self, command: ControlCommand) -> ControlCommand {
+        let max_m_s = self.param(ParamId::MaxSpeedMS);
+        let (up, down) = (self.param(ParamId::MaxUpMS), self.param(ParamId::MaxDownMS));
+        let scale = |norm: f32| if norm > max_m_s { max_m_s / norm } else { 1.0 };
+        match command {
+            ControlCommand::VelocityHeading { velocity_m_s: v, yaw } => {
+                let k = scale(v.horizontal_norm());
+                ControlCommand::VelocityHeading {
+                    velocity_m_s: HeadingVector::new(v.x * k, v.y * k, v.z.clamp(-up, down)),
+                    yaw,
+                }
+            }
+            ControlCommand::VelocityNed { velocity_m_s: v, yaw } => {
+                let k = scale(v.horizontal_norm());
+                ControlCommand::VelocityNed {
+                    velocity_m_s: NedVector::new(v.x * k, v.y * k, v.z.clamp(-up, down)),
+                    yaw,
+                }
+            }
+            other => other,
+        }
+    }
+}
+
+/// What OFFBOARD or a maneuver flies to, as POSITION_TARGET_LOCAL_NED reports it; `None` where there is no such target.
+pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_DATA> {
+    const VELOCITY_ONLY: u16 = 0xDC7;
+    const POSITION_ONLY: u16 = 0xDF8;
+    let command = match core.commander.maneuver {
+        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.setpoint_max_age_ns())?,
+        Maneuver::Station { position_ned_m, .. } => ControlCommand::Position {
+            position_ned_m,
+            velocity_m_s: NedVector::ZERO,
+            speed_limit_m_s: 0.0,
+            yaw: YawCommand::Hold,
+        },
+        _ => return None,
+    };
+    let yaw_rad = core.view.estimate.attitude.yaw_rad();
+    let (position, velocity, mask, yaw) = match command {
+        ControlCommand::VelocityHeading { velocity_m_s, yaw } => {
+            (NedVector::ZERO, velocity_m_s.to_ned(yaw_rad), VELOCITY_ONLY, yaw)
+        }
+        ControlCommand::VelocityNed { velocity_m_s, yaw } => (NedVector::ZERO, velocity_m_s, VELOCITY_ONLY, yaw),
+        ControlCommand::Position {
+            position_ned_m,
+            velocity_m_s,
+            yaw,
+            ..
+        } => (position_ned_m, velocity_m_s, POSITION_ONLY, yaw),
+        _ => return None,
+    };
+    let (yaw, yaw_rate, mask) = match yaw {
+        YawCommand::Hold => (0.0, 0.0, mask),
+        YawCommand::Angle { yaw_rad } => (yaw_rad, 0.0, mask & !0x400),
+        YawCommand::Rate { yaw_rate_rad_s } => (0.0, yaw_rate_rad_s, mask & !0x800),
+    };
+    Some(POSITION_TARGET_LOCAL_NED_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        x: position.x,
+        y: position.y,
+        z: position.z,
+        vx: velocity.x,
+        vy: velocity.y,
+        vz: velocity.z,
+        yaw,
+        yaw_rate,
+        type_mask: PositionTargetTypemask::from_bits_truncate(mask),
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    })
+}
+
+/// The attitude or body rates that OFFBOARD flies to, as ATTITUDE_TARGET reports them; `None` where positions or velocities
+/// are flown: their controllers are the vehicle's, and what they ask for is not known here.
+pub(crate) fn attitude_target(core: &Core) -> Option<ATTITUDE_TARGET_DATA> {
+    const RATES_IGNORED: u8 = 0x07;
+    const ATTITUDE_IGNORED: u8 = 0x80;
+    if core.commander.maneuver != Maneuver::Offboard {
+        return None;
+    }
+    let (attitude, rates, thrust, mask) = match core.setpoints.current(core.now_ns, core.setpoint_max_age_ns())? {
+        ControlCommand::Attitude { attitude, thrust } => (attitude, FrdVector::ZERO, thrust, RATES_IGNORED),
+        ControlCommand::Rates {
+            rates_frd_rad_s,
+            thrust,
+        } => (Attitude::LEVEL_NORTH, rates_frd_rad_s, thrust, ATTITUDE_IGNORED),
+        _ => return None,
+    };
+    Some(ATTITUDE_TARGET_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        q: [attitude.w, attitude.x, attitude.y, attitude.z],
+        body_roll_rate: rates.x,
+        body_pitch_rate: rates.y,
+        body_yaw_rate: rates.z,
+        thrust,
+        type_mask: AttitudeTargetTypemask::from_bits_truncate(mask),
+    })
+}

@@ -1,0 +1,249 @@
+//! Flying a mission item by item. <https://docs.px4.io/main/en/flight_modes_mc/mission.html>
+
+use crate::core::Core;
+use crate::flight::mode::FlightMode;
+use crate::flight::state::{Denial, Maneuver};
+use crate::message_ids;
+use crate::parameters::ParamId;
+use crate::plan::{Leg, MissionItem, Purpose, Stage};
+use vigil_mavlink::common::MavSeverity;
+use vigil_types::{Nanos, NedVector, wrap_pi};
+use vigil_vehicle::YawCommand;
+
+/// Height error within which a place is reached (PX4's NAV_MC_ALT_RAD).
+const HEIGHT_ACCEPTANCE_M: f32 = 0.8;
+/// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
+const MIN_ACCEPTANCE_M: f32 = 0.2;
+/// A landing begins when the vehicle is this near to its place and this slow.
+const LANDING_RADIUS_M: f32 = 0.5;
+const LANDING_SPEED_M_S: f32 = 0.5;
+/// On a shorter way the vehicle does not turn towards its place.
+const TURN_DISTANCE_M: f32 = 2.0;
+const TURN_ACCEPTANCE_RAD: f32 = 0.05;
+/// Time between the end of an item and the begin of the next.
+const ITEM_PAUSE_NS: Nanos = 50_000_000;
+
+impl Core {
+    /// Enters mission mode: begins, or goes on with the current item. While disarmed it waits for arming.
+    pub(super) fn begin_mission(&mut self) -> Result<(), Denial> {
+        if self.plans.mission.is_empty() {
+            return Err(Denial::NoMission);
+        }
+        let outside = self.plans.mission.legs().find(|(_, leg)| {
+            let place = leg.place.north_east_m;
+            place.is_some_and(|place| !self.fence_allows(place, leg.place.height_m.unwrap_or(0.0)))
+        });
+        if let Some((index, _)) = outside {
+            return Err(Denial::MissionOutsideFence(index));
+        }
+        self.clear_failsafe();
+        self.plans.mission.start();
+        self.plans.mission.not_before_ns = self.now_ns;
+        self.enter(FlightMode::Mission, Maneuver::default());
+        self.announce(message_ids::MISSION_CURRENT);
+        Ok(())
+    }
+
+    /// The mission was replaced, or its current item changed by command: begins it if missions are being flown.
+    pub fn mission_changed(&mut self) {
+        self.announce(message_ids::MISSION_CURRENT);
+        if self.commander.mode() != FlightMode::Mission {
+            return;
+        }
+        if let Err(denial) = self.begin_mission() {
+            self.text(MavSeverity::MAV_SEVERITY_WARNING, &denial.to_string());
+            self.enter(FlightMode::Hold, Maneuver::default());
+        }
+    }
+
+    /// One step of mission mode: decides which maneuver is flown.
+    pub(super) fn step_mission(&mut self) {
+        let Some(item) = self.plans.mission.item() else {
+            return;
+        };
+        let on_ground = self.commander.is_on_ground();
+        match (item, self.plans.mission.stage) {
+            (_, Stage::Fresh) if self.now_ns >= self.plans.mission.not_before_ns => self.begin_item(item, on_ground),
+            (_, Stage::Waiting { until_ns }) if self.now_ns >= until_ns => self.end_item(true),
+            (MissionItem::Leg(leg), Stage::Climbing) if self.has_climbed() => self.travel(&leg),
+            (MissionItem::Leg(leg), Stage::Travelling) if self.has_arrived(&leg) => self.arrive(&leg),
+            (_, Stage::Landing) if on_ground => self.end_item(true),
+            (_, Stage::Turning { yaw_rad }) => {
+                let off_rad = wrap_pi(yaw_rad - self.view.estimate.attitude.yaw_rad());
+                if on_ground || off_rad.abs() < TURN_ACCEPTANCE_RAD {
+                    self.end_item(true);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn begin_item(&mut self, item: MissionItem, on_ground: bool) {
+        match item {
+            MissionItem::Leg(leg) if !on_ground => self.travel(&leg),
+            MissionItem::Leg(Leg {
+                purpose: Purpose::Land, ..
+            }) => self.end_item(true),
+            MissionItem::Leg(leg) => self.leave_ground(&leg),
+            MissionItem::Return => {
+                self.plans.mission.advance(false);
+                self.announce(message_ids::MISSION_CURRENT);
+                self.begin_return();
+            }
+            MissionItem::Delay { wait_ns } => {
+                self.plans.mission.stage = Stage::Waiting {
+                    until_ns: self.now_ns.saturating_add(wait_ns),
+                };
+            }
+            MissionItem::Turn { yaw_rad, is_relative } => self.turn(yaw_rad, is_relative),
+            MissionItem::Speed { speed_m_s } => {
+                self.plans.mission.speed_m_s = speed_m_s;
+                self.end_item(true);
+            }
+            MissionItem::PassedOver => self.end_item(true),
+            MissionItem::Jump { .. } => self.end_item(false),
+        }
+    }
+
+    /// Climbs before the first way, as PX4 does even where the mission has no take-off.
+    fn leave_ground(&mut self, leg: &Leg) {
+        let default_m = self.param(ParamId::TakeoffAltitudeM);
+        let height_m = match (leg.place.height_m, leg.purpose) {
+            (Some(height_m), Purpose::TakeOff) if height_m > 0.3 => height_m,
+            (Some(height_m), _) => height_m.max(default_m),
+            (None, _) => default_m,
+        };
+        let here = self.view.estimate.position_ned_m;
+        let rate_m_s = self.param(ParamId::TakeoffSpeedMS);
+        self.commander.maneuver = Maneuver::climb(here, -height_m, rate_m_s);
+        self.plans.mission.stage = Stage::Climbing;
+    }
+
+    fn has_climbed(&self) -> bool {
+        match self.commander.maneuver {
+            Maneuver::Climb(climb) => climb.is_done(&self.view.estimate),
+            _ => true,
+        }
+    }
+
+    fn travel(&mut self, leg: &Leg) {
+        let here = self.view.estimate.position_ned_m;
+        let (north, east) = leg.place.north_east_m.unwrap_or((here.x, here.y));
+        let z_m = match (leg.place.height_m, leg.purpose) {
+            // Flies there at the height it has, then descends.
+            (_, Purpose::Land) | (None, _) => here.z,
+            (Some(height_m), _) => -height_m,
+        };
+        let (d_north, d_east) = (north - here.x, east - here.y);
+        let yaw = match leg.yaw_rad {
+            Some(yaw_rad) => YawCommand::Angle { yaw_rad },
+            None if libm::hypotf(d_north, d_east) > TURN_DISTANCE_M => YawCommand::Angle {
+                yaw_rad: libm::atan2f(d_east, d_north),
+            },
+            None => YawCommand::Hold,
+        };
+        self.commander.maneuver = Maneuver::Station {
+            position_ned_m: NedVector::new(north, east, z_m),
+            yaw,
+            speed_limit_m_s: self.mission_speed_m_s(),
+        };
+        self.plans.mission.stage = Stage::Travelling;
+    }
+
+    fn mission_speed_m_s(&self) -> f32 {
+        let max_m_s = self.param(ParamId::MaxSpeedMS);
+        match self.plans.mission.speed_m_s {
+            Some(speed_m_s) => speed_m_s.min(max_m_s),
+            None => self.param(ParamId::CruiseSpeedMS),
+        }
+    }
+
+    /// Changes the speed of the way that is being flown.
+    pub fn change_speed(&mut self, speed_m_s: f32) -> Result<(), Denial> {
+        let speed_m_s = speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS));
+        let is_mission = self.commander.mode() == FlightMode::Mission;
+        if is_mission {
+            self.plans.mission.speed_m_s = Some(speed_m_s);
+        }
+        match &mut self.commander.maneuver {
+            Maneuver::Station { speed_limit_m_s, .. } => *speed_limit_m_s = speed_m_s,
+            _ if is_mission => {}
+            _ => return Err(Denial::NoWay),
+        }
+        Ok(())
+    }
+
+    fn has_arrived(&self, leg: &Leg) -> bool {
+        let Maneuver::Station { position_ned_m, .. } = self.commander.maneuver else {
+            return true;
+        };
+        let estimate = &self.view.estimate;
+        let off = position_ned_m - estimate.position_ned_m;
+        let radius_m = match leg.purpose {
+            Purpose::Land if estimate.velocity_ned_m_s.horizontal_norm() > LANDING_SPEED_M_S => return false,
+            Purpose::Land => LANDING_RADIUS_M,
+            _ => leg
+                .acceptance_m
+                .unwrap_or_else(|| self.param(ParamId::AcceptanceRadiusM))
+                .max(MIN_ACCEPTANCE_M),
+        };
+        off.horizontal_norm() <= radius_m && off.z.abs() <= HEIGHT_ACCEPTANCE_M
+    }
+
+    fn arrive(&mut self, leg: &Leg) {
+        let mission = &mut self.plans.mission;
+        match leg.purpose {
+            Purpose::Visit { stay_ns: 0 } | Purpose::TakeOff => self.end_item(true),
+            Purpose::Visit { stay_ns } => {
+                mission.stage = Stage::Waiting {
+                    until_ns: self.now_ns.saturating_add(stay_ns),
+                }
+            }
+            Purpose::Stay => mission.stage = Stage::Staying,
+            Purpose::Land => {
+                mission.stage = Stage::Landing;
+                self.commander.maneuver = Maneuver::Descend;
+            }
+        }
+    }
+
+    fn turn(&mut self, yaw_rad: f32, is_relative: bool) {
+        let heading_rad = self.view.estimate.attitude.yaw_rad();
+        let yaw_rad = if is_relative { heading_rad + yaw_rad } else { yaw_rad };
+        let position_ned_m = match self.commander.maneuver {
+            Maneuver::Station { position_ned_m, .. } => position_ned_m,
+            _ => self.view.estimate.position_ned_m,
+        };
+        self.commander.maneuver = Maneuver::Station {
+            position_ned_m,
+            yaw: YawCommand::Angle { yaw_rad },
+            speed_limit_m_s: self.mission_speed_m_s(),
+        };
+        self.plans.mission.stage = Stage::Turning { yaw_rad };
+    }
+
+    /// The current item is done; after the last one the vehicle holds where it is.
+    fn end_item(&mut self, tells: bool) {
+        self.plans.mission.not_before_ns = self.now_ns + ITEM_PAUSE_NS;
+        let pauses = self.plans.mission.pauses_after_item();
+        let goes_on = self.plans.mission.advance(tells);
+        if tells {
+            self.announce(message_ids::MISSION_ITEM_REACHED);
+        }
+        self.announce(message_ids::MISSION_CURRENT);
+        if goes_on && !pauses {
+            return;
+        }
+        let text = if goes_on {
+            "mission paused by item"
+        } else {
+            "mission finished"
+        };
+        self.text(MavSeverity::MAV_SEVERITY_INFO, text);
+        let maneuver = match self.commander.maneuver {
+            station @ Maneuver::Station { .. } => station,
+            _ => Maneuver::default(),
+        };
+        self.enter(FlightMode::Hold, maneuver);
+    }
+}

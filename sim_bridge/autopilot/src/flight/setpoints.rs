@@ -1,0 +1,478 @@
+//! Offboard setpoints: what a message asks for, and whose setpoints are flown.
+//!
+//! One owner at a time. The owner is chosen when OFFBOARD is entered: the sender of the mode command if its own setpoints
+//! are fresh, else the only source whose setpoints are fresh. Everybody else's setpoints are counted and ignored until
+//! OFFBOARD is left.
+
+use crate::{HomePosition, geo};
+use vigil_mavlink::common::{
+    AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
+    SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
+};
+use vigil_mavlink::routing::ComponentId;
+use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
+use vigil_vehicle::{ControlCommand, YawCommand};
+
+/// Sources remembered; the oldest gives way.
+const MAX_SOURCES: usize = 8;
+/// Beyond these a value is a mistake, not a wish: the setpoint is refused rather than limited.
+const ABSURD_POSITION_M: f32 = 100_000.0;
+const ABSURD_VELOCITY_M_S: f32 = 100.0;
+const ABSURD_RATE_RAD_S: f32 = 100.0;
+
+/// Why a setpoint is not flown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum SetpointDefect {
+    /// A frame or type mask that the vehicle does not fly.
+    Form,
+    /// A value that is used is NaN, infinite or absurd.
+    Value,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct SourceState {
+    id: ComponentId,
+    last_ns: Nanos,
+    command: ControlCommand,
+    /// A status text has told that its setpoints are ignored.
+    told: bool,
+}
+
+/// The newest setpoint of each source, and who owns OFFBOARD.
+#[derive(Debug, Default)]
+pub(crate) struct Setpoints {
+    sources: Vec<SourceState>,
+    owner: Option<ComponentId>,
+}
+
+/// Who would own OFFBOARD if it were entered now.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Claim {
+    Owner(ComponentId),
+    /// Nobody streams.
+    Nobody,
+    /// Several stream, and the commander is none of them.
+    Several(Vec<ComponentId>),
+}
+
+impl Setpoints {
+    /// Whose setpoints are flown.
+    pub fn owner(&self) -> Option<ComponentId> {
+        self.owner
+    }
+
+    fn owner_state(&self) -> Option<&SourceState> {
+        let owner = self.owner?;
+        self.sources.iter().find(|s| s.id == owner)
+    }
+
+    /// Age of the owner's last setpoint.
+    pub fn owner_age_ns(&self, now_ns: Nanos) -> Option<Nanos> {
+        self.owner_state().map(|s| now_ns.saturating_sub(s.last_ns))
+    }
+
+    /// The owner's setpoint, if it is fresh.
+    pub fn current(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<ControlCommand> {
+        self.owner_state()
+            .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
+            .map(|s| s.command)
+    }
+
+    /// Takes a source's newest setpoint.
+    pub fn take(&mut self, now_ns: Nanos, id: ComponentId, command: ControlCommand) -> Taken {
+        let owner = self.owner;
+        let is_foreign = owner.is_some_and(|owner| owner != id);
+        if let Some(source) = self.sources.iter_mut().find(|s| s.id == id) {
+            source.last_ns = now_ns;
+            source.command = command;
+        } else {
+            let source = SourceState {
+                id,
+                last_ns: now_ns,
+                command,
+                told: false,
+            };
+            if self.sources.len() < MAX_SOURCES {
+                self.sources.push(source);
+            } else if let Some(oldest) = self
+                .sources
+                .iter_mut()
+                .filter(|s| Some(s.id) != owner)
+                .min_by_key(|s| s.last_ns)
+            {
+                *oldest = source;
+            }
+        }
+        if !is_foreign {
+            return Taken::Own;
+        }
+        let source = self.sources.iter_mut().find(|s| s.id == id);
+        let told = source.is_none_or(|s| std::mem::replace(&mut s.told, true));
+        if told { Taken::Ignored } else { Taken::IgnoredFirst }
+    }
+
+    /// Who would own OFFBOARD on a mode command of `commander`.
+    pub fn claim(&self, now_ns: Nanos, max_age_ns: Nanos, commander: ComponentId) -> Claim {
+        let mut streaming: Vec<ComponentId> = self
+            .sources
+            .iter()
+            .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
+            .map(|s| s.id)
+            .collect();
+        if streaming.contains(&commander) {
+            return Claim::Owner(commander);
+        }
+        streaming.sort_unstable();
+        match streaming.as_slice() {
+            [] => Claim::Nobody,
+            [only] => Claim::Owner(*only),
+            _ => Claim::Several(streaming),
+        }
+    }
+
+    /// Sets or clears the owner.
+    pub fn set_owner(&mut self, owner: Option<ComponentId>) {
+        self.owner = owner;
+        for source in &mut self.sources {
+            source.told = false;
+        }
+    }
+}
+
+/// What became of a setpoint.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Taken {
+    /// The owner's, or nobody owns OFFBOARD.
+    Own,
+    /// Ignored, and its sender has not been told yet.
+    IgnoredFirst,
+    /// Ignored.
+    Ignored,
+}
+
+fn usable(values: &[f32], limit: f32) -> Result<(), SetpointDefect> {
+    // NaN fails the comparison.
+    if values.iter().all(|v| v.abs() <= limit) {
+        Ok(())
+    } else {
+        Err(SetpointDefect::Value)
+    }
+}
+
+/// What a SET_POSITION_TARGET_LOCAL_NED asks for. Frames 1 and 8 as in PX4: frame 8 is turned by yaw alone and has no
+/// positions. Flown are all three positions (with or without velocities), or all three velocities; accelerations are not.
+pub(crate) fn position_setpoint(
+    m: &SET_POSITION_TARGET_LOCAL_NED_DATA,
+    speed_limit_m_s: f32,
+) -> Result<ControlCommand, SetpointDefect> {
+    let ignores = |bits: PositionMask| m.type_mask.contains(bits);
+    let any_used = |bits: PositionMask| !m.type_mask.contains(bits);
+    let positions = PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE
+        | PositionMask::POSITION_TARGET_TYPEMASK_Y_IGNORE
+        | PositionMask::POSITION_TARGET_TYPEMASK_Z_IGNORE;
+    let velocities = PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE
+        | PositionMask::POSITION_TARGET_TYPEMASK_VY_IGNORE
+        | PositionMask::POSITION_TARGET_TYPEMASK_VZ_IGNORE;
+    let accelerations = PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE
+        | PositionMask::POSITION_TARGET_TYPEMASK_AY_IGNORE
+        | PositionMask::POSITION_TARGET_TYPEMASK_AZ_IGNORE;
+    if any_used(accelerations) {
+        return Err(SetpointDefect::Form);
+    }
+    let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
+        usable(&[m.yaw], ABSURD_RATE_RAD_S)?;
+        YawCommand::Angle { yaw_rad: m.yaw }
+    } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) {
+        usable(&[m.yaw_rate], ABSURD_RATE_RAD_S)?;
+        YawCommand::Rate {
+            yaw_rate_rad_s: m.yaw_rate,
+        }
+    } else {
+        YawCommand::Hold
+    };
+    let uses_positions = !m.type_mask.intersects(positions);
+    let uses_velocities = !m.type_mask.intersects(velocities);
+    let some_positions = any_used(positions);
+    let some_velocities = any_used(velocities);
+    if uses_velocities {
+        usable(&[m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
+    }
+    match m.coordinate_frame {
+        MavFrame::MAV_FRAME_LOCAL_NED if uses_positions && uses_velocities == some_velocities => {
+            usable(&[m.x, m.y, m.z], ABSURD_POSITION_M)?;
+            Ok(ControlCommand::Position {
+                position_ned_m: NedVector::new(m.x, m.y, m.z),
+                velocity_m_s: if uses_velocities {
+                    NedVector::new(m.vx, m.vy, m.vz)
+                } else {
+                    NedVector::ZERO
+                },
+                speed_limit_m_s,
+                yaw,
+            })
+        }
+        MavFrame::MAV_FRAME_LOCAL_NED if uses_velocities && !some_positions => Ok(ControlCommand::VelocityNed {
+            velocity_m_s: NedVector::new(m.vx, m.vy, m.vz),
+            yaw,
+        }),
+        MavFrame::MAV_FRAME_BODY_NED if uses_velocities && !some_positions => Ok(ControlCommand::VelocityHeading {
+            velocity_m_s: HeadingVector::new(m.vx, m.vy, m.vz),
+            yaw,
+        }),
+        _ => Err(SetpointDefect::Form),
+    }
+}
+
+/// What a SET_POSITION_TARGET_GLOBAL_INT asks for: the same with a place on the globe, its altitude above sea level
+/// (frames 0 and 5) or above home (3 and 6).
+pub(crate) fn global_setpoint(
+    m: &SET_POSITION_TARGET_GLOBAL_INT_DATA,
+    home: &HomePosition,
+    speed_limit_m_s: f32,
+) -> Result<ControlCommand, SetpointDefect> {
+    let height_m = match m.coordinate_frame {
+        MavFrame::MAV_FRAME_GLOBAL | MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
+        MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT | MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT => m.alt,
+        _ => return Err(SetpointDefect::Form),
+    };
+    let (x, y) = geo::to_local(home, f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
+    let local = SET_POSITION_TARGET_LOCAL_NED_DATA {
+        x,
+        y,
+        z: -height_m,
+        vx: m.vx,
+        vy: m.vy,
+        vz: m.vz,
+        yaw: m.yaw,
+        yaw_rate: m.yaw_rate,
+        type_mask: m.type_mask,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    position_setpoint(&local, speed_limit_m_s)
+}
+
+/// What a SET_ATTITUDE_TARGET asks for: attitude and thrust, or body rates and thrust.
+pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlCommand, SetpointDefect> {
+    let rates = AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
+        | AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
+        | AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE;
+    let no_thrust =
+        AttitudeMask::ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE | AttitudeMask::ATTITUDE_TARGET_TYPEMASK_THRUST_BODY_SET;
+    if m.type_mask.intersects(no_thrust) {
+        return Err(SetpointDefect::Form);
+    }
+    if !(0.0..=1.0).contains(&m.thrust) {
+        return Err(SetpointDefect::Value);
+    }
+    if !m
+        .type_mask
+        .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE)
+    {
+        let [w, x, y, z] = m.q;
+        let attitude = Attitude { w, x, y, z };
+        return if attitude.is_valid() {
+            Ok(ControlCommand::Attitude {
+                attitude,
+                thrust: m.thrust,
+            })
+        } else {
+            Err(SetpointDefect::Value)
+        };
+    }
+    if m.type_mask.intersects(rates) {
+        return Err(SetpointDefect::Form);
+    }
+    let wanted = [m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate];
+    usable(&wanted, ABSURD_RATE_RAD_S)?;
+    let [p, q, r] = wanted;
+    Ok(ControlCommand::Rates {
+        rates_frd_rad_s: FrdVector::new(p, q, r),
+        thrust: m.thrust,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ned(frame: MavFrame, mask: u16) -> SET_POSITION_TARGET_LOCAL_NED_DATA {
+        SET_POSITION_TARGET_LOCAL_NED_DATA {
+            x: 1.0,
+            y: 2.0,
+            z: -3.0,
+            vx: 0.5,
+            vy: -0.5,
+            vz: 0.1,
+            yaw: 0.7,
+            yaw_rate: 0.2,
+            type_mask: PositionMask::from_bits_retain(mask),
+            coordinate_frame: frame,
+            ..Default::default()
+        }
+    }
+
+    #[test]
+    fn the_masks_that_clients_send_mean_what_they_say() {
+        use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
+        let rate = YawCommand::Rate { yaw_rate_rad_s: 0.2 };
+        let angle = YawCommand::Angle { yaw_rad: 0.7 };
+        assert_eq!(
+            position_setpoint(&ned(BODY, 0x5C7), 5.0),
+            Ok(ControlCommand::VelocityHeading {
+                velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
+                yaw: rate
+            })
+        );
+        assert_eq!(
+            position_setpoint(&ned(LOCAL, 0x9C7), 5.0),
+            Ok(ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
+                yaw: angle
+            })
+        );
+        let position = |velocity_m_s| {
+            Ok(ControlCommand::Position {
+                position_ned_m: NedVector::new(1.0, 2.0, -3.0),
+                velocity_m_s,
+                speed_limit_m_s: 5.0,
+                yaw: angle,
+            })
+        };
+        assert_eq!(position_setpoint(&ned(LOCAL, 0x9F8), 5.0), position(NedVector::ZERO));
+        assert_eq!(
+            position_setpoint(&ned(LOCAL, 0x9C0), 5.0),
+            position(NedVector::new(0.5, -0.5, 0.1))
+        );
+    }
+
+    #[test]
+    fn what_the_vehicle_does_not_fly_is_refused_not_guessed() {
+        use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_BODY_OFFSET_NED as OFFSET, MAV_FRAME_LOCAL_NED as LOCAL};
+        // Another frame; positions in the body frame; accelerations; nothing at all; half a velocity, alone and beside a
+        // position; half a position.
+        for (frame, mask) in [
+            (OFFSET, 0x5C7),
+            (BODY, 0x9F8),
+            (LOCAL, 0xC3F),
+            (LOCAL, 0xFFF),
+            (LOCAL, 0x5D7),
+            (LOCAL, 0x5FB),
+            (LOCAL, 0x9C8),
+        ] {
+            assert_eq!(
+                position_setpoint(&ned(frame, mask), 5.0),
+                Err(SetpointDefect::Form),
+                "{frame:?} {mask:#x}"
+            );
+        }
+        for bad in [f32::NAN, f32::INFINITY, 1e9] {
+            let mut m = ned(BODY, 0x5C7);
+            m.vy = bad;
+            assert_eq!(position_setpoint(&m, 5.0), Err(SetpointDefect::Value));
+            let mut m = ned(BODY, 0x5C7);
+            m.yaw_rate = bad;
+            assert_eq!(position_setpoint(&m, 5.0), Err(SetpointDefect::Value));
+            // A field that the mask ignores may hold anything: MAVSDK sends NaN there.
+            let mut m = ned(BODY, 0x5C7);
+            m.x = bad;
+            assert!(position_setpoint(&m, 5.0).is_ok());
+        }
+    }
+
+    #[test]
+    fn a_place_on_the_globe_is_flown_to_as_the_local_point_it_is() {
+        let home = HomePosition::default();
+        let (lat, lon, _) = geo::to_global(&home, NedVector::new(40.0, -30.0, 0.0));
+        let mut m = SET_POSITION_TARGET_GLOBAL_INT_DATA {
+            lat_int: geo::deg_e7(lat),
+            lon_int: geo::deg_e7(lon),
+            alt: 495.0,
+            type_mask: PositionMask::from_bits_retain(0x9F8),
+            coordinate_frame: MavFrame::MAV_FRAME_GLOBAL_INT,
+            ..Default::default()
+        };
+        let place = |m: &SET_POSITION_TARGET_GLOBAL_INT_DATA| match global_setpoint(m, &home, 5.0) {
+            Ok(ControlCommand::Position { position_ned_m, .. }) => position_ned_m,
+            other => panic!("{other:?}"),
+        };
+        let wanted = NedVector::new(40.0, -30.0, -7.0);
+        assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
+        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
+        m.alt = 7.0;
+        assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
+        // On the other side of the globe: absurd.
+        m.lat_int = -m.lat_int;
+        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Value));
+        m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT;
+        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Form));
+    }
+
+    #[test]
+    fn attitude_targets_are_attitude_or_rates_with_thrust() {
+        let target = |mask: u8| SET_ATTITUDE_TARGET_DATA {
+            q: [1.0, 0.0, 0.0, 0.0],
+            body_yaw_rate: 0.3,
+            thrust: 0.5,
+            type_mask: AttitudeMask::from_bits_retain(mask),
+            ..Default::default()
+        };
+        assert_eq!(
+            attitude_setpoint(&target(0x07)),
+            Ok(ControlCommand::Attitude {
+                attitude: Attitude::LEVEL_NORTH,
+                thrust: 0.5
+            })
+        );
+        assert_eq!(
+            attitude_setpoint(&target(0x80)),
+            Ok(ControlCommand::Rates {
+                rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.3),
+                thrust: 0.5
+            })
+        );
+        for mask in [0x47, 0x27, 0x87] {
+            assert_eq!(attitude_setpoint(&target(mask)), Err(SetpointDefect::Form));
+        }
+        let mut skewed = target(0x07);
+        skewed.q = [0.5, 0.0, 0.0, 0.0];
+        assert_eq!(attitude_setpoint(&skewed), Err(SetpointDefect::Value));
+        let mut excessive = target(0x80);
+        excessive.thrust = 1.5;
+        assert_eq!(attitude_setpoint(&excessive), Err(SetpointDefect::Value));
+    }
+
+    #[test]
+    fn the_commander_owns_if_it_streams_else_the_only_stream() {
+        let id = |component| ComponentId { system: 1, component };
+        let hold = ControlCommand::Idle;
+        let mut setpoints = Setpoints::default();
+        assert_eq!(setpoints.claim(0, 400, id(190)), Claim::Nobody);
+        setpoints.take(0, id(191), hold);
+        assert_eq!(setpoints.claim(100, 400, id(190)), Claim::Owner(id(191)));
+        setpoints.take(50, id(192), hold);
+        assert_eq!(
+            setpoints.claim(100, 400, id(190)),
+            Claim::Several(vec![id(191), id(192)])
+        );
+        assert_eq!(setpoints.claim(100, 400, id(192)), Claim::Owner(id(192)));
+        // The first one has stopped.
+        assert_eq!(setpoints.claim(420, 400, id(190)), Claim::Owner(id(192)));
+    }
+
+    #[test]
+    fn a_flood_of_sources_never_evicts_the_owner() {
+        let id = |system| ComponentId { system, component: 1 };
+        let mut setpoints = Setpoints::default();
+        setpoints.take(0, id(2), ControlCommand::Idle);
+        setpoints.set_owner(Some(id(2)));
+        for n in 3..=255 {
+            assert_eq!(
+                setpoints.take(u64::from(n), id(n), ControlCommand::MotorsOff),
+                Taken::IgnoredFirst
+            );
+        }
+        assert_eq!(setpoints.current(300, 400), Some(ControlCommand::Idle));
+        assert_eq!(setpoints.sources.len(), MAX_SOURCES);
+    }
+}

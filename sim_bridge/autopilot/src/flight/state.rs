@@ -1,0 +1,252 @@
+//! What flight remembers: modes, maneuvers, sticks, the watch over the geofence. How they change is in the other files, which
+//! know the core; these types do not.
+
+use crate::flight::mode::FlightMode;
+use crate::plan::Breach;
+use vigil_mavlink::routing::ComponentId;
+use vigil_types::{Nanos, NedVector};
+use vigil_vehicle::{Estimate, YawCommand};
+
+/// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
+const CLIMB_BRAKING_M_S2: f32 = 0.4;
+/// Margin on that distance, for the jerk limit's delay.
+const CLIMB_MARGIN_M: f32 = 0.5;
+/// Sticks that are older are lost; PX4's COM_RC_LOSS_T.
+const LOST_AFTER_NS: Nanos = 500_000_000;
+
+/// Whether the vehicle is on the ground, as EXTENDED_SYS_STATE tells it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LandedState {
+    /// Weight on the ground.
+    #[default]
+    OnGround,
+    /// Climbing in a take-off.
+    TakingOff,
+    /// In the air.
+    InAir,
+    /// Descending in a landing.
+    Landing,
+}
+
+/// A failsafe in force: the vehicle acts by itself until a new mode command comes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Failsafe {
+    /// The owner's setpoints stopped in OFFBOARD.
+    SetpointLost,
+    /// The vehicle left its geofence.
+    GeofenceBreached,
+    /// The sticks stopped in position mode.
+    ManualControlLost,
+}
+
+/// Why arming, disarming or a mode change is refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum Denial {
+    #[error("arming denied: flight terminated, reboot first")]
+    Terminated,
+    #[error("arming denied: vehicle is tilted")]
+    Tilted,
+    #[error("position denied: no manual control")]
+    NoSticks,
+    #[error("disarming denied: not landed")]
+    NotLanded,
+    #[error("offboard denied: no setpoints")]
+    NoSetpoints,
+    #[error("offboard denied: setpoints from {}", list(.0))]
+    SeveralSources(Vec<ComponentId>),
+    #[error("offboard denied: {0} owns it")]
+    OwnedByOther(ComponentId),
+    #[error("denied: not in the air")]
+    NotInAir,
+    #[error("speed denied: not on a way of its own")]
+    NoWay,
+    #[error("mission denied: no mission")]
+    NoMission,
+    #[error("mission denied: item {0} is outside the geofence")]
+    MissionOutsideFence(usize),
+    #[error("denied: outside the geofence")]
+    OutsideFence,
+}
+
+fn list(sources: &[ComponentId]) -> String {
+    let names: Vec<String> = sources.iter().map(ToString::to_string).collect();
+    names.join(", ")
+}
+
+/// Flight state.
+#[derive(Debug, Default)]
+pub(crate) struct Commander {
+    pub(super) armed: bool,
+    pub(super) terminated: bool,
+    pub(super) mode: FlightMode,
+    pub(super) maneuver: Maneuver,
+    pub(super) failsafe: Option<Failsafe>,
+    pub(super) landed: LandedState,
+    /// Contact with the ground (or its absence) and since when.
+    pub(super) contact: bool,
+    pub(super) contact_since_ns: Nanos,
+    /// Was in the air since it was armed.
+    pub(super) has_flown: bool,
+    /// Since when it is armed on the ground.
+    pub(super) idle_since_ns: Nanos,
+    /// Where Return mode flies to: metres north and east of the local origin.
+    pub(super) return_to_m: (f32, f32),
+}
+
+impl Commander {
+    pub fn mode(&self) -> FlightMode {
+        self.mode
+    }
+
+    pub fn is_armed(&self) -> bool {
+        self.armed
+    }
+
+    pub fn is_terminated(&self) -> bool {
+        self.terminated
+    }
+
+    pub fn failsafe(&self) -> Option<Failsafe> {
+        self.failsafe
+    }
+
+    pub fn landed(&self) -> LandedState {
+        self.landed
+    }
+
+    pub fn is_on_ground(&self) -> bool {
+        self.landed == LandedState::OnGround
+    }
+}
+
+/// A climb straight up: at a constant rate, then by position control.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Climb {
+    pub(super) target_ned_m: NedVector,
+    pub(super) rate_m_s: f32,
+}
+
+/// What is being flown. The mode decides what follows when it is done.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Maneuver {
+    /// Stop, then hold where it stopped, at `height_m` if given.
+    Brake {
+        began_ns: Option<Nanos>,
+        height_m: Option<f32>,
+    },
+    /// Waits for arming to take off to this height.
+    Grounded { height_m: Option<f32> },
+    /// Climbs straight up.
+    Climb(Climb),
+    /// Goes to a position and holds it.
+    Station {
+        position_ned_m: NedVector,
+        yaw: YawCommand,
+        speed_limit_m_s: f32,
+    },
+    /// Descends straight down until on the ground.
+    Descend,
+    /// Obeys the owner's setpoints.
+    Offboard,
+    /// Flown by sticks.
+    Sticks,
+    /// Circles a point.
+    Orbit(Orbit),
+}
+
+impl Default for Maneuver {
+    fn default() -> Self {
+        Self::Brake {
+            began_ns: None,
+            height_m: None,
+        }
+    }
+}
+
+impl Maneuver {
+    pub fn climb(from_ned_m: NedVector, target_z_m: f32, rate_m_s: f32) -> Self {
+        Self::Climb(Climb {
+            target_ned_m: NedVector::new(from_ned_m.x, from_ned_m.y, target_z_m),
+            rate_m_s,
+        })
+    }
+}
+
+impl Climb {
+    /// Whether what is left of the way is so long that the rate limits the climb.
+    pub(super) fn is_cruising(&self, z_m: f32) -> bool {
+        let braking_m = self.rate_m_s * self.rate_m_s / (2.0 * CLIMB_BRAKING_M_S2);
+        z_m - self.target_ned_m.z > braking_m + CLIMB_MARGIN_M
+    }
+
+    /// Whether the height is reached and the vehicle rests there.
+    pub fn is_done(&self, estimate: &Estimate) -> bool {
+        (estimate.position_ned_m.z - self.target_ned_m.z).abs() < 0.2 && estimate.velocity_ned_m_s.z.abs() < 0.2
+    }
+}
+
+/// Where the nose points (ORBIT_YAW_BEHAVIOUR).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Facing {
+    Centre,
+    /// As it was.
+    Unchanged,
+    Tangent,
+}
+
+/// A circle and how it is flown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Orbit {
+    pub centre_ned_m: NedVector,
+    pub radius_m: f32,
+    pub is_clockwise: bool,
+    pub speed_m_s: f32,
+    pub facing: Facing,
+    /// Angle that is left; `None` is without end.
+    pub left_rad: Option<f32>,
+    /// Bearing from the centre in the last step on the circle.
+    pub bearing_rad: Option<f32>,
+}
+
+/// Whether the vehicle is outside its geofence, and how often it has been.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct FenceWatch {
+    pub breach: Option<Breach>,
+    /// Breaches since start.
+    pub count: u16,
+    /// Milliseconds since boot of the last one.
+    pub last_ms: u32,
+}
+
+/// Deflections, each from −1 to 1.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Deflections {
+    pub forward: f32,
+    pub right: f32,
+    pub up: f32,
+    pub clockwise: f32,
+}
+
+/// The newest sticks, and whose they are. Two stations' sticks never mix: who streams keeps the vehicle until silent.
+#[derive(Debug, Default)]
+pub(crate) struct Sticks {
+    newest: Option<(ComponentId, Nanos, Deflections)>,
+}
+
+impl Sticks {
+    /// Takes what a station sends; `false` if another one has the vehicle.
+    pub fn take(&mut self, now_ns: Nanos, from: ComponentId, deflections: Deflections) -> bool {
+        let is_others = self.current(now_ns).is_some() && self.newest.is_some_and(|(owner, ..)| owner != from);
+        if !is_others {
+            self.newest = Some((from, now_ns, deflections));
+        }
+        !is_others
+    }
+
+    /// The sticks, unless they are lost.
+    pub fn current(&self, now_ns: Nanos) -> Option<Deflections> {
+        self.newest
+            .filter(|(_, at_ns, _)| now_ns.saturating_sub(*at_ns) <= LOST_AFTER_NS)
+            .map(|(_, _, deflections)| deflections)
+    }
+}

@@ -1,0 +1,40 @@
+//! A PX4-flavoured MAVLink vehicle, sans IO.
+//!
+//! [`Endpoint`] takes datagrams and the vehicle's view of itself, and gives datagrams and the command for the vehicle's
+//! controllers. It has no clock, no socket and no thread: time is an argument, so the same bytes at the same times give
+//! the same bytes and the same flight. What it speaks is described in docs/mavlink.md, from
+//! <https://mavlink.io/en/services/> and the behaviour of PX4's software in the loop.
+//!
+//! A protocol service is a file in `services` that implements `service::Service` and its line in `services`: `services`
+//! know the core, the core knows none of them.
+#![forbid(unsafe_code)]
+// Clients still send what the protocol calls superseded (PING, SET_MODE, MAV_FRAME_BODY_NED), and expect answers.
+#![allow(deprecated)]
+
+mod config;
+mod core;
+mod endpoint;
+mod files;
+mod flight;
+mod geo;
+mod message_ids;
+mod outbox;
+mod parameters;
+mod plan;
+mod saved;
+mod service;
+mod services;
+mod streams;
+
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+
+pub use config::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
+pub use core::{EndpointStatus, Refusals, SigningSetup};
+pub use endpoint::Endpoint;
+pub use flight::{Failsafe, FlightMode, LandedState};
+pub use parameters::{ParameterError, ParameterInfo, ParameterType, ParameterValue, parameter_table};
+pub use saved::Saved;
+pub use vigil_mavlink::routing::ComponentId;

@@ -1,0 +1,117 @@
+//! What waits to be sent: packets with their link, one packet per datagram.
+
+use crate::LinkId;
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
+use vigil_mavlink::mavlink::MavHeader;
+use vigil_mavlink::{MavMessage, framing::CommandAck};
+
+/// Bytes that may wait between two calls of `transmit`; more is dropped and counted.
+const CAPACITY_BYTES: usize = 256 * 1024;
+
+/// The queue. It keeps its memory, so that a steady flow allocates nothing.
+#[derive(Debug)]
+pub(crate) struct Outbox {
+    system_id: u8,
+    links: usize,
+    bytes: Vec<u8>,
+    /// (link, end offset) of each packet.
+    marks: Vec<(u8, u32)>,
+    /// Sequence per link, as PX4 counts.
+    sequences: Vec<u8>,
+    dropped: u64,
+}
+
+impl Outbox {
+    pub fn new(system_id: u8, links: usize) -> Self {
+        Self {
+            system_id,
+            links,
+            bytes: Vec::with_capacity(16 * 1024),
+            marks: Vec::with_capacity(256),
+            sequences: vec![0; links],
+            dropped: 0,
+        }
+    }
+
+    /// Number of links.
+    pub fn links(&self) -> usize {
+        self.links
+    }
+
+    /// Packets dropped because nobody took them.
+    pub fn dropped(&self) -> u64 {
+        self.dropped
+    }
+
+    /// Whether nothing waits.
+    pub fn is_empty(&self) -> bool {
+        self.marks.is_empty()
+    }
+
+    /// Queues a message of the vehicle on one link.
+    pub fn send(&mut self, link: LinkId, message: &MavMessage) {
+        self.build(link, |header, out| serialize(header, message, out).ok());
+    }
+
+    /// Queues a message of the vehicle whose payload is given: for what the crate's types cannot hold.
+    pub fn send_payload(&mut self, link: LinkId, message_id: u32, payload: &[u8]) {
+        self.build(link, |header, out| {
+            serialize_payload(header, message_id, payload, out).ok()
+        });
+    }
+
+    /// Queues a message of the vehicle on all links.
+    pub fn send_all(&mut self, message: &MavMessage) {
+        for link in 0..self.links as u8 {
+            self.send(LinkId(link), message);
+        }
+    }
+
+    /// Queues an acknowledgement.
+    pub fn acknowledge(&mut self, link: LinkId, ack: &CommandAck) {
+        self.build(link, |header, out| ack.serialize(header, out).ok());
+    }
+
+    /// Queues another component's packet as it is.
+    pub fn forward(&mut self, link: u8, packet: &[u8]) {
+        self.push(link, packet);
+    }
+
+    fn build(&mut self, link: LinkId, write: impl FnOnce(MavHeader, &mut [u8]) -> Option<usize>) {
+        let Some(sequence) = self.sequences.get_mut(usize::from(link.0)) else {
+            return;
+        };
+        let header = MavHeader {
+            system_id: u32::from(self.system_id),
+            component_id: 1,
+            sequence: *sequence,
+        };
+        let mut packet = [0; MAX_PACKET_LEN];
+        if let Some(packet) = write(header, &mut packet).and_then(|len| packet.get(..len)) {
+            *sequence = sequence.wrapping_add(1);
+            self.push(link.0, packet);
+        }
+    }
+
+    fn push(&mut self, link: u8, packet: &[u8]) {
+        if self.bytes.len() + packet.len() > CAPACITY_BYTES {
+            self.dropped += 1;
+            return;
+        }
+        self.bytes.extend_from_slice(packet);
+        self.marks.push((link, self.bytes.len() as u32));
+    }
+
+    /// Hands out what waits, in order, and forgets it.
+    pub fn drain(&mut self, mut send: impl FnMut(LinkId, &[u8])) {
+        let mut start = 0;
+        for (link, end) in self.marks.drain(..) {
+            let end = end as usize;
+            if let Some(packet) = self.bytes.get(start..end) {
+                send(LinkId(link), packet);
+            }
+            start = end;
+        }
+        self.bytes.clear();
+    }
+}

@@ -1,0 +1,255 @@
+//! The geofence: areas to stay in and areas to stay out of. <https://mavlink.io/en/services/mission.html#geofence-plan>
+
+use crate::HomePosition;
+use crate::plan::{PlanDefect, PlanItem, Wire};
+use vigil_mavlink::common::MavMissionResult;
+
+const NAV_FENCE_POLYGON_VERTEX_INCLUSION: u16 = 5001;
+const NAV_FENCE_POLYGON_VERTEX_EXCLUSION: u16 = 5002;
+const NAV_FENCE_CIRCLE_INCLUSION: u16 = 5003;
+const NAV_FENCE_CIRCLE_EXCLUSION: u16 = 5004;
+const MAX_RADIUS_M: f32 = 20_000.0;
+
+/// Which limit is broken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Breach {
+    /// Outside all areas to stay in, inside one to stay out of, or farther from home than GF_MAX_HOR_DIST.
+    Boundary,
+    /// Above GF_MAX_VER_DIST.
+    Height,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Shape {
+    /// Metres north and east of home, at least three.
+    Polygon(Vec<(f32, f32)>),
+    Circle {
+        centre_m: (f32, f32),
+        radius_m: f32,
+    },
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Area {
+    is_inclusion: bool,
+    shape: Shape,
+}
+
+impl Shape {
+    fn contains(&self, (north, east): (f32, f32)) -> bool {
+        match self {
+            Self::Circle { centre_m, radius_m } => libm::hypotf(north - centre_m.0, east - centre_m.1) <= *radius_m,
+            // Even-odd: a ray to the east crosses the border an odd number of times.
+            Self::Polygon(vertices) => {
+                let mut inside = false;
+                let mut previous = vertices.last().copied().unwrap_or_default();
+                for &vertex in vertices {
+                    let ((n0, e0), (n1, e1)) = (previous, vertex);
+                    if (n0 > north) != (n1 > north) && east < e0 + (e1 - e0) * (north - n0) / (n1 - n0) {
+                        inside = !inside;
+                    }
+                    previous = vertex;
+                }
+                inside
+            }
+        }
+    }
+}
+
+/// The geofence. Without areas everything is allowed.
+#[derive(Debug, Default)]
+pub(crate) struct Fence {
+    wire: Wire,
+    areas: Vec<Area>,
+}
+
+impl Fence {
+    /// Whether an item by itself can be part of a geofence.
+    pub fn check(item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+        let size = item.param(1).unwrap_or(0.0);
+        let sound = match item.command {
+            NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_POLYGON_VERTEX_EXCLUSION => {
+                (3.0..=200.0).contains(&size) && size.fract() == 0.0
+            }
+            NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION => size > 0.0 && size <= MAX_RADIUS_M,
+            _ => {
+                return Err(PlanDefect::new(
+                    MavMissionResult::MAV_MISSION_UNSUPPORTED,
+                    "neither polygon nor circle",
+                ));
+            }
+        };
+        if !sound {
+            return Err(PlanDefect::new(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+                "radius or number of vertices",
+            ));
+        }
+        item.point(home).map(|_| ())
+    }
+
+    pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
+        let mut areas = Vec::new();
+        let mut rest = items.as_slice();
+        while let [first, ..] = rest {
+            Self::check(first, home)?;
+            let size = first.param(1).unwrap_or(0.0);
+            let is_polygon = matches!(
+                first.command,
+                NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_POLYGON_VERTEX_EXCLUSION
+            );
+            let (shape, used) = if is_polygon {
+                let count = size as usize;
+                let same = |item: &&PlanItem| item.command == first.command && item.params[0] == size;
+                let vertices = rest
+                    .iter()
+                    .take(count)
+                    .take_while(same)
+                    .map(|item| item.point(home))
+                    .collect::<Result<Vec<_>, _>>()?;
+                if vertices.len() < count {
+                    return Err(PlanDefect::new(
+                        MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+                        "polygon with too few vertices",
+                    ));
+                }
+                (Shape::Polygon(vertices), count)
+            } else {
+                let centre_m = first.point(home)?;
+                (
+                    Shape::Circle {
+                        centre_m,
+                        radius_m: size,
+                    },
+                    1,
+                )
+            };
+            areas.push(Area {
+                is_inclusion: matches!(
+                    first.command,
+                    NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_CIRCLE_INCLUSION
+                ),
+                shape,
+            });
+            rest = rest.get(used..).unwrap_or_default();
+        }
+        Ok(Self {
+            wire: Wire::new(items),
+            areas,
+        })
+    }
+
+    pub fn wire(&self) -> &Wire {
+        &self.wire
+    }
+
+    /// Whether a place (metres north and east of home) is inside one of the areas to stay in, if there are any, and
+    /// outside all areas to stay out of. Several areas to stay in are a union, as in PX4.
+    pub fn allows(&self, place_m: (f32, f32)) -> bool {
+        let mut inclusions = self.areas.iter().filter(|a| a.is_inclusion).peekable();
+        let included = inclusions.peek().is_none() || inclusions.any(|a| a.shape.contains(place_m));
+        let excluded = self.areas.iter().any(|a| !a.is_inclusion && a.shape.contains(place_m));
+        included && !excluded
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geo;
+    use vigil_types::NedVector;
+
+    fn item(command: u16, size: f32, (north, east): (f32, f32)) -> PlanItem {
+        let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
+        PlanItem {
+            command,
+            frame: 3,
+            autocontinue: 1,
+            params: [size, 0.0, 0.0, 0.0],
+            x: geo::deg_e7(lat),
+            y: geo::deg_e7(lon),
+            z: 0.0,
+        }
+    }
+
+    fn polygon(command: u16, vertices: &[(f32, f32)]) -> Vec<PlanItem> {
+        vertices
+            .iter()
+            .map(|v| item(command, vertices.len() as f32, *v))
+            .collect()
+    }
+
+    fn fence(items: Vec<PlanItem>) -> Fence {
+        Fence::new(items, &HomePosition::default()).expect("valid")
+    }
+
+    /// An L: the corner at 10..20, 10..20 is missing.
+    const L: [(f32, f32); 6] = [
+        (0.0, 0.0),
+        (20.0, 0.0),
+        (20.0, 10.0),
+        (10.0, 10.0),
+        (10.0, 20.0),
+        (0.0, 20.0),
+    ];
+
+    #[test]
+    fn a_concave_polygon_contains_what_the_same_squares_contain() {
+        let fence = fence(polygon(5001, &L));
+        for i in -5..25 {
+            for j in -5..25 {
+                let (n, e) = (i as f32 + 0.5, j as f32 + 0.5);
+                let in_squares = (0.0..20.0).contains(&n) && (0.0..20.0).contains(&e) && !(n > 10.0 && e > 10.0);
+                assert_eq!(fence.allows((n, e)), in_squares, "{n} {e}");
+            }
+        }
+    }
+
+    #[test]
+    fn areas_to_stay_in_are_a_union_and_areas_to_stay_out_of_win() {
+        let mut items = polygon(5001, &L);
+        items.push(item(5003, 5.0, (15.0, 15.0)));
+        items.push(item(5004, 2.0, (5.0, 5.0)));
+        let fence = fence(items);
+        assert!(fence.allows((2.0, 2.0)));
+        assert!(fence.allows((15.0, 15.0)));
+        assert!(!fence.allows((5.0, 6.0)));
+        assert!(!fence.allows((25.0, 25.0)));
+    }
+
+    #[test]
+    fn without_an_area_to_stay_in_only_the_others_are_forbidden() {
+        assert!(fence(Vec::new()).allows((1e4, 1e4)));
+        let fence = fence(polygon(5002, &L));
+        assert!(fence.allows((-1.0, -1.0)) && !fence.allows((1.0, 1.0)));
+    }
+
+    #[test]
+    fn a_polygon_whose_vertices_do_not_add_up_is_refused() {
+        let home = HomePosition::default();
+        let mut short = polygon(5001, &L);
+        short.pop();
+        let mut mixed = polygon(5001, &L);
+        mixed[3].command = 5002;
+        let mut two = polygon(5001, &L[..2]);
+        two.extend(polygon(5002, &L));
+        for bad in [
+            short,
+            mixed,
+            two,
+            vec![item(5003, -1.0, (0.0, 5.0))],
+            vec![item(5003, f32::NAN, (0.0, 5.0))],
+        ] {
+            assert_eq!(
+                Fence::new(bad, &home).map_err(|d| d.result).err(),
+                Some(MavMissionResult::MAV_MISSION_INVALID_PARAM1)
+            );
+        }
+        assert_eq!(
+            Fence::new(vec![item(16, 1.0, (0.0, 5.0))], &home)
+                .map_err(|d| d.result)
+                .err(),
+            Some(MavMissionResult::MAV_MISSION_UNSUPPORTED)
+        );
+    }
+}

@@ -1,0 +1,272 @@
+//! An item of a plan as MISSION_ITEM_INT and MISSION_ITEM carry it. Read raw: the crate's types refuse commands and frames
+//! that they do not know, but such an item must be answered.
+
+use crate::plan::PlanDefect;
+use crate::{HomePosition, geo};
+use serde::{Deserialize, Serialize};
+use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
+use vigil_mavlink::mavlink::MessageData;
+
+/// Length of the payload of both messages, their extension included.
+pub(crate) const ITEM_PAYLOAD_LEN: usize = 38;
+/// Farther than this is a mistake in the coordinates, not a place to fly to.
+const MAX_DISTANCE_M: f32 = 10_000.0;
+const MAX_HEIGHT_M: f32 = 500.0;
+
+/// An item. Parameters 1 to 4 are NaN where they are not given.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct PlanItem {
+    /// MAV_CMD.
+    pub command: u16,
+    /// MAV_FRAME.
+    pub frame: u8,
+    pub autocontinue: u8,
+    pub params: [f32; 4],
+    /// Parameters 5 and 6: degrees · 1e7 in a global frame, else as they are. The largest integer stands for NaN.
+    pub x: i32,
+    pub y: i32,
+    pub z: f32,
+}
+
+/// A place relative to home.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Place {
+    /// Metres north and east; `None` is "where the vehicle is".
+    pub north_east_m: Option<(f32, f32)>,
+    /// Metres above home; `None` is "at the vehicle's height".
+    pub height_m: Option<f32>,
+}
+
+/// What an item's packet tells besides the item.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Envelope {
+    pub seq: u16,
+    /// 2 and 3 are another vehicle flavour's commands in the shape of an item.
+    pub current: u8,
+    pub mission_type: u8,
+}
+
+fn is_global(frame: u8) -> bool {
+    matches!(frame, 0 | 3 | 5 | 6)
+}
+
+impl PlanItem {
+    /// Reads the payload of either message; `None` if it is another message.
+    pub fn read(message_id: u32, payload: &[u8]) -> Option<(Self, Envelope)> {
+        let mut p = [0; ITEM_PAYLOAD_LEN];
+        for (to, from) in p.iter_mut().zip(payload) {
+            *to = *from;
+        }
+        let word = |at: usize| [p[at], p[at + 1], p[at + 2], p[at + 3]];
+        let float = |at: usize| f32::from_le_bytes(word(at));
+        let frame = p[34];
+        let (x, y) = match message_id {
+            MISSION_ITEM_INT_DATA::ID => (i32::from_le_bytes(word(16)), i32::from_le_bytes(word(20))),
+            MISSION_ITEM_DATA::ID => {
+                let scale = if is_global(frame) { 1e7 } else { 1.0 };
+                let integer = |v: f32| {
+                    if v.is_finite() {
+                        libm::round(f64::from(v) * scale) as i32
+                    } else {
+                        i32::MAX
+                    }
+                };
+                (integer(float(16)), integer(float(20)))
+            }
+            _ => return None,
+        };
+        let item = Self {
+            command: u16::from_le_bytes([p[30], p[31]]),
+            frame,
+            autocontinue: p[36],
+            params: [float(0), float(4), float(8), float(12)],
+            x,
+            y,
+            z: float(24),
+        };
+        let envelope = Envelope {
+            seq: u16::from_le_bytes([p[28], p[29]]),
+            current: p[35],
+            mission_type: p[37],
+        };
+        Some((item, envelope))
+    }
+
+    /// The payload of MISSION_ITEM_INT, or of MISSION_ITEM.
+    pub fn payload(&self, envelope: Envelope, target: (u8, u8), as_int: bool) -> [u8; ITEM_PAYLOAD_LEN] {
+        let mut p = [0; ITEM_PAYLOAD_LEN];
+        let mut put = |at: usize, bytes: &[u8]| p[at..at + bytes.len()].copy_from_slice(bytes);
+        for (i, param) in self.params.iter().enumerate() {
+            put(4 * i, &param.to_le_bytes());
+        }
+        for (at, v) in [(16, self.x), (20, self.y)] {
+            if as_int {
+                put(at, &v.to_le_bytes());
+            } else {
+                let scale = if is_global(self.frame) { 1e-7 } else { 1.0 };
+                let float = if v == i32::MAX {
+                    f32::NAN
+                } else {
+                    (f64::from(v) * scale) as f32
+                };
+                put(at, &float.to_le_bytes());
+            }
+        }
+        put(24, &self.z.to_le_bytes());
+        put(28, &envelope.seq.to_le_bytes());
+        put(30, &self.command.to_le_bytes());
+        put(32, &[target.0, target.1, self.frame, envelope.current]);
+        put(36, &[self.autocontinue, envelope.mission_type]);
+        p
+    }
+
+    /// The bytes that make items equal.
+    pub fn content(&self) -> [u8; ITEM_PAYLOAD_LEN] {
+        let envelope = Envelope {
+            seq: 0,
+            current: 0,
+            mission_type: 0,
+        };
+        self.payload(envelope, (0, 0), true)
+    }
+
+    /// Parameter 1 to 4; `None` if it is NaN.
+    pub fn param(&self, number: usize) -> Option<f32> {
+        self.params.get(number.checked_sub(1)?).copied().filter(|p| !p.is_nan())
+    }
+
+    /// Parameters 5 and 6 as metres north and east of home; `None` where both are zero or not given.
+    fn north_east_m(&self, home: &HomePosition) -> Result<Option<(f32, f32)>, PlanDefect> {
+        let defect = |result, reason| Err(PlanDefect::new(result, reason));
+        if !is_global(self.frame) {
+            return defect(MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global");
+        }
+        let unset = |v: i32| v == i32::MAX;
+        if unset(self.x) || unset(self.y) || (self.x == 0 && self.y == 0) {
+            return Ok(None);
+        }
+        let (lat, lon) = (f64::from(self.x) * 1e-7, f64::from(self.y) * 1e-7);
+        if lat.abs() > 90.0 {
+            return defect(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "no such latitude");
+        }
+        if lon.abs() > 180.0 {
+            return defect(MavMissionResult::MAV_MISSION_INVALID_PARAM6_Y, "no such longitude");
+        }
+        let (north, east) = geo::to_local(home, lat, lon);
+        // NaN fails the comparison.
+        if libm::hypotf(north, east) <= MAX_DISTANCE_M {
+            Ok(Some((north, east)))
+        } else {
+            defect(MavMissionResult::MAV_MISSION_INVALID_PARAM5_X, "too far from home")
+        }
+    }
+
+    /// Where parameters 5 to 7 are.
+    pub fn place(&self, home: &HomePosition) -> Result<Place, PlanDefect> {
+        let north_east_m = self.north_east_m(home)?;
+        let height_m = if matches!(self.frame, 3 | 6) {
+            self.z
+        } else {
+            (f64::from(self.z) - home.altitude_m) as f32
+        };
+        if height_m.abs() > MAX_HEIGHT_M {
+            return Err(PlanDefect::new(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM7,
+                "height beyond 500 m",
+            ));
+        }
+        Ok(Place {
+            north_east_m,
+            height_m: (!height_m.is_nan()).then_some(height_m),
+        })
+    }
+
+    /// Metres north and east of home where coordinates are needed and the height means nothing.
+    pub fn point(&self, home: &HomePosition) -> Result<(f32, f32), PlanDefect> {
+        self.north_east_m(home)?.ok_or(PlanDefect::new(
+            MavMissionResult::MAV_MISSION_INVALID_PARAM5_X,
+            "no coordinates",
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::Wire;
+
+    fn waypoint() -> PlanItem {
+        PlanItem {
+            command: 16,
+            frame: 6,
+            autocontinue: 1,
+            params: [0.0, 1.0, 0.0, f32::NAN],
+            x: 473_977_500,
+            y: 85_456_000,
+            z: 5.0,
+        }
+    }
+
+    #[test]
+    fn an_item_survives_both_forms() {
+        let item = waypoint();
+        let envelope = Envelope {
+            seq: 7,
+            current: 1,
+            mission_type: 2,
+        };
+        let as_int = item.payload(envelope, (245, 190), true);
+        let (read, told) = PlanItem::read(MISSION_ITEM_INT_DATA::ID, &as_int).expect("an item");
+        assert_eq!((read.content(), told), (item.content(), envelope));
+        assert_eq!((as_int[32], as_int[33]), (245, 190));
+        let (read, _) = PlanItem::read(MISSION_ITEM_DATA::ID, &item.payload(envelope, (1, 1), false)).expect("an item");
+        // A float holds a latitude to about half a metre.
+        assert!((read.x - item.x).abs() < 40 && (read.y - item.y).abs() < 10);
+        assert_eq!(PlanItem::read(0, &[]), None);
+    }
+
+    #[test]
+    fn a_place_is_relative_to_home_in_every_global_frame() {
+        let home = HomePosition::default();
+        let mut item = waypoint();
+        let relative = item.place(&home).expect("valid");
+        assert_eq!(relative.height_m, Some(5.0));
+        item.frame = 5;
+        item.z = 493.0;
+        assert_eq!(item.place(&home), Ok(relative));
+        item.frame = 1;
+        assert_eq!(
+            item.place(&home).map_err(|d| d.result),
+            Err(MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME)
+        );
+    }
+
+    #[test]
+    fn absurd_coordinates_name_the_parameter() {
+        let home = HomePosition::default();
+        let refusal = |change: fn(&mut PlanItem)| {
+            let mut item = waypoint();
+            change(&mut item);
+            item.place(&home).err().map(|d| d.result)
+        };
+        use MavMissionResult as R;
+        assert_eq!(refusal(|i| i.z = f32::INFINITY), Some(R::MAV_MISSION_INVALID_PARAM7));
+        assert_eq!(refusal(|i| i.z = 501.0), Some(R::MAV_MISSION_INVALID_PARAM7));
+        assert_eq!(refusal(|i| i.x = 950_000_000), Some(R::MAV_MISSION_INVALID_PARAM5_X));
+        assert_eq!(refusal(|i| i.x = 120_000_000), Some(R::MAV_MISSION_INVALID_PARAM5_X));
+        assert_eq!(refusal(|i| i.y = -2_000_000_000), Some(R::MAV_MISSION_INVALID_PARAM6_Y));
+        assert_eq!(refusal(|i| i.z = f32::NAN), None);
+    }
+
+    #[test]
+    fn equal_plans_have_equal_ids_and_none_has_zero() {
+        let mut other = waypoint();
+        other.z = 6.0;
+        let id = |items: &[PlanItem]| Wire::new(items.to_vec()).id;
+        assert_eq!(id(&[]), 0);
+        assert_eq!(id(&[waypoint()]), id(&[waypoint()]));
+        assert_ne!(id(&[waypoint()]), id(&[other]));
+        assert_ne!(id(&[waypoint(), other]), id(&[other, waypoint()]));
+    }
+}

@@ -1,0 +1,457 @@
+//! The mission: what its items mean, and how far it is done. How it is flown is `flight::mission`.
+
+use crate::HomePosition;
+use crate::plan::{Place, PlanDefect, PlanItem, Wire};
+use vigil_mavlink::common::{MavMissionResult, MissionState};
+use vigil_types::Nanos;
+
+const NAV_WAYPOINT: u16 = 16;
+const NAV_LOITER_UNLIM: u16 = 17;
+const NAV_LOITER_TIME: u16 = 19;
+const NAV_RETURN_TO_LAUNCH: u16 = 20;
+const NAV_LAND: u16 = 21;
+const NAV_TAKEOFF: u16 = 22;
+const NAV_LOITER_TO_ALT: u16 = 31;
+const NAV_DELAY: u16 = 93;
+const CONDITION_YAW: u16 = 115;
+const DO_JUMP: u16 = 177;
+const DO_CHANGE_SPEED: u16 = 178;
+/// Marks where a landing begins, and commands to cameras, gimbals and servos: taken for the sake of plans that carry them,
+/// and passed over, because the vehicle has none of these. Regions of interest are among them.
+const PASSED_OVER: [u16; 22] = [
+    189, 195, 196, 197, 201, 183, 203, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 211,
+];
+/// A longer wait is a mistake.
+const MAX_WAIT_S: f32 = 86_400.0;
+
+/// What is to happen at a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Purpose {
+    /// Fly there, and stay this long.
+    Visit { stay_ns: Nanos },
+    /// Fly there, and stay for good.
+    Stay,
+    /// Climb straight up first.
+    TakeOff,
+    /// Descend there.
+    Land,
+}
+
+/// A flight to a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Leg {
+    pub place: Place,
+    /// Heading there; `None` is "towards the place".
+    pub yaw_rad: Option<f32>,
+    /// Distance at which the place is reached; `None` is NAV_ACC_RAD.
+    pub acceptance_m: Option<f32>,
+    pub purpose: Purpose,
+}
+
+/// What an item means.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum MissionItem {
+    Leg(Leg),
+    /// Return mode.
+    Return,
+    /// Wait where it is.
+    Delay {
+        wait_ns: Nanos,
+    },
+    /// Turn in place. The way round is the shorter one, whatever the item says.
+    Turn {
+        yaw_rad: f32,
+        is_relative: bool,
+    },
+    /// Fly at this speed from here on; `None` is MPC_XY_CRUISE.
+    Speed {
+        speed_m_s: Option<f32>,
+    },
+    /// Go on with another item; `None` is without end.
+    Jump {
+        to: usize,
+        times: Option<u16>,
+    },
+    /// Nothing that this vehicle does.
+    PassedOver,
+}
+
+fn invalid(result: MavMissionResult, reason: &'static str) -> PlanDefect {
+    PlanDefect::new(result, reason)
+}
+
+fn seconds(item: &PlanItem) -> Result<Nanos, PlanDefect> {
+    let wait_s = item.param(1).unwrap_or(0.0);
+    if (0.0..=MAX_WAIT_S).contains(&wait_s) {
+        Ok((f64::from(wait_s) * 1e9) as Nanos)
+    } else {
+        Err(invalid(
+            MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+            "time is not within 0 and 86400 s",
+        ))
+    }
+}
+
+/// A heading in degrees, in radians.
+fn heading_rad(item: &PlanItem, number: usize, result: MavMissionResult) -> Result<Option<f32>, PlanDefect> {
+    match item.param(number) {
+        None => Ok(None),
+        Some(deg) if deg.abs() <= 720.0 => Ok(Some(deg.to_radians())),
+        Some(_) => Err(invalid(result, "heading is not within 720 degrees")),
+    }
+}
+
+impl MissionItem {
+    /// Reads an item.
+    pub fn read(item: &PlanItem, home: &HomePosition) -> Result<Self, PlanDefect> {
+        use MavMissionResult as R;
+        let leg = |purpose, acceptance_m| {
+            Ok(Self::Leg(Leg {
+                place: item.place(home)?,
+                yaw_rad: heading_rad(item, 4, R::MAV_MISSION_INVALID_PARAM4)?,
+                acceptance_m,
+                purpose,
+            }))
+        };
+        match item.command {
+            NAV_WAYPOINT => {
+                let radius_m = item.param(2).unwrap_or(0.0);
+                if !(0.0..=1000.0).contains(&radius_m) {
+                    return Err(invalid(R::MAV_MISSION_INVALID_PARAM2, "acceptance radius"));
+                }
+                item.point(home)?;
+                let stay_ns = seconds(item)?;
+                leg(Purpose::Visit { stay_ns }, (radius_m > 0.0).then_some(radius_m))
+            }
+            NAV_LOITER_UNLIM => leg(Purpose::Stay, None),
+            NAV_LOITER_TIME => {
+                let stay_ns = seconds(item)?;
+                leg(Purpose::Visit { stay_ns }, None)
+            }
+            // Parameter 4 is not a heading here.
+            NAV_LOITER_TO_ALT => Ok(Self::Leg(Leg {
+                place: item.place(home)?,
+                yaw_rad: None,
+                acceptance_m: None,
+                purpose: Purpose::Visit { stay_ns: 0 },
+            })),
+            NAV_LAND => leg(Purpose::Land, None),
+            NAV_TAKEOFF => leg(Purpose::TakeOff, None),
+            NAV_RETURN_TO_LAUNCH => Ok(Self::Return),
+            NAV_DELAY => Ok(Self::Delay {
+                wait_ns: seconds(item)?,
+            }),
+            CONDITION_YAW => {
+                let yaw_rad = heading_rad(item, 1, R::MAV_MISSION_INVALID_PARAM1)?
+                    .ok_or(invalid(R::MAV_MISSION_INVALID_PARAM1, "no heading"))?;
+                let is_relative = item.param(4).is_some_and(|p| p > 0.5);
+                let is_counter_clockwise = item.param(3).is_some_and(|p| p < -0.5);
+                let sign = if is_relative && is_counter_clockwise { -1.0 } else { 1.0 };
+                Ok(Self::Turn {
+                    yaw_rad: sign * yaw_rad,
+                    is_relative,
+                })
+            }
+            // Rates of climb and descent are parameters.
+            DO_CHANGE_SPEED if item.param(1).is_some_and(|kind| kind >= 2.0) => Ok(Self::PassedOver),
+            DO_CHANGE_SPEED => match item.param(2) {
+                Some(speed) if speed > 0.0 && speed <= 50.0 => Ok(Self::Speed { speed_m_s: Some(speed) }),
+                // −1: no change; −2: back to the default, as is whatever is left out.
+                Some(-1.0) => Ok(Self::PassedOver),
+                None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
+                Some(_) => Err(invalid(
+                    R::MAV_MISSION_INVALID_PARAM2,
+                    "speed is not within 0 and 50 m/s",
+                )),
+            },
+            DO_JUMP => {
+                let to = item.param(1).filter(|p| (0.0..=65535.0).contains(p));
+                let times = item.param(2).filter(|p| (-1.0..=65535.0).contains(p));
+                match (to, times) {
+                    (Some(to), Some(times)) => Ok(Self::Jump {
+                        to: to as usize,
+                        times: (times >= 0.0).then_some(times as u16),
+                    }),
+                    (None, _) => Err(invalid(R::MAV_MISSION_INVALID_PARAM1, "no such item to jump to")),
+                    (_, None) => Err(invalid(R::MAV_MISSION_INVALID_PARAM2, "number of jumps")),
+                }
+            }
+            command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
+            _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
+        }
+    }
+}
+
+/// How far the current item is done.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) enum Stage {
+    /// To be begun.
+    #[default]
+    Fresh,
+    /// Climbing before the way to the place.
+    Climbing,
+    /// On the way.
+    Travelling,
+    /// Waiting until this time.
+    Waiting { until_ns: Nanos },
+    /// Staying for good.
+    Staying,
+    /// Descending.
+    Landing,
+    /// Turning to this heading.
+    Turning { yaw_rad: f32 },
+}
+
+/// The mission and its progress.
+#[derive(Debug, Default)]
+pub(crate) struct Mission {
+    wire: Wire,
+    items: Vec<MissionItem>,
+    /// How often each item has jumped.
+    jumped: Vec<u16>,
+    current: usize,
+    reached: Option<u16>,
+    is_started: bool,
+    is_complete: bool,
+    /// How far the current item is done.
+    pub stage: Stage,
+    /// The next item begins no sooner: items that take no time must not flood the links.
+    pub not_before_ns: Nanos,
+    /// Speed that an item of the mission has set.
+    pub speed_m_s: Option<f32>,
+}
+
+impl Mission {
+    pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
+        let meanings = items
+            .iter()
+            .map(|item| MissionItem::read(item, home))
+            .collect::<Result<Vec<_>, _>>()?;
+        let astray = |item: &MissionItem| matches!(item, MissionItem::Jump { to, .. } if *to >= meanings.len());
+        if meanings.iter().any(astray) {
+            return Err(invalid(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+                "no such item to jump to",
+            ));
+        }
+        Ok(Self {
+            wire: Wire::new(items),
+            jumped: vec![0; meanings.len()],
+            items: meanings,
+            ..Self::default()
+        })
+    }
+
+    pub fn wire(&self) -> &Wire {
+        &self.wire
+    }
+
+    pub fn len(&self) -> usize {
+        self.items.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.items.is_empty()
+    }
+
+    /// Index of the current item.
+    pub fn current(&self) -> u16 {
+        self.current as u16
+    }
+
+    /// The item that was reached last.
+    pub fn reached(&self) -> Option<u16> {
+        self.reached
+    }
+
+    /// The current item.
+    pub fn item(&self) -> Option<MissionItem> {
+        self.items.get(self.current).copied()
+    }
+
+    /// Whether the mission pauses after the current item.
+    pub fn pauses_after_item(&self) -> bool {
+        self.wire.items.get(self.current).is_some_and(|i| i.autocontinue == 0)
+    }
+
+    /// All flights with their index.
+    pub fn legs(&self) -> impl Iterator<Item = (usize, &Leg)> {
+        self.items.iter().enumerate().filter_map(|(i, item)| match item {
+            MissionItem::Leg(leg) => Some((i, leg)),
+            _ => None,
+        })
+    }
+
+    /// State as MISSION_CURRENT tells it; `is_flown` says whether the vehicle is in mission mode.
+    pub fn state(&self, is_flown: bool) -> MissionState {
+        if self.is_empty() {
+            MissionState::MISSION_STATE_NO_MISSION
+        } else if self.is_complete {
+            MissionState::MISSION_STATE_COMPLETE
+        } else if is_flown {
+            MissionState::MISSION_STATE_ACTIVE
+        } else if self.is_started {
+            MissionState::MISSION_STATE_PAUSED
+        } else {
+            MissionState::MISSION_STATE_NOT_STARTED
+        }
+    }
+
+    /// Begins or goes on: from the current item, or from the first if the mission was complete.
+    pub fn start(&mut self) {
+        if self.is_complete {
+            self.rewind();
+        }
+        self.is_started = true;
+        self.stage = Stage::Fresh;
+    }
+
+    fn rewind(&mut self) {
+        self.jumped.fill(0);
+        self.current = 0;
+        self.reached = None;
+        self.is_complete = false;
+        self.is_started = false;
+        self.speed_m_s = None;
+        self.stage = Stage::Fresh;
+    }
+
+    /// Makes an item the current one; `false` if there is no such item. `resets` forgets jumps and completion first.
+    pub fn set_current(&mut self, index: usize, resets: bool) -> bool {
+        if index >= self.items.len() {
+            return false;
+        }
+        if resets || self.is_complete {
+            self.rewind();
+        }
+        self.current = index;
+        self.stage = Stage::Fresh;
+        true
+    }
+
+    /// The current item is done: goes on to the next; `false` if it was the last. `tells` says whether it counts as
+    /// reached.
+    pub fn advance(&mut self, tells: bool) -> bool {
+        if tells {
+            self.reached = Some(self.current());
+        }
+        self.stage = Stage::Fresh;
+        let next = match (self.item(), self.jumped.get_mut(self.current)) {
+            (Some(MissionItem::Jump { to, times }), Some(jumped)) if times.is_none_or(|times| *jumped < times) => {
+                *jumped = jumped.saturating_add(1);
+                to
+            }
+            // Passed by, it jumps again when it is come to once more.
+            (Some(MissionItem::Jump { .. }), Some(jumped)) => {
+                *jumped = 0;
+                self.current + 1
+            }
+            _ => self.current + 1,
+        };
+        self.is_complete = next >= self.items.len();
+        if !self.is_complete {
+            self.current = next;
+        }
+        !self.is_complete
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn item(command: u16, params: [f32; 4]) -> PlanItem {
+        PlanItem {
+            command,
+            frame: 3,
+            autocontinue: 1,
+            params,
+            x: 473_977_500,
+            y: 85_456_000,
+            z: 5.0,
+        }
+    }
+
+    fn mission(items: &[PlanItem]) -> Mission {
+        Mission::new(items.to_vec(), &HomePosition::default()).expect("valid")
+    }
+
+    #[test]
+    fn a_jump_is_taken_as_often_as_it_says_and_again_when_come_to_again() {
+        let waypoint = item(16, [0.0; 4]);
+        let mut mission = mission(&[
+            waypoint,
+            item(177, [0.0, 2.0, 0.0, 0.0]),
+            waypoint,
+            item(177, [0.0, 1.0, 0.0, 0.0]),
+        ]);
+        mission.start();
+        let mut visited = vec![mission.current()];
+        while mission.advance(true) {
+            visited.push(mission.current());
+        }
+        assert_eq!(visited, [0, 1, 0, 1, 0, 1, 2, 3, 0, 1, 0, 1, 0, 1, 2, 3]);
+        assert_eq!(mission.state(false), MissionState::MISSION_STATE_COMPLETE);
+        mission.start();
+        assert_eq!((mission.current(), mission.reached()), (0, None));
+    }
+
+    #[test]
+    fn items_that_make_no_sense_are_refused_with_the_parameter() {
+        use MavMissionResult as R;
+        let home = HomePosition::default();
+        for (bad, result) in [
+            (item(16, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+            (item(16, [f32::INFINITY, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+            (item(16, [0.0, -2.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
+            (item(16, [0.0, 0.0, 0.0, 1e9]), R::MAV_MISSION_INVALID_PARAM4),
+            (item(93, [-1.0, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+            (item(115, [f32::NAN, 0.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+            (item(178, [1.0, -7.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
+            (item(177, [5.0, 1.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+            (item(177, [0.0, f32::NAN, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM2),
+            (item(84, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
+            (item(60_000, [0.0; 4]), R::MAV_MISSION_UNSUPPORTED),
+            (
+                PlanItem {
+                    frame: 8,
+                    ..item(16, [0.0; 4])
+                },
+                R::MAV_MISSION_UNSUPPORTED_FRAME,
+            ),
+            (
+                PlanItem {
+                    x: 0,
+                    y: 0,
+                    ..item(16, [0.0; 4])
+                },
+                R::MAV_MISSION_INVALID_PARAM5_X,
+            ),
+        ] {
+            assert_eq!(
+                Mission::new(vec![bad], &home).err().map(|d| d.result),
+                Some(result),
+                "{bad:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_turn_can_be_relative_and_a_speed_can_go_back_to_its_default() {
+        let home = HomePosition::default();
+        let read = |i: PlanItem| MissionItem::read(&i, &home).expect("valid");
+        assert_eq!(
+            read(item(115, [90.0, 0.0, -1.0, 1.0])),
+            MissionItem::Turn {
+                yaw_rad: -core::f32::consts::FRAC_PI_2,
+                is_relative: true
+            }
+        );
+        assert_eq!(
+            read(item(178, [1.0, -2.0, -1.0, 0.0])),
+            MissionItem::Speed { speed_m_s: None }
+        );
+        assert_eq!(read(item(178, [1.0, -1.0, -1.0, 0.0])), MissionItem::PassedOver);
+        assert_eq!(read(item(178, [3.0, 2.0, -1.0, 0.0])), MissionItem::PassedOver);
+    }
+}

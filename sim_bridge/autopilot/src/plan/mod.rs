@@ -1,0 +1,131 @@
+//! Plans: what a ground station uploads by the mission protocol. There are three kinds, each a list of items: the mission,
+//! the geofence and the rally points. <https://mavlink.io/en/services/mission.html>
+
+mod fence;
+mod item;
+mod mission;
+mod rally;
+
+pub(crate) use fence::{Breach, Fence};
+pub(crate) use item::{Envelope, Place, PlanItem};
+pub(crate) use mission::{Leg, Mission, MissionItem, Purpose, Stage};
+pub(crate) use rally::Rally;
+
+use crate::HomePosition;
+use vigil_mavlink::common::{MavMissionResult, MavMissionType};
+
+/// The kinds of plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum PlanKind {
+    Mission,
+    Fence,
+    Rally,
+}
+
+impl PlanKind {
+    pub const ALL: [Self; 3] = [Self::Mission, Self::Fence, Self::Rally];
+
+    /// Reads a MAV_MISSION_TYPE.
+    pub fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.wire() as u8 == number)
+    }
+
+    pub const fn wire(self) -> MavMissionType {
+        match self {
+            Self::Mission => MavMissionType::MAV_MISSION_TYPE_MISSION,
+            Self::Fence => MavMissionType::MAV_MISSION_TYPE_FENCE,
+            Self::Rally => MavMissionType::MAV_MISSION_TYPE_RALLY,
+        }
+    }
+
+    /// Most items of a plan.
+    pub const fn capacity(self) -> u16 {
+        match self {
+            Self::Mission => 1000,
+            Self::Fence => 200,
+            Self::Rally => 32,
+        }
+    }
+
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Mission => "mission",
+            Self::Fence => "geofence",
+            Self::Rally => "rally points",
+        }
+    }
+}
+
+/// Why an item or a plan is refused.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PlanDefect {
+    pub result: MavMissionResult,
+    /// For the status text.
+    pub reason: &'static str,
+}
+
+impl PlanDefect {
+    pub const fn new(result: MavMissionResult, reason: &'static str) -> Self {
+        Self { result, reason }
+    }
+}
+
+/// The items of a plan as they came, and the plan's id.
+#[derive(Debug, Default, Clone, PartialEq)]
+pub(crate) struct Wire {
+    pub items: Vec<PlanItem>,
+    /// The `opaque_id`: equal for equal items, 0 for none.
+    pub id: u32,
+}
+
+impl Wire {
+    pub fn new(items: Vec<PlanItem>) -> Self {
+        // FNV-1a, 32 bits.
+        let hash = |hash: u32, byte: &u8| (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193);
+        let id = if items.is_empty() {
+            0
+        } else {
+            let bytes = items.iter().flat_map(PlanItem::content);
+            bytes.fold(0x811C_9DC5, |h, byte| hash(h, &byte)).max(1)
+        };
+        Self { items, id }
+    }
+}
+
+/// The three plans in force.
+#[derive(Debug, Default)]
+pub(crate) struct Plans {
+    pub mission: Mission,
+    pub fence: Fence,
+    pub rally: Rally,
+}
+
+impl Plans {
+    /// Whether an item may be part of a plan of this kind.
+    pub fn check(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+        match kind {
+            PlanKind::Mission => MissionItem::read(item, home).map(|_| ()),
+            PlanKind::Fence => Fence::check(item, home),
+            PlanKind::Rally => Rally::read(item, home).map(|_| ()),
+        }
+    }
+
+    /// Puts a plan in the place of the one of its kind, which stays as it is if the new one is refused.
+    pub fn replace(&mut self, kind: PlanKind, items: Vec<PlanItem>, home: &HomePosition) -> Result<(), PlanDefect> {
+        match kind {
+            PlanKind::Mission => self.mission = Mission::new(items, home)?,
+            PlanKind::Fence => self.fence = Fence::new(items, home)?,
+            PlanKind::Rally => self.rally = Rally::new(items, home)?,
+        }
+        Ok(())
+    }
+
+    /// The items of a plan as they came.
+    pub fn wire(&self, kind: PlanKind) -> &Wire {
+        match kind {
+            PlanKind::Mission => self.mission.wire(),
+            PlanKind::Fence => self.fence.wire(),
+            PlanKind::Rally => self.rally.wire(),
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! Rally points: places to return to besides home. <https://mavlink.io/en/services/mission.html#rally-points>
+
+use crate::HomePosition;
+use crate::plan::{PlanDefect, PlanItem, Wire};
+use vigil_mavlink::common::MavMissionResult;
+
+const NAV_RALLY_POINT: u16 = 5100;
+
+/// The rally points.
+#[derive(Debug, Default)]
+pub(crate) struct Rally {
+    wire: Wire,
+    /// Metres north and east of the local origin.
+    points_m: Vec<(f32, f32)>,
+}
+
+impl Rally {
+    pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
+        let points_m = items
+            .iter()
+            .map(|item| Self::read(item, home))
+            .collect::<Result<_, _>>()?;
+        Ok(Self {
+            wire: Wire::new(items),
+            points_m,
+        })
+    }
+
+    /// The point that an item stands for, metres north and east of the local origin.
+    pub fn read(item: &PlanItem, home: &HomePosition) -> Result<(f32, f32), PlanDefect> {
+        if item.command != NAV_RALLY_POINT {
+            return Err(PlanDefect::new(
+                MavMissionResult::MAV_MISSION_UNSUPPORTED,
+                "not a rally point",
+            ));
+        }
+        item.point(home)
+    }
+
+    pub fn wire(&self) -> &Wire {
+        &self.wire
+    }
+
+    /// The point to return to: home or a rally point, whichever is nearest, as PX4 chooses with RTL_TYPE 0.
+    pub fn nearest_m(&self, (north_m, east_m): (f32, f32), home_m: (f32, f32)) -> (f32, f32) {
+        let distance = |(n, e): (f32, f32)| libm::hypotf(n - north_m, e - east_m);
+        self.points_m.iter().fold(home_m, |best, point| {
+            if distance(*point) < distance(best) {
+                *point
+            } else {
+                best
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_of_home_and_rally_points_is_returned_to() {
+        let mut rally = Rally::default();
+        let home = (0.0, 0.0);
+        assert_eq!(rally.nearest_m((30.0, 40.0), home), home);
+        rally.points_m = vec![(30.0, 0.0), (0.0, 30.0)];
+        assert_eq!(rally.nearest_m((20.0, 1.0), home), (30.0, 0.0));
+        assert_eq!(rally.nearest_m((-1.0, 20.0), home), (0.0, 30.0));
+        assert_eq!(rally.nearest_m((5.0, 5.0), home), home);
+        assert_eq!(rally.nearest_m((20.0, 1.0), (20.0, 4.0)), (20.0, 4.0), "home was moved");
+    }
+}

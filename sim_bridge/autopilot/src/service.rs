@@ -1,0 +1,95 @@
+//! What a protocol service is.
+
+use crate::LinkId;
+use crate::core::{ComponentId, Core};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::MavResult;
+use vigil_mavlink::framing::{Command, Packet};
+use vigil_types::Nanos;
+
+/// Who sent a packet and on which link.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Source {
+    pub link: LinkId,
+    pub id: ComponentId,
+}
+
+/// The answer to a command.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Answer {
+    pub result: MavResult,
+    pub result_param2: i32,
+}
+
+impl Answer {
+    pub const ACCEPTED: Self = Self::of(MavResult::MAV_RESULT_ACCEPTED);
+    pub const DENIED: Self = Self::of(MavResult::MAV_RESULT_DENIED);
+    /// Not now: the same command may be accepted in another state.
+    pub const REJECTED: Self = Self::of(MavResult::MAV_RESULT_TEMPORARILY_REJECTED);
+    pub const UNSUPPORTED: Self = Self::of(MavResult::MAV_RESULT_UNSUPPORTED);
+
+    pub const fn of(result: MavResult) -> Self {
+        Self {
+            result,
+            result_param2: 0,
+        }
+    }
+}
+
+/// A message that a service can produce: streamed, requested once (512) or at an interval (511).
+#[derive(Clone, Copy)]
+pub(crate) struct Produced {
+    /// MAVLink message id.
+    pub id: u32,
+    /// Messages per second on an onboard, API and GCS link; 0 is on request only.
+    pub rate_hz: [f32; 3],
+    /// How it is built.
+    pub build: Build,
+}
+
+/// Where a message's contents are.
+#[derive(Clone, Copy)]
+pub(crate) enum Build {
+    /// In what all services share; `None` if there is nothing to tell.
+    From(fn(&Core) -> Option<MavMessage>),
+    /// In the service itself: [`Service::produce`] builds it.
+    Stateful,
+}
+
+/// One protocol service. All methods have a default, so that a service implements what it needs.
+///
+/// It knows the core; neither the core nor the endpoint knows it. To add one: a file in `services`, and its line in the table
+/// of `services::all`.
+pub(crate) trait Service {
+    /// Runs once, before everything else.
+    fn start(&mut self, _core: &mut Core) {}
+
+    /// A packet that is addressed to the vehicle or to everybody, except commands.
+    fn receive(&mut self, _packet: &Packet<'_>, _source: Source, _core: &mut Core) {}
+
+    /// A command addressed to the vehicle; `None` if it is not this service's. The dispatcher sends the acknowledgement.
+    fn command(&mut self, _command: &Command, _source: Source, _core: &mut Core) -> Option<Answer> {
+        None
+    }
+
+    /// The messages it can produce.
+    fn messages(&self) -> &'static [Produced] {
+        &[]
+    }
+
+    /// Builds one of its messages whose contents it keeps itself ([`Build::Stateful`]); `None` if there is nothing to tell.
+    fn produce(&self, _message_id: u32, _core: &Core) -> Option<MavMessage> {
+        None
+    }
+
+    /// When [`Service::step`] wants to run next.
+    fn due_ns(&self) -> Nanos {
+        Nanos::MAX
+    }
+
+    /// Runs in the first step at or after [`Service::due_ns`].
+    fn step(&mut self, _core: &mut Core) {}
+}
+
+/// The services of a vehicle, in the order in which commands are offered to them.
+pub(crate) type Services = [Box<dyn Service + Send>];

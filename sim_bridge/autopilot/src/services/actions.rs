@@ -1,0 +1,143 @@
+//! Modes and actions: take-off, land, hold, return, OFFBOARD, go to.
+//! <https://mavlink.io/en/services/command.html>, mode numbers as in PX4.
+
+use crate::core::Core;
+use crate::flight::{FlightMode, Requested};
+use crate::geo;
+use crate::service::{Answer, Service, Source};
+use crate::services::arming::answer;
+use vigil_mavlink::common::{MavSeverity, SET_MODE_DATA};
+use vigil_mavlink::framing::{Command, CommandForm, Packet};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::NedVector;
+use vigil_vehicle::YawCommand;
+
+const NAV_LOITER_UNLIM: u16 = 17;
+const NAV_RETURN_TO_LAUNCH: u16 = 20;
+const NAV_LAND: u16 = 21;
+const NAV_TAKEOFF: u16 = 22;
+const DO_SET_MODE: u16 = 176;
+const DO_REPOSITION: u16 = 192;
+/// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
+const CUSTOM_MODE: u8 = 1;
+/// Farther than this is a mistake in the coordinates, not a place to fly to.
+pub(super) const MAX_DISTANCE_M: f32 = 10_000.0;
+const MAX_HEIGHT_M: f32 = 500.0;
+
+pub(crate) struct Actions;
+
+impl Service for Actions {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        // The crate's type of SET_MODE refuses base modes that clients do send: read it raw.
+        if packet.message_id() == SET_MODE_DATA::ID {
+            let mut payload = [0; 6];
+            for (to, from) in payload.iter_mut().zip(packet.payload()) {
+                *to = *from;
+            }
+            let [a, b, c, d, target_system, base_mode] = payload;
+            if target_system == core.id.system && base_mode & CUSTOM_MODE != 0 {
+                set_mode(
+                    Requested::from_custom_mode(u32::from_le_bytes([a, b, c, d])),
+                    source,
+                    core,
+                );
+            }
+        }
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
+        Some(match command.number {
+            DO_SET_MODE => {
+                let [base, main, sub] = [1, 2, 3].map(|n| command.param(n).unwrap_or(0.0) as u8);
+                if base & CUSTOM_MODE == 0 {
+                    Answer::DENIED
+                } else {
+                    set_mode(Requested::from_px4(main, sub), source, core)
+                }
+            }
+            NAV_LOITER_UNLIM => set_mode(Requested::Flown(FlightMode::Hold), source, core),
+            NAV_RETURN_TO_LAUNCH => set_mode(Requested::Flown(FlightMode::Return), source, core),
+            NAV_LAND => set_mode(Requested::Flown(FlightMode::Land), source, core),
+            NAV_TAKEOFF => take_off(command, core),
+            DO_REPOSITION => reposition(command, core),
+            _ => return None,
+        })
+    }
+}
+
+fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
+    let refuse = |core: &mut Core, text: &str| {
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+        Answer::REJECTED
+    };
+    match requested {
+        Requested::Flown(mode) => {
+            let outcome = core.change_mode(mode, source.id);
+            answer(outcome, core)
+        }
+        Requested::Manual(name) => refuse(core, &format!("{name} denied: no manual control")),
+        Requested::Unknown => Answer::DENIED,
+    }
+}
+
+/// Height above home of a MAVLink altitude in `frame`: above sea level in 0 and 5, above home in 3 and 6.
+fn height_m(core: &Core, frame: u8, altitude_m: f32) -> Option<f32> {
+    match frame {
+        0 | 5 => Some((f64::from(altitude_m) - core.home.altitude_m) as f32),
+        3 | 6 => Some(altitude_m),
+        _ => None,
+    }
+}
+
+/// Parameter 7 is above sea level in a COMMAND_LONG, as in PX4; NaN takes MIS_TAKEOFF_ALT.
+fn take_off(command: &Command, core: &mut Core) -> Answer {
+    let height = match command.param(7) {
+        None => None,
+        Some(altitude_m) => match height_m(core, command.frame(), altitude_m) {
+            Some(height) if height.abs() <= MAX_HEIGHT_M || height < 0.0 => Some(height),
+            _ => return Answer::DENIED,
+        },
+    };
+    core.take_off(height);
+    Answer::ACCEPTED
+}
+
+/// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
+/// is no place to fly to.
+pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
+    let here = core.view.estimate.position_ned_m;
+    let horizontal = match command.form {
+        CommandForm::Int { x: i32::MAX, .. } | CommandForm::Int { y: i32::MAX, .. } => None,
+        _ => command.latitude_longitude_deg(),
+    };
+    let (x, y) = match horizontal {
+        None => (here.x, here.y),
+        Some((lat, lon)) if lat.abs() <= 90.0 && lon.abs() <= 180.0 => geo::to_local(&core.home, lat, lon),
+        Some(_) => return None,
+    };
+    let z = match command.param(7) {
+        None => here.z,
+        Some(altitude_m) => -height_m(core, command.frame(), altitude_m)?,
+    };
+    let position = NedVector::new(x, y, z);
+    // NaN fails both comparisons.
+    let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && z.abs() <= MAX_HEIGHT_M;
+    if !is_near {
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+    }
+    is_near.then_some(position)
+}
+
+/// Goes to a place: parameter 1 speed (−1: default), 4 yaw in radians (NaN: unchanged), 5 to 7 the place.
+fn reposition(command: &Command, core: &mut Core) -> Answer {
+    let Some(position) = place(command, core) else {
+        return Answer::DENIED;
+    };
+    let yaw = match command.param(4) {
+        Some(yaw_rad) if yaw_rad.is_finite() => YawCommand::Angle { yaw_rad },
+        _ => YawCommand::Hold,
+    };
+    let speed_m_s = command.param(1).filter(|s| s.is_finite() && *s > 0.0);
+    let outcome = core.go_to(position, yaw, speed_m_s);
+    answer(outcome, core)
+}

@@ -1,0 +1,68 @@
+//! Arming, disarming, termination, reboot.
+
+use crate::core::Core;
+use crate::flight::Denial;
+use crate::service::{Answer, Service, Source};
+use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::framing::Command;
+
+const COMPONENT_ARM_DISARM: u16 = 400;
+const DO_FLIGHTTERMINATION: u16 = 185;
+const PREFLIGHT_REBOOT_SHUTDOWN: u16 = 246;
+/// Parameter 2 of COMPONENT_ARM_DISARM that forces.
+const FORCE: f32 = 21196.0;
+
+pub(crate) struct Arming;
+
+impl Service for Arming {
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        Some(match command.number {
+            COMPONENT_ARM_DISARM => {
+                let forced = command.param(2) == Some(FORCE);
+                match command.param(1) {
+                    Some(1.0) => answer(core.arm(), core),
+                    Some(0.0) => answer(core.disarm(forced), core),
+                    _ => Answer::DENIED,
+                }
+            }
+            DO_FLIGHTTERMINATION => {
+                if command.param(1).is_some_and(|p| p > 0.5) {
+                    core.terminate();
+                }
+                Answer::ACCEPTED
+            }
+            PREFLIGHT_REBOOT_SHUTDOWN => reboot(command, core),
+            _ => return None,
+        })
+    }
+}
+
+/// 1 restarts the autopilot; anything else there is (shutdown, boot loader) does not exist in a simulation.
+fn reboot(command: &Command, core: &mut Core) -> Answer {
+    match command.param(1) {
+        Some(1.0) => reboot_now(core),
+        _ => Answer::DENIED,
+    }
+}
+
+/// Restarts the autopilot unless its motors may be needed.
+pub(super) fn reboot_now(core: &mut Core) -> Answer {
+    let c = &core.commander;
+    if !c.is_armed() || (c.is_terminated() && c.is_on_ground()) {
+        core.reboot();
+        Answer::ACCEPTED
+    } else {
+        Answer::REJECTED
+    }
+}
+
+/// The answer to an attempt; a denial is told as a text.
+pub(super) fn answer(outcome: Result<(), Denial>, core: &mut Core) -> Answer {
+    match outcome {
+        Ok(()) => Answer::ACCEPTED,
+        Err(denial) => {
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, &denial.to_string());
+            Answer::REJECTED
+        }
+    }
+}

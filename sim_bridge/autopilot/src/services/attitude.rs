@@ -1,0 +1,64 @@
+//! ATTITUDE, ATTITUDE_QUATERNION and ATTITUDE_TARGET.
+
+use crate::core::Core;
+use crate::flight::attitude_target;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ATTITUDE_TARGET_DATA};
+use vigil_mavlink::mavlink::MessageData;
+
+pub(crate) struct Attitude;
+
+impl Service for Attitude {
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: ATTITUDE_DATA::ID,
+                rate_hz: [50.0, 50.0, 20.0],
+                build: Build::From(attitude),
+            },
+            Produced {
+                id: ATTITUDE_QUATERNION_DATA::ID,
+                rate_hz: [50.0, 20.0, 10.0],
+                build: Build::From(attitude_quaternion),
+            },
+            Produced {
+                id: ATTITUDE_TARGET_DATA::ID,
+                rate_hz: [0.0, 5.0, 2.0],
+                build: Build::From(target),
+            },
+        ]
+    }
+}
+
+fn attitude(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    Some(MavMessage::ATTITUDE(ATTITUDE_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        roll: e.attitude.roll_rad(),
+        pitch: e.attitude.pitch_rad(),
+        yaw: e.attitude.yaw_rad(),
+        rollspeed: e.rates_frd_rad_s.x,
+        pitchspeed: e.rates_frd_rad_s.y,
+        yawspeed: e.rates_frd_rad_s.z,
+    }))
+}
+
+fn attitude_quaternion(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    Some(MavMessage::ATTITUDE_QUATERNION(ATTITUDE_QUATERNION_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        q1: e.attitude.w,
+        q2: e.attitude.x,
+        q3: e.attitude.y,
+        q4: e.attitude.z,
+        rollspeed: e.rates_frd_rad_s.x,
+        pitchspeed: e.rates_frd_rad_s.y,
+        yawspeed: e.rates_frd_rad_s.z,
+        ..Default::default()
+    }))
+}
+
+fn target(core: &Core) -> Option<MavMessage> {
+    attitude_target(core).map(MavMessage::ATTITUDE_TARGET)
+}

@@ -1,0 +1,150 @@
+//! PREFLIGHT_CALIBRATION, told by PX4's `[cal]` texts, which MAVSDK and QGroundControl read.
+//!
+//! The simulated sensors have no offset that lasts, so a calibration measures and tells; it changes nothing. Those that
+//! need the vehicle turned by hand are refused.
+
+use crate::core::Core;
+use crate::service::{Answer, Service, Source};
+use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::framing::Command;
+use vigil_types::Nanos;
+
+const PREFLIGHT_CALIBRATION: u16 = 241;
+const LASTS_NS: Nanos = 1_000_000_000;
+const LOOK_NS: Nanos = 10_000_000;
+/// A mean rate or tilt beyond these is no offset: the vehicle moves or stands on a slope.
+const MAX_RATE_RAD_S: f32 = 0.05;
+const MAX_TILT_RAD: f32 = 0.1;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Sensor {
+    Gyro,
+    Level,
+}
+
+impl Sensor {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Gyro => "gyro",
+            Self::Level => "level",
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Running {
+    sensor: Sensor,
+    began_ns: Nanos,
+    looks: u16,
+    sums: [f32; 3],
+    told_half: bool,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct Calibration {
+    running: Option<Running>,
+    due_ns: Nanos,
+}
+
+impl Service for Calibration {
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        if command.number != PREFLIGHT_CALIBRATION {
+            return None;
+        }
+        let params: [f32; 7] = std::array::from_fn(|i| command.param(i + 1).unwrap_or(0.0));
+        let warn = |core: &mut Core, text: &str| {
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+            Answer::REJECTED
+        };
+        let sensor = match params {
+            p if p == [0.0; 7] => {
+                if self.running.take().is_some() {
+                    core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] calibration cancelled");
+                }
+                return Some(Answer::ACCEPTED);
+            }
+            [1.0, ..] => Sensor::Gyro,
+            [_, _, _, _, 2.0, ..] => Sensor::Level,
+            [_, 1.0, ..] | [_, _, _, _, 1.0, ..] => {
+                return Some(warn(
+                    core,
+                    "calibration denied: nobody turns a simulated vehicle by hand",
+                ));
+            }
+            _ => return Some(Answer::UNSUPPORTED),
+        };
+        if core.commander.is_armed() {
+            return Some(warn(core, "calibration denied: armed"));
+        }
+        if self.running.is_some() {
+            return Some(warn(core, "calibration denied: another one is running"));
+        }
+        core.text(
+            MavSeverity::MAV_SEVERITY_INFO,
+            &format!("[cal] calibration started: 2 {}", sensor.name()),
+        );
+        self.due_ns = core.now_ns + LOOK_NS;
+        self.running = Some(Running {
+            sensor,
+            began_ns: core.now_ns,
+            looks: 0,
+            sums: [0.0; 3],
+            told_half: false,
+        });
+        Some(Answer::ACCEPTED)
+    }
+
+    fn due_ns(&self) -> Nanos {
+        if self.running.is_some() {
+            self.due_ns
+        } else {
+            Nanos::MAX
+        }
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + LOOK_NS;
+        let Some(running) = &mut self.running else {
+            return;
+        };
+        let gyro = core.view.sensors.gyroscope_frd_rad_s;
+        let attitude = core.view.estimate.attitude;
+        let look = match running.sensor {
+            Sensor::Gyro => [gyro.x, gyro.y, gyro.z],
+            Sensor::Level => [attitude.roll_rad(), attitude.pitch_rad(), 0.0],
+        };
+        for (sum, value) in running.sums.iter_mut().zip(look) {
+            *sum += value;
+        }
+        running.looks += 1;
+        let elapsed_ns = core.now_ns.saturating_sub(running.began_ns);
+        if elapsed_ns >= LASTS_NS / 2 && !std::mem::replace(&mut running.told_half, true) {
+            core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] progress <50>");
+        }
+        if elapsed_ns < LASTS_NS && !core.commander.is_armed() {
+            return;
+        }
+        let (name, count) = (running.sensor.name(), f32::from(running.looks));
+        let largest = running
+            .sums
+            .iter()
+            .fold(0.0_f32, |most, sum| most.max((sum / count).abs()));
+        let limit = match running.sensor {
+            Sensor::Gyro => MAX_RATE_RAD_S,
+            Sensor::Level => MAX_TILT_RAD,
+        };
+        self.running = None;
+        if core.commander.is_armed() || largest > limit {
+            core.text(
+                MavSeverity::MAV_SEVERITY_CRITICAL,
+                &format!("[cal] calibration failed: {name} moved"),
+            );
+        } else {
+            core.text(MavSeverity::MAV_SEVERITY_INFO, "[cal] progress <100>");
+            core.text(
+                MavSeverity::MAV_SEVERITY_INFO,
+                &format!("[cal] calibration done: {name}"),
+            );
+        }
+    }
+}

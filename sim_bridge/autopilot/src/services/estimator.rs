@@ -1,0 +1,47 @@
+//! ESTIMATOR_STATUS: what the estimator believes it knows.
+
+use crate::core::Core;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{ESTIMATOR_STATUS_DATA, EstimatorStatusFlags as Flags};
+use vigil_mavlink::mavlink::MessageData;
+
+pub(crate) struct Estimator;
+
+impl Service for Estimator {
+    fn messages(&self) -> &'static [Produced] {
+        &[Produced {
+            id: ESTIMATOR_STATUS_DATA::ID,
+            rate_hz: [0.0, 1.0, 1.0],
+            build: Build::From(estimator_status),
+        }]
+    }
+}
+
+/// The flags of what is valid. The modelled estimator has errors but no innovations: test ratios and accuracies are not
+/// known (NaN).
+fn estimator_status(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    let mut flags = Flags::empty();
+    flags.set(Flags::ESTIMATOR_ATTITUDE, e.attitude.is_valid());
+    let velocity = Flags::ESTIMATOR_VELOCITY_HORIZ | Flags::ESTIMATOR_VELOCITY_VERT;
+    flags.set(velocity, e.velocity_ned_m_s.is_finite());
+    let position = Flags::ESTIMATOR_POS_HORIZ_REL
+        | Flags::ESTIMATOR_POS_HORIZ_ABS
+        | Flags::ESTIMATOR_POS_VERT_ABS
+        | Flags::ESTIMATOR_PRED_POS_HORIZ_REL
+        | Flags::ESTIMATOR_PRED_POS_HORIZ_ABS;
+    flags.set(position, e.position_ned_m.is_finite());
+    Some(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
+        time_usec: core.time_boot_us(),
+        vel_ratio: f32::NAN,
+        pos_horiz_ratio: f32::NAN,
+        pos_vert_ratio: f32::NAN,
+        mag_ratio: f32::NAN,
+        hagl_ratio: f32::NAN,
+        tas_ratio: f32::NAN,
+        pos_horiz_accuracy: f32::NAN,
+        pos_vert_accuracy: f32::NAN,
+        flags,
+    }))
+}

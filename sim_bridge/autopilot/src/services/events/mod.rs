@@ -1,0 +1,219 @@
+//! Events: what happened, told reliably and in the order it happened. <https://mavlink.io/en/services/events.html>
+//!
+//! The service watches the commander instead of being told, so flight code knows nothing of it.
+
+mod catalogue;
+
+use crate::core::Core;
+use crate::flight::{Failsafe, FlightMode};
+use crate::service::{Answer, Service, Source};
+use std::collections::VecDeque;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    CURRENT_EVENT_SEQUENCE_DATA, EVENT_DATA, MavEventCurrentSequenceFlags, MavEventErrorReason, MavSeverity,
+    REQUEST_EVENT_DATA, RESPONSE_EVENT_ERROR_DATA,
+};
+use vigil_mavlink::framing::{Command, Packet};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
+
+pub(crate) use catalogue::definitions;
+use catalogue::{ArmingCheck, Event, HEALTH_NONE, MODE_GROUP};
+
+const RUN_PREARM_CHECKS: u16 = 401;
+/// How often the commander is looked at.
+const WATCH_NS: Nanos = 20_000_000;
+/// How often the last sequence number is told, so that the loss of the last event is noticed.
+const TELL_NS: Nanos = 1_000_000_000;
+/// Events kept for those who ask for them again.
+const KEPT: usize = 64;
+
+/// What events tell changes of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Watched {
+    armed: bool,
+    mode: FlightMode,
+    failsafe: Option<Failsafe>,
+    terminated: bool,
+    on_ground: bool,
+    check: Option<ArmingCheck>,
+}
+
+impl Watched {
+    fn of(core: &Core) -> Self {
+        let c = &core.commander;
+        Self {
+            armed: c.is_armed(),
+            mode: c.mode(),
+            failsafe: c.failsafe(),
+            terminated: c.is_terminated(),
+            on_ground: c.is_on_ground(),
+            check: core.arming_check().err().map(|denial| ArmingCheck::from(&denial)),
+        }
+    }
+}
+
+#[derive(Default)]
+pub(crate) struct Events {
+    seen: Option<Watched>,
+    kept: VecDeque<EVENT_DATA>,
+    /// Of the last event; the first has 1.
+    sequence: u16,
+    /// Whether the sequence has not been told since the start.
+    told: bool,
+    watch_ns: Nanos,
+    tell_ns: Nanos,
+}
+
+impl Service for Events {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        if packet.message_id() == REQUEST_EVENT_DATA::ID {
+            match packet.message() {
+                Ok(MavMessage::REQUEST_EVENT(request)) => self.send_again(&request, source, core),
+                _ => core.refusals.not_parsed += 1,
+            }
+        }
+    }
+
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        (command.number == RUN_PREARM_CHECKS).then(|| {
+            if core.commander.is_armed() {
+                return Answer::REJECTED;
+            }
+            self.report_checks(Watched::of(core).check, core);
+            Answer::ACCEPTED
+        })
+    }
+
+    fn due_ns(&self) -> Nanos {
+        self.watch_ns.min(self.tell_ns)
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        if self.watch_ns <= core.now_ns {
+            self.watch_ns = core.now_ns + WATCH_NS;
+            self.watch(core);
+        }
+        if self.tell_ns <= core.now_ns {
+            self.tell_sequence(core);
+        }
+    }
+}
+
+impl Events {
+    fn watch(&mut self, core: &mut Core) {
+        let now = Watched::of(core);
+        let Some(before) = self.seen.replace(now) else {
+            // What was so from the start is no event, but a client that knows the metadata wants the checks once.
+            self.report_checks(now.check, core);
+            return;
+        };
+        if now.terminated && !before.terminated {
+            self.send(Event::Terminated, core);
+        }
+        if now.armed != before.armed {
+            self.send(if now.armed { Event::Armed } else { Event::Disarmed }, core);
+        }
+        if now.mode != before.mode {
+            self.send(Event::ModeChanged(now.mode), core);
+        }
+        if now.failsafe != before.failsafe {
+            match now.failsafe {
+                Some(failsafe) => self.send(Event::FailsafeEntered(failsafe), core),
+                None => self.send(Event::FailsafeEnded, core),
+            }
+        }
+        if now.on_ground != before.on_ground {
+            self.send(if now.on_ground { Event::Landed } else { Event::TookOff }, core);
+        }
+        if now.check != before.check && !now.armed {
+            self.report_checks(now.check, core);
+        }
+    }
+
+    /// The health and arming check protocol: a summary, each problem, a summary of health.
+    fn report_checks(&mut self, check: Option<ArmingCheck>, core: &mut Core) {
+        let can_arm = check.is_none();
+        self.send(
+            Event::ArmingCheckSummary {
+                failing: check.map_or(HEALTH_NONE, ArmingCheck::component_bit),
+                groups_that_can: if can_arm { MODE_GROUP } else { 0 },
+            },
+            core,
+        );
+        if let Some(check) = check {
+            self.send(Event::CheckFailed(check), core);
+        }
+        self.send(Event::HealthSummary, core);
+    }
+
+    fn send(&mut self, event: Event, core: &mut Core) {
+        self.sequence = self.sequence.wrapping_add(1);
+        let severity = event.severity() as u8;
+        let data = EVENT_DATA {
+            id: event.id(),
+            event_time_boot_ms: core.time_boot_ms(),
+            sequence: self.sequence,
+            destination_component: 0,
+            destination_system: 0,
+            // The level for logs above the level for people.
+            log_levels: severity << 4 | severity,
+            arguments: event.arguments(),
+        };
+        if self.kept.len() >= KEPT {
+            self.kept.pop_front();
+        }
+        self.kept.push_back(data.clone());
+        core.outbox.send_all(&MavMessage::EVENT(data));
+        // Soon, so that the loss of this one is noticed soon.
+        self.tell_ns = self.tell_ns.min(core.now_ns + TELL_NS / 4);
+    }
+
+    fn tell_sequence(&mut self, core: &mut Core) {
+        self.tell_ns = core.now_ns + TELL_NS;
+        let mut flags = MavEventCurrentSequenceFlags::empty();
+        flags.set(
+            MavEventCurrentSequenceFlags::MAV_EVENT_CURRENT_SEQUENCE_FLAGS_RESET,
+            !std::mem::replace(&mut self.told, true),
+        );
+        let message = MavMessage::CURRENT_EVENT_SEQUENCE(CURRENT_EVENT_SEQUENCE_DATA {
+            sequence: self.sequence,
+            flags,
+        });
+        core.outbox.send_all(&message);
+    }
+
+    /// Sends the events asked for again, to the asker; of one that is kept no longer, how far back it can ask.
+    fn send_again(&self, request: &REQUEST_EVENT_DATA, source: Source, core: &mut Core) {
+        let count = request.last_sequence.wrapping_sub(request.first_sequence);
+        for i in 0..=count.min(KEPT as u16) {
+            let sequence = request.first_sequence.wrapping_add(i);
+            let message = match self.kept.iter().find(|e| e.sequence == sequence) {
+                Some(event) => MavMessage::EVENT(event.clone()),
+                None => MavMessage::RESPONSE_EVENT_ERROR(RESPONSE_EVENT_ERROR_DATA {
+                    sequence,
+                    sequence_oldest_available: self.kept.front().map_or(0, |e| e.sequence),
+                    target_system: source.id.system,
+                    target_component: source.id.component,
+                    reason: MavEventErrorReason::MAV_EVENT_ERROR_REASON_UNAVAILABLE,
+                }),
+            };
+            let is_error = matches!(message, MavMessage::RESPONSE_EVENT_ERROR(_));
+            core.outbox.send(source.link, &message);
+            if is_error {
+                return;
+            }
+        }
+    }
+}
+
+impl Event {
+    fn severity(self) -> MavSeverity {
+        match self {
+            Self::Terminated => MavSeverity::MAV_SEVERITY_EMERGENCY,
+            Self::FailsafeEntered(_) => MavSeverity::MAV_SEVERITY_CRITICAL,
+            Self::CheckFailed(_) => MavSeverity::MAV_SEVERITY_ERROR,
+            _ => MavSeverity::MAV_SEVERITY_INFO,
+        }
+    }
+}

@@ -1,0 +1,462 @@
+//! File transfer over the vehicle's files in memory. <https://mavlink.io/en/services/ftp.html>
+//!
+//! A session's number is the client's choice and counts per client: clients exist that ignore the number a server gives
+//! (MAVSDK) and that want theirs back (pymavlink), and this suits both.
+
+use crate::core::Core;
+use crate::files::{FileError, FileSystem, crc32};
+use crate::service::{Service, Source};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavFtpOpcode as Opcode};
+use vigil_mavlink::framing::Packet;
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
+
+/// Bytes of data in a packet.
+const MAX_DATA: usize = 239;
+const HEADER: usize = 12;
+/// Open files of one client, and of all.
+const MAX_CLIENT_SESSIONS: usize = 4;
+const MAX_SESSIONS: usize = 16;
+/// A session that was not used for so long makes room for a new one: its client has vanished.
+const SESSION_IDLE_NS: Nanos = 10_000_000_000;
+/// Pace of a burst: a faster one would overrun a client's socket buffer.
+const BURST_PAUSE_NS: Nanos = 1_000_000;
+const BURST_PACKETS_AT_ONCE: u16 = 2;
+/// Packets of one burst, about 35 kB as in PX4; the client asks for the next.
+const BURST_PACKETS: u16 = 146;
+/// Answers kept for a repeated request, one per client, and for how long: a repetition comes within a second.
+const MAX_ANSWERS: usize = 8;
+const ANSWER_KEPT_NS: Nanos = 2_000_000_000;
+
+/// A request.
+struct Request<'a> {
+    sequence: u16,
+    session: u8,
+    opcode: u8,
+    offset: usize,
+    /// `size` of the header: of the data, or of what is to be read.
+    size: usize,
+    data: &'a [u8],
+}
+
+impl<'a> Request<'a> {
+    fn read(payload: &'a [u8; 251]) -> Self {
+        let [s0, s1, session, opcode, size, _, _, _, o0, o1, o2, o3, data @ ..] = payload;
+        let size = usize::from(*size);
+        Self {
+            sequence: u16::from_le_bytes([*s0, *s1]),
+            session: *session,
+            opcode: *opcode,
+            offset: u32::from_le_bytes([*o0, *o1, *o2, *o3]) as usize,
+            size,
+            data: data.get(..size).unwrap_or(data),
+        }
+    }
+
+    /// The two texts of the data, the second empty where there is one: each ends at its zero or with the data.
+    fn texts(&self) -> Result<(&'a str, &'a str), FileError> {
+        let mut parts = self.data.split(|byte| *byte == 0);
+        let mut text = || core::str::from_utf8(parts.next().unwrap_or_default()).map_err(|_| FileError::BadPath);
+        Ok((text()?, text()?))
+    }
+
+    fn path(&self) -> Result<&'a str, FileError> {
+        self.texts().map(|(path, _)| path)
+    }
+}
+
+/// An acknowledgement's contents.
+#[derive(Default)]
+struct Reply {
+    data: Vec<u8>,
+    burst_complete: bool,
+}
+
+impl Reply {
+    fn number(value: u32) -> Self {
+        Self {
+            data: value.to_le_bytes().to_vec(),
+            ..Self::default()
+        }
+    }
+}
+
+/// Why a request is not acknowledged: the error code and, of FAILERRNO, the number.
+#[derive(Debug, Clone, Copy)]
+struct Nak(MavFtpErr, Option<u8>);
+
+impl From<MavFtpErr> for Nak {
+    fn from(error: MavFtpErr) -> Self {
+        Self(error, None)
+    }
+}
+
+impl From<FileError> for Nak {
+    /// The numbers of errno are those of Linux, as clients of PX4's simulation know them.
+    fn from(error: FileError) -> Self {
+        let errno = |number| Self(MavFtpErr::MAV_FTP_ERR_FAILERRNO, Some(number));
+        match error {
+            FileError::NotFound => MavFtpErr::MAV_FTP_ERR_FILENOTFOUND.into(),
+            FileError::Exists => MavFtpErr::MAV_FTP_ERR_FILEEXISTS.into(),
+            FileError::Protected => MavFtpErr::MAV_FTP_ERR_FILEPROTECTED.into(),
+            FileError::NotADirectory => errno(20),
+            FileError::IsADirectory => errno(21),
+            FileError::BadPath => errno(22),
+            FileError::NoSpace => errno(28),
+            FileError::NotEmpty => errno(39),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Burst {
+    offset: usize,
+    /// Bytes per packet.
+    size: usize,
+    sequence: u16,
+    packets_left: u16,
+}
+
+/// An open file.
+#[derive(Debug)]
+struct Session {
+    client: Source,
+    number: u8,
+    path: String,
+    writes: bool,
+    used_ns: Nanos,
+    burst: Option<Burst>,
+}
+
+/// The last answer to a client that must not be worked out twice.
+struct Answer {
+    client: Source,
+    request: [u8; 251],
+    payload: [u8; 251],
+    at_ns: Nanos,
+}
+
+#[derive(Default)]
+pub(crate) struct Ftp {
+    sessions: Vec<Session>,
+    answers: Vec<Answer>,
+    due_ns: Nanos,
+}
+
+impl Service for Ftp {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        if packet.message_id() != FILE_TRANSFER_PROTOCOL_DATA::ID {
+            return;
+        }
+        let Ok(MavMessage::FILE_TRANSFER_PROTOCOL(message)) = packet.message() else {
+            core.refusals.not_parsed += 1;
+            return;
+        };
+        let answered = self.answers.iter().find(|a| {
+            a.client == source && a.request == message.payload && core.now_ns.saturating_sub(a.at_ns) < ANSWER_KEPT_NS
+        });
+        if let Some(answer) = answered {
+            send(core, source, answer.payload);
+            return;
+        }
+        let request = Request::read(&message.payload);
+        let outcome = self.handle(&request, source, core);
+        if outcome.is_err() {
+            core.refusals.file += 1;
+        }
+        let Some(outcome) = outcome.transpose() else {
+            return;
+        };
+        let sequence = request.sequence.wrapping_add(1);
+        // The offset comes back too: pymavlink knows by it which piece of an upload is acknowledged.
+        let offset = request.offset as u32;
+        let payload = encode(sequence, request.session, request.opcode, offset, outcome);
+        if acts_once(request.opcode) {
+            self.keep_answer(source, message.payload, payload, core.now_ns);
+        }
+        send(core, source, payload);
+    }
+
+    fn due_ns(&self) -> Nanos {
+        if self.sessions.iter().any(|s| s.burst.is_some()) {
+            self.due_ns
+        } else {
+            Nanos::MAX
+        }
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + BURST_PAUSE_NS;
+        for session in &mut self.sessions {
+            for _ in 0..BURST_PACKETS_AT_ONCE {
+                session.send_burst_packet(core);
+            }
+        }
+    }
+}
+
+/// Whether a repetition of the request would find another state than the first.
+fn acts_once(opcode: u8) -> bool {
+    use Opcode::*;
+    [
+        MAV_FTP_OPCODE_TERMINATESESSION,
+        MAV_FTP_OPCODE_REMOVEFILE,
+        MAV_FTP_OPCODE_CREATEDIRECTORY,
+        MAV_FTP_OPCODE_REMOVEDIRECTORY,
+        MAV_FTP_OPCODE_RENAME,
+    ]
+    .iter()
+    .any(|once| *once as u8 == opcode)
+}
+
+fn encode(sequence: u16, session: u8, request_opcode: u8, offset: u32, outcome: Result<Reply, Nak>) -> [u8; 251] {
+    let (opcode, reply) = match outcome {
+        Ok(reply) => (Opcode::MAV_FTP_OPCODE_ACK, reply),
+        Err(Nak(error, errno)) => {
+            let mut data = vec![error as u8];
+            data.extend(errno);
+            let reply = Reply {
+                data,
+                ..Reply::default()
+            };
+            (Opcode::MAV_FTP_OPCODE_NAK, reply)
+        }
+    };
+    let mut payload = [0; 251];
+    let [s0, s1] = sequence.to_le_bytes();
+    let [o0, o1, o2, o3] = offset.to_le_bytes();
+    let size = reply.data.len().min(MAX_DATA);
+    let header: [u8; HEADER] = [
+        s0,
+        s1,
+        session,
+        opcode as u8,
+        size as u8,
+        request_opcode,
+        u8::from(reply.burst_complete),
+        0,
+        o0,
+        o1,
+        o2,
+        o3,
+    ];
+    for (to, from) in payload.iter_mut().zip(header.iter().chain(&reply.data)) {
+        *to = *from;
+    }
+    payload
+}
+
+fn send(core: &mut Core, client: Source, payload: [u8; 251]) {
+    let message = MavMessage::FILE_TRANSFER_PROTOCOL(FILE_TRANSFER_PROTOCOL_DATA {
+        target_network: 0,
+        target_system: client.id.system,
+        target_component: client.id.component,
+        payload,
+    });
+    core.outbox.send(client.link, &message);
+}
+
+impl Ftp {
+    /// What a request comes to; `None` where the answer follows as a burst.
+    fn handle(&mut self, request: &Request<'_>, client: Source, core: &mut Core) -> Result<Option<Reply>, Nak> {
+        use Opcode::*;
+        if request.size > MAX_DATA {
+            return Err(MavFtpErr::MAV_FTP_ERR_INVALIDDATASIZE.into());
+        }
+        let is = |opcode: Opcode| request.opcode == opcode as u8;
+        let now_s = core.unix_time_s();
+        let done = Reply::default;
+        let reply = if is(MAV_FTP_OPCODE_NONE) {
+            done()
+        } else if is(MAV_FTP_OPCODE_TERMINATESESSION) {
+            let index = self.find(client, request.session)?;
+            self.sessions.remove(index);
+            done()
+        } else if is(MAV_FTP_OPCODE_RESETSESSION) {
+            self.sessions.retain(|s| s.client != client);
+            done()
+        } else if is(MAV_FTP_OPCODE_LISTDIRECTORY) {
+            list(&core.files, request, false)?
+        } else if is(MAV_FTP_OPCODE_LISTDIRECTORYWITHTIME) {
+            list(&core.files, request, true)?
+        } else if is(MAV_FTP_OPCODE_OPENFILERO) {
+            let path = request.path()?;
+            let size = core.files.read(path)?.len();
+            self.open(client, request.session, path, false, core.now_ns)?;
+            Reply::number(size as u32)
+        } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
+            let path = request.path()?;
+            self.make_room(client, request.session, core.now_ns)?;
+            core.files
+                .open_for_writing(path, is(MAV_FTP_OPCODE_OPENFILEWO), now_s)?;
+            self.open(client, request.session, path, true, core.now_ns)?;
+            Reply::number(core.files.read(path)?.len() as u32)
+        } else if is(MAV_FTP_OPCODE_READFILE) {
+            let session = self.session(client, request.session, core.now_ns)?;
+            session.read(&core.files, request.offset, request.size)?
+        } else if is(MAV_FTP_OPCODE_BURSTREADFILE) {
+            let session = self.session(client, request.session, core.now_ns)?;
+            session.read(&core.files, request.offset, 1)?;
+            session.burst = Some(Burst {
+                offset: request.offset,
+                size: match request.size {
+                    0 => MAX_DATA,
+                    size => size,
+                },
+                sequence: request.sequence,
+                packets_left: BURST_PACKETS,
+            });
+            self.due_ns = core.now_ns;
+            return Ok(None);
+        } else if is(MAV_FTP_OPCODE_WRITEFILE) {
+            let session = self.session(client, request.session, core.now_ns)?;
+            if !session.writes {
+                return Err(FileError::Protected.into());
+            }
+            core.files.write(&session.path, request.offset, request.data, now_s)?;
+            Reply::number(request.data.len() as u32)
+        } else if is(MAV_FTP_OPCODE_REMOVEFILE) {
+            core.files.remove_file(request.path()?)?;
+            done()
+        } else if is(MAV_FTP_OPCODE_CREATEDIRECTORY) {
+            core.files.make_directory(request.path()?, now_s)?;
+            done()
+        } else if is(MAV_FTP_OPCODE_REMOVEDIRECTORY) {
+            core.files.remove_directory(request.path()?)?;
+            done()
+        } else if is(MAV_FTP_OPCODE_TRUNCATEFILE) {
+            core.files.truncate(request.path()?, request.offset, now_s)?;
+            done()
+        } else if is(MAV_FTP_OPCODE_RENAME) {
+            let (from, to) = request.texts()?;
+            core.files.rename(from, to)?;
+            done()
+        } else if is(MAV_FTP_OPCODE_CALCFILECRC) {
+            Reply::number(crc32(core.files.read(request.path()?)?))
+        } else {
+            return Err(MavFtpErr::MAV_FTP_ERR_UNKNOWNCOMMAND.into());
+        };
+        Ok(Some(reply))
+    }
+
+    fn find(&self, client: Source, number: u8) -> Result<usize, Nak> {
+        self.sessions
+            .iter()
+            .position(|s| s.client == client && s.number == number)
+            .ok_or(MavFtpErr::MAV_FTP_ERR_INVALIDSESSION.into())
+    }
+
+    fn session(&mut self, client: Source, number: u8, now_ns: Nanos) -> Result<&mut Session, Nak> {
+        let index = self.find(client, number)?;
+        let session = &mut self.sessions[index];
+        session.used_ns = now_ns;
+        Ok(session)
+    }
+
+    /// Makes sure that a session can be opened. One of the same number gives way, then the one idle for longest.
+    fn make_room(&mut self, client: Source, number: u8, now_ns: Nanos) -> Result<(), Nak> {
+        self.sessions.retain(|s| s.client != client || s.number != number);
+        let own = self.sessions.iter().filter(|s| s.client == client).count();
+        if own < MAX_CLIENT_SESSIONS && self.sessions.len() < MAX_SESSIONS {
+            return Ok(());
+        }
+        let only_own = own >= MAX_CLIENT_SESSIONS;
+        let oldest = (0..self.sessions.len())
+            .filter(|i| !only_own || self.sessions[*i].client == client)
+            .min_by_key(|i| self.sessions[*i].used_ns)
+            .filter(|i| now_ns.saturating_sub(self.sessions[*i].used_ns) >= SESSION_IDLE_NS);
+        let oldest = oldest.ok_or(MavFtpErr::MAV_FTP_ERR_NOSESSIONSAVAILABLE)?;
+        self.sessions.remove(oldest);
+        Ok(())
+    }
+
+    fn open(&mut self, client: Source, number: u8, path: &str, writes: bool, now_ns: Nanos) -> Result<(), Nak> {
+        self.make_room(client, number, now_ns)?;
+        self.sessions.push(Session {
+            client,
+            number,
+            path: path.to_owned(),
+            writes,
+            used_ns: now_ns,
+            burst: None,
+        });
+        Ok(())
+    }
+
+    fn keep_answer(&mut self, client: Source, request: [u8; 251], payload: [u8; 251], now_ns: Nanos) {
+        self.answers.retain(|a| a.client != client);
+        if self.answers.len() >= MAX_ANSWERS {
+            self.answers.remove(0);
+        }
+        self.answers.push(Answer {
+            client,
+            request,
+            payload,
+            at_ns: now_ns,
+        });
+    }
+}
+
+impl Session {
+    fn read(&self, files: &FileSystem, offset: usize, size: usize) -> Result<Reply, Nak> {
+        let content = files.read(&self.path)?;
+        let rest = content.get(offset..).filter(|rest| !rest.is_empty());
+        let rest = rest.ok_or(MavFtpErr::MAV_FTP_ERR_EOF)?;
+        Ok(Reply {
+            data: rest.get(..size).unwrap_or(rest).to_vec(),
+            burst_complete: false,
+        })
+    }
+
+    /// The next packet of a burst; behind the end of the file that is a NAK with EOF, which ends it.
+    fn send_burst_packet(&mut self, core: &mut Core) {
+        let Some(burst) = self.burst.take() else {
+            return;
+        };
+        let sequence = burst.sequence.wrapping_add(1);
+        let packets_left = burst.packets_left.saturating_sub(1);
+        let mut outcome = self.read(&core.files, burst.offset, burst.size);
+        if let Ok(reply) = &mut outcome {
+            reply.burst_complete = packets_left == 0;
+            self.burst = (packets_left > 0).then_some(Burst {
+                offset: burst.offset + reply.data.len(),
+                sequence,
+                packets_left,
+                ..burst
+            });
+        }
+        self.used_ns = core.now_ns;
+        let opcode = Opcode::MAV_FTP_OPCODE_BURSTREADFILE as u8;
+        let payload = encode(sequence, self.number, opcode, burst.offset as u32, outcome);
+        send(core, self.client, payload);
+    }
+}
+
+/// As many entries from number `offset` as fit: type, name, and of a file its size, each with a zero behind. With times
+/// a directory also has a size (0).
+fn list(files: &FileSystem, request: &Request<'_>, with_times: bool) -> Result<Reply, Nak> {
+    let mut data = Vec::with_capacity(MAX_DATA);
+    for entry in files.list(request.path()?)?.skip(request.offset) {
+        let (kind, size) = match entry.size {
+            Some(size) => ('F', size),
+            None => ('D', 0),
+        };
+        let line = match (with_times, entry.size) {
+            (true, _) => format!("{kind}{}\t{size}\t{}\0", entry.name, entry.modified_s),
+            (false, Some(_)) => format!("{kind}{}\t{size}\0", entry.name),
+            (false, None) => format!("{kind}{}\0", entry.name),
+        };
+        if data.len() + line.len() > MAX_DATA {
+            break;
+        }
+        data.extend_from_slice(line.as_bytes());
+    }
+    if data.is_empty() {
+        return Err(MavFtpErr::MAV_FTP_ERR_EOF.into());
+    }
+    Ok(Reply {
+        data,
+        burst_complete: false,
+    })
+}

@@ -1,0 +1,54 @@
+//! FENCE_STATUS, and the watch over the geofence. <https://mavlink.io/en/messages/common.html#FENCE_STATUS>
+
+use crate::core::Core;
+use crate::plan::Breach;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{FENCE_STATUS_DATA, FenceBreach, FenceMitigate};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
+
+/// How often the vehicle's place is compared with the geofence.
+const PERIOD_NS: Nanos = 50_000_000;
+
+#[derive(Debug, Default)]
+pub(crate) struct Geofence {
+    due_ns: Nanos,
+}
+
+impl Service for Geofence {
+    fn messages(&self) -> &'static [Produced] {
+        &[Produced {
+            id: FENCE_STATUS_DATA::ID,
+            rate_hz: [0.0, 1.0, 1.0],
+            build: Build::From(fence_status),
+        }]
+    }
+
+    fn due_ns(&self) -> Nanos {
+        self.due_ns
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + PERIOD_NS;
+        core.watch_fence();
+    }
+}
+
+/// Nothing while there is no geofence.
+fn fence_status(core: &Core) -> Option<MavMessage> {
+    let watch = &core.fence_watch;
+    core.has_fence().then(|| {
+        MavMessage::FENCE_STATUS(FENCE_STATUS_DATA {
+            breach_time: watch.last_ms,
+            breach_count: watch.count,
+            breach_status: u8::from(watch.breach.is_some()),
+            breach_type: match watch.breach {
+                None => FenceBreach::FENCE_BREACH_NONE,
+                Some(Breach::Height) => FenceBreach::FENCE_BREACH_MAXALT,
+                Some(Breach::Boundary) => FenceBreach::FENCE_BREACH_BOUNDARY,
+            },
+            breach_mitigation: FenceMitigate::FENCE_MITIGATE_NONE,
+        })
+    })
+}

@@ -1,0 +1,113 @@
+//! HOME_POSITION and GPS_GLOBAL_ORIGIN. <https://mavlink.io/en/services/home.html>
+//!
+//! Both are the local origin until DO_SET_HOME moves home, which changes where a return flies to and what
+//! GF_MAX_HOR_DIST is counted from. Home keeps its height: the world is level, and heights are above it.
+
+use crate::core::Core;
+use crate::geo::{self, deg_e7};
+use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::services::actions::MAX_DISTANCE_M;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, MavSeverity, SET_GPS_GLOBAL_ORIGIN_DATA};
+use vigil_mavlink::framing::{Command, Packet};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::NedVector;
+
+/// MAV_CMD_GET_HOME_POSITION: the old way to ask for HOME_POSITION.
+const GET_HOME_POSITION: u16 = 410;
+/// MAV_CMD_DO_SET_HOME.
+const DO_SET_HOME: u16 = 179;
+/// How far the height of a place may be from home's that is still meant to be the same.
+const SAME_HEIGHT_M: f64 = 1.0;
+/// MAV_FRAME numbers of global places.
+const GLOBAL_FRAMES: [u8; 4] = [0, 3, 5, 6];
+
+pub(crate) struct Geography;
+
+impl Service for Geography {
+    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
+        // The origin is where the simulated world has it; whoever wants another is told the one in force.
+        if packet.message_id() == SET_GPS_GLOBAL_ORIGIN_DATA::ID {
+            core.announce(GPS_GLOBAL_ORIGIN_DATA::ID);
+        }
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
+        match command.number {
+            GET_HOME_POSITION => {
+                core.request(source.link, HOME_POSITION_DATA::ID);
+                Some(Answer::ACCEPTED)
+            }
+            DO_SET_HOME => Some(set_home(command, core)),
+            _ => None,
+        }
+    }
+
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: HOME_POSITION_DATA::ID,
+                rate_hz: [0.5, 0.5, 0.5],
+                build: Build::From(home),
+            },
+            Produced {
+                id: GPS_GLOBAL_ORIGIN_DATA::ID,
+                rate_hz: [0.5, 0.5, 0.5],
+                build: Build::From(origin),
+            },
+        ]
+    }
+}
+
+/// Parameter 1 says whether home is where the vehicle is now (1) or where parameters 5 to 7 say (0). The altitude is above
+/// sea level whatever the frame, as PX4 reads it: MAVSDK sends it so in a frame that is relative to home.
+fn set_home(command: &Command, core: &mut Core) -> Answer {
+    let here = core.view.estimate.position_ned_m;
+    let home_m = match (command.param(1), command.latitude_longitude_deg()) {
+        (Some(1.0), _) => (here.x, here.y),
+        (Some(0.0) | None, Some((lat, lon))) if GLOBAL_FRAMES.contains(&command.frame()) => {
+            if lat.abs() > 90.0 || lon.abs() > 180.0 {
+                return Answer::DENIED;
+            }
+            let altitude_m = command.param(7).map_or(core.home.altitude_m, f64::from);
+            // An infinite altitude is at no height.
+            if (altitude_m - core.home.altitude_m).abs() > SAME_HEIGHT_M {
+                core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: home keeps its height");
+                return Answer::DENIED;
+            }
+            geo::to_local(&core.home, lat, lon)
+        }
+        _ => return Answer::DENIED,
+    };
+    if libm::hypotf(home_m.0 - here.x, home_m.1 - here.y) > MAX_DISTANCE_M {
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from the vehicle");
+        return Answer::DENIED;
+    }
+    core.home_m = home_m;
+    core.announce(HOME_POSITION_DATA::ID);
+    Answer::ACCEPTED
+}
+
+fn home(core: &Core) -> Option<MavMessage> {
+    let (x, y) = core.home_m;
+    let (latitude_deg, longitude_deg, altitude_m) = geo::to_global(&core.home, NedVector::new(x, y, 0.0));
+    Some(MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+        latitude: deg_e7(latitude_deg),
+        longitude: deg_e7(longitude_deg),
+        altitude: (altitude_m * 1e3) as i32,
+        x,
+        y,
+        q: [1.0, 0.0, 0.0, 0.0],
+        time_usec: core.time_boot_us(),
+        ..Default::default()
+    }))
+}
+
+fn origin(core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
+        latitude: deg_e7(core.home.latitude_deg),
+        longitude: deg_e7(core.home.longitude_deg),
+        altitude: (core.home.altitude_m * 1e3) as i32,
+        time_usec: core.time_boot_us(),
+    }))
+}

@@ -1,0 +1,54 @@
+//! SYS_STATUS: which sensors there are and whether they work, and whether the vehicle can be armed.
+
+use crate::core::Core;
+use crate::service::{Build, Produced, Service};
+use crate::services::battery;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{MavSysStatusSensor as Sensor, SYS_STATUS_DATA};
+use vigil_mavlink::mavlink::MessageData;
+
+pub(crate) struct Health;
+
+impl Service for Health {
+    fn messages(&self) -> &'static [Produced] {
+        &[Produced {
+            id: SYS_STATUS_DATA::ID,
+            rate_hz: [1.0, 1.0, 1.0],
+            build: Build::From(sys_status),
+        }]
+    }
+}
+
+fn sys_status(core: &Core) -> Option<MavMessage> {
+    let mut present = Sensor::MAV_SYS_STATUS_SENSOR_3D_GYRO
+        | Sensor::MAV_SYS_STATUS_SENSOR_3D_ACCEL
+        | Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG
+        | Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+        | Sensor::MAV_SYS_STATUS_SENSOR_GPS
+        | Sensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
+        | Sensor::MAV_SYS_STATUS_AHRS
+        | Sensor::MAV_SYS_STATUS_SENSOR_BATTERY
+        | Sensor::MAV_SYS_STATUS_PREARM_CHECK;
+    present.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.has_fence());
+    let mut health = present;
+    // Healthy also without a geofence: ground stations take the bit's absence for a breach.
+    health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
+    let attitude = core.view.estimate.attitude;
+    health.set(
+        Sensor::MAV_SYS_STATUS_AHRS,
+        attitude.is_valid() && core.view.estimate.position_ned_m.is_finite(),
+    );
+    health.set(Sensor::MAV_SYS_STATUS_PREARM_CHECK, core.arming_check().is_ok());
+    let s = &core.view.sensors;
+    Some(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
+        onboard_control_sensors_present: present,
+        onboard_control_sensors_enabled: present,
+        onboard_control_sensors_health: health,
+        load: 100,
+        voltage_battery: (s.battery_voltage_v * 1e3) as u16,
+        current_battery: (s.battery_current_a * 100.0) as i16,
+        battery_remaining: battery::percent(core),
+        errors_comm: (core.framing.bad_crc + core.framing.truncated).min(u64::from(u16::MAX)) as u16,
+        ..Default::default()
+    }))
+}

@@ -1,0 +1,54 @@
+//! How often messages come, and single requests.
+//! <https://mavlink.io/en/mavgen_python/howto_requestmessages.html>
+
+use crate::core::Core;
+use crate::service::{Answer, Services, Source};
+use crate::streams::Streams;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::MESSAGE_INTERVAL_DATA;
+use vigil_mavlink::framing::Command;
+
+const GET_MESSAGE_INTERVAL: u16 = 510;
+const SET_MESSAGE_INTERVAL: u16 = 511;
+const REQUEST_MESSAGE: u16 = 512;
+
+/// Answers 510, 511 and 512 for the link that the command came on. A message that the vehicle does not have is DENIED, as
+/// in PX4: UNSUPPORTED would tell the client that the command itself does not exist.
+pub(crate) fn message_interval(
+    command: &Command,
+    source: Source,
+    core: &mut Core,
+    streams: &mut Streams,
+    services: &mut Services,
+) -> Option<Answer> {
+    if !(GET_MESSAGE_INTERVAL..=REQUEST_MESSAGE).contains(&command.number) {
+        return None;
+    }
+    // The largest message id is 2^24 − 1, which a float holds exactly.
+    let id = command
+        .param(1)
+        .filter(|p| (0.0..=16_777_215.0).contains(p))
+        .map(|p| p as u32);
+    let Some(id) = id.filter(|id| streams.knows(*id)) else {
+        return Some(Answer::DENIED);
+    };
+    match command.number {
+        GET_MESSAGE_INTERVAL => {
+            let message = MavMessage::MESSAGE_INTERVAL(MESSAGE_INTERVAL_DATA {
+                interval_us: streams.interval_us(source.link, id),
+                message_id: id as u16,
+            });
+            core.outbox.send(source.link, &message);
+        }
+        SET_MESSAGE_INTERVAL => {
+            let Some(interval_us) = command.param(2) else {
+                return Some(Answer::DENIED);
+            };
+            streams.set_interval(core.now_ns, source.link, id, interval_us);
+        }
+        // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
+        _ if !streams.has(core, services, id) => return Some(Answer::DENIED),
+        _ => core.request(source.link, id),
+    }
+    Some(Answer::ACCEPTED)
+}

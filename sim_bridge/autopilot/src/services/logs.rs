@@ -1,0 +1,350 @@
+//! The flight log, its download and its streaming. <https://mavlink.io/en/services/log.html> (LOG_REQUEST_LIST and its
+//! kin), LOGGING_START
+//!
+//! From arming to disarming the vehicle records itself into a file of comma-separated values under `log`, which can also
+//! be read by file transfer. docs/mavlink.md describes the columns.
+
+use crate::core::Core;
+use crate::service::{Answer, Service, Source};
+use std::fmt::Write;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    LOG_DATA_DATA, LOG_ENTRY_DATA, LOG_ERASE_DATA, LOG_REQUEST_DATA_DATA, LOG_REQUEST_END_DATA, LOG_REQUEST_LIST_DATA,
+    LOGGING_DATA_DATA,
+};
+use vigil_mavlink::framing::{Command, Packet};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
+
+const DIRECTORY: &str = "log";
+/// Ten records per second.
+const RECORD_NS: Nanos = 100_000_000;
+/// Size of one log, about 12 minutes; more is not recorded.
+const MAX_LOG: usize = 1024 * 1024;
+/// Logs kept; the oldest gives way.
+const MAX_LOGS: usize = 4;
+/// Pace of a download, as of file transfer.
+const SEND_NS: Nanos = 1_000_000;
+const PACKETS_AT_ONCE: usize = 2;
+const CHUNK: usize = 90;
+/// Downloads at a time, one per client; as many clients may have a log streamed.
+const MAX_DOWNLOADS: usize = 4;
+const LOGGING_START: u16 = 2510;
+const LOGGING_STOP: u16 = 2511;
+/// Bytes of LOGGING_DATA, and packets for each record: the beginning of a log is caught up with.
+const STREAM_CHUNK: usize = 249;
+const STREAM_PACKETS: usize = 4;
+
+const COLUMNS: &str = "time_s,mode,landed,failsafe,north_m,east_m,down_m,north_m_s,east_m_s,down_m_s,\
+    roll_rad,pitch_rad,yaw_rad,throttle,battery_v,battery_a,battery_remaining\n";
+
+/// Logs that are being listed or a log that is being sent.
+#[derive(Debug, Clone)]
+enum Work {
+    List {
+        next: usize,
+        end: usize,
+    },
+    Data {
+        path: String,
+        id: u16,
+        offset: usize,
+        end: usize,
+    },
+}
+
+/// A log that is sent while it is written.
+#[derive(Debug, Clone)]
+struct Stream {
+    client: Source,
+    path: String,
+    offset: usize,
+    sequence: u16,
+}
+
+#[derive(Default)]
+pub(crate) struct Logs {
+    /// The log that is being recorded.
+    recording: Option<String>,
+    /// Whether it has reached its size.
+    full: bool,
+    recorded: u32,
+    /// Texts sent when the last record was written.
+    texts: u64,
+    line: String,
+    record_ns: Nanos,
+    send_ns: Nanos,
+    work: Vec<(Source, Work)>,
+    streams: Vec<Stream>,
+}
+
+impl Service for Logs {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        let ids = [
+            LOG_REQUEST_LIST_DATA::ID,
+            LOG_REQUEST_DATA_DATA::ID,
+            LOG_ERASE_DATA::ID,
+            LOG_REQUEST_END_DATA::ID,
+        ];
+        if !ids.contains(&packet.message_id()) {
+            return;
+        }
+        match packet.message() {
+            Ok(MavMessage::LOG_REQUEST_LIST(request)) => {
+                let count = paths(core).len();
+                let work = Work::List {
+                    next: usize::from(request.start).min(count),
+                    end: (usize::from(request.end) + 1).min(count),
+                };
+                if count == 0 {
+                    core.outbox.send(source.link, &entry(core, 0));
+                } else {
+                    self.begin(source, work, core.now_ns);
+                }
+            }
+            Ok(MavMessage::LOG_REQUEST_DATA(request)) => {
+                let Some(path) = paths(core).get(usize::from(request.id)).cloned() else {
+                    core.refusals.file += 1;
+                    core.outbox
+                        .send(source.link, &data(request.id, request.ofs as usize, &[]));
+                    return;
+                };
+                let size = core.files.read(&path).map_or(0, <[u8]>::len);
+                let offset = (request.ofs as usize).min(size);
+                let end = offset.saturating_add(request.count as usize).min(size);
+                if offset == end {
+                    core.outbox.send(source.link, &data(request.id, offset, &[]));
+                    return;
+                }
+                let id = request.id;
+                self.begin(source, Work::Data { path, id, offset, end }, core.now_ns);
+            }
+            Ok(MavMessage::LOG_REQUEST_END(_)) => self.work.retain(|(client, _)| *client != source),
+            Ok(MavMessage::LOG_ERASE(_)) => {
+                self.work.clear();
+                for path in paths(core) {
+                    if self.recording.as_ref() != Some(&path) {
+                        core.files.remove_own(&path);
+                    }
+                }
+            }
+            _ => core.refusals.not_parsed += 1,
+        }
+    }
+
+    fn command(&mut self, command: &Command, source: Source, _core: &mut Core) -> Option<Answer> {
+        match command.number {
+            LOGGING_START => {
+                self.streams.retain(|s| s.client != source);
+                if self.streams.len() >= MAX_DOWNLOADS {
+                    return Some(Answer::REJECTED);
+                }
+                self.streams.push(Stream {
+                    client: source,
+                    path: String::new(),
+                    offset: 0,
+                    sequence: 0,
+                });
+            }
+            LOGGING_STOP => self.streams.retain(|s| s.client != source),
+            _ => return None,
+        }
+        Some(Answer::ACCEPTED)
+    }
+
+    fn due_ns(&self) -> Nanos {
+        if self.work.is_empty() {
+            self.record_ns
+        } else {
+            self.record_ns.min(self.send_ns)
+        }
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        if self.record_ns <= core.now_ns {
+            self.record_ns = core.now_ns + RECORD_NS;
+            self.record(core);
+            if let Some(path) = &self.recording {
+                self.streams.iter_mut().for_each(|s| s.send(path, core));
+            }
+        }
+        if !self.work.is_empty() && self.send_ns <= core.now_ns {
+            self.send_ns = core.now_ns + SEND_NS;
+            self.work
+                .retain_mut(|(client, work)| (0..PACKETS_AT_ONCE).all(|_| work.send(*client, core)));
+        }
+    }
+}
+
+/// The logs from the oldest: the position is a log's number on the link.
+fn paths(core: &Core) -> Vec<String> {
+    let listed = core.files.list(DIRECTORY);
+    listed.map_or(Vec::new(), |entries| {
+        entries.map(|e| format!("{DIRECTORY}/{}", e.name)).collect()
+    })
+}
+
+/// What LOG_ENTRY says of log number `index`; no logs are told by a count of 0.
+fn entry(core: &Core, index: usize) -> MavMessage {
+    let entries: Vec<_> = core.files.list(DIRECTORY).map_or(Vec::new(), Iterator::collect);
+    let log = entries.get(index);
+    MavMessage::LOG_ENTRY(LOG_ENTRY_DATA {
+        time_utc: log.map_or(0, |l| l.modified_s as u32),
+        size: log.and_then(|l| l.size).unwrap_or(0) as u32,
+        id: index as u16,
+        num_logs: entries.len() as u16,
+        last_log_num: entries.len().saturating_sub(1) as u16,
+    })
+}
+
+fn data(id: u16, ofs: usize, bytes: &[u8]) -> MavMessage {
+    let mut data = [0; CHUNK];
+    for (to, from) in data.iter_mut().zip(bytes) {
+        *to = *from;
+    }
+    MavMessage::LOG_DATA(LOG_DATA_DATA {
+        ofs: ofs as u32,
+        id,
+        count: bytes.len().min(CHUNK) as u8,
+        data,
+    })
+}
+
+impl Work {
+    /// Sends the next packet; `false` when that was the last.
+    fn send(&mut self, client: Source, core: &mut Core) -> bool {
+        match self {
+            Self::List { next, end } => {
+                if next >= end {
+                    return false;
+                }
+                let message = entry(core, *next);
+                core.outbox.send(client.link, &message);
+                *next += 1;
+                next < end
+            }
+            Self::Data { path, id, offset, end } => {
+                // Empty where the log was erased meanwhile: that ends it.
+                let content = core.files.read(path).unwrap_or_default();
+                let to = (*offset + CHUNK).min(*end);
+                let bytes = content.get(*offset..to).unwrap_or_default();
+                let message = data(*id, *offset, bytes);
+                *offset += bytes.len();
+                let goes_on = !bytes.is_empty() && offset < end;
+                core.outbox.send(client.link, &message);
+                goes_on
+            }
+        }
+    }
+}
+
+impl Stream {
+    /// Sends what was written to the log at `path` since the last call.
+    fn send(&mut self, path: &str, core: &mut Core) {
+        if self.path != path {
+            self.path = path.to_owned();
+            self.offset = 0;
+        }
+        for _ in 0..STREAM_PACKETS {
+            let content = core.files.read(path).unwrap_or_default();
+            let to = (self.offset + STREAM_CHUNK).min(content.len());
+            let bytes = content.get(self.offset..to).unwrap_or_default();
+            if bytes.is_empty() {
+                return;
+            }
+            let mut data = [0; STREAM_CHUNK];
+            for (to, from) in data.iter_mut().zip(bytes) {
+                *to = *from;
+            }
+            let message = MavMessage::LOGGING_DATA(LOGGING_DATA_DATA {
+                sequence: self.sequence,
+                target_system: self.client.id.system,
+                target_component: self.client.id.component,
+                length: bytes.len() as u8,
+                first_message_offset: 0,
+                data,
+            });
+            self.offset = to;
+            self.sequence = self.sequence.wrapping_add(1);
+            core.outbox.send(self.client.link, &message);
+        }
+    }
+}
+
+impl Logs {
+    /// A new request of a client ends what it asked for before.
+    fn begin(&mut self, client: Source, work: Work, now_ns: Nanos) {
+        self.work.retain(|(of, _)| *of != client);
+        if self.work.len() >= MAX_DOWNLOADS {
+            self.work.remove(0);
+        }
+        self.work.push((client, work));
+        self.send_ns = now_ns;
+    }
+
+    fn record(&mut self, core: &mut Core) {
+        if !core.commander.is_armed() {
+            self.recording = None;
+            self.texts = core.texts;
+            return;
+        }
+        let path = match &self.recording {
+            Some(path) => path.clone(),
+            None => self.begin_log(core),
+        };
+        self.line.clear();
+        if core.texts != self.texts {
+            self.texts = core.texts;
+            // Writing into a string cannot fail.
+            let _ = writeln!(self.line, "# {}", core.last_text);
+        }
+        self.write_record(core);
+        let size = core.files.read(&path).map_or(0, <[u8]>::len);
+        if size + self.line.len() <= MAX_LOG {
+            core.files.append_own(&path, self.line.as_bytes(), core.unix_time_s());
+        } else if !std::mem::replace(&mut self.full, true) {
+            core.files.append_own(&path, b"# full\n", core.unix_time_s());
+        }
+    }
+
+    fn begin_log(&mut self, core: &mut Core) -> String {
+        let logs = paths(core);
+        let surplus = (logs.len() + 1).saturating_sub(MAX_LOGS);
+        for oldest in logs.iter().take(surplus) {
+            core.files.remove_own(oldest);
+        }
+        self.recorded += 1;
+        let path = format!("{DIRECTORY}/flight_{:05}.csv", self.recorded);
+        core.files.provide(&path, COLUMNS.into(), core.unix_time_s());
+        self.recording = Some(path.clone());
+        self.full = false;
+        path
+    }
+
+    fn write_record(&mut self, core: &Core) {
+        let (c, e, s) = (&core.commander, &core.view.estimate, &core.view.sensors);
+        let (p, v, a) = (e.position_ned_m, e.velocity_ned_m_s, e.attitude);
+        let time_s = core.since_boot_ns() as f64 * 1e-9;
+        let landed = c.landed() as u8;
+        let failsafe = c.failsafe().map_or(0, |f| f as u8 + 1);
+        // Writing into a string cannot fail.
+        let _ = writeln!(
+            self.line,
+            "{time_s:.3},{},{landed},{failsafe},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{:.4},{:.4},{:.4},{:.3},{:.3},{:.2},{:.4}",
+            c.mode().name(),
+            p.x,
+            p.y,
+            p.z,
+            v.x,
+            v.y,
+            v.z,
+            a.roll_rad(),
+            a.pitch_rad(),
+            a.yaw_rad(),
+            s.throttle,
+            s.battery_voltage_v,
+            s.battery_current_a,
+            s.battery_remaining,
+        );
+    }
+}

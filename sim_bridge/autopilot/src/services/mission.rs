@@ -1,0 +1,131 @@
+//! Starting, pausing and following a mission. <https://mavlink.io/en/services/mission.html>
+
+use crate::core::Core;
+use crate::flight::FlightMode;
+use crate::plan::PlanKind;
+use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::services::arming::answer;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{MISSION_CURRENT_DATA, MISSION_ITEM_REACHED_DATA, MISSION_SET_CURRENT_DATA, MavSeverity};
+use vigil_mavlink::framing::{Command, Packet};
+use vigil_mavlink::mavlink::MessageData;
+
+const DO_CHANGE_SPEED: u16 = 178;
+const DO_PAUSE_CONTINUE: u16 = 193;
+const DO_SET_MISSION_CURRENT: u16 = 224;
+const MISSION_START: u16 = 300;
+
+pub(crate) struct MissionService;
+
+impl Service for MissionService {
+    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
+        if packet.message_id() == MISSION_SET_CURRENT_DATA::ID {
+            let byte = |at: usize| packet.payload().get(at).copied().unwrap_or(0);
+            let index = usize::from(u16::from_le_bytes([byte(0), byte(1)]));
+            if !set_current(index, false, core) {
+                core.refusals.plan += 1;
+                let text = format!("there is no mission item {index}");
+                core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            }
+        }
+    }
+
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
+        Some(match command.number {
+            MISSION_START => start(command, source, core),
+            DO_PAUSE_CONTINUE => {
+                let mode = match command.param(1) {
+                    Some(0.0) => FlightMode::Hold,
+                    Some(1.0) => FlightMode::Mission,
+                    _ => return Some(Answer::DENIED),
+                };
+                let outcome = core.change_mode(mode, source.id);
+                answer(outcome, core)
+            }
+            DO_SET_MISSION_CURRENT => {
+                let resets = command.param(2) == Some(1.0);
+                let index = match command.param(1) {
+                    Some(-1.0) => usize::from(core.plans.mission.current()),
+                    Some(index) if index >= 0.0 => index as usize,
+                    _ => return Some(Answer::DENIED),
+                };
+                if set_current(index, resets, core) {
+                    Answer::ACCEPTED
+                } else {
+                    Answer::DENIED
+                }
+            }
+            DO_CHANGE_SPEED => match (command.param(1), command.param(2)) {
+                // Airspeed and ground speed are one without wind; rates of climb are parameters.
+                (Some(0.0 | 1.0), Some(speed_m_s)) if speed_m_s > 0.0 => {
+                    let outcome = core.change_speed(speed_m_s);
+                    answer(outcome, core)
+                }
+                _ => Answer::DENIED,
+            },
+            _ => return None,
+        })
+    }
+
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: MISSION_CURRENT_DATA::ID,
+                rate_hz: [0.0, 1.0, 1.0],
+                build: Build::From(current),
+            },
+            Produced {
+                id: MISSION_ITEM_REACHED_DATA::ID,
+                rate_hz: [0.0, 1.0, 1.0],
+                build: Build::From(reached),
+            },
+        ]
+    }
+}
+
+fn set_current(index: usize, resets: bool, core: &mut Core) -> bool {
+    let is_set = core.plans.mission.set_current(index, resets);
+    if is_set {
+        core.mission_changed();
+    }
+    is_set
+}
+
+/// Starts with the item of parameter 1 (−1: the current one), and arms, as PX4 does.
+fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
+    match command.param(1) {
+        None | Some(-1.0) => {}
+        Some(first) if first >= 0.0 => {
+            if !set_current(first as usize, false, core) {
+                return Answer::DENIED;
+            }
+        }
+        Some(_) => return Answer::DENIED,
+    }
+    let outcome = core
+        .change_mode(FlightMode::Mission, source.id)
+        .and_then(|()| core.arm());
+    answer(outcome, core)
+}
+
+fn current(core: &Core) -> Option<MavMessage> {
+    const IN_MISSION_MODE: u8 = 1;
+    const SUSPENDED: u8 = 2;
+    let is_flown = core.commander.mode() == FlightMode::Mission;
+    let mission = &core.plans.mission;
+    Some(MavMessage::MISSION_CURRENT(MISSION_CURRENT_DATA {
+        seq: mission.current(),
+        total: mission.len() as u16,
+        mission_state: mission.state(is_flown),
+        mission_mode: if is_flown { IN_MISSION_MODE } else { SUSPENDED },
+        mission_id: core.plans.wire(PlanKind::Mission).id,
+        fence_id: core.plans.wire(PlanKind::Fence).id,
+        rally_points_id: core.plans.wire(PlanKind::Rally).id,
+    }))
+}
+
+/// Sent when an item is reached, and again from time to time, because a packet may be lost.
+fn reached(core: &Core) -> Option<MavMessage> {
+    let seq = core.plans.mission.reached()?;
+    Some(MavMessage::MISSION_ITEM_REACHED(MISSION_ITEM_REACHED_DATA { seq }))
+}

@@ -1,0 +1,160 @@
+//! The parameter protocol, integers bytewise as in PX4. <https://mavlink.io/en/services/parameter.html>
+
+use crate::LinkId;
+use crate::core::Core;
+use crate::parameters::{ParameterError, ParameterValue, Parameters};
+use crate::service::{Service, Source};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    MavParamError, MavParamType, MavSeverity, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
+    PARAM_SET_DATA, PARAM_VALUE_DATA,
+};
+use vigil_mavlink::framing::Packet;
+use vigil_mavlink::mavlink::MessageData;
+use vigil_mavlink::mavlink::types::CharArray;
+use vigil_types::Nanos;
+
+/// Pause between the values of a list: a burst would overrun a client's socket buffer.
+const LIST_PAUSE_NS: Nanos = 5_000_000;
+
+/// A list that is being sent.
+#[derive(Debug, Clone, Copy)]
+struct Listing {
+    link: LinkId,
+    next: usize,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct ParameterService {
+    /// At most one per link: a new request starts the link's list anew.
+    listings: Vec<Listing>,
+    due_ns: Nanos,
+}
+
+impl Service for ParameterService {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        let ids = [
+            PARAM_REQUEST_LIST_DATA::ID,
+            PARAM_REQUEST_READ_DATA::ID,
+            PARAM_SET_DATA::ID,
+        ];
+        if !ids.contains(&packet.message_id()) {
+            return;
+        }
+        match packet.message() {
+            Ok(MavMessage::PARAM_REQUEST_LIST(_)) => self.begin_list(source.link, core.now_ns),
+            Ok(MavMessage::PARAM_REQUEST_READ(m)) => {
+                let index = match usize::try_from(m.param_index) {
+                    Ok(index) => Some(index),
+                    // −1: by name.
+                    Err(_) => m.param_id.to_str().ok().and_then(Parameters::index_of),
+                };
+                match index.and_then(|index| value_message(core, index)) {
+                    Some(message) => core.outbox.send(source.link, &message),
+                    None => refuse(
+                        core,
+                        source,
+                        m.param_id,
+                        m.param_index,
+                        MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+                    ),
+                }
+            }
+            Ok(MavMessage::PARAM_SET(m)) => set(&m, source, core),
+            _ => core.refusals.not_parsed += 1,
+        }
+    }
+
+    fn due_ns(&self) -> Nanos {
+        if self.listings.is_empty() {
+            Nanos::MAX
+        } else {
+            self.due_ns
+        }
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + LIST_PAUSE_NS;
+        for listing in &mut self.listings {
+            if let Some(message) = value_message(core, listing.next) {
+                core.outbox.send(listing.link, &message);
+            }
+            listing.next += 1;
+        }
+        self.listings.retain(|l| l.next < Parameters::count());
+    }
+}
+
+impl ParameterService {
+    fn begin_list(&mut self, link: LinkId, now_ns: Nanos) {
+        self.listings.retain(|l| l.link != link);
+        self.listings.push(Listing { link, next: 0 });
+        self.due_ns = now_ns;
+    }
+}
+
+/// PARAM_VALUE of the parameter at `index`.
+pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
+    let (info, value) = core.parameters.at(index)?;
+    let (param_value, param_type) = match value {
+        ParameterValue::Int32(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
+        ParameterValue::Real32(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
+    };
+    Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+        param_value,
+        param_count: Parameters::count() as u16,
+        param_index: index as u16,
+        param_id: info.name.into(),
+        param_type,
+    }))
+}
+
+/// Counts a refusal and tells the sender.
+fn refuse(core: &mut Core, source: Source, param_id: CharArray<16>, param_index: i16, error: MavParamError) {
+    core.refusals.parameter += 1;
+    let message = MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
+        param_index,
+        target_system: source.id.system,
+        target_component: source.id.component,
+        param_id,
+        error,
+    });
+    core.outbox.send(source.link, &message);
+}
+
+/// Sets and tells everybody the value in force. A refusal tells the sender the value that stays and why, for clients that
+/// know PARAM_ERROR and, as a text, for people.
+fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
+    let name = m.param_id.to_str().unwrap_or("");
+    let index = Parameters::index_of(name);
+    let outcome = match (index, m.param_type) {
+        (None, _) => Err(ParameterError::Unknown { name: name.to_owned() }),
+        (Some(index), MavParamType::MAV_PARAM_TYPE_INT32) => core
+            .parameters
+            .set(index, ParameterValue::Int32(m.param_value.to_bits() as i32)),
+        (Some(index), MavParamType::MAV_PARAM_TYPE_REAL32) => {
+            core.parameters.set(index, ParameterValue::Real32(m.param_value))
+        }
+        (Some(index), _) => Err(ParameterError::WrongType {
+            name: crate::parameter_table()[index].name,
+        }),
+    };
+    let message = index.and_then(|index| value_message(core, index));
+    let Err(error) = outcome else {
+        if let Some(message) = message {
+            core.outbox.send_all(&message);
+        }
+        return;
+    };
+    let code = match error {
+        ParameterError::Unknown { .. } => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
+        ParameterError::WrongType { .. } => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
+        ParameterError::OutOfRange { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+    };
+    // The error first: a client that knows it would take the unchanged value for a lost packet and try again.
+    refuse(core, source, m.param_id, index.map_or(-1, |i| i as i16), code);
+    if let Some(message) = message {
+        core.outbox.send(source.link, &message);
+    }
+    core.text(MavSeverity::MAV_SEVERITY_WARNING, &error.to_string());
+}

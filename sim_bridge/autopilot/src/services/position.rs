@@ -1,0 +1,146 @@
+//! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what OFFBOARD flies.
+
+use crate::core::Core;
+use crate::flight::position_target;
+use crate::geo;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA, MavEstimatorType, MavFrame, ODOMETRY_DATA,
+    POSITION_TARGET_LOCAL_NED_DATA, VFR_HUD_DATA,
+};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Attitude;
+
+pub(crate) struct Position;
+
+impl Service for Position {
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: LOCAL_POSITION_NED_DATA::ID,
+                rate_hz: [50.0, 30.0, 10.0],
+                build: Build::From(local_position),
+            },
+            Produced {
+                id: GLOBAL_POSITION_INT_DATA::ID,
+                rate_hz: [5.0, 10.0, 5.0],
+                build: Build::From(global_position),
+            },
+            Produced {
+                id: VFR_HUD_DATA::ID,
+                rate_hz: [0.0, 5.0, 5.0],
+                build: Build::From(heads_up_display),
+            },
+            Produced {
+                id: ALTITUDE_DATA::ID,
+                rate_hz: [0.0, 5.0, 2.0],
+                build: Build::From(altitude),
+            },
+            Produced {
+                id: ODOMETRY_DATA::ID,
+                rate_hz: [0.0, 10.0, 0.0],
+                build: Build::From(odometry),
+            },
+            Produced {
+                id: POSITION_TARGET_LOCAL_NED_DATA::ID,
+                rate_hz: [0.0, 5.0, 2.0],
+                build: Build::From(target),
+            },
+        ]
+    }
+}
+
+/// Heading in degrees, 0 to 360.
+pub(super) fn heading_deg(attitude: Attitude) -> f32 {
+    let deg = attitude.yaw_rad().to_degrees();
+    if deg < 0.0 { deg + 360.0 } else { deg }
+}
+
+fn local_position(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    Some(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        x: e.position_ned_m.x,
+        y: e.position_ned_m.y,
+        z: e.position_ned_m.z,
+        vx: e.velocity_ned_m_s.x,
+        vy: e.velocity_ned_m_s.y,
+        vz: e.velocity_ned_m_s.z,
+    }))
+}
+
+fn global_position(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    let (lat, lon, alt_m) = geo::to_global(&core.home, e.position_ned_m);
+    let cm_s = |v: f32| (v * 100.0) as i16;
+    Some(MavMessage::GLOBAL_POSITION_INT(GLOBAL_POSITION_INT_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        lat: geo::deg_e7(lat),
+        lon: geo::deg_e7(lon),
+        alt: (alt_m * 1e3) as i32,
+        relative_alt: (-e.position_ned_m.z * 1e3) as i32,
+        vx: cm_s(e.velocity_ned_m_s.x),
+        vy: cm_s(e.velocity_ned_m_s.y),
+        vz: cm_s(e.velocity_ned_m_s.z),
+        hdg: (heading_deg(e.attitude) * 100.0) as u16,
+    }))
+}
+
+fn heads_up_display(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    Some(MavMessage::VFR_HUD(VFR_HUD_DATA {
+        airspeed: e.velocity_ned_m_s.norm(),
+        groundspeed: e.velocity_ned_m_s.horizontal_norm(),
+        alt: (core.home.altitude_m - f64::from(e.position_ned_m.z)) as f32,
+        climb: -e.velocity_ned_m_s.z,
+        heading: heading_deg(e.attitude) as i16,
+        throttle: (core.view.sensors.throttle * 100.0) as u16,
+    }))
+}
+
+fn altitude(core: &Core) -> Option<MavMessage> {
+    let height_m = -core.view.estimate.position_ned_m.z;
+    let amsl_m = (core.home.altitude_m + f64::from(height_m)) as f32;
+    Some(MavMessage::ALTITUDE(ALTITUDE_DATA {
+        time_usec: core.time_boot_us(),
+        altitude_monotonic: amsl_m,
+        altitude_amsl: amsl_m,
+        altitude_local: height_m,
+        altitude_relative: height_m,
+        altitude_terrain: f32::NAN,
+        bottom_clearance: f32::NAN,
+    }))
+}
+
+fn odometry(core: &Core) -> Option<MavMessage> {
+    let e = &core.view.estimate;
+    let velocity_frd_m_s = e.attitude.to_frd(e.velocity_ned_m_s);
+    let mut unknown_covariance = [0.0; 21];
+    unknown_covariance[0] = f32::NAN;
+    Some(MavMessage::ODOMETRY(ODOMETRY_DATA {
+        time_usec: core.time_boot_us(),
+        x: e.position_ned_m.x,
+        y: e.position_ned_m.y,
+        z: e.position_ned_m.z,
+        q: [e.attitude.w, e.attitude.x, e.attitude.y, e.attitude.z],
+        vx: velocity_frd_m_s.x,
+        vy: velocity_frd_m_s.y,
+        vz: velocity_frd_m_s.z,
+        rollspeed: e.rates_frd_rad_s.x,
+        pitchspeed: e.rates_frd_rad_s.y,
+        yawspeed: e.rates_frd_rad_s.z,
+        pose_covariance: unknown_covariance,
+        velocity_covariance: unknown_covariance,
+        frame_id: MavFrame::MAV_FRAME_LOCAL_NED,
+        child_frame_id: MavFrame::MAV_FRAME_BODY_FRD,
+        reset_counter: 0,
+        estimator_type: MavEstimatorType::MAV_ESTIMATOR_TYPE_AUTOPILOT,
+        quality: 100,
+    }))
+}
+
+/// The setpoint in force; nothing while the vehicle flies by itself.
+fn target(core: &Core) -> Option<MavMessage> {
+    position_target(core).map(MavMessage::POSITION_TARGET_LOCAL_NED)
+}

@@ -1,0 +1,186 @@
+//! Sensor readings: IMU, pressure, GPS.
+
+use crate::core::Core;
+use crate::geo;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    GPS_RAW_INT_DATA, GpsFixType, HIGHRES_IMU_DATA, HighresImuUpdatedFlags as Updated, RAW_IMU_DATA, SCALED_IMU_DATA,
+    SCALED_PRESSURE_DATA,
+};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::FrdVector;
+
+/// Earth's field at home in gauss, NED: about what the world magnetic model gives for the default home.
+const FIELD_NED_GAUSS: [f32; 3] = [0.215, 0.012, 0.430];
+/// Air temperature that the readings report.
+const TEMPERATURE_C: f32 = 20.0;
+const STANDARD_GRAVITY_M_S2: f32 = 9.806_65;
+
+pub(crate) struct SensorReadings;
+
+impl Service for SensorReadings {
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: HIGHRES_IMU_DATA::ID,
+                rate_hz: [0.0, 20.0, 0.0],
+                build: Build::From(imu),
+            },
+            Produced {
+                id: SCALED_PRESSURE_DATA::ID,
+                rate_hz: [0.0, 1.0, 1.0],
+                build: Build::From(pressure),
+            },
+            Produced {
+                id: SCALED_IMU_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: Build::From(scaled_imu),
+            },
+            Produced {
+                id: RAW_IMU_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: Build::From(raw_imu),
+            },
+            Produced {
+                id: GPS_RAW_INT_DATA::ID,
+                rate_hz: [1.0, 1.0, 1.0],
+                build: Build::From(gps),
+            },
+        ]
+    }
+}
+
+/// Pressure of the standard atmosphere in hPa at a height above sea level.
+fn pressure_hpa(altitude_m: f64) -> f32 {
+    (1013.25 * libm::pow(1.0 - 2.255_77e-5 * altitude_m, 5.255_88)) as f32
+}
+
+fn barometric_altitude_m(core: &Core) -> f64 {
+    core.home.altitude_m + f64::from(core.view.sensors.barometer_height_m)
+}
+
+fn imu(core: &Core) -> Option<MavMessage> {
+    let s = &core.view.sensors;
+    let [n, e, d] = FIELD_NED_GAUSS;
+    let field = core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d));
+    let altitude_m = barometric_altitude_m(core);
+    Some(MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
+        time_usec: core.time_boot_us(),
+        xacc: s.accelerometer_frd_m_s2.x,
+        yacc: s.accelerometer_frd_m_s2.y,
+        zacc: s.accelerometer_frd_m_s2.z,
+        xgyro: s.gyroscope_frd_rad_s.x,
+        ygyro: s.gyroscope_frd_rad_s.y,
+        zgyro: s.gyroscope_frd_rad_s.z,
+        xmag: field.x,
+        ymag: field.y,
+        zmag: field.z,
+        abs_pressure: pressure_hpa(altitude_m),
+        diff_pressure: 0.0,
+        pressure_alt: altitude_m as f32,
+        temperature: TEMPERATURE_C,
+        // All but differential pressure.
+        fields_updated: Updated::from_bits_truncate(0x1BFF),
+        id: 0,
+    }))
+}
+
+/// Readings as whole numbers: thousandths of standard gravity, of a radian per second and of a gauss, and hundredths of
+/// a degree Celsius.
+struct ScaledReadings {
+    acceleration: [i16; 3],
+    rates: [i16; 3],
+    field: [i16; 3],
+    temperature: i16,
+}
+
+fn scaled_readings(core: &Core) -> ScaledReadings {
+    let s = &core.view.sensors;
+    let [n, e, d] = FIELD_NED_GAUSS;
+    let field = core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d));
+    let thousandths = |v: FrdVector, unit: f32| [v.x, v.y, v.z].map(|value| libm::roundf(value / unit * 1e3) as i16);
+    ScaledReadings {
+        acceleration: thousandths(s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2),
+        rates: thousandths(s.gyroscope_frd_rad_s, 1.0),
+        field: thousandths(field, 1.0),
+        temperature: (TEMPERATURE_C * 100.0) as i16,
+    }
+}
+
+fn scaled_imu(core: &Core) -> Option<MavMessage> {
+    let s = scaled_readings(core);
+    let ([xacc, yacc, zacc], [xgyro, ygyro, zgyro], [xmag, ymag, zmag]) = (s.acceleration, s.rates, s.field);
+    Some(MavMessage::SCALED_IMU(SCALED_IMU_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        xacc,
+        yacc,
+        zacc,
+        xgyro,
+        ygyro,
+        zgyro,
+        xmag,
+        ymag,
+        zmag,
+        temperature: s.temperature,
+    }))
+}
+
+/// The same numbers: the sensors are modelled behind their calibration.
+fn raw_imu(core: &Core) -> Option<MavMessage> {
+    let s = scaled_readings(core);
+    let ([xacc, yacc, zacc], [xgyro, ygyro, zgyro], [xmag, ymag, zmag]) = (s.acceleration, s.rates, s.field);
+    Some(MavMessage::RAW_IMU(RAW_IMU_DATA {
+        time_usec: core.time_boot_us(),
+        xacc,
+        yacc,
+        zacc,
+        xgyro,
+        ygyro,
+        zgyro,
+        xmag,
+        ymag,
+        zmag,
+        id: 0,
+        temperature: s.temperature,
+    }))
+}
+
+fn pressure(core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::SCALED_PRESSURE(SCALED_PRESSURE_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        press_abs: pressure_hpa(barometric_altitude_m(core)),
+        press_diff: 0.0,
+        temperature: (TEMPERATURE_C * 100.0) as i16,
+        ..Default::default()
+    }))
+}
+
+fn gps(core: &Core) -> Option<MavMessage> {
+    let s = &core.view.sensors;
+    let (lat, lon, alt_m) = geo::to_global(&core.home, s.gps_position_ned_m);
+    let v = s.gps_velocity_ned_m_s;
+    let course_deg = libm::atan2f(v.y, v.x).to_degrees();
+    let course_deg = if course_deg < 0.0 {
+        course_deg + 360.0
+    } else {
+        course_deg
+    };
+    Some(MavMessage::GPS_RAW_INT(GPS_RAW_INT_DATA {
+        time_usec: core.time_boot_us(),
+        lat: geo::deg_e7(lat),
+        lon: geo::deg_e7(lon),
+        alt: (alt_m * 1e3) as i32,
+        eph: 80,
+        epv: 120,
+        vel: (v.horizontal_norm() * 100.0) as u16,
+        cog: (course_deg * 100.0) as u16,
+        fix_type: GpsFixType::GPS_FIX_TYPE_3D_FIX,
+        satellites_visible: 12,
+        alt_ellipsoid: (alt_m * 1e3) as i32,
+        h_acc: 500,
+        v_acc: 800,
+        vel_acc: 200,
+        ..Default::default()
+    }))
+}

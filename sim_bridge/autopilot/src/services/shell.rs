@@ -1,0 +1,267 @@
+//! A shell over SERIAL_CONTROL, device 10. <https://mavlink.io/en/messages/common.html#SERIAL_CONTROL>
+//!
+//! A few commands of PX4's shell, by the same paths as the messages that do the same: a shell can do nothing that a
+//! message could not.
+
+use crate::core::{ComponentId, Core};
+use crate::flight::{Denial, FlightMode};
+use crate::parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
+use crate::plan::PlanKind;
+use crate::service::{Answer, Service, Source};
+use crate::services::arming;
+use crate::services::parameters::value_message;
+use std::fmt::Write;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{SERIAL_CONTROL_DATA, SerialControlDev, SerialControlFlag};
+use vigil_mavlink::framing::Packet;
+use vigil_mavlink::mavlink::MessageData;
+
+/// Bytes of a packet.
+const CHUNK: usize = 70;
+/// Longest line; a longer one is forgotten.
+const MAX_LINE: usize = 256;
+/// Clients whose unfinished lines are kept; the oldest gives way.
+const MAX_CLIENTS: usize = 8;
+/// The prompt of PX4's simulation, which scripts wait for.
+const PROMPT: &str = "pxh> ";
+
+const HELP: &str = "\
+commander status | arm | disarm | takeoff | land
+commander mode hold | takeoff | land | return | mission | offboard
+help
+ls [DIRECTORY]
+mission
+param show [PATTERN]      names with * for anything
+param set NAME VALUE
+reboot                    on the ground only
+uptime
+ver
+";
+
+#[derive(Default)]
+pub(crate) struct Shell {
+    /// What each client has written since its last line end.
+    lines: Vec<(Source, Vec<u8>)>,
+}
+
+impl Service for Shell {
+    fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
+        if packet.message_id() != SERIAL_CONTROL_DATA::ID {
+            return;
+        }
+        let Ok(MavMessage::SERIAL_CONTROL(message)) = packet.message() else {
+            core.refusals.not_parsed += 1;
+            return;
+        };
+        let flags = message.flags;
+        // What another's shell answers is nothing to obey.
+        if message.device != SerialControlDev::SERIAL_CONTROL_DEV_SHELL
+            || flags.contains(SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY)
+        {
+            return;
+        }
+        let bytes = message.data.get(..usize::from(message.count)).unwrap_or(&message.data);
+        let mut output = String::new();
+        for byte in bytes {
+            self.take(*byte, source, core, &mut output);
+        }
+        if flags.contains(SerialControlFlag::SERIAL_CONTROL_FLAG_RESPOND) {
+            reply(&output, source, core);
+        }
+    }
+}
+
+fn reply(output: &str, client: Source, core: &mut Core) {
+    for chunk in output.as_bytes().chunks(CHUNK) {
+        let mut data = [0; CHUNK];
+        for (to, from) in data.iter_mut().zip(chunk) {
+            *to = *from;
+        }
+        let message = MavMessage::SERIAL_CONTROL(SERIAL_CONTROL_DATA {
+            baudrate: 0,
+            timeout: 0,
+            device: SerialControlDev::SERIAL_CONTROL_DEV_SHELL,
+            flags: SerialControlFlag::SERIAL_CONTROL_FLAG_REPLY,
+            count: chunk.len() as u8,
+            data,
+            target_system: client.id.system,
+            target_component: client.id.component,
+        });
+        core.outbox.send(client.link, &message);
+    }
+}
+
+impl Shell {
+    fn take(&mut self, byte: u8, client: Source, core: &mut Core, output: &mut String) {
+        if byte != b'\n' && byte != b'\r' {
+            let line = self.line(client);
+            // One more than fits marks a line that is too long.
+            if line.len() <= MAX_LINE {
+                line.push(byte);
+            }
+            return;
+        }
+        let line = std::mem::take(self.line(client));
+        self.lines.retain(|(of, _)| *of != client);
+        let text = match core::str::from_utf8(&line) {
+            _ if line.len() > MAX_LINE => "line too long\n".to_owned(),
+            Ok(text) => execute(text.trim(), client.id, core),
+            Err(_) => "not text\n".to_owned(),
+        };
+        output.push_str(&text);
+        output.push_str(PROMPT);
+    }
+
+    fn line(&mut self, client: Source) -> &mut Vec<u8> {
+        let index = self.lines.iter().position(|(of, _)| *of == client).unwrap_or_else(|| {
+            if self.lines.len() >= MAX_CLIENTS {
+                self.lines.remove(0);
+            }
+            self.lines.push((client, Vec::new()));
+            self.lines.len() - 1
+        });
+        &mut self.lines[index].1
+    }
+}
+
+/// Does what a line says and tells what came of it.
+fn execute(line: &str, client: ComponentId, core: &mut Core) -> String {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    match words.as_slice() {
+        [] => String::new(),
+        ["help" | "?"] => HELP.to_owned(),
+        ["ver", ..] => format!("Vigil {}\n", env!("CARGO_PKG_VERSION")),
+        ["uptime"] => format!("{:.3} s\n", core.since_boot_ns() as f64 * 1e-9),
+        ["commander", "status"] => commander_status(core),
+        ["commander", "arm"] => outcome(core.arm()),
+        ["commander", "disarm"] => outcome(core.disarm(false)),
+        ["commander", "takeoff"] => {
+            let armed = core.arm();
+            if armed.is_ok() {
+                core.take_off(None);
+            }
+            outcome(armed)
+        }
+        ["commander", "land"] => outcome(core.change_mode(FlightMode::Land, client)),
+        ["commander", "mode", name] => {
+            let wanted = FlightMode::ALL
+                .into_iter()
+                .find(|mode| mode.name() == *name && *mode != FlightMode::Orbit);
+            match wanted {
+                Some(mode) => outcome(core.change_mode(mode, client)),
+                None => format!("no mode {name} that can be commanded; see help\n"),
+            }
+        }
+        ["param", "show"] => show("*", core),
+        ["param", "show", pattern] => show(pattern, core),
+        ["param", "set", name, value] => set(name, value, core),
+        ["mission", ..] => mission_status(core),
+        ["ls"] => list("", core),
+        ["ls", path] => list(path, core),
+        ["reboot"] => match arming::reboot_now(core) {
+            Answer::ACCEPTED => "rebooted\n".to_owned(),
+            _ => "refused: not disarmed\n".to_owned(),
+        },
+        [command, ..] => format!("{command}: unknown; try help\n"),
+    }
+}
+
+fn outcome(outcome: Result<(), Denial>) -> String {
+    match outcome {
+        Ok(()) => "done\n".to_owned(),
+        Err(denial) => format!("refused: {denial}\n"),
+    }
+}
+
+fn commander_status(core: &Core) -> String {
+    let c = &core.commander;
+    let owner = core.setpoints.owner().map_or("none".to_owned(), |id| id.to_string());
+    let failsafe = c.failsafe().map_or("none".to_owned(), |f| format!("{f:?}"));
+    format!(
+        "armed: {}\nmode: {}\nlanded: {:?}\nfailsafe: {failsafe}\nterminated: {}\nsetpoint owner: {owner}\n",
+        c.is_armed(),
+        c.mode().name(),
+        c.landed(),
+        c.is_terminated(),
+    )
+}
+
+/// Whether `name` is what `pattern`, with `*` for anything, describes.
+fn fits(name: &str, pattern: &str) -> bool {
+    let Some((head, rest)) = pattern.split_once('*') else {
+        return name == pattern;
+    };
+    let Some(name) = name.strip_prefix(head) else {
+        return false;
+    };
+    (0..=name.len()).any(|from| name.get(from..).is_some_and(|tail| fits(tail, rest)))
+}
+
+fn show(pattern: &str, core: &Core) -> String {
+    // Each star multiplies what is tried.
+    if pattern.matches('*').count() > 3 {
+        return "at most three *\n".to_owned();
+    }
+    let mut text = String::new();
+    for index in 0..Parameters::count() {
+        if let Some((info, value)) = core.parameters.at(index)
+            && fits(info.name, pattern)
+        {
+            // Writing into a string cannot fail.
+            let _ = match value {
+                ParameterValue::Int32(value) => writeln!(text, "{}: {value}", info.name),
+                ParameterValue::Real32(value) => writeln!(text, "{}: {value:?}", info.name),
+            };
+        }
+    }
+    if text.is_empty() {
+        text = format!("no parameter {pattern}\n");
+    }
+    text
+}
+
+fn set(name: &str, value: &str, core: &mut Core) -> String {
+    let Some(index) = Parameters::index_of(name) else {
+        core.refusals.parameter += 1;
+        return format!("{}\n", ParameterError::Unknown { name: name.to_owned() });
+    };
+    let kind = core.parameters.at(index).map(|(_, old)| old.parameter_type());
+    let parsed = match kind {
+        Some(ParameterType::Int32) => value.parse().ok().map(ParameterValue::Int32),
+        _ => value.parse().ok().map(ParameterValue::Real32),
+    };
+    let Some(parsed) = parsed else {
+        core.refusals.parameter += 1;
+        return format!("{value}: not a number of the parameter's type\n");
+    };
+    if let Err(error) = core.parameters.set(index, parsed) {
+        core.refusals.parameter += 1;
+        return format!("{error}\n");
+    }
+    if let Some(message) = value_message(core, index) {
+        core.outbox.send_all(&message);
+    }
+    show(name, core)
+}
+
+fn list(path: &str, core: &Core) -> String {
+    match core.files.list(path) {
+        Err(error) => format!("{path}: {error}\n"),
+        Ok(entries) => entries.fold(String::new(), |mut text, entry| {
+            // Writing into a string cannot fail.
+            let _ = match entry.size {
+                Some(size) => writeln!(text, "{size:>8} {}", entry.name),
+                None => writeln!(text, "{:>8} {}/", "", entry.name),
+            };
+            text
+        }),
+    }
+}
+
+fn mission_status(core: &Core) -> String {
+    let items = core.plans.wire(PlanKind::Mission).items.len();
+    match items {
+        0 => "no mission\n".to_owned(),
+        _ => format!("item {} of {items}\n", core.plans.mission.current()),
+    }
+}

@@ -1,0 +1,39 @@
+//! SETUP_SIGNING: a new key for MAVLink signing. The links put it into force; it is never passed on.
+//! <https://mavlink.io/en/messages/common.html#SETUP_SIGNING>
+
+use crate::core::{Core, SigningSetup};
+use crate::service::{Service, Source};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{MavSeverity, SETUP_SIGNING_DATA};
+use vigil_mavlink::framing::Packet;
+use vigil_mavlink::mavlink::MessageData;
+
+pub(crate) struct SigningService;
+
+impl Service for SigningService {
+    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
+        if packet.message_id() != SETUP_SIGNING_DATA::ID {
+            return;
+        }
+        let Ok(MavMessage::SETUP_SIGNING(m)) = packet.message() else {
+            core.refusals.not_parsed += 1;
+            return;
+        };
+        // To everybody or to another system: a key is given to one component.
+        if (m.target_system, m.target_component) != (core.id.system, core.id.component) {
+            return;
+        }
+        if m.secret_key == [0; 32] {
+            core.text(
+                MavSeverity::MAV_SEVERITY_WARNING,
+                "signing stays on: remove it at the vehicle's start",
+            );
+            return;
+        }
+        core.signing_setup = Some(SigningSetup {
+            key: m.secret_key,
+            initial_timestamp: m.initial_timestamp,
+        });
+        core.text(MavSeverity::MAV_SEVERITY_INFO, "signing key accepted");
+    }
+}

@@ -1,0 +1,88 @@
+//! HEARTBEAT, EXTENDED_SYS_STATE, and who owns the setpoints.
+//! <https://mavlink.io/en/services/heartbeat.html>
+
+use crate::core::Core;
+use crate::flight::LandedState;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA, MavAutopilot, MavLandedState, MavModeFlag, MavState, MavType,
+    MavVtolState, NAMED_VALUE_FLOAT_DATA,
+};
+use vigil_mavlink::mavlink::MessageData;
+
+pub(crate) struct State;
+
+impl Service for State {
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: HEARTBEAT_DATA::ID,
+                rate_hz: [1.0, 1.0, 1.0],
+                build: Build::From(heartbeat),
+            },
+            Produced {
+                id: EXTENDED_SYS_STATE_DATA::ID,
+                rate_hz: [5.0, 5.0, 1.0],
+                build: Build::From(extended_sys_state),
+            },
+            Produced {
+                id: NAMED_VALUE_FLOAT_DATA::ID,
+                rate_hz: [1.0, 1.0, 1.0],
+                build: Build::From(setpoint_owner),
+            },
+        ]
+    }
+}
+
+fn heartbeat(core: &Core) -> Option<MavMessage> {
+    let c = &core.commander;
+    let mut base_mode = MavModeFlag::MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        | MavModeFlag::MAV_MODE_FLAG_STABILIZE_ENABLED
+        | MavModeFlag::MAV_MODE_FLAG_GUIDED_ENABLED
+        | MavModeFlag::MAV_MODE_FLAG_AUTO_ENABLED;
+    base_mode.set(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED, c.is_armed());
+    let system_status = if c.is_terminated() {
+        MavState::MAV_STATE_FLIGHT_TERMINATION
+    } else if c.failsafe().is_some() {
+        MavState::MAV_STATE_CRITICAL
+    } else if c.is_armed() {
+        MavState::MAV_STATE_ACTIVE
+    } else {
+        MavState::MAV_STATE_STANDBY
+    };
+    Some(MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        custom_mode: c.mode().custom_mode(),
+        mavtype: MavType::MAV_TYPE_QUADROTOR,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        base_mode,
+        system_status,
+        mavlink_version: 3,
+    }))
+}
+
+fn extended_sys_state(core: &Core) -> Option<MavMessage> {
+    let landed_state = match core.commander.landed() {
+        LandedState::OnGround => MavLandedState::MAV_LANDED_STATE_ON_GROUND,
+        LandedState::TakingOff => MavLandedState::MAV_LANDED_STATE_TAKEOFF,
+        LandedState::InAir => MavLandedState::MAV_LANDED_STATE_IN_AIR,
+        LandedState::Landing => MavLandedState::MAV_LANDED_STATE_LANDING,
+    };
+    Some(MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
+        vtol_state: MavVtolState::MAV_VTOL_STATE_UNDEFINED,
+        landed_state,
+    }))
+}
+
+/// "sp_owner": system · 256 + component of the owner of OFFBOARD, 0 for none.
+fn setpoint_owner(core: &Core) -> Option<MavMessage> {
+    let value = core
+        .setpoints
+        .owner()
+        .map_or(0.0, |id| f32::from(id.system) * 256.0 + f32::from(id.component));
+    Some(MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA {
+        time_boot_ms: core.time_boot_ms(),
+        value,
+        name: "sp_owner".into(),
+    }))
+}

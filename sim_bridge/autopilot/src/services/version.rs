@@ -1,0 +1,88 @@
+//! AUTOPILOT_VERSION and PROTOCOL_VERSION: who this is and what it can do.
+
+use crate::core::Core;
+use crate::service::{Answer, Build, Produced, Service, Source};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{AUTOPILOT_VERSION_DATA, MavProtocolCapability as Capability, PROTOCOL_VERSION_DATA};
+use vigil_mavlink::framing::Command;
+use vigil_mavlink::mavlink::MessageData;
+
+/// The commands of before REQUEST_MESSAGE.
+const REQUEST_PROTOCOL_VERSION: u16 = 519;
+const REQUEST_AUTOPILOT_CAPABILITIES: u16 = 520;
+/// The PX4 whose dialect is spoken: 1.15.4, a release (255).
+const DIALECT_OF_PX4: u32 = 1 << 24 | 15 << 16 | 4 << 8 | 255;
+
+pub(crate) struct Version;
+
+impl Service for Version {
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
+        let id = match command.number {
+            REQUEST_PROTOCOL_VERSION => PROTOCOL_VERSION_DATA::ID,
+            REQUEST_AUTOPILOT_CAPABILITIES => AUTOPILOT_VERSION_DATA::ID,
+            _ => return None,
+        };
+        core.request(source.link, id);
+        Some(Answer::ACCEPTED)
+    }
+
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: AUTOPILOT_VERSION_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: Build::From(autopilot_version),
+            },
+            Produced {
+                id: PROTOCOL_VERSION_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: Build::From(protocol_version),
+            },
+        ]
+    }
+}
+
+/// Vigil's own version as MAVLink packs one: major, minor, patch, type.
+fn own_version() -> u32 {
+    let part = |text: &str| text.parse::<u32>().unwrap_or(0) & 0xFF;
+    part(env!("CARGO_PKG_VERSION_MAJOR")) << 24
+        | part(env!("CARGO_PKG_VERSION_MINOR")) << 16
+        | part(env!("CARGO_PKG_VERSION_PATCH")) << 8
+}
+
+fn autopilot_version(core: &Core) -> Option<MavMessage> {
+    // A bit stands here only if a service answers for it.
+    let capabilities = Capability::MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+        | Capability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+        | Capability::MAV_PROTOCOL_CAPABILITY_FTP
+        | Capability::MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+        | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+        | Capability::MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+        | Capability::MAV_PROTOCOL_CAPABILITY_FLIGHT_TERMINATION
+        | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_INT
+        | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+        | Capability::MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+        | Capability::MAV_PROTOCOL_CAPABILITY_MAVLINK2;
+    let uid = u64::from(core.id.system);
+    let mut uid2 = [0; 18];
+    uid2[0] = core.id.system;
+    Some(MavMessage::AUTOPILOT_VERSION(AUTOPILOT_VERSION_DATA {
+        capabilities,
+        uid,
+        flight_sw_version: DIALECT_OF_PX4,
+        middleware_sw_version: own_version(),
+        os_sw_version: own_version(),
+        flight_custom_version: *b"vigil\0\0\0",
+        uid2,
+        ..Default::default()
+    }))
+}
+
+fn protocol_version(_core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::PROTOCOL_VERSION(PROTOCOL_VERSION_DATA {
+        version: 200,
+        min_version: 100,
+        max_version: 200,
+        ..Default::default()
+    }))
+}

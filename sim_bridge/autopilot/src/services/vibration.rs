@@ -1,0 +1,66 @@
+//! VIBRATION: how much the accelerometer's readings change from one look to the next.
+
+use crate::core::Core;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::VIBRATION_DATA;
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
+
+const LOOK_NS: Nanos = 10_000_000;
+/// Weight of a look in the mean: about a quarter of a second.
+const WEIGHT: f32 = 0.04;
+
+#[derive(Debug, Default)]
+pub(crate) struct Vibration {
+    /// Mean change of the acceleration between two looks, by axis.
+    mean_m_s2: [f32; 3],
+    due_ns: Nanos,
+    last_m_s2: Option<[f32; 3]>,
+}
+
+impl Service for Vibration {
+    fn messages(&self) -> &'static [Produced] {
+        &[Produced {
+            id: VIBRATION_DATA::ID,
+            rate_hz: [0.0, 0.5, 0.5],
+            build: Build::Stateful,
+        }]
+    }
+
+    fn produce(&self, _id: u32, core: &Core) -> Option<MavMessage> {
+        Some(vibration(self.mean_m_s2, core))
+    }
+
+    fn due_ns(&self) -> Nanos {
+        self.due_ns
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + LOOK_NS;
+        let a = core.view.sensors.accelerometer_frd_m_s2;
+        let reading = [a.x, a.y, a.z];
+        for ((mean, now), last) in self
+            .mean_m_s2
+            .iter_mut()
+            .zip(reading)
+            .zip(self.last_m_s2.unwrap_or(reading))
+        {
+            *mean += WEIGHT * ((now - last).abs() - *mean);
+        }
+        self.last_m_s2 = Some(reading);
+    }
+}
+
+fn vibration([vibration_x, vibration_y, vibration_z]: [f32; 3], core: &Core) -> MavMessage {
+    MavMessage::VIBRATION(VIBRATION_DATA {
+        time_usec: core.time_boot_us(),
+        vibration_x,
+        vibration_y,
+        vibration_z,
+        // The modelled accelerometer does not clip.
+        clipping_0: 0,
+        clipping_1: 0,
+        clipping_2: 0,
+    })
+}

@@ -1,0 +1,176 @@
+//! Which message goes out on which link when.
+
+use crate::core::Core;
+use crate::service::{Build, Produced, Services};
+use crate::{LinkId, LinkRole};
+use vigil_mavlink::MavMessage;
+use vigil_types::Nanos;
+
+/// Shortest interval that can be asked for.
+const MIN_INTERVAL_NS: Nanos = 2_000_000;
+
+#[derive(Clone, Copy)]
+struct Schedule {
+    /// `None` is off.
+    interval_ns: Option<Nanos>,
+    next_ns: Nanos,
+}
+
+/// A message and the index of the service that produces it.
+struct Origin {
+    produced: Produced,
+    service: usize,
+}
+
+struct Stream {
+    origin: Origin,
+    per_link: Vec<Schedule>,
+}
+
+impl Origin {
+    fn build(&self, core: &Core, services: &Services) -> Option<MavMessage> {
+        match self.produced.build {
+            Build::From(build) => build(core),
+            Build::Stateful => services.get(self.service)?.produce(self.produced.id, core),
+        }
+    }
+}
+
+/// All streams of all links.
+pub(crate) struct Streams {
+    streams: Vec<Stream>,
+    roles: Vec<LinkRole>,
+    next_ns: Nanos,
+}
+
+fn default_interval_ns(produced: &Produced, role: LinkRole) -> Option<Nanos> {
+    let rate_hz = produced.rate_hz.get(role.index()).copied().unwrap_or(0.0);
+    (rate_hz > 0.0).then(|| (1e9 / f64::from(rate_hz)) as Nanos)
+}
+
+impl Streams {
+    pub fn new(roles: &[LinkRole], services: &Services) -> Self {
+        let produced = services
+            .iter()
+            .enumerate()
+            .flat_map(|(index, service)| service.messages().iter().map(move |produced| (index, *produced)));
+        let mut streams: Vec<Stream> = produced
+            .map(|(service, produced)| Stream {
+                origin: Origin { produced, service },
+                per_link: roles
+                    .iter()
+                    .map(|role| Schedule {
+                        interval_ns: default_interval_ns(&produced, *role),
+                        next_ns: 0,
+                    })
+                    .collect(),
+            })
+            .collect();
+        streams.sort_by_key(|s| s.origin.produced.id);
+        debug_assert!(streams.is_sorted_by(|a, b| a.origin.produced.id < b.origin.produced.id));
+        Self {
+            streams,
+            roles: roles.to_vec(),
+            next_ns: 0,
+        }
+    }
+
+    /// Earliest time at which something is due.
+    #[inline]
+    pub fn due_ns(&self) -> Nanos {
+        self.next_ns
+    }
+
+    fn find(&self, id: u32) -> Option<usize> {
+        self.streams.binary_search_by_key(&id, |s| s.origin.produced.id).ok()
+    }
+
+    /// Interval of a message on a link in microseconds as MESSAGE_INTERVAL tells it: 0 unknown message, −1 off.
+    pub fn interval_us(&self, link: LinkId, id: u32) -> i32 {
+        let schedule = self
+            .find(id)
+            .and_then(|i| self.streams[i].per_link.get(usize::from(link.0)));
+        match schedule {
+            None => 0,
+            Some(Schedule { interval_ns: None, .. }) => -1,
+            Some(Schedule {
+                interval_ns: Some(ns), ..
+            }) => i32::try_from(ns / 1000).unwrap_or(i32::MAX),
+        }
+    }
+
+    /// Sets the interval as SET_MESSAGE_INTERVAL asks: −1 off, 0 default, else microseconds. `false` if there is no such
+    /// message.
+    pub fn set_interval(&mut self, now_ns: Nanos, link: LinkId, id: u32, interval_us: f32) -> bool {
+        let Some(stream) = self.find(id).map(|i| &mut self.streams[i]) else {
+            return false;
+        };
+        let index = usize::from(link.0);
+        let (Some(schedule), Some(role)) = (stream.per_link.get_mut(index), self.roles.get(index)) else {
+            return false;
+        };
+        schedule.interval_ns = if interval_us < 0.0 {
+            None
+        } else if interval_us == 0.0 {
+            default_interval_ns(&stream.origin.produced, *role)
+        } else {
+            // A float beyond the integer's range saturates.
+            Some(((f64::from(interval_us) * 1e3) as Nanos).max(MIN_INTERVAL_NS))
+        };
+        schedule.next_ns = now_ns;
+        self.next_ns = self.next_ns.min(now_ns);
+        true
+    }
+
+    /// Whether there is such a message.
+    pub fn knows(&self, id: u32) -> bool {
+        self.find(id).is_some()
+    }
+
+    /// Whether there is such a message and something for it to tell now.
+    pub fn has(&self, core: &Core, services: &Services, id: u32) -> bool {
+        self.find(id)
+            .is_some_and(|i| self.streams[i].origin.build(core, services).is_some())
+    }
+
+    /// Sends everything that was asked for besides the streams.
+    pub fn send_wanted(&self, core: &mut Core, services: &Services) {
+        let mut wanted = core.take_wanted();
+        for (link, id) in wanted.drain(..) {
+            let message = self.find(id).and_then(|i| self.streams[i].origin.build(core, services));
+            match (message, link) {
+                (Some(message), Some(link)) => core.outbox.send(link, &message),
+                (Some(message), None) => core.outbox.send_all(&message),
+                (None, _) => {}
+            }
+        }
+        core.keep_wanted(wanted);
+    }
+
+    /// Sends what is due.
+    pub fn step(&mut self, core: &mut Core, services: &Services) {
+        let now_ns = core.now_ns;
+        let mut next_ns = Nanos::MAX;
+        for stream in &mut self.streams {
+            let mut built = None;
+            for (link, schedule) in stream.per_link.iter_mut().enumerate() {
+                let Some(interval_ns) = schedule.interval_ns else {
+                    continue;
+                };
+                if schedule.next_ns <= now_ns {
+                    let message = built.get_or_insert_with(|| stream.origin.build(core, services));
+                    if let Some(message) = message {
+                        core.outbox.send(LinkId(link as u8), message);
+                    }
+                    // On the grid of the interval; after a pause the missed ones are not made up for.
+                    schedule.next_ns += interval_ns;
+                    if schedule.next_ns <= now_ns {
+                        schedule.next_ns = now_ns + interval_ns;
+                    }
+                }
+                next_ns = next_ns.min(schedule.next_ns);
+            }
+        }
+        self.next_ns = next_ns;
+    }
+}

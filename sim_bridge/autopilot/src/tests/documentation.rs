@@ -1,0 +1,53 @@
+//! `docs/mavlink.md` holds exactly what the tables say. `UPDATE_DOCS=1 cargo test --release -p vigil-autopilot` writes it.
+
+use crate::{parameter_table, services};
+use std::fmt::Write;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::mavlink::Message;
+
+const FILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/mavlink.md");
+
+fn streams() -> String {
+    let services = services::all();
+    let mut produced: Vec<_> = services.iter().flat_map(|s| s.messages()).collect();
+    produced.sort_by_key(|p| p.id);
+    let mut table = String::from("| Message | Number | Onboard | API | GCS |\n| --- | --- | --- | --- | --- |\n");
+    for p in produced {
+        let message = MavMessage::default_message_from_id(p.id).expect("the dialect has it");
+        let [onboard, api, gcs] = p.rate_hz;
+        let name = message.message_name();
+        writeln!(table, "| {name} | {} | {onboard} | {api} | {gcs} |", p.id).expect("a string grows");
+    }
+    table
+}
+
+fn parameters() -> String {
+    let mut table = String::from("| Parameter | Default | Limits | Unit | |\n| --- | --- | --- | --- | --- |\n");
+    for info in parameter_table() {
+        let default = info.default.as_f32();
+        let (name, min, max, unit, text) = (info.name, info.min, info.max, info.unit, info.description);
+        writeln!(table, "| {name} | {default} | {min} to {max} | {unit} | {text} |").expect("a string grows");
+    }
+    table
+}
+
+fn with_section(text: &str, name: &str, content: &str) -> String {
+    let start = format!("<!-- {name}: generated -->\n");
+    let (before, rest) = text.split_once(&start).expect("the section's start is marked");
+    let (_, after) = rest.split_once("<!-- end -->").expect("the section's end is marked");
+    format!("{before}{start}{content}<!-- end -->{after}")
+}
+
+#[test]
+fn the_documentation_has_the_tables_of_the_code() {
+    let text = std::fs::read_to_string(FILE).expect("docs/mavlink.md");
+    let current = with_section(&with_section(&text, "streams", &streams()), "parameters", &parameters());
+    if std::env::var_os("UPDATE_DOCS").is_some() {
+        std::fs::write(FILE, &current).expect("docs/mavlink.md can be written");
+    }
+    let written = std::fs::read_to_string(FILE).expect("docs/mavlink.md");
+    assert!(
+        written == current,
+        "docs/mavlink.md differs from the tables: UPDATE_DOCS=1 cargo test --release -p vigil-autopilot"
+    );
+}

@@ -1,0 +1,134 @@
+//! Events, by packets.
+
+use crate::testing::*;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+
+fn events(b: &Bench, link: crate::LinkId) -> Vec<EVENT_DATA> {
+    b.messages(link)
+        .filter_map(|m| match m {
+            MavMessage::EVENT(e) => Some(e.clone()),
+            _ => None,
+        })
+        .collect()
+}
+
+/// Number without the component.
+fn ids(b: &Bench) -> Vec<u32> {
+    events(b, API).iter().map(|e| e.id - (1 << 24)).collect()
+}
+
+fn request(b: &mut Bench, first_sequence: u16, last_sequence: u16) {
+    b.sent.clear();
+    let message = REQUEST_EVENT_DATA {
+        first_sequence,
+        last_sequence,
+        target_system: 1,
+        target_component: 1,
+    };
+    b.send(API, SCRIPT, &MavMessage::REQUEST_EVENT(message));
+}
+
+#[test]
+fn a_flight_is_told_in_order_and_without_gaps() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.take_off();
+    b.run_ms(50);
+    assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
+    b.run_until(30, "landing", |b| !b.status().armed);
+    b.run_ms(50);
+    // Armed, mode take-off, took off, mode hold, mode land, landed, disarmed, mode hold.
+    assert_eq!(ids(&b), [1, 3, 7, 3, 3, 8, 2, 3]);
+    let events = events(&b, GCS);
+    assert!(events.windows(2).all(|w| w[1].sequence == w[0].sequence + 1));
+    assert!(
+        events
+            .windows(2)
+            .all(|w| w[1].event_time_boot_ms >= w[0].event_time_boot_ms)
+    );
+    // The argument of the first mode change: take-off, main 4, sub 2.
+    assert_eq!(events[1].arguments[..4], [0, 0, 4, 2]);
+}
+
+#[test]
+fn a_lost_stream_is_a_critical_event() {
+    let mut b = Bench::airborne();
+    b.stream(API, SCRIPT, [0.0; 3]);
+    b.run_ms(200);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.run_ms(100);
+    b.sent.clear();
+    b.stop_stream(SCRIPT);
+    b.run_ms(1_000);
+    let failsafe = events(&b, API).into_iter().find(|e| e.id == 1 << 24 | 4).expect("told");
+    assert_eq!((failsafe.log_levels, failsafe.arguments[0]), (0x22, 1));
+}
+
+#[test]
+fn lost_events_are_sent_again_and_too_old_ones_named() {
+    let mut b = Bench::new();
+    for _ in 0..40 {
+        assert_eq!(b.arm(), ACCEPTED);
+        b.run_ms(30);
+        assert_eq!(b.disarm(0.0), ACCEPTED);
+        b.run_ms(30);
+    }
+    let all = events(&b, API);
+    let last = all.last().expect("many").clone();
+    request(&mut b, last.sequence - 1, last.sequence);
+    let again = events(&b, API);
+    assert_eq!(again, all[all.len() - 2..]);
+    assert!(events(&b, GCS).is_empty(), "only the asker gets them");
+    // What is kept no longer, and what has not happened yet.
+    for sequence in [1, last.sequence + 1] {
+        request(&mut b, sequence, sequence);
+        let error = b.messages(API).find_map(|m| match m {
+            MavMessage::RESPONSE_EVENT_ERROR(e) => Some(e.clone()),
+            _ => None,
+        });
+        let error = error.expect("answered");
+        assert_eq!((error.sequence, error.target_system), (sequence, 245));
+        assert_eq!(error.sequence_oldest_available, last.sequence - 63);
+    }
+    // A range without end is bounded.
+    request(&mut b, last.sequence, last.sequence.wrapping_sub(1));
+    assert!(b.sent.len() <= 65, "{}", b.sent.len());
+}
+
+#[test]
+fn the_last_sequence_is_told_with_a_reset_at_the_start_only() {
+    let b = {
+        let mut b = Bench::new();
+        b.run_ms(3_000);
+        b
+    };
+    let told: Vec<_> = b
+        .messages(API)
+        .filter_map(|m| match m {
+            MavMessage::CURRENT_EVENT_SEQUENCE(c) => Some((c.sequence, c.flags.bits())),
+            _ => None,
+        })
+        .collect();
+    assert!(told.len() >= 3);
+    assert_eq!(told[0].1, 1);
+    assert!(told[1..].iter().all(|(_, flags)| *flags == 0));
+    let last = events(&b, API).last().expect("the checks were told").sequence;
+    assert_eq!(told.last().map(|t| t.0), Some(last));
+}
+
+#[test]
+fn checks_are_run_on_request_and_name_what_fails() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    assert_eq!(b.command_long(API, SCRIPT, 401, [0.0; 7]), ACCEPTED);
+    assert_eq!(ids(&b), [100, 200]);
+    assert_eq!(b.command_long(API, SCRIPT, 185, [1.0; 7]), ACCEPTED);
+    b.run_ms(50);
+    b.sent.clear();
+    assert_eq!(b.command_long(API, SCRIPT, 401, [0.0; 7]), ACCEPTED);
+    let told = events(&b, API);
+    assert_eq!(ids(&b), [100, 101, 200]);
+    // Chunk, error bits, warning bits, groups that can arm: none.
+    assert_eq!(told[0].arguments[..13], [0, 2, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+}

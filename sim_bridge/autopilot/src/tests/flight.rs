@@ -1,0 +1,349 @@
+//! Arm, fly, land: what a script does.
+
+use crate::testing::*;
+use crate::{FlightMode, LandedState};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{COMMAND_INT_DATA, MANUAL_CONTROL_DATA, MavCmd, MavFrame, MavModeFlag, MavState};
+use vigil_vehicle::ControlCommand;
+
+#[test]
+fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {
+    let mut b = Bench::new();
+    assert_eq!(b.command, ControlCommand::MotorsOff);
+    assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_STANDBY);
+    b.take_off();
+    b.run_ms(2000);
+    assert!((b.height_m() - 2.5).abs() < 0.2, "{}", b.height_m());
+    assert!(
+        b.heartbeat(GCS)
+            .base_mode
+            .contains(MavModeFlag::MAV_MODE_FLAG_SAFETY_ARMED)
+    );
+    assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
+    b.run_ms(500);
+    assert_eq!(b.status().landed, LandedState::Landing);
+    b.run_until(20, "landing", |b| b.status().landed == LandedState::OnGround);
+    assert!(b.status().armed, "motors still idle");
+    b.run_until(5, "disarms by itself", |b| !b.status().armed);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    assert_eq!(b.command, ControlCommand::MotorsOff);
+}
+
+#[test]
+fn a_high_take_off_climbs_at_its_rate_and_does_not_overshoot() {
+    let mut b = Bench::new();
+    b.arm();
+    let mut params = [f32::NAN; 7];
+    params[6] = 488.0 + 12.0;
+    assert_eq!(b.command_long(API, SCRIPT, 22, params), ACCEPTED);
+    let mut fastest_m_s: f32 = 0.0;
+    let mut highest_m: f32 = 0.0;
+    for _ in 0..1500 {
+        b.run_ms(10);
+        fastest_m_s = fastest_m_s.max(-b.view().estimate.velocity_ned_m_s.z);
+        highest_m = highest_m.max(b.height_m());
+    }
+    assert!((fastest_m_s - 1.5).abs() < 0.2, "{fastest_m_s}");
+    assert!((highest_m - 12.0).abs() < 0.2, "{highest_m}");
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+#[test]
+fn taking_off_first_and_arming_later_flies_too() {
+    let mut b = Bench::new();
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 2), ACCEPTED);
+    b.run_ms(1000);
+    assert_eq!(b.command, ControlCommand::MotorsOff);
+    assert_eq!(b.arm(), ACCEPTED);
+    b.run_until(20, "take-off", |b| b.status().mode == FlightMode::Hold);
+    assert!((b.height_m() - 2.5).abs() < 0.4);
+}
+
+#[test]
+fn the_height_of_a_take_off_is_above_sea_level_in_a_command_long_and_home_in_frame_3() {
+    let mut b = Bench::new();
+    b.arm();
+    let mut params = [f32::NAN; 7];
+    params[6] = 488.0 + 6.0;
+    assert_eq!(b.command_long(API, SCRIPT, 22, params), ACCEPTED);
+    b.run_until(20, "take-off", |b| b.status().mode == FlightMode::Hold);
+    assert!((b.height_m() - 6.0).abs() < 0.4, "{}", b.height_m());
+
+    // Below the vehicle: the default height, and a text says so.
+    let mut b = Bench::new();
+    b.arm();
+    params[6] = 4.0;
+    assert_eq!(b.command_long(API, SCRIPT, 22, params), ACCEPTED);
+    assert!(b.texts().iter().any(|t| t.contains("default")), "{:?}", b.texts());
+    b.run_until(20, "take-off", |b| b.status().mode == FlightMode::Hold);
+    assert!((b.height_m() - 2.5).abs() < 0.4, "{}", b.height_m());
+}
+
+#[test]
+fn the_vehicle_disarms_itself_when_nobody_takes_off() {
+    let mut b = Bench::new();
+    b.arm();
+    assert!(b.status().armed);
+    b.run_ms(9_000);
+    assert!(b.status().armed);
+    assert_eq!(b.command, ControlCommand::Idle);
+    b.run_ms(1_500);
+    assert!(!b.status().armed);
+}
+
+#[test]
+fn only_the_kill_code_disarms_in_the_air() {
+    let mut b = Bench::airborne();
+    assert_eq!(b.disarm(0.0), REJECTED);
+    assert_eq!(b.disarm(21195.0), REJECTED);
+    assert!(b.status().armed);
+    assert!(b.texts().iter().any(|t| t.contains("not landed")));
+    assert_eq!(b.disarm(21196.0), ACCEPTED);
+    b.run_ms(1);
+    assert_eq!(b.command, ControlCommand::MotorsOff);
+}
+
+#[test]
+fn termination_stops_the_motors_until_a_reboot() {
+    let mut b = Bench::airborne();
+    assert_eq!(
+        b.command_long(API, SCRIPT, 185, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ACCEPTED
+    );
+    b.run_ms(1);
+    assert_eq!(b.command, ControlCommand::MotorsOff);
+    assert_eq!(b.heartbeat(API).system_status, MavState::MAV_STATE_FLIGHT_TERMINATION);
+    b.run_ms(5_000);
+    assert_eq!(b.arm(), REJECTED);
+    let mut reboot = [0.0; 7];
+    reboot[0] = 1.0;
+    assert_eq!(b.command_long(API, SCRIPT, 246, reboot), ACCEPTED);
+    assert_eq!(b.arm(), ACCEPTED);
+}
+
+#[test]
+fn hold_stops_first_and_stays_where_it_stopped() {
+    let mut b = Bench::airborne();
+    b.stream(API, SCRIPT, [1.5, 0.0, 0.0]);
+    b.run_ms(100);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.run_ms(3_000);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 3), ACCEPTED);
+    b.stop_stream(SCRIPT);
+    b.run_ms(1_500);
+    let stopped = b.position_m();
+    b.run_ms(3_000);
+    let later = b.position_m();
+    assert!((stopped[0] - later[0]).abs() < 0.05 && (stopped[2] - later[2]).abs() < 0.05);
+    assert!(stopped[0] > 3.0);
+}
+
+#[test]
+fn goto_flies_to_the_place_and_holds_there() {
+    let mut b = Bench::airborne();
+    let home = crate::HomePosition::default();
+    let (lat, lon, _) = crate::geo::to_global(&home, vigil_types::NedVector::new(12.0, -7.0, 0.0));
+    assert_eq!(
+        b.reposition(MavFrame::MAV_FRAME_GLOBAL, lat, lon, 488.0 + 4.0, 1.0),
+        ACCEPTED
+    );
+    b.run_ms(12_000);
+    let [x, y, z] = b.position_m();
+    assert!(
+        (x - 12.0).abs() < 0.2 && (y + 7.0).abs() < 0.2 && (z + 4.0).abs() < 0.2,
+        "{x} {y} {z}"
+    );
+    assert!((b.view().estimate.attitude.yaw_rad() - 1.0).abs() < 0.01);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    // Relative to home in frame 6.
+    assert_eq!(
+        b.reposition(MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, lat, lon, 2.0, f32::NAN),
+        ACCEPTED
+    );
+    b.run_ms(6_000);
+    assert!((b.height_m() - 2.0).abs() < 0.2);
+}
+
+#[test]
+fn goto_is_refused_on_the_ground_far_away_and_in_a_foreign_frame() {
+    let mut b = Bench::new();
+    assert_eq!(
+        b.reposition(MavFrame::MAV_FRAME_GLOBAL, 47.3977, 8.5455, 490.0, 0.0),
+        REJECTED
+    );
+    let mut b = Bench::airborne();
+    for (frame, lat, alt) in [
+        (MavFrame::MAV_FRAME_GLOBAL, 12.0, 490.0),
+        (MavFrame::MAV_FRAME_GLOBAL, 47.3977, 9000.0),
+        (MavFrame::MAV_FRAME_GLOBAL, 47.3977, f32::INFINITY),
+        (MavFrame::MAV_FRAME_BODY_FRD, 47.3977, 490.0),
+    ] {
+        assert_eq!(
+            b.reposition(frame, lat, 8.5455, alt, 0.0),
+            DENIED,
+            "{frame:?} {lat} {alt}"
+        );
+    }
+}
+
+#[test]
+fn home_can_be_moved_and_return_flies_there() {
+    const SET_HOME: u16 = 179;
+    let mut b = Bench::airborne();
+    let origin = crate::HomePosition::default();
+    let (lat, lon, alt) = crate::geo::to_global(&origin, vigil_types::NedVector::new(8.0, -6.0, 0.0));
+    let place = |use_current: f32, lat: f64, alt: f32| [use_current, 0.0, 0.0, 0.0, lat as f32, lon as f32, alt];
+    for refused in [
+        place(0.0, f64::NAN, 488.0),
+        place(0.0, 12.0, 488.0),
+        place(0.0, lat, 520.0),
+        place(0.5, lat, 488.0),
+    ] {
+        assert_eq!(b.command_long(API, SCRIPT, SET_HOME, refused), DENIED, "{refused:?}");
+    }
+    let told = |b: &Bench| {
+        let mut homes = b.messages(API).filter_map(|m| match m {
+            MavMessage::HOME_POSITION(m) => Some((m.x, m.y, m.z, m.latitude)),
+            _ => None,
+        });
+        homes.next_back().unwrap()
+    };
+    b.run_ms(2_500);
+    assert_eq!(told(&b), (0.0, 0.0, 0.0, (origin.latitude_deg * 1e7).round() as i32));
+
+    // A COMMAND_LONG holds a latitude to less than half a metre.
+    assert_eq!(
+        b.command_long(API, SCRIPT, SET_HOME, place(0.0, lat, alt as f32)),
+        ACCEPTED
+    );
+    b.run_ms(100);
+    let (x, y, z, latitude) = told(&b);
+    assert!(
+        (x - 8.0).abs() < 0.5 && (y + 6.0).abs() < 0.5 && z == 0.0,
+        "{x} {y} {z}"
+    );
+    assert!((f64::from(latitude) - lat * 1e7).abs() < 50.0);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
+    b.run_until(90, "landed at the new home", |b| {
+        b.status().landed == LandedState::OnGround
+    });
+    let [north, east, _] = b.position_m();
+    assert!((north - x).abs() < 0.7 && (east - y).abs() < 0.7, "{north} {east}");
+
+    // As MAVSDK sends it: a COMMAND_INT with an altitude above sea level in a frame that is relative to home.
+    let command = MavMessage::COMMAND_INT(COMMAND_INT_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_HOME,
+        frame: MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        target_system: 1,
+        target_component: 1,
+        x: (lat * 1e7).round() as i32,
+        y: (lon * 1e7).round() as i32,
+        z: 488.0,
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &command);
+    b.run_ms(100);
+    let (x, y, ..) = told(&b);
+    assert!((x - 8.0).abs() < 0.02 && (y + 6.0).abs() < 0.02, "{x} {y}");
+
+    // The heights' reference and the local origin are what they were; here is home now.
+    let last_origin = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::GPS_GLOBAL_ORIGIN(m) => Some(m.latitude),
+        _ => None,
+    });
+    assert_eq!(last_origin, Some((origin.latitude_deg * 1e7).round() as i32));
+    assert_eq!(
+        b.command_long(API, SCRIPT, SET_HOME, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ACCEPTED
+    );
+    b.run_ms(100);
+    let (x, y, ..) = told(&b);
+    assert!((north - x).abs() < 0.3 && (east - y).abs() < 0.3, "{x} {y}");
+}
+
+#[test]
+fn return_climbs_flies_home_and_lands() {
+    let mut config = crate::EndpointConfig::default();
+    config.parameters.insert("RTL_RETURN_ALT".into(), 6.0);
+    let mut b = Bench::with(config);
+    b.take_off();
+    let (lat, lon, _) = crate::geo::to_global(
+        &crate::HomePosition::default(),
+        vigil_types::NedVector::new(15.0, 5.0, 0.0),
+    );
+    assert_eq!(
+        b.reposition(MavFrame::MAV_FRAME_GLOBAL_INT, lat, lon, 491.0, f32::NAN),
+        ACCEPTED
+    );
+    b.run_ms(10_000);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
+    b.run_until(10, "climb", |b| b.height_m() > 5.6);
+    assert!(b.position_m()[0] > 14.0, "climbs before it travels");
+    b.run_until(30, "home", |b| b.status().landed == LandedState::OnGround);
+    let [x, y, _] = b.position_m();
+    assert!(x.abs() < 0.7 && y.abs() < 0.7, "{x} {y}");
+    b.run_until(5, "disarms", |b| !b.status().armed);
+}
+
+#[test]
+fn manual_modes_and_missions_are_refused_with_a_reason() {
+    let mut b = Bench::airborne();
+    assert_eq!(b.set_mode(API, SCRIPT, 3, 0), REJECTED);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 4), REJECTED);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 77), DENIED);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    let texts = b.texts().join("|");
+    assert!(
+        texts.contains("no manual control") && texts.contains("no mission"),
+        "{texts}"
+    );
+}
+
+#[test]
+fn sticks_fly_the_vehicle_until_they_are_let_go_of_or_lost() {
+    let mut b = Bench::airborne();
+    let sticks = |x: i16, z: i16, r: i16| {
+        MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
+            target: 1,
+            x,
+            y: 0,
+            z,
+            r,
+            ..Default::default()
+        })
+    };
+    let hold = |b: &mut Bench, message: &MavMessage, from, ms: u64| {
+        for _ in 0..ms / 50 {
+            b.send(GCS, from, message);
+            b.run_ms(50);
+        }
+    };
+    hold(&mut b, &sticks(0, 500, 0), STATION, 200);
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
+    hold(&mut b, &sticks(400, 500, 0), STATION, 3_000);
+    let there = b.position_m()[0];
+    assert!((2.0..6.0).contains(&there), "flew {there} m north");
+    // Somebody else's sticks are not mixed in.
+    for _ in 0..60 {
+        b.send(GCS, STATION, &sticks(0, 500, 0));
+        b.send(API, SCRIPT, &sticks(-1000, 1000, 0));
+        b.run_ms(50);
+    }
+    assert!(b.position_m()[0] > there && (b.height_m() - 3.0).abs() < 0.4);
+    hold(&mut b, &sticks(0, 1000, 0), STATION, 3_000);
+    assert!(b.height_m() > 3.5, "climbs with the throttle up");
+    assert_eq!(b.status().mode, FlightMode::Position);
+    b.run_ms(1_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    assert!(b.status().failsafe.is_some() && b.texts().join("|").contains("manual control lost: hold"));
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), REJECTED, "without sticks");
+}
+
+#[test]
+fn a_campaign_starts_in_the_air_and_holds_its_height() {
+    let mut b = Bench::airborne();
+    assert!(b.status().armed);
+    assert_eq!(b.status().landed, LandedState::InAir);
+    b.run_ms(3_000);
+    assert!((b.height_m() - 3.0).abs() < 0.2, "{}", b.height_m());
+}

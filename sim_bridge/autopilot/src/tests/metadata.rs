@@ -1,0 +1,91 @@
+//! Component metadata, as a client finds and reads it.
+
+use crate::files::crc32;
+use crate::testing::*;
+use crate::tests::ftp::Client;
+use crate::{ParameterValue, parameter_table};
+use serde_json::Value;
+use vigil_mavlink::MavMessage;
+
+fn content(b: &mut Bench, uri: &str) -> (Value, u32) {
+    let path = uri.strip_prefix("mftp://").expect("a file of the vehicle's");
+    let bytes = Client::new().download(b, 0, path);
+    (serde_json::from_slice(&bytes).expect("JSON"), crc32(&bytes))
+}
+
+/// What the general metadata says of the one of this type.
+fn part(b: &mut Bench, kind: u64) -> Value {
+    b.sent.clear();
+    assert_eq!(
+        b.command_long(API, SCRIPT, 512, [397.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ACCEPTED
+    );
+    let told = b.messages(API).find_map(|m| match m {
+        MavMessage::COMPONENT_METADATA(m) => Some((m.uri.to_str().expect("text").to_owned(), m.file_crc)),
+        _ => None,
+    });
+    let (uri, crc) = told.expect("answered");
+    let (general, general_crc) = content(b, &uri);
+    assert_eq!(crc, general_crc);
+    assert_eq!(general["version"], 1);
+    let types = general["metadataTypes"].as_array().expect("a list");
+    let part = types.iter().find(|t| t["type"] == kind).expect("has the type");
+    let (json, crc) = content(b, part["uri"].as_str().expect("text"));
+    assert_eq!(part["fileCrc"], crc);
+    json
+}
+
+#[test]
+fn the_metadata_describes_every_parameter() {
+    let mut b = Bench::new();
+    let json = part(&mut b, 1);
+    let described = json["parameters"].as_array().expect("a list");
+    assert_eq!(described.len(), parameter_table().len());
+    for (described, info) in described.iter().zip(parameter_table()) {
+        assert_eq!(described["name"], info.name);
+        assert_eq!(described["shortDesc"], info.description);
+        assert_eq!(described["units"], info.unit);
+        let kind = match info.default {
+            ParameterValue::Int32(_) => "Int32",
+            ParameterValue::Real32(_) => "Float",
+        };
+        assert_eq!(described["type"], kind);
+        for (key, value) in [("default", info.default.as_f32()), ("min", info.min), ("max", info.max)] {
+            assert_eq!(described[key].as_f64().expect("number") as f32, value, "{}", info.name);
+        }
+    }
+    let text = json.to_string();
+    assert!(
+        text.contains("\"default\":0.4,"),
+        "short numbers, not 0.4000000059604645"
+    );
+}
+
+#[test]
+fn every_event_that_comes_is_defined_with_arguments_that_fit() {
+    let mut b = Bench::new();
+    let json = part(&mut b, 4);
+    let groups = json["components"]["1"]["event_groups"].as_object().expect("groups");
+    for (group, events) in groups {
+        for (id, event) in events["events"].as_object().expect("events") {
+            assert!(id.parse::<u32>().expect("a number") < 1 << 24);
+            let size: usize = event["arguments"].as_array().map_or(0, |arguments| {
+                arguments
+                    .iter()
+                    .map(|a| {
+                        let kind = a["type"].as_str().expect("text");
+                        let base = json["components"]["1"]["enums"][kind]["type"].as_str().unwrap_or(kind);
+                        match base {
+                            "uint8_t" => 1,
+                            "uint32_t" => 4,
+                            other => panic!("{group} {id}: {other}"),
+                        }
+                    })
+                    .sum()
+            });
+            assert!(size <= 40, "{event}");
+            let message = event["message"].as_str().expect("text");
+            assert!(!message.is_empty() && message.len() <= 120);
+        }
+    }
+}

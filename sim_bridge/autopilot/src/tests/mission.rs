@@ -1,0 +1,295 @@
+//! Missions in flight.
+
+use crate::testing::*;
+use crate::tests::plans::{FENCE, MISSION, RALLY, action, item, waypoint};
+use crate::{FlightMode, LandedState};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_mavlink::mavlink::MessageData;
+
+fn start(b: &mut Bench) -> u8 {
+    b.set_mode(API, SCRIPT, 4, 4)
+}
+
+/// The items that were told as reached, each once, in order.
+fn reached(b: &Bench) -> Vec<u16> {
+    let mut reached: Vec<u16> = b
+        .messages(API)
+        .filter_map(|m| match m {
+            MavMessage::MISSION_ITEM_REACHED(r) => Some(r.seq),
+            _ => None,
+        })
+        .collect();
+    reached.dedup();
+    reached
+}
+
+fn current(b: &Bench) -> MISSION_CURRENT_DATA {
+    let found = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::MISSION_CURRENT(c) => Some(c.clone()),
+        _ => None,
+    });
+    found.expect("MISSION_CURRENT was sent")
+}
+
+fn is_at(b: &Bench, (north, east): (f32, f32), height_m: f32, within_m: f32) -> bool {
+    let [x, y, z] = b.position_m();
+    (x - north).hypot(y - east) < within_m && (z + height_m).abs() < within_m
+}
+
+#[test]
+fn a_whole_mission_from_the_ground_to_the_ground() {
+    let mut b = Bench::new();
+    let place = (12.0, 8.0);
+    b.upload(
+        MISSION,
+        &[
+            item(22, [0.0, 0.0, 0.0, f32::NAN], (0.0, 0.0), 4.0),
+            waypoint((12.0, 0.0), 4.0),
+            item(19, [3.0, 0.0, 0.0, f32::NAN], place, 5.0),
+            item(21, [0.0, 0.0, 0.0, f32::NAN], place, 0.0),
+        ],
+    );
+    assert_eq!(start(&mut b), ACCEPTED);
+    assert_eq!(b.status().mode, FlightMode::Mission);
+    b.run_ms(1_000);
+    assert_eq!(b.status().landed, LandedState::OnGround, "not armed yet");
+    assert_eq!(b.arm(), ACCEPTED);
+    b.run_until(3, "leaves the ground", |b| b.status().landed == LandedState::TakingOff);
+    b.run_until(15, "take-off", |b| reached(b) == [0]);
+    assert!(is_at(&b, (0.0, 0.0), 4.0, 1.0), "{:?}", b.position_m());
+    assert_eq!(
+        (current(&b).seq, current(&b).mission_state),
+        (1, MissionState::MISSION_STATE_ACTIVE)
+    );
+    b.run_until(20, "first waypoint", |b| reached(b) == [0, 1]);
+    assert!(is_at(&b, (12.0, 0.0), 4.0, 1.1), "{:?}", b.position_m());
+    assert!(b.view().estimate.attitude.yaw_rad().abs() < 0.1, "the nose led the way");
+    b.run_until(20, "loiter", |b| is_at(b, place, 5.0, 0.3));
+    b.run_ms(1_000);
+    assert_eq!(reached(&b), [0, 1], "it stays for three seconds");
+    b.run_until(5, "loitered", |b| reached(b) == [0, 1, 2]);
+    b.run_until(30, "landed", |b| b.status().landed == LandedState::OnGround);
+    b.run_until(4, "disarmed", |b| !b.status().armed);
+    assert!(is_at(&b, place, 0.0, 0.7), "{:?}", b.position_m());
+    b.run_ms(1_100);
+    assert_eq!(reached(&b), [0, 1, 2, 3]);
+    assert_eq!(current(&b).mission_state, MissionState::MISSION_STATE_COMPLETE);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+#[test]
+fn without_a_take_off_item_it_climbs_before_it_travels() {
+    let mut b = Bench::new();
+    b.upload(MISSION, &[waypoint((10.0, 0.0), 5.0)]);
+    // MAV_CMD_MISSION_START arms, too.
+    let params = [0.0; 7];
+    assert_eq!(b.command_long(GCS, STATION, 300, params), ACCEPTED);
+    assert!(b.status().armed);
+    b.run_until(15, "height", |b| b.height_m() > 4.5);
+    assert!(b.position_m()[0].abs() < 0.5, "{:?}", b.position_m());
+    b.run_until(20, "finished", |b| b.status().mode == FlightMode::Hold);
+    b.run_ms(4_000);
+    assert!(
+        is_at(&b, (10.0, 0.0), 5.0, 0.3),
+        "holds at the last item: {:?}",
+        b.position_m()
+    );
+    assert_eq!(current(&b).mission_state, MissionState::MISSION_STATE_COMPLETE);
+    // Once more, from the first item.
+    assert_eq!(start(&mut b), ACCEPTED);
+    assert_eq!(current(&b).mission_state, MissionState::MISSION_STATE_ACTIVE);
+}
+
+#[test]
+fn a_pause_holds_and_a_start_goes_on() {
+    let mut b = Bench::airborne();
+    b.upload(MISSION, &[waypoint((5.0, 0.0), 3.0), waypoint((40.0, 0.0), 3.0)]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(20, "first waypoint", |b| reached(b) == [0]);
+    b.run_ms(1_000);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 3), ACCEPTED);
+    b.run_ms(4_000);
+    let paused = b.position_m();
+    b.run_ms(3_000);
+    assert!((b.position_m()[0] - paused[0]).abs() < 0.1, "stands still");
+    assert_eq!(
+        (current(&b).seq, current(&b).mission_state),
+        (1, MissionState::MISSION_STATE_PAUSED)
+    );
+    assert_eq!(
+        b.command_long(API, SCRIPT, 193, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ACCEPTED
+    );
+    b.run_until(30, "second waypoint", |b| reached(b) == [0, 1]);
+    assert!(b.position_m()[0] > 38.0);
+}
+
+#[test]
+fn delay_speed_turn_and_jump_do_what_they_say() {
+    let mut b = Bench::airborne();
+    b.upload(
+        MISSION,
+        &[
+            action(178, [1.0, 1.5, -1.0, 0.0]),
+            waypoint((20.0, 0.0), 3.0),
+            action(115, [90.0, 0.0, 0.0, 0.0]),
+            action(93, [4.0, -1.0, -1.0, -1.0]),
+            action(177, [2.0, 1.0, 0.0, 0.0]),
+            // A camera command: there is no camera.
+            action(2000, [0.0, 1.0, 1.0, 0.0]),
+        ],
+    );
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_ms(6_000);
+    let speed = b.view().estimate.velocity_ned_m_s.horizontal_norm();
+    assert!((speed - 1.5).abs() < 0.2, "{speed}");
+    b.run_until(20, "turned", |b| reached(b) == [0, 1, 2]);
+    assert!((b.view().estimate.attitude.yaw_rad() - 1.57).abs() < 0.1);
+    let turned_ns = b.now_ns;
+    b.run_until(10, "waited", |b| reached(b) == [0, 1, 2, 3]);
+    let waited_s = (b.now_ns - turned_ns) as f64 * 1e-9;
+    assert!((4.0..4.2).contains(&waited_s), "{waited_s}");
+    b.run_until(10, "jumped once, finished", |b| b.status().mode == FlightMode::Hold);
+    assert_eq!(reached(&b), [0, 1, 2, 3, 2, 3, 5]);
+}
+
+#[test]
+fn a_loop_of_items_that_take_no_time_does_not_flood_the_links() {
+    let mut b = Bench::airborne();
+    b.upload(
+        MISSION,
+        &[action(178, [1.0, 3.0, -1.0, 0.0]), action(177, [0.0, -1.0, 0.0, 0.0])],
+    );
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.sent.clear();
+    b.run_ms(2_000);
+    assert!(b.count(API, MISSION_CURRENT_DATA::ID) <= 45);
+    assert_eq!(b.status().mode, FlightMode::Mission);
+    assert!((b.height_m() - 3.0).abs() < 0.3, "it holds meanwhile");
+}
+
+#[test]
+fn the_current_item_can_be_chosen() {
+    let mut b = Bench::airborne();
+    b.upload(
+        MISSION,
+        &[
+            waypoint((30.0, 0.0), 3.0),
+            waypoint((0.0, 10.0), 3.0),
+            waypoint((0.0, 10.0), 5.0),
+        ],
+    );
+    b.sent.clear();
+    let choose = |seq| {
+        MavMessage::MISSION_SET_CURRENT(MISSION_SET_CURRENT_DATA {
+            seq,
+            target_system: 1,
+            target_component: 1,
+        })
+    };
+    b.send(API, SCRIPT, &choose(1));
+    assert_eq!(current(&b).seq, 1, "told at once");
+    b.send(API, SCRIPT, &choose(9));
+    assert_eq!(current(&b).seq, 1);
+    assert!(b.texts().iter().any(|t| t.contains("no mission item 9")));
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(15, "second waypoint", |b| reached(b) == [1]);
+    // In flight by command: back to the first; a wrong number is denied.
+    let set = |seq: f32| [seq, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    assert_eq!(b.command_long(API, SCRIPT, 224, set(0.0)), ACCEPTED);
+    assert_eq!(b.command_long(API, SCRIPT, 224, set(3.0)), DENIED);
+    b.run_until(30, "first waypoint", |b| b.position_m()[0] > 28.0);
+}
+
+#[test]
+fn there_is_no_mission_to_start_without_items_or_outside_the_geofence() {
+    let mut b = Bench::airborne();
+    assert_eq!(start(&mut b), REJECTED);
+    b.upload(MISSION, &[waypoint((5.0, 0.0), 3.0), waypoint((60.0, 0.0), 3.0)]);
+    b.upload(FENCE, &[item(5003, [50.0, 0.0, 0.0, 0.0], (0.0, 0.1), 0.0)]);
+    assert_eq!(start(&mut b), REJECTED);
+    assert!(
+        b.texts().iter().any(|t| t.contains("item 1 is outside")),
+        "{:?}",
+        b.texts()
+    );
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+#[test]
+fn a_mission_that_is_cleared_or_replaced_in_flight_is_not_flown_on() {
+    let mut b = Bench::airborne();
+    b.upload(MISSION, &[waypoint((60.0, 0.0), 3.0)]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_ms(3_000);
+    b.upload(MISSION, &[waypoint((0.0, 15.0), 4.0)]);
+    assert_eq!(b.status().mode, FlightMode::Mission);
+    b.run_until(30, "new waypoint", |b| b.position_m()[1] > 14.0);
+    b.upload(MISSION, &[waypoint((60.0, 0.0), 3.0)]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.upload(MISSION, &[]);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+#[test]
+fn a_mission_can_end_with_a_return_to_the_nearest_rally_point() {
+    let mut config = crate::EndpointConfig::default();
+    config.parameters.insert("RTL_RETURN_ALT".into(), 5.0);
+    let mut b = Bench::with(config);
+    b.take_off();
+    b.upload(
+        RALLY,
+        &[
+            item(5100, [0.0; 4], (18.0, 6.0), 0.0),
+            item(5100, [0.0; 4], (-30.0, 0.0), 0.0),
+        ],
+    );
+    b.upload(MISSION, &[waypoint((20.0, 0.0), 4.0), action(20, [0.0; 4])]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(20, "return", |b| b.status().mode == FlightMode::Return);
+    b.run_until(40, "landed", |b| b.status().landed == LandedState::OnGround);
+    assert!(is_at(&b, (18.0, 6.0), 0.0, 0.7), "{:?}", b.position_m());
+    assert_eq!(reached(&b), [0], "a return is a mode, not a place");
+    assert_eq!(current(&b).mission_state, MissionState::MISSION_STATE_COMPLETE);
+}
+
+#[test]
+fn an_item_that_does_not_continue_pauses_the_mission() {
+    let mut b = Bench::airborne();
+    let mut stop = waypoint((6.0, 0.0), 3.0);
+    stop.autocontinue = 0;
+    b.upload(MISSION, &[stop, waypoint((12.0, 0.0), 3.0)]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(15, "paused", |b| b.status().mode == FlightMode::Hold);
+    assert_eq!((reached(&b), current(&b).seq), (vec![0], 1));
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(15, "second waypoint", |b| reached(b) == [0, 1]);
+}
+
+#[test]
+fn speed_can_be_changed_on_the_way() {
+    let mut b = Bench::airborne();
+    b.upload(MISSION, &[waypoint((80.0, 0.0), 3.0)]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_ms(100);
+    let change = |kind: f32, speed: f32| [kind, speed, -1.0, 0.0, 0.0, 0.0, 0.0];
+    assert_eq!(b.command_long(API, SCRIPT, 178, change(1.0, 2.0)), ACCEPTED);
+    b.run_ms(5_000);
+    let speed = b.view().estimate.velocity_ned_m_s.horizontal_norm();
+    assert!((speed - 2.0).abs() < 0.2, "{speed}");
+    assert_eq!(b.command_long(API, SCRIPT, 178, change(2.0, 2.0)), DENIED);
+    assert_eq!(b.command_long(API, SCRIPT, 178, change(1.0, f32::NAN)), DENIED);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 6), ACCEPTED);
+    assert_eq!(b.command_long(API, SCRIPT, 178, change(1.0, 2.0)), REJECTED);
+}
+
+#[test]
+fn an_acceptance_radius_below_what_can_be_flown_does_not_hang_the_mission() {
+    let mut b = Bench::airborne();
+    let precise = item(16, [0.0, 0.001, 0.0, f32::NAN], (5.0, 0.0), 3.0);
+    b.upload(MISSION, &[precise]);
+    assert_eq!(start(&mut b), ACCEPTED);
+    b.run_until(20, "finished", |b| b.status().mode == FlightMode::Hold);
+    assert!(is_at(&b, (5.0, 0.0), 3.0, 0.6), "{:?}", b.position_m());
+}

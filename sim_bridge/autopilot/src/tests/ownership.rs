@@ -1,0 +1,195 @@
+//! Whose setpoints are flown, and what follows when they stop.
+
+use crate::core::ComponentId;
+use crate::testing::*;
+use crate::{Failsafe, FlightMode};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{MavState, NAMED_VALUE_FLOAT_DATA};
+use vigil_vehicle::ControlCommand;
+
+fn owner_in_telemetry(b: &Bench) -> f32 {
+    b.messages(GCS)
+        .rev()
+        .find_map(|m| match m {
+            MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA { name, value, .. })
+                if name.to_str() == Ok("sp_owner") =>
+            {
+                Some(*value)
+            }
+            _ => None,
+        })
+        .expect("sp_owner is sent")
+}
+
+#[test]
+fn offboard_needs_a_stream() {
+    let mut b = Bench::airborne();
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), REJECTED);
+    assert!(b.texts().iter().any(|t| t == "offboard denied: no setpoints"));
+    // One that stopped long ago is none.
+    b.send_velocity(API, SCRIPT, [0.0; 3]);
+    b.run_ms(500);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), REJECTED);
+    b.send_velocity(API, SCRIPT, [0.0; 3]);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+}
+
+#[test]
+fn a_ground_station_hands_the_vehicle_to_the_only_stream() {
+    let mut b = Bench::airborne();
+    b.stream(ONBOARD, COMPANION, [1.0, 0.0, 0.0]);
+    b.run_ms(1_000);
+    assert!(b.position_m()[0].abs() < 0.05, "a stream alone moves nothing");
+    assert_eq!(b.set_mode(GCS, STATION, 6, 0), ACCEPTED);
+    b.run_ms(2_000);
+    assert_eq!(b.status().setpoint_owner, Some(COMPANION));
+    assert_eq!(owner_in_telemetry(&b), 256.0 + 191.0);
+    assert!(b.position_m()[0] > 1.0);
+    assert_eq!(b.set_mode(GCS, STATION, 4, 3), ACCEPTED);
+    b.run_ms(5);
+    assert_eq!(b.status().setpoint_owner, None);
+    assert_eq!(owner_in_telemetry(&b), 0.0);
+}
+
+#[test]
+fn two_sources_never_mix() {
+    let mut b = Bench::airborne();
+    b.stream(ONBOARD, COMPANION, [1.0, 0.0, 0.0]);
+    b.stream(API, SCRIPT, [-1.0, 0.0, 0.0]);
+    b.run_ms(500);
+    // Neither is the commander: nobody gets it, and a text names both.
+    assert_eq!(b.set_mode(GCS, STATION, 6, 0), REJECTED);
+    assert!(
+        b.texts().iter().any(|t| t.contains("1/191, 245/190")),
+        "{:?}",
+        b.texts()
+    );
+    // The commander who streams gets it.
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    for _ in 0..200 {
+        b.run_ms(10);
+        if let ControlCommand::VelocityHeading { velocity_m_s, .. } = b.command {
+            assert_eq!(velocity_m_s.x, -1.0);
+        } else {
+            panic!("{:?}", b.command);
+        }
+    }
+    let status = b.status();
+    assert_eq!(status.setpoint_owner, Some(SCRIPT));
+    assert!(status.refusals.setpoint_foreign >= 39, "{status:?}");
+    let told = b
+        .texts()
+        .iter()
+        .filter(|t| t.contains("setpoints of 1/191 ignored"))
+        .count();
+    assert_eq!(told, 1, "told once");
+    // The companion cannot take over what the script owns; after Hold it can.
+    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), REJECTED);
+    assert_eq!(b.status().setpoint_owner, Some(SCRIPT));
+    assert_eq!(b.set_mode(GCS, STATION, 4, 3), ACCEPTED);
+    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+    assert_eq!(b.status().setpoint_owner, Some(COMPANION));
+}
+
+#[test]
+fn a_lost_stream_means_hold_within_half_a_second_until_a_new_mode_command() {
+    let mut b = Bench::airborne();
+    b.stream(ONBOARD, COMPANION, [1.5, 0.0, 0.0]);
+    b.run_ms(1_000);
+    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+    b.run_ms(2_000);
+    b.stop_stream(COMPANION);
+    b.run_ms(380);
+    assert_eq!(b.status().mode, FlightMode::Offboard, "a few lost packets are no loss");
+    b.sent.clear();
+    b.run_ms(80);
+    let status = b.status();
+    assert_eq!(
+        (status.mode, status.failsafe),
+        (FlightMode::Hold, Some(Failsafe::SetpointLost))
+    );
+    assert!(b.texts().iter().any(|t| t == "setpoint lost: hold"));
+    let heartbeat = b.heartbeat(ONBOARD);
+    assert_eq!(heartbeat.system_status, MavState::MAV_STATE_CRITICAL);
+    assert_eq!(heartbeat.custom_mode, FlightMode::Hold.custom_mode());
+    b.run_ms(3_000);
+    assert!(b.view().estimate.velocity_ned_m_s.norm() < 0.05);
+    // The stream alone does not bring OFFBOARD back; a mode command does.
+    b.stream(ONBOARD, COMPANION, [0.5, 0.0, 0.0]);
+    b.run_ms(1_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+    b.run_ms(2);
+    assert_eq!(b.status().failsafe, None);
+    assert_eq!(b.heartbeat(ONBOARD).system_status, MavState::MAV_STATE_ACTIVE);
+}
+
+#[test]
+fn the_action_on_a_lost_stream_can_be_to_land() {
+    let mut config = crate::EndpointConfig::default();
+    config.parameters.insert("COM_OBL_RC_ACT".into(), 4.0);
+    let mut b = Bench::with(config);
+    b.take_off();
+    b.send_velocity(API, SCRIPT, [0.0; 3]);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.run_ms(500);
+    assert_eq!(b.status().mode, FlightMode::Land);
+    b.run_until(20, "disarmed", |b| !b.status().armed);
+}
+
+#[test]
+fn a_foreign_stream_cannot_keep_a_dead_owner_alive() {
+    let mut b = Bench::airborne();
+    b.stream(ONBOARD, COMPANION, [0.5, 0.0, 0.0]);
+    b.run_ms(200);
+    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+    b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
+    b.run_ms(1_000);
+    b.stop_stream(COMPANION);
+    b.run_ms(500);
+    assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+}
+
+#[test]
+fn offboard_on_the_ground_idles_until_the_setpoint_goes_up() {
+    let mut b = Bench::new();
+    b.stream(API, SCRIPT, [1.0, 0.0, 0.0]);
+    b.run_ms(500);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.arm();
+    b.run_ms(500);
+    assert_eq!(b.command, ControlCommand::Idle);
+    b.stream(API, SCRIPT, [0.0, 0.0, -1.0]);
+    b.run_ms(2_000);
+    assert!(b.height_m() > 1.0);
+}
+
+#[test]
+fn speeds_beyond_the_limits_are_limited_and_keep_their_direction() {
+    let mut config = crate::EndpointConfig::default();
+    config.parameters.insert("MPC_XY_VEL_MAX".into(), 2.0);
+    let mut b = Bench::with(config);
+    b.take_off();
+    b.stream(API, SCRIPT, [30.0, 40.0, -50.0]);
+    b.run_ms(100);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.run_ms(100);
+    let ControlCommand::VelocityHeading { velocity_m_s: v, .. } = b.command else {
+        panic!("{:?}", b.command);
+    };
+    assert!(
+        (v.x - 1.2).abs() < 1e-5 && (v.y - 1.6).abs() < 1e-5 && v.z == -2.5,
+        "{v:?}"
+    );
+}
+
+#[test]
+fn a_killed_vehicle_has_no_owner() {
+    let mut b = Bench::airborne();
+    b.stream(ONBOARD, COMPANION, [0.0; 3]);
+    b.run_ms(200);
+    b.set_mode(ONBOARD, COMPANION, 6, 0);
+    assert_eq!(b.disarm(21196.0), ACCEPTED);
+    assert_eq!(b.status().setpoint_owner, None::<ComponentId>);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}

@@ -1,0 +1,431 @@
+//! Up- and download of plans, as clients do it.
+
+use crate::geo;
+use crate::plan::{Envelope, PlanItem};
+use crate::testing::*;
+use crate::{HomePosition, LinkId, core::ComponentId};
+use proptest::prelude::*;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize_payload};
+use vigil_mavlink::mavlink::{MavHeader, MessageData};
+use vigil_types::NedVector;
+
+pub const MISSION: u8 = 0;
+pub const FENCE: u8 = 1;
+pub const RALLY: u8 = 2;
+
+/// An item at metres north and east of home, in frame 3.
+pub fn item(command: u16, params: [f32; 4], (north, east): (f32, f32), z: f32) -> PlanItem {
+    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
+    PlanItem {
+        command,
+        frame: 3,
+        autocontinue: 1,
+        params,
+        x: geo::deg_e7(lat),
+        y: geo::deg_e7(lon),
+        z,
+    }
+}
+
+pub fn waypoint(place: (f32, f32), height_m: f32) -> PlanItem {
+    item(16, [0.0, 1.0, 0.0, f32::NAN], place, height_m)
+}
+
+/// A command without a place (frame 2).
+pub fn action(command: u16, params: [f32; 4]) -> PlanItem {
+    PlanItem {
+        command,
+        frame: 2,
+        autocontinue: 1,
+        params,
+        x: 0,
+        y: 0,
+        z: 0.0,
+    }
+}
+
+fn raw(from: ComponentId, id: u32, payload: &[u8]) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: u32::from(from.system),
+        component_id: from.component,
+        sequence: 0,
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize_payload(header, id, payload, &mut out).expect("fits");
+    out[..len].to_vec()
+}
+
+impl Bench {
+    fn count_message(&mut self, link: LinkId, from: ComponentId, kind: u8, count: u16) {
+        let [low, high] = count.to_le_bytes();
+        self.send_raw(
+            link,
+            &raw(from, MISSION_COUNT_DATA::ID, &[low, high, 1, 1, kind, 0, 0, 0, 0]),
+        );
+    }
+
+    fn item_message(&mut self, link: LinkId, from: ComponentId, kind: u8, seq: u16, item: &PlanItem, as_int: bool) {
+        let envelope = Envelope {
+            seq,
+            current: 0,
+            mission_type: kind,
+        };
+        let id = if as_int {
+            MISSION_ITEM_INT_DATA::ID
+        } else {
+            MISSION_ITEM_DATA::ID
+        };
+        self.send_raw(link, &raw(from, id, &item.payload(envelope, (1, 1), as_int)));
+    }
+
+    /// The sequence numbers that the vehicle asked for since the last `sent.clear()`.
+    fn requests(&self, link: LinkId) -> Vec<u16> {
+        self.messages(link)
+            .filter_map(|m| match m {
+                MavMessage::MISSION_REQUEST_INT(r) => Some(r.seq),
+                MavMessage::MISSION_REQUEST(r) => Some(r.seq),
+                _ => None,
+            })
+            .collect()
+    }
+
+    fn mission_acks(&self, link: LinkId) -> Vec<MavMissionResult> {
+        self.messages(link)
+            .filter_map(|m| match m {
+                MavMessage::MISSION_ACK(ack) => Some(ack.mavtype),
+                _ => None,
+            })
+            .collect()
+    }
+
+    /// Uploads a plan in one go and returns the answer.
+    pub fn upload(&mut self, kind: u8, items: &[PlanItem]) -> MavMissionResult {
+        self.upload_as(kind, items, true)
+    }
+
+    fn upload_as(&mut self, kind: u8, items: &[PlanItem], as_int: bool) -> MavMissionResult {
+        self.sent.clear();
+        self.count_message(API, SCRIPT, kind, items.len() as u16);
+        for (seq, item) in items.iter().enumerate() {
+            if !self.mission_acks(API).is_empty() {
+                break;
+            }
+            assert_eq!(self.requests(API).last(), Some(&(seq as u16)));
+            self.item_message(API, SCRIPT, kind, seq as u16, item, as_int);
+        }
+        let acks = self.mission_acks(API);
+        assert_eq!(acks.len(), 1, "one answer: {acks:?}");
+        acks[0]
+    }
+
+    /// Downloads a plan as MISSION_ITEM_INT.
+    pub fn download(&mut self, kind: u8) -> Vec<MISSION_ITEM_INT_DATA> {
+        self.sent.clear();
+        self.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_LIST_DATA::ID, &[1, 1, kind]));
+        let count = self
+            .messages(API)
+            .find_map(|m| match m {
+                MavMessage::MISSION_COUNT(c) => Some(c.count),
+                _ => None,
+            })
+            .expect("a count");
+        for seq in 0..count {
+            let [low, high] = seq.to_le_bytes();
+            self.send_raw(
+                API,
+                &raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[low, high, 1, 1, kind]),
+            );
+        }
+        self.messages(API)
+            .filter_map(|m| match m {
+                MavMessage::MISSION_ITEM_INT(item) => Some(item.clone()),
+                _ => None,
+            })
+            .collect()
+    }
+
+    fn clear_plan(&mut self, kind: u8) -> MavMissionResult {
+        self.sent.clear();
+        self.send_raw(API, &raw(SCRIPT, MISSION_CLEAR_ALL_DATA::ID, &[1, 1, kind]));
+        self.mission_acks(API)[0]
+    }
+}
+
+use MavMissionResult as R;
+
+#[test]
+fn every_kind_of_plan_comes_back_as_it_went_up() {
+    let mut b = Bench::new();
+    let mission = [
+        item(22, [0.0, 0.0, 0.0, f32::NAN], (0.0, 0.0), 4.0),
+        waypoint((10.0, 2.0), 5.0),
+        action(93, [2.0, -1.0, -1.0, -1.0]),
+        action(20, [0.0; 4]),
+    ];
+    let fence: Vec<_> = [(-20.0, -20.0), (-20.0, 30.0), (30.0, 30.0)]
+        .map(|v| item(5001, [3.0, 0.0, 0.0, 0.0], v, 0.0))
+        .to_vec();
+    let rally = [item(5100, [0.0; 4], (9.0, 9.0), 12.0)];
+    let plans: [(u8, &[PlanItem]); 3] = [(MISSION, &mission), (FENCE, &fence), (RALLY, &rally)];
+    for (kind, items) in plans {
+        assert_eq!(b.upload(kind, items), R::MAV_MISSION_ACCEPTED);
+    }
+    for (kind, items) in plans {
+        let back = b.download(kind);
+        assert_eq!(back.len(), items.len());
+        for (seq, (back, item)) in back.iter().zip(items).enumerate() {
+            assert_eq!(back.seq, seq as u16);
+            assert_eq!((back.x, back.y, back.z), (item.x, item.y, item.z));
+            assert_eq!((back.command as u16, back.frame as u8), (item.command, item.frame));
+            assert_eq!((back.param1, back.mission_type as u8), (item.params[0], kind));
+            assert_eq!((back.target_system, back.target_component), (245, 190));
+        }
+    }
+    assert_eq!(b.clear_plan(FENCE), R::MAV_MISSION_ACCEPTED);
+    assert_eq!((b.download(FENCE).len(), b.download(RALLY).len()), (0, 1));
+    assert_eq!(b.clear_plan(255), R::MAV_MISSION_ACCEPTED);
+    assert_eq!((b.download(MISSION).len(), b.download(RALLY).len()), (0, 0));
+    // A kind that there is not.
+    b.send_raw(API, &raw(SCRIPT, MISSION_CLEAR_ALL_DATA::ID, &[1, 1, 7]));
+    assert_eq!(b.status().refusals.plan, 1);
+}
+
+#[test]
+fn a_client_that_knows_only_the_float_form_is_served() {
+    let mut b = Bench::new();
+    let items = [waypoint((10.0, 2.0), 5.0), waypoint((20.0, 2.0), 5.0)];
+    assert_eq!(b.upload_as(MISSION, &items, false), R::MAV_MISSION_ACCEPTED);
+    let back = b.download(MISSION);
+    assert!((back[1].x - items[1].x).abs() < 40, "a float holds half a metre");
+    b.sent.clear();
+    b.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_DATA::ID, &[1, 0, 1, 1]));
+    let told = b.messages(API).any(|m| match m {
+        MavMessage::MISSION_ITEM(m) => m.seq == 1 && (m.x - 47.4).abs() < 0.1,
+        _ => false,
+    });
+    assert!(told);
+}
+
+#[test]
+fn an_uploader_that_vanishes_leaves_the_old_mission() {
+    let mut b = Bench::new();
+    let old = [waypoint((10.0, 2.0), 5.0)];
+    assert_eq!(b.upload(MISSION, &old), R::MAV_MISSION_ACCEPTED);
+    b.sent.clear();
+    b.count_message(API, SCRIPT, MISSION, 3);
+    b.item_message(API, SCRIPT, MISSION, 0, &waypoint((50.0, 50.0), 9.0), true);
+    b.run_ms(4_500);
+    // Asked again and again, in both forms, but not for ever.
+    let forms = |b: &Bench| {
+        (
+            b.count(API, MISSION_REQUEST_INT_DATA::ID),
+            b.count(API, MISSION_REQUEST_DATA::ID),
+        )
+    };
+    assert_eq!(forms(&b), (11, 9), "{:?}", b.requests(API));
+    assert_eq!(b.mission_acks(API), []);
+    b.run_ms(1_000);
+    assert_eq!(b.mission_acks(API), [R::MAV_MISSION_OPERATION_CANCELLED]);
+    assert!(b.texts().iter().any(|t| t.contains("timed out")), "{:?}", b.texts());
+    let asked = b.requests(API).len();
+    b.run_ms(5_000);
+    assert_eq!(b.requests(API).len(), asked);
+    assert_eq!(b.download(MISSION)[0].x, old[0].x);
+    // What comes too late changes nothing; another upload works.
+    b.item_message(API, SCRIPT, MISSION, 1, &waypoint((50.0, 50.0), 9.0), true);
+    assert_eq!(b.status().refusals.plan, 2);
+    assert_eq!(b.download(MISSION).len(), 1);
+    assert_eq!(b.upload(MISSION, &[old[0], old[0]]), R::MAV_MISSION_ACCEPTED);
+}
+
+#[test]
+fn a_lossy_link_repeats_and_reorders_and_the_plan_is_whole() {
+    let mut b = Bench::new();
+    let items = [
+        waypoint((1.0, 0.0), 5.0),
+        waypoint((2.0, 0.0), 5.0),
+        waypoint((3.0, 0.0), 5.0),
+    ];
+    b.sent.clear();
+    // The count comes twice, an item twice, one too early, one only on the second request.
+    b.count_message(API, SCRIPT, MISSION, 3);
+    b.count_message(API, SCRIPT, MISSION, 3);
+    b.item_message(API, SCRIPT, MISSION, 1, &items[1], true);
+    b.item_message(API, SCRIPT, MISSION, 0, &items[0], true);
+    b.item_message(API, SCRIPT, MISSION, 0, &items[0], true);
+    b.run_ms(300);
+    b.item_message(API, SCRIPT, MISSION, 1, &items[1], true);
+    b.item_message(API, SCRIPT, MISSION, 2, &items[2], true);
+    assert_eq!(b.requests(API), [0, 0, 0, 1, 1, 2]);
+    assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ACCEPTED]);
+    // The acknowledgement was lost: the client repeats its last item.
+    b.item_message(API, SCRIPT, MISSION, 2, &items[2], true);
+    assert_eq!(b.mission_acks(API), [R::MAV_MISSION_ACCEPTED; 2]);
+    let back = b.download(MISSION);
+    assert!(back.iter().zip(&items).all(|(back, item)| back.x == item.x) && back.len() == 3);
+}
+
+#[test]
+fn two_uploaders_do_not_mix_and_an_uploader_can_give_up() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.count_message(API, SCRIPT, MISSION, 2);
+    b.count_message(GCS, STATION, MISSION, 1);
+    assert_eq!(b.mission_acks(GCS), [R::MAV_MISSION_DENIED]);
+    b.item_message(GCS, STATION, MISSION, 0, &waypoint((9.0, 9.0), 9.0), true);
+    // An item of another kind of plan is none of this upload.
+    b.item_message(API, SCRIPT, RALLY, 0, &item(5100, [0.0; 4], (1.0, 1.0), 0.0), true);
+    assert_eq!(b.status().refusals.plan, 3);
+    b.item_message(API, SCRIPT, MISSION, 0, &waypoint((1.0, 0.0), 5.0), true);
+    // A stranger cannot end it, its sender can.
+    let cancel = |result: R| [1, 1, result as u8, MISSION];
+    b.send_raw(
+        GCS,
+        &raw(
+            STATION,
+            MISSION_ACK_DATA::ID,
+            &cancel(R::MAV_MISSION_OPERATION_CANCELLED),
+        ),
+    );
+    assert_eq!(b.requests(API), [0, 1]);
+    b.run_ms(300);
+    assert_eq!(b.requests(API), [0, 1, 1]);
+    b.send_raw(
+        API,
+        &raw(
+            SCRIPT,
+            MISSION_ACK_DATA::ID,
+            &cancel(R::MAV_MISSION_OPERATION_CANCELLED),
+        ),
+    );
+    b.run_ms(1_000);
+    assert_eq!(b.requests(API), [0, 1, 1]);
+    assert_eq!(b.download(MISSION).len(), 0);
+}
+
+#[test]
+fn a_plan_that_makes_no_sense_is_refused_with_a_reason_and_the_old_one_stays() {
+    let mut b = Bench::new();
+    let good = waypoint((10.0, 2.0), 5.0);
+    assert_eq!(b.upload(MISSION, &[good]), R::MAV_MISSION_ACCEPTED);
+    for (bad, result) in [
+        (item(60_000, [0.0; 4], (0.0, 1.0), 5.0), R::MAV_MISSION_UNSUPPORTED),
+        (PlanItem { frame: 12, ..good }, R::MAV_MISSION_UNSUPPORTED_FRAME),
+        (PlanItem { x: 100_000_000, ..good }, R::MAV_MISSION_INVALID_PARAM5_X),
+        (action(177, [9.0, 1.0, 0.0, 0.0]), R::MAV_MISSION_INVALID_PARAM1),
+    ] {
+        assert_eq!(b.upload(MISSION, &[good, bad]), result);
+        assert!(
+            b.texts().iter().any(|t| t.contains("mission refused")),
+            "{:?}",
+            b.texts()
+        );
+    }
+    assert_eq!(b.download(MISSION).len(), 1);
+    b.sent.clear();
+    b.count_message(API, SCRIPT, MISSION, 60_000);
+    b.count_message(API, SCRIPT, 255, 1);
+    b.send_raw(API, &raw(SCRIPT, MISSION_REQUEST_INT_DATA::ID, &[1, 0, 1, 1, 0]));
+    b.send_raw(
+        API,
+        &raw(SCRIPT, MISSION_WRITE_PARTIAL_LIST_DATA::ID, &[0, 0, 1, 0, 1, 1, 0]),
+    );
+    assert_eq!(
+        b.mission_acks(API)[..],
+        [
+            R::MAV_MISSION_NO_SPACE,
+            R::MAV_MISSION_UNSUPPORTED,
+            R::MAV_MISSION_INVALID_SEQUENCE,
+            R::MAV_MISSION_UNSUPPORTED
+        ]
+    );
+    assert_eq!(
+        b.upload(FENCE, &[item(5001, [4.0, 0.0, 0.0, 0.0], (1.0, 1.0), 0.0)]),
+        R::MAV_MISSION_INVALID_PARAM1
+    );
+    assert_eq!(b.upload(RALLY, &[good]), R::MAV_MISSION_UNSUPPORTED);
+}
+
+#[test]
+fn ids_tell_which_plan_is_on_board() {
+    let mut b = Bench::new();
+    let current = |b: &mut Bench| {
+        b.sent.clear();
+        b.run_ms(1_100);
+        let found = b.messages(API).rev().find_map(|m| match m {
+            MavMessage::MISSION_CURRENT(c) => Some(c.clone()),
+            _ => None,
+        });
+        found.expect("MISSION_CURRENT streams")
+    };
+    let none = current(&mut b);
+    assert_eq!((none.mission_id, none.total), (0, 0));
+    assert_eq!(none.mission_state, MissionState::MISSION_STATE_NO_MISSION);
+    b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]);
+    let one = current(&mut b);
+    b.upload(MISSION, &[waypoint((10.0, 2.0), 6.0)]);
+    let other = current(&mut b);
+    assert!(one.mission_id != 0 && one.mission_id != other.mission_id && one.total == 1);
+    assert_eq!(one.mission_state, MissionState::MISSION_STATE_NOT_STARTED);
+    assert_eq!((one.fence_id, one.rally_points_id), (0, 0));
+}
+
+/// Payload of a message of the mission protocol with its target fields set to the vehicle.
+fn addressed(id: u32, mut payload: Vec<u8>) -> Vec<u8> {
+    let at = match id {
+        MISSION_ITEM_DATA::ID | MISSION_ITEM_INT_DATA::ID => 32,
+        MISSION_REQUEST_PARTIAL_LIST_DATA::ID | MISSION_WRITE_PARTIAL_LIST_DATA::ID => 4,
+        MISSION_COUNT_DATA::ID
+        | MISSION_REQUEST_DATA::ID
+        | MISSION_REQUEST_INT_DATA::ID
+        | MISSION_SET_CURRENT_DATA::ID => 2,
+        _ => 0,
+    };
+    payload[at..at + 2].copy_from_slice(&[1, 1]);
+    payload
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn nonsense_in_the_mission_protocol_does_no_harm(
+        messages in proptest::collection::vec((0_usize..10, proptest::collection::vec(any::<u8>(), 38)), 1..60),
+    ) {
+        const IDS: [u32; 10] = [
+            MISSION_REQUEST_PARTIAL_LIST_DATA::ID,
+            MISSION_WRITE_PARTIAL_LIST_DATA::ID,
+            MISSION_ITEM_DATA::ID,
+            MISSION_REQUEST_DATA::ID,
+            MISSION_SET_CURRENT_DATA::ID,
+            MISSION_REQUEST_LIST_DATA::ID,
+            MISSION_COUNT_DATA::ID,
+            MISSION_ACK_DATA::ID,
+            MISSION_REQUEST_INT_DATA::ID,
+            MISSION_ITEM_INT_DATA::ID,
+        ];
+        let mut b = Bench::airborne();
+        prop_assert_eq!(b.upload(MISSION, &[waypoint((10.0, 2.0), 5.0)]), R::MAV_MISSION_ACCEPTED);
+        for (which, payload) in messages {
+            let id = IDS[which];
+            let len = if id == MISSION_ITEM_DATA::ID || id == MISSION_ITEM_INT_DATA::ID { 38 } else { 9 };
+            let mut payload = addressed(id, payload);
+            // Few kinds and small counts, so that uploads do begin.
+            if id == MISSION_COUNT_DATA::ID {
+                payload[0] &= 3;
+                payload[1] = 0;
+                payload[4] = payload[4] & 1 | 1;
+            }
+            b.send_raw(API, &raw(SCRIPT, id, &payload[..len]));
+            b.run_ms(20);
+        }
+        b.run_ms(6_000);
+        prop_assert_eq!(b.status().mode, crate::FlightMode::Hold);
+        prop_assert_eq!(b.download(MISSION).len(), 1);
+        prop_assert!((b.height_m() - 3.0).abs() < 0.5);
+        // The protocol still works.
+        prop_assert_eq!(b.upload(RALLY, &[item(5100, [0.0; 4], (1.0, 1.0), 0.0)]), R::MAV_MISSION_ACCEPTED);
+    }
+}

@@ -1,0 +1,430 @@
+//! Streams, requests, parameters, identity: what clients ask besides flying.
+
+use crate::testing::*;
+use crate::{EndpointConfig, parameter_table};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_mavlink::mavlink::MessageData;
+
+fn one(b: &Bench, pick: impl Fn(&MavMessage) -> bool) -> MavMessage {
+    b.messages(API).find(|m| pick(m)).expect("message was sent").clone()
+}
+
+#[test]
+fn telemetry_streams_unasked_at_the_rates_of_each_link() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.run_ms(4_000);
+    for (id, onboard, api, gcs) in [
+        (HEARTBEAT_DATA::ID, 4, 4, 4),
+        (ATTITUDE_DATA::ID, 200, 200, 80),
+        (ATTITUDE_QUATERNION_DATA::ID, 200, 80, 40),
+        (LOCAL_POSITION_NED_DATA::ID, 200, 120, 40),
+        (GLOBAL_POSITION_INT_DATA::ID, 20, 40, 20),
+        (EXTENDED_SYS_STATE_DATA::ID, 20, 20, 4),
+        (SYS_STATUS_DATA::ID, 4, 4, 4),
+        (GPS_RAW_INT_DATA::ID, 4, 4, 4),
+        (BATTERY_STATUS_DATA::ID, 2, 2, 2),
+        (HOME_POSITION_DATA::ID, 2, 2, 2),
+    ] {
+        let counts = [ONBOARD, API, GCS].map(|link| b.count(link, id));
+        for (count, wanted) in counts.into_iter().zip([onboard, api, gcs]) {
+            // A rate that does not divide a millisecond lands on the next one.
+            assert!(count.abs_diff(wanted) <= wanted / 20, "message {id}: {counts:?}");
+        }
+    }
+}
+
+#[test]
+fn intervals_are_set_told_and_reset_per_link() {
+    let mut b = Bench::new();
+    let id = ATTITUDE_DATA::ID;
+    let interval = |us: f32| [id as f32, us, 0.0, 0.0, 0.0, 0.0, 0.0];
+    assert_eq!(b.command_long(API, SCRIPT, 511, interval(100_000.0)), ACCEPTED);
+    b.sent.clear();
+    b.run_ms(1_000);
+    assert!((10..=11).contains(&b.count(API, id)), "one at once, then every 100 ms");
+    assert_eq!(b.count(GCS, id), 20, "another link keeps its rate");
+    assert_eq!(b.command_long(API, SCRIPT, 510, interval(0.0)), ACCEPTED);
+    let told = one(&b, |m| matches!(m, MavMessage::MESSAGE_INTERVAL(_)));
+    assert_eq!(
+        told,
+        MavMessage::MESSAGE_INTERVAL(MESSAGE_INTERVAL_DATA {
+            interval_us: 100_000,
+            message_id: 30
+        })
+    );
+    assert_eq!(b.command_long(API, SCRIPT, 511, interval(-1.0)), ACCEPTED);
+    b.sent.clear();
+    b.run_ms(500);
+    assert_eq!(b.count(API, id), 0);
+    assert_eq!(b.command_long(API, SCRIPT, 511, interval(0.0)), ACCEPTED);
+    b.run_ms(1_000);
+    assert!(b.count(API, id) >= 49);
+}
+
+#[test]
+fn a_message_the_vehicle_does_not_have_is_denied() {
+    let mut b = Bench::new();
+    for id in [11_000.0, 1e9, -5.0, f32::NAN, f32::INFINITY] {
+        for command in [510, 511, 512] {
+            assert_eq!(
+                b.command_long(API, SCRIPT, command, [id, 1e5, 0.0, 0.0, 0.0, 0.0, 0.0]),
+                DENIED,
+                "{id}"
+            );
+        }
+    }
+}
+
+#[test]
+fn requests_are_answered_on_the_link_they_came_on() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    let request = |id: u32| [id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    assert_eq!(
+        b.command_long(API, SCRIPT, 512, request(AUTOPILOT_VERSION_DATA::ID)),
+        ACCEPTED
+    );
+    assert_eq!(b.count(API, AUTOPILOT_VERSION_DATA::ID), 1);
+    assert_eq!(b.count(GCS, AUTOPILOT_VERSION_DATA::ID), 0);
+    let MavMessage::AUTOPILOT_VERSION(version) = one(&b, |m| matches!(m, MavMessage::AUTOPILOT_VERSION(_))) else {
+        unreachable!()
+    };
+    assert!(
+        version
+            .capabilities
+            .contains(MavProtocolCapability::MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE)
+    );
+    assert_eq!(version.flight_sw_version >> 24, 1);
+    assert_eq!(b.command_long(API, SCRIPT, 520, [1.0; 7]), ACCEPTED);
+    assert_eq!(b.count(API, AUTOPILOT_VERSION_DATA::ID), 2);
+    for id in [HOME_POSITION_DATA::ID, GPS_GLOBAL_ORIGIN_DATA::ID] {
+        b.sent.clear();
+        assert_eq!(b.command_long(API, SCRIPT, 512, request(id)), ACCEPTED);
+        assert_eq!(b.count(API, id), 1);
+    }
+    b.sent.clear();
+    assert_eq!(b.command_long(API, SCRIPT, 410, [0.0; 7]), ACCEPTED);
+    assert_eq!(b.count(API, HOME_POSITION_DATA::ID), 1);
+}
+
+#[test]
+fn position_is_told_locally_and_globally_alike() {
+    let mut b = Bench::airborne();
+    b.run_ms(1_000);
+    let MavMessage::GLOBAL_POSITION_INT(g) = one(&b, |m| matches!(m, MavMessage::GLOBAL_POSITION_INT(_))) else {
+        unreachable!()
+    };
+    let MavMessage::LOCAL_POSITION_NED(l) = one(&b, |m| matches!(m, MavMessage::LOCAL_POSITION_NED(_))) else {
+        unreachable!()
+    };
+    assert!((l.z + 3.0).abs() < 0.2, "{l:?}");
+    // A degree of latitude is 111.195 km on a sphere of 6371 km; of longitude, times the cosine of the latitude.
+    let north_m = f64::from(g.lat - 473_977_420) * 1e-7 * 111_194.93;
+    let east_m = f64::from(g.lon - 85_455_940) * 1e-7 * 111_194.93 * 47.397_742_f64.to_radians().cos();
+    assert!(
+        (north_m - f64::from(l.x)).abs() < 0.05 && (east_m - f64::from(l.y)).abs() < 0.05,
+        "{g:?} {l:?}"
+    );
+    assert!(
+        (f64::from(g.relative_alt) + 1e3 * f64::from(l.z)).abs() < 50.0,
+        "{g:?} {l:?}"
+    );
+    assert!((g.alt - 488_000 - g.relative_alt).abs() <= 1);
+}
+
+#[test]
+fn health_shows_what_mavsdk_waits_for() {
+    let b = Bench::new();
+    let MavMessage::SYS_STATUS(s) = one(&b, |m| matches!(m, MavMessage::SYS_STATUS(_))) else {
+        unreachable!()
+    };
+    // Gyro, accelerometer, magnetometer, GPS and the pre-arm check.
+    let needed = MavSysStatusSensor::from_bits_retain(1 | 2 | 4 | 32 | 0x1000_0000);
+    assert!(s.onboard_control_sensors_present.contains(needed) && s.onboard_control_sensors_health.contains(needed));
+    assert_eq!(s.battery_remaining, 100);
+}
+
+#[test]
+fn pings_and_time_requests_are_answered_to_their_sender() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.send(
+        API,
+        SCRIPT,
+        &MavMessage::PING(PING_DATA {
+            seq: 5,
+            ..Default::default()
+        }),
+    );
+    let MavMessage::PING(p) = one(&b, |m| matches!(m, MavMessage::PING(_))) else {
+        unreachable!()
+    };
+    assert_eq!((p.seq, p.target_system, p.target_component), (5, 245, 190));
+    let request = TIMESYNC_DATA {
+        tc1: 0,
+        ts1: 123_456,
+        ..Default::default()
+    };
+    b.send(API, SCRIPT, &MavMessage::TIMESYNC(request.clone()));
+    let MavMessage::TIMESYNC(t) = one(&b, |m| matches!(m, MavMessage::TIMESYNC(_))) else {
+        unreachable!()
+    };
+    assert_eq!(t.ts1, 123_456);
+    assert!(t.tc1 > 0);
+    // An answer is not answered: two vehicles would never stop.
+    b.sent.clear();
+    b.send(API, SCRIPT, &MavMessage::TIMESYNC(TIMESYNC_DATA { tc1: 9, ..request }));
+    assert_eq!(b.count(API, TIMESYNC_DATA::ID), 0);
+}
+
+fn set(name: &str, param_value: f32, param_type: MavParamType) -> MavMessage {
+    MavMessage::PARAM_SET(PARAM_SET_DATA {
+        param_value,
+        target_system: 1,
+        target_component: 1,
+        param_id: name.into(),
+        param_type,
+    })
+}
+
+fn values(b: &Bench, link: crate::LinkId) -> Vec<PARAM_VALUE_DATA> {
+    b.messages(link)
+        .filter_map(|m| match m {
+            MavMessage::PARAM_VALUE(v) => Some(v.clone()),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn the_parameter_list_is_complete_typed_and_paced() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.send(
+        API,
+        SCRIPT,
+        &MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+            target_system: 1,
+            target_component: 1,
+        }),
+    );
+    b.run_ms(200);
+    let listed = values(&b, API);
+    assert_eq!(listed.len(), parameter_table().len());
+    for (i, (value, info)) in listed.iter().zip(parameter_table()).enumerate() {
+        assert_eq!(value.param_id.to_str(), Ok(info.name));
+        assert_eq!(
+            (usize::from(value.param_index), usize::from(value.param_count)),
+            (i, listed.len())
+        );
+    }
+    assert!(values(&b, GCS).is_empty());
+    let times: Vec<_> = b
+        .sent
+        .iter()
+        .filter(|s| matches!(s.message, Some(MavMessage::PARAM_VALUE(_))))
+        .map(|s| s.at_ns)
+        .collect();
+    assert!(times.windows(2).all(|w| w[1] - w[0] >= 5_000_000));
+}
+
+#[test]
+fn parameters_are_read_by_name_and_index_and_integers_travel_bytewise() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    let read = |name: &str, param_index| {
+        MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+            param_index,
+            target_system: 1,
+            target_component: 1,
+            param_id: name.into(),
+        })
+    };
+    b.send(API, SCRIPT, &read("COM_OBL_RC_ACT", -1));
+    let index = parameter_table()
+        .iter()
+        .position(|p| p.name == "MIS_TAKEOFF_ALT")
+        .expect("known");
+    b.send(API, SCRIPT, &read("", index as i16));
+    let got = values(&b, API);
+    assert_eq!(got[0].param_type, MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(got[0].param_value.to_bits(), 5);
+    assert_eq!(got[1].param_id.to_str(), Ok("MIS_TAKEOFF_ALT"));
+    assert_eq!(got[1].param_value, 2.5);
+    b.send(API, SCRIPT, &read("NO_SUCH", -1));
+    b.send(API, SCRIPT, &read("", 999));
+    assert_eq!(values(&b, API).len(), 2);
+    assert_eq!(b.status().refusals.parameter, 2);
+}
+
+#[test]
+fn a_set_parameter_acts_and_everybody_hears_of_it() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.send(
+        API,
+        SCRIPT,
+        &set("MIS_TAKEOFF_ALT", 4.0, MavParamType::MAV_PARAM_TYPE_REAL32),
+    );
+    assert_eq!(values(&b, API)[0].param_value, 4.0);
+    assert_eq!(values(&b, GCS)[0].param_value, 4.0);
+    b.take_off();
+    assert!((b.height_m() - 4.0).abs() < 0.4, "{}", b.height_m());
+}
+
+#[test]
+fn a_bad_parameter_set_changes_nothing_and_says_why() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    for (name, value, kind) in [
+        ("MIS_TAKEOFF_ALT", f32::NAN, MavParamType::MAV_PARAM_TYPE_REAL32),
+        ("MIS_TAKEOFF_ALT", -2.0, MavParamType::MAV_PARAM_TYPE_REAL32),
+        ("MIS_TAKEOFF_ALT", f32::from_bits(3), MavParamType::MAV_PARAM_TYPE_INT32),
+        ("COM_OBL_RC_ACT", f32::from_bits(99), MavParamType::MAV_PARAM_TYPE_INT32),
+        ("COM_OBL_RC_ACT", 4.0, MavParamType::MAV_PARAM_TYPE_REAL32),
+        ("MIS_TAKEOFF_ALT", 3.0, MavParamType::MAV_PARAM_TYPE_UINT8),
+        ("NO_SUCH", 3.0, MavParamType::MAV_PARAM_TYPE_REAL32),
+    ] {
+        b.send(API, SCRIPT, &set(name, value, kind));
+    }
+    assert_eq!(b.status().refusals.parameter, 7);
+    use MavParamError::*;
+    let errors: Vec<_> = b
+        .messages(API)
+        .filter_map(|m| match m {
+            MavMessage::PARAM_ERROR(e) => Some((e.target_system, e.error)),
+            _ => None,
+        })
+        .collect();
+    let expected = [
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+        MAV_PARAM_ERROR_TYPE_MISMATCH,
+        MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
+        MAV_PARAM_ERROR_TYPE_MISMATCH,
+        MAV_PARAM_ERROR_TYPE_MISMATCH,
+        MAV_PARAM_ERROR_DOES_NOT_EXIST,
+    ];
+    assert_eq!(errors, expected.map(|error| (SCRIPT.system, error)));
+    for value in values(&b, API) {
+        let unchanged = value.param_value == 2.5 || value.param_value.to_bits() == 5;
+        assert!(unchanged, "{value:?}");
+    }
+    assert!(
+        b.texts().iter().any(|t| t.contains("is not within 0.5 to 80")),
+        "{:?}",
+        b.texts()
+    );
+    assert!(values(&b, GCS).is_empty());
+}
+
+#[test]
+fn the_vehicle_speaks_with_the_system_id_it_was_given() {
+    let config = EndpointConfig {
+        system_id: 42,
+        ..EndpointConfig::default()
+    };
+    let b = Bench::with(config);
+    assert!(b.sent.iter().all(|s| (s.from.system, s.from.component) == (42, 1)));
+    assert!(!b.sent.is_empty());
+}
+
+#[test]
+fn a_long_text_is_sent_in_chunks_of_one_id() {
+    let mut core = crate::core::Core::new(&EndpointConfig::companion_only()).expect("valid");
+    let text = "a text of more than fifty characters that has to be sent in two chunks";
+    core.text(MavSeverity::MAV_SEVERITY_INFO, text);
+    let mut joined = String::new();
+    let mut ids = Vec::new();
+    core.outbox.drain(|_, datagram| {
+        let mut counters = Default::default();
+        for packet in vigil_mavlink::framing::packets(datagram, &mut counters) {
+            if let Ok(MavMessage::STATUSTEXT(s)) = packet.message() {
+                joined += s.text.to_str().expect("ASCII");
+                ids.push((s.id, s.chunk_seq));
+            }
+        }
+    });
+    assert_eq!(joined, text);
+    assert!(ids[0].0 != 0 && ids == [(ids[0].0, 0), (ids[0].0, 1)]);
+}
+
+#[test]
+fn a_calibration_is_told_as_px4_tells_it_and_one_that_needs_hands_is_refused() {
+    let mut b = Bench::new();
+    let ask = |b: &mut Bench, gyro: f32, mag: f32, accelerometer: f32| {
+        b.command_long(API, SCRIPT, 241, [gyro, mag, 0.0, 0.0, accelerometer, 0.0, 0.0])
+    };
+    for (gyro, level, name) in [(1.0, 0.0, "gyro"), (0.0, 2.0, "level")] {
+        b.sent.clear();
+        assert_eq!(ask(&mut b, gyro, 0.0, level), ACCEPTED);
+        assert_eq!(ask(&mut b, gyro, 0.0, level), REJECTED, "one at a time");
+        b.run_ms(1_500);
+        let texts = b.texts();
+        let cal: Vec<&str> = texts
+            .iter()
+            .map(String::as_str)
+            .filter(|t| t.starts_with("[cal]"))
+            .collect();
+        let (started, done) = (
+            format!("[cal] calibration started: 2 {name}"),
+            format!("[cal] calibration done: {name}"),
+        );
+        // Each text goes out on all links.
+        assert!(
+            cal.contains(&started.as_str()) && cal.contains(&"[cal] progress <50>") && cal.contains(&done.as_str())
+        );
+    }
+    assert_eq!(ask(&mut b, 0.0, 1.0, 0.0), REJECTED);
+    assert_eq!(ask(&mut b, 0.0, 0.0, 1.0), REJECTED);
+    assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), ACCEPTED);
+    assert_eq!(ask(&mut b, 0.0, 0.0, 0.0), ACCEPTED, "cancels");
+    b.run_ms(1_500);
+    assert!(b.texts().iter().any(|t| t == "[cal] calibration cancelled"));
+    assert_eq!(b.arm(), ACCEPTED);
+    assert_eq!(ask(&mut b, 1.0, 0.0, 0.0), REJECTED, "armed");
+}
+
+#[test]
+fn vibration_is_felt_in_flight_and_not_on_the_ground() {
+    let level = |b: &mut Bench| -> f32 {
+        b.sent.clear();
+        b.run_ms(4_000);
+        let told = b.messages(API).filter_map(|m| match m {
+            MavMessage::VIBRATION(m) => Some(m.vibration_z),
+            _ => None,
+        });
+        told.collect::<Vec<_>>().pop().expect("streams unasked")
+    };
+    let (still, flying) = (level(&mut Bench::new()), level(&mut Bench::airborne()));
+    assert!(still >= 0.0 && flying > 0.0 && flying < 5.0, "{still} {flying}");
+}
+
+#[test]
+fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
+    let mut b = Bench::new();
+    b.send(ONBOARD, COMPANION, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT));
+    let setup = |system, component, byte| {
+        MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+            target_system: system,
+            target_component: component,
+            secret_key: [byte; 32],
+            initial_timestamp: 77,
+        })
+    };
+    b.sent.clear();
+    for message in [setup(1, 191, 5), setup(0, 0, 5), setup(2, 1, 5), setup(1, 1, 0)] {
+        b.send(API, SCRIPT, &message);
+        assert!(b.endpoint.take_signing_setup().is_none());
+    }
+    b.send(API, SCRIPT, &setup(1, 1, 5));
+    let taken = b.endpoint.take_signing_setup().expect("taken");
+    assert_eq!((taken.key, taken.initial_timestamp), ([5; 32], 77));
+    assert!(b.endpoint.take_signing_setup().is_none(), "once");
+    b.run_ms(100);
+    for link in [ONBOARD, API, GCS] {
+        assert_eq!(b.count(link, SETUP_SIGNING_DATA::ID), 0, "a key is passed on");
+    }
+}

@@ -1,0 +1,233 @@
+//! Bytes that must not be obeyed, and cannot do harm.
+
+use crate::testing::*;
+use crate::{EndpointConfig, LinkId};
+use proptest::prelude::*;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_mavlink::mavlink::MessageData;
+
+#[test]
+fn an_unknown_command_gets_unsupported() {
+    let mut b = Bench::new();
+    for number in [1, 999, 31_000, 65_535] {
+        assert_eq!(b.command_long(API, SCRIPT, number, [0.0; 7]), UNSUPPORTED, "{number}");
+    }
+    assert_eq!(b.status().refusals.command_unsupported, 4);
+}
+
+#[test]
+fn arming_with_nonsense_is_denied() {
+    let mut b = Bench::new();
+    for p in [f32::NAN, f32::INFINITY, -1.0, 0.5, 2.0] {
+        assert_eq!(
+            b.command_long(API, SCRIPT, 400, [p, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            DENIED
+        );
+    }
+    assert!(!b.status().armed);
+}
+
+#[test]
+fn bad_setpoints_are_counted_and_do_not_keep_offboard_alive() {
+    let mut b = Bench::airborne();
+    b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
+    b.run_ms(200);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.stream(API, SCRIPT, [f32::NAN, 0.0, 0.0]);
+    b.run_ms(500);
+    let status = b.status();
+    assert!(status.refusals.setpoint_value >= 8, "{status:?}");
+    assert_eq!(status.mode, crate::FlightMode::Hold);
+    let MavMessage::SET_POSITION_TARGET_LOCAL_NED(mut m) = velocity_message([0.5, 0.0, 0.0]) else {
+        unreachable!()
+    };
+    m.coordinate_frame = MavFrame::MAV_FRAME_LOCAL_OFFSET_NED;
+    b.send(API, SCRIPT, &MavMessage::SET_POSITION_TARGET_LOCAL_NED(m));
+    assert_eq!(b.status().refusals.setpoint_form, 1);
+}
+
+#[test]
+fn damaged_truncated_and_garbage_bytes_are_counted_and_the_next_packet_is_heard() {
+    let mut b = Bench::new();
+    let arm = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 1.0,
+        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    });
+    let good = b.packet(SCRIPT, &arm);
+    let mut damaged = good.clone();
+    damaged[12] ^= 0x40;
+    b.send_raw(API, &damaged);
+    b.send_raw(API, &good[..good.len() - 3]);
+    b.send_raw(API, &[0x55; 300]);
+    b.send_raw(API, &[]);
+    let framing = b.status().framing;
+    assert_eq!((framing.bad_crc, framing.truncated), (1, 1));
+    assert!(framing.garbage_bytes >= 300);
+    assert!(!b.status().armed);
+    let mut behind_garbage = vec![0xFD, 0x03, 0xFE];
+    behind_garbage.extend_from_slice(&good);
+    b.send_raw(API, &behind_garbage);
+    assert!(b.status().armed);
+}
+
+#[test]
+fn a_link_that_does_not_exist_is_ignored() {
+    let mut b = Bench::with(EndpointConfig::companion_only());
+    let heartbeat = b.packet(COMPANION, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    b.send_raw(LinkId(1), &heartbeat);
+    b.send_raw(LinkId(255), &heartbeat);
+    assert_eq!(b.status().framing.packets, 0);
+}
+
+#[test]
+fn a_caller_that_never_transmits_costs_bounded_memory() {
+    let mut endpoint = crate::Endpoint::new(EndpointConfig::default()).expect("valid");
+    let view = Bench::new().view();
+    for ms in 0..60_000_u64 {
+        endpoint.step(ms * 1_000_000, &view);
+    }
+    assert!(endpoint.status().dropped > 0);
+    let mut bytes = 0;
+    endpoint.transmit(|_, datagram| bytes += datagram.len());
+    assert!(bytes <= 256 * 1024);
+}
+
+/// Valid packets to mutate: everything that the vehicle obeys.
+fn seeds() -> Vec<Vec<u8>> {
+    let mut b = Bench::new();
+    let long = |command, param1| {
+        MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            param1,
+            command,
+            target_system: 1,
+            target_component: 1,
+            ..Default::default()
+        })
+    };
+    let messages = [
+        long(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0),
+        long(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0),
+        long(MavCmd::MAV_CMD_DO_SET_MODE, 129.0),
+        long(MavCmd::MAV_CMD_SET_MESSAGE_INTERVAL, 30.0),
+        MavMessage::COMMAND_INT(COMMAND_INT_DATA {
+            command: MavCmd::MAV_CMD_DO_REPOSITION,
+            target_system: 1,
+            target_component: 1,
+            ..Default::default()
+        }),
+        velocity_message([1.0, 0.0, 0.0]),
+        MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA::default()),
+        MavMessage::PARAM_SET(PARAM_SET_DATA {
+            param_id: "MIS_TAKEOFF_ALT".into(),
+            target_system: 1,
+            ..Default::default()
+        }),
+        MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA::default()),
+        MavMessage::PING(PING_DATA::default()),
+        MavMessage::TIMESYNC(TIMESYNC_DATA::default()),
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
+    ];
+    messages.iter().map(|m| b.packet(SCRIPT, m)).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn any_payloads_of_files_logs_shell_and_events_are_survived(
+        packets in prop::collection::vec(
+            (
+                prop::sample::select(vec![
+                    FILE_TRANSFER_PROTOCOL_DATA::ID,
+                    LOG_REQUEST_LIST_DATA::ID,
+                    LOG_REQUEST_DATA_DATA::ID,
+                    LOG_ERASE_DATA::ID,
+                    SERIAL_CONTROL_DATA::ID,
+                    REQUEST_EVENT_DATA::ID,
+                ]),
+                0..18_u8,
+                prop::collection::vec(any::<u8>(), 20..100),
+            ),
+            1..20,
+        ),
+    ) {
+        let mut b = Bench::airborne();
+        for (id, opcode, mut payload) in packets {
+            if id == FILE_TRANSFER_PROTOCOL_DATA::ID {
+                // Target, session, an operation that there is, a size that fits.
+                payload[1] = 1;
+                payload[2] = 1;
+                payload[5] &= 3;
+                payload[6] = opcode;
+                payload[7] &= 0x3F;
+            }
+            let header = vigil_mavlink::mavlink::MavHeader { system_id: 245, component_id: 190, sequence: 0 };
+            let mut out = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+            let len = vigil_mavlink::framing::serialize_payload(header, id, &payload, &mut out).expect("fits");
+            b.sent.clear();
+            b.send_raw(API, &out[..len]);
+            b.run_ms(3);
+            // A shell line may answer in several packets; nothing answers without bound.
+            prop_assert!(b.sent.len() < 200, "{}", b.sent.len());
+        }
+        prop_assert!(b.status().armed && b.status().dropped == 0);
+    }
+
+    #[test]
+    fn damaged_bytes_are_never_obeyed(
+        seed in 0..12_usize,
+        flips in prop::collection::vec((any::<prop::sample::Index>(), 1..=255_u8), 1..4),
+        cut in any::<prop::sample::Index>(),
+        truncate in any::<bool>(),
+    ) {
+        let mut packet = seeds().swap_remove(seed);
+        let original = packet.clone();
+        for (at, mask) in &flips {
+            let at = at.index(packet.len());
+            packet[at] ^= mask;
+        }
+        if truncate {
+            packet.truncate(cut.index(packet.len()));
+        }
+        prop_assume!(packet != original);
+        let mut b = Bench::new();
+        b.sent.clear();
+        b.send_raw(API, &packet);
+        b.run_ms(5);
+        // A changed checksum byte pair could fit another message by chance (1 in 65 536); such a command has one answer.
+        let obeyed = b.sent.iter().filter(|s| s.ack.is_some()).count();
+        prop_assert!(obeyed <= usize::from(b.status().framing.packets > 0));
+        prop_assert!(!b.status().armed);
+    }
+
+    #[test]
+    fn any_fields_in_a_valid_packet_leave_a_finite_command(
+        seed in 0..12_usize,
+        payload in prop::collection::vec(any::<u8>(), 0..60),
+    ) {
+        // The packet's own header and message number, any payload, a checksum that fits.
+        let template = seeds().swap_remove(seed);
+        let id = u32::from_le_bytes([template[7], template[8], template[9], 0]);
+        let mut payload = payload;
+        // Address it to the vehicle where the target lies for commands and setpoints, so that it is looked at.
+        for at in [30, 31, 50, 51] {
+            if let Some(byte) = payload.get_mut(at) {
+                *byte = 1;
+            }
+        }
+        let header = vigil_mavlink::mavlink::MavHeader { system_id: 245, component_id: 190, sequence: 0 };
+        let mut out = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+        let len = vigil_mavlink::framing::serialize_payload(header, id, &payload, &mut out).expect("fits");
+        let mut b = Bench::airborne();
+        b.send_velocity(API, SCRIPT, [0.0; 3]);
+        b.set_mode(API, SCRIPT, 6, 0);
+        b.send_raw(API, &out[..len]);
+        b.run_ms(20);
+        let position = b.position_m();
+        prop_assert!(position.iter().all(|p| p.is_finite()), "{:?}", b.command);
+    }
+}

@@ -1,0 +1,127 @@
+//! What passes between links, and that the vehicle answers for nobody else.
+
+use crate::testing::*;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+
+fn forwarded(b: &Bench, link: crate::LinkId) -> Vec<(crate::ComponentId, MavMessage)> {
+    b.sent
+        .iter()
+        .filter(|s| s.link == link && (s.from.system, s.from.component) != (1, 1))
+        .filter_map(|s| Some((s.from, s.message.clone()?)))
+        .collect()
+}
+
+#[test]
+fn a_script_sees_the_companions_heartbeat_texts_and_values() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.send_heartbeat(ONBOARD, COMPANION);
+    let value = MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA {
+        name: "gd_state".into(),
+        value: 3.0,
+        ..Default::default()
+    });
+    b.send(ONBOARD, COMPANION, &value);
+    for link in [API, GCS] {
+        let seen = forwarded(&b, link);
+        assert_eq!(seen.len(), 2);
+        assert!(seen.iter().all(|(from, _)| *from == COMPANION));
+        assert_eq!(seen[1].1, value);
+    }
+    assert!(
+        forwarded(&b, ONBOARD).is_empty(),
+        "nothing goes back where it came from"
+    );
+}
+
+#[test]
+fn a_command_for_the_companion_reaches_it_and_the_vehicle_does_not_answer() {
+    let mut b = Bench::new();
+    b.send_heartbeat(ONBOARD, COMPANION);
+    b.sent.clear();
+    let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 1.0,
+        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        target_system: 1,
+        target_component: 191,
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &command);
+    assert_eq!(forwarded(&b, ONBOARD), [(SCRIPT, command)]);
+    assert!(b.sent.iter().all(|s| s.ack.is_none()));
+    assert!(forwarded(&b, GCS).is_empty());
+    // Its acknowledgement goes back to the script alone.
+    b.sent.clear();
+    let ack = MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
+        command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+        target_system: SCRIPT.system,
+        target_component: SCRIPT.component,
+        ..Default::default()
+    });
+    b.send(ONBOARD, COMPANION, &ack);
+    assert_eq!(forwarded(&b, API), [(COMPANION, ack)]);
+    assert!(forwarded(&b, GCS).is_empty());
+}
+
+#[test]
+fn a_command_for_a_component_nobody_saw_goes_nowhere_and_stays_unanswered() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        command: MavCmd::MAV_CMD_COMPONENT_ARM_DISARM,
+        param1: 1.0,
+        target_system: 1,
+        target_component: 154,
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &command);
+    assert!(b.sent.iter().all(|s| s.ack.is_none()));
+    assert!(forwarded(&b, ONBOARD).is_empty());
+    assert!(!b.status().armed);
+    // Another system's vehicle neither.
+    let MavMessage::COMMAND_LONG(mut other) = command else {
+        unreachable!()
+    };
+    other.target_system = 2;
+    other.target_component = 1;
+    b.send(API, SCRIPT, &MavMessage::COMMAND_LONG(other));
+    assert!(!b.status().armed);
+}
+
+#[test]
+fn an_unknown_message_is_passed_on_byte_for_byte() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    // Message 60 000 in MAVLink 2 framing; its checksum cannot be known here.
+    let packet = [0xFD, 2, 0, 0, 7, 1, 191, 0x60, 0xEA, 0x00, 0xAA, 0xBB, 0x12, 0x34];
+    b.send_raw(ONBOARD, &packet);
+    for link in [API, GCS] {
+        assert!(b.sent.iter().any(|s| s.link == link && s.raw == packet));
+    }
+}
+
+#[test]
+fn a_packet_that_claims_to_be_the_vehicle_is_dropped() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    let own = crate::ComponentId {
+        system: 1,
+        component: 1,
+    };
+    b.send_heartbeat(API, own);
+    assert_eq!(b.status().refusals.own_identity, 1);
+    assert!(b.sent.is_empty());
+}
+
+#[test]
+fn each_link_counts_its_own_sequence() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    b.run_ms(2_000);
+    for link in [ONBOARD, API, GCS] {
+        let sequence: Vec<u8> = b.sent.iter().filter(|s| s.link == link).map(|s| s.raw[4]).collect();
+        assert!(sequence.len() > 10);
+        assert!(sequence.windows(2).all(|w| w[1] == w[0].wrapping_add(1)));
+    }
+}

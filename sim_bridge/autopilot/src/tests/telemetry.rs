@@ -1,0 +1,124 @@
+//! Telemetry beyond what flying needs: motors, scaled readings, estimator, flight information.
+
+use crate::testing::*;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_mavlink::mavlink::MessageData;
+
+fn request(b: &mut Bench, id: u32) -> MavMessage {
+    b.sent.clear();
+    assert_eq!(
+        b.command_long(API, SCRIPT, 512, [id as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        ACCEPTED
+    );
+    use vigil_mavlink::mavlink::Message;
+    b.messages(API)
+        .find(|m| m.message_id() == id)
+        .expect("was sent")
+        .clone()
+}
+
+#[test]
+fn motor_pulses_show_what_each_motor_is_told() {
+    let mut b = Bench::new();
+    let pulses = |b: &mut Bench| match request(b, SERVO_OUTPUT_RAW_DATA::ID) {
+        MavMessage::SERVO_OUTPUT_RAW(s) => [s.servo1_raw, s.servo2_raw, s.servo3_raw, s.servo4_raw],
+        _ => unreachable!(),
+    };
+    assert_eq!(pulses(&mut b), [900; 4]);
+    b.take_off();
+    b.run_ms(2_000);
+    let hover = pulses(&mut b);
+    assert!(hover.iter().all(|p| (1400..1900).contains(p)), "{hover:?}");
+    let MavMessage::ACTUATOR_OUTPUT_STATUS(a) = request(&mut b, ACTUATOR_OUTPUT_STATUS_DATA::ID) else {
+        unreachable!()
+    };
+    assert_eq!(a.active, 0b1111);
+    for (output, pulse) in a.actuator.iter().zip(hover) {
+        assert!((output - f32::from(pulse)).abs() <= 60.0, "{a:?} {hover:?}");
+    }
+    assert!(a.actuator[4..].iter().all(|output| *output == 0.0));
+    // A turn to the right needs more of the counter-clockwise pair, 1 and 2.
+    let turn = MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
+        body_yaw_rate: 2.0,
+        thrust: 0.5,
+        target_system: 1,
+        target_component: 1,
+        type_mask: AttitudeTargetTypemask::from_bits_retain(0x80),
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &turn);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.run_ms(30);
+    b.send(API, SCRIPT, &turn);
+    let turning = pulses(&mut b);
+    assert!(turning[0] + turning[1] > turning[2] + turning[3] + 40, "{turning:?}");
+}
+
+#[test]
+fn a_hovering_vehicle_feels_one_gravity_upwards() {
+    let mut b = Bench::airborne();
+    b.run_ms(2_000);
+    let MavMessage::SCALED_IMU(s) = request(&mut b, SCALED_IMU_DATA::ID) else {
+        unreachable!()
+    };
+    assert!((-1200..-800).contains(&s.zacc), "{s:?}");
+    assert!(
+        s.xacc.abs() < 200 && s.yacc.abs() < 200 && s.temperature == 2000,
+        "{s:?}"
+    );
+    let MavMessage::RAW_IMU(r) = request(&mut b, RAW_IMU_DATA::ID) else {
+        unreachable!()
+    };
+    assert_eq!((r.xmag, r.ymag, r.zmag), (s.xmag, s.ymag, s.zmag));
+    let MavMessage::ESTIMATOR_STATUS(e) = request(&mut b, ESTIMATOR_STATUS_DATA::ID) else {
+        unreachable!()
+    };
+    assert!(e.flags.contains(EstimatorStatusFlags::ESTIMATOR_POS_HORIZ_ABS));
+}
+
+#[test]
+fn flight_information_has_the_times_of_the_flight() {
+    let mut b = Bench::new();
+    let told = |b: &mut Bench| match request(b, FLIGHT_INFORMATION_DATA::ID) {
+        MavMessage::FLIGHT_INFORMATION(f) => f,
+        _ => unreachable!(),
+    };
+    let before = told(&mut b);
+    assert_eq!((before.flight_uuid, before.arming_time_utc), (0, 0));
+    b.take_off();
+    let flying = told(&mut b);
+    assert_eq!((flying.flight_uuid, flying.landing_time), (1, 0));
+    assert!(flying.arming_time_utc >= u64::from(before.time_boot_ms) * 1000);
+    assert!(flying.takeoff_time_utc > flying.arming_time_utc);
+    assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
+    b.run_until(30, "landing", |b| !b.status().armed);
+    let landed = told(&mut b);
+    assert_eq!(landed.takeoff_time_utc, flying.takeoff_time_utc);
+    assert!(landed.landing_time > flying.time_boot_ms && landed.landing_time <= landed.time_boot_ms);
+    b.run_ms(50);
+    assert_eq!(b.arm(), ACCEPTED);
+    b.run_ms(50);
+    let again = told(&mut b);
+    assert_eq!(
+        (again.flight_uuid, again.takeoff_time_utc, again.landing_time),
+        (2, 0, 0)
+    );
+}
+
+#[test]
+fn a_sensor_that_is_not_there_may_be_given_a_rate_and_never_sends() {
+    let mut b = Bench::new();
+    for id in [
+        RC_CHANNELS_DATA::ID,
+        DISTANCE_SENSOR_DATA::ID,
+        ACTUATOR_CONTROL_TARGET_DATA::ID,
+        HIL_STATE_QUATERNION_DATA::ID,
+    ] {
+        let rate = [id as f32, 1e5, 0.0, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(b.command_long(API, SCRIPT, 511, rate), ACCEPTED);
+        assert_eq!(b.command_long(API, SCRIPT, 512, rate), DENIED);
+        b.run_ms(300);
+        assert_eq!(b.count(API, id), 0);
+    }
+}

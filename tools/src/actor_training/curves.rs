@@ -1,0 +1,43 @@
+//! The learning curves as a picture: reward, success, losses over the updates.
+
+use crate::actor_training::chart::{Panel, chart_png};
+use crate::actor_training::progress::Row;
+
+/// The picture as a PNG file's content.
+pub fn png(rows: &[Row]) -> Vec<u8> {
+    let over = |value: &dyn Fn(&Row) -> Option<f64>| -> Vec<(f64, f64)> {
+        rows.iter()
+            .filter_map(|r| Some((r.updates as f64, value(r)?)))
+            .collect()
+    };
+    let ended = |r: &Row, v: f64| (r.flights > 0).then_some(v);
+    let panels = [
+        Panel::new(
+            "reward of training flights",
+            [("reward", over(&|r| ended(r, f64::from(r.reward))))],
+        ),
+        Panel::new(
+            "share of flights that reach the goal",
+            [
+                (
+                    "training",
+                    over(&|r| ended(r, r.successes as f64 / r.flights.max(1) as f64)),
+                ),
+                ("judged, no noise, no field", over(&|r| r.completion)),
+            ],
+        ),
+        Panel::new(
+            "losses",
+            [
+                ("critic", over(&|r| Some(f64::from(r.update.critic_loss)))),
+                ("imitation", over(&|r| Some(f64::from(r.update.imitation_loss)))),
+            ],
+        ),
+        Panel::new(
+            "value of the actor's actions",
+            [("value", over(&|r| Some(f64::from(r.update.value))))],
+        ),
+    ];
+    let last = rows.last().map_or(1.0, |r| r.updates as f64).max(1.0);
+    chart_png(&panels, last)
+}

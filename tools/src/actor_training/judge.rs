@@ -1,0 +1,128 @@
+//! Flights that judge an actor: the frozen actor's own code, deciding every step, without noise.
+
+use crate::actor_training::flight::Flight;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
+use vigil_policy::actor::positional_inputs;
+use vigil_policy::{FlightField, Surroundings};
+use vigil_types::{ACTION_LIMIT, Action};
+use vigil_vehicle::{ParamsError, Wind};
+use vigil_world::{Family, Outcome, generate};
+
+/// Who decides.
+#[derive(Debug, Clone, Copy)]
+pub enum Judged<'a> {
+    /// An actor's parameters.
+    Actor(&'a [f32]),
+    /// No motion at all: what the field does alone.
+    Zero,
+    /// Each output drawn evenly anew each step.
+    Random,
+}
+
+/// Which flights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Judgement {
+    /// Family of courses.
+    pub family: Family,
+    /// First seed.
+    pub first_seed: u64,
+    /// How many.
+    pub flights: u64,
+    /// A flight that takes longer has failed.
+    pub time_limit_s: f32,
+    /// The potential field is added, as in flight.
+    pub field: bool,
+}
+
+/// How they ended.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Verdict {
+    /// Outcome and time of each flight, in the order of the seeds.
+    pub flights: Vec<(Outcome, f64)>,
+}
+
+impl Verdict {
+    /// Number of flights with an outcome.
+    pub fn count(&self, outcome: Outcome) -> usize {
+        self.flights.iter().filter(|(o, _)| *o == outcome).count()
+    }
+
+    /// Number of flights that reached the goal.
+    pub fn successes(&self) -> usize {
+        self.count(Outcome::Success)
+    }
+
+    /// Share of flights that reached the goal.
+    pub fn completion(&self) -> f64 {
+        self.successes() as f64 / self.flights.len().max(1) as f64
+    }
+
+    /// Mean time of those that did, seconds.
+    pub fn mean_time_s(&self) -> f64 {
+        let times = self
+            .flights
+            .iter()
+            .filter(|(o, _)| *o == Outcome::Success)
+            .map(|(_, t)| t);
+        times.sum::<f64>() / self.successes().max(1) as f64
+    }
+}
+
+/// Why a judgement could not be made.
+#[derive(Debug, thiserror::Error)]
+pub enum JudgeError {
+    /// The vehicle.
+    #[error(transparent)]
+    Vehicle(#[from] ParamsError),
+    /// The actor does not fit.
+    #[error(transparent)]
+    Network(#[from] ShapeError),
+}
+
+/// Flies all flights in the current thread pool.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn judge(judged: Judged<'_>, isa: Isa, what: &Judgement) -> Result<Verdict, JudgeError> {
+    let flights = (0..what.flights)
+        .into_par_iter()
+        .map(|i| fly(judged, isa, what, what.first_seed + i))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(Verdict { flights })
+}
+
+fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Outcome, f64), JudgeError> {
+    let mut course = generate(what.family, seed);
+    course.time_limit_s = what.time_limit_s;
+    let mut flight = Flight::new(&course, Wind::default(), seed)?;
+    let mut actor = match judged {
+        Judged::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?),
+        Judged::Zero | Judged::Random => None,
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut surroundings = Box::new(Surroundings::new());
+    let mut field = FlightField::default();
+    loop {
+        let mut action = match (&mut actor, judged) {
+            (Some(actor), _) => {
+                let [forward_m_s, yaw] = actor.decide(&flight.frame().depth, positional_inputs(flight.goal()))?;
+                Action { forward_m_s, yaw }
+            }
+            (None, Judged::Random) => Action {
+                forward_m_s: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
+                yaw: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
+            },
+            (None, _) => Action::HOVER,
+        };
+        if what.field {
+            let input = flight.input();
+            action = field.add_to(action, &input, surroundings.observe(&input));
+        }
+        if let Some(outcome) = flight.advance(action) {
+            return Ok((outcome, flight.time_s()));
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Trains the actor in the simulator: DDPG with prioritised replay and the paper's potential field.
+//!
+//! `docs/training.md` describes the method and what was measured.
+
+pub mod adam;
+mod chart;
+mod checkpoint;
+mod collector;
+mod config;
+mod curves;
+mod decider;
+mod files;
+mod flight;
+mod judge;
+mod learner;
+mod networks;
+mod noise;
+mod progress;
+mod recurrent;
+mod rehearsal;
+mod replay;
+mod result;
+mod shard;
+mod train;
+mod weights;
+
+pub use chart::{Panel, chart_png};
+pub use config::{ConfigError, TrainConfig};
+pub use flight::Flight;
+pub use judge::{JudgeError, Judged, Judgement, Verdict, judge};
+pub use learner::{UpdateError, UpdateReport};
+pub use progress::{Progress, Row};
+pub use rehearsal::{Example, KeptState, Rehearsal};
+pub use result::{FlightCount, RunResult};
+pub use train::{RunEnd, RunOptions, TrainError, run};

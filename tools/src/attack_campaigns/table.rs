@@ -1,0 +1,232 @@
+//! The paper's figure 11: how many states are deceived, by size and iterations of the attack.
+
+use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
+use super::{Common, bar, write_json};
+use crate::cli::output::range_grey;
+use crate::statistics::wilson_95;
+use anyhow::{Context, Result};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::fmt::Write;
+use std::process::ExitCode;
+use std::time::Instant;
+use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
+use vigil_nnet::Isa;
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
+use vigil_world::Image;
+
+const EPSILONS_255: [f32; 6] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
+const ITERATIONS: [u32; 5] = [1, 2, 5, 10, 20];
+/// The two readings of the paper's attack, and noise as large as the second.
+const METHODS: [Method; 3] = [Method::BimClipped, Method::BimAccumulating, Method::Noise];
+
+/// Arguments of `vigil attack table`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct TableArgs {
+    /// States under attack, five from each flight.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    states: u64,
+
+    /// Seed of the first flight over a validation course.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    #[command(flatten)]
+    common: Common,
+}
+
+#[derive(Serialize)]
+struct Cell {
+    method: Method,
+    epsilon_255: f32,
+    iterations: u32,
+    states: usize,
+    effective: usize,
+    share: f64,
+    wilson_95: (f64, f64),
+    mean_yaw_change: f64,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    version: &'static str,
+    actor_sha256: &'a str,
+    first_seed: u64,
+    states: usize,
+    wall_s: f64,
+    cells: &'a [Cell],
+}
+
+/// Attacks every state at every setting.
+///
+/// # Errors
+/// A file that is no actor, a folder that cannot be written.
+pub fn run(args: &TableArgs) -> Result<ExitCode> {
+    let victim = args.common.victim()?;
+    let folder = args.common.folder()?;
+    let flights = args.states.div_ceil(STATES_PER_FLIGHT as u64);
+    let bar = bar(args.states, "states")?;
+    let begun = Instant::now();
+    let mut attacked: Vec<Vec<f32>> = args.common.pool()?.install(|| {
+        (0..flights)
+            .into_par_iter()
+            .map(|i| {
+                let mut rows = Vec::new();
+                for state in met_in_flight(&victim.params, args.seed + i)? {
+                    rows.push(yaw_changes(&victim.params, &state)?);
+                    bar.inc(1);
+                }
+                Ok(rows)
+            })
+            .collect::<Result<Vec<_>>>()
+            .map(|rows| rows.into_iter().flatten().collect())
+    })?;
+    attacked.truncate(args.states as usize);
+    bar.finish_and_clear();
+    let wall_s = begun.elapsed().as_secs_f64();
+
+    let cells: Vec<Cell> = settings()
+        .enumerate()
+        .map(|(i, (method, epsilon_255, iterations))| {
+            let changes = || attacked.iter().map(|row| f64::from(row[i].abs()));
+            let effective = changes()
+                .filter(|c| *c >= f64::from(vigil_adversary::EFFECTIVE_YAW))
+                .count();
+            Cell {
+                method,
+                epsilon_255,
+                iterations,
+                states: attacked.len(),
+                effective,
+                share: effective as f64 / attacked.len() as f64,
+                wilson_95: wilson_95(effective, attacked.len()),
+                mean_yaw_change: changes().sum::<f64>() / attacked.len() as f64,
+            }
+        })
+        .collect();
+    print(&cells, attacked.len(), args.seed, wall_s);
+    let csv = folder.join("figure-11.csv");
+    std::fs::write(&csv, to_csv(&cells)).with_context(|| format!("cannot write {}", csv.display()))?;
+    if let Some(state) = met_in_flight(&victim.params, args.seed)?.first() {
+        picture(&victim.params, state)?.write_png(&folder.join("frames.png"))?;
+    }
+    write_json(
+        &folder.join("figure-11.json"),
+        &Report {
+            version: env!("CARGO_PKG_VERSION"),
+            actor_sha256: &victim.sha256,
+            first_seed: args.seed,
+            states: attacked.len(),
+            wall_s,
+            cells: &cells,
+        },
+    )?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Method, ε, iterations of every cell, in the order of the report.
+fn settings() -> impl Iterator<Item = (Method, f32, u32)> {
+    METHODS.into_iter().flat_map(|method| {
+        EPSILONS_255
+            .into_iter()
+            .flat_map(move |epsilon| ITERATIONS.map(|iterations| (method, epsilon, iterations)))
+    })
+}
+
+/// Change of the yaw output at each of [`settings`].
+fn yaw_changes(params: &[f32], state: &State) -> Result<Vec<f32>> {
+    let mut attack = StateAttack::new(Isa::detect(), params, &AttackConfig::PAPER)?;
+    let mut frames = state.frames.clone();
+    let mut changes = Vec::new();
+    let mut each: Vec<AttackOutcome> = Vec::new();
+    for (method, epsilon_255, iterations) in settings() {
+        let config = AttackConfig {
+            method,
+            epsilon_255,
+            iterations,
+            seed: state.seed,
+            ..AttackConfig::PAPER
+        };
+        if method != Method::BimAccumulating {
+            attack.configure(&config)?;
+            frames.copy_from_slice(&state.frames);
+            changes.push(attack.attack(&mut frames, state.position)?.yaw_change());
+            continue;
+        }
+        // Its iteration k is what an attack of k iterations gives: one run holds all of them.
+        if iterations == ITERATIONS[0] {
+            attack.configure(&AttackConfig {
+                iterations: ITERATIONS[ITERATIONS.len() - 1],
+                ..config
+            })?;
+            frames.copy_from_slice(&state.frames);
+            each.clear();
+            attack.attack_each(&mut frames, state.position, |_, outcome, _| each.push(outcome))?;
+        }
+        changes.push(each[iterations as usize - 1].yaw_change());
+    }
+    Ok(changes)
+}
+
+fn print(cells: &[Cell], states: usize, seed: u64, wall_s: f64) {
+    println!(
+        "share of {states} states whose yaw moves by 1.0 (30 °/s) or more, validation courses from seed {seed}, {wall_s:.0} s"
+    );
+    for (method, block) in METHODS.iter().zip(cells.chunks(EPSILONS_255.len() * ITERATIONS.len())) {
+        print!("\n{:<18}", method.name());
+        for n in ITERATIONS {
+            print!("{:>22}", format!("{n} iterations"));
+        }
+        println!();
+        for row in block.chunks(ITERATIONS.len()) {
+            print!("  ε = {:<4} / 255    ", row[0].epsilon_255);
+            for c in row {
+                let (low, high) = c.wilson_95;
+                let interval = format!("({:.0} to {:.0})", 100.0 * low, 100.0 * high);
+                print!("{:>6.1} % {interval:<13}", 100.0 * c.share);
+            }
+            println!();
+        }
+    }
+    println!();
+}
+
+fn to_csv(cells: &[Cell]) -> String {
+    let mut csv = String::from("method,epsilon_255,iterations,states,effective,share,low_95,high_95,mean_yaw_change\n");
+    for c in cells {
+        let (low, high) = c.wilson_95;
+        let (method, epsilon) = (c.method.name(), c.epsilon_255);
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            csv,
+            "{method},{epsilon},{},{},{},{},{low},{high},{}",
+            c.iterations, c.states, c.effective, c.share, c.mean_yaw_change
+        );
+    }
+    csv
+}
+
+/// Clean above altered, newest frame, and the difference below: near is bright, red is nearer and blue farther.
+fn picture(params: &[f32], state: &State) -> Result<Image> {
+    let mut frames = state.frames.clone();
+    StateAttack::new(Isa::detect(), params, &AttackConfig::PAPER)?.attack(&mut frames, state.position)?;
+    let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
+    let (clean, altered) = (newest(&state.frames), newest(&frames));
+    let reach = AttackConfig::PAPER.reach(DEPTH_PIXELS);
+    Ok(Image::from_fn(DEPTH_COLS, 3 * DEPTH_ROWS, |x, y| {
+        let at = y % DEPTH_ROWS * DEPTH_COLS + x;
+        match y / DEPTH_ROWS {
+            0 => range_grey(clean[at]),
+            1 => range_grey(altered[at]),
+            _ => {
+                let change = ((altered[at] - clean[at]) / reach).clamp(-1.0, 1.0);
+                let faded = (255.0 * (1.0 - change.abs())) as u8;
+                if change < 0.0 {
+                    [255, faded, faded]
+                } else {
+                    [faded, faded, 255]
+                }
+            }
+        }
+    }))
+}

@@ -1,0 +1,146 @@
+//! One flight of the whole stack in lockstep, attacked or not: what every campaign repeats.
+
+mod watch;
+
+pub use watch::WatchRecord;
+
+use crate::statistics::wilson_95;
+use anyhow::Result;
+use serde::Serialize;
+use std::convert::Infallible;
+use std::path::Path;
+use vigil_firmware::config::PilotKind;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::lockstep::{FirmwarePort, FlightRecord, fly_lockstep_through};
+use vigil_sim::{Attack, AttackRecord, SimConfig, Simulator, Start};
+use vigil_types::{Datagrams, DepthFrame, Nanos};
+use vigil_world::{Family, Outcome, generate};
+
+/// What a flight came to.
+pub struct Flown {
+    /// How it ended.
+    pub record: FlightRecord,
+    /// What the attack did, if there was one.
+    pub attack: Option<AttackRecord>,
+    /// What the detector did, if there was one.
+    pub watch: Option<WatchRecord>,
+}
+
+/// How a row of flights ended.
+#[derive(Debug, Serialize)]
+pub struct Tally {
+    pub flights: usize,
+    pub completed: usize,
+    pub completion: f64,
+    pub wilson_95: (f64, f64),
+    pub collisions: usize,
+    pub out_of_bounds: usize,
+    pub time_outs: usize,
+}
+
+impl Tally {
+    /// Counts; `None` is a vehicle that never took off.
+    pub fn of(outcomes: &[Option<Outcome>]) -> Self {
+        let count = |outcome| outcomes.iter().filter(|o| **o == Some(outcome)).count();
+        let completed = count(Outcome::Success);
+        Self {
+            flights: outcomes.len(),
+            completed,
+            completion: completed as f64 / outcomes.len().max(1) as f64,
+            wilson_95: wilson_95(completed, outcomes.len()),
+            collisions: count(Outcome::Collision),
+            out_of_bounds: count(Outcome::OutOfBounds),
+            time_outs: count(Outcome::TimeOut),
+        }
+    }
+
+    /// The heading of [`Self::columns`].
+    pub const HEADING: &str = "completion   95 % interval   collision  bounds  time-out";
+
+    /// Share, interval and how the others ended, in columns.
+    pub fn columns(&self) -> String {
+        let interval = format!("{:.1} to {:.1} %", 100.0 * self.wilson_95.0, 100.0 * self.wilson_95.1);
+        format!(
+            "{:>8.1} %   {interval:<15} {:>9} {:>7} {:>9}",
+            100.0 * self.completion,
+            self.collisions,
+            self.out_of_bounds,
+            self.time_outs
+        )
+    }
+}
+
+/// The share of attacked steps that moved the yaw by 1.0 or more, in words.
+pub fn effective_share(attacked_steps: u64, effective_steps: u64) -> String {
+    if attacked_steps == 0 {
+        "—".to_owned()
+    } else {
+        let share = 100.0 * effective_steps as f64 / attacked_steps as f64;
+        format!("{share:.0} % of {attacked_steps} steps")
+    }
+}
+
+/// A validation course in the air, flown by the actor (the one built in when no file is given) without a detector.
+pub fn actor_flight(actor: Option<&Path>, apf: bool, seed: u64) -> (SimConfig, FirmwareConfig) {
+    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
+    config.start = Start::Airborne;
+    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    firmware.pilot.kind = PilotKind::Actor;
+    firmware.pilot.actor_file = actor.map(Path::to_owned);
+    firmware.pilot.apf = apf;
+    firmware.detector.enabled = false;
+    (config, firmware)
+}
+
+/// Flies a course to its end.
+///
+/// # Errors
+/// A configuration that must not fly, an actor that is refused, an attack out of range.
+pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack>) -> Result<Flown> {
+    let mut simulator = Simulator::new(config, 0)?;
+    let mut firmware = SameProcess {
+        firmware: LockstepFirmware::new(firmware)?,
+        watch: WatchRecord::default(),
+    };
+    let mut adversary = attack
+        .map(|attack| attack.interceptor(config.seed, config.course.goal_ned_m()))
+        .transpose()?;
+    let mut done = attack.map(|_| AttackRecord::default());
+    // Only a frame of another size is refused, and the simulator makes none.
+    let mut between = |step: u64, frame: &mut DepthFrame| {
+        if let (Some(adversary), Some(done)) = (&mut adversary, &mut done)
+            && let Ok(passed) = adversary.pass(step, frame)
+        {
+            done.observe(step, &passed);
+        }
+    };
+    let time_limit_s = f64::from(config.course.time_limit_s);
+    let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut firmware, time_limit_s, 0.0);
+    Ok(Flown {
+        record,
+        attack: done,
+        watch: firmware.watch.was_watched().then_some(firmware.watch),
+    })
+}
+
+struct SameProcess {
+    firmware: LockstepFirmware,
+    watch: WatchRecord,
+}
+
+impl FirmwarePort for SameProcess {
+    type Error = Infallible;
+
+    fn step(
+        &mut self,
+        step: u64,
+        now_ns: Nanos,
+        frame: &DepthFrame,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> Result<(), Infallible> {
+        let report = self.firmware.step(now_ns, Some(frame), received, sent);
+        self.watch.observe(step, report);
+        Ok(())
+    }
+}

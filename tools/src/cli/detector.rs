@@ -1,0 +1,745 @@
+//! `vigil detector`: data for the detectors, their training, and how well they detect.
+
+use crate::actor_training::{Panel, chart_png};
+use crate::cli::output::git_commit;
+use crate::detector_training::{
+    Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Report,
+    Separation, Set, States, fly_sets, sets,
+};
+use crate::statistics::quantile;
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use vigil_detector::FrozenDetector;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
+use vigil_world::Family;
+
+/// First seeds of the flights to learn from and of those that choose; all below 10 000, on training courses.
+const LEARN_SEED: u64 = 3000;
+const CHOOSE_SEED: u64 = 4500;
+/// The same of the states with images; those to judge are on validation courses.
+const IMAGES_LEARN_SEED: u64 = 5000;
+const IMAGES_CHOOSE_SEED: u64 = 5700;
+const IMAGES_JUDGE_SEED: u64 = 7000;
+
+/// Arguments of `vigil detector`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil detector gather                     fly the data, attacked and not, into runs/detector
+  vigil detector train                      train LSTM-AD on them: runs/detector/lstm_ad.safetensors
+  vigil detector evaluate                   judge validation courses, attacks not trained on, controls
+  vigil detector ablate                     the same network on GRU state, actions, gradients instead
+  vigil detector images                     states with the SHAP images of all pixels, for the next
+  vigil detector table                      CNN-AD, FCN-AD, PCA and LSTM-AD on the same states
+  vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
+  vigil detector times                      how long deciding, explaining and judging take
+  vigil detector gather --actor my.safetensors -o runs/mine
+
+But for figures and times, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
+pub struct DetectorArgs {
+    #[command(subcommand)]
+    command: DetectorCommand,
+
+    /// The frozen actor that is explained [default: the one built in].
+    #[arg(long, value_name = "FILE", global = true)]
+    actor: Option<PathBuf>,
+
+    /// Folder of the data and results.
+    #[arg(short, long, value_name = "DIR", default_value = "runs/detector", global = true)]
+    output: PathBuf,
+
+    /// Threads; all cores when absent. Any number gives the same bits.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024), global = true)]
+    threads: Option<u16>,
+}
+
+#[derive(Debug, Clone, clap::Subcommand)]
+enum DetectorCommand {
+    /// Fly the data to learn from.
+    Gather {
+        /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
+        #[arg(long, default_value_t = 15_000, value_parser = clap::value_parser!(u64).range(100..))]
+        windows: u64,
+    },
+    /// Train LSTM-AD and freeze it.
+    Train {
+        /// Epochs.
+        #[arg(long, default_value_t = LstmConfig::default().fit.epochs)]
+        epochs: usize,
+        /// Seed of first weights, order and background sample.
+        #[arg(long, default_value_t = LstmConfig::default().fit.seed)]
+        seed: u64,
+    },
+    /// Judge flights on courses never trained on.
+    Evaluate {
+        #[command(flatten)]
+        size: SizeArgs,
+        /// The frozen detector [default: lstm_ad.safetensors in the folder].
+        #[arg(long, value_name = "FILE")]
+        detector: Option<PathBuf>,
+    },
+    /// Train the same network on other rows than SHAP values and judge the same flights.
+    Ablate {
+        #[command(flatten)]
+        size: SizeArgs,
+    },
+    /// Fly one course and draw how its decisions are explained: the paper's figures 12, 13 and 14.
+    Figures {
+        /// Validation course.
+        #[arg(long, default_value_t = 7)]
+        seed: u64,
+        /// Alter frames by the paper's attack, 50 steps from step 100 on.
+        #[arg(long)]
+        attacked: bool,
+        /// Steps whose pixels are explained.
+        #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=20))]
+        pictures: u64,
+        /// The frozen detector [default: the one built in].
+        #[arg(long, value_name = "FILE")]
+        detector: Option<PathBuf>,
+    },
+    /// Time decision, explanation and verdict on one flight's states, one thread: the paper's table IV.
+    Times {
+        /// Validation course.
+        #[arg(long, default_value_t = 7)]
+        seed: u64,
+        /// Steps whose pixels are explained.
+        #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100))]
+        pictures: u64,
+    },
+    /// Fly states and explain all pixels of their five frames; about 0.12 s of one core a state.
+    Images {
+        /// States to learn from, half of them attacked; a tenth as many choose the epoch.
+        #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u64).range(40..))]
+        states: u64,
+        /// States to judge, half of them attacked, on validation courses.
+        #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(20..))]
+        judged: u64,
+        /// States of the background sample.
+        #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=100))]
+        backgrounds: u64,
+    },
+    /// Train CNN-AD, FCN-AD and PCA on the images, and judge the same states by all four.
+    Table {
+        /// Epochs of CNN-AD and FCN-AD.
+        #[arg(long, default_value_t = 8)]
+        epochs: usize,
+        /// Seed of their first weights and order.
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+        /// The frozen LSTM-AD [default: lstm_ad.safetensors in the folder].
+        #[arg(long, value_name = "FILE")]
+        detector: Option<PathBuf>,
+    },
+}
+
+#[derive(Debug, Clone, clap::Args)]
+struct SizeArgs {
+    /// Unattacked flights.
+    #[arg(long, default_value_t = EvaluationSize::default().unattacked, value_parser = clap::value_parser!(u64).range(1..))]
+    unattacked: u64,
+    /// Flights under the paper's attack.
+    #[arg(long, default_value_t = EvaluationSize::default().paper, value_parser = clap::value_parser!(u64).range(1..))]
+    attacked: u64,
+    /// Flights under each other attack, and of each control.
+    #[arg(long, default_value_t = EvaluationSize::default().other, value_parser = clap::value_parser!(u64).range(1..))]
+    other: u64,
+    /// First seed of the flights.
+    #[arg(long, default_value_t = EvaluationSize::default().first_seed)]
+    seed: u64,
+}
+
+impl From<&SizeArgs> for EvaluationSize {
+    fn from(args: &SizeArgs) -> Self {
+        Self {
+            unattacked: args.unattacked,
+            paper: args.attacked,
+            other: args.other,
+            first_seed: args.seed,
+        }
+    }
+}
+
+/// What every stage needs.
+struct Stage<'a> {
+    isa: Isa,
+    actor: FrozenActor,
+    folder: &'a Path,
+}
+
+/// Runs a stage.
+///
+/// # Errors
+/// A file that is no actor, data of another actor, a folder that cannot be written.
+pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
+    let actor = match &args.actor {
+        Some(file) => FrozenActor::load(file)?,
+        None => FrozenActor::built_in()?,
+    };
+    let stage = Stage {
+        isa: Isa::detect(),
+        actor,
+        folder: &args.output,
+    };
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(args.threads.map_or(0, usize::from))
+        .build()
+        .context("cannot start threads")?;
+    pool.install(|| match &args.command {
+        DetectorCommand::Gather { windows } => stage.gather(*windows as usize),
+        DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
+        DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
+        DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
+        DetectorCommand::Figures {
+            seed,
+            attacked,
+            pictures,
+            detector,
+        } => {
+            let detector = match detector {
+                Some(file) => FrozenDetector::load(file)?,
+                None => FrozenDetector::built_in()?,
+            };
+            let course = (*seed, *attacked);
+            crate::cli::portrait::draw(
+                stage.isa,
+                &stage.actor,
+                &detector,
+                course,
+                *pictures as usize,
+                stage.folder,
+            )
+        }
+        DetectorCommand::Times { seed, pictures } => stage.times(*seed, *pictures as usize),
+        DetectorCommand::Images {
+            states,
+            judged,
+            backgrounds,
+        } => stage.images(*states as usize, *judged as usize, *backgrounds as usize),
+        DetectorCommand::Table { epochs, seed, detector } => stage.table(*epochs, *seed, detector.as_deref()),
+    })?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn bar(length: u64, template: &str) -> Result<ProgressBar> {
+    Ok(ProgressBar::new(length).with_style(ProgressStyle::with_template(template)?))
+}
+
+impl Stage<'_> {
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Flights kept in the folder; `None` if they are to be flown.
+    fn kept(&self, name: &str) -> Result<Option<Flights>> {
+        let path = self.path(name);
+        if !path.exists() {
+            return Ok(None);
+        }
+        Ok(Some(Flights::load(&path, &self.actor)?))
+    }
+
+    fn gather(&self, windows: usize) -> Result<()> {
+        for (name, seed, count) in [
+            ("learn.safetensors", LEARN_SEED, windows),
+            ("choose.safetensors", CHOOSE_SEED, windows / 5),
+        ] {
+            let want = Counts {
+                attacked: count,
+                unattacked: count,
+            };
+            let flights = match self.kept(name)? {
+                Some(flights) => flights,
+                None => {
+                    let bar = bar(
+                        count as u64,
+                        "{bar:30} {pos}/{len} attacked windows, {elapsed} gone, {msg}",
+                    )?;
+                    let flights = crate::detector_training::gather(
+                        self.isa,
+                        &self.actor,
+                        Family::Training,
+                        seed,
+                        want,
+                        &mut |counts, flights| {
+                            bar.set_position(counts.attacked as u64);
+                            bar.set_message(format!("{} unattacked, {flights} flights", counts.unattacked));
+                        },
+                    )?;
+                    bar.finish_and_clear();
+                    flights.save(&self.path(name))?;
+                    flights
+                }
+            };
+            let counts = Counts::of(&flights.records);
+            let (weak, lingering) = crate::detector_training::left_out(&flights.records);
+            println!(
+                "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {weak} weak, {lingering} lingering",
+                name,
+                flights.records.len(),
+                counts.attacked,
+                counts.unattacked
+            );
+        }
+        Ok(())
+    }
+
+    fn training_flights(&self) -> Result<[Flights; 2]> {
+        let load = |name| Flights::load(&self.path(name), &self.actor).context("run `vigil detector gather` first");
+        Ok([load("learn.safetensors")?, load("choose.safetensors")?])
+    }
+
+    fn train_on(&self, feature: Feature, [learn, choose]: &[Flights; 2], config: &LstmConfig) -> Result<Judge> {
+        let steps = crate::detector_training::train_steps(&learn.records, config) as u64;
+        let bar = bar(steps, "{bar:30} {pos}/{len} steps, {elapsed} gone, {eta} left, {msg}")?;
+        let judge = crate::detector_training::train(
+            self.isa,
+            &self.actor.params,
+            feature,
+            (&learn.records, &choose.records),
+            config,
+            &mut |step, epoch| {
+                bar.set_position(step as u64);
+                if let Some(epoch) = epoch {
+                    bar.set_message(format!(
+                        "epoch {}: {:.2} % right",
+                        epoch.epoch,
+                        100.0 * epoch.choose_accuracy
+                    ));
+                }
+            },
+        )?;
+        bar.finish_and_clear();
+        Ok(judge)
+    }
+
+    fn train(&self, epochs: usize, seed: u64) -> Result<()> {
+        let mut config = LstmConfig::default();
+        config.fit.epochs = epochs;
+        config.fit.seed = seed;
+        let flights = self.training_flights()?;
+        let judge = self.train_on(Feature::Shap, &flights, &config)?;
+        let file = self.path("lstm_ad.safetensors");
+        let threshold = judge.threshold(self.isa, &self.actor.params, &flights[1].records)?;
+        judge
+            .freeze(&self.actor, &config, threshold, git_commit())
+            .save(&file)?;
+        self.write("lstm_ad.csv", curves_csv(&judge.fitted.epochs))?;
+        self.write("lstm_ad.png", curves_png(&judge.fitted.epochs))?;
+        let chosen = judge.fitted.epochs.get(judge.fitted.chosen.saturating_sub(1));
+        println!(
+            "LSTM-AD          {} after epoch {} of {epochs}, {} windows: {:.2} % right, loss {:.4} on the flights that choose; \
+             threshold {threshold:.3}",
+            file.display(),
+            judge.fitted.chosen,
+            judge.windows,
+            100.0 * chosen.map_or(f64::NAN, |e| e.choose_accuracy),
+            chosen.map_or(f64::NAN, |e| e.choose_loss),
+        );
+        Ok(())
+    }
+
+    /// The evaluation's flights, flown or kept.
+    fn evaluation(&self, size: &EvaluationSize) -> Result<(Vec<Set>, Vec<Vec<crate::detector_training::Record>>)> {
+        const FILE: &str = "evaluate.safetensors";
+        let sets = sets(size);
+        let scenarios = || sets.iter().flat_map(|s| &s.scenarios);
+        let kept = self
+            .kept(FILE)?
+            .filter(|kept| kept.records.iter().map(|r| &r.scenario).eq(scenarios()));
+        let mut records = match kept {
+            Some(kept) => kept.records,
+            None => {
+                let bar = bar(
+                    scenarios().count() as u64,
+                    "{bar:30} {pos}/{len} flights, {elapsed} gone, {eta} left",
+                )?;
+                let records = fly_sets(self.isa, &self.actor.params, &sets, &mut |flights| bar.inc(flights))?;
+                bar.finish_and_clear();
+                let flights = Flights {
+                    actor_sha256: self.actor.sha256(),
+                    records: records.concat(),
+                };
+                flights.save(&self.path(FILE))?;
+                flights.records
+            }
+        }
+        .into_iter();
+        let flown = sets
+            .iter()
+            .map(|set| records.by_ref().take(set.scenarios.len()).collect())
+            .collect();
+        Ok((sets, flown))
+    }
+
+    fn evaluate(&self, size: &EvaluationSize, detector: Option<&Path>) -> Result<()> {
+        let frozen = self.detector(detector)?;
+        let (sets, records) = self.evaluation(size)?;
+        let judge = Judge::from_frozen(&frozen);
+        let at = |threshold| {
+            let judged = (sets.as_slice(), records.as_slice());
+            crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, threshold, judged)
+        };
+        let (report, in_flight) = (at(0.5)?, at(frozen.threshold)?);
+        print!(
+            "{}\nAT THE THRESHOLD IN FLIGHT ({})\n{}",
+            text(&report),
+            frozen.threshold_choice,
+            text(&in_flight)
+        );
+        let json = serde_json::json!({
+            "actor_sha256": frozen.actor_sha256,
+            "detector_sha256": frozen.sha256(),
+            "git_commit": git_commit(),
+            "size": { "unattacked": size.unattacked, "attacked": size.paper, "other": size.other, "first_seed": size.first_seed },
+            "at_one_half": report,
+            "at_threshold": in_flight,
+        });
+        self.write("evaluate.json", serde_json::to_string_pretty(&json)?)?;
+        self.write("roc.png", roc_png(&[&report]))?;
+        println!("written          {} and roc.png", self.path("evaluate.json").display());
+        Ok(())
+    }
+
+    /// The frozen LSTM-AD of this actor.
+    fn detector(&self, file: Option<&Path>) -> Result<FrozenDetector> {
+        let path = file.map_or_else(|| self.path("lstm_ad.safetensors"), Path::to_owned);
+        let frozen = FrozenDetector::load(&path).context("run `vigil detector train` first")?;
+        let (found, expected) = (frozen.actor_sha256.clone(), self.actor.sha256());
+        if found != expected {
+            return Err(DetectError::OtherActor { path, found, expected }.into());
+        }
+        Ok(frozen)
+    }
+
+    fn times(&self, seed: u64, pictures: usize) -> Result<()> {
+        let detector = FrozenDetector::built_in()?;
+        let (record, times) = crate::detector_training::time(self.isa, &self.actor, &detector, seed, pictures)?;
+        println!(
+            "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
+            record.steps.len(),
+            times.pixels_s.len(),
+            self.isa.name()
+        );
+        println!("                                             median        99 %       paper");
+        let step_s: Vec<f64> = (0..times.action_s.len())
+            .map(|i| times.action_s[i] + times.explanation_s[i] + times.verdict_s[i])
+            .collect();
+        let rows = [
+            ("action", &times.action_s, 0.056),
+            ("SHAP values at the split point", &times.explanation_s, 0.019),
+            ("LSTM-AD", &times.verdict_s, 0.001),
+            ("a step of the three", &step_s, 0.076),
+            ("SHAP values of all pixels of five frames", &times.pixels_s, 13.33),
+            ("CNN-AD", &times.cnn_s, 0.162),
+            ("FCN-AD", &times.fcn_s, 0.056),
+        ];
+        for (name, seconds, paper_s) in rows {
+            let at = |share| 1e3 * quantile(seconds, share).unwrap_or(f64::NAN);
+            println!(
+                "{name:<42} {:>7.3} ms {:>8.3} ms {:>8.0} ms",
+                at(0.5),
+                at(0.99),
+                1e3 * paper_s
+            );
+        }
+        Ok(())
+    }
+
+    fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {
+        for (name, family, seed, count) in [
+            (
+                "images-learn.safetensors",
+                Family::Training,
+                IMAGES_LEARN_SEED,
+                states / 2,
+            ),
+            (
+                "images-choose.safetensors",
+                Family::Training,
+                IMAGES_CHOOSE_SEED,
+                states / 20,
+            ),
+            (
+                "images-judge.safetensors",
+                Family::Validation,
+                IMAGES_JUDGE_SEED,
+                judged / 2,
+            ),
+        ] {
+            let path = self.path(name);
+            if path.exists() {
+                States::load(&path, &self.actor)?;
+                println!("{name:<26} is there already");
+                continue;
+            }
+            let bar = bar(
+                count as u64,
+                "{bar:30} {pos}/{len} states of each class, {elapsed} gone, {eta} left",
+            )?;
+            let (place, size) = ((family, seed), (count, backgrounds));
+            let states = crate::detector_training::gather_states(self.isa, &self.actor, place, size, &mut |count| {
+                bar.set_position(count as u64);
+            })?;
+            bar.finish_and_clear();
+            states.save(&path)?;
+            println!(
+                "{name:<26} {} states of {} flights from seed {seed}",
+                states.states.len(),
+                states.flights.records.len()
+            );
+        }
+        Ok(())
+    }
+
+    fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {
+        let frozen = self.detector(detector)?;
+        let load = |name| States::load(&self.path(name), &self.actor).context("run `vigil detector images` first");
+        let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
+        let judged = load("images-judge.safetensors")?;
+        let mut rows = Vec::new();
+        for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
+            let config = crate::detector_training::image_fit(epochs, seed);
+            let steps = (learn.states.len().div_ceil(config.batch) * epochs) as u64;
+            let bar = bar(steps, "{bar:30} {pos}/{len} steps, {elapsed} gone, {eta} left, {msg}")?;
+            let fitted = network.train(self.isa, (&learn, &choose), &config, &mut |step, epoch| {
+                bar.set_position(step as u64);
+                if let Some(e) = epoch {
+                    let right = 100.0 * e.choose_accuracy;
+                    bar.set_message(format!("{} epoch {}: {right:.1} % right", network.name(), e.epoch));
+                }
+            })?;
+            bar.finish_and_clear();
+            let name = network.name().to_lowercase().replace('-', "_");
+            self.write(&format!("{name}.csv"), curves_csv(&fitted.epochs))?;
+            self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
+            let scores = network.scores(self.isa, &fitted.params, &judged)?;
+            rows.push(crate::detector_training::row(
+                network.name(),
+                paper,
+                0.5,
+                &judged,
+                &scores,
+            ));
+        }
+        let lstm =
+            crate::detector_training::lstm_scores(self.isa, &self.actor.params, &Judge::from_frozen(&frozen), &judged)?;
+        rows.push(crate::detector_training::row(
+            "LSTM-AD",
+            0.91,
+            frozen.threshold,
+            &judged,
+            &lstm,
+        ));
+        let pca = crate::detector_training::pca_scores(&learn, &choose, &judged);
+        rows.push(crate::detector_training::row("PCA", 0.70, 1.0, &judged, &pca));
+        println!("detector   paper     accuracy                                  detected %   false alarms %   AUC");
+        for row in &rows {
+            let s = &row.separation;
+            println!(
+                "{:<8} {:>5.0} %     {:<40} {:>10}   {:>14}   {:.4}",
+                row.detector,
+                100.0 * row.paper,
+                share(&s.accuracy),
+                short(&s.detected),
+                short(&s.false_alarms),
+                s.auc
+            );
+        }
+        let json = serde_json::json!({
+            "actor_sha256": frozen.actor_sha256,
+            "detector_sha256": frozen.sha256(),
+            "git_commit": git_commit(),
+            "learned_from": learn.states.len(),
+            "rows": rows,
+        });
+        self.write("table.json", serde_json::to_string_pretty(&json)?)?;
+        println!("written    {}", self.path("table.json").display());
+        Ok(())
+    }
+
+    fn ablate(&self, size: &EvaluationSize) -> Result<()> {
+        let flights = self.training_flights()?;
+        let (sets, records) = self.evaluation(size)?;
+        let config = LstmConfig::default();
+        let mut reports = Vec::new();
+        println!(
+            "rows of             accuracy       AUC   found at 1 %   at 0.1 %   false alarms   untrained attacks found"
+        );
+        for feature in Feature::ALL {
+            let judge = self.train_on(feature, &flights, &config)?;
+            let report =
+                crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, 0.5, (&sets, &records))?;
+            let untrained = report
+                .sets
+                .iter()
+                .filter(|s| s.role == crate::detector_training::Role::Untrained);
+            let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
+            let s = &report.separation;
+            println!(
+                "{:<18} {:>8.2} %   {:.5}       {:>6.2} %   {:>6.2} %       {:>6.2} %                  {:>6.2} %",
+                feature.name(),
+                percent(&s.accuracy),
+                s.auc,
+                100.0 * s.found_at_1_percent,
+                100.0 * s.found_at_0_1_percent,
+                percent(&s.false_alarms),
+                percent(&Proportion::new(count, of)),
+            );
+            reports.push(report);
+        }
+        self.write("ablate.json", serde_json::to_string_pretty(&reports)?)?;
+        self.write("ablate.png", roc_png(&reports.iter().collect::<Vec<_>>()))?;
+        println!("written          {} and ablate.png", self.path("ablate.json").display());
+        Ok(())
+    }
+
+    fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<()> {
+        let path = self.path(name);
+        std::fs::create_dir_all(self.folder)
+            .and_then(|()| std::fs::write(&path, content))
+            .with_context(|| format!("cannot write {}", path.display()))
+    }
+}
+
+fn percent(p: &Proportion) -> f64 {
+    100.0 * p.share.unwrap_or(f64::NAN)
+}
+
+/// A share with its interval, or a dash for nothing.
+fn share(p: &Proportion) -> String {
+    match p.share {
+        Some(share) => format!(
+            "{:.2} % ({:.2} to {:.2}, {} of {})",
+            100.0 * share,
+            100.0 * p.interval.0,
+            100.0 * p.interval.1,
+            p.count,
+            p.of
+        ),
+        None => "-".to_owned(),
+    }
+}
+
+/// A share alone, or a dash.
+fn short(p: &Proportion) -> String {
+    p.share
+        .map_or_else(|| "-".to_owned(), |share| format!("{:.2}", 100.0 * share))
+}
+
+fn curves_csv(epochs: &[Epoch]) -> String {
+    let mut csv = "epoch,train_loss,choose_loss,choose_accuracy\n".to_owned();
+    for e in epochs {
+        let (train, choose, accuracy) = (e.train_loss, e.choose_loss, e.choose_accuracy);
+        let _ = writeln!(csv, "{},{train:.6},{choose:.6},{accuracy:.6}", e.epoch);
+    }
+    csv
+}
+
+fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
+    let over = |value: fn(&Epoch) -> f64| epochs.iter().map(|e| (e.epoch as f64, value(e))).collect::<Vec<_>>();
+    let panels = [
+        Panel::new(
+            "cross entropy over the epochs",
+            [
+                ("flights that choose", over(|e| e.choose_loss)),
+                ("training", over(|e| e.train_loss)),
+            ],
+        ),
+        Panel::new(
+            "right verdicts on the flights that choose, %",
+            [("accuracy", over(|e| 100.0 * e.choose_accuracy))],
+        ),
+    ];
+    chart_png(&panels, epochs.len() as f64)
+}
+
+fn roc_png(reports: &[&Report]) -> Vec<u8> {
+    let curves = |limit: f64| {
+        reports.iter().map(move |r| {
+            let inside = r.roc.iter().copied().filter(move |(x, _)| *x <= limit);
+            (r.feature.name(), inside.collect::<Vec<_>>())
+        })
+    };
+    // The corner that counts; the rest of the square is flat.
+    const LIMIT: f64 = 0.05;
+    let title = "attacked windows found over the share of false alarms, up to 5 %";
+    chart_png(&[Panel::new(title, curves(LIMIT))], LIMIT)
+}
+
+fn text(report: &Report) -> String {
+    let mut out = String::new();
+    let mut line = |text: String| {
+        let _ = writeln!(out, "{text}");
+    };
+    let separation = |name: &str, s: &Separation| {
+        format!(
+            "{name}\n  accuracy at {}    {}\n  detected           {}\n  false alarms       {}\n  AUC                {:.5}\n  \
+             found at 1 % / 0.1 % false alarms   {:.2} % / {:.2} %",
+            report.threshold,
+            share(&s.accuracy),
+            share(&s.detected),
+            share(&s.false_alarms),
+            s.auc,
+            100.0 * s.found_at_1_percent,
+            100.0 * s.found_at_0_1_percent
+        )
+    };
+    line(separation(
+        "paper's attack, streaming, against unattacked flights",
+        &report.separation,
+    ));
+    line(separation(
+        "... effective attacks only (yaw moved by 1 or more)",
+        &report.separation_effective,
+    ));
+    line(format!(
+        "false stops          {} in {:.2} h of unattacked flight: {:.2} an hour",
+        report.false_stops,
+        report.unattacked_hours,
+        report.false_stops as f64 / report.unattacked_hours
+    ));
+    line("\nattacked rows of ten   detected %   accuracy %   windows".to_owned());
+    for row in &report.rows {
+        line(format!(
+            "{:>20} {:>12} {:>12.2} {:>9}",
+            row.attacked_rows,
+            short(&row.detected),
+            100.0 * row.accuracy,
+            row.detected.of
+        ));
+    }
+    let after: Vec<String> = report.after.iter().map(|a| short(&a.alarmed)).collect();
+    line(format!(
+        "\nstill alarmed 1, 2, … 20 steps after an attack, %: {}",
+        after.join(" ")
+    ));
+    line(
+        "\nset                         flights  at goal %  detected %  effective  ineffective  false alarms %  on noise  delay 50 / 90 %  \
+         bursts noticed %"
+            .to_owned(),
+    );
+    for set in &report.sets {
+        let delay = set
+            .delay_steps
+            .map_or_else(|| "-".to_owned(), |(m, p)| format!("{m:.0} / {p:.0}"));
+        line(format!(
+            "{:<27} {:>7} {:>10} {:>11} {:>10} {:>12} {:>15} {:>9} {:>16} {:>17}",
+            set.name,
+            set.flights,
+            short(&set.at_goal),
+            short(&set.detected),
+            short(&set.detected_effective),
+            short(&set.detected_ineffective),
+            short(&set.false_alarms),
+            short(&set.alarms_on_noise),
+            delay,
+            short(&set.bursts_noticed)
+        ));
+    }
+    out
+}

@@ -1,0 +1,364 @@
+//! `vigil evaluate`: many seeded flights in lockstep over all cores.
+
+use crate::campaign::WatchRecord;
+use crate::campaign::{self, Flown};
+use crate::cli::output::Paint;
+use crate::cli::pilot::PilotArgs;
+use crate::statistics::{quantile, wilson_95};
+use anyhow::{Context, Result, ensure};
+use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+use vigil_adversary::{AttackConfig, Burst};
+use vigil_firmware::FirmwareConfig;
+use vigil_sim::lockstep::FlightRecord;
+use vigil_sim::{Attack, AttackArgs, AttackRecord, Models, SimConfig, Start, family_parser};
+use vigil_types::STEP_S;
+use vigil_vehicle::Wind;
+use vigil_world::{Course, Family, FlightPath, Outcome, generate};
+
+/// Arguments of `vigil evaluate`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil evaluate --flights 500 --seed 1000000           500 validation courses, seeds 1000000 to 1000499
+  vigil evaluate --flights 200 --wind 4                 the same in a mean wind of 4 m/s
+  vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
+  vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles; or dense
+  vigil evaluate --flights 200 --pilot geometric        the geometric pilot
+  vigil evaluate --flights 200 --apf off --detector off the frozen actor alone
+  vigil evaluate --apf off --attack bim-accumulating --burst 50
+                                                        frames altered for 50 steps of each flight
+  vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
+
+Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
+arm and take off first. Each ends as success, collision, out of bounds or time-out (docs/courses.md).
+The same seeds give the same flights, bit for bit, on any number of threads.")]
+pub struct EvaluateArgs {
+    /// Number of flights; flight i uses seed SEED + i.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+
+    /// First seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Family of generated courses.
+    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
+    family: Family,
+
+    /// Threads; all cores when absent.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
+    /// Mean wind in m/s from a direction drawn per flight, with gusts.
+    #[arg(long, value_name = "M_S", default_value_t = 0.0)]
+    wind: f64,
+
+    /// Multiplies the LiDAR's range noise and dropouts.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    noise: f32,
+
+    /// Take the moving obstacles out of the courses: what do they cost?
+    #[arg(long)]
+    still: bool,
+
+    /// Flights whose seed divides by this begin on the ground, disarmed, all others in the air; 0: none, 1: all.
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    ground_every: u64,
+
+    #[command(flatten)]
+    pilot: PilotArgs,
+
+    #[command(flatten)]
+    attack: AttackArgs,
+
+    /// Where the JSON goes.
+    #[arg(long, value_name = "FILE", default_value = "runs/evaluate.json")]
+    json: PathBuf,
+
+    /// Draw the course and path of every flight that failed into this folder.
+    #[arg(long, value_name = "DIR")]
+    draw_failures: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Flight {
+    seed: u64,
+    /// Began on the ground.
+    from_ground: bool,
+    #[serde(flatten)]
+    record: FlightRecord,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attack: Option<AttackRecord>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    watch: Option<WatchRecord>,
+}
+
+/// The attack as the report names it.
+#[derive(Serialize)]
+struct AttackReport {
+    #[serde(flatten)]
+    config: AttackConfig,
+    burst: Burst,
+    /// Whether it deceives a detector as well.
+    adaptive: bool,
+}
+
+#[derive(Serialize)]
+struct Rate {
+    outcome: String,
+    flights: usize,
+    share: f64,
+    wilson_95: (f64, f64),
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    version: &'static str,
+    family: Family,
+    first_seed: u64,
+    wind_m_s: f64,
+    noise_factor: f32,
+    still: bool,
+    ground_every: u64,
+    threads: usize,
+    wall_s: f64,
+    simulated_s: f64,
+    real_time_factor_per_thread: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attack: Option<AttackReport>,
+    rates: &'a [Rate],
+    flights: &'a [Flight],
+}
+
+/// Every way a flight can end; `None` is a vehicle that never took off.
+const OUTCOMES: [Option<Outcome>; 5] = [
+    Some(Outcome::Success),
+    Some(Outcome::Collision),
+    Some(Outcome::OutOfBounds),
+    Some(Outcome::TimeOut),
+    None,
+];
+
+fn name(outcome: Option<Outcome>) -> String {
+    outcome.map_or_else(|| "never took off".to_owned(), |o| o.to_string())
+}
+
+/// Flies the campaign, prints the table and writes the JSON.
+///
+/// # Errors
+/// A bad configuration, or a folder that cannot be written.
+pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+    ensure!(
+        args.wind >= 0.0 && args.wind <= 20.0,
+        "--wind must be between 0 and 20 m/s, got {}",
+        args.wind
+    );
+    ensure!(
+        args.noise >= 0.0 && args.noise <= 100.0,
+        "--noise must be between 0 and 100, got {}",
+        args.noise
+    );
+    let models = args
+        .config
+        .as_deref()
+        .map(Models::load)
+        .transpose()?
+        .unwrap_or_default();
+    if let Some(folder) = args.json.parent().filter(|p| !p.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    if let Some(folder) = &args.draw_failures {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    let attack = args.attack.attack(args.pilot.actor_file())?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(args.threads.map_or(0, usize::from))
+        .build()?;
+    let bar = ProgressBar::new(args.flights).with_style(ProgressStyle::with_template(
+        "{bar:30} {pos}/{len} flights, {elapsed} gone, {eta} left, {msg}",
+    )?);
+    let begun = Instant::now();
+    let flights: Vec<Flight> = pool.install(|| {
+        (0..args.flights)
+            .into_par_iter()
+            .map(|i| {
+                let flight = fly(args, &models, attack.as_ref(), args.seed.wrapping_add(i))?;
+                if !flight.record.is_success() {
+                    bar.set_message(format!(
+                        "last failure: seed {} ({})",
+                        flight.seed,
+                        name(flight.record.outcome)
+                    ));
+                }
+                bar.inc(1);
+                Ok(flight)
+            })
+            .collect::<Result<_>>()
+    })?;
+    bar.finish_and_clear();
+    let wall_s = begun.elapsed().as_secs_f64();
+    report(args, attack.as_ref(), &flights, wall_s, pool.current_num_threads())
+}
+
+fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64) -> Result<Flight> {
+    let mut course = generate(args.family, seed);
+    if args.still {
+        course.movers.clear();
+    }
+    let mut models = models.clone();
+    models.lidar.range_noise_sigma_m *= args.noise;
+    models.lidar.dropout_probability = (models.lidar.dropout_probability * args.noise).min(1.0);
+    if args.wind > 0.0 {
+        models.wind = wind(args.wind, seed);
+    }
+    let mut config = SimConfig::with_models(course, seed, models);
+    let from_ground = args.ground_every > 0 && seed.is_multiple_of(args.ground_every);
+    config.start = if from_ground { Start::Ground } else { Start::Airborne };
+    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    args.pilot.apply(&mut firmware);
+    let Flown { record, attack, watch } = campaign::fly(&config, &firmware, attack)?;
+    if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
+        draw(
+            &config.course,
+            &record,
+            &folder.join(format!("{seed}-{}.png", name(record.outcome).replace(' ', "-"))),
+        )?;
+    }
+    Ok(Flight {
+        seed,
+        from_ground,
+        record,
+        attack,
+        watch,
+    })
+}
+
+/// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
+fn wind(mean_m_s: f64, seed: u64) -> Wind {
+    // Multiples of the golden ratio spread the directions of neighbouring seeds evenly over the circle.
+    let direction_rad = std::f64::consts::TAU * ((seed as f64 * 0.618_033_988_749_895) % 1.0);
+    Wind::gusty(mean_m_s, direction_rad)
+}
+
+fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Result<()> {
+    let flight = FlightPath {
+        label: name(record.outcome),
+        points_ned_m: record.path_ned_m.clone(),
+        outcome: record.outcome,
+    };
+    Ok(vigil_world::draw(course, &[flight]).write_png(path)?)
+}
+
+fn report(
+    args: &EvaluateArgs,
+    attack: Option<&Attack>,
+    flights: &[Flight],
+    wall_s: f64,
+    threads: usize,
+) -> Result<ExitCode> {
+    let rates: Vec<Rate> = OUTCOMES
+        .into_iter()
+        .map(|outcome| {
+            let n = flights.iter().filter(|f| f.record.outcome == outcome).count();
+            Rate {
+                outcome: name(outcome),
+                flights: n,
+                share: n as f64 / flights.len() as f64,
+                wilson_95: wilson_95(n, flights.len()),
+            }
+        })
+        .collect();
+    let simulated_s: f64 = flights.iter().map(|f| f.record.steps as f64 * f64::from(STEP_S)).sum();
+    let factor = simulated_s / wall_s / threads.min(flights.len()) as f64;
+
+    let paint = Paint::stdout();
+    println!("{:<16} {:>7} {:>9}   95 % interval", "outcome", "flights", "share");
+    for r in rates.iter().filter(|r| r.flights > 0 || r.outcome == "success") {
+        let row = format!(
+            "{:<16} {:>7} {:>7.2} %   {:.2} to {:.2} %",
+            r.outcome,
+            r.flights,
+            100.0 * r.share,
+            100.0 * r.wilson_95.0,
+            100.0 * r.wilson_95.1
+        );
+        println!("{}", paint.verdict(r.outcome == "success", &row));
+    }
+    let from_ground = flights.iter().filter(|f| f.from_ground).count();
+    println!("from the ground  {from_ground} of {} flights", flights.len());
+    let times: Vec<f64> = flights
+        .iter()
+        .filter(|f| f.record.is_success())
+        .map(|f| f.record.flight_time_s)
+        .collect();
+    if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
+        println!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
+    }
+    if attack.is_some() {
+        let each = || flights.iter().filter_map(|f| f.attack.as_ref());
+        let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
+        println!(
+            "attacked         {steps} steps in {} of {} flights; the yaw moved by 1.0 or more in {:.1} % of them",
+            each().filter(|a| a.attacked_steps > 0).count(),
+            flights.len(),
+            100.0 * effective as f64 / steps.max(1) as f64
+        );
+    }
+    if flights.iter().any(|f| f.watch.is_some()) {
+        let watched = flights.iter().filter_map(|f| f.watch.as_ref());
+        println!("detector         {}", WatchRecord::summary(watched));
+    }
+    println!(
+        "{:.0} s simulated in {:.1} s on {} threads: {:.0} x real time per thread",
+        simulated_s, wall_s, threads, factor
+    );
+    let failed: Vec<String> = flights
+        .iter()
+        .filter(|f| !f.record.is_success())
+        .take(12)
+        .map(|f| f.seed.to_string())
+        .collect();
+    if !failed.is_empty() {
+        println!(
+            "failed seeds     {}{}",
+            failed.join(" "),
+            if failed.len() == 12 { " …" } else { "" }
+        );
+    }
+
+    let file = std::fs::File::create(&args.json).with_context(|| format!("cannot write {}", args.json.display()))?;
+    serde_json::to_writer_pretty(
+        std::io::BufWriter::new(file),
+        &Report {
+            version: env!("CARGO_PKG_VERSION"),
+            family: args.family,
+            first_seed: args.seed,
+            wind_m_s: args.wind,
+            noise_factor: args.noise,
+            still: args.still,
+            ground_every: args.ground_every,
+            threads,
+            wall_s,
+            simulated_s,
+            real_time_factor_per_thread: factor,
+            attack: attack.map(|attack| AttackReport {
+                config: attack.config,
+                burst: attack.burst,
+                adaptive: attack.evade.is_some(),
+            }),
+            rates: &rates,
+            flights,
+        },
+    )?;
+    println!("details          {}", args.json.display());
+    Ok(ExitCode::SUCCESS)
+}

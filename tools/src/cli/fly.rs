@@ -1,0 +1,376 @@
+//! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
+
+use crate::cli::output::{EXIT_ERROR, Paint};
+use crate::cli::pilot::PilotArgs;
+use anyhow::{Context, Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fs::File;
+use std::io::{BufRead, BufReader, IsTerminal};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use vigil_sim::adversary::RAW_TOPIC;
+use vigil_sim::program::{Status, ending_code};
+use vigil_sim::{AttackArgs, CourseChoice};
+use vigil_types::NedVector;
+use vigil_world::{Course, FlightPath};
+
+/// After reaching the goal the vehicle may take this long to land.
+const LANDING_LIMIT: Duration = Duration::from_secs(30);
+/// A simulator that says nothing for so long is given up.
+const SILENCE_LIMIT: Duration = Duration::from_secs(5);
+/// A child that was asked to end gets this long before it is killed.
+const END_LIMIT: Duration = Duration::from_secs(5);
+
+/// Arguments of `vigil fly`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil fly                          a random validation course
+  vigil fly --seed 7                 validation course 7
+  vigil fly --pilot geometric        the geometric pilot instead of the learned actor
+  vigil fly --apf off                the actor without the potential field
+  vigil fly --apf off --attack bim-accumulating --burst continuous
+                                     ... with an adversary between the sensor and the firmware
+  vigil fly --course my.toml         your own course (docs/courses.md)
+  vigil fly --instance 1             beside another flight on the same machine
+
+While it flies, any MAVLink client can watch on port 14550 and command on 14540 (plus the instance number).
+Exit code: 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight, 1 error, 130 interrupted.")]
+pub struct FlyArgs {
+    /// Course to fly.
+    #[command(flatten)]
+    course: CourseChoice,
+
+    /// Number of this set of processes; ports and shared memory follow from it.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    instance: u32,
+
+    /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+
+    /// Who decides.
+    #[command(flatten)]
+    pilot: PilotArgs,
+
+    /// The adversary.
+    #[command(flatten)]
+    attack: AttackArgs,
+
+    /// Folder in which the flight gets a folder of its own for log, course and pictures.
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    log: PathBuf,
+}
+
+impl Default for FlyArgs {
+    fn default() -> Self {
+        Self {
+            course: CourseChoice::default(),
+            instance: 0,
+            config: None,
+            pilot: PilotArgs::default(),
+            attack: AttackArgs::default(),
+            log: PathBuf::from("runs"),
+        }
+    }
+}
+
+/// Flies and reports.
+///
+/// # Errors
+/// A bad course, a process that cannot be started or ends too early (with what it said last).
+pub fn run(args: &FlyArgs) -> Result<ExitCode> {
+    let seed = args.course.seed_or_random();
+    let course = args.course.load(seed)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+
+    let folder = make_folder(&args.log, seed)?;
+    let course_file = folder.join("course.toml");
+    std::fs::write(&course_file, course.to_toml_string()?).context("cannot write the course")?;
+    let scene_file = folder.join("scene.json");
+    crate::cli::scene::of(&course).save(&scene_file)?;
+
+    let mut simulator = Process::start("simulator", &folder, |c| {
+        c.arg("sim").arg("--status").arg("--course").arg(&course_file);
+        c.args(["--seed", &seed.to_string(), "--instance", &args.instance.to_string()]);
+        if let Some(config) = &args.config {
+            c.arg("--config").arg(config);
+        }
+        if args.attack.attack.is_some() {
+            c.args(["--frames", RAW_TOPIC]);
+        }
+        c.stdout(Stdio::piped());
+    })?;
+    let statuses = read_statuses(&mut simulator.child)?;
+    let goal = course.goal_ned_m();
+    let adversary = args.attack.attack.map(|_| {
+        Process::start("adversary", &folder, |c| {
+            c.arg("adversary").args(["--instance", &args.instance.to_string()]);
+            c.args(["--seed", &seed.to_string()]);
+            c.arg(format!("--goal={},{}", goal.x, goal.y))
+                .arg(format!("--height={}", -goal.z));
+            if let Some(file) = args.pilot.actor_file() {
+                c.arg("--actor").arg(file);
+            }
+            args.attack.hand_on(c);
+        })
+    });
+    let mut adversary = adversary.transpose()?;
+    let mut firmware = Process::start("firmware", &folder, |c| {
+        c.arg("firmware").args(["--instance", &args.instance.to_string()]);
+        c.args(["--engage", "auto", "--at-goal", "land"]);
+        c.arg(format!("--goal={},{}", goal.x, goal.y))
+            .arg(format!("--height={}", -goal.z));
+        c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
+        args.pilot.hand_on(c);
+    })?;
+
+    let title = match &args.course.course {
+        Some(file) => format!("course {}", file.display()),
+        None => format!("{:?} course {seed}", args.course.family).to_lowercase(),
+    };
+    let watched = watch(&title, &statuses, &mut simulator, &mut firmware, &stop);
+    // The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
+    let firmware_said = firmware.end()?;
+    simulator.end()?;
+    // That of an adversary which ended early, or was killed, is in its log; the flight went on or held without frames.
+    if let Some(adversary) = adversary.as_mut() {
+        println!(
+            "adversary {}",
+            adversary.end()?.lines().last().unwrap_or("said nothing")
+        );
+    }
+    let Flight { last, path } = watched?;
+    let outcome = last
+        .as_ref()
+        .and_then(|s| s.outcome.as_deref())
+        .and_then(|name| name.parse().ok());
+    let drawn = FlightPath {
+        label: "flown".to_owned(),
+        points_ned_m: path,
+        outcome,
+    };
+    vigil_world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
+    summarise(&course, &last, &folder, &firmware_said, stop.load(Ordering::Relaxed))
+}
+
+fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {
+    let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    let folder = parent.join(format!("fly-{stamp}-{seed}"));
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Ok(folder)
+}
+
+/// A child that is asked to end, and killed if it does not, however this program ends.
+struct Process {
+    name: &'static str,
+    child: Child,
+    stderr_file: PathBuf,
+}
+
+impl Process {
+    fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
+        let program = std::env::current_exe().context("cannot find this program's own file")?;
+        let stderr_file = folder.join(format!("{name}.log"));
+        let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
+        let mut command = Command::new(program);
+        command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
+        arrange(&mut command);
+        let child = command.spawn().with_context(|| format!("cannot start the {name}"))?;
+        Ok(Self {
+            name,
+            child,
+            stderr_file,
+        })
+    }
+
+    /// Fails when the child has ended, with the last of what it said.
+    fn check(&mut self) -> Result<()> {
+        if let Some(status) = self.child.try_wait()? {
+            let said = self.said();
+            let lines: Vec<&str> = said.lines().collect();
+            let tail = lines[lines.len().saturating_sub(6)..].join("\n  ");
+            bail!("the {} ended in flight ({status}); it said last:\n  {tail}", self.name);
+        }
+        Ok(())
+    }
+
+    fn said(&self) -> String {
+        std::fs::read_to_string(&self.stderr_file).unwrap_or_default()
+    }
+
+    /// Ends the child and returns what it said.
+    fn end(&mut self) -> Result<String> {
+        if self.child.try_wait()?.is_none() {
+            let pid = rustix::process::Pid::from_child(&self.child);
+            rustix::process::kill_process(pid, rustix::process::Signal::TERM)?;
+            let asked = Instant::now();
+            while self.child.try_wait()?.is_none() {
+                if asked.elapsed() > END_LIMIT {
+                    eprintln!(
+                        "vigil: the {} did not end within {} s and is killed",
+                        self.name,
+                        END_LIMIT.as_secs()
+                    );
+                    self.child.kill()?;
+                }
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+        Ok(self.said())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            // Nothing can be done about a child that cannot be killed.
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+fn read_statuses(simulator: &mut Child) -> Result<Receiver<Status>> {
+    let pipe = simulator.stdout.take().context("the simulator has no output")?;
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+            match serde_json::from_str(&line) {
+                Ok(status) => {
+                    if sender.send(status).is_err() {
+                        break;
+                    }
+                }
+                Err(error) => tracing::warn!("the simulator said something unreadable: {error}: {line}"),
+            }
+        }
+    });
+    Ok(receiver)
+}
+
+/// What was seen of a flight.
+#[derive(Default)]
+struct Flight {
+    last: Option<Status>,
+    /// True positions up to the ending.
+    path: Vec<NedVector>,
+}
+
+/// Follows the flight until it is over.
+fn watch(
+    title: &str,
+    statuses: &Receiver<Status>,
+    simulator: &mut Process,
+    firmware: &mut Process,
+    stop: &AtomicBool,
+) -> Result<Flight> {
+    let live = std::io::stderr().is_terminal();
+    let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{spinner} {msg}")?);
+    let mut flight = Flight::default();
+    let mut last_printed_s = f64::NEG_INFINITY;
+    let mut reached_at: Option<Instant> = None;
+    while !stop.load(Ordering::Relaxed) {
+        match statuses.recv_timeout(SILENCE_LIMIT) {
+            Ok(status) => {
+                let line = progress_line(title, &status);
+                if live {
+                    bar.set_message(line);
+                    bar.tick();
+                } else if status.time_s - last_printed_s >= 2.0 {
+                    eprintln!("{line}");
+                    last_printed_s = status.time_s;
+                }
+                if status.outcome.is_none() {
+                    let [x, y, z] = status.position_ned_m;
+                    flight.path.push(NedVector::new(x, y, z));
+                }
+                flight.last = Some(status);
+            }
+            Err(RecvTimeoutError::Timeout) => bail!("the simulator said nothing for {} s", SILENCE_LIMIT.as_secs()),
+            Err(RecvTimeoutError::Disconnected) => {
+                // Its pipe closes a moment before its exit status can be read.
+                std::thread::sleep(Duration::from_millis(200));
+                simulator.check()?;
+                bail!("the simulator closed its output");
+            }
+        }
+        firmware.check()?;
+        let Some(status) = &flight.last else { continue };
+        match status.outcome.as_deref() {
+            Some("success") => {
+                let since = reached_at.get_or_insert_with(Instant::now);
+                if !status.armed || since.elapsed() > LANDING_LIMIT {
+                    break;
+                }
+            }
+            Some(_) => break,
+            None => {}
+        }
+    }
+    bar.finish_and_clear();
+    Ok(flight)
+}
+
+fn progress_line(title: &str, s: &Status) -> String {
+    let guidance = match (&s.guidance, s.reasons.is_empty()) {
+        (None, _) => "no firmware yet".to_owned(),
+        (Some(state), true) => state.clone(),
+        (Some(state), false) => format!("{state} ({})", s.reasons.join(", ")),
+    };
+    format!(
+        "{title}  {:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
+        s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
+    )
+}
+
+fn summarise(
+    course: &Course,
+    flight: &Option<Status>,
+    folder: &Path,
+    firmware_said: &str,
+    interrupted: bool,
+) -> Result<ExitCode> {
+    let Some(status) = flight else {
+        println!("no flight: interrupted before the simulator reported");
+        return Ok(ExitCode::from(130));
+    };
+    let paint = Paint::stdout();
+    let success = status.outcome.as_deref() == Some("success");
+    let verdict = match (&status.outcome, interrupted) {
+        (Some(outcome), _) => {
+            format!(
+                "{outcome} after {:.1} s and {:.1} m",
+                status.flight_time_s, status.path_length_m
+            )
+        }
+        (None, true) => format!("interrupted {:.1} m from the goal", status.goal_distance_m),
+        (None, false) => "no outcome".to_owned(),
+    };
+    println!("{} on {}", paint.verdict(success, &verdict), course.name);
+    if success {
+        println!(
+            "vehicle   {}",
+            if status.armed {
+                "still armed: it did not land in time"
+            } else {
+                "landed, disarmed"
+            }
+        );
+    }
+    for line in firmware_said.lines().filter(|l| !l.trim().is_empty()) {
+        println!("{line}");
+    }
+    println!("files     {}", folder.display());
+    Ok(ExitCode::from(match (&status.outcome, interrupted) {
+        (Some(outcome), _) => ending_code(outcome.parse().ok()),
+        (None, true) => 130,
+        (None, false) => EXIT_ERROR,
+    }))
+}

@@ -1,0 +1,91 @@
+//! `vigil judge`: how an actor flies alone, without MAVLink and guidance around it.
+
+use crate::actor_training::{Judged, Judgement};
+use crate::statistics::wilson_95;
+use anyhow::{Context, Result};
+use std::path::Path;
+use std::process::ExitCode;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
+use vigil_sim::family_parser;
+use vigil_world::{Family, Outcome};
+
+/// Arguments of `vigil judge`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil judge --actor runs/train/actor.safetensors    100 validation courses, the field off and on
+  vigil judge --actor zero                            what the field does without any actor
+  vigil judge --actor random                          ... and with one that draws its action evenly each step
+
+The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
+pub struct JudgeArgs {
+    /// A frozen actor, or `zero` or `random`.
+    #[arg(long, value_name = "FILE")]
+    actor: String,
+
+    /// Number of flights; flight i uses seed SEED + i.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+
+    /// First seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Family of generated courses.
+    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
+    family: Family,
+
+    /// Threads; all cores when absent.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    /// A flight that takes longer has failed, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 90.0)]
+    time_limit: f32,
+}
+
+/// Flies the courses without and with the field and prints both.
+///
+/// # Errors
+/// A file that is no actor.
+pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
+    let frozen;
+    let judged = match args.actor.as_str() {
+        "zero" => Judged::Zero,
+        "random" => Judged::Random,
+        file => {
+            frozen = FrozenActor::load(Path::new(file))?;
+            Judged::Actor(&frozen.params)
+        }
+    };
+    let threads = args.threads.map_or(0, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .context("cannot start threads")?;
+    println!("field  completion   95 % interval      collision  out of bounds  time-out  mean time");
+    for field in [false, true] {
+        let what = Judgement {
+            family: args.family,
+            first_seed: args.seed,
+            flights: args.flights,
+            time_limit_s: args.time_limit,
+            field,
+        };
+        let verdict = pool.install(|| crate::actor_training::judge(judged, Isa::detect(), &what))?;
+        let (low, high) = wilson_95(verdict.successes(), verdict.flights.len());
+        println!(
+            "{:<5} {:>9.1} %   {:>5.1} to {:>5.1} %   {:>9} {:>14} {:>9} {:>8.1} s",
+            if field { "on" } else { "off" },
+            100.0 * verdict.completion(),
+            100.0 * low,
+            100.0 * high,
+            verdict.count(Outcome::Collision),
+            verdict.count(Outcome::OutOfBounds),
+            verdict.count(Outcome::TimeOut),
+            verdict.mean_time_s(),
+        );
+    }
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,102 @@
+//! The `vigil` command line: everything a person does with Vigil starts here.
+
+mod courses;
+mod detector;
+mod evaluate;
+mod fly;
+mod judge;
+pub(crate) mod output;
+mod pilot;
+mod portrait;
+mod recover;
+mod replay;
+mod report;
+mod scene;
+mod train;
+
+use crate::attack_campaigns as attack;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Fly a quadcopter through obstacles in simulation, or any PX4 or ArduPilot vehicle.
+///
+/// Without a command, `vigil` flies one random validation course in real time (`vigil fly`).
+#[derive(Parser)]
+#[command(name = "vigil", version, after_help = EXAMPLES)]
+struct Cli {
+    #[command(subcommand)]
+    command: Option<Command>,
+
+    /// Log more: -v for what happens, -vv for details. RUST_LOG overrides it.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  vigil                                   fly a random validation course in real time
+  vigil fly --seed 7 --log runs/          fly validation course 7 and keep the log
+  vigil evaluate --flights 200 --seed 1   200 flights, faster than real time, with confidence intervals
+  vigil replay runs/flight.mcap           run the tick over recorded inputs and compare every byte
+  vigil courses draw --seed 7 -o 7.png    see a course
+  vigil sim                               the simulated vehicle alone, for MAVSDK and pymavlink scripts
+  vigil firmware --link udpin://0.0.0.0:14540 --vehicle px4 --allow-unsigned always
+                                          the 20 Hz loop alone, on any vehicle (docs/firmware.md, Signing)";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Fly one course in real time: starts simulator and firmware, shows progress, ends both.
+    Fly(fly::FlyArgs),
+    /// Run the simulated vehicle alone.
+    Sim(vigil_sim::program::SimArgs),
+    /// Run the 20 Hz loop alone (the same as the `firmware` program).
+    Firmware(vigil_firmware::program::FirmwareArgs),
+    /// Fly many seeded courses in lockstep, faster than real time, and tabulate the outcomes.
+    Evaluate(evaluate::EvaluateArgs),
+    /// Attack the actor: on states, on scenes, in campaigns of flights.
+    Attack(attack::AttackCommands),
+    /// Run the adversary alone: alters depth frames between the sensor and the firmware.
+    Adversary(vigil_sim::adversary::AdversaryArgs),
+    /// Run the tick over a flight log's recorded inputs and compare every output byte.
+    Replay(replay::ReplayArgs),
+    /// Close a flight log that was cut off when its process was killed.
+    Recover(recover::RecoverArgs),
+    /// Train an actor from nothing.
+    Train(train::TrainArgs),
+    /// Table I and figures 9 and 10 from the logs of training runs.
+    Report(report::ReportArgs),
+    /// Judge an actor alone, the potential field off and on.
+    Judge(judge::JudgeArgs),
+    /// Gather data for the detector, train it, measure how well it detects.
+    Detector(detector::DetectorArgs),
+    /// Draw, write or check courses.
+    Courses(courses::CoursesArgs),
+}
+
+/// Reads the arguments of the process and does what they say.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    output::start_tracing(cli.verbose);
+    let result = match cli.command.unwrap_or_else(|| Command::Fly(fly::FlyArgs::default())) {
+        Command::Fly(args) => fly::run(&args),
+        Command::Sim(args) => vigil_sim::program::run(args),
+        Command::Firmware(args) => vigil_firmware::program::run(args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Attack(args) => attack::run(&args),
+        Command::Adversary(args) => vigil_sim::adversary::run(&args),
+        Command::Replay(args) => replay::run(&args),
+        Command::Recover(args) => recover::run(&args),
+        Command::Train(args) => train::run(&args),
+        Command::Report(args) => report::run(&args),
+        Command::Judge(args) => judge::run(&args),
+        Command::Detector(args) => detector::run(&args),
+        Command::Courses(args) => courses::run(&args),
+    };
+    match result {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("vigil: {error:#}");
+            ExitCode::from(output::EXIT_ERROR)
+        }
+    }
+}

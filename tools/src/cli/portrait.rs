@@ -1,0 +1,176 @@
+//! `vigil detector figures`: the paper's figures 12 to 14 of one flight.
+
+use crate::actor_training::{Panel, chart_png};
+use crate::cli::output::range_grey;
+use crate::detector_training::{Adversary, ExplainedFrame, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
+use anyhow::{Context, Result};
+use std::fmt::Write as _;
+use std::path::Path;
+use vigil_adversary::AttackConfig;
+use vigil_detector::FrozenDetector;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Judgement, STEP_S, Verdict};
+use vigil_world::{Family, Image};
+
+/// Steps that `--attacked` alters.
+const BURST: core::ops::Range<u64> = 100..150;
+/// White between the pictures of figure 12, pixels.
+const GAP: usize = 4;
+/// Share of the pixels whose SHAP values are not beyond the colours' full strength.
+const STRONG: f64 = 0.998;
+
+/// Flies validation course `seed`, attacked or not, and draws into the folder.
+///
+/// # Errors
+/// A detector of another actor, a folder that cannot be written.
+pub fn draw(
+    isa: Isa,
+    actor: &FrozenActor,
+    detector: &FrozenDetector,
+    (seed, attacked): (u64, bool),
+    pictures: usize,
+    folder: &Path,
+) -> Result<()> {
+    let scenario = Scenario {
+        adversary: attacked.then(|| Adversary {
+            config: AttackConfig::PAPER,
+            bursts: vec![BURST],
+        }),
+        ..Scenario::unattacked(Family::Validation, seed, Plan::Actor)
+    };
+    let (record, portrait) = portray(isa, actor, detector, &scenario, pictures)?;
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let write = |name: &str, content: &[u8]| {
+        let path = folder.join(name);
+        println!("{}", path.display());
+        std::fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))
+    };
+    figure_12(&portrait.frames).write_png(&folder.join("figure-12.png"))?;
+    println!("{}", folder.join("figure-12.png").display());
+    let steps = &portrait.steps;
+    let last_s = seconds(steps.len());
+    write("figure-13.png", &chart_png(&contributions(steps), last_s))?;
+    write("figure-14.png", &chart_png(&sum_and_action(steps), last_s))?;
+    write("explanations.csv", to_csv(&portrait).as_bytes())?;
+    println!(
+        "validation course {seed}, {} steps{}, flight ended: {}",
+        steps.len(),
+        if attacked {
+            format!(", those from {} to {} attacked", BURST.start, BURST.end - 1)
+        } else {
+            String::new()
+        },
+        record
+            .outcome
+            .map_or("cut off".to_owned(), |o| format!("{o:?}").to_lowercase())
+    );
+    Ok(())
+}
+
+fn seconds(step: usize) -> f64 {
+    step as f64 * f64::from(STEP_S)
+}
+
+/// Beside each frame (near is bright) the SHAP values of its pixels for the yaw output: red turns right, green left. One scale for all.
+fn figure_12(frames: &[ExplainedFrame]) -> Image {
+    let sizes: Vec<f64> = frames.iter().flat_map(|f| &f.phi).map(|v| f64::from(v.abs())).collect();
+    let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
+    let row = DEPTH_ROWS + GAP;
+    Image::from_fn(2 * DEPTH_COLS + GAP, frames.len() * row, |x, y| {
+        let (Some(frame), y) = (frames.get(y / row), y % row) else {
+            return [255; 3];
+        };
+        let x_of = |from: usize| x.checked_sub(from).filter(|x| *x < DEPTH_COLS && y < DEPTH_ROWS);
+        if let Some(x) = x_of(0) {
+            return range_grey(frame.depth[y * DEPTH_COLS + x]);
+        }
+        let Some(x) = x_of(DEPTH_COLS + GAP) else {
+            return [255; 3];
+        };
+        let value = (frame.phi[y * DEPTH_COLS + x] / full).clamp(-1.0, 1.0);
+        let faded = (255.0 * (1.0 - value.abs())) as u8;
+        if value > 0.0 {
+            [255, faded, faded]
+        } else {
+            [faded, 255 - (255 - faded) / 2, faded]
+        }
+    })
+}
+
+/// A quantity over time.
+fn line(steps: &[ExplainedStep], value: impl Fn(&ExplainedStep) -> f32) -> Vec<(f64, f64)> {
+    let at = |(number, step)| (seconds(number), f64::from(value(step)));
+    steps.iter().enumerate().map(at).collect()
+}
+
+fn contributions(steps: &[ExplainedStep]) -> Vec<Panel> {
+    let of = |value: fn(&Judgement) -> f32| line(steps, move |s| value(&s.judgement));
+    vec![
+        Panel::new(
+            "SHAP values of the yaw output over time, s",
+            [
+                ("image", of(|j| j.image)),
+                ("bearing", of(|j| j.bearing)),
+                ("distance", of(|j| j.distance)),
+            ],
+        ),
+        Panel::new(
+            "score of the detector",
+            [("score", of(|j| j.score.unwrap_or(f32::NAN)))],
+        ),
+        Panel::new(
+            "frames altered",
+            [(
+                "altered",
+                line(steps, |s| f32::from(u8::from(s.step.frame == Frame::Attacked))),
+            )],
+        ),
+    ]
+}
+
+/// By additivity the two lines are one.
+fn sum_and_action(steps: &[ExplainedStep]) -> Vec<Panel> {
+    let sum = |j: &Judgement| j.base + j.image + j.bearing + j.distance;
+    vec![
+        Panel::new(
+            "yaw output and mean of the background + SHAP values, over time, s",
+            [
+                ("yaw output", line(steps, |s| s.step.output[1])),
+                ("explained", line(steps, |s| sum(&s.judgement))),
+            ],
+        ),
+        Panel::new(
+            "difference",
+            [(
+                "explained - yaw output",
+                line(steps, |s| sum(&s.judgement) - s.step.output[1]),
+            )],
+        ),
+    ]
+}
+
+fn to_csv(portrait: &Portrait) -> String {
+    let mut text = String::from("time_s,altered,yaw,base,image,bearing,distance,score,verdict\n");
+    for (number, ExplainedStep { step, judgement: j }) in portrait.steps.iter().enumerate() {
+        let verdict = match j.verdict {
+            Verdict::Unknown => "unknown",
+            Verdict::Clean => "clean",
+            Verdict::Attack => "attack",
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:.2},{},{:.5},{:.5},{:.5},{:.5},{:.5},{},{verdict}",
+            seconds(number),
+            u8::from(step.frame == Frame::Attacked),
+            step.output[1],
+            j.base,
+            j.image,
+            j.bearing,
+            j.distance,
+            j.score.map_or(String::new(), |s| format!("{s:.5}")),
+        );
+    }
+    text
+}

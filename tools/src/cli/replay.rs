@@ -1,0 +1,53 @@
+//! `vigil replay`: does the tick give the same bytes again?
+
+use crate::cli::output::{EXIT_DIFFERS, Paint};
+use anyhow::{Context, Result};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use vigil_log::Reader;
+
+/// Arguments of `vigil replay`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil replay runs/fly-1760000000-7             the log in a flight's folder
+  vigil replay flight.mcap                       a log file
+
+Exit code: 0 every byte is equal, 3 something differs, 1 the log cannot be read.")]
+pub struct ReplayArgs {
+    /// A flight log (MCAP), or a folder that holds one.
+    log: PathBuf,
+}
+
+/// Replays the log and compares.
+///
+/// # Errors
+/// A log that is missing, unreadable, or of another version.
+pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
+    let path = find_log(&args.log)?;
+    let mut reader = Reader::open(&path).with_context(|| path.display().to_string())?;
+    let report = vigil_firmware::replay(&mut reader).with_context(|| path.display().to_string())?;
+    println!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
+    Ok(if report.is_equal() {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(EXIT_DIFFERS)
+    })
+}
+
+/// The path itself, or the one MCAP file in it if it is a folder.
+fn find_log(path: &Path) -> Result<PathBuf> {
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    let mut logs: Vec<PathBuf> = std::fs::read_dir(path)
+        .with_context(|| format!("cannot read {}", path.display()))?
+        .filter_map(|entry| entry.ok().map(|e| e.path()))
+        .filter(|p| p.extension().is_some_and(|e| e == "mcap"))
+        .collect();
+    match (logs.pop(), logs.len()) {
+        (Some(log), 0) => Ok(log),
+        (None, _) => anyhow::bail!("no .mcap file in {}", path.display()),
+        (Some(_), more) => anyhow::bail!("{} holds {} logs: name one", path.display(), more + 1),
+    }
+}

@@ -1,0 +1,293 @@
+//! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
+
+use crate::actor_training::{Panel, RunResult, chart_png};
+use anyhow::{Context, Result, ensure};
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Training flights over which the reward's mean rolls in figure 9.
+const ROLLING_REWARDS: usize = 20;
+/// Training flights over which figure 10 counts successes (the paper's ten).
+const ROLLING_SUCCESSES: usize = 10;
+
+/// Arguments of `vigil report`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil report                        table I and figures 9 and 10 from the runs in docs/runs
+  vigil report runs/a runs/b -o out   the same from runs of yours
+
+A run is a folder that `vigil train` left: result.json and flights.csv are read. Runs with the field in no training flight
+are called DDPG, the others DDPG-APF.")]
+pub struct ReportArgs {
+    /// Folders of runs, or folders that hold them.
+    #[arg(default_value = "docs/runs", value_name = "DIR")]
+    runs: Vec<PathBuf>,
+
+    /// Where table-1.md, figure-9.png and figure-10.png go.
+    #[arg(short, long, value_name = "DIR", default_value = "runs/report")]
+    output: PathBuf,
+}
+
+/// A training flight, as `flights.csv` has it.
+struct Flight {
+    warm_up: bool,
+    success: bool,
+    reward: f64,
+}
+
+struct Run {
+    result: RunResult,
+    flights: Vec<Flight>,
+}
+
+struct Arm {
+    name: &'static str,
+    runs: Vec<Run>,
+}
+
+/// Reads the runs, prints table I and draws the figures.
+///
+/// # Errors
+/// No run, or a file of one that cannot be read.
+pub fn run(args: &ReportArgs) -> Result<ExitCode> {
+    let mut arms = [
+        Arm {
+            name: "DDPG-APF",
+            runs: Vec::new(),
+        },
+        Arm {
+            name: "DDPG",
+            runs: Vec::new(),
+        },
+    ];
+    for folder in folders(&args.runs)? {
+        let run = read(&folder)?;
+        let [with, without] = &mut arms;
+        let arm = if run.result.apf_share > 0.0 { with } else { without };
+        arm.runs.push(run);
+    }
+    let arms: Vec<Arm> = arms.into_iter().filter(|a| !a.runs.is_empty()).collect();
+    ensure!(
+        !arms.is_empty(),
+        "no run in {}: `vigil train -o DIR` makes one",
+        args.runs
+            .iter()
+            .map(|p| p.display().to_string())
+            .collect::<Vec<_>>()
+            .join(", ")
+    );
+    let table = table(&arms);
+    print!("{table}");
+    std::fs::create_dir_all(&args.output).with_context(|| format!("cannot make {}", args.output.display()))?;
+    for (name, content) in [
+        ("table-1.md", table.into_bytes()),
+        ("figure-9.png", figure_9(&arms)),
+        ("figure-10.png", figure_10(&arms)),
+    ] {
+        let path = args.output.join(name);
+        std::fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
+        println!("{}", path.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The folders themselves where they hold a finished run, otherwise those in them that do, by name.
+fn folders(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut all = Vec::new();
+    for folder in given {
+        if folder.join("result.json").exists() {
+            all.push(folder.clone());
+            continue;
+        }
+        let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+        let mut inner: Vec<PathBuf> = entries
+            .filter_map(|e| Some(e.ok()?.path()))
+            .filter(|p| p.join("result.json").exists())
+            .collect();
+        inner.sort();
+        all.append(&mut inner);
+    }
+    Ok(all)
+}
+
+fn read(folder: &Path) -> Result<Run> {
+    let text = |name: &str| {
+        let path = folder.join(name);
+        std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
+    };
+    let bad = |name: &str| format!("{} is not what `vigil train` writes", folder.join(name).display());
+    let result = serde_json::from_str(&text("result.json")?).with_context(|| bad("result.json"))?;
+    let flights = text("flights.csv")?
+        .lines()
+        .skip(1)
+        .map(flight)
+        .collect::<Option<Vec<Flight>>>()
+        .with_context(|| bad("flights.csv"))?;
+    Ok(Run { result, flights })
+}
+
+/// A row `flight,updates,warm_up,field,outcome,decisions,reward`.
+fn flight(row: &str) -> Option<Flight> {
+    let columns: Vec<&str> = row.split(',').collect();
+    let &[_, _, warm_up, _, outcome, _, reward] = columns.as_slice() else {
+        return None;
+    };
+    Some(Flight {
+        warm_up: warm_up == "1",
+        success: outcome == "success",
+        reward: reward.parse().ok()?,
+    })
+}
+
+fn table(arms: &[Arm]) -> String {
+    let mut text = String::from(
+        "| Training | Seed | Decisions (steps of 0.05 s) | Flights | Updates | Minutes | Completion without the field | 95 % interval | Collisions | Time-outs |\n\
+         | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n",
+    );
+    for arm in arms {
+        for Run { result: r, .. } in &arm.runs {
+            let (low, high) = r.test.wilson_95;
+            let _ = writeln!(
+                text,
+                "| {} | {} | {} ({}) | {} | {} | {:.0} | {:.2} % of {} | {:.1} to {:.1} % | {} | {} |",
+                arm.name,
+                r.seed,
+                r.decisions,
+                r.steps,
+                r.flights,
+                r.updates,
+                r.elapsed_s / 60.0,
+                100.0 * r.test.completion,
+                r.test.flights,
+                100.0 * low,
+                100.0 * high,
+                r.test.collisions,
+                r.test.time_outs
+            );
+        }
+        let shares: Vec<f64> = arm.runs.iter().map(|r| r.result.test.completion).collect();
+        let (mean, half) = mean_and_interval(&shares);
+        let _ = writeln!(
+            text,
+            "| **{}, {} seeds** | | | | | | **{:.2} %** | {} | | |",
+            arm.name,
+            shares.len(),
+            100.0 * mean,
+            half.map_or_else(
+                || "one run".to_owned(),
+                |h| format!("± {:.2} (t, over seeds)", 100.0 * h)
+            ),
+        );
+    }
+    text
+}
+
+/// Mean, and half of Student's 95 % interval of the mean; none of a single value.
+fn mean_and_interval(values: &[f64]) -> (f64, Option<f64>) {
+    /// 97.5 % quantiles of Student's t with 1 to 9 degrees of freedom.
+    const T: [f64; 9] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let half = values.len().checked_sub(2).map(|i| {
+        let variance = values.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / (n - 1.0);
+        T.get(i).unwrap_or(&1.96) * (variance / n).sqrt()
+    });
+    (mean, half)
+}
+
+/// Mean of each run of `count` neighbours, at the last one's number.
+fn rolling(values: &[f64], count: usize) -> Vec<(f64, f64)> {
+    values
+        .windows(count)
+        .enumerate()
+        .map(|(i, w)| ((i + count) as f64, w.iter().sum::<f64>() / count as f64))
+        .collect()
+}
+
+/// The flights of the actor; in those of the warm-up it was not flying yet.
+fn own<'a>(run: &'a Run, value: impl Fn(&Flight) -> f64 + 'a) -> Vec<f64> {
+    run.flights.iter().filter(|f| !f.warm_up).map(value).collect()
+}
+
+fn longest(arms: &[Arm]) -> f64 {
+    let runs = arms.iter().flat_map(|a| &a.runs);
+    runs.map(|r| own(r, |_| 0.0).len()).max().unwrap_or(1) as f64
+}
+
+/// Reward of each training flight of the first run, and its rolling mean in all of them.
+fn figure_9(arms: &[Arm]) -> Vec<u8> {
+    let panels: Vec<Panel> = arms
+        .iter()
+        .map(|arm| {
+            let each = arm.runs.first().map(|r| own(r, |f| f.reward)).unwrap_or_default();
+            let mut series = vec![(
+                format!("each, seed {}", seed(arm)),
+                (1..).map(f64::from).zip(each).collect(),
+            )];
+            series.extend(arm.runs.iter().map(|r| {
+                let mean = rolling(&own(r, |f| f.reward), ROLLING_REWARDS);
+                (format!("mean of {ROLLING_REWARDS}, seed {}", r.result.seed), mean)
+            }));
+            Panel {
+                title: format!("{}: reward", arm.name),
+                series,
+            }
+        })
+        .collect();
+    chart_png(&panels, longest(arms))
+}
+
+/// Share of the last ten training flights that reached the goal.
+fn figure_10(arms: &[Arm]) -> Vec<u8> {
+    let panels: Vec<Panel> = arms
+        .iter()
+        .map(|arm| Panel {
+            title: format!(
+                "{}: share of the last {ROLLING_SUCCESSES} flights at the goal",
+                arm.name
+            ),
+            series: arm
+                .runs
+                .iter()
+                .map(|r| {
+                    let share = rolling(&own(r, |f| f64::from(u8::from(f.success))), ROLLING_SUCCESSES);
+                    (format!("seed {}", r.result.seed), share)
+                })
+                .collect(),
+        })
+        .collect();
+    chart_png(&panels, longest(arms))
+}
+
+fn seed(arm: &Arm) -> u64 {
+    arm.runs.first().map_or(0, |r| r.result.seed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mean_over_seeds_has_students_interval() {
+        // Of 1, 2, 3, 4, 5: mean 3, deviation 1.5811, 2.776 × 1.5811 / √5 = 1.9629.
+        let (mean, half) = mean_and_interval(&[1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert!((mean - 3.0).abs() < 1e-12);
+        assert!((half.unwrap() - 1.9629).abs() < 1e-3);
+        assert_eq!(mean_and_interval(&[0.5]), (0.5, None));
+    }
+
+    #[test]
+    fn a_rolling_mean_begins_when_it_has_enough() {
+        assert_eq!(rolling(&[1.0, 3.0, 5.0], 2), [(2.0, 2.0), (3.0, 4.0)]);
+        assert!(rolling(&[1.0], 2).is_empty());
+    }
+
+    #[test]
+    fn a_row_of_another_table_is_no_flight() {
+        let row = flight("3,950,0,1,success,88,24.6171").unwrap();
+        assert!(row.success && !row.warm_up && (row.reward - 24.6171).abs() < 1e-9);
+        assert!(flight("50,12000,42.2").is_none());
+    }
+}

@@ -1,0 +1,262 @@
+//! Gathering flights and keeping them in files.
+
+use crate::detector_training::error::{DetectError, access};
+use crate::detector_training::record::{Ending, Frame, Record, Step, fly};
+use crate::detector_training::scenario::Scenario;
+use rayon::prelude::*;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::Path;
+use vigil_detector::WINDOW;
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Isa};
+use vigil_policy::FrozenActor;
+use vigil_world::Family;
+
+/// Flights of one actor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Flights {
+    /// Digest of the actor.
+    pub actor_sha256: String,
+    /// The flights.
+    pub records: Vec<Record>,
+}
+
+/// How many windows there are of each class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// Windows whose newest frame was attacked.
+    pub attacked: usize,
+    /// Windows without an altered frame among the newest ones that make the actor's state.
+    pub unattacked: usize,
+}
+
+impl Counts {
+    fn add(&mut self, record: &Record) {
+        for step in WINDOW - 1..record.steps.len() {
+            match Class::of(record, step) {
+                Class::Attacked => self.attacked += 1,
+                Class::Unattacked => self.unattacked += 1,
+                Class::Weak | Class::Lingering => {}
+            }
+        }
+    }
+
+    /// Of some flights.
+    pub fn of(records: &[Record]) -> Self {
+        let mut counts = Self::default();
+        records.iter().for_each(|r| counts.add(r));
+        counts
+    }
+}
+
+/// What a window is, by its newest step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Class {
+    /// Its frame was attacked, and the yaw output moved by [`WEAK_YAW`] or more.
+    Attacked,
+    /// Its frame was attacked, but to little effect: nothing is learned from it. Judged apart.
+    Weak,
+    /// Its frame was delivered as taken, but one of the four before it, which the actor's state holds too, was attacked.
+    /// Nothing is learned from it. Judged apart.
+    Lingering,
+    /// No attacked frame is in the actor's state.
+    Unattacked,
+}
+
+/// A change of the yaw output below it is next to no attack: 3 °/s.
+pub const WEAK_YAW: f32 = 0.1;
+
+impl Class {
+    /// Of a flight's step.
+    pub fn of(record: &Record, step: usize) -> Self {
+        let from = step.saturating_sub(vigil_nnet::ACTOR_FRAMES - 1);
+        let held = record.steps.get(from..=step).unwrap_or_default();
+        match held.last() {
+            Some(newest) if newest.frame == Frame::Attacked && newest.yaw_change.abs() >= WEAK_YAW => Self::Attacked,
+            Some(newest) if newest.frame == Frame::Attacked => Self::Weak,
+            _ if held.iter().any(|s| s.frame == Frame::Attacked) => Self::Lingering,
+            _ => Self::Unattacked,
+        }
+    }
+}
+
+/// Flights flown at once; fixed, so that what is gathered does not depend on the number of threads.
+const BLOCK: u64 = 12;
+
+/// Draws and flies scenarios, two attacked for each unattacked, until there are so many windows of each class.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn gather(
+    isa: Isa,
+    actor: &FrozenActor,
+    family: Family,
+    first_seed: u64,
+    want: Counts,
+    progress: &mut dyn FnMut(Counts, usize),
+) -> Result<Flights, DetectError> {
+    let mut counts = Counts::default();
+    let mut records = Vec::new();
+    let mut seed = first_seed;
+    while counts.attacked < want.attacked || counts.unattacked < want.unattacked {
+        let block = (seed..seed + BLOCK)
+            .into_par_iter()
+            .map(|seed| {
+                let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
+                fly(isa, &actor.params, &scenario, &mut ())
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        block.iter().for_each(|record| counts.add(record));
+        records.extend(block);
+        seed += BLOCK;
+        progress(counts, records.len());
+    }
+    Ok(Flights {
+        actor_sha256: actor.sha256(),
+        records,
+    })
+}
+
+/// Value of the metadata entry `format`.
+const FORMAT: &str = "vigil detector data 1";
+/// Numbers kept of a step.
+const WIDTH: usize = ACTOR_HIDDEN + ACTOR_POSITIONAL + ACTOR_OUTPUTS + 1;
+
+/// A flight's entry in the file.
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    scenario: Scenario,
+    outcome: Option<Ending>,
+    steps: usize,
+}
+
+impl Flights {
+    /// Writes them: `steps` (float32: GRU state, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
+    /// attacked, 2 noisy), and what was flown as JSON in the metadata.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), DetectError> {
+        let steps = || self.records.iter().flat_map(|r| &r.steps);
+        let count = steps().count();
+        let mut values = Vec::with_capacity(4 * WIDTH * count);
+        let mut frames = Vec::with_capacity(count);
+        for step in steps() {
+            let numbers = step.state.iter().chain(&step.position).chain(&step.output);
+            for number in numbers.chain([&step.yaw_change]) {
+                values.extend(number.to_le_bytes());
+            }
+            frames.push(step.frame as u8);
+        }
+        let entries: Vec<Entry> = self
+            .records
+            .iter()
+            .map(|r| Entry {
+                scenario: r.scenario.clone(),
+                outcome: r.outcome,
+                steps: r.steps.len(),
+            })
+            .collect();
+        let data = |message: String| DetectError::Data {
+            path: path.to_owned(),
+            message,
+        };
+        let json = serde_json::to_string(&entries).map_err(|e| data(e.to_string()))?;
+        let metadata = HashMap::from([
+            ("format".to_owned(), FORMAT.to_owned()),
+            ("actor_sha256".to_owned(), self.actor_sha256.clone()),
+            ("flights".to_owned(), json),
+        ]);
+        let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
+        let tensors = [
+            ("steps", view(Dtype::F32, vec![count, WIDTH], &values)?),
+            ("frames", view(Dtype::U8, vec![count], &frames)?),
+        ];
+        let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(access(folder))?;
+        }
+        let beside = path.with_extension("new");
+        std::fs::write(&beside, bytes)
+            .and_then(|()| std::fs::rename(&beside, path))
+            .map_err(access(path))
+    }
+
+    /// Reads them.
+    ///
+    /// # Errors
+    /// A file that cannot be read, holds something else, or was gathered with another actor.
+    pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
+        let bytes = std::fs::read(path).map_err(access(path))?;
+        let data = |message: &str| DetectError::Data {
+            path: path.to_owned(),
+            message: message.to_owned(),
+        };
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| data(&e.to_string()))?;
+        let content = SafeTensors::deserialize(&bytes).map_err(|e| data(&e.to_string()))?;
+        let metadata = header.metadata().clone().unwrap_or_default();
+        if metadata.get("format").map(String::as_str) != Some(FORMAT) {
+            return Err(data("it is of another format"));
+        }
+        let (found, expected) = (
+            metadata.get("actor_sha256").cloned().unwrap_or_default(),
+            actor.sha256(),
+        );
+        if found != expected {
+            return Err(DetectError::OtherActor {
+                path: path.to_owned(),
+                found,
+                expected,
+            });
+        }
+        let entries: Vec<Entry> = serde_json::from_str(metadata.get("flights").map_or("", String::as_str))
+            .map_err(|e| data(&e.to_string()))?;
+        let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
+        let (values, frames) = (tensor("steps")?, tensor("frames")?);
+        let values: Vec<f32> = values
+            .data()
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|b| f32::from_le_bytes(*b))
+            .collect();
+        if entries.iter().map(|e| e.steps).sum::<usize>() * WIDTH != values.len()
+            || frames.data().len() * WIDTH != values.len()
+        {
+            return Err(data("its flights and its steps do not belong together"));
+        }
+        let mut steps = values.chunks_exact(WIDTH).zip(frames.data()).map(|(values, frame)| {
+            let (state, rest) = values.split_at(ACTOR_HIDDEN);
+            let (position, rest) = rest.split_at(ACTOR_POSITIONAL);
+            let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
+            let mut step = Step {
+                state: [0.0; ACTOR_HIDDEN],
+                position: [0.0; ACTOR_POSITIONAL],
+                output: [0.0; ACTOR_OUTPUTS],
+                frame: match frame {
+                    1 => Frame::Attacked,
+                    2 => Frame::Noisy,
+                    _ => Frame::Unaltered,
+                },
+                yaw_change: yaw_change[0],
+            };
+            step.state.copy_from_slice(state);
+            step.position.copy_from_slice(position);
+            step.output.copy_from_slice(output);
+            step
+        });
+        let records = entries
+            .into_iter()
+            .map(|entry| Record {
+                scenario: entry.scenario,
+                outcome: entry.outcome,
+                steps: steps.by_ref().take(entry.steps).collect(),
+            })
+            .collect();
+        Ok(Self {
+            actor_sha256: found,
+            records,
+        })
+    }
+}

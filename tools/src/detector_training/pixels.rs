@@ -1,0 +1,328 @@
+//! States with the SHAP images of their five frames, for the detectors that look at images.
+
+use crate::detector_training::data::Flights;
+use crate::detector_training::error::{DetectError, access};
+use crate::detector_training::features::YAW;
+use crate::detector_training::record::{Frame, Onlooker, Record, Step, fly};
+use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use std::collections::{HashMap, VecDeque};
+use std::path::Path;
+use vigil_adversary::{AttackConfig, Towards};
+use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_POSITIONAL, ActorSpec, Isa, Purpose};
+use vigil_policy::FrozenActor;
+use vigil_types::DepthFrame;
+use vigil_world::Family;
+
+/// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
+const SHAP_THREADS: usize = 2;
+/// First seed of the unattacked training flights that backgrounds come from, and how many.
+/// States of the background sample, where nothing else is asked for.
+pub(crate) const BACKGROUNDS: usize = 30;
+const BACKGROUND_SEED: u64 = 2900;
+const BACKGROUND_FLIGHTS: u64 = 6;
+/// Steps between states of one class in one flight, and how many at most.
+const STRIDE: usize = 7;
+const PER_FLIGHT: usize = 12;
+
+/// A state of which all five frames were attacked, or none.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Number of its flight.
+    pub flight: usize,
+    /// Its newest step.
+    pub step: usize,
+    /// Whether its frames were attacked.
+    pub attacked: bool,
+    /// Its images, [`vigil_detector::images`].
+    pub images: Vec<u8>,
+}
+
+/// States with their flights.
+#[derive(Debug, Clone, PartialEq)]
+pub struct States {
+    /// The flights.
+    pub flights: Flights,
+    /// The states, half of them attacked.
+    pub states: Vec<State>,
+}
+
+/// The last five delivered frames.
+#[derive(Default)]
+pub(crate) struct Memory {
+    frames: VecDeque<Vec<f32>>,
+}
+
+impl Memory {
+    pub(crate) fn push(&mut self, frame: &DepthFrame) {
+        if self.frames.len() == ACTOR_FRAMES {
+            self.frames.pop_front();
+        }
+        self.frames.push_back(frame.depth.to_vec());
+    }
+
+    /// Frames, oldest first, then the positional values; `None` before there are five.
+    pub(crate) fn inputs<'a>(&'a self, position: &'a [f32; ACTOR_POSITIONAL]) -> Option<Vec<&'a [f32]>> {
+        let frames = self.frames.iter().map(Vec::as_slice);
+        (self.frames.len() == ACTOR_FRAMES).then(|| frames.chain([position.as_slice()]).collect())
+    }
+}
+
+/// Collects states for the background sample.
+struct Backgrounds {
+    memory: Memory,
+    steps: usize,
+    inputs: Vec<Vec<Vec<f32>>>,
+}
+
+impl Onlooker for Backgrounds {
+    fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
+        self.memory.push(delivered);
+        self.steps += 1;
+        if self.steps.is_multiple_of(2 * STRIDE)
+            && let Some(inputs) = self.memory.inputs(&step.position)
+        {
+            self.inputs.push(inputs.into_iter().map(<[f32]>::to_vec).collect());
+        }
+        Ok(())
+    }
+}
+
+/// The explainer of all pixels of five frames, with backgrounds of unattacked training flights.
+pub(crate) fn explainer(isa: Isa, params: &[f32], count: usize) -> Result<DeepShap, DetectError> {
+    let mut inputs = Vec::new();
+    for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
+        let mut onlooker = Backgrounds {
+            memory: Memory::default(),
+            steps: 0,
+            inputs: Vec::new(),
+        };
+        fly(
+            isa,
+            params,
+            &Scenario::unattacked(Family::Training, seed, Plan::Actor),
+            &mut onlooker,
+        )?;
+        inputs.append(&mut onlooker.inputs);
+    }
+    inputs.shuffle(&mut ChaCha8Rng::seed_from_u64(BACKGROUND_SEED));
+    inputs.truncate(count);
+    let backgrounds: Vec<Vec<&[f32]>> = inputs.iter().map(|i| i.iter().map(Vec::as_slice).collect()).collect();
+    let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true)?;
+    Ok(DeepShap::new(isa, graph, params, &backgrounds)?)
+}
+
+/// Explains states as they are met.
+struct Explaining<'a> {
+    shap: &'a mut DeepShap,
+    phi: Vec<f32>,
+    memory: Memory,
+    /// Frames of the last window, altered or not.
+    frames: VecDeque<Frame>,
+    flight: usize,
+    steps: usize,
+    /// Steps since the last state of each class, and how many there are.
+    since: [usize; 2],
+    taken: [usize; 2],
+    states: &'a mut Vec<State>,
+}
+
+impl Onlooker for Explaining<'_> {
+    fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
+        self.memory.push(delivered);
+        if self.frames.len() == WINDOW {
+            self.frames.pop_front();
+        }
+        self.frames.push_back(step.frame);
+        let number = self.steps;
+        self.steps += 1;
+        self.since = self.since.map(|s| s + 1);
+        let recent = |count: usize, frame: Frame| self.frames.iter().rev().take(count).all(|f| *f == frame);
+        let attacked = recent(ACTOR_FRAMES, Frame::Attacked);
+        let class = usize::from(attacked);
+        if number + 1 < WINDOW
+            || !(attacked || recent(WINDOW, Frame::Unaltered))
+            || self.since[class] < STRIDE
+            || self.taken[class] >= PER_FLIGHT
+        {
+            return Ok(());
+        }
+        let Some(inputs) = self.memory.inputs(&step.position) else {
+            return Ok(());
+        };
+        self.shap.evaluate(&inputs)?;
+        self.shap.attribute_on_threads(YAW, SHAP_THREADS, &mut self.phi)?;
+        let pixels = &self.phi[..self.phi.len() - ACTOR_POSITIONAL];
+        let images = images(pixels).unwrap_or_else(|| unreachable!("{} finite pixels", pixels.len()));
+        self.since[class] = 0;
+        self.taken[class] += 1;
+        self.states.push(State {
+            flight: self.flight,
+            step: number,
+            attacked,
+            images,
+        });
+        Ok(())
+    }
+}
+
+/// A flight under the paper's attack, streaming, in bursts of 10 to 60 steps; the actor flies, or a recovery.
+fn scenario(family: Family, seed: u64) -> Scenario {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let plan = if seed.is_multiple_of(2) {
+        Plan::Actor
+    } else {
+        Plan::Recovering {
+            delay: 2,
+            hover: 20,
+            trust: 20,
+        }
+    };
+    let config = AttackConfig {
+        towards: [Towards::Left, Towards::Right, Towards::Away][rng.random_range(0..3)],
+        seed,
+        ..AttackConfig::PAPER
+    };
+    let length = rng.random_range(10..60);
+    Scenario {
+        adversary: Some(Adversary::in_bursts(config, length, MAX_STEPS, &mut rng)),
+        altered: (STRIDE * PER_FLIGHT) as u64,
+        ..Scenario::unattacked(family, seed, plan)
+    }
+}
+
+/// Flies and explains until there are `count` states of each class.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn gather_states(
+    isa: Isa,
+    actor: &FrozenActor,
+    (family, first_seed): (Family, u64),
+    (count, backgrounds): (usize, usize),
+    progress: &mut dyn FnMut(usize),
+) -> Result<States, DetectError> {
+    let mut shap = explainer(isa, &actor.params, backgrounds)?;
+    let mut records: Vec<Record> = Vec::new();
+    let mut states: Vec<State> = Vec::new();
+    let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
+    let fewer = |states: &[State]| of_class(states, true).min(of_class(states, false));
+    let mut seed = first_seed;
+    while fewer(&states) < count {
+        let mut onlooker = Explaining {
+            phi: vec![0.0; shap.phi_len()],
+            shap: &mut shap,
+            memory: Memory::default(),
+            frames: VecDeque::new(),
+            flight: records.len(),
+            steps: 0,
+            since: [STRIDE; 2],
+            taken: [0; 2],
+            states: &mut states,
+        };
+        records.push(fly(isa, &actor.params, &scenario(family, seed), &mut onlooker)?);
+        seed += 1;
+        progress(fewer(&states).min(count));
+    }
+    let mut left = [count; 2];
+    states.retain(|s| {
+        let left = &mut left[usize::from(s.attacked)];
+        *left = left.wrapping_sub(1);
+        *left < count
+    });
+    Ok(States {
+        flights: Flights {
+            actor_sha256: actor.sha256(),
+            records,
+        },
+        states,
+    })
+}
+
+/// Value of the metadata entry `format`.
+const FORMAT: &str = "vigil detector images 1";
+
+impl States {
+    /// Writes the images to `path` and the flights beside, `.flights`.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), DetectError> {
+        self.flights.save(&path.with_extension("flights"))?;
+        let data = |message: String| DetectError::Data {
+            path: path.to_owned(),
+            message,
+        };
+        let images: Vec<u8> = self.states.iter().flat_map(|s| s.images.iter().copied()).collect();
+        let places: Vec<u8> = self
+            .states
+            .iter()
+            .flat_map(|s| [s.flight as u32, s.step as u32, u32::from(s.attacked)])
+            .flat_map(u32::to_le_bytes)
+            .collect();
+        let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
+        let count = self.states.len();
+        let tensors = [
+            ("images", view(Dtype::U8, vec![count, IMAGES], &images)?),
+            ("places", view(Dtype::U32, vec![count, 3], &places)?),
+        ];
+        let metadata = HashMap::from([("format".to_owned(), FORMAT.to_owned())]);
+        let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
+        let beside = path.with_extension("new");
+        std::fs::write(&beside, bytes)
+            .and_then(|()| std::fs::rename(&beside, path))
+            .map_err(access(path))
+    }
+
+    /// Reads them.
+    ///
+    /// # Errors
+    /// A file that cannot be read, holds something else, or was gathered with another actor.
+    pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
+        let flights = Flights::load(&path.with_extension("flights"), actor)?;
+        let bytes = std::fs::read(path).map_err(access(path))?;
+        let data = |message: &str| DetectError::Data {
+            path: path.to_owned(),
+            message: message.to_owned(),
+        };
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| data(&e.to_string()))?;
+        let content = SafeTensors::deserialize(&bytes).map_err(|e| data(&e.to_string()))?;
+        let format = header.metadata().as_ref().and_then(|m| m.get("format"));
+        if format.map(String::as_str) != Some(FORMAT) {
+            return Err(data("it is of another format"));
+        }
+        let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
+        let (images, places) = (tensor("images")?, tensor("places")?);
+        let numbers = places
+            .data()
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|b| u32::from_le_bytes(*b) as usize);
+        let numbers: Vec<usize> = numbers.collect();
+        let places = numbers.as_chunks::<3>().0;
+        let known = |[flight, step, _]: &[usize; 3]| {
+            let record = flights.records.get(*flight);
+            record.is_some_and(|r| (WINDOW - 1..r.steps.len()).contains(step))
+        };
+        if images.data().len() != places.len() * IMAGES || !places.iter().all(known) {
+            return Err(data("its images and its flights do not belong together"));
+        }
+        let states = images.data().chunks_exact(IMAGES).zip(places);
+        Ok(Self {
+            states: states
+                .map(|(images, [flight, step, attacked])| State {
+                    flight: *flight,
+                    step: *step,
+                    attacked: *attacked == 1,
+                    images: images.to_vec(),
+                })
+                .collect(),
+            flights,
+        })
+    }
+}

@@ -1,0 +1,169 @@
+//! A flight flown and written down.
+
+use crate::actor_training::Flight;
+use crate::detector_training::error::DetectError;
+use crate::detector_training::scenario::{Helm, Scenario};
+use serde::{Deserialize, Serialize};
+use vigil_adversary::{Method, StreamAttack};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
+use vigil_policy::actor::positional_inputs;
+use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
+use vigil_types::{Action, DepthFrame};
+use vigil_world::{LidarConfig, Outcome, generate};
+
+/// What became of a step's frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Frame {
+    /// Delivered as taken.
+    Unaltered,
+    /// Altered by an attack.
+    Attacked,
+    /// Altered at random: the control.
+    Noisy,
+}
+
+/// One step: the actor's decision, whoever steered.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// GRU state: the split point.
+    pub state: [f32; ACTOR_HIDDEN],
+    /// Positional inputs.
+    pub position: [f32; ACTOR_POSITIONAL],
+    /// The actor's outputs, without field.
+    pub output: [f32; ACTOR_OUTPUTS],
+    /// What became of the frame.
+    pub frame: Frame,
+    /// Change of the yaw output by the attack; 0 where the frame was not altered.
+    pub yaw_change: f32,
+}
+
+/// A flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// What was flown.
+    pub scenario: Scenario,
+    /// How it ended; `None` when it was cut off.
+    pub outcome: Option<Ending>,
+    /// Its steps.
+    pub steps: Vec<Step>,
+}
+
+/// How a flight ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// At the goal.
+    Goal,
+    /// Any other way.
+    Failed,
+}
+
+impl Record {
+    /// Altered frames among the last `count` up to a step.
+    pub fn altered_of_last(&self, step: usize, count: usize) -> usize {
+        let from = (step + 1).saturating_sub(count);
+        let recent = self.steps.get(from..=step).unwrap_or_default();
+        recent.iter().filter(|s| s.frame != Frame::Unaltered).count()
+    }
+}
+
+/// What looks on while flying: each step with the frame that was delivered and the one that was taken.
+pub trait Onlooker {
+    /// Called once a step, in order.
+    ///
+    /// # Errors
+    /// Ends the flight.
+    fn step(&mut self, step: &Step, delivered: &DepthFrame, taken: &DepthFrame) -> Result<(), DetectError>;
+}
+
+/// Nobody looks on.
+impl Onlooker for () {
+    fn step(&mut self, _: &Step, _: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
+        Ok(())
+    }
+}
+
+/// Flies a scenario with an actor. The same arguments give the same bits.
+///
+/// # Errors
+/// Parameters of another architecture, wind or attack out of range.
+pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl Onlooker) -> Result<Record, DetectError> {
+    let mut course = generate(scenario.family, scenario.seed);
+    course.time_limit_s = 90.0;
+    let usual = LidarConfig::default();
+    let lidar = LidarConfig {
+        range_noise_sigma_m: usual.range_noise_sigma_m * scenario.range_noise,
+        dropout_probability: usual.dropout_probability * scenario.range_noise,
+        ..usual
+    };
+    let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
+    let mut actor = Actor::new(ActorSpec::FULL, isa, params)?;
+    let mut attack = match &scenario.adversary {
+        Some(adversary) => Some((adversary, StreamAttack::new(isa, params, &adversary.config)?)),
+        None => None,
+    };
+    let mut helmsman = scenario.helmsman();
+    let mut geometric = helmsman
+        .needs_geometric()
+        .then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
+    let mut surroundings = Box::new(Surroundings::new());
+    let mut field = FlightField::default();
+    let mut delivered = Box::new(flight.frame().clone());
+    let mut record = Record {
+        scenario: scenario.clone(),
+        outcome: None,
+        steps: Vec::new(),
+    };
+    let mut altered = 0;
+    for number in 0..scenario.steps {
+        (*delivered).clone_from(flight.frame());
+        let position = positional_inputs(flight.goal());
+        let (mut frame, mut yaw_change) = (Frame::Unaltered, 0.0);
+        if let Some((adversary, attack)) = &mut attack {
+            if adversary.attacks(number) {
+                yaw_change = attack.attack(&mut delivered.depth, position)?.yaw_change();
+                frame = match adversary.config.method {
+                    Method::Noise => Frame::Noisy,
+                    _ => Frame::Attacked,
+                };
+                altered += 1;
+            } else {
+                attack.pass(&mut delivered.depth, position)?;
+            }
+        }
+        let input = PilotInput {
+            depth: &delivered,
+            ..flight.input()
+        };
+        let output = actor.decide(&delivered.depth, position)?;
+        let [forward_m_s, yaw] = output;
+        let own = Action { forward_m_s, yaw };
+        let geometric = geometric.as_mut().map(|pilot| pilot.decide(&input));
+        let action = match helmsman.take(number, frame != Frame::Unaltered) {
+            Helm::Actor { field: false } => own,
+            Helm::Actor { field: true } => field.add_to(own, &input, surroundings.observe(&input)),
+            Helm::Geometric => geometric.unwrap_or(Action::HOVER),
+            Helm::Hover => Action::HOVER,
+        };
+        let step = Step {
+            state: *actor.state(),
+            position,
+            output,
+            frame,
+            yaw_change,
+        };
+        onlooker.step(&step, &delivered, flight.frame())?;
+        record.steps.push(step);
+        if altered >= scenario.altered {
+            break;
+        }
+        if let Some(outcome) = flight.advance(action) {
+            record.outcome = Some(match outcome {
+                Outcome::Success => Ending::Goal,
+                _ => Ending::Failed,
+            });
+            break;
+        }
+    }
+    Ok(record)
+}
