@@ -5,4 +5,5 @@ mod attack_campaigns;
 mod campaign;
 pub mod cli;
 pub mod detector_training;
+pub mod report;
 pub mod statistics;

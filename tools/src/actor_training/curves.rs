@@ -1,7 +1,7 @@
 //! The learning curves as a picture: reward, success, losses over the updates.
 
-use crate::actor_training::chart::{Panel, chart_png};
 use crate::actor_training::progress::Row;
+use crate::report::{Figure, Panel};
 
 /// The picture as a PNG file's content.
 pub fn png(rows: &[Row]) -> Vec<u8> {
@@ -13,11 +13,13 @@ pub fn png(rows: &[Row]) -> Vec<u8> {
     let ended = |r: &Row, v: f64| (r.flights > 0).then_some(v);
     let panels = [
         Panel::new(
-            "reward of training flights",
+            "Reward of training flights",
+            "reward (m and bonuses)",
             [("reward", over(&|r| ended(r, f64::from(r.reward))))],
         ),
         Panel::new(
-            "share of flights that reach the goal",
+            "Share of flights that reach the goal",
+            "share",
             [
                 (
                     "training",
@@ -27,17 +29,24 @@ pub fn png(rows: &[Row]) -> Vec<u8> {
             ],
         ),
         Panel::new(
-            "losses",
+            "Losses",
+            "loss",
             [
                 ("critic", over(&|r| Some(f64::from(r.update.critic_loss)))),
                 ("imitation", over(&|r| Some(f64::from(r.update.imitation_loss)))),
             ],
         ),
         Panel::new(
-            "value of the actor's actions",
+            "Value of the actor's actions",
+            "value",
             [("value", over(&|r| Some(f64::from(r.update.value))))],
         ),
     ];
     let last = rows.last().map_or(1.0, |r| r.updates as f64).max(1.0);
-    chart_png(&panels, last)
+    Figure {
+        x_label: "updates".to_owned(),
+        x_last: last,
+        panels: panels.into(),
+    }
+    .png()
 }

@@ -3,7 +3,6 @@
 //! `docs/training.md` describes the method and what was measured.
 
 pub mod adam;
-mod chart;
 mod checkpoint;
 mod collector;
 mod config;
@@ -24,7 +23,6 @@ mod shard;
 mod train;
 mod weights;
 
-pub use chart::{Panel, chart_png};
 pub use config::{ConfigError, TrainConfig};
 pub use flight::Flight;
 pub use judge::{JudgeError, Judged, Judgement, Verdict, judge};

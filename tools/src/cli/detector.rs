@@ -1,11 +1,11 @@
 //! `vigil detector`: data for the detectors, their training, and how well they detect.
 
-use crate::actor_training::{Panel, chart_png};
 use crate::cli::output::git_commit;
 use crate::detector_training::{
     Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Report,
     Separation, Set, States, fly_sets, sets,
 };
+use crate::report::{Figure, Panel};
 use crate::statistics::quantile;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -644,18 +644,25 @@ fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
     let over = |value: fn(&Epoch) -> f64| epochs.iter().map(|e| (e.epoch as f64, value(e))).collect::<Vec<_>>();
     let panels = [
         Panel::new(
-            "cross entropy over the epochs",
+            "Cross entropy",
+            "nats",
             [
                 ("flights that choose", over(|e| e.choose_loss)),
                 ("training", over(|e| e.train_loss)),
             ],
         ),
         Panel::new(
-            "right verdicts on the flights that choose, %",
+            "Right verdicts on the flights that choose",
+            "accuracy (%)",
             [("accuracy", over(|e| 100.0 * e.choose_accuracy))],
         ),
     ];
-    chart_png(&panels, epochs.len() as f64)
+    Figure {
+        x_label: "epoch".to_owned(),
+        x_last: epochs.len() as f64,
+        panels: panels.into(),
+    }
+    .png()
 }
 
 fn roc_png(reports: &[&Report]) -> Vec<u8> {
@@ -667,8 +674,12 @@ fn roc_png(reports: &[&Report]) -> Vec<u8> {
     };
     // The corner that counts; the rest of the square is flat.
     const LIMIT: f64 = 0.05;
-    let title = "attacked windows found over the share of false alarms, up to 5 %";
-    chart_png(&[Panel::new(title, curves(LIMIT))], LIMIT)
+    Figure {
+        x_label: "false alarms, share of the clean windows (the rest of the axis is flat)".to_owned(),
+        x_last: LIMIT,
+        panels: vec![Panel::new("ROC", "attacked windows found, share", curves(LIMIT))],
+    }
+    .png()
 }
 
 fn text(report: &Report) -> String {

@@ -1,8 +1,8 @@
 //! `vigil detector figures`: the paper's figures 12 to 14 of one flight.
 
-use crate::actor_training::{Panel, chart_png};
 use crate::cli::output::range_grey;
 use crate::detector_training::{Adversary, ExplainedFrame, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
+use crate::report::{Figure, Panel};
 use anyhow::{Context, Result};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -50,8 +50,8 @@ pub fn draw(
     println!("{}", folder.join("figure-12.png").display());
     let steps = &portrait.steps;
     let last_s = seconds(steps.len());
-    write("figure-13.png", &chart_png(&contributions(steps), last_s))?;
-    write("figure-14.png", &chart_png(&sum_and_action(steps), last_s))?;
+    write("figure-13.png", &over_time(contributions(steps), last_s))?;
+    write("figure-14.png", &over_time(sum_and_action(steps), last_s))?;
     write("explanations.csv", to_csv(&portrait).as_bytes())?;
     println!(
         "validation course {seed}, {} steps{}, flight ended: {}",
@@ -104,11 +104,21 @@ fn line(steps: &[ExplainedStep], value: impl Fn(&ExplainedStep) -> f32) -> Vec<(
     steps.iter().enumerate().map(at).collect()
 }
 
+fn over_time(panels: Vec<Panel>, last_s: f64) -> Vec<u8> {
+    Figure {
+        x_label: "time (s)".to_owned(),
+        x_last: last_s,
+        panels,
+    }
+    .png()
+}
+
 fn contributions(steps: &[ExplainedStep]) -> Vec<Panel> {
     let of = |value: fn(&Judgement) -> f32| line(steps, move |s| value(&s.judgement));
     vec![
         Panel::new(
-            "SHAP values of the yaw output over time, s",
+            "SHAP values of the yaw output",
+            "SHAP value (action units)",
             [
                 ("image", of(|j| j.image)),
                 ("bearing", of(|j| j.bearing)),
@@ -116,11 +126,13 @@ fn contributions(steps: &[ExplainedStep]) -> Vec<Panel> {
             ],
         ),
         Panel::new(
-            "score of the detector",
+            "Score of the detector",
+            "score",
             [("score", of(|j| j.score.unwrap_or(f32::NAN)))],
         ),
         Panel::new(
-            "frames altered",
+            "Frames altered",
+            "altered (1: yes)",
             [(
                 "altered",
                 line(steps, |s| f32::from(u8::from(s.step.frame == Frame::Attacked))),
@@ -134,14 +146,16 @@ fn sum_and_action(steps: &[ExplainedStep]) -> Vec<Panel> {
     let sum = |j: &Judgement| j.base + j.image + j.bearing + j.distance;
     vec![
         Panel::new(
-            "yaw output and mean of the background + SHAP values, over time, s",
+            "Yaw output, and mean of the background plus SHAP values",
+            "yaw output (units of 30 °/s)",
             [
                 ("yaw output", line(steps, |s| s.step.output[1])),
                 ("explained", line(steps, |s| sum(&s.judgement))),
             ],
         ),
         Panel::new(
-            "difference",
+            "Difference",
+            "units of 30 °/s",
             [(
                 "explained - yaw output",
                 line(steps, |s| sum(&s.judgement) - s.step.output[1]),

@@ -1,6 +1,7 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
-use crate::actor_training::{Panel, RunResult, chart_png};
+use crate::actor_training::RunResult;
+use crate::report::{Figure, Panel, Series};
 use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -25,7 +26,7 @@ pub struct ReportArgs {
     #[arg(default_value = "docs/runs", value_name = "DIR")]
     runs: Vec<PathBuf>,
 
-    /// Where table-1.md, figure-9.png and figure-10.png go.
+    /// Where table-1.md, figure-9 and figure-10 (PNG and SVG) go.
     #[arg(short, long, value_name = "DIR", default_value = "runs/report")]
     output: PathBuf,
 }
@@ -83,8 +84,10 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot make {}", args.output.display()))?;
     for (name, content) in [
         ("table-1.md", table.into_bytes()),
-        ("figure-9.png", figure_9(&arms)),
-        ("figure-10.png", figure_10(&arms)),
+        ("figure-9.png", figure_9(&arms).png()),
+        ("figure-9.svg", figure_9(&arms).svg().into_bytes()),
+        ("figure-10.png", figure_10(&arms).png()),
+        ("figure-10.svg", figure_10(&arms).svg().into_bytes()),
     ] {
         let path = args.output.join(name);
         std::fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
@@ -216,53 +219,76 @@ fn longest(arms: &[Arm]) -> f64 {
     runs.map(|r| own(r, |_| 0.0).len()).max().unwrap_or(1) as f64
 }
 
-/// Reward of each training flight of the first run, and its rolling mean in all of them.
-fn figure_9(arms: &[Arm]) -> Vec<u8> {
-    let panels: Vec<Panel> = arms
-        .iter()
-        .map(|arm| {
-            let each = arm.runs.first().map(|r| own(r, |f| f.reward)).unwrap_or_default();
-            let mut series = vec![(
-                format!("each, seed {}", seed(arm)),
-                (1..).map(f64::from).zip(each).collect(),
-            )];
-            series.extend(arm.runs.iter().map(|r| {
-                let mean = rolling(&own(r, |f| f.reward), ROLLING_REWARDS);
-                (format!("mean of {ROLLING_REWARDS}, seed {}", r.result.seed), mean)
-            }));
-            Panel {
-                title: format!("{}: reward", arm.name),
-                series,
-            }
-        })
-        .collect();
-    chart_png(&panels, longest(arms))
+/// Mean over the runs, with the least and the greatest of them as its band; where fewer runs have values, of those.
+fn over_seeds(label: &str, runs: &[Vec<(f64, f64)>]) -> Series {
+    let longest = runs.iter().max_by_key(|r| r.len()).map_or(&[][..], Vec::as_slice);
+    let at = |i: usize| runs.iter().filter_map(move |r| r.get(i)).map(|(_, y)| *y);
+    let mean = |i| at(i).sum::<f64>() / at(i).count() as f64;
+    let band = |i| {
+        (
+            at(i).fold(f64::INFINITY, f64::min),
+            at(i).fold(f64::NEG_INFINITY, f64::max),
+        )
+    };
+    Series {
+        label: label.to_owned(),
+        points: longest.iter().enumerate().map(|(i, (x, _))| (*x, mean(i))).collect(),
+        band: longest
+            .iter()
+            .enumerate()
+            .map(|(i, (x, _))| {
+                let (low, high) = band(i);
+                (*x, low, high)
+            })
+            .collect(),
+    }
 }
 
-/// Share of the last ten training flights that reached the goal.
-fn figure_10(arms: &[Arm]) -> Vec<u8> {
-    let panels: Vec<Panel> = arms
-        .iter()
-        .map(|arm| Panel {
-            title: format!(
-                "{}: share of the last {ROLLING_SUCCESSES} flights at the goal",
-                arm.name
-            ),
-            series: arm
-                .runs
-                .iter()
-                .map(|r| {
-                    let share = rolling(&own(r, |f| f64::from(u8::from(f.success))), ROLLING_SUCCESSES);
-                    (format!("seed {}", r.result.seed), share)
-                })
-                .collect(),
-        })
-        .collect();
-    chart_png(&panels, longest(arms))
+fn over_flights(arms: &[Arm], panels: Vec<Panel>) -> Figure {
+    Figure {
+        x_label: "training flight (those of the warm-up are left out)".to_owned(),
+        x_last: longest(arms),
+        panels,
+    }
 }
 
-fn seed(arm: &Arm) -> u64 {
-    arm.runs.first().map_or(0, |r| r.result.seed)
+/// Rolling mean of the training flights' reward: mean over the seeds and their range.
+fn figure_9(arms: &[Arm]) -> Figure {
+    let series = arms.iter().map(|arm| {
+        let means: Vec<_> = arm
+            .runs
+            .iter()
+            .map(|r| rolling(&own(r, |f| f.reward), ROLLING_REWARDS))
+            .collect();
+        over_seeds(&format!("{}, {} seeds", arm.name, means.len()), &means)
+    });
+    let panel = Panel {
+        title: format!("Reward, mean of the last {ROLLING_REWARDS} flights (band: all seeds)"),
+        y_label: "reward".to_owned(),
+        series: series.collect(),
+        thresholds: Vec::new(),
+    };
+    over_flights(arms, vec![panel])
+}
+
+/// Share of the last ten training flights that reached the goal: mean over the seeds and their range.
+fn figure_10(arms: &[Arm]) -> Figure {
+    let series = arms.iter().map(|arm| {
+        let reached = |f: &Flight| f64::from(u8::from(f.success));
+        let shares: Vec<_> = arm
+            .runs
+            .iter()
+            .map(|r| rolling(&own(r, reached), ROLLING_SUCCESSES))
+            .collect();
+        over_seeds(&format!("{}, {} seeds", arm.name, shares.len()), &shares)
+    });
+    let panel = Panel {
+        title: format!("Share of the last {ROLLING_SUCCESSES} flights that reached the goal (band: all seeds)"),
+        y_label: "share".to_owned(),
+        series: series.collect(),
+        thresholds: Vec::new(),
+    };
+    over_flights(arms, vec![panel])
 }
 
 #[cfg(test)]
@@ -276,6 +302,13 @@ mod tests {
         assert!((mean - 3.0).abs() < 1e-12);
         assert!((half.unwrap() - 1.9629).abs() < 1e-3);
         assert_eq!(mean_and_interval(&[0.5]), (0.5, None));
+    }
+
+    #[test]
+    fn a_band_spans_the_seeds_that_got_so_far() {
+        let series = over_seeds("two", &[vec![(1.0, 0.0), (2.0, 4.0)], vec![(1.0, 2.0)]]);
+        assert_eq!(series.points, [(1.0, 1.0), (2.0, 4.0)]);
+        assert_eq!(series.band, [(1.0, 0.0, 2.0), (2.0, 4.0, 4.0)]);
     }
 
     #[test]
