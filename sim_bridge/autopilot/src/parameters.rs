@@ -110,8 +110,20 @@ parameters! {
         "Time armed on the ground without a take-off until the vehicle disarms itself; 0 or less: never";
     OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 3.0, 5.0, "",
         "What follows a lost setpoint stream: 3 return, 4 land, 5 hold";
-    OffboardLossS = "COM_OF_LOSS_T", Real32(0.4), 0.1, 10.0, "s",
-        "Age of the owner's last setpoint at which OFFBOARD is left (PX4's default is 1.0)";
+    OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
+        "Age of the owner's last setpoint at which OFFBOARD is left";
+    FollowAltitudeMode = "FLW_TGT_ALT_M", Int32(0), 0.0, 2.0, "",
+        "What follow mode counts its height from: 0 home, 1 the ground (the same here), 2 the target";
+    FollowDistanceM = "FLW_TGT_DST", Real32(8.0), 1.0, 100.0, "m",
+        "Horizontal distance that follow mode keeps from the target";
+    FollowAngleDeg = "FLW_TGT_FA", Real32(180.0), -180.0, 180.0, "deg",
+        "Where follow mode keeps itself, clockwise from the target's course: 0 before it, 180 behind it";
+    FollowHeightM = "FLW_TGT_HT", Real32(8.0), 1.0, 100.0, "m",
+        "Height of follow mode";
+    FollowSpeedMS = "FLW_TGT_MAX_VEL", Real32(5.0), 0.0, 20.0, "m/s",
+        "Speed by which follow mode may exceed the target's to get to its place; 3 at most";
+    FollowResponsiveness = "FLW_TGT_RS", Real32(0.1), 0.0, 1.0, "",
+        "How much of the target's former course is kept at each report: 0 none, 1 all";
     FenceAction = "GF_ACTION", Int32(2), 0.0, 5.0, "",
         "What follows when the vehicle leaves its geofence: 0 nothing, 1 warning, 2 hold, 3 return, 4 terminate, 5 land";
     FenceRadiusM = "GF_MAX_HOR_DIST", Real32(0.0), 0.0, 10000.0, "m",
@@ -128,16 +140,26 @@ parameters! {
         "Rate of climb of a take-off";
     CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 10.0, "m/s",
         "Horizontal speed of go-to and return";
-    MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(10.0), 0.5, 10.0, "m/s",
-        "Limit of horizontal speed of offboard setpoints";
+    MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(10.0), 0.5, 20.0, "m/s",
+        "Limit of horizontal speed; the airframe's own is 10";
     MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 1.5, "m/s",
         "Limit of the rate of descent";
     MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(2.5), 0.3, 2.5, "m/s",
         "Limit of the rate of climb of offboard setpoints";
+    AutoDownMS = "MPC_Z_V_AUTO_DN", Real32(1.5), 0.3, 4.0, "m/s",
+        "Rate of descent of a landing above MPC_LAND_ALT2; the airframe's own limit is 1.5";
+    AutoUpMS = "MPC_Z_V_AUTO_UP", Real32(2.5), 0.3, 8.0, "m/s",
+        "Rate of climb of a return; the airframe's own limit is 2.5";
     AcceptanceRadiusM = "NAV_ACC_RAD", Real32(2.0), 0.05, 200.0, "m",
         "Distance at which a mission item that gives none is reached";
+    HeightAcceptanceM = "NAV_MC_ALT_RAD", Real32(0.8), 0.05, 200.0, "m",
+        "Height error within which a mission item is reached";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";
+    ReturnType = "RTL_TYPE", Int32(0), 0.0, 1.0, "",
+        "Where a return flies to: 0 the nearest of home and rally points, 1 the nearest rally point, home if there is none";
+    GuidanceLossS = "VGL_OF_LOSS_T", Real32(0.4), 0.1, 60.0, "s",
+        "The same as COM_OF_LOSS_T where the owner is the guidance computer, component 191 of the vehicle's system; the shorter counts";
 }
 
 /// All parameters in the order of their index.
@@ -249,7 +271,7 @@ mod tests {
             ParameterValue::Int32(1),
         ] {
             assert!(parameters.set(index, bad).is_err());
-            assert_eq!(parameters.get(ParamId::OffboardLossS), 0.4);
+            assert_eq!(parameters.get(ParamId::OffboardLossS), 1.0);
         }
     }
 }

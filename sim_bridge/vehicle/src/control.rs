@@ -44,6 +44,8 @@ pub(crate) enum Stage {
     Attitude,
     /// Rates and thrust from outside.
     Rates,
+    /// Acceleration from outside.
+    Acceleration,
 }
 
 /// The shaped path that the position controller follows.
@@ -149,11 +151,20 @@ impl Controller {
         match *command {
             ControlCommand::MotorsOff => self.stop(Stage::Off),
             ControlCommand::Idle => self.stop(Stage::Idle),
-            ControlCommand::Attitude { attitude, thrust } if attitude.is_valid() && thrust.is_finite() => {
+            ControlCommand::Attitude {
+                attitude,
+                yaw_rate_rad_s,
+                thrust,
+            } if attitude.is_valid() && yaw_rate_rad_s.is_finite() && thrust.is_finite() => {
                 self.stage = Stage::Attitude;
                 self.thrust_wanted_n = self.thrust_for(thrust);
-                self.rates_wanted_rad_s = self.rates_towards(&from_attitude(attitude), belief, 0.0);
+                let yaw_rate = self.limit_yaw_rate(yaw_rate_rad_s);
+                self.rates_wanted_rad_s = self.rates_towards(&from_attitude(attitude), belief, yaw_rate);
             }
+            ControlCommand::Acceleration {
+                acceleration_ned_m_s2,
+                yaw,
+            } if acceleration_ned_m_s2.is_finite() => self.accelerate(&from_ned(acceleration_ned_m_s2), yaw, belief),
             ControlCommand::Rates {
                 rates_frd_rad_s,
                 thrust,
@@ -189,6 +200,27 @@ impl Controller {
                         ),
                         yaw,
                     ),
+                    ControlCommand::VelocityAtHeight {
+                        velocity_m_s,
+                        down_m,
+                        yaw,
+                    } if velocity_m_s.is_finite() && down_m.is_finite() => {
+                        let here = self.reference.position_ned_m;
+                        let goal = Vec3::new(here.x, here.y, f64::from(down_m));
+                        let level = Vec3::new(f64::from(velocity_m_s.x), f64::from(velocity_m_s.y), 0.0);
+                        (self.velocity_towards(&goal, &level, f64::INFINITY), yaw)
+                    }
+                    ControlCommand::ClimbAtPlace {
+                        position_ned_m,
+                        down_m_s,
+                        speed_limit_m_s,
+                        yaw,
+                    } if position_ned_m.is_finite() && down_m_s.is_finite() => {
+                        let mut goal = from_ned(position_ned_m);
+                        goal.z = self.reference.position_ned_m.z;
+                        let climb = Vec3::new(0.0, 0.0, f64::from(down_m_s));
+                        (self.velocity_towards(&goal, &climb, f64::from(speed_limit_m_s)), yaw)
+                    }
                     ControlCommand::Descend { rate_m_s } if rate_m_s.is_finite() => {
                         (Vec3::new(0.0, 0.0, f64::from(rate_m_s.max(0.0))), YawCommand::Hold)
                     }
@@ -263,6 +295,31 @@ impl Controller {
             self.stage = Stage::Path;
             self.reset_reference(belief);
         }
+    }
+
+    fn limit_yaw_rate(&self, yaw_rate_rad_s: f32) -> f64 {
+        let most = self.params.yaw_rate_max_rad_s;
+        f64::from(yaw_rate_rad_s).clamp(-most, most)
+    }
+
+    /// From a wanted acceleration to attitude and thrust, without a path. The heading is held from where this began.
+    fn accelerate(&mut self, acceleration: &Vec3, yaw: YawCommand, belief: &Belief) {
+        if self.stage != Stage::Acceleration {
+            self.stage = Stage::Acceleration;
+            self.reset_reference(belief);
+        }
+        let (yaw_rad, yaw_rate) = match yaw {
+            YawCommand::Angle { yaw_rad } if yaw_rad.is_finite() => (wrap(f64::from(yaw_rad)), 0.0),
+            YawCommand::Rate { yaw_rate_rad_s } if yaw_rate_rad_s.is_finite() => {
+                (belief.yaw_rad, self.limit_yaw_rate(yaw_rate_rad_s))
+            }
+            _ => (self.reference.yaw_rad, 0.0),
+        };
+        self.reference.yaw_rad = yaw_rad;
+        let force = self.force_for(acceleration);
+        let wanted = tilt_and_heading(&force.normalize(), yaw_rad);
+        self.rates_wanted_rad_s = self.rates_towards(&wanted, belief, yaw_rate);
+        self.thrust_wanted_n = force.dot(&(belief.attitude * Vec3::z())).max(0.0);
     }
 
     /// The velocity that goes to a position and stops there.

@@ -123,10 +123,39 @@ pub enum ControlCommand {
         /// Yaw.
         yaw: YawCommand,
     },
+    /// Fly with this horizontal velocity at a height.
+    VelocityAtHeight {
+        /// Metres per second; the vertical part is not used.
+        velocity_m_s: NedVector,
+        /// Metres from home, positive down.
+        down_m: f32,
+        /// Yaw.
+        yaw: YawCommand,
+    },
+    /// Go to and hold a horizontal place while climbing or descending at a rate.
+    ClimbAtPlace {
+        /// Metres from home; the vertical part is not used.
+        position_ned_m: NedVector,
+        /// Metres per second, positive down.
+        down_m_s: f32,
+        /// Horizontal speed limit, metres per second.
+        speed_limit_m_s: f32,
+        /// Yaw.
+        yaw: YawCommand,
+    },
+    /// Acceleration beside gravity's, within the limits of tilt and thrust: no velocity or place is held.
+    Acceleration {
+        /// Metres per second squared.
+        acceleration_ned_m_s2: NedVector,
+        /// Yaw.
+        yaw: YawCommand,
+    },
     /// Attitude and collective thrust.
     Attitude {
         /// Wanted body-to-NED attitude.
         attitude: Attitude,
+        /// Rate at which the wanted heading turns, clockwise.
+        yaw_rate_rad_s: f32,
         /// 0 to 1; 0.5 hovers.
         thrust: f32,
     },

@@ -208,6 +208,7 @@ fn an_attitude_is_reached_and_half_thrust_carries_the_weight() {
     let wanted = Attitude::from_euler_rad(0.2, -0.1, 0.5);
     let command = ControlCommand::Attitude {
         attitude: wanted,
+        yaw_rate_rad_s: 0.0,
         thrust: 0.5,
     };
     let truths = fly(&mut v, 2.0, &command);
@@ -217,6 +218,7 @@ fn an_attitude_is_reached_and_half_thrust_carries_the_weight() {
     assert!((a.yaw_rad() - 0.5).abs() < 0.02);
     let level = ControlCommand::Attitude {
         attitude: Attitude::LEVEL_NORTH,
+        yaw_rate_rad_s: 0.0,
         thrust: 0.5,
     };
     let mut v = airborne(precise());
@@ -225,6 +227,50 @@ fn an_attitude_is_reached_and_half_thrust_carries_the_weight() {
     // Tilted, half thrust no longer does.
     let sink = truths[1999].velocity_ned_m_s.z;
     assert!(sink > 0.1, "{sink}");
+}
+
+#[test]
+fn an_acceleration_is_flown_and_none_keeps_the_velocity() {
+    let mut v = airborne(precise());
+    let accelerate = |x: f32, yaw| ControlCommand::Acceleration {
+        acceleration_ned_m_s2: NedVector::new(x, 0.0, 0.0),
+        yaw,
+    };
+    fly(&mut v, 2.0, &accelerate(1.0, YawCommand::Hold));
+    let faster = v.truth().velocity_ned_m_s;
+    // The tilt takes a moment to build up, and there is drag.
+    assert!((1.4..2.0).contains(&faster.x) && faster.y.abs() < 0.1, "{faster:?}");
+    assert!((v.truth().position_ned_m.z + 5.0).abs() < 0.1);
+    fly(&mut v, 1.0, &accelerate(0.0, YawCommand::Rate { yaw_rate_rad_s: 0.5 }));
+    assert!(v.truth().velocity_ned_m_s.x > 0.8 * faster.x);
+    assert!((v.truth().attitude.yaw_rad() - 0.5).abs() < 0.15);
+}
+
+#[test]
+fn a_velocity_at_a_height_and_a_climb_at_a_place_keep_what_they_name() {
+    let mut v = airborne(precise());
+    let level = ControlCommand::VelocityAtHeight {
+        velocity_m_s: NedVector::new(0.0, 2.0, 9.0),
+        down_m: -7.0,
+        yaw: YawCommand::Hold,
+    };
+    fly(&mut v, 8.0, &level);
+    let t = v.truth();
+    assert!((t.velocity_ned_m_s.y - 2.0).abs() < 0.05, "{t:?}");
+    assert!((t.position_ned_m.z + 7.0).abs() < 0.05, "{t:?}");
+    let climb = ControlCommand::ClimbAtPlace {
+        position_ned_m: NedVector::new(3.0, 10.0, 50.0),
+        down_m_s: -0.5,
+        speed_limit_m_s: 3.0,
+        yaw: YawCommand::Hold,
+    };
+    fly(&mut v, 10.0, &climb);
+    let t = v.truth();
+    assert!((t.velocity_ned_m_s.z + 0.5).abs() < 0.05, "{t:?}");
+    assert!(
+        (t.position_ned_m.x - 3.0).abs() < 0.1 && (t.position_ned_m.y - 10.0).abs() < 0.1,
+        "{t:?}"
+    );
 }
 
 #[test]
@@ -277,6 +323,7 @@ fn motors_off_in_the_air_is_a_fall_that_ends_on_the_ground() {
         let mut v = airborne(vehicle(Wind::CALM, 5));
         let tip = ControlCommand::Attitude {
             attitude: Attitude::from_euler_rad(roll_rad, 0.0, 0.0),
+            yaw_rate_rad_s: 0.0,
             thrust: 0.5,
         };
         fly(&mut v, 0.5, &tip);
@@ -326,7 +373,28 @@ fn a_command_that_is_not_finite_is_a_hold() {
                 w: nan,
                 ..Attitude::LEVEL_NORTH
             },
+            yaw_rate_rad_s: 0.0,
             thrust: 0.9,
+        },
+        ControlCommand::Attitude {
+            attitude: Attitude::LEVEL_NORTH,
+            yaw_rate_rad_s: nan,
+            thrust: 0.9,
+        },
+        ControlCommand::Acceleration {
+            acceleration_ned_m_s2: NedVector::new(1.0, nan, 0.0),
+            yaw: YawCommand::Hold,
+        },
+        ControlCommand::VelocityAtHeight {
+            velocity_m_s: NedVector::new(1.0, 0.0, 0.0),
+            down_m: nan,
+            yaw: YawCommand::Hold,
+        },
+        ControlCommand::ClimbAtPlace {
+            position_ned_m: NedVector::ZERO,
+            down_m_s: f32::INFINITY,
+            speed_limit_m_s: 2.0,
+            yaw: YawCommand::Hold,
         },
         ControlCommand::Rates {
             rates_frd_rad_s: FrdVector::new(nan, 0.0, 0.0),
@@ -440,15 +508,39 @@ fn any_command() -> impl Strategy<Value = ControlCommand> {
             velocity_m_s: HeadingVector::new(x, y, z),
             yaw,
         }),
-        (three.clone(), any_number(), yaw).prop_map(|((x, y, z), speed_limit_m_s, yaw)| ControlCommand::Position {
-            position_ned_m: NedVector::new(x, y, z),
-            velocity_m_s: NedVector::new(z, x, y),
-            speed_limit_m_s,
+        (three.clone(), any_number(), yaw.clone()).prop_map(|((x, y, z), speed_limit_m_s, yaw)| {
+            ControlCommand::Position {
+                position_ned_m: NedVector::new(x, y, z),
+                velocity_m_s: NedVector::new(z, x, y),
+                speed_limit_m_s,
+                yaw,
+            }
+        }),
+        (three.clone(), any_number(), any_number()).prop_map(|((roll, pitch, yaw), yaw_rate_rad_s, thrust)| {
+            ControlCommand::Attitude {
+                attitude: Attitude::from_euler_rad(roll, pitch, yaw),
+                yaw_rate_rad_s,
+                thrust,
+            }
+        }),
+        (three.clone(), yaw.clone()).prop_map(|((x, y, z), yaw)| ControlCommand::Acceleration {
+            acceleration_ned_m_s2: NedVector::new(x, y, z),
             yaw,
         }),
-        (three.clone(), any_number()).prop_map(|((roll, pitch, yaw), thrust)| ControlCommand::Attitude {
-            attitude: Attitude::from_euler_rad(roll, pitch, yaw),
-            thrust,
+        (three.clone(), any_number(), yaw.clone()).prop_map(|((x, y, z), down_m, yaw)| {
+            ControlCommand::VelocityAtHeight {
+                velocity_m_s: NedVector::new(x, y, z),
+                down_m,
+                yaw,
+            }
+        }),
+        (three.clone(), any_number(), any_number(), yaw).prop_map(|((x, y, z), down_m_s, speed_limit_m_s, yaw)| {
+            ControlCommand::ClimbAtPlace {
+                position_ned_m: NedVector::new(x, y, z),
+                down_m_s,
+                speed_limit_m_s,
+                yaw,
+            }
         }),
         (three, any_number()).prop_map(|((x, y, z), thrust)| ControlCommand::Rates {
             rates_frd_rad_s: FrdVector::new(x, y, z),

@@ -10,8 +10,14 @@ use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Nanos, NedVector};
 use vigil_vehicle::YawCommand;
 
+/// MAV_COMP_ID_ONBOARD_COMPUTER, which the guidance computer has.
+const GUIDANCE_COMPONENT: u8 = 191;
 /// Contact that lasts this long is "on the ground"; a bounce is not.
 const LANDED_AFTER_NS: Nanos = 300_000_000;
+/// A thrust below this sinks (0.5 hovers), so that who is still at it for so long stands on something.
+const SINKING_THRUST: f32 = 0.48;
+const RESTING_M_S: f32 = 0.1;
+const RESTING_NS: Nanos = 1_000_000_000;
 /// No contact for this long is "in the air".
 const AIRBORNE_AFTER_NS: Nanos = 50_000_000;
 /// Tilt beyond which the vehicle does not arm: it lies on its side.
@@ -29,6 +35,9 @@ impl Core {
         }
         if !self.is_inside_fence() {
             return Err(Denial::OutsideFence);
+        }
+        if self.commander.mode.needs_sticks() && self.sticks.current(self.now_ns).is_none() {
+            return Err(Denial::ArmingWithoutSticks);
         }
         Ok(())
     }
@@ -64,6 +73,8 @@ impl Core {
     fn disarm_with(&mut self, text: &str) {
         self.commander.armed = false;
         self.commander.failsafe = None;
+        self.commander.speed_m_s = None;
+        self.commander.region_of_interest_m = None;
         self.enter(FlightMode::Hold, Maneuver::default());
         self.text(MavSeverity::MAV_SEVERITY_INFO, text);
         self.announce(message_ids::HEARTBEAT);
@@ -85,6 +96,7 @@ impl Core {
             landed,
             contact: self.commander.contact,
             contact_since_ns: self.commander.contact_since_ns,
+            rests_since_ns: self.now_ns,
             ..Commander::default()
         };
         self.setpoints = Setpoints::default();
@@ -102,15 +114,12 @@ impl Core {
         if mode == FlightMode::Mission {
             return self.begin_mission();
         }
-        if mode == FlightMode::Position {
-            return if self.enter_manual() {
-                Ok(())
-            } else {
-                Err(Denial::NoSticks)
-            };
+        if mode.needs_sticks() {
+            return self.enter_manual(mode);
         }
         self.clear_failsafe();
         match mode {
+            FlightMode::Follow => self.enter(mode, Maneuver::Follow { waits_ned_m: None }),
             FlightMode::Takeoff => self.take_off(None),
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(mode, Maneuver::Descend),
@@ -183,14 +192,15 @@ impl Core {
     /// Returns to home or the nearest rally point.
     pub(super) fn begin_return(&mut self) {
         let here = self.view.estimate.position_ned_m;
-        let (north, east) = self.plans.rally.nearest_m((here.x, here.y), self.home_m);
+        let rally_first = self.param(ParamId::ReturnType) == 1.0;
+        let (north, east) = self.plans.rally.nearest_m((here.x, here.y), self.home_m, rally_first);
         self.commander.return_to_m = (north, east);
         let is_there = libm::hypotf(here.x - north, here.y - east) < 2.0;
         let maneuver = if self.commander.is_on_ground() || is_there {
             Maneuver::Descend
         } else {
             let height_m = self.param(ParamId::ReturnAltitudeM).max(-here.z);
-            Maneuver::climb(here, -height_m, self.param(ParamId::MaxUpMS))
+            Maneuver::climb(here, -height_m, self.param(ParamId::AutoUpMS))
         };
         self.enter(FlightMode::Return, maneuver);
     }
@@ -204,8 +214,10 @@ impl Core {
             return Err(Denial::OutsideFence);
         }
         self.clear_failsafe();
-        let cruise_m_s = self.param(ParamId::CruiseSpeedMS);
-        let speed_limit_m_s = speed_m_s.map_or(cruise_m_s, |s| s.clamp(0.5, self.param(ParamId::MaxSpeedMS)));
+        let speed_limit_m_s = match speed_m_s {
+            Some(speed_m_s) => speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS)),
+            None => self.cruise_speed_m_s(),
+        };
         self.enter(
             FlightMode::Hold,
             Maneuver::Station {
@@ -238,8 +250,30 @@ impl Core {
         }
     }
 
+    /// Age up to which a stream of setpoints is one.
     pub(super) fn setpoint_max_age_ns(&self) -> Nanos {
         (f64::from(self.param(ParamId::OffboardLossS)) * 1e9) as Nanos
+    }
+
+    /// The same for the owner: shorter where that is the guidance computer, whose every setpoint is a decision on a
+    /// fresh frame.
+    pub(super) fn owner_max_age_ns(&self) -> Nanos {
+        let guidance = ComponentId {
+            system: self.id.system,
+            component: GUIDANCE_COMPONENT,
+        };
+        let max_age_ns = self.setpoint_max_age_ns();
+        if self.setpoints.owner() == Some(guidance) {
+            max_age_ns.min((f64::from(self.param(ParamId::GuidanceLossS)) * 1e9) as Nanos)
+        } else {
+            max_age_ns
+        }
+    }
+
+    /// Horizontal speed of a way: what DO_CHANGE_SPEED asked for since arming, else MPC_XY_CRUISE.
+    pub(super) fn cruise_speed_m_s(&self) -> f32 {
+        let speed_m_s = self.commander.speed_m_s.unwrap_or(self.param(ParamId::CruiseSpeedMS));
+        speed_m_s.min(self.param(ParamId::MaxSpeedMS))
     }
 
     /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until the next mode command.
@@ -268,9 +302,14 @@ impl Core {
     /// Follows contact with the ground, and disarms by itself after a landing or a wait.
     pub(super) fn watch_ground(&mut self) {
         let now_ns = self.now_ns;
+        let is_resting = self.is_resting();
         let c = &mut self.commander;
-        if self.view.on_ground != c.contact {
-            c.contact = self.view.on_ground;
+        if !is_resting {
+            c.rests_since_ns = now_ns;
+        }
+        let contact = self.view.on_ground || now_ns.saturating_sub(c.rests_since_ns) >= RESTING_NS;
+        if contact != c.contact {
+            c.contact = contact;
             c.contact_since_ns = now_ns;
         }
         let lasted_ns = now_ns.saturating_sub(c.contact_since_ns);
@@ -302,6 +341,15 @@ impl Core {
         if self.commander.armed && on_ground {
             self.disarm_when_idle();
         }
+    }
+
+    /// Whether it does not move although it is asked for less thrust than carries it: something else does. A thrust just below
+    /// the weight leaves too little load on the feet to be felt.
+    fn is_resting(&self) -> bool {
+        let v = self.view.estimate.velocity_ned_m_s;
+        self.wanted_thrust().is_some_and(|thrust| thrust < SINKING_THRUST)
+            && v.z.abs() < RESTING_M_S
+            && v.horizontal_norm() < 3.0 * RESTING_M_S
     }
 
     /// The vehicle is about to leave the ground: the time until it disarms itself begins anew.

@@ -10,6 +10,10 @@ use vigil_mavlink::common::{
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
+/// Nearer than this the direction of a region of interest is the estimate's noise.
+const INTEREST_RADIUS_M: f32 = 1.0;
+/// Thrust that carries the weight.
+pub(super) const HOVER_THRUST: f32 = 0.5;
 /// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
 const BRAKE_NS: Nanos = 3_000_000_000;
 
@@ -30,7 +34,7 @@ impl Core {
                 self.fly_climb(climb)
             }
             Maneuver::Offboard => self.fly_offboard(on_ground),
-            Maneuver::Sticks => self.fly_by_sticks(on_ground),
+            Maneuver::Sticks { held_down_m } => self.fly_by_sticks(held_down_m, on_ground),
             _ if on_ground => ControlCommand::Idle,
             Maneuver::Brake { began_ns, height_m } => self.fly_brake(began_ns, height_m),
             Maneuver::Station {
@@ -42,6 +46,7 @@ impl Core {
                 rate_m_s: self.descent_rate_m_s(),
             },
             Maneuver::Orbit(orbit) => self.fly_orbit(orbit),
+            Maneuver::Follow { waits_ned_m } => self.fly_follow(waits_ned_m),
             // In the air there is nothing to wait for.
             Maneuver::Grounded { .. } => self.fly_brake(None, None),
         }
@@ -65,7 +70,7 @@ impl Core {
         if let Some(height_m) = height_m {
             position_ned_m.z = -height_m;
         }
-        let speed_limit_m_s = self.param(ParamId::CruiseSpeedMS);
+        let speed_limit_m_s = self.cruise_speed_m_s();
         self.commander.maneuver = Maneuver::Station {
             position_ned_m,
             yaw: YawCommand::Hold,
@@ -81,12 +86,30 @@ impl Core {
                 self.commander.maneuver = Maneuver::Descend;
             }
         }
+        let velocity_m_s = match self.commander.mode() {
+            FlightMode::Mission => self.passing_velocity_m_s(position_ned_m),
+            _ => NedVector::ZERO,
+        };
         ControlCommand::Position {
             position_ned_m,
-            velocity_m_s: NedVector::ZERO,
+            velocity_m_s,
             speed_limit_m_s,
-            yaw,
+            yaw: self.towards_interest().unwrap_or(yaw),
         }
+    }
+
+    /// The heading towards the region of interest, in hold and on missions, unless it is right below.
+    fn towards_interest(&self) -> Option<YawCommand> {
+        let (north, east) = self.commander.region_of_interest_m?;
+        let here = self.view.estimate.position_ned_m;
+        let is_followed = match self.commander.mode() {
+            FlightMode::Hold => true,
+            FlightMode::Mission => !self.is_turning_in_mission(),
+            _ => false,
+        };
+        (is_followed && libm::hypotf(north - here.x, east - here.y) > INTEREST_RADIUS_M).then(|| YawCommand::Angle {
+            yaw_rad: libm::atan2f(east - here.y, north - here.x),
+        })
     }
 
     fn fly_climb(&mut self, climb: Climb) -> ControlCommand {
@@ -126,14 +149,14 @@ impl Core {
         let height_m = -self.view.estimate.position_ned_m.z;
         let slow_m_s = self.param(ParamId::LandSpeedMS);
         if height_m > self.param(ParamId::LandSlowHeightM) {
-            self.param(ParamId::MaxDownMS).max(slow_m_s)
+            self.param(ParamId::AutoDownMS).max(slow_m_s)
         } else {
             slow_m_s
         }
     }
 
     fn fly_offboard(&mut self, on_ground: bool) -> ControlCommand {
-        let Some(command) = self.setpoints.current(self.now_ns, self.setpoint_max_age_ns()) else {
+        let Some(command) = self.setpoints.current(self.now_ns, self.owner_max_age_ns()) else {
             self.lose_setpoints();
             return if on_ground {
                 ControlCommand::Idle
@@ -153,6 +176,18 @@ impl Core {
         self.limited(command)
     }
 
+    /// The thrust that whoever flies asks for, where they command it themselves.
+    pub(super) fn wanted_thrust(&self) -> Option<f32> {
+        match self.commander.maneuver {
+            Maneuver::Offboard => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
+                ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => Some(thrust),
+                _ => None,
+            },
+            Maneuver::Sticks { .. } => self.stick_thrust(),
+            _ => None,
+        }
+    }
+
     /// Whether a setpoint means to leave the ground.
     fn lifts(&self, command: &ControlCommand) -> bool {
         match command {
@@ -161,8 +196,13 @@ impl Core {
             ControlCommand::Position { position_ned_m, .. } => {
                 position_ned_m.z < self.view.estimate.position_ned_m.z - 0.3
             }
-            // The thrust is the sender's.
-            ControlCommand::Attitude { .. } | ControlCommand::Rates { .. } => true,
+            ControlCommand::VelocityAtHeight { down_m, .. } => *down_m < self.view.estimate.position_ned_m.z - 0.3,
+            ControlCommand::ClimbAtPlace { down_m_s, .. } => *down_m_s < -0.1,
+            ControlCommand::Acceleration {
+                acceleration_ned_m_s2, ..
+            } => acceleration_ned_m_s2.z < -0.1,
+            // More than the weight.
+            ControlCommand::Attitude { thrust, .. } | ControlCommand::Rates { thrust, .. } => *thrust > HOVER_THRUST,
             _ => false,
         }
     }
@@ -187,6 +227,43 @@ impl Core {
                     yaw,
                 }
             }
+            ControlCommand::VelocityAtHeight {
+                velocity_m_s: v,
+                down_m,
+                yaw,
+            } => {
+                let k = scale(v.horizontal_norm());
+                ControlCommand::VelocityAtHeight {
+                    velocity_m_s: NedVector::new(v.x * k, v.y * k, 0.0),
+                    down_m,
+                    yaw,
+                }
+            }
+            ControlCommand::ClimbAtPlace {
+                position_ned_m,
+                down_m_s,
+                speed_limit_m_s,
+                yaw,
+            } => ControlCommand::ClimbAtPlace {
+                position_ned_m,
+                down_m_s: down_m_s.clamp(-up, down),
+                speed_limit_m_s,
+                yaw,
+            },
+            // A rate that is asked for turns the vehicle from where it points.
+            ControlCommand::Attitude {
+                attitude,
+                yaw_rate_rad_s,
+                thrust,
+            } if yaw_rate_rad_s != 0.0 => ControlCommand::Attitude {
+                attitude: Attitude::from_euler_rad(
+                    attitude.roll_rad(),
+                    attitude.pitch_rad(),
+                    self.view.estimate.attitude.yaw_rad(),
+                ),
+                yaw_rate_rad_s,
+                thrust,
+            },
             other => other,
         }
     }
@@ -196,8 +273,12 @@ impl Core {
 pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_DATA> {
     const VELOCITY_ONLY: u16 = 0xDC7;
     const POSITION_ONLY: u16 = 0xDF8;
+    const VELOCITY_AND_HEIGHT: u16 = 0xDE3;
+    const PLACE_AND_CLIMB: u16 = 0xDDC;
+    const ACCELERATION_ONLY: u16 = 0xC3F;
+    let mut acceleration = NedVector::ZERO;
     let command = match core.commander.maneuver {
-        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.setpoint_max_age_ns())?,
+        Maneuver::Offboard => core.setpoints.current(core.now_ns, core.owner_max_age_ns())?,
         Maneuver::Station { position_ned_m, .. } => ControlCommand::Position {
             position_ned_m,
             velocity_m_s: NedVector::ZERO,
@@ -218,6 +299,24 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
             yaw,
             ..
         } => (position_ned_m, velocity_m_s, POSITION_ONLY, yaw),
+        ControlCommand::VelocityAtHeight {
+            velocity_m_s,
+            down_m,
+            yaw,
+        } => (NedVector::new(0.0, 0.0, down_m), velocity_m_s, VELOCITY_AND_HEIGHT, yaw),
+        ControlCommand::ClimbAtPlace {
+            position_ned_m,
+            down_m_s,
+            yaw,
+            ..
+        } => (position_ned_m, NedVector::new(0.0, 0.0, down_m_s), PLACE_AND_CLIMB, yaw),
+        ControlCommand::Acceleration {
+            acceleration_ned_m_s2,
+            yaw,
+        } => {
+            acceleration = acceleration_ned_m_s2;
+            (NedVector::ZERO, NedVector::ZERO, ACCELERATION_ONLY, yaw)
+        }
         _ => return None,
     };
     let (yaw, yaw_rate, mask) = match yaw {
@@ -233,11 +332,13 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
         vx: velocity.x,
         vy: velocity.y,
         vz: velocity.z,
+        afx: acceleration.x,
+        afy: acceleration.y,
+        afz: acceleration.z,
         yaw,
         yaw_rate,
         type_mask: PositionTargetTypemask::from_bits_truncate(mask),
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
-        ..Default::default()
     })
 }
 
@@ -245,12 +346,21 @@ pub(crate) fn position_target(core: &Core) -> Option<POSITION_TARGET_LOCAL_NED_D
 /// are flown: their controllers are the vehicle's, and what they ask for is not known here.
 pub(crate) fn attitude_target(core: &Core) -> Option<ATTITUDE_TARGET_DATA> {
     const RATES_IGNORED: u8 = 0x07;
+    const TILT_RATES_IGNORED: u8 = 0x03;
     const ATTITUDE_IGNORED: u8 = 0x80;
     if core.commander.maneuver != Maneuver::Offboard {
         return None;
     }
-    let (attitude, rates, thrust, mask) = match core.setpoints.current(core.now_ns, core.setpoint_max_age_ns())? {
-        ControlCommand::Attitude { attitude, thrust } => (attitude, FrdVector::ZERO, thrust, RATES_IGNORED),
+    let (attitude, rates, thrust, mask) = match core.setpoints.current(core.now_ns, core.owner_max_age_ns())? {
+        ControlCommand::Attitude {
+            attitude,
+            yaw_rate_rad_s,
+            thrust,
+        } => {
+            let turns = yaw_rate_rad_s != 0.0;
+            let mask = if turns { TILT_RATES_IGNORED } else { RATES_IGNORED };
+            (attitude, FrdVector::new(0.0, 0.0, yaw_rate_rad_s), thrust, mask)
+        }
         ControlCommand::Rates {
             rates_frd_rad_s,
             thrust,

@@ -1,66 +1,150 @@
-//! Flying by sticks: MANUAL_CONTROL in position mode. <https://docs.px4.io/main/en/flight_modes_mc/position.html>
+//! Flying by sticks: MANUAL_CONTROL and RC_CHANNELS_OVERRIDE. <https://docs.px4.io/main/en/flight_modes_mc/>
 
 use crate::core::Core;
+use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
-use crate::flight::state::{Deflections, Failsafe, Maneuver};
+use crate::flight::state::{Deflections, Denial, Failsafe, Maneuver};
 use crate::parameters::ParamId;
 use vigil_mavlink::common::MavSeverity;
-use vigil_types::HeadingVector;
+use vigil_types::{Attitude, FrdVector, HeadingVector};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// Deflections below this are the centre.
 const DEAD_ZONE: f32 = 0.05;
 /// Turning rate at full deflection.
 const MAX_YAW_RATE_RAD_S: f32 = 1.5;
+/// Tilt at full deflection; PX4's default of MPC_MAN_TILT_MAX.
+const MAX_TILT_RAD: f32 = 35.0 * core::f32::consts::PI / 180.0;
+/// Rates at full deflection in acro; PX4's defaults of MC_ACRO_*_MAX.
+const MAX_ACRO_RATE_RAD_S: f32 = 100.0 * core::f32::consts::PI / 180.0;
+const GRAVITY_M_S2: f32 = 9.806_65;
+/// From height error to climb rate, and from that error to acceleration, in altitude mode.
+const HEIGHT_GAIN_PER_S: f32 = 0.8;
+const CLIMB_GAIN_PER_S: f32 = 3.0;
+/// Largest vertical acceleration in altitude mode.
+const MAX_CLIMB_ACCELERATION_M_S2: f32 = 3.0;
 
 fn beyond_dead_zone(deflection: f32) -> f32 {
     let beyond = (deflection.abs() - DEAD_ZONE).max(0.0) / (1.0 - DEAD_ZONE);
     beyond.copysign(deflection)
 }
 
+/// The throttle stick from 0 to 1.
+fn thrust(sticks: Deflections) -> f32 {
+    (sticks.up + 1.0) / 2.0
+}
+
 impl Core {
-    /// Velocities along the heading, MPC_XY_CRUISE and MPC_Z_VEL_MAX_* at full deflection. On the ground the motors idle
-    /// until the stick goes up. Lost sticks end in hold.
-    pub(super) fn fly_by_sticks(&mut self, on_ground: bool) -> ControlCommand {
+    /// What the sticks ask for in the present mode. On the ground the motors idle until the throttle goes up. Lost sticks
+    /// end in hold.
+    pub(super) fn fly_by_sticks(&mut self, held_down_m: Option<f32>, on_ground: bool) -> ControlCommand {
         let Some(sticks) = self.sticks.current(self.now_ns) else {
             self.text(MavSeverity::MAV_SEVERITY_CRITICAL, "manual control lost: hold");
             self.fail_over(FlightMode::Hold, Failsafe::ManualControlLost);
             return if on_ground {
                 ControlCommand::Idle
             } else {
-                self.fly_by(Deflections::default())
+                self.velocity_by(Deflections::default())
             };
         };
+        let mode = self.commander.mode();
         if on_ground {
-            if beyond_dead_zone(sticks.up) < 0.1 {
+            let lifts = match mode {
+                FlightMode::Position | FlightMode::Altitude => beyond_dead_zone(sticks.up) >= 0.1,
+                _ => thrust(sticks) > HOVER_THRUST,
+            };
+            if !lifts {
                 return ControlCommand::Idle;
             }
             self.expect_lift_off();
         }
-        self.fly_by(sticks)
+        match mode {
+            FlightMode::Altitude => self.tilt_at_height(sticks, held_down_m),
+            FlightMode::Stabilized | FlightMode::Manual => self.attitude_by(sticks),
+            FlightMode::Acro => rates_by(sticks),
+            _ => self.velocity_by(sticks),
+        }
     }
 
-    fn fly_by(&self, sticks: Deflections) -> ControlCommand {
-        let [forward, right, up, clockwise] =
-            [sticks.forward, sticks.right, sticks.up, sticks.clockwise].map(beyond_dead_zone);
+    /// Velocities along the heading, MPC_XY_CRUISE and MPC_Z_VEL_MAX_* at full deflection.
+    fn velocity_by(&self, sticks: Deflections) -> ControlCommand {
+        let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
         let norm = libm::hypotf(forward, right).max(1.0);
         let speed_m_s = self.param(ParamId::CruiseSpeedMS) / norm;
-        let climb_m_s = up * self.param(if up > 0.0 { ParamId::MaxUpMS } else { ParamId::MaxDownMS });
         ControlCommand::VelocityHeading {
-            velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -climb_m_s),
+            velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks)),
             yaw: YawCommand::Rate {
                 yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
             },
         }
     }
 
-    /// Enters position mode, if somebody has the sticks.
-    pub(super) fn enter_manual(&mut self) -> bool {
-        let has_sticks = self.sticks.current(self.now_ns).is_some();
-        if has_sticks {
-            self.clear_failsafe();
-            self.enter(FlightMode::Position, Maneuver::Sticks);
+    fn climb_m_s(&self, sticks: Deflections) -> f32 {
+        let up = beyond_dead_zone(sticks.up);
+        up * self.param(if up > 0.0 { ParamId::MaxUpMS } else { ParamId::MaxDownMS })
+    }
+
+    /// Tilt by the right stick, climb by the throttle; the height is held while that is centred.
+    fn tilt_at_height(&mut self, sticks: Deflections, held_down_m: Option<f32>) -> ControlCommand {
+        let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+        let estimate = self.view.estimate;
+        let climb_m_s = self.climb_m_s(sticks);
+        let held_down_m = (climb_m_s == 0.0).then(|| held_down_m.unwrap_or(estimate.position_ned_m.z));
+        self.commander.maneuver = Maneuver::Sticks { held_down_m };
+        let down_m_s = match held_down_m {
+            None => -climb_m_s,
+            Some(held) => {
+                let (up, down) = (self.param(ParamId::MaxUpMS), self.param(ParamId::MaxDownMS));
+                ((held - estimate.position_ned_m.z) * HEIGHT_GAIN_PER_S).clamp(-up, down)
+            }
+        };
+        let down_m_s2 = ((down_m_s - estimate.velocity_ned_m_s.z) * CLIMB_GAIN_PER_S)
+            .clamp(-MAX_CLIMB_ACCELERATION_M_S2, MAX_CLIMB_ACCELERATION_M_S2);
+        let level_m_s2 = |stick: f32| GRAVITY_M_S2 * libm::tanf(stick * MAX_TILT_RAD);
+        let wanted = HeadingVector::new(level_m_s2(forward), level_m_s2(right), down_m_s2);
+        ControlCommand::Acceleration {
+            acceleration_ned_m_s2: wanted.to_ned(estimate.attitude.yaw_rad()),
+            yaw: YawCommand::Rate {
+                yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
+            },
         }
-        has_sticks
+    }
+
+    fn attitude_by(&self, sticks: Deflections) -> ControlCommand {
+        let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+        let heading_rad = self.view.estimate.attitude.yaw_rad();
+        ControlCommand::Attitude {
+            attitude: Attitude::from_euler_rad(right * MAX_TILT_RAD, -forward * MAX_TILT_RAD, heading_rad),
+            yaw_rate_rad_s: clockwise * MAX_YAW_RATE_RAD_S,
+            thrust: thrust(sticks),
+        }
+    }
+
+    /// The thrust that the sticks ask for, in modes in which they do.
+    pub(super) fn stick_thrust(&self) -> Option<f32> {
+        match self.commander.mode() {
+            FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => {
+                self.sticks.current(self.now_ns).map(thrust)
+            }
+            _ => None,
+        }
+    }
+
+    /// Enters a mode that is flown by sticks. While disarmed it waits for them.
+    pub(super) fn enter_manual(&mut self, mode: FlightMode) -> Result<(), Denial> {
+        if self.commander.is_armed() && self.sticks.current(self.now_ns).is_none() {
+            return Err(Denial::NoSticks(mode));
+        }
+        self.clear_failsafe();
+        self.enter(mode, Maneuver::Sticks { held_down_m: None });
+        Ok(())
+    }
+}
+
+fn rates_by(sticks: Deflections) -> ControlCommand {
+    let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
+    ControlCommand::Rates {
+        rates_frd_rad_s: FrdVector::new(right, -forward, clockwise) * MAX_ACRO_RATE_RAD_S,
+        thrust: thrust(sticks),
     }
 }

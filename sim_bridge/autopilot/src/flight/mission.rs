@@ -10,8 +10,6 @@ use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Nanos, NedVector, wrap_pi};
 use vigil_vehicle::YawCommand;
 
-/// Height error within which a place is reached (PX4's NAV_MC_ALT_RAD).
-const HEIGHT_ACCEPTANCE_M: f32 = 0.8;
 /// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
 const MIN_ACCEPTANCE_M: f32 = 0.2;
 /// A landing begins when the vehicle is this near to its place and this slow.
@@ -20,6 +18,8 @@ const LANDING_SPEED_M_S: f32 = 0.5;
 /// On a shorter way the vehicle does not turn towards its place.
 const TURN_DISTANCE_M: f32 = 2.0;
 const TURN_ACCEPTANCE_RAD: f32 = 0.05;
+/// Deceleration within which a short way on is flown to its end.
+const PASSING_BRAKING_M_S2: f32 = 0.6;
 /// Time between the end of an item and the begin of the next.
 const ITEM_PAUSE_NS: Nanos = 50_000_000;
 
@@ -100,6 +100,10 @@ impl Core {
                 self.plans.mission.speed_m_s = speed_m_s;
                 self.end_item(true);
             }
+            MissionItem::Interest { place_m } => {
+                self.commander.region_of_interest_m = place_m;
+                self.end_item(true);
+            }
             MissionItem::PassedOver => self.end_item(true),
             MissionItem::Jump { .. } => self.end_item(false),
         }
@@ -147,7 +151,47 @@ impl Core {
             yaw,
             speed_limit_m_s: self.mission_speed_m_s(),
         };
+        self.plans.mission.passing_m_s = self.passing_at((here.x, here.y), (north, east), leg);
         self.plans.mission.stage = Stage::Travelling;
+    }
+
+    /// Velocity with which a place is passed: that of the way to it, as far as the way on goes in the same direction.
+    /// Zero where the vehicle stops.
+    fn passing_at(&self, from: (f32, f32), at: (f32, f32), leg: &Leg) -> (f32, f32) {
+        const STOPS: (f32, f32) = (0.0, 0.0);
+        let passes = matches!(leg.purpose, Purpose::Visit { stay_ns: 0 } | Purpose::TakeOff)
+            && !self.plans.mission.pauses_after_item();
+        let Some(to) = self.plans.mission.next_place_m().filter(|_| passes) else {
+            return STOPS;
+        };
+        let (in_north, in_east) = (at.0 - from.0, at.1 - from.1);
+        let (out_north, out_east) = (to.0 - at.0, to.1 - at.1);
+        let (in_m, out_m) = (libm::hypotf(in_north, in_east), libm::hypotf(out_north, out_east));
+        if in_m < MIN_ACCEPTANCE_M || out_m < MIN_ACCEPTANCE_M {
+            return STOPS;
+        }
+        let along = (in_north * out_north + in_east * out_east) / (in_m * out_m);
+        // On a short way on, no faster than can be braked there.
+        let speed_m_s =
+            (self.mission_speed_m_s() * along.max(0.0)).min(libm::sqrtf(2.0 * PASSING_BRAKING_M_S2 * out_m));
+        (in_north / in_m * speed_m_s, in_east / in_m * speed_m_s)
+    }
+
+    /// What the vehicle's velocity towards a place does not fall below: it passes the place instead of stopping there.
+    /// Nothing once it is behind.
+    pub(super) fn passing_velocity_m_s(&self, place_ned_m: NedVector) -> NedVector {
+        let (north, east) = self.plans.mission.passing_m_s;
+        let left = place_ned_m - self.view.estimate.position_ned_m;
+        if self.plans.mission.stage == Stage::Travelling && left.x * north + left.y * east > 0.0 {
+            NedVector::new(north, east, 0.0)
+        } else {
+            NedVector::ZERO
+        }
+    }
+
+    /// Whether the mission itself turns the nose.
+    pub(super) fn is_turning_in_mission(&self) -> bool {
+        matches!(self.plans.mission.stage, Stage::Turning { .. })
     }
 
     fn mission_speed_m_s(&self) -> f32 {
@@ -158,19 +202,20 @@ impl Core {
         }
     }
 
-    /// Changes the speed of the way that is being flown.
-    pub fn change_speed(&mut self, speed_m_s: f32) -> Result<(), Denial> {
-        let speed_m_s = speed_m_s.clamp(0.5, self.param(ParamId::MaxSpeedMS));
-        let is_mission = self.commander.mode() == FlightMode::Mission;
-        if is_mission {
-            self.plans.mission.speed_m_s = Some(speed_m_s);
+    /// Changes the speed of ways: of the mission's while one is flown, else of the present one and those that follow until
+    /// disarming. `None` goes back to MPC_XY_CRUISE.
+    pub fn change_speed(&mut self, speed_m_s: Option<f32>) {
+        let max_m_s = self.param(ParamId::MaxSpeedMS);
+        let wanted = speed_m_s.map(|speed_m_s| speed_m_s.clamp(0.5, max_m_s));
+        if self.commander.mode() == FlightMode::Mission {
+            self.plans.mission.speed_m_s = wanted;
+        } else {
+            self.commander.speed_m_s = wanted;
         }
-        match &mut self.commander.maneuver {
-            Maneuver::Station { speed_limit_m_s, .. } => *speed_limit_m_s = speed_m_s,
-            _ if is_mission => {}
-            _ => return Err(Denial::NoWay),
+        let now_m_s = wanted.unwrap_or(self.param(ParamId::CruiseSpeedMS));
+        if let Maneuver::Station { speed_limit_m_s, .. } = &mut self.commander.maneuver {
+            *speed_limit_m_s = now_m_s;
         }
-        Ok(())
     }
 
     fn has_arrived(&self, leg: &Leg) -> bool {
@@ -187,7 +232,7 @@ impl Core {
                 .unwrap_or_else(|| self.param(ParamId::AcceptanceRadiusM))
                 .max(MIN_ACCEPTANCE_M),
         };
-        off.horizontal_norm() <= radius_m && off.z.abs() <= HEIGHT_ACCEPTANCE_M
+        off.horizontal_norm() <= radius_m && off.z.abs() <= self.param(ParamId::HeightAcceptanceM)
     }
 
     fn arrive(&mut self, leg: &Leg) {

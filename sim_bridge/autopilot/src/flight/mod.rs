@@ -3,6 +3,7 @@
 mod commander;
 mod control;
 mod fence;
+mod follow;
 mod manual;
 mod mission;
 pub(crate) mod mode;

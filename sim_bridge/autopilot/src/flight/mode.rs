@@ -1,8 +1,12 @@
 //! Flight modes and their PX4 numbers: `custom_mode = main << 16 | sub << 24`.
 
+const MAIN_MANUAL: u8 = 1;
+const MAIN_ALTITUDE: u8 = 2;
 const MAIN_POSITION: u8 = 3;
 const MAIN_AUTO: u8 = 4;
+const MAIN_ACRO: u8 = 5;
 const MAIN_OFFBOARD: u8 = 6;
+const MAIN_STABILIZED: u8 = 7;
 
 /// The modes that the vehicle flies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -20,8 +24,18 @@ pub enum FlightMode {
     Mission,
     /// POSCTL.ORBIT: circles a point. Entered by DO_ORBIT alone, because it needs a point.
     Orbit,
-    /// POSCTL: flown by sticks, that is MANUAL_CONTROL.
+    /// AUTO.FOLLOW_TARGET: keeps its place beside what FOLLOW_TARGET reports.
+    Follow,
+    /// POSCTL: sticks command velocities.
     Position,
+    /// ALTCTL: sticks command tilt and climb.
+    Altitude,
+    /// STABILIZED: sticks command tilt and thrust.
+    Stabilized,
+    /// MANUAL: on a multicopter the same as STABILIZED.
+    Manual,
+    /// ACRO: sticks command body rates and thrust.
+    Acro,
     /// OFFBOARD: obeys the setpoints of its owner.
     Offboard,
 }
@@ -30,34 +44,39 @@ pub enum FlightMode {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Requested {
     Flown(FlightMode),
-    /// A mode that needs a pilot's sticks, by its PX4 name.
-    Manual(&'static str),
     Unknown,
 }
 
 impl FlightMode {
-    /// What a mode command can ask for.
-    const COMMANDED: [Self; 7] = [
-        Self::Hold,
-        Self::Takeoff,
-        Self::Land,
-        Self::Return,
-        Self::Mission,
-        Self::Position,
-        Self::Offboard,
-    ];
-
     /// Every mode.
-    pub(crate) const ALL: [Self; 8] = [
+    pub(crate) const ALL: [Self; 13] = [
         Self::Hold,
         Self::Takeoff,
         Self::Land,
         Self::Return,
         Self::Mission,
         Self::Orbit,
+        Self::Follow,
         Self::Position,
+        Self::Altitude,
+        Self::Stabilized,
+        Self::Manual,
+        Self::Acro,
         Self::Offboard,
     ];
+
+    /// Whether a mode command can ask for it: an orbit needs a point.
+    pub(crate) const fn is_commanded(self) -> bool {
+        !matches!(self, Self::Orbit)
+    }
+
+    /// Whether it is flown by sticks.
+    pub(crate) const fn needs_sticks(self) -> bool {
+        matches!(
+            self,
+            Self::Position | Self::Altitude | Self::Stabilized | Self::Manual | Self::Acro
+        )
+    }
 
     const fn px4(self) -> (u8, u8) {
         match self {
@@ -67,7 +86,12 @@ impl FlightMode {
             Self::Return => (MAIN_AUTO, 5),
             Self::Land => (MAIN_AUTO, 6),
             Self::Offboard => (MAIN_OFFBOARD, 0),
+            Self::Follow => (MAIN_AUTO, 8),
             Self::Position => (MAIN_POSITION, 0),
+            Self::Altitude => (MAIN_ALTITUDE, 0),
+            Self::Stabilized => (MAIN_STABILIZED, 0),
+            Self::Manual => (MAIN_MANUAL, 0),
+            Self::Acro => (MAIN_ACRO, 0),
             Self::Orbit => (MAIN_POSITION, 1),
         }
     }
@@ -87,7 +111,12 @@ impl FlightMode {
             Self::Return => "return",
             Self::Mission => "mission",
             Self::Orbit => "orbit",
+            Self::Follow => "follow",
             Self::Position => "position",
+            Self::Altitude => "altitude",
+            Self::Stabilized => "stabilized",
+            Self::Manual => "manual",
+            Self::Acro => "acro",
             Self::Offboard => "offboard",
         }
     }
@@ -96,22 +125,16 @@ impl FlightMode {
 impl Requested {
     /// Reads a main and sub mode.
     pub fn from_px4(main: u8, sub: u8) -> Self {
-        match (main, sub) {
-            (1, _) => Self::Manual("manual"),
-            (2, _) => Self::Manual("altitude"),
-            (MAIN_POSITION, 0) => Self::Flown(FlightMode::Position),
-            (MAIN_POSITION, _) => Self::Manual("position"),
-            (5, _) => Self::Manual("acro"),
-            (7, _) => Self::Manual("stabilized"),
-            (MAIN_OFFBOARD, _) => Self::Flown(FlightMode::Offboard),
-            // AUTO without a sub mode, and READY, wait where they are.
-            (MAIN_AUTO, 0 | 1) => Self::Flown(FlightMode::Hold),
-            (MAIN_AUTO, _) => FlightMode::COMMANDED
-                .into_iter()
-                .find(|mode| mode.px4() == (main, sub))
-                .map_or(Self::Unknown, Self::Flown),
-            _ => Self::Unknown,
-        }
+        // Modes without sub modes ignore theirs, as PX4 does; AUTO without one, and READY, wait where they are.
+        let sub = match (main, sub) {
+            (MAIN_AUTO, 0 | 1) => return Self::Flown(FlightMode::Hold),
+            (MAIN_AUTO | MAIN_POSITION, sub) => sub,
+            _ => 0,
+        };
+        FlightMode::ALL
+            .into_iter()
+            .find(|mode| mode.is_commanded() && mode.px4() == (main, sub))
+            .map_or(Self::Unknown, Self::Flown)
     }
 
     /// Reads a HEARTBEAT-style custom mode.
@@ -129,10 +152,11 @@ mod tests {
     fn modes_have_the_numbers_of_px4() {
         assert_eq!(FlightMode::Offboard.custom_mode(), 0x0006_0000);
         assert_eq!(FlightMode::Hold.custom_mode(), 0x0304_0000);
-        for mode in FlightMode::COMMANDED {
+        for mode in FlightMode::ALL.into_iter().filter(|mode| mode.is_commanded()) {
             assert_eq!(Requested::from_custom_mode(mode.custom_mode()), Requested::Flown(mode));
         }
-        assert_eq!(Requested::from_px4(2, 0), Requested::Manual("altitude"));
+        assert_eq!(Requested::from_px4(2, 0), Requested::Flown(FlightMode::Altitude));
+        assert_eq!(Requested::from_px4(3, 1), Requested::Unknown, "an orbit needs a point");
         assert_eq!(Requested::from_px4(4, 9), Requested::Unknown);
         assert_eq!(Requested::from_px4(0, 0), Requested::Unknown);
     }

@@ -18,6 +18,7 @@ const MAX_SOURCES: usize = 8;
 /// Beyond these a value is a mistake, not a wish: the setpoint is refused rather than limited.
 const ABSURD_POSITION_M: f32 = 100_000.0;
 const ABSURD_VELOCITY_M_S: f32 = 100.0;
+const ABSURD_ACCELERATION_M_S2: f32 = 100.0;
 const ABSURD_RATE_RAD_S: f32 = 100.0;
 
 /// Why a setpoint is not flown.
@@ -150,9 +151,15 @@ pub(crate) enum Taken {
     Ignored,
 }
 
-fn usable(values: &[f32], limit: f32) -> Result<(), SetpointDefect> {
+/// Which axes of a setpoint are used.
+const ALL: [bool; 3] = [true, true, true];
+const NONE: [bool; 3] = [false, false, false];
+const HORIZONTAL: [bool; 3] = [true, true, false];
+const VERTICAL: [bool; 3] = [false, false, true];
+
+fn usable(values: impl IntoIterator<Item = f32>, limit: f32) -> Result<(), SetpointDefect> {
     // NaN fails the comparison.
-    if values.iter().all(|v| v.abs() <= limit) {
+    if values.into_iter().all(|v| v.abs() <= limit) {
         Ok(())
     } else {
         Err(SetpointDefect::Value)
@@ -160,63 +167,95 @@ fn usable(values: &[f32], limit: f32) -> Result<(), SetpointDefect> {
 }
 
 /// What a SET_POSITION_TARGET_LOCAL_NED asks for. Frames 1 and 8 as in PX4: frame 8 is turned by yaw alone and has no
-/// positions. Flown are all three positions (with or without velocities), or all three velocities; accelerations are not.
+/// positions; `heading_rad` is the vehicle's now. An acceleration beside a position or velocity is a feed-forward: the
+/// vehicle's own shaping makes one, so it is checked and not used.
 pub(crate) fn position_setpoint(
     m: &SET_POSITION_TARGET_LOCAL_NED_DATA,
     speed_limit_m_s: f32,
+    heading_rad: f32,
 ) -> Result<ControlCommand, SetpointDefect> {
-    let ignores = |bits: PositionMask| m.type_mask.contains(bits);
-    let any_used = |bits: PositionMask| !m.type_mask.contains(bits);
-    let positions = PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE
-        | PositionMask::POSITION_TARGET_TYPEMASK_Y_IGNORE
-        | PositionMask::POSITION_TARGET_TYPEMASK_Z_IGNORE;
-    let velocities = PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE
-        | PositionMask::POSITION_TARGET_TYPEMASK_VY_IGNORE
-        | PositionMask::POSITION_TARGET_TYPEMASK_VZ_IGNORE;
-    let accelerations = PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE
-        | PositionMask::POSITION_TARGET_TYPEMASK_AY_IGNORE
-        | PositionMask::POSITION_TARGET_TYPEMASK_AZ_IGNORE;
-    if any_used(accelerations) {
+    let used = |axes: [PositionMask; 3]| axes.map(|axis| !m.type_mask.contains(axis));
+    let position = used([
+        PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE,
+        PositionMask::POSITION_TARGET_TYPEMASK_Y_IGNORE,
+        PositionMask::POSITION_TARGET_TYPEMASK_Z_IGNORE,
+    ]);
+    let velocity = used([
+        PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE,
+        PositionMask::POSITION_TARGET_TYPEMASK_VY_IGNORE,
+        PositionMask::POSITION_TARGET_TYPEMASK_VZ_IGNORE,
+    ]);
+    let acceleration = used([
+        PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE,
+        PositionMask::POSITION_TARGET_TYPEMASK_AY_IGNORE,
+        PositionMask::POSITION_TARGET_TYPEMASK_AZ_IGNORE,
+    ]);
+    let accelerates = acceleration != NONE;
+    let is_force = m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET);
+    if accelerates && (acceleration != ALL || is_force) {
         return Err(SetpointDefect::Form);
     }
-    let yaw = if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
-        usable(&[m.yaw], ABSURD_RATE_RAD_S)?;
+    let check = |axes: [bool; 3], values: [f32; 3], limit: f32| {
+        let values = axes.into_iter().zip(values).filter(|(is_used, _)| *is_used);
+        usable(values.map(|(_, value)| value), limit)
+    };
+    check(velocity, [m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
+    check(acceleration, [m.afx, m.afy, m.afz], ABSURD_ACCELERATION_M_S2)?;
+    let yaw = if !m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
+        usable([m.yaw], ABSURD_RATE_RAD_S)?;
         YawCommand::Angle { yaw_rad: m.yaw }
-    } else if !ignores(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE) {
-        usable(&[m.yaw_rate], ABSURD_RATE_RAD_S)?;
+    } else if !m
+        .type_mask
+        .contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
+    {
+        usable([m.yaw_rate], ABSURD_RATE_RAD_S)?;
         YawCommand::Rate {
             yaw_rate_rad_s: m.yaw_rate,
         }
     } else {
         YawCommand::Hold
     };
-    let uses_positions = !m.type_mask.intersects(positions);
-    let uses_velocities = !m.type_mask.intersects(velocities);
-    let some_positions = any_used(positions);
-    let some_velocities = any_used(velocities);
-    if uses_velocities {
-        usable(&[m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
+    let is_local = match m.coordinate_frame {
+        MavFrame::MAV_FRAME_LOCAL_NED => true,
+        MavFrame::MAV_FRAME_BODY_NED => false,
+        _ => return Err(SetpointDefect::Form),
+    };
+    if is_local {
+        check(position, [m.x, m.y, m.z], ABSURD_POSITION_M)?;
     }
-    match m.coordinate_frame {
-        MavFrame::MAV_FRAME_LOCAL_NED if uses_positions && uses_velocities == some_velocities => {
-            usable(&[m.x, m.y, m.z], ABSURD_POSITION_M)?;
-            Ok(ControlCommand::Position {
-                position_ned_m: NedVector::new(m.x, m.y, m.z),
-                velocity_m_s: if uses_velocities {
-                    NedVector::new(m.vx, m.vy, m.vz)
-                } else {
-                    NedVector::ZERO
-                },
-                speed_limit_m_s,
-                yaw,
-            })
-        }
-        MavFrame::MAV_FRAME_LOCAL_NED if uses_velocities && !some_positions => Ok(ControlCommand::VelocityNed {
-            velocity_m_s: NedVector::new(m.vx, m.vy, m.vz),
+    let velocity_ned = NedVector::new(m.vx, m.vy, m.vz);
+    match (position, velocity) {
+        (ALL, ALL | NONE) if is_local => Ok(ControlCommand::Position {
+            position_ned_m: NedVector::new(m.x, m.y, m.z),
+            velocity_m_s: if velocity == ALL { velocity_ned } else { NedVector::ZERO },
+            speed_limit_m_s,
             yaw,
         }),
-        MavFrame::MAV_FRAME_BODY_NED if uses_velocities && !some_positions => Ok(ControlCommand::VelocityHeading {
+        (VERTICAL, HORIZONTAL | ALL) if is_local => Ok(ControlCommand::VelocityAtHeight {
+            velocity_m_s: velocity_ned,
+            down_m: m.z,
+            yaw,
+        }),
+        (HORIZONTAL, VERTICAL) if is_local => Ok(ControlCommand::ClimbAtPlace {
+            position_ned_m: NedVector::new(m.x, m.y, 0.0),
+            down_m_s: m.vz,
+            speed_limit_m_s,
+            yaw,
+        }),
+        (NONE, ALL) if is_local => Ok(ControlCommand::VelocityNed {
+            velocity_m_s: velocity_ned,
+            yaw,
+        }),
+        (NONE, ALL) => Ok(ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(m.vx, m.vy, m.vz),
+            yaw,
+        }),
+        (NONE, NONE) if accelerates => Ok(ControlCommand::Acceleration {
+            acceleration_ned_m_s2: if is_local {
+                NedVector::new(m.afx, m.afy, m.afz)
+            } else {
+                HeadingVector::new(m.afx, m.afy, m.afz).to_ned(heading_rad)
+            },
             yaw,
         }),
         _ => Err(SetpointDefect::Form),
@@ -243,16 +282,19 @@ pub(crate) fn global_setpoint(
         vx: m.vx,
         vy: m.vy,
         vz: m.vz,
+        afx: m.afx,
+        afy: m.afy,
+        afz: m.afz,
         yaw: m.yaw,
         yaw_rate: m.yaw_rate,
         type_mask: m.type_mask,
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
         ..Default::default()
     };
-    position_setpoint(&local, speed_limit_m_s)
+    position_setpoint(&local, speed_limit_m_s, 0.0)
 }
 
-/// What a SET_ATTITUDE_TARGET asks for: attitude and thrust, or body rates and thrust.
+/// What a SET_ATTITUDE_TARGET asks for: attitude and thrust, with a yaw rate if it has one, or body rates and thrust.
 pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlCommand, SetpointDefect> {
     let rates = AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
         | AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
@@ -269,11 +311,17 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
         .type_mask
         .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE)
     {
+        let turns = !m
+            .type_mask
+            .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
+        let yaw_rate_rad_s = if turns { m.body_yaw_rate } else { 0.0 };
+        usable([yaw_rate_rad_s], ABSURD_RATE_RAD_S)?;
         let [w, x, y, z] = m.q;
         let attitude = Attitude { w, x, y, z };
         return if attitude.is_valid() {
             Ok(ControlCommand::Attitude {
                 attitude,
+                yaw_rate_rad_s,
                 thrust: m.thrust,
             })
         } else {
@@ -284,7 +332,7 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
         return Err(SetpointDefect::Form);
     }
     let wanted = [m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate];
-    usable(&wanted, ABSURD_RATE_RAD_S)?;
+    usable(wanted, ABSURD_RATE_RAD_S)?;
     let [p, q, r] = wanted;
     Ok(ControlCommand::Rates {
         rates_frd_rad_s: FrdVector::new(p, q, r),
@@ -318,14 +366,14 @@ mod tests {
         let rate = YawCommand::Rate { yaw_rate_rad_s: 0.2 };
         let angle = YawCommand::Angle { yaw_rad: 0.7 };
         assert_eq!(
-            position_setpoint(&ned(BODY, 0x5C7), 5.0),
+            position_setpoint(&ned(BODY, 0x5C7), 5.0, 0.0),
             Ok(ControlCommand::VelocityHeading {
                 velocity_m_s: HeadingVector::new(0.5, -0.5, 0.1),
                 yaw: rate
             })
         );
         assert_eq!(
-            position_setpoint(&ned(LOCAL, 0x9C7), 5.0),
+            position_setpoint(&ned(LOCAL, 0x9C7), 5.0, 0.0),
             Ok(ControlCommand::VelocityNed {
                 velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
                 yaw: angle
@@ -339,29 +387,91 @@ mod tests {
                 yaw: angle,
             })
         };
-        assert_eq!(position_setpoint(&ned(LOCAL, 0x9F8), 5.0), position(NedVector::ZERO));
         assert_eq!(
-            position_setpoint(&ned(LOCAL, 0x9C0), 5.0),
+            position_setpoint(&ned(LOCAL, 0x9F8), 5.0, 0.0),
+            position(NedVector::ZERO)
+        );
+        assert_eq!(
+            position_setpoint(&ned(LOCAL, 0x9C0), 5.0, 0.0),
             position(NedVector::new(0.5, -0.5, 0.1))
+        );
+    }
+
+    #[test]
+    fn positions_velocities_and_accelerations_can_be_mixed_as_in_px4() {
+        use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_LOCAL_NED as LOCAL};
+        let angle = YawCommand::Angle { yaw_rad: 0.7 };
+        let read = |frame, mask, heading_rad| {
+            let mut m = ned(frame, mask);
+            (m.afx, m.afy, m.afz) = (1.0, 0.0, -0.5);
+            position_setpoint(&m, 5.0, heading_rad)
+        };
+        let all = Ok(ControlCommand::Position {
+            position_ned_m: NedVector::new(1.0, 2.0, -3.0),
+            velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
+            speed_limit_m_s: 5.0,
+            yaw: angle,
+        });
+        assert_eq!((read(LOCAL, 0, 0.0), read(LOCAL, 0x800, 0.0)), (all, all));
+        assert_eq!(
+            read(LOCAL, 0xC07, 0.0),
+            Ok(ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
+                yaw: YawCommand::Hold
+            })
+        );
+        let accelerated = |x, y| {
+            Ok(ControlCommand::Acceleration {
+                acceleration_ned_m_s2: NedVector::new(x, y, -0.5),
+                yaw: YawCommand::Hold,
+            })
+        };
+        assert_eq!(read(LOCAL, 0xC3F, 1.0), accelerated(1.0, 0.0));
+        let turned = read(BODY, 0xC3F, core::f32::consts::FRAC_PI_2);
+        let Ok(ControlCommand::Acceleration {
+            acceleration_ned_m_s2: a,
+            ..
+        }) = turned
+        else {
+            panic!("{turned:?}");
+        };
+        assert!(a.x.abs() < 1e-6 && (a.y - 1.0).abs() < 1e-6 && a.z == -0.5);
+        assert_eq!(
+            read(LOCAL, 0xDE3, 0.0),
+            Ok(ControlCommand::VelocityAtHeight {
+                velocity_m_s: NedVector::new(0.5, -0.5, 0.1),
+                down_m: -3.0,
+                yaw: YawCommand::Hold
+            })
+        );
+        assert_eq!(
+            read(LOCAL, 0xDDC, 0.0),
+            Ok(ControlCommand::ClimbAtPlace {
+                position_ned_m: NedVector::new(1.0, 2.0, 0.0),
+                down_m_s: 0.1,
+                speed_limit_m_s: 5.0,
+                yaw: YawCommand::Hold
+            })
         );
     }
 
     #[test]
     fn what_the_vehicle_does_not_fly_is_refused_not_guessed() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_BODY_OFFSET_NED as OFFSET, MAV_FRAME_LOCAL_NED as LOCAL};
-        // Another frame; positions in the body frame; accelerations; nothing at all; half a velocity, alone and beside a
-        // position; half a position.
+        // Another frame; positions in the body frame; half an acceleration; a force; nothing at all; half a velocity, alone
+        // and beside a position; half a position.
         for (frame, mask) in [
             (OFFSET, 0x5C7),
             (BODY, 0x9F8),
-            (LOCAL, 0xC3F),
+            (LOCAL, 0xCBF),
+            (LOCAL, 0xE3F),
             (LOCAL, 0xFFF),
             (LOCAL, 0x5D7),
             (LOCAL, 0x5FB),
             (LOCAL, 0x9C8),
         ] {
             assert_eq!(
-                position_setpoint(&ned(frame, mask), 5.0),
+                position_setpoint(&ned(frame, mask), 5.0, 0.0),
                 Err(SetpointDefect::Form),
                 "{frame:?} {mask:#x}"
             );
@@ -369,14 +479,14 @@ mod tests {
         for bad in [f32::NAN, f32::INFINITY, 1e9] {
             let mut m = ned(BODY, 0x5C7);
             m.vy = bad;
-            assert_eq!(position_setpoint(&m, 5.0), Err(SetpointDefect::Value));
+            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value));
             let mut m = ned(BODY, 0x5C7);
             m.yaw_rate = bad;
-            assert_eq!(position_setpoint(&m, 5.0), Err(SetpointDefect::Value));
+            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value));
             // A field that the mask ignores may hold anything: MAVSDK sends NaN there.
             let mut m = ned(BODY, 0x5C7);
             m.x = bad;
-            assert!(position_setpoint(&m, 5.0).is_ok());
+            assert!(position_setpoint(&m, 5.0, 0.0).is_ok());
         }
     }
 
@@ -421,6 +531,7 @@ mod tests {
             attitude_setpoint(&target(0x07)),
             Ok(ControlCommand::Attitude {
                 attitude: Attitude::LEVEL_NORTH,
+                yaw_rate_rad_s: 0.0,
                 thrust: 0.5
             })
         );

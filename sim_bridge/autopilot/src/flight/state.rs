@@ -46,8 +46,10 @@ pub(crate) enum Denial {
     Terminated,
     #[error("arming denied: vehicle is tilted")]
     Tilted,
-    #[error("position denied: no manual control")]
-    NoSticks,
+    #[error("{} denied: no manual control", .0.name())]
+    NoSticks(FlightMode),
+    #[error("arming denied: no manual control")]
+    ArmingWithoutSticks,
     #[error("disarming denied: not landed")]
     NotLanded,
     #[error("offboard denied: no setpoints")]
@@ -58,8 +60,6 @@ pub(crate) enum Denial {
     OwnedByOther(ComponentId),
     #[error("denied: not in the air")]
     NotInAir,
-    #[error("speed denied: not on a way of its own")]
-    NoWay,
     #[error("mission denied: no mission")]
     NoMission,
     #[error("mission denied: item {0} is outside the geofence")]
@@ -85,10 +85,18 @@ pub(crate) struct Commander {
     /// Contact with the ground (or its absence) and since when.
     pub(super) contact: bool,
     pub(super) contact_since_ns: Nanos,
+    /// Since when it neither moves nor is asked for a thrust that could carry it.
+    pub(super) rests_since_ns: Nanos,
     /// Was in the air since it was armed.
     pub(super) has_flown: bool,
     /// Since when it is armed on the ground.
     pub(super) idle_since_ns: Nanos,
+    /// What follow mode follows.
+    pub follow_target: Option<FollowTarget>,
+    /// What the nose points at in hold and on missions: metres north and east of the local origin.
+    pub region_of_interest_m: Option<(f32, f32)>,
+    /// Speed that DO_CHANGE_SPEED asked for, until disarming.
+    pub(super) speed_m_s: Option<f32>,
     /// Where Return mode flies to: metres north and east of the local origin.
     pub(super) return_to_m: (f32, f32),
 }
@@ -148,8 +156,10 @@ pub(crate) enum Maneuver {
     Descend,
     /// Obeys the owner's setpoints.
     Offboard,
-    /// Flown by sticks.
-    Sticks,
+    /// Flown by sticks; in altitude mode at this height (positive down) while the throttle is centred.
+    Sticks { held_down_m: Option<f32> },
+    /// Keeps its place beside a target; where it waits while there is none.
+    Follow { waits_ned_m: Option<NedVector> },
     /// Circles a point.
     Orbit(Orbit),
 }
@@ -206,6 +216,16 @@ pub(crate) struct Orbit {
     pub left_rad: Option<f32>,
     /// Bearing from the centre in the last step on the circle.
     pub bearing_rad: Option<f32>,
+}
+
+/// What FOLLOW_TARGET reported last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct FollowTarget {
+    pub at_ns: Nanos,
+    pub position_ned_m: NedVector,
+    pub velocity_ned_m_s: NedVector,
+    /// Where it goes, clockwise from north: kept while it stands.
+    pub course_rad: f32,
 }
 
 /// Whether the vehicle is outside its geofence, and how often it has been.

@@ -16,10 +16,15 @@ const NAV_DELAY: u16 = 93;
 const CONDITION_YAW: u16 = 115;
 const DO_JUMP: u16 = 177;
 const DO_CHANGE_SPEED: u16 = 178;
+const DO_SET_ROI_LOCATION: u16 = 195;
+const DO_SET_ROI_NONE: u16 = 197;
+const DO_SET_ROI: u16 = 201;
+/// MAV_ROI_LOCATION.
+const ROI_LOCATION: f32 = 3.0;
 /// Marks where a landing begins, and commands to cameras, gimbals and servos: taken for the sake of plans that carry them,
-/// and passed over, because the vehicle has none of these. Regions of interest are among them.
-const PASSED_OVER: [u16; 22] = [
-    189, 195, 196, 197, 201, 183, 203, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 211,
+/// and passed over, because the vehicle has none of these. A region of interest at the next item is where the nose is anyway.
+const PASSED_OVER: [u16; 19] = [
+    189, 196, 183, 203, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 211,
 ];
 /// A longer wait is a mistake.
 const MAX_WAIT_S: f32 = 86_400.0;
@@ -71,6 +76,10 @@ pub(crate) enum MissionItem {
     Jump {
         to: usize,
         times: Option<u16>,
+    },
+    /// Point the nose there from here on; `None` is along the way again.
+    Interest {
+        place_m: Option<(f32, f32)>,
     },
     /// Nothing that this vehicle does.
     PassedOver,
@@ -176,6 +185,13 @@ impl MissionItem {
                     (_, None) => Err(invalid(R::MAV_MISSION_INVALID_PARAM2, "number of jumps")),
                 }
             }
+            DO_SET_ROI_LOCATION => Ok(Self::Interest {
+                place_m: Some(item.point(home)?),
+            }),
+            DO_SET_ROI if item.param(1) == Some(ROI_LOCATION) => Ok(Self::Interest {
+                place_m: Some(item.point(home)?),
+            }),
+            DO_SET_ROI_NONE | DO_SET_ROI => Ok(Self::Interest { place_m: None }),
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
             _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
         }
@@ -219,6 +235,8 @@ pub(crate) struct Mission {
     pub not_before_ns: Nanos,
     /// Speed that an item of the mission has set.
     pub speed_m_s: Option<f32>,
+    /// Velocity north and east with which the present place is passed; zero to stop there.
+    pub passing_m_s: (f32, f32),
 }
 
 impl Mission {
@@ -272,6 +290,21 @@ impl Mission {
     /// Whether the mission pauses after the current item.
     pub fn pauses_after_item(&self) -> bool {
         self.wire.items.get(self.current).is_some_and(|i| i.autocontinue == 0)
+    }
+
+    /// Where the next way leads, in metres north and east, if nothing that takes time comes before it.
+    pub fn next_place_m(&self) -> Option<(f32, f32)> {
+        let after = self.items.get(self.current + 1..)?;
+        let next = after.iter().find(|item| {
+            !matches!(
+                item,
+                MissionItem::PassedOver | MissionItem::Interest { .. } | MissionItem::Speed { .. }
+            )
+        })?;
+        match next {
+            MissionItem::Leg(leg) => leg.place.north_east_m,
+            _ => None,
+        }
     }
 
     /// All flights with their index.

@@ -41,10 +41,12 @@ impl Rally {
         &self.wire
     }
 
-    /// The point to return to: home or a rally point, whichever is nearest, as PX4 chooses with RTL_TYPE 0.
-    pub fn nearest_m(&self, (north_m, east_m): (f32, f32), home_m: (f32, f32)) -> (f32, f32) {
+    /// The point to return to: home or a rally point, whichever is nearest, as PX4 chooses with RTL_TYPE 0. `rally_first`
+    /// takes home only where there is no rally point (RTL_TYPE 1).
+    pub fn nearest_m(&self, (north_m, east_m): (f32, f32), home_m: (f32, f32), rally_first: bool) -> (f32, f32) {
         let distance = |(n, e): (f32, f32)| libm::hypotf(n - north_m, e - east_m);
-        self.points_m.iter().fold(home_m, |best, point| {
+        let first = if rally_first { self.points_m.first() } else { None };
+        self.points_m.iter().fold(*first.unwrap_or(&home_m), |best, point| {
             if distance(*point) < distance(best) {
                 *point
             } else {
@@ -62,11 +64,17 @@ mod tests {
     fn the_nearest_of_home_and_rally_points_is_returned_to() {
         let mut rally = Rally::default();
         let home = (0.0, 0.0);
-        assert_eq!(rally.nearest_m((30.0, 40.0), home), home);
+        assert_eq!(rally.nearest_m((30.0, 40.0), home, false), home);
         rally.points_m = vec![(30.0, 0.0), (0.0, 30.0)];
-        assert_eq!(rally.nearest_m((20.0, 1.0), home), (30.0, 0.0));
-        assert_eq!(rally.nearest_m((-1.0, 20.0), home), (0.0, 30.0));
-        assert_eq!(rally.nearest_m((5.0, 5.0), home), home);
-        assert_eq!(rally.nearest_m((20.0, 1.0), (20.0, 4.0)), (20.0, 4.0), "home was moved");
+        assert_eq!(rally.nearest_m((20.0, 1.0), home, false), (30.0, 0.0));
+        assert_eq!(rally.nearest_m((-1.0, 20.0), home, false), (0.0, 30.0));
+        assert_eq!(rally.nearest_m((5.0, 5.0), home, false), home);
+        assert_eq!(rally.nearest_m((5.0, 5.0), home, true), (30.0, 0.0));
+        assert_eq!(Rally::default().nearest_m((5.0, 5.0), home, true), home);
+        assert_eq!(
+            rally.nearest_m((20.0, 1.0), (20.0, 4.0), false),
+            (20.0, 4.0),
+            "home was moved"
+        );
     }
 }

@@ -66,22 +66,17 @@ impl Service for Actions {
 }
 
 fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
-    let refuse = |core: &mut Core, text: &str| {
-        core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
-        Answer::REJECTED
-    };
     match requested {
         Requested::Flown(mode) => {
             let outcome = core.change_mode(mode, source.id);
             answer(outcome, core)
         }
-        Requested::Manual(name) => refuse(core, &format!("{name} denied: no manual control")),
         Requested::Unknown => Answer::DENIED,
     }
 }
 
 /// Height above home of a MAVLink altitude in `frame`: above sea level in 0 and 5, above home in 3 and 6.
-fn height_m(core: &Core, frame: u8, altitude_m: f32) -> Option<f32> {
+pub(super) fn height_m(core: &Core, frame: u8, altitude_m: f32) -> Option<f32> {
     match frame {
         0 | 5 => Some((f64::from(altitude_m) - core.home.altitude_m) as f32),
         3 | 6 => Some(altitude_m),
@@ -105,6 +100,15 @@ fn take_off(command: &Command, core: &mut Core) -> Answer {
 /// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
 /// is no place to fly to.
 pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
+    let height_m = match command.param(7) {
+        None => None,
+        Some(altitude_m) => Some(height_m(core, command.frame(), altitude_m)?),
+    };
+    place_at(command, height_m, core)
+}
+
+/// The same with its height above home given; `None` is the vehicle's.
+pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core) -> Option<NedVector> {
     let here = core.view.estimate.position_ned_m;
     let horizontal = match command.form {
         CommandForm::Int { x: i32::MAX, .. } | CommandForm::Int { y: i32::MAX, .. } => None,
@@ -115,10 +119,7 @@ pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
         Some((lat, lon)) if lat.abs() <= 90.0 && lon.abs() <= 180.0 => geo::to_local(&core.home, lat, lon),
         Some(_) => return None,
     };
-    let z = match command.param(7) {
-        None => here.z,
-        Some(altitude_m) => -height_m(core, command.frame(), altitude_m)?,
-    };
+    let z = height_m.map_or(here.z, |height_m| -height_m);
     let position = NedVector::new(x, y, z);
     // NaN fails both comparisons.
     let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && z.abs() <= MAX_HEIGHT_M;

@@ -58,8 +58,14 @@ impl Service for MissionService {
             DO_CHANGE_SPEED => match (command.param(1), command.param(2)) {
                 // Airspeed and ground speed are one without wind; rates of climb are parameters.
                 (Some(0.0 | 1.0), Some(speed_m_s)) if speed_m_s > 0.0 => {
-                    let outcome = core.change_speed(speed_m_s);
-                    answer(outcome, core)
+                    core.change_speed(Some(speed_m_s));
+                    Answer::ACCEPTED
+                }
+                // −1 changes nothing, −2 goes back to the default.
+                (Some(0.0 | 1.0), Some(-1.0)) => Answer::ACCEPTED,
+                (Some(0.0 | 1.0), Some(-2.0)) => {
+                    core.change_speed(None);
+                    Answer::ACCEPTED
                 }
                 _ => Answer::DENIED,
             },

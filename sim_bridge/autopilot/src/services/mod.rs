@@ -10,10 +10,12 @@ mod calibration;
 mod estimator;
 mod events;
 mod flight_information;
+mod follow;
 mod ftp;
 mod geofence;
 mod geography;
 mod health;
+mod interest;
 mod intervals;
 mod logs;
 mod manual;
@@ -60,6 +62,8 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(mission::MissionService),
         Box::<geofence::Geofence>::default(),
         Box::new(orbit::OrbitService),
+        Box::new(follow::Follow),
+        Box::new(interest::Interest),
         Box::<parameters::ParameterService>::default(),
         Box::<ftp::Ftp>::default(),
         Box::new(metadata::Metadata),

@@ -24,8 +24,9 @@ impl Service for SetpointService {
             return;
         }
         let speed_limit_m_s = core.param(ParamId::MaxSpeedMS);
+        let heading_rad = core.view.estimate.attitude.yaw_rad();
         let command = match packet.message() {
-            Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, speed_limit_m_s),
+            Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, speed_limit_m_s, heading_rad),
             Ok(MavMessage::SET_POSITION_TARGET_GLOBAL_INT(m)) => global_setpoint(&m, &core.home, speed_limit_m_s),
             Ok(MavMessage::SET_ATTITUDE_TARGET(m)) => attitude_setpoint(&m),
             _ => {

@@ -27,7 +27,8 @@ const PROMPT: &str = "pxh> ";
 
 const HELP: &str = "\
 commander status | arm | disarm | takeoff | land
-commander mode hold | takeoff | land | return | mission | offboard
+commander mode hold | takeoff | land | return | mission | follow | offboard |
+    position | altitude | stabilized | manual | acro
 help
 ls [DIRECTORY]
 mission
@@ -146,7 +147,7 @@ fn execute(line: &str, client: ComponentId, core: &mut Core) -> String {
         ["commander", "mode", name] => {
             let wanted = FlightMode::ALL
                 .into_iter()
-                .find(|mode| mode.name() == *name && *mode != FlightMode::Orbit);
+                .find(|mode| mode.name() == *name && mode.is_commanded());
             match wanted {
                 Some(mode) => outcome(core.change_mode(mode, client)),
                 None => format!("no mode {name} that can be commanded; see help\n"),

@@ -60,7 +60,7 @@ fn a_lost_stream_is_a_critical_event() {
     b.run_ms(100);
     b.sent.clear();
     b.stop_stream(SCRIPT);
-    b.run_ms(1_000);
+    b.run_ms(1_100);
     let failsafe = events(&b, API).into_iter().find(|e| e.id == 1 << 24 | 4).expect("told");
     assert_eq!((failsafe.log_levels, failsafe.arguments[0]), (0x22, 1));
 }

@@ -10,6 +10,15 @@ use vigil_types::{NedVector, wrap_pi};
 const CENTRE: (f32, f32) = (8.0, -4.0);
 
 fn orbit(b: &mut Bench, radius: f32, speed: f32, facing: f32, angle: f32) -> u8 {
+    orbit_in(
+        b,
+        MavFrame::MAV_FRAME_GLOBAL,
+        488.0 + 5.0,
+        [radius, speed, facing, angle],
+    )
+}
+
+fn orbit_in(b: &mut Bench, frame: MavFrame, altitude: f32, [radius, speed, facing, angle]: [f32; 4]) -> u8 {
     let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(CENTRE.0, CENTRE.1, 0.0));
     let data = COMMAND_INT_DATA {
         param1: radius,
@@ -18,11 +27,11 @@ fn orbit(b: &mut Bench, radius: f32, speed: f32, facing: f32, angle: f32) -> u8 
         param4: angle,
         x: geo::deg_e7(lat),
         y: geo::deg_e7(lon),
-        z: 488.0 + 5.0,
+        z: altitude,
         command: MavCmd::MAV_CMD_DO_ORBIT,
         target_system: 1,
         target_component: 1,
-        frame: MavFrame::MAV_FRAME_GLOBAL,
+        frame,
         ..Default::default()
     };
     b.sent.clear();
@@ -62,6 +71,17 @@ fn it_circles_either_way_with_the_nose_at_the_centre() {
             _ => None,
         });
         assert_eq!(told, Some(radius));
+    }
+}
+
+#[test]
+fn its_altitude_is_above_sea_level_also_in_the_frame_that_mavsdk_names() {
+    const RELATIVE: MavFrame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT;
+    for (altitude, height_m) in [(488.0 + 6.0, 6.0), (4.0, 4.0)] {
+        let mut b = Bench::airborne();
+        assert_eq!(orbit_in(&mut b, RELATIVE, altitude, [5.0, 2.0, 0.0, 0.0]), ACCEPTED);
+        b.run_ms(12_000);
+        assert!((b.height_m() - height_m).abs() < 0.3, "{altitude}: {}", b.height_m());
     }
 }
 

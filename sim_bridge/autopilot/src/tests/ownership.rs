@@ -28,7 +28,7 @@ fn offboard_needs_a_stream() {
     assert!(b.texts().iter().any(|t| t == "offboard denied: no setpoints"));
     // One that stopped long ago is none.
     b.send_velocity(API, SCRIPT, [0.0; 3]);
-    b.run_ms(500);
+    b.run_ms(1_100);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), REJECTED);
     b.send_velocity(API, SCRIPT, [0.0; 3]);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
@@ -132,7 +132,7 @@ fn the_action_on_a_lost_stream_can_be_to_land() {
     b.take_off();
     b.send_velocity(API, SCRIPT, [0.0; 3]);
     assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
-    b.run_ms(500);
+    b.run_ms(1_100);
     assert_eq!(b.status().mode, FlightMode::Land);
     b.run_until(20, "disarmed", |b| !b.status().armed);
 }

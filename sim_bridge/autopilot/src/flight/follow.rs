@@ -1,0 +1,99 @@
+//! Following a target: FOLLOW_TARGET. <https://docs.px4.io/main/en/flight_modes_mc/follow_me.html>
+
+use crate::core::Core;
+use crate::flight::state::{FollowTarget, Maneuver};
+use crate::parameters::ParamId;
+use vigil_types::{Nanos, NedVector, wrap_pi};
+use vigil_vehicle::{ControlCommand, YawCommand};
+
+/// A target that was silent for longer is lost: reports come once a second.
+const LOST_AFTER_NS: Nanos = 3_000_000_000;
+/// Slower than this it stands, and its course is what it was.
+const STANDING_M_S: f32 = 0.5;
+/// Speed by which the vehicle may outrun its target to get to its place.
+const CATCH_UP_M_S: f32 = 3.0;
+
+impl Core {
+    /// Takes a report of where the target is; `velocity_ned_m_s` is worked out from the last two where it is not given.
+    pub fn see_target(&mut self, position_ned_m: NedVector, velocity_ned_m_s: Option<NedVector>) {
+        let now_ns = self.now_ns;
+        let last = self.commander.follow_target.filter(|t| now_ns > t.at_ns);
+        let velocity_ned_m_s = velocity_ned_m_s.unwrap_or_else(|| match last {
+            Some(last) if now_ns - last.at_ns < LOST_AFTER_NS => {
+                let since_s = (now_ns - last.at_ns) as f32 * 1e-9;
+                (position_ned_m - last.position_ned_m) * (1.0 / since_s)
+            }
+            _ => NedVector::ZERO,
+        });
+        let here = self.view.estimate.position_ned_m;
+        let away = position_ned_m - here;
+        // The first course of one that stands is away from the vehicle: behind it is where the vehicle is.
+        let before_rad = last.map_or(libm::atan2f(away.y, away.x), |t| t.course_rad);
+        let moves = velocity_ned_m_s.horizontal_norm() > STANDING_M_S;
+        let now_rad = libm::atan2f(velocity_ned_m_s.y, velocity_ned_m_s.x);
+        // FLW_TGT_RS: 0 follows every turn at once, 1 none.
+        let share = if last.is_some() {
+            1.0 - self.param(ParamId::FollowResponsiveness)
+        } else {
+            1.0
+        };
+        self.commander.follow_target = Some(FollowTarget {
+            at_ns: now_ns,
+            position_ned_m,
+            velocity_ned_m_s,
+            course_rad: if moves {
+                wrap_pi(before_rad + share * wrap_pi(now_rad - before_rad))
+            } else {
+                before_rad
+            },
+        });
+    }
+
+    /// Keeps its place beside the target (FLW_TGT_*), the nose at it; without one it waits where it is.
+    pub(super) fn fly_follow(&mut self, waits_ned_m: Option<NedVector>) -> ControlCommand {
+        let now_ns = self.now_ns;
+        let here = self.view.estimate.position_ned_m;
+        let target = self
+            .commander
+            .follow_target
+            .filter(|t| now_ns.saturating_sub(t.at_ns) <= LOST_AFTER_NS);
+        let Some(target) = target else {
+            let position_ned_m = waits_ned_m.unwrap_or(here);
+            self.commander.maneuver = Maneuver::Follow {
+                waits_ned_m: Some(position_ned_m),
+            };
+            return ControlCommand::Position {
+                position_ned_m,
+                velocity_m_s: NedVector::ZERO,
+                speed_limit_m_s: self.cruise_speed_m_s(),
+                yaw: YawCommand::Hold,
+            };
+        };
+        self.commander.maneuver = Maneuver::Follow { waits_ned_m: None };
+        let age_s = now_ns.saturating_sub(target.at_ns) as f32 * 1e-9;
+        let velocity_m_s = NedVector::new(target.velocity_ned_m_s.x, target.velocity_ned_m_s.y, 0.0);
+        let now_at = target.position_ned_m + velocity_m_s * age_s;
+        let bearing_rad = target.course_rad + self.param(ParamId::FollowAngleDeg).to_radians();
+        let distance_m = self.param(ParamId::FollowDistanceM);
+        let height_m = self.param(ParamId::FollowHeightM);
+        // FLW_TGT_ALT_M 2 counts the height from the target; the world is level, so that 0 and 1 are the same.
+        let down_m = match self.param(ParamId::FollowAltitudeMode) as i32 {
+            2 => now_at.z - height_m,
+            _ => -height_m,
+        };
+        let place = NedVector::new(
+            now_at.x + distance_m * libm::cosf(bearing_rad),
+            now_at.y + distance_m * libm::sinf(bearing_rad),
+            down_m,
+        );
+        let speed_m_s = velocity_m_s.horizontal_norm() + CATCH_UP_M_S.min(self.param(ParamId::FollowSpeedMS));
+        ControlCommand::Position {
+            position_ned_m: place,
+            velocity_m_s,
+            speed_limit_m_s: speed_m_s.min(self.param(ParamId::MaxSpeedMS)),
+            yaw: YawCommand::Angle {
+                yaw_rad: libm::atan2f(now_at.y - here.y, now_at.x - here.x),
+            },
+        }
+    }
+}

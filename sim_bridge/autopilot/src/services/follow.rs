@@ -1,0 +1,44 @@
+//! FOLLOW_TARGET: where the target of follow mode is. <https://mavlink.io/en/messages/common.html#FOLLOW_TARGET>
+
+use crate::core::Core;
+use crate::geo;
+use crate::service::{Service, Source};
+use crate::services::actions::MAX_DISTANCE_M;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::FOLLOW_TARGET_DATA;
+use vigil_mavlink::framing::Packet;
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::NedVector;
+
+/// Bit of `est_capabilities`: the velocity is given.
+const HAS_VELOCITY: u8 = 1 << 1;
+/// Faster targets are mistakes.
+const ABSURD_VELOCITY_M_S: f32 = 100.0;
+
+#[derive(Default)]
+pub(crate) struct Follow;
+
+impl Service for Follow {
+    fn receive(&mut self, packet: &Packet<'_>, _source: Source, core: &mut Core) {
+        if packet.message_id() != FOLLOW_TARGET_DATA::ID {
+            return;
+        }
+        let Ok(MavMessage::FOLLOW_TARGET(m)) = packet.message() else {
+            core.refusals.not_parsed += 1;
+            return;
+        };
+        let (lat, lon) = (f64::from(m.lat) * 1e-7, f64::from(m.lon) * 1e-7);
+        let (x, y) = geo::to_local(&core.home, lat, lon);
+        let down_m = (core.home.altitude_m - f64::from(m.alt)) as f32;
+        let position = NedVector::new(x, y, down_m);
+        let [vx, vy, vz] = m.vel;
+        let velocity = (m.est_capabilities & HAS_VELOCITY != 0).then(|| NedVector::new(vx, vy, vz));
+        let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && down_m.abs() <= MAX_DISTANCE_M;
+        let is_sound = velocity.is_none_or(|v| v.norm() <= ABSURD_VELOCITY_M_S);
+        if lat.abs() <= 90.0 && lon.abs() <= 180.0 && is_near && is_sound {
+            core.see_target(position, velocity);
+        } else {
+            core.refusals.setpoint_value += 1;
+        }
+    }
+}

@@ -1,0 +1,42 @@
+//! Regions of interest: what the nose points at in hold and on missions. There is no gimbal.
+//! <https://mavlink.io/en/messages/common.html#MAV_CMD_DO_SET_ROI_LOCATION>
+
+use crate::core::Core;
+use crate::service::{Answer, Service, Source};
+use crate::services::actions;
+use vigil_mavlink::framing::Command;
+
+const DO_SET_ROI_LOCATION: u16 = 195;
+const DO_SET_ROI_NONE: u16 = 197;
+const DO_SET_ROI: u16 = 201;
+/// MAV_ROI.
+const ROI_NONE: f32 = 0.0;
+const ROI_LOCATION: f32 = 3.0;
+
+#[derive(Default)]
+pub(crate) struct Interest;
+
+impl Service for Interest {
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        let is_place = match (command.number, command.param(1)) {
+            (DO_SET_ROI_LOCATION, _) | (DO_SET_ROI, Some(ROI_LOCATION)) => true,
+            (DO_SET_ROI_NONE, _) | (DO_SET_ROI, Some(ROI_NONE)) => false,
+            // Other vehicles and mission items are not looked at.
+            (DO_SET_ROI, _) => return Some(Answer::DENIED),
+            _ => return None,
+        };
+        let place_m = if is_place {
+            if command.latitude_longitude_deg().is_none() {
+                return Some(Answer::DENIED);
+            }
+            match actions::place_at(command, None, core) {
+                Some(place) => Some((place.x, place.y)),
+                None => return Some(Answer::DENIED),
+            }
+        } else {
+            None
+        };
+        core.commander.region_of_interest_m = place_m;
+        Some(Answer::ACCEPTED)
+    }
+}

@@ -1,0 +1,75 @@
+//! Follow-me.
+
+use crate::testing::*;
+use crate::{FlightMode, HomePosition, geo};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::FOLLOW_TARGET_DATA;
+use vigil_types::NedVector;
+
+/// A report as MAVSDK sends it, once a second.
+fn report(b: &mut Bench, (north, east): (f32, f32), velocity: Option<[f32; 3]>) {
+    let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, east, 0.0));
+    let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
+        lat: geo::deg_e7(lat),
+        lon: geo::deg_e7(lon),
+        alt: 488.0,
+        vel: velocity.unwrap_or_default(),
+        est_capabilities: if velocity.is_some() { 0b11 } else { 0b01 },
+        ..Default::default()
+    });
+    b.send(API, SCRIPT, &message);
+}
+
+fn set(b: &mut Bench, name: &str, value: f32) {
+    use vigil_mavlink::common::{MavParamType, PARAM_SET_DATA};
+    let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+        param_value: value,
+        target_system: 1,
+        target_component: 1,
+        param_id: name.into(),
+        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+    });
+    b.send(API, SCRIPT, &message);
+}
+
+#[test]
+fn it_keeps_its_place_behind_who_walks_and_waits_where_the_reports_end() {
+    let mut b = Bench::airborne();
+    set(&mut b, "FLW_TGT_DST", 5.0);
+    set(&mut b, "FLW_TGT_HT", 4.0);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+    b.run_ms(2_000);
+    assert_eq!(b.status().mode, FlightMode::Follow);
+    assert!(b.position_m()[0].abs() < 0.2, "waits for the first report");
+    // Walks east at 1.5 m/s, with and without a velocity in its reports.
+    let mut east = 10.0;
+    for second in 0..25 {
+        report(&mut b, (6.0, east), (second > 12).then_some([0.0, 1.5, 0.0]));
+        b.run_ms(1_000);
+        east += 1.5;
+    }
+    let [x, y, z] = b.position_m();
+    assert!(
+        (x - 6.0).abs() < 0.6 && (y - (east - 5.0)).abs() < 1.0,
+        "{x} {y} of {east}"
+    );
+    assert!((z + 4.0).abs() < 0.3, "{z}");
+    let nose = b.view().estimate.attitude.yaw_rad();
+    assert!((nose - core::f32::consts::FRAC_PI_2).abs() < 0.2, "looks at it: {nose}");
+    b.run_ms(12_000);
+    let stopped = b.position_m();
+    b.run_ms(3_000);
+    assert!((b.position_m()[1] - stopped[1]).abs() < 0.1);
+    assert_eq!(b.status().mode, FlightMode::Follow);
+}
+
+#[test]
+fn a_target_that_is_nowhere_near_is_not_followed() {
+    let mut b = Bench::airborne();
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+    report(&mut b, (30_000.0, 0.0), None);
+    report(&mut b, (5.0, 0.0), Some([f32::NAN, 0.0, 0.0]));
+    b.run_ms(3_000);
+    assert!(b.position_m()[0].abs() < 0.2);
+    assert_eq!(b.status().refusals.setpoint_value, 2);
+}

@@ -1,0 +1,164 @@
+//! Offboard flight as scripts fly it: every kind of setpoint, streams that stall, landings by thrust.
+
+use crate::testing::*;
+use crate::{Failsafe, FlightMode, HomePosition, LandedState, geo};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_types::NedVector;
+
+fn local(mask: u16, change: impl FnOnce(&mut SET_POSITION_TARGET_LOCAL_NED_DATA)) -> MavMessage {
+    let mut data = SET_POSITION_TARGET_LOCAL_NED_DATA {
+        type_mask: PositionTargetTypemask::from_bits_retain(mask),
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    };
+    change(&mut data);
+    MavMessage::SET_POSITION_TARGET_LOCAL_NED(data)
+}
+
+fn attitude(mask: u8, yaw_rate: f32, thrust: f32) -> MavMessage {
+    MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
+        q: [1.0, 0.0, 0.0, 0.0],
+        body_yaw_rate: yaw_rate,
+        thrust,
+        type_mask: AttitudeTargetTypemask::from_bits_retain(mask),
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    })
+}
+
+/// Streams a setpoint at 20 Hz, entering OFFBOARD with the first.
+fn fly(b: &mut Bench, message: &MavMessage, ms: u64) {
+    for _ in 0..ms / 50 {
+        b.send(API, SCRIPT, message);
+        if b.status().mode != FlightMode::Offboard {
+            assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+        }
+        b.run_ms(50);
+    }
+}
+
+#[test]
+fn a_stream_may_be_as_slow_and_stall_as_long_as_with_px4() {
+    let mut b = Bench::airborne();
+    b.send_velocity(API, SCRIPT, [0.5, 0.0, 0.0]);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    for pause_ms in [400, 400, 400, 600, 950] {
+        b.run_ms(pause_ms);
+        assert_eq!(b.status().mode, FlightMode::Offboard, "silent for {pause_ms} ms");
+        b.send_velocity(API, SCRIPT, [0.5, 0.0, 0.0]);
+    }
+    b.run_ms(990);
+    assert_eq!(b.status().mode, FlightMode::Offboard);
+    b.run_ms(20);
+    assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+}
+
+#[test]
+fn the_guidance_computer_is_held_to_a_stricter_rule() {
+    let mut b = Bench::airborne();
+    b.send_velocity(ONBOARD, COMPANION, [0.5, 0.0, 0.0]);
+    assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+    b.run_ms(390);
+    assert_eq!(b.status().mode, FlightMode::Offboard);
+    b.run_ms(20);
+    assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+#[test]
+fn positions_velocities_and_accelerations_are_flown_as_they_are_mixed() {
+    // Horizontal velocity at a height.
+    let mut b = Bench::airborne();
+    fly(&mut b, &local(0xDE3, |m| (m.vx, m.vy, m.z) = (1.0, -0.5, -5.0)), 6_000);
+    let v = b.view().estimate.velocity_ned_m_s;
+    assert!((v.x - 1.0).abs() < 0.15 && (v.y + 0.5).abs() < 0.15, "{v:?}");
+    assert!((b.height_m() - 5.0).abs() < 0.25, "{}", b.height_m());
+    let told = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::POSITION_TARGET_LOCAL_NED(m) => Some((m.type_mask.bits(), m.vx, m.z)),
+        _ => None,
+    });
+    assert_eq!(told, Some((0xDE3, 1.0, -5.0)));
+    // A place and a climb rate.
+    let [x, y, _] = b.position_m();
+    fly(&mut b, &local(0xDDC, |m| (m.x, m.y, m.vz) = (x + 2.0, y, -0.4)), 6_000);
+    assert!((b.position_m()[0] - x - 2.0).abs() < 0.3);
+    assert!((b.view().estimate.velocity_ned_m_s.z + 0.4).abs() < 0.1);
+    // Acceleration alone.
+    let mut b = Bench::airborne();
+    fly(&mut b, &local(0xC3F, |m| m.afx = 0.8), 2_500);
+    let v = b.view().estimate.velocity_ned_m_s;
+    assert!((1.2..2.2).contains(&v.x) && (b.height_m() - 3.0).abs() < 0.3, "{v:?}");
+    // All three, with every bit used or all but the yaw rate.
+    for mask in [0, 0x800] {
+        let mut b = Bench::airborne();
+        let all = local(mask, |m| {
+            (m.x, m.y, m.z) = (3.0, 2.0, -4.0);
+            m.yaw = 0.6;
+        });
+        fly(&mut b, &all, 7_000);
+        let [x, y, z] = b.position_m();
+        let off = (x - 3.0).abs() + (y - 2.0).abs() + (z + 4.0).abs();
+        assert!(off < 0.3, "{mask:#x}: {x} {y} {z}");
+        assert!((b.view().estimate.attitude.yaw_rad() - 0.6).abs() < 0.05);
+    }
+}
+
+#[test]
+fn an_attitude_with_a_yaw_rate_turns_the_vehicle() {
+    let mut b = Bench::airborne();
+    fly(&mut b, &attitude(0x03, 0.4, 0.5), 3_000);
+    let yaw_rad = b.view().estimate.attitude.yaw_rad();
+    assert!((0.8..1.4).contains(&yaw_rad), "{yaw_rad}");
+    // A rate of zero leaves the heading to the attitude.
+    fly(&mut b, &attitude(0x00, 0.0, 0.5), 3_000);
+    assert!(b.view().estimate.attitude.yaw_rad().abs() < 0.1);
+}
+
+#[test]
+fn a_flight_by_attitude_lands_and_disarms_by_itself() {
+    let mut b = Bench::new();
+    b.send(API, SCRIPT, &attitude(0x07, 0.0, 0.0));
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    assert_eq!(b.arm(), ACCEPTED);
+    fly(&mut b, &attitude(0x07, 0.0, 0.6), 1_500);
+    fly(&mut b, &attitude(0x07, 0.0, 0.45), 2_000);
+    assert!(b.height_m() > 1.0 && b.status().landed == LandedState::InAir);
+    for _ in 0..200 {
+        fly(&mut b, &attitude(0x07, 0.0, 0.45), 50);
+        if !b.status().armed {
+            break;
+        }
+    }
+    assert!(!b.status().armed, "landed and left there: {:?}", b.status());
+}
+
+#[test]
+fn a_changed_speed_holds_for_the_next_way_too() {
+    const CHANGE_SPEED: u16 = 178;
+    let mut b = Bench::airborne();
+    let change =
+        |b: &mut Bench, speed| b.command_long(API, SCRIPT, CHANGE_SPEED, [1.0, speed, -1.0, 0.0, 0.0, 0.0, 0.0]);
+    let fastest = |b: &mut Bench, north: f32| {
+        let (lat, lon, _) = geo::to_global(&HomePosition::default(), NedVector::new(north, 0.0, 0.0));
+        let frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
+        assert_eq!(b.reposition(frame, lat, lon, 3.0, f32::NAN), ACCEPTED);
+        let mut fastest_m_s: f32 = 0.0;
+        for _ in 0..100 {
+            b.run_ms(100);
+            fastest_m_s = fastest_m_s.max(b.view().estimate.velocity_ned_m_s.horizontal_norm());
+        }
+        fastest_m_s
+    };
+    assert_eq!(change(&mut b, 1.5), ACCEPTED);
+    let slow = fastest(&mut b, 12.0);
+    assert!((slow - 1.5).abs() < 0.2, "{slow}");
+    let slow = fastest(&mut b, 0.0);
+    assert!((slow - 1.5).abs() < 0.2, "also the way after that: {slow}");
+    assert_eq!(change(&mut b, -2.0), ACCEPTED);
+    let normal = fastest(&mut b, 20.0);
+    assert!(normal > 3.5, "{normal}");
+}

@@ -1,0 +1,140 @@
+//! Modes that are flown by sticks.
+
+use crate::testing::*;
+use crate::{FlightMode, LandedState};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{MANUAL_CONTROL_DATA, RC_CHANNELS_OVERRIDE_DATA};
+
+/// (main mode, mode): altitude, stabilized, manual, acro, position.
+const MODES: [(u8, FlightMode); 5] = [
+    (2, FlightMode::Altitude),
+    (7, FlightMode::Stabilized),
+    (1, FlightMode::Manual),
+    (5, FlightMode::Acro),
+    (3, FlightMode::Position),
+];
+
+fn sticks(x: i16, y: i16, z: i16, r: i16) -> MavMessage {
+    MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
+        target: 1,
+        x,
+        y,
+        z,
+        r,
+        ..Default::default()
+    })
+}
+
+fn channels(pulses: [u16; 4]) -> MavMessage {
+    let [chan1_raw, chan2_raw, chan3_raw, chan4_raw] = pulses;
+    MavMessage::RC_CHANNELS_OVERRIDE(RC_CHANNELS_OVERRIDE_DATA {
+        chan1_raw,
+        chan2_raw,
+        chan3_raw,
+        chan4_raw,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    })
+}
+
+fn hold(b: &mut Bench, message: &MavMessage, ms: u64) {
+    for _ in 0..ms / 50 {
+        b.send(GCS, STATION, message);
+        b.run_ms(50);
+    }
+}
+
+#[test]
+fn a_mode_can_be_chosen_on_the_ground_and_arming_waits_for_the_sticks() {
+    for (main, mode) in MODES {
+        let mut b = Bench::new();
+        assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
+        assert_eq!(b.status().mode, mode);
+        assert_eq!(b.arm(), REJECTED);
+        assert!(b.texts().join("|").contains("no manual control"));
+        hold(&mut b, &sticks(0, 0, 0, 0), 200);
+        assert_eq!(b.arm(), ACCEPTED);
+        hold(&mut b, &sticks(0, 0, 0, 0), 1_000);
+        assert_eq!((b.status().mode, b.status().landed), (mode, LandedState::OnGround));
+        hold(&mut b, &sticks(0, 0, 700, 0), 3_000);
+        assert!(b.height_m() > 0.8, "{mode:?}: {}", b.height_m());
+        assert_eq!(b.status().mode, mode);
+    }
+}
+
+#[test]
+fn altitude_mode_tilts_by_the_stick_and_holds_its_height() {
+    let mut b = Bench::airborne();
+    hold(&mut b, &sticks(0, 0, 500, 0), 100);
+    assert_eq!(b.set_mode(GCS, STATION, 2, 0), ACCEPTED);
+    hold(&mut b, &sticks(0, 300, 500, 0), 2_000);
+    let e = b.view().estimate;
+    // (0.3 − 0.05) / 0.95 of 35 degrees.
+    assert!(
+        (e.attitude.roll_rad() - 0.161).abs() < 0.03,
+        "{}",
+        e.attitude.roll_rad()
+    );
+    assert!(e.velocity_ned_m_s.y > 1.5, "and flies that way");
+    hold(&mut b, &sticks(0, 0, 500, 0), 3_000);
+    assert!((b.height_m() - 3.0).abs() < 0.3, "{}", b.height_m());
+    hold(&mut b, &sticks(0, 0, 1000, 0), 2_000);
+    assert!((b.view().estimate.velocity_ned_m_s.z + 2.5).abs() < 0.3);
+}
+
+#[test]
+fn stabilized_and_manual_hold_a_tilt_and_acro_a_rate() {
+    for (main, _) in [(7, FlightMode::Stabilized), (1, FlightMode::Manual)] {
+        let mut b = Bench::airborne();
+        hold(&mut b, &sticks(0, 0, 500, 0), 100);
+        assert_eq!(b.set_mode(GCS, STATION, main, 0), ACCEPTED);
+        hold(&mut b, &sticks(400, 0, 530, 400), 1_000);
+        let e = b.view().estimate;
+        assert!(
+            (e.attitude.pitch_rad() + 0.225).abs() < 0.04,
+            "{}",
+            e.attitude.pitch_rad()
+        );
+        assert!(e.attitude.yaw_rad() > 0.25, "{}", e.attitude.yaw_rad());
+    }
+    let mut b = Bench::airborne();
+    hold(&mut b, &sticks(0, 0, 500, 0), 100);
+    assert_eq!(b.set_mode(GCS, STATION, 5, 0), ACCEPTED);
+    hold(&mut b, &sticks(0, 200, 550, 0), 400);
+    assert!((b.view().estimate.rates_frd_rad_s.x - 0.276).abs() < 0.06);
+    // Let go of: hold takes over, from that attitude.
+    b.run_ms(4_000);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    assert!(b.view().estimate.velocity_ned_m_s.norm() < 0.3);
+}
+
+#[test]
+fn a_landing_by_thrust_is_noticed_and_disarms() {
+    let mut b = Bench::airborne();
+    hold(&mut b, &sticks(0, 0, 500, 0), 100);
+    assert_eq!(b.set_mode(GCS, STATION, 7, 0), ACCEPTED);
+    for _ in 0..12 {
+        if b.status().armed {
+            hold(&mut b, &sticks(0, 0, 440, 0), 1_000);
+        }
+    }
+    assert!(!b.status().armed, "{:?}", b.status());
+}
+
+#[test]
+fn overridden_channels_are_sticks() {
+    let mut b = Bench::airborne();
+    hold(&mut b, &channels([1500; 4]), 200);
+    assert_eq!(b.set_mode(GCS, STATION, 3, 0), ACCEPTED);
+    // Pitch stick forward: the lower pulse.
+    hold(&mut b, &channels([1500, 1300, 1500, u16::MAX]), 3_000);
+    assert!(b.position_m()[0] > 2.0, "{:?}", b.position_m());
+    hold(&mut b, &channels([1500, 1500, 1900, 0]), 2_000);
+    assert!(b.height_m() > 4.0, "{}", b.height_m());
+    // No pulse at all is a mistake, and channels given back are let go of.
+    hold(&mut b, &channels([1500, 20, 1500, 1500]), 100);
+    assert_eq!(b.status().refusals.setpoint_value, 2);
+    hold(&mut b, &channels([0, u16::MAX, 0, 0]), 600);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}
