@@ -33,7 +33,7 @@ fn dense_layers(
     Ok(x)
 }
 
-/// CNN-AD (PAPER.md): batch norm, six convolutions of 3 × 3 over each image with the same weights, max pooling after every
+/// CNN-AD (docs/paper.md): batch norm, six convolutions of 3 × 3 over each image with the same weights, max pooling after every
 /// second, five dense layers. One input of [`IMAGES`] values in 0..=1, five images oldest first; `output` is the last
 /// layer's curve. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both
 /// channels. They are statistics of the training data and do not change while training.

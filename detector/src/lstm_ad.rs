@@ -24,7 +24,7 @@ pub fn normalise(phi: &[f32; ROW], centre: &[f32; ROW], scale: &[f32; ROW]) -> [
     row
 }
 
-/// The network (PAPER.md): LSTM(100) over the window's rows, three dense ReLU layers, one output.
+/// The network (docs/paper.md): LSTM(100) over the window's rows, three dense ReLU layers, one output.
 #[derive(Debug, Clone)]
 pub struct LstmAd {
     isa: Isa,

@@ -47,7 +47,7 @@ fn window(seed: u64) -> [[f32; ROW]; WINDOW] {
     rows
 }
 
-/// PAPER.md's LSTM-AD, written plainly.
+/// docs/paper.md's LSTM-AD, written plainly.
 fn oracle(params: &[f32], rows: &[[f32; ROW]; WINDOW]) -> f64 {
     let params = wide(params);
     let layer = Lstm {

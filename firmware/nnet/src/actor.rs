@@ -10,9 +10,9 @@ use crate::{Activation, Aligned, Conv2d, Dense, Gru, Isa};
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// Frames in one state (PAPER.md, "State").
+/// Frames in one state (docs/paper.md, "State").
 pub const ACTOR_FRAMES: usize = 5;
-/// Length of the split point (PAPER.md, "Actor").
+/// Length of the split point (docs/paper.md, "Actor").
 pub const ACTOR_HIDDEN: usize = 48;
 /// Positional inputs: distance and bearing of the goal, as normalised by whoever trained the actor.
 pub const ACTOR_POSITIONAL: usize = 2;

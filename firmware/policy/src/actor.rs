@@ -1,4 +1,4 @@
-//! The learned pilot: a frozen actor, alone or with the potential field added (PAPER.md, Algorithm 1).
+//! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
 
 use crate::field::FlightField;
 use crate::surroundings::Surroundings;

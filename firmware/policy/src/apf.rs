@@ -1,4 +1,4 @@
-//! The paper's artificial potential field, in action units (PAPER.md, "Attractive field" and "Repulsive field").
+//! The paper's artificial potential field, in action units (docs/paper.md, "Attractive field" and "Repulsive field").
 //!
 //! Both fields are functions of one bearing and one distance. All results are clipped to ±[`vigil_types::ACTION_LIMIT`]. An input
 //! that is not finite or a negative distance yields no force, so that a field can never be the source of a NaN.
@@ -6,7 +6,7 @@
 use core::f32::consts::{FRAC_PI_2, PI};
 use vigil_types::{Action, GoalRelative};
 
-/// Distance below which an obstacle repels: the paper's equation says 3 m, its text 5 m (PAPER.md, "contradicts itself", 2).
+/// Distance below which an obstacle repels: the paper's equation says 3 m, its text 5 m (docs/paper.md, "contradicts itself", 2).
 pub const REPULSIVE_RANGE_M: f32 = 3.0;
 
 /// Distance below which the attractive field pulls harder and turns at any bearing.

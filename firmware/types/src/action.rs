@@ -3,9 +3,9 @@
 use crate::{AttitudeSample, HeadingVector, Kinematics, NedVector, wrap_pi};
 use core::f32::consts::PI;
 
-/// Both outputs of a pilot lie in ±1.5 (PAPER.md, "Actor").
+/// Both outputs of a pilot lie in ±1.5 (docs/paper.md, "Actor").
 pub const ACTION_LIMIT: f32 = 1.5;
-/// One unit of the yaw output is 30 °/s (PAPER.md, "Action").
+/// One unit of the yaw output is 30 °/s (docs/paper.md, "Action").
 pub const YAW_RATE_PER_UNIT_RAD_S: f32 = 30.0 * PI / 180.0;
 
 /// A pilot's decision in the paper's action units.

@@ -10,7 +10,7 @@ pub const DEPTH_ROWS: usize = 128;
 pub const DEPTH_COLS: usize = 256;
 /// Values in one frame.
 pub const DEPTH_PIXELS: usize = DEPTH_ROWS * DEPTH_COLS;
-/// Range in metres that maps to 1.0 (PAPER.md, "Depth image").
+/// Range in metres that maps to 1.0 (docs/paper.md, "Depth image").
 pub const DEPTH_FULL_SCALE_M: f32 = 100.0;
 /// Horizontal field of view: 120°, so that a pixel is square at 256 columns.
 pub const HORIZONTAL_FOV_RAD: f32 = 120.0 * PI / 180.0;

@@ -31,7 +31,7 @@ pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, N
 /// live, simulated time in lockstep and replay).
 pub type Nanos = u64;
 
-/// The loop's fixed period: 20 Hz, 0.05 s (PAPER.md, "The time step").
+/// The loop's fixed period: 20 Hz, 0.05 s (docs/paper.md, "The time step").
 pub const STEP_NS: Nanos = 50_000_000;
 
 /// The loop's fixed period in seconds.

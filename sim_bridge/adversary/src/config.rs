@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use vigil_detector::ShapError;
 use vigil_nnet::ShapeError;
 
-/// A change of the yaw output by as much counts as effective: 30 °/s (PAPER.md, "Attack in flight").
+/// A change of the yaw output by as much counts as effective: 30 °/s (docs/paper.md, "Attack in flight").
 pub const EFFECTIVE_YAW: f32 = 1.0;
 
 /// How the pixels are altered. ε is [`AttackConfig::epsilon_255`] / 255 of the image's range; g the gradient of the loss.

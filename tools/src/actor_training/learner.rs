@@ -1,4 +1,4 @@
-//! DDPG's update (Lillicrap et al. 2016; PAPER.md, Algorithm 1) with n-step returns and prioritised replay.
+//! DDPG's update (Lillicrap et al. 2016; docs/paper.md, Algorithm 1) with n-step returns and prioritised replay.
 
 use crate::actor_training::adam;
 use crate::actor_training::config::{LearningConfig, TrainConfig, WarmUp};

@@ -1,6 +1,6 @@
 //! The seeded course generator: the paper's arena, filled differently by each family.
 //!
-//! Every family flies from home to a goal 20 m north and 5 m to one side (PAPER.md, "Arena"). All lengths are rounded to
+//! Every family flies from home to a goal 20 m north and 5 m to one side (docs/paper.md, "Arena"). All lengths are rounded to
 //! centimetres, so that a course written to a file and read back is the same course.
 
 use crate::course::{
@@ -15,9 +15,9 @@ use core::ops::Range;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// Distance of the goal along the arena (PAPER.md, "Arena").
+/// Distance of the goal along the arena (docs/paper.md, "Arena").
 const GOAL_DOWNRANGE_M: f32 = 20.0;
-/// Distance of the goal to either side (PAPER.md, "Arena").
+/// Distance of the goal to either side (docs/paper.md, "Arena").
 const GOAL_OFFSET_M: f32 = 5.0;
 /// No obstacle comes nearer to the start than this.
 const CLEAR_START_M: f32 = 2.5;
