@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use vigil_types::{Goal, Nanos};
 
-/// Version of what a replay reads: [`META`], [`topic::TICK`] and [`topic::DEPTH`]. Raised when an older reader would
+/// Version of what a replay reads: `META`, `topic::TICK` and `topic::DEPTH`. Raised when an older reader would
 /// misread a newer log; a field added to a message does not raise it.
 pub const LOG_FORMAT: u32 = 1;
 
