@@ -1,7 +1,5 @@
 //! The simulator: world, vehicle, LiDAR and MAVLink endpoint in one clock, in lockstep or in real time.
 
-pub mod adversary;
-mod attack;
 mod companion_view;
 mod config;
 pub mod links;
@@ -11,7 +9,6 @@ mod simulator;
 mod state;
 mod udp;
 
-pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use companion_view::CompanionView;
 pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, family_parser};
 pub use simulator::{Ending, LIDAR_SENSOR_ID, STEP_MS, Simulator};

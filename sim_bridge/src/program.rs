@@ -13,6 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use vigil_autopilot::{EndpointConfig, LinkId, LinkRole};
+use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
@@ -215,19 +216,6 @@ pub fn ending_code(outcome: Option<Outcome>) -> u8 {
         Some(Outcome::OutOfBounds) => 11,
         Some(Outcome::TimeOut) => 12,
         None => 13,
-    }
-}
-
-/// The monotonic clock that frame stamps and the firmware share.
-pub(crate) fn monotonic_ns() -> Nanos {
-    let t = rustix::time::clock_gettime(rustix::time::ClockId::Monotonic);
-    t.tv_sec as u64 * 1_000_000_000 + t.tv_nsec as u64
-}
-
-fn sleep_until(deadline_ns: Nanos) {
-    let now_ns = monotonic_ns();
-    if deadline_ns > now_ns {
-        std::thread::sleep(Duration::from_nanos(deadline_ns - now_ns));
     }
 }
 

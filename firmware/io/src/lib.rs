@@ -2,6 +2,7 @@
 //! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), files that outlive a restart ([`state`]), and
 //! [`shared_memory`] with depth frames and lockstep exchanges.
 
+pub mod clock;
 pub mod gate;
 pub mod link_spec;
 pub mod link_url;

@@ -1,8 +1,7 @@
 //! Ports of a real flight: monotonic clock, frames from shared memory. MAVLink is in [`links`](super::links).
 
 use super::{Clock, FrameSource};
-use rustix::thread::{ClockId, clock_nanosleep_absolute};
-use rustix::time::{Timespec, clock_gettime};
+use vigil_io::clock;
 use vigil_io::shared_memory::{BorrowedFrame, FrameSubscriber};
 use vigil_types::{DepthFrame, Nanos};
 
@@ -12,20 +11,14 @@ pub struct MonotonicClock;
 
 impl Clock for MonotonicClock {
     fn now_ns(&mut self) -> Nanos {
-        let now = clock_gettime(ClockId::Monotonic);
-        // Both parts are positive on the monotonic clock.
-        now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+        clock::monotonic_ns()
     }
 }
 
 impl MonotonicClock {
     /// Sleeps until `deadline_ns`; signals do not shorten it.
     pub fn sleep_until(&self, deadline_ns: Nanos) {
-        let deadline = Timespec {
-            tv_sec: (deadline_ns / 1_000_000_000) as i64,
-            tv_nsec: (deadline_ns % 1_000_000_000) as i64,
-        };
-        while clock_nanosleep_absolute(ClockId::Monotonic, &deadline).is_err_and(|e| e == rustix::io::Errno::INTR) {}
+        clock::sleep_until(deadline_ns);
     }
 }
 

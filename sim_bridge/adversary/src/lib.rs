@@ -1,15 +1,18 @@
 //! The adversary: alters depth frames so that the actor turns the wrong way. White box: it knows the actor's weights, the
 //! goal and, from the frames' headers, where the vehicle is. It alters pixels only (docs/adversary.md).
 
+mod attack;
 mod burst;
 mod config;
 mod evade;
 mod intercept;
 mod lens;
 mod perturb;
+pub mod process;
 mod state;
 mod stream;
 
+pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
 pub use config::{AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, Towards};
 pub use intercept::{Interceptor, PassedStep, goal_seen_from};

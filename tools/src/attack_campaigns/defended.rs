@@ -14,12 +14,12 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
+use vigil_adversary::{Attack, AttackArgs};
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::AlarmChoice;
 use vigil_firmware::program::parse_switch;
-use vigil_sim::{Attack, AttackArgs};
 use vigil_types::STEP_S;
 use vigil_world::Outcome;
 

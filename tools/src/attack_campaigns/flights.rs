@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::process::ExitCode;
 use std::time::Instant;
+use vigil_adversary::Attack;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
-use vigil_sim::Attack;
 
 /// Arguments of `vigil attack cells`.
 #[derive(Debug, Clone, clap::Args)]
@@ -162,8 +162,9 @@ impl Campaign<'_> {
                 .collect::<Result<_>>()
         })?;
         let outcomes: Vec<_> = flown.iter().map(|(_, flown)| flown.record.outcome).collect();
-        let steps =
-            |of: fn(&vigil_sim::AttackRecord) -> u64| flown.iter().filter_map(|(_, f)| f.attack.as_ref()).map(of).sum();
+        let steps = |of: fn(&vigil_adversary::AttackRecord) -> u64| {
+            flown.iter().filter_map(|(_, f)| f.attack.as_ref()).map(of).sum()
+        };
         Ok(Row {
             apf,
             attack: setting,

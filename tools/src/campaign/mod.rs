@@ -9,10 +9,11 @@ use anyhow::Result;
 use serde::Serialize;
 use std::convert::Infallible;
 use std::path::Path;
+use vigil_adversary::{Attack, AttackRecord};
 use vigil_firmware::config::PilotKind;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep::{FirmwarePort, FlightRecord, fly_lockstep_through};
-use vigil_sim::{Attack, AttackRecord, SimConfig, Simulator, Start};
+use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame, Nanos};
 use vigil_world::{Family, Outcome, generate};
 

@@ -12,9 +12,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-use vigil_sim::adversary::RAW_TOPIC;
+use vigil_adversary::AttackArgs;
+use vigil_adversary::process::RAW_TOPIC;
+use vigil_sim::CourseChoice;
 use vigil_sim::program::{Status, ending_code};
-use vigil_sim::{AttackArgs, CourseChoice};
 use vigil_types::NedVector;
 use vigil_world::{Course, FlightPath};
 

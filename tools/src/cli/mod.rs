@@ -56,7 +56,7 @@ enum Command {
     /// Attack the actor: on states, on scenes, in campaigns of flights.
     Attack(attack::AttackCommands),
     /// Run the adversary alone: alters depth frames between the sensor and the firmware.
-    Adversary(vigil_sim::adversary::AdversaryArgs),
+    Adversary(vigil_adversary::process::AdversaryArgs),
     /// Run the tick over a flight log's recorded inputs and compare every output byte.
     Replay(replay::ReplayArgs),
     /// Close a flight log that was cut off when its process was killed.
@@ -83,7 +83,7 @@ pub fn main() -> ExitCode {
         Command::Firmware(args) => vigil_firmware::program::run(args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Attack(args) => attack::run(&args),
-        Command::Adversary(args) => vigil_sim::adversary::run(&args),
+        Command::Adversary(args) => vigil_adversary::process::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Train(args) => train::run(&args),

@@ -1,7 +1,6 @@
 //! The adversary as a process of its own, between the raw and the delivered frame service.
 
-use crate::attack::{AttackArgs, AttackRecord};
-use crate::program::monotonic_ns;
+use crate::{AttackArgs, AttackRecord};
 use anyhow::{Context, Result, bail};
 use hdrhistogram::Histogram;
 use serde::Serialize;
@@ -10,6 +9,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use vigil_io::clock::monotonic_ns;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber};
 use vigil_types::{DepthFrame, NedVector};
 

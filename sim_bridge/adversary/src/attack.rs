@@ -1,11 +1,9 @@
 //! Which attack is flown against: the arguments that campaigns, live flights and the adversary's own process share.
 
+use crate::{AttackConfig, AttackError, Burst, BurstPlan, Interceptor, Method, PassedStep, StreamAttack, Towards};
 use anyhow::{Result, ensure};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
-use vigil_adversary::{
-    AttackConfig, AttackError, Burst, BurstPlan, Interceptor, Method, PassedStep, StreamAttack, Towards,
-};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
