@@ -82,6 +82,8 @@ pub struct SigningConfig {
     pub key_file: Option<PathBuf>,
     /// From whom packets without a signature are accepted.
     pub allow_unsigned: AllowUnsigned,
+    /// While there is no key, SETUP_SIGNING of whoever may speak without a signature brings one.
+    pub accept_first_key: bool,
 }
 
 /// Which autopilot the vehicle has.
@@ -475,9 +477,11 @@ impl FirmwareConfig {
     /// Where the vehicle's MAVLink is, the default resolved.
     pub fn vehicle_link(&self) -> LinkSpec {
         let port = COMPANION_PORT + self.instance.min(MAX_INSTANCE) as u16;
-        self.link
-            .clone()
-            .unwrap_or_else(|| LinkUrl::UdpIn(([127, 0, 0, 1], port).into()).into())
+        self.link.clone().unwrap_or_else(|| LinkSpec {
+            // The simulator's, whose system follows from the instance too.
+            system: u8::try_from(self.instance.saturating_add(1)).ok(),
+            ..LinkUrl::UdpIn(([127, 0, 0, 1], port).into()).into()
+        })
     }
 
     /// Opens all links, the key read.
@@ -496,9 +500,10 @@ impl FirmwareConfig {
         let SigningConfig {
             key_file,
             allow_unsigned,
+            accept_first_key,
         } = &self.signing;
         let name = self.instance.to_string();
-        match (key_file, &self.state.directory) {
+        let gate = match (key_file, &self.state.directory) {
             (Some(path), _) => Gate::with_key_file(path, &name, *allow_unsigned),
             (None, Some(folder)) => {
                 let path = folder.join(format!("firmware{name}.key"));
@@ -509,7 +514,8 @@ impl FirmwareConfig {
                 Gate::with_kept_key(&path, &name, *allow_unsigned)
             }
             (None, None) => Ok(Gate::new(None, *allow_unsigned)),
-        }
+        };
+        Ok(gate?.accepting_first_key(*accept_first_key))
     }
 
     /// What the flight stack needs of this.
@@ -564,6 +570,7 @@ impl FirmwareConfig {
                     Vehicle::ArduPilot => Flavour::ArduPilot,
                 },
                 setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
+                system_id: self.link.as_ref().and_then(|link| link.system),
                 ..CompanionConfig::default()
             },
             pilot: GeometricConfig {
@@ -732,6 +739,7 @@ mod tests {
             signing: SigningConfig {
                 key_file: Some("keys/vigil.key".into()),
                 allow_unsigned: AllowUnsigned::Never,
+                accept_first_key: true,
             },
             vehicle: Vehicle::ArduPilot,
             engage: Engage::Auto,
@@ -774,7 +782,7 @@ mod tests {
             instance: 3,
             ..FirmwareConfig::default()
         };
-        assert_eq!(config.vehicle_link().to_string(), "udpin://127.0.0.1:14033");
+        assert_eq!(config.vehicle_link().to_string(), "udpin://127.0.0.1:14033,system=4");
     }
 
     #[test]

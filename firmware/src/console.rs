@@ -28,6 +28,10 @@ enum Announcement {
         at_ns: Nanos,
         total: u64,
     },
+    OtherVehicle {
+        at_ns: Nanos,
+        system: u8,
+    },
 }
 
 /// Announces changes of the guidance state and missed steps.
@@ -39,6 +43,7 @@ pub struct Console {
     slips: u64,
     refused: u64,
     refused_next_ns: Nanos,
+    other_system: Option<u8>,
 }
 
 impl Console {
@@ -58,6 +63,7 @@ impl Console {
             slips: 0,
             refused: 0,
             refused_next_ns: 0,
+            other_system: None,
         })
     }
 
@@ -88,6 +94,16 @@ impl Console {
             self.refused = total;
             self.refused_next_ns = at_ns + REFUSED_NS;
             self.announce(Announcement::Refused { at_ns, total });
+        }
+    }
+
+    /// Is told of a vehicle that calls and is not the one that is asked for. Never waits and allocates nothing.
+    pub fn other_vehicle(&mut self, at_ns: Nanos, system: Option<u8>) {
+        if let Some(system) = system
+            && self.other_system.is_none()
+        {
+            self.other_system = Some(system);
+            self.announce(Announcement::OtherVehicle { at_ns, system });
         }
     }
 
@@ -135,6 +151,13 @@ fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
                     tracing::warn!(
                         "{:8.2} s  {total} packets refused since start: unsigned or wrongly signed (docs/firmware.md, \
                          \"Signing\")",
+                        seconds(at_ns)
+                    );
+                }
+                Announcement::OtherVehicle { at_ns, system } => {
+                    tracing::warn!(
+                        "{:8.2} s  a vehicle of system {system} calls, which is not the one asked for: give the link with \
+                         system={system} if it is yours (docs/firmware.md, \"Who is the vehicle\")",
                         seconds(at_ns)
                     );
                 }

@@ -276,6 +276,8 @@ impl LiveLoop {
             keeper.observe(self.firmware.parameters());
         }
         self.console.refused(report.now_ns, self.link.link.signing_refused());
+        self.console
+            .other_vehicle(report.now_ns, self.link.link.statistics().other_system);
         if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
             self.used_frames += 1;
         }

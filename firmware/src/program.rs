@@ -47,7 +47,8 @@ pub struct FirmwareArgs {
     /// Where the vehicle's MAVLink is: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcpin://ADDRESS:PORT, tcpout://HOST:PORT
     /// or serial:///dev/DEVICE:BAUD [default: udpin://127.0.0.1:14030, the port plus the instance]. May be repeated: the
     /// first is the vehicle's, the others are for ground stations. Options follow, separated by commas:
-    /// unsigned=loopback|never|always and rate=BYTES_PER_SECOND.
+    /// unsigned=loopback|never|always, rate=BYTES_PER_SECOND, values=PER_SECOND (how often the guidance computer's values are
+    /// sent, at most 4; fewer by default where the link leaves this machine), and of the vehicle's link system=ID.
     #[arg(long, value_name = "URL[,OPTION]")]
     pub link: Vec<LinkSpec>,
 
@@ -58,6 +59,11 @@ pub struct FirmwareArgs {
     /// From whom packets without a signature are accepted: from this machine, nobody, everybody [default: loopback].
     #[arg(long, value_enum, value_name = "WHO")]
     pub allow_unsigned: Option<AllowUnsigned>,
+
+    /// While there is no signing key, take one by SETUP_SIGNING from whoever may speak without a signature. Without this,
+    /// and once there is a key, only a packet signed with it brings another.
+    #[arg(long)]
+    pub accept_first_key: bool,
 
     /// Which autopilot the vehicle has [default: px4].
     #[arg(long, value_enum)]
@@ -218,6 +224,7 @@ impl FirmwareArgs {
         }
         config.signing.key_file = self.signing_key.clone().or(config.signing.key_file);
         config.signing.allow_unsigned = self.allow_unsigned.unwrap_or(config.signing.allow_unsigned);
+        config.signing.accept_first_key |= self.accept_first_key;
         config.vehicle = self.vehicle.unwrap_or(config.vehicle);
         config.engage = self.engage.unwrap_or(config.engage);
         config.at_goal = self.at_goal.unwrap_or(config.at_goal);

@@ -9,7 +9,7 @@ use std::net::{SocketAddr, TcpStream, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
-use vigil_firmware::ports::links::{LiveLink, SerialLink, TcpLink, UdpLink};
+use vigil_firmware::ports::links::{LiveLink, PeerRule, SerialLink, TcpLink, UdpLink};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
@@ -217,7 +217,7 @@ fn loopback() -> SocketAddr {
 #[test]
 fn udp_is_fuzzed() {
     for has_key in [true, false] {
-        let link = UdpLink::open(&LinkUrl::UdpIn(loopback()), gate(has_key)).unwrap();
+        let link = UdpLink::open(&LinkUrl::UdpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
         let address = link.local_address().unwrap();
         let far = Datagram(UdpSocket::bind(loopback()).unwrap(), address);
         fuzz(Rig::new(LiveLink::Udp(link), far), has_key);
@@ -227,7 +227,7 @@ fn udp_is_fuzzed() {
 #[test]
 fn tcp_is_fuzzed() {
     for has_key in [true, false] {
-        let link = TcpLink::open(&LinkUrl::TcpIn(loopback()), gate(has_key)).unwrap();
+        let link = TcpLink::open(&LinkUrl::TcpIn(loopback()), PeerRule::Anyone, gate(has_key)).unwrap();
         let far = TcpStream::connect(link.local_address().unwrap()).unwrap();
         far.set_nonblocking(true).unwrap();
         fuzz(Rig::new(LiveLink::Tcp(link), Stream(far)), has_key);

@@ -6,7 +6,7 @@ use common::{PseudoTerminal, SENSOR_ID, TestVehicle, config};
 use std::io::{Read, Write};
 use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{Engage, SigningConfig, StateConfig};
 use vigil_firmware::ports::Link;
@@ -16,7 +16,7 @@ use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::*;
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, packets, serialize};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, packets, serialize, serialize_payload};
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
@@ -287,13 +287,23 @@ fn texts(far: &Far) -> Vec<(String, bool)> {
 }
 
 #[test]
-fn a_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_and_removed_by_a_key_of_zeros() {
+fn a_first_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_and_changed_by_whoever_has_it() {
     const KEY: [u8; 32] = [0xC3; 32];
     let folder = tempfile::tempdir().unwrap();
-    let config = with_state(folder.path());
+    let mut config = with_state(folder.path());
     let key_file = folder.path().join("state/firmware0.key");
     let land = command(STATION, ME, MavCmd::MAV_CMD_NAV_LAND);
     let captured = signed(KEY, 0, &land);
+    {
+        // Who did not ask for it gets no key from the link.
+        let mut rig = Rig::new(["", ""], config.gate().unwrap());
+        rig.stations[0].say(&setup(ME, KEY));
+        assert!(rig.step().is_empty());
+        let told = [("signing key refused: see --accept-first-key".to_owned(), false)];
+        assert_eq!(texts(&rig.stations[0]), told);
+        assert_eq!(rig.links.statistics().signing.unsigned_key, 1);
+    }
+    config.signing.accept_first_key = true;
     {
         let mut rig = Rig::new(["", ""], config.gate().unwrap());
         assert!(!key_file.exists(), "nothing is signed yet");
@@ -312,13 +322,17 @@ fn a_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_and_remo
             rig.stations[1].say(bytes);
             assert_eq!(!rig.step().is_empty(), passes);
         }
-        // A command of before comes again with another key, and then with the same: it stays refused.
-        for key in [[5; 32], KEY] {
-            rig.stations[0].say(&setup(ME, key));
+        // Now only who has it changes it. A command of before comes again with another key, and then with the same: it
+        // stays refused.
+        rig.stations[0].say(&setup(ME, [5; 32]));
+        rig.step();
+        for (present, next) in [(KEY, [5; 32]), ([5; 32], KEY)] {
+            rig.stations[0].say(&signed(present, 5, &setup(ME, next)));
             rig.step();
             rig.stations[1].say(&captured);
             assert!(rig.step().is_empty());
         }
+        assert_eq!(rig.links.statistics().signing.unsigned_key, 1);
     }
     let mode = std::fs::metadata(&key_file).unwrap().permissions().mode() & 0o777;
     let folder_mode = std::fs::metadata(key_file.parent().unwrap())
@@ -327,54 +341,138 @@ fn a_key_from_setup_signing_is_in_force_at_once_kept_for_the_next_start_and_remo
         .mode()
         & 0o777;
     assert_eq!((mode, folder_mode), (0o600, 0o700));
-    {
-        let mut rig = Rig::new(["", ""], config.gate().unwrap());
-        for (bytes, passes) in [(&captured, false), (&signed(KEY, 10, &land), true)] {
-            rig.stations[0].say(bytes);
-            assert_eq!(!rig.step().is_empty(), passes, "after the restart");
-        }
-        rig.stations[0].say(&setup(ME, [0; 32]));
-        rig.step();
-        assert!(texts(&rig.stations[1]).contains(&("signing is off".to_owned(), false)));
+    let mut rig = Rig::new(["", ""], config.gate().unwrap());
+    for (bytes, passes) in [(&captured, false), (&signed(KEY, 10, &land), true)] {
+        rig.stations[0].say(bytes);
+        assert_eq!(!rig.step().is_empty(), passes, "after the restart");
     }
-    assert!(!key_file.exists());
-    assert!(!config.gate().unwrap().has_key(), "and stays off");
+}
+
+/// A configuration whose key is in a file of the user's own.
+fn with_key(folder: &Path, key: [u8; 32]) -> (FirmwareConfig, PathBuf) {
+    let path = folder.join("vigil.key");
+    std::fs::write(&path, key).unwrap();
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let signing = SigningConfig {
+        key_file: Some(path.clone()),
+        ..SigningConfig::default()
+    };
+    let config = FirmwareConfig {
+        signing,
+        ..FirmwareConfig::default()
+    };
+    (config, path)
 }
 
 #[test]
-fn who_does_not_pass_the_gate_sets_no_key_and_signing_is_not_switched_off_where_nobody_would_be_heard() {
+fn only_a_packet_signed_with_the_present_key_sets_another_and_zeros_are_none() {
     let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("vigil.key");
-    std::fs::write(&path, [7; 32]).unwrap();
-    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).unwrap();
-    let config = FirmwareConfig {
-        signing: SigningConfig {
-            key_file: Some(path.clone()),
-            allow_unsigned: AllowUnsigned::Loopback,
-        },
-        ..FirmwareConfig::default()
-    };
+    let (config, path) = with_key(folder.path(), [7; 32]);
     {
-        let mut rig = Rig::new([",unsigned=never", ""], config.gate().unwrap());
+        // This machine's packets need no signature here; a key does.
+        let mut rig = Rig::new(["", ""], config.gate().unwrap());
         rig.stations[0].say(&setup(ME, [1; 32]));
-        rig.stations[0].say(&signed([1; 32], 0, &setup(ME, [1; 32])));
         rig.step();
-        rig.hush();
+        let refused = "signing key refused: not signed with present one";
+        assert_eq!(texts(&rig.stations[0]), [(refused.to_owned(), true)]);
+        rig.stations[0].say(&signed([1; 32], 0, &setup(ME, [1; 32])));
+        rig.vehicle.say(&setup(ME, [1; 32]));
+        rig.step();
+        assert_eq!(texts(&rig.stations[0]), [], "told once in a while");
         rig.stations[0].say(&signed([7; 32], 0, &setup(ME, [0; 32])));
         rig.step();
-        let told = texts(&rig.stations[0]);
-        assert_eq!(
-            told,
-            [("signing stays on: a link hears nobody without".to_owned(), true)]
-        );
+        let zeros = "signing key refused: all zeros";
+        assert_eq!(texts(&rig.stations[0]), [(zeros.to_owned(), true)]);
+        assert_eq!(std::fs::read(&path).unwrap(), [7; 32]);
         // Who has the key may set another, which takes the place of the one in the file.
         rig.stations[0].say(&signed([7; 32], 1, &setup(ME, [8; 32])));
         rig.step();
+        rig.hush();
         rig.stations[0].say(&signed([8; 32], 2, &heartbeat(STATION)));
         rig.step();
         assert_eq!(rig.vehicle.heard().last(), Some(&(STATION, HEARTBEAT)));
     }
     assert_eq!(std::fs::read_to_string(&path).unwrap(), "08".repeat(32));
+}
+
+/// A hundred thousand packets each that are right as MAVLink and made of random bytes, each tenth a SETUP_SIGNING to the
+/// guidance computer, unsigned or signed with random keys.
+#[test]
+fn random_valid_packets_change_no_key() {
+    for has_key in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let (with_key, path) = with_key(folder.path(), [7; 32]);
+        let without = with_state(folder.path());
+        let config = if has_key { with_key } else { without };
+        let mut rig = Rig::new(["", ""], config.gate().unwrap());
+        let mut random = Random(0x9E37_79B9_7F4A_7C15);
+        for _ in 0..2000 {
+            for i in 0..50 {
+                let packet = random.packet(i % 10 == 0);
+                let from = if i % 2 == 0 { &rig.vehicle } else { &rig.stations[0] };
+                from.say(&packet);
+            }
+            rig.step();
+            rig.hush();
+        }
+        let signing = rig.links.statistics().signing;
+        assert!(signing.unsigned_key > 5000, "{signing:?}");
+        assert_eq!(signing.signed, 0);
+        // The present key, or none, is in force as before.
+        rig.own(&[heartbeat(ME)]);
+        let heard = rig.stations[1].raw();
+        let right = signed([7; 32], 1, &heartbeat(STATION));
+        assert!(heard.iter().all(|bytes| (bytes[2] & 1 == 1) == has_key));
+        rig.stations[1].say(&right);
+        rig.step();
+        assert_eq!(rig.links.statistics().signing.signed, u64::from(has_key));
+        drop(rig);
+        assert_eq!(std::fs::read(&path).unwrap(), [7; 32]);
+        assert!(!folder.path().join("state/firmware0.key").exists());
+    }
+}
+
+/// A generator whose stream never changes (xorshift64*).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
+    }
+
+    /// A packet with a right checksum; or a SETUP_SIGNING to the guidance computer with a random key.
+    fn packet(&mut self, is_setup: bool) -> Vec<u8> {
+        let bytes: Vec<u8> = (0..32).flat_map(|_| self.next().to_le_bytes()).collect();
+        let header = MavHeader {
+            system_id: u32::from(bytes[250]),
+            component_id: bytes[251],
+            sequence: bytes[252],
+        };
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = if is_setup {
+            let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+                initial_timestamp: self.next(),
+                target_system: ME.0,
+                target_component: ME.1,
+                secret_key: bytes[..32].try_into().unwrap(),
+            });
+            serialize(header, &message, &mut out).unwrap()
+        } else {
+            let mut write = || {
+                let id = (self.next() % 450) as u32;
+                serialize_payload(header, id, &bytes[..usize::from(bytes[253])], &mut out).ok()
+            };
+            // Not every number is a message's.
+            std::iter::repeat_with(&mut write).flatten().next().unwrap()
+        };
+        match bytes[254] % 4 {
+            0 => signed(bytes[200..232].try_into().unwrap(), 0, &out[..len]),
+            _ => out[..len].to_vec(),
+        }
+    }
 }
 
 #[test]
@@ -418,7 +516,8 @@ fn a_ground_stations_serial_line_that_disappears_and_returns_is_served_again_and
 
 #[test]
 fn a_signing_key_is_passed_on_to_nobody_and_is_not_in_the_log() {
-    let mut rig = Rig::unsigned();
+    let gate = Gate::new(None, AllowUnsigned::Loopback).accepting_first_key(true);
+    let mut rig = Rig::new(["", ""], gate);
     rig.introduce();
     for target in [VEHICLE, (0, 0), (254, 190)] {
         rig.stations[0].say(&setup(target, [9; 32]));
@@ -560,7 +659,7 @@ fn each_link_has_its_own_signing_policy_and_what_was_taken_from_one_is_no_good_o
     std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
     let signing = SigningConfig {
         key_file: Some(key_file),
-        allow_unsigned: AllowUnsigned::Loopback,
+        ..SigningConfig::default()
     };
     let gate = FirmwareConfig {
         signing,

@@ -10,13 +10,14 @@ use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
-use vigil_firmware::ports::links::{LinkError, LiveLink, SerialLink, TcpLink};
+use vigil_firmware::ports::links::{LinkError, LiveLink, PeerRule, SerialLink, TcpLink};
 use vigil_mavlink::MavHeader;
-use vigil_mavlink::common::{MavMessage, STATUSTEXT_DATA};
+use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavMessage};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, serialize};
 use vigil_types::{Datagrams, Nanos};
 
 const SECOND: Nanos = 1_000_000_000;
+const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 
 fn loopback() -> SocketAddr {
     ([127, 0, 0, 1], 0).into()
@@ -28,9 +29,10 @@ fn packet(sequence: u8) -> Vec<u8> {
         component_id: 1,
         sequence,
     };
-    let message = MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-        text: "here".into(),
-        ..STATUSTEXT_DATA::DEFAULT
+    let message = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        autopilot: MavAutopilot::MAV_AUTOPILOT_PX4,
+        mavlink_version: 3,
+        ..HEARTBEAT_DATA::DEFAULT
     });
     let mut out = [0; MAX_PACKET_LEN];
     let len = serialize(header, &message, &mut out).unwrap();
@@ -64,7 +66,7 @@ fn say(link: &mut impl Link, packets: &[Vec<u8>]) {
 }
 
 fn server() -> TcpLink {
-    TcpLink::open(&LinkUrl::TcpIn(loopback()), Gate::open()).unwrap()
+    TcpLink::open(&LinkUrl::TcpIn(loopback()), VEHICLE, Gate::open()).unwrap()
 }
 
 fn caller(link: &TcpLink) -> TcpStream {
@@ -108,7 +110,7 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
         // A port that is free at this moment.
         TcpListener::bind(loopback()).unwrap().local_addr().unwrap()
     };
-    let mut link = TcpLink::open(&LinkUrl::TcpOut(address), Gate::open()).unwrap();
+    let mut link = TcpLink::open(&LinkUrl::TcpOut(address), VEHICLE, Gate::open()).unwrap();
     for second in 1..4 {
         assert!(heard(&mut link, second * SECOND).is_empty());
         say(&mut link, &[packet(0)]);
@@ -138,7 +140,7 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
 #[test]
 fn a_client_calls_anew_when_the_network_lost_its_peer_without_a_word() {
     let listener = TcpListener::bind(loopback()).unwrap();
-    let mut link = TcpLink::open(&LinkUrl::TcpOut(listener.local_addr().unwrap()), Gate::open()).unwrap();
+    let mut link = TcpLink::open(&LinkUrl::TcpOut(listener.local_addr().unwrap()), VEHICLE, Gate::open()).unwrap();
     heard(&mut link, SECOND);
     let (_silent, _) = listener.accept().unwrap();
     for second in 2..20 {
@@ -177,7 +179,7 @@ fn a_peer_that_does_not_read_costs_packets_and_neither_time_nor_the_framing() {
 fn a_port_in_use_is_named() {
     let link = server();
     let url = LinkUrl::TcpIn(link.local_address().unwrap());
-    let error = TcpLink::open(&url, Gate::open()).err().unwrap();
+    let error = TcpLink::open(&url, VEHICLE, Gate::open()).err().unwrap();
     assert!(matches!(error, LinkError::InUse { .. }));
     assert!(error.to_string().contains(&url.to_string()), "{error}");
 }
@@ -256,7 +258,7 @@ fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
         ("tcpout://127.0.0.1:14995", AllowUnsigned::Loopback, true),
         ("serial:///dev/null:57600", AllowUnsigned::Loopback, false),
     ] {
-        let opened = LiveLink::open(&url.parse().unwrap(), Gate::new(None, policy));
+        let opened = LiveLink::open(&url.parse().unwrap(), VEHICLE, Gate::new(None, policy));
         match opened {
             Ok(_) => assert!(opens, "{url}"),
             Err(error) => {

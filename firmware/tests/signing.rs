@@ -8,7 +8,7 @@ use vigil_firmware::config::{FirmwareConfig, SigningConfig};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
-use vigil_firmware::ports::links::UdpLink;
+use vigil_firmware::ports::links::{PeerRule, UdpLink};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
@@ -57,10 +57,12 @@ fn link(key_file: &Path) -> UdpLink {
         signing: SigningConfig {
             key_file: Some(key_file.to_owned()),
             allow_unsigned: AllowUnsigned::Never,
+            ..SigningConfig::default()
         },
         ..FirmwareConfig::default()
     };
-    UdpLink::open(&LinkUrl::UdpIn(loopback()), config.gate().unwrap()).unwrap()
+    let rule = PeerRule::Vehicle { system: Some(1) };
+    UdpLink::open(&LinkUrl::UdpIn(loopback()), rule, config.gate().unwrap()).unwrap()
 }
 
 fn loopback() -> SocketAddr {

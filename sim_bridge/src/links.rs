@@ -8,10 +8,12 @@ use vigil_io::Link;
 use vigil_io::gate::{AllowUnsigned, Gate, SigningFileError};
 use vigil_io::link_spec::{Budget, LinkSpec};
 use vigil_io::link_url::LinkUrl;
-use vigil_io::links::{LinkError, LiveLink, UdpPeers};
+use vigil_io::links::{LinkError, LiveLink, PeerRule, UdpPeers};
 use vigil_mavlink::signing::{SigningCounters, SigningKey};
 use vigil_types::{Datagrams, Nanos};
 
+/// Refused keys are told of this often at most: an attacker must not fill the links.
+const KEY_REFUSED_NS: Nanos = 10_000_000_000;
 /// Links by URL, besides the three that every vehicle has.
 pub const MAX_EXTRA_LINKS: usize = 4;
 
@@ -20,8 +22,10 @@ pub const MAX_EXTRA_LINKS: usize = 4;
 pub struct LinksConfig {
     /// Number of the vehicle, 0 to 99.
     pub instance: u32,
-    /// File of the signing key; without it nothing is signed until SETUP_SIGNING brings a key.
+    /// File of the signing key; without it nothing is signed.
     pub signing_key: Option<PathBuf>,
+    /// While there is no key, SETUP_SIGNING of whoever may speak without a signature brings one.
+    pub accept_first_key: bool,
     /// From whom packets without a signature are accepted.
     pub allow_unsigned: AllowUnsigned,
     /// Links besides the three, at most [`MAX_EXTRA_LINKS`].
@@ -40,22 +44,18 @@ pub enum LinksError {
     /// The key or its state.
     #[error(transparent)]
     Signing(#[from] SigningFileError),
+    /// What only the guidance computer's links have.
+    #[error("{url}: the options system= and values= are for the firmware's links: leave them out")]
+    NotHere {
+        /// The link.
+        url: LinkUrl,
+    },
     /// More than there is room for.
     #[error("{count} links given with --link: at most {MAX_EXTRA_LINKS}")]
     TooMany {
         /// Links given.
         count: usize,
     },
-}
-
-/// Whether only this machine is at the other end.
-fn is_loopback(url: &LinkUrl) -> bool {
-    match url {
-        LinkUrl::UdpIn(a) | LinkUrl::UdpOut(a) | LinkUrl::TcpIn(a) | LinkUrl::TcpOut(a) => {
-            a.ip().to_canonical().is_loopback()
-        }
-        LinkUrl::Serial { .. } => false,
-    }
 }
 
 enum Transport {
@@ -80,6 +80,9 @@ pub struct VehicleLinks {
     links: Vec<VehicleLink>,
     gate: Gate,
     now_ns: Nanos,
+    /// Keys that the gate had refused when it was last told, and when it may be told again.
+    keys_refused: u64,
+    key_refused_next_ns: Nanos,
     received: Box<Datagrams>,
     admitted: Box<Datagrams>,
     to_send: Box<Datagrams>,
@@ -96,12 +99,18 @@ impl VehicleLinks {
                 count: config.extra.len(),
             });
         }
+        let has_foreign_option = |link: &&LinkSpec| link.system.is_some() || link.values_hz.is_some();
+        if let Some(link) = config.extra.iter().find(has_foreign_option) {
+            let url = link.url.clone();
+            return Err(LinksError::NotHere { url });
+        }
         let allow_unsigned = config.allow_unsigned;
         let gate = match &config.signing_key {
             // Not the name that a guidance computer with the same key has.
             Some(path) => Gate::with_key_file(path, &format!("vehicle{}", config.instance), allow_unsigned)?,
             None => Gate::new(None, allow_unsigned),
-        };
+        }
+        .accepting_first_key(config.accept_first_key);
         let mut links: Vec<VehicleLink> = onboard_api_gcs(config.instance)?
             .into_iter()
             .map(|(id, udp)| VehicleLink {
@@ -114,7 +123,7 @@ impl VehicleLinks {
             .collect();
         for extra in &config.extra {
             let policy = extra.allow_unsigned.unwrap_or(allow_unsigned);
-            let is_local = is_loopback(&extra.url);
+            let is_local = extra.url.is_on_this_machine();
             let transport = match extra.url {
                 LinkUrl::UdpIn(local) => {
                     Transport::Udp(UdpPeers::listening(local).map_err(|e| LinkError::of(&extra.url, e))?)
@@ -123,7 +132,7 @@ impl VehicleLinks {
                     Transport::Udp(UdpPeers::calling(peer).map_err(|e| LinkError::of(&extra.url, e))?)
                 }
                 _ => {
-                    let link = Box::new(LiveLink::open(&extra.url, Gate::open())?);
+                    let link = Box::new(LiveLink::open(&extra.url, PeerRule::Anyone, Gate::open())?);
                     Transport::Single { link, is_local }
                 }
             };
@@ -148,6 +157,8 @@ impl VehicleLinks {
             links,
             gate,
             now_ns: 0,
+            keys_refused: 0,
+            key_refused_next_ns: 0,
             received: Box::default(),
             admitted: Box::default(),
             to_send: Box::default(),
@@ -164,31 +175,51 @@ impl VehicleLinks {
         self.links.iter().map(|l| l.over_budget).sum()
     }
 
-    /// Signs and verifies with a key that SETUP_SIGNING brought.
+    /// Signs and verifies with a key that SETUP_SIGNING brought past the gate.
     pub fn set_key(&mut self, setup: &SigningSetup) {
         self.gate.set_key(SigningKey(setup.key), setup.initial_timestamp);
     }
 
-    /// Hands over every datagram that has come and may pass, without waiting.
-    pub fn receive(&mut self, now_ns: Nanos, mut on_datagram: impl FnMut(LinkId, &[u8])) {
+    /// What to tell everybody of keys that were refused since the last call, at most every ten seconds.
+    pub fn refused_key(&mut self) -> Option<&'static str> {
+        let refused = self.gate.counters().unsigned_key;
+        let is_news = refused > self.keys_refused && self.now_ns >= self.key_refused_next_ns;
+        is_news.then(|| {
+            self.keys_refused = refused;
+            self.key_refused_next_ns = self.now_ns + KEY_REFUSED_NS;
+            match self.gate.has_key() {
+                true => "signing key refused: not signed with present one",
+                false => "signing key refused: see --accept-first-key",
+            }
+        })
+    }
+
+    /// Hands over every datagram that has come and may pass, without waiting: the link, a number for the end of it that
+    /// sent it, the datagram.
+    pub fn receive(&mut self, now_ns: Nanos, mut on_datagram: impl FnMut(LinkId, u64, &[u8])) {
         self.now_ns = now_ns;
         self.gate.begin(now_ns);
         for link in &mut self.links {
             let (gate, admitted, policy) = (&mut self.gate, &mut self.admitted, link.allow_unsigned);
             match &mut link.transport {
-                Transport::Udp(udp) => udp.receive(now_ns, |is_local, datagram| {
+                Transport::Udp(udp) => udp.receive(now_ns, |sender, datagram| {
                     admitted.clear();
-                    let passes = gate.admit_by(policy, is_local, 0, datagram, admitted);
-                    admitted.iter().for_each(|(_, datagram)| on_datagram(link.id, datagram));
+                    let passes = gate.admit_by(policy, sender.is_local, 0, datagram, admitted);
+                    admitted
+                        .iter()
+                        .for_each(|(_, datagram)| on_datagram(link.id, sender.number, datagram));
                     passes
                 }),
                 Transport::Single { link: single, is_local } => {
                     self.received.clear();
                     single.receive(now_ns, &mut self.received);
+                    let connection = single.statistics().connections;
                     for (_, datagram) in self.received.iter() {
                         admitted.clear();
                         gate.admit_by(policy, *is_local, 0, datagram, admitted);
-                        admitted.iter().for_each(|(_, datagram)| on_datagram(link.id, datagram));
+                        admitted
+                            .iter()
+                            .for_each(|(_, datagram)| on_datagram(link.id, connection, datagram));
                     }
                 }
             }
@@ -227,8 +258,8 @@ mod tests {
     use std::os::unix::fs::PermissionsExt;
     use std::time::Duration;
     use vigil_autopilot::{Endpoint, EndpointConfig};
-    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA};
-    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA, SETUP_SIGNING_DATA};
+    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
     use vigil_mavlink::mavlink::MavHeader;
     use vigil_mavlink::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
 
@@ -271,7 +302,7 @@ mod tests {
         let mut got = Vec::new();
         for _ in 0..20 {
             std::thread::sleep(Duration::from_millis(2));
-            links.receive(now_ns, |link, datagram| got.push((link, datagram.to_vec())));
+            links.receive(now_ns, |link, _, datagram| got.push((link, datagram.to_vec())));
         }
         got
     }
@@ -294,11 +325,11 @@ mod tests {
         let config = LinksConfig {
             instance: 95,
             signing_key: Some(key_file),
-            allow_unsigned: AllowUnsigned::Loopback,
             extra: vec![
                 format!("udpin://127.0.0.1:{strict},unsigned=never").parse().unwrap(),
                 format!("tcpin://127.0.0.1:{tcp}").parse().unwrap(),
             ],
+            ..LinksConfig::default()
         };
         let mut links = VehicleLinks::open(&config).unwrap();
         let (api, on_strict) = (14580 + 95, LinkId(3));
@@ -364,7 +395,7 @@ mod tests {
             instance: 91,
             signing_key: Some(key_file),
             allow_unsigned: AllowUnsigned::Never,
-            extra: Vec::new(),
+            ..LinksConfig::default()
         };
         let mut links = VehicleLinks::open(&config).unwrap();
         let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
@@ -408,7 +439,7 @@ mod tests {
             let mut height_m = vehicle.saved().parameters.get("MIS_TAKEOFF_ALT").copied();
             for (count, command) in obeyed.iter_mut().zip(&commands) {
                 station.send_to(command, (Ipv4Addr::LOCALHOST, 14580 + 91)).unwrap();
-                links.receive(SECOND, |link, datagram| vehicle.receive(SECOND, link, datagram));
+                links.receive(SECOND, |link, _, datagram| vehicle.receive(SECOND, link, datagram));
                 let now_m = vehicle.saved().parameters.get("MIS_TAKEOFF_ALT").copied();
                 *count += usize::from(now_m != height_m);
                 height_m = now_m;
@@ -480,7 +511,7 @@ mod tests {
             instance: 94,
             signing_key: Some(key_file),
             allow_unsigned: AllowUnsigned::Never,
-            extra: Vec::new(),
+            ..LinksConfig::default()
         };
         let setup = SigningSetup {
             key: [8; 32],
@@ -503,6 +534,128 @@ mod tests {
         }
     }
 
+    fn setup(key: [u8; 32]) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: 255,
+            component_id: 190,
+            sequence: 0,
+        };
+        let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+            target_system: 1,
+            target_component: 1,
+            secret_key: key,
+            ..SETUP_SIGNING_DATA::DEFAULT
+        });
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &message, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    fn signed_as(key: [u8; 32], packet: &[u8]) -> Vec<u8> {
+        let mut out = [0; MAX_PACKET_LEN + 13];
+        let mut signing = Signing::new(SigningKey(key), 0, SigningMemory::default());
+        let len = signing.sign(now(), packet, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    /// A hundred thousand packets with right checksums and random content, each tenth a SETUP_SIGNING for the vehicle, on a
+    /// link that takes what is not signed.
+    #[test]
+    fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
+        for has_key in [true, false] {
+            let folder = tempfile::tempdir().unwrap();
+            let key_file = folder.path().join("vigil.key");
+            std::fs::write(&key_file, KEY.0).unwrap();
+            std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+            let config = LinksConfig {
+                instance: 89,
+                signing_key: has_key.then(|| key_file.clone()),
+                ..LinksConfig::default()
+            };
+            let mut links = VehicleLinks::open(&config).unwrap();
+            let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
+            let station = station();
+            let mut setups = 0;
+            let mut say = |links: &mut VehicleLinks, bytes: &[u8], at_ns: Nanos| {
+                station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 89)).unwrap();
+                links.receive(at_ns, |link, peer, datagram| {
+                    vehicle.receive_from(at_ns, link, peer, datagram);
+                });
+                vehicle.transmit(|_, _| {});
+                let setup = vehicle.take_signing_setup();
+                setups += u32::from(setup.is_some());
+                setup.iter().for_each(|setup| links.set_key(setup));
+            };
+            let mut state = 0x9E37_79B9_7F4A_7C15_u64;
+            let mut random = || {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                (state >> 33) as u8
+            };
+            for i in 0..100_000_u64 {
+                let key: [u8; 32] = std::array::from_fn(|_| random());
+                let mut bytes = setup(key);
+                if i % 10 > 0 {
+                    let header = MavHeader {
+                        system_id: random().into(),
+                        component_id: random(),
+                        sequence: 0,
+                    };
+                    let mut out = [0; MAX_PACKET_LEN];
+                    let id = u32::from(random()) + u32::from(random());
+                    let len = usize::from(random());
+                    let payload: Vec<u8> = (0..len).map(|_| random()).collect();
+                    let Ok(len) = serialize_payload(header, id, &payload, &mut out) else {
+                        continue;
+                    };
+                    bytes = out[..len].to_vec();
+                }
+                let is_signed = random() % 4 == 0;
+                if is_signed {
+                    bytes = signed_as(key, &bytes);
+                }
+                say(&mut links, &bytes, SECOND + i * 1_000_000);
+            }
+            let told = links.refused_key().unwrap();
+            assert!(told.starts_with("signing key refused"), "{told}");
+            assert_eq!(links.refused_key(), None, "once");
+            say(&mut links, &setup([0; 32]), 200 * SECOND);
+            say(&mut links, &signed_as(KEY.0, &setup([0; 32])), 200 * SECOND);
+            say(&mut links, &signed_as(KEY.0, &setup([9; 32])), 200 * SECOND);
+            let counters = links.signing();
+            drop(links);
+            assert_eq!(
+                setups,
+                u32::from(has_key),
+                "the one that is signed with the present key"
+            );
+            assert!(counters.unsigned_key > 5000, "{counters:?}");
+            let kept = std::fs::read(&key_file).unwrap();
+            match has_key {
+                true => assert_eq!(kept, "09".repeat(32).into_bytes()),
+                false => assert_eq!(kept, KEY.0),
+            }
+        }
+    }
+
+    #[test]
+    fn a_first_key_is_taken_where_that_was_asked_for() {
+        let config = LinksConfig {
+            instance: 88,
+            accept_first_key: true,
+            ..LinksConfig::default()
+        };
+        let mut links = VehicleLinks::open(&config).unwrap();
+        let station = station();
+        for (key, passes) in [([5; 32], 1), ([6; 32], 0)] {
+            station.send_to(&setup(key), (Ipv4Addr::LOCALHOST, 14580 + 88)).unwrap();
+            assert_eq!(passing(&mut links, SECOND).len(), passes);
+            links.set_key(&SigningSetup {
+                key,
+                initial_timestamp: 0,
+            });
+        }
+    }
+
     #[test]
     fn a_link_sends_no_faster_than_its_rate() {
         let port = free_port();
@@ -514,7 +667,7 @@ mod tests {
         let mut links = VehicleLinks::open(&config).unwrap();
         let sent = packet(0);
         for millisecond in 0..10_000 {
-            links.receive(millisecond * 1_000_000, |_, _| {});
+            links.receive(millisecond * 1_000_000, |_, _, _| {});
             links.send(LinkId(3), &sent);
         }
         let passed = (10_000 - links.over_budget()) * sent.len() as u64;
@@ -536,6 +689,7 @@ mod tests {
         };
         assert!(open("udpout://10.1.2.3:14550").contains("--signing-key"));
         assert!(open("tcpin://0.0.0.0:5799").contains("nobody would be heard"));
+        assert!(open("udpout://127.0.0.1:14999,system=3").contains("leave them out"));
         assert_eq!(open("udpout://127.0.0.1:14999"), "");
     }
 }

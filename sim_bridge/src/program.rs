@@ -71,10 +71,14 @@ pub struct SimArgs {
     #[arg(long, value_name = "URL[,OPTION]")]
     pub link: Vec<LinkSpec>,
 
-    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed
-    /// until SETUP_SIGNING brings a key.
+    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
     #[arg(long, value_name = "FILE")]
     pub signing_key: Option<PathBuf>,
+
+    /// While there is no signing key, take one by SETUP_SIGNING from whoever may speak without a signature. Without this,
+    /// and once there is a key, only a packet signed with it brings another.
+    #[arg(long)]
+    pub accept_first_key: bool,
 
     /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
     #[arg(long, value_name = "WHO", value_enum, default_value_t)]
@@ -147,6 +151,7 @@ impl SimArgs {
         LinksConfig {
             instance: self.instance,
             signing_key: self.signing_key.clone(),
+            accept_first_key: self.accept_first_key,
             allow_unsigned: self.allow_unsigned,
             extra: self.link.clone(),
         }
@@ -238,12 +243,15 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
 
     while !stop.load(Ordering::Relaxed) {
         sleep_until(epoch_ns + elapsed_ms * 1_000_000);
-        links.receive(simulator.now_ns(), |link, datagram| {
+        links.receive(simulator.now_ns(), |link, peer, datagram| {
             if link == LinkId::ONBOARD {
                 companion.observe(datagram);
             }
-            simulator.receive(link.0, datagram);
+            simulator.receive_from(link.0, peer, datagram);
         });
+        if let Some(text) = links.refused_key() {
+            simulator.warn(text);
+        }
         if let Some(setup) = simulator.take_signing_setup() {
             links.set_key(&setup);
         }
@@ -283,10 +291,24 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
     if args.status {
         print_status(&status(&simulator, &companion, elapsed_ms))?;
     }
+    tell_refused(&simulator, &links);
     Ok(ExitCode::from(
         args.end_after
             .map_or(0, |_| ending_code(simulator.ending().map(|e| e.outcome))),
     ))
+}
+
+/// What the vehicle and its links refused, if anything.
+fn tell_refused(simulator: &Simulator, links: &VehicleLinks) {
+    let endpoint = simulator.status();
+    let refused = endpoint.refusals.named().into_iter().chain(links.signing().refusals());
+    let listed: Vec<String> = refused
+        .filter(|(_, count)| *count > 0)
+        .map(|(what, count)| format!("{count} {what}"))
+        .collect();
+    if !listed.is_empty() {
+        tracing::info!("refused: {}", listed.join(", "));
+    }
 }
 
 fn status(simulator: &Simulator, companion: &CompanionView, elapsed_ms: u64) -> Status {

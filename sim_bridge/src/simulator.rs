@@ -85,7 +85,17 @@ impl Simulator {
 
     /// Hands a datagram to the vehicle's MAVLink endpoint.
     pub fn receive(&mut self, link: u8, datagram: &[u8]) {
-        self.endpoint.receive(self.now_ns(), LinkId(link), datagram);
+        self.receive_from(link, 0, datagram);
+    }
+
+    /// The same on a link with several ends: `peer` is another number for another end.
+    pub fn receive_from(&mut self, link: u8, peer: u64, datagram: &[u8]) {
+        self.endpoint.receive_from(self.now_ns(), LinkId(link), peer, datagram);
+    }
+
+    /// Tells everybody on the vehicle's links something of them.
+    pub fn warn(&mut self, text: &str) {
+        self.endpoint.warn(text);
     }
 
     /// The vehicle's parameters and plans, for a later run.

@@ -103,7 +103,9 @@ def main(folder):
     key = os.path.join(folder, "vigil.key")
     with open(os.open(key, os.O_WRONLY | os.O_CREAT, 0o600), "w") as f:
         f.write(KEY.hex())
-    command = [FIRMWARE, "--instance", str(INSTANCE), "--signing-key", key, "--allow-unsigned", "never", "--priority", "0"]
+    link = f"udpin://127.0.0.1:{14030 + INSTANCE}"
+    command = [FIRMWARE, "--instance", str(INSTANCE), "--link", link, "--signing-key", key]
+    command += ["--allow-unsigned", "never", "--priority", "0"]
 
     def start():
         firmware = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -126,6 +128,8 @@ def main(folder):
                 yield right[-1]
 
         answered = {
+            # Who signs for the autopilot is the vehicle; what others send is not looked into.
+            "introduction": station.answers([station.command(KEY)]),
             "unsigned": station.answers(station.command(None) for _ in range(COUNT)),
             "wrong key": station.answers(station.command(bytes(32)) for _ in range(COUNT)),
             "from the future": station.answers(station.command(KEY, ahead_s=120.0) for _ in range(COUNT)),
@@ -143,7 +147,7 @@ def main(folder):
     finally:
         said_last = end(firmware, signal.SIGINT)
     print(answered, said, said_last, sep="\n")
-    expected = {name: 0 for name in answered} | {"right": COUNT, "right after a kill": 100}
+    expected = {name: 0 for name in answered} | {"introduction": 1, "right": COUNT, "right after a kill": 100}
     assert answered == expected
     for reason in ["unsigned", "wrong signature", "from the future", "replayed"]:
         assert f"{COUNT} {reason}" in said

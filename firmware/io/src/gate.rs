@@ -12,7 +12,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets};
 use vigil_mavlink::signing::{
     Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp, UNITS_PER_SECOND,
-    timestamp_of_unix_ns,
+    carries_key, timestamp_of_unix_ns,
 };
 use vigil_types::{Datagrams, Nanos};
 
@@ -53,10 +53,10 @@ impl AllowUnsigned {
 pub struct Gate {
     signing: Option<Signing>,
     keeper: Option<Keeper>,
-    /// The key's file was made by a program and may be removed by one.
-    owns_key_file: bool,
-    /// What replay protection knew when there was no key, or there was one last.
+    /// What replay protection knew when there was a key last.
     past: SigningMemory,
+    /// While there is no key, SETUP_SIGNING may bring one.
+    accepts_first_key: bool,
     allow_unsigned: AllowUnsigned,
     clock: fn() -> Timestamp,
     now: Timestamp,
@@ -71,16 +71,17 @@ pub struct Gate {
 impl Gate {
     /// Everything passes, nothing is signed.
     pub fn open() -> Self {
-        Self::new(None, AllowUnsigned::Always)
+        Self::new(None, AllowUnsigned::Always).accepting_first_key(true)
     }
 
     /// A gate without a file: with `signing` packets are verified and signed. What replay protection knows is lost with it.
+    /// Without a key it takes none either, see [`Gate::accepting_first_key`].
     pub fn new(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Self {
         Self {
             signing,
             keeper: None,
-            owns_key_file: false,
             past: SigningMemory::default(),
+            accepts_first_key: false,
             allow_unsigned,
             clock: wall_clock,
             now: 0,
@@ -120,9 +121,15 @@ impl Gate {
         let signing = key.map(|key| Signing::new(key, 0, memory.clone()));
         let mut gate = Self::new(signing, allow_unsigned);
         gate.keeper = Some(keeper);
-        gate.owns_key_file = true;
         gate.past = memory;
         Ok(gate)
+    }
+
+    /// Whether a SETUP_SIGNING passes while there is no key, from whoever may speak without a signature. With a key only one
+    /// that is signed with it does.
+    pub fn accepting_first_key(mut self, accepts: bool) -> Self {
+        self.accepts_first_key = accepts;
+        self
     }
 
     /// Takes the signatures' time from `clock` instead of the machine's: for tests.
@@ -164,10 +171,13 @@ impl Gate {
         }
     }
 
-    /// From now on signs and verifies with `key`, as SETUP_SIGNING asks. Timestamps go on from `newest` (of the message)
-    /// or what they were, whichever is later, but never from more than a minute ahead. A key that came from a file is
-    /// replaced there too.
-    pub fn set_key(&mut self, key: SigningKey, newest: Timestamp) {
+    /// From now on signs and verifies with `key`, as a SETUP_SIGNING asks that passed the gate. Timestamps go on from
+    /// `newest` (of the message) or what they were, whichever is later, but never from more than a minute ahead. A key that
+    /// came from a file is replaced there too. A key of zeros changes nothing: the answer is `false`.
+    pub fn set_key(&mut self, key: SigningKey, newest: Timestamp) -> bool {
+        if key.is_zero() {
+            return false;
+        }
         // The streams' times stay: the same key again must not make good what was accepted before.
         let mut memory = self.signing.as_ref().map_or(&self.past, Signing::memory).clone();
         memory.newest = memory.newest.max(newest.min((self.clock)() + MAX_AHEAD));
@@ -178,20 +188,6 @@ impl Gate {
             Some(signing) => signing.rekeyed(key, memory),
             None => Signing::new(key, 0, memory),
         });
-    }
-
-    /// From now on neither signs nor verifies, as SETUP_SIGNING with a key of zeros asks. A key that came by
-    /// SETUP_SIGNING is removed from its file; one from the user's own file is in force again at the next start, and then
-    /// the answer is `false`.
-    pub fn remove_key(&mut self) -> bool {
-        if let Some(signing) = self.signing.take() {
-            self.past = signing.memory().clone();
-            self.counters = *signing.counters();
-        }
-        match &mut self.keeper {
-            Some(keeper) if self.owns_key_file => keeper.remove_key(self.past.clone()),
-            other => return other.is_none(),
-        }
         true
     }
 
@@ -212,8 +208,8 @@ impl Gate {
         received: &mut Datagrams,
     ) -> bool {
         let allow_unsigned = allow_unsigned.covers(is_local);
-        if allow_unsigned && self.signing.is_none() {
-            // Everything passes as it is: nobody needs to look into it.
+        if allow_unsigned && self.signing.is_none() && (self.accepts_first_key || !holds_key(datagram)) {
+            // It passes as it is, damage included.
             return received.push(link, datagram);
         }
         let mut len = 0;
@@ -221,13 +217,17 @@ impl Gate {
             let verdict = match &mut self.signing {
                 Some(signing) => signing.verify(self.now, &packet, allow_unsigned),
                 None => {
-                    // Without a key no signature can be right.
-                    let refusal = match packet.is_signed() {
-                        true => Refusal::WrongSignature,
-                        false => Refusal::Unsigned,
+                    let verdict = match packet.is_signed() {
+                        _ if carries_key(&packet) && !(allow_unsigned && self.accepts_first_key) => {
+                            Err(Refusal::UnsignedKey)
+                        }
+                        _ if allow_unsigned => Ok(()),
+                        // Without a key no signature can be right.
+                        true => Err(Refusal::WrongSignature),
+                        false => Err(Refusal::Unsigned),
                     };
-                    self.counters.count(packet.is_signed(), Err(refusal));
-                    Err(refusal)
+                    self.counters.count(packet.is_signed(), verdict);
+                    verdict
                 }
             };
             // The packets of a datagram are together no longer than it.
@@ -266,6 +266,12 @@ impl Drop for Gate {
     }
 }
 
+/// Whether a datagram brings a signing key.
+fn holds_key(datagram: &[u8]) -> bool {
+    let mut counters = FramingCounters::default();
+    packets(datagram, &mut counters).any(|packet| carries_key(&packet))
+}
+
 fn wall_clock() -> Timestamp {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     // Nanoseconds since 1970 fit until the year 2554.
@@ -276,7 +282,7 @@ fn wall_clock() -> Timestamp {
 mod tests {
     use super::*;
     use vigil_mavlink::MavHeader;
-    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, SETUP_SIGNING_DATA};
     use vigil_mavlink::framing::serialize;
 
     const NOW: Timestamp = 40_000_000_000_000;
@@ -372,19 +378,57 @@ mod tests {
         assert_eq!(u64::from_le_bytes(timestamp), NOW + MAX_AHEAD + 1);
     }
 
+    fn setup(key: [u8; 32]) -> Vec<u8> {
+        let header = MavHeader {
+            system_id: 255,
+            component_id: 190,
+            sequence: 0,
+        };
+        let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+            target_system: 1,
+            target_component: 191,
+            secret_key: key,
+            ..SETUP_SIGNING_DATA::DEFAULT
+        });
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &message, &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
     #[test]
-    fn without_a_key_anymore_nothing_is_signed_and_what_was_counted_stays() {
+    fn another_key_passes_only_when_signed_with_the_present_one_and_a_first_one_only_when_asked_for() {
+        for policy in [AllowUnsigned::Loopback, AllowUnsigned::Always] {
+            let mut with_key = gate(Some(signing()), policy);
+            let datagram = [heartbeat(1), setup([9; 32]), heartbeat(2)].concat();
+            assert_eq!(
+                admitted(&mut with_key, true, &datagram),
+                [[heartbeat(1), heartbeat(2)].concat()]
+            );
+            assert_eq!(with_key.counters().unsigned_key, 1);
+            let right = gate(Some(signing()), policy).seal(&setup([9; 32])).to_vec();
+            assert_eq!(admitted(&mut with_key, true, &right), [right.clone()]);
+
+            let mut without = gate(None, policy);
+            assert_eq!(
+                admitted(&mut without, true, &datagram),
+                [[heartbeat(1), heartbeat(2)].concat()]
+            );
+            assert_eq!(without.counters().unsigned_key, 1);
+            let mut waiting = gate(None, policy).accepting_first_key(true);
+            assert_eq!(admitted(&mut waiting, true, &setup([9; 32])), [setup([9; 32])]);
+            assert!(waiting.set_key(SigningKey([9; 32]), 0));
+            assert!(
+                admitted(&mut waiting, true, &setup([8; 32])).is_empty(),
+                "now there is one"
+            );
+        }
+    }
+
+    #[test]
+    fn a_key_of_zeros_is_none() {
         let mut gate = gate(Some(signing()), AllowUnsigned::Loopback);
-        let taken = signed(0);
-        assert_eq!(admitted(&mut gate, true, &taken).len(), 1);
-        assert!(gate.remove_key());
-        assert_eq!(gate.seal(&heartbeat(3)), heartbeat(3));
-        assert_eq!((gate.has_key(), gate.counters().signed), (false, 1));
-        gate.set_key(SigningKey([7; 32]), 0);
-        assert!(
-            admitted(&mut gate, false, &taken).is_empty(),
-            "of before, with the same key again"
-        );
+        assert!(!gate.set_key(SigningKey([0; 32]), 0));
+        assert_eq!(admitted(&mut gate, false, &signed(0)).len(), 1, "the present one stays");
     }
 
     #[test]

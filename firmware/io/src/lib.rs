@@ -10,6 +10,7 @@ pub mod links;
 pub mod router;
 pub mod shared_memory;
 pub mod state;
+mod value_rate;
 
 use vigil_types::{Datagrams, Nanos};
 

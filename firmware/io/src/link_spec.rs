@@ -10,7 +10,17 @@ const BITS_PER_BYTE: f64 = 10.0;
 /// A link that was quiet may send this much at once: a burst of a file transfer's.
 const BURST_S: f64 = 0.25;
 
-/// A link among several: `URL[,unsigned=loopback|never|always][,rate=BYTES_PER_SECOND]`.
+/// How often a link that leaves this machine gets the guidance computer's values unless it is told: often enough to watch,
+/// a twelfth of a 57 600 baud radio.
+const VALUES_HZ: f32 = 1.0;
+/// The guidance computer tells them four times a second.
+const MAX_VALUES_HZ: f32 = 4.0;
+/// Share of a link's rate that values take at most unless it is told, and the bytes of all of them once.
+const VALUES_SHARE: f32 = 0.1;
+const VALUES_BYTES: f32 = 650.0;
+
+/// A link among several: `URL[,OPTION…]` with the options `unsigned=loopback|never|always`, `rate=BYTES_PER_SECOND`,
+/// `values=PER_SECOND` and `system=ID`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LinkSpec {
     /// Where.
@@ -19,6 +29,10 @@ pub struct LinkSpec {
     pub allow_unsigned: Option<AllowUnsigned>,
     /// Most bytes that are sent in a second; a serial line's own speed if absent.
     pub rate_bytes_s: Option<u32>,
+    /// How often the guidance computer's values are sent in a second, 0 to 4; 0 tells of changes of state only.
+    pub values_hz: Option<f32>,
+    /// The system of the vehicle on the link: nobody else may become its peer.
+    pub system: Option<u8>,
 }
 
 /// A link that is not understood.
@@ -29,7 +43,8 @@ pub enum LinkSpecError {
     Url(#[from] LinkUrlError),
     /// What follows the URL.
     #[error(
-        "link option `{0}`: use unsigned=loopback, unsigned=never, unsigned=always or rate=BYTES_PER_SECOND (1000 or more)"
+        "link option `{0}`: use unsigned=loopback, unsigned=never, unsigned=always, rate=BYTES_PER_SECOND (1000 or more), \
+         values=PER_SECOND (0 to 4) or system=ID (of the vehicle, 1 to 255)"
     )]
     Option(String),
 }
@@ -43,6 +58,22 @@ impl LinkSpec {
         };
         self.rate_bytes_s.map(f64::from).or(line)
     }
+
+    /// How often the guidance computer's values are sent in a second; `None` if as often as they are told. Fewer where the
+    /// link leaves this machine, or is slow: it may be a radio, or lead to one.
+    pub fn values_per_s(&self) -> Option<f32> {
+        if self.values_hz.is_some() {
+            return self.values_hz;
+        }
+        let affordable = self.bytes_per_s().map(|rate| rate as f32 * VALUES_SHARE / VALUES_BYTES);
+        let wanted = if self.url.is_on_this_machine() {
+            MAX_VALUES_HZ
+        } else {
+            VALUES_HZ
+        };
+        let per_s = affordable.map_or(wanted, |affordable| affordable.min(wanted));
+        (per_s < MAX_VALUES_HZ).then_some(per_s)
+    }
 }
 
 impl From<LinkUrl> for LinkSpec {
@@ -51,6 +82,8 @@ impl From<LinkUrl> for LinkSpec {
             url,
             allow_unsigned: None,
             rate_bytes_s: None,
+            values_hz: None,
+            system: None,
         }
     }
 }
@@ -71,6 +104,14 @@ impl FromStr for LinkSpec {
                     let rate = rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?;
                     link.rate_bytes_s = Some(rate);
                 }
+                Some(("values", per_s)) => {
+                    let per_s = per_s.parse().ok().filter(|v| (0.0..=MAX_VALUES_HZ).contains(v));
+                    link.values_hz = Some(per_s.ok_or_else(bad)?);
+                }
+                Some(("system", id)) => {
+                    let id = id.parse().ok().filter(|id| *id > 0).ok_or_else(bad)?;
+                    link.system = Some(id);
+                }
                 _ => return Err(bad()),
             }
         }
@@ -87,7 +128,9 @@ impl std::fmt::Display for LinkSpec {
             Some(AllowUnsigned::Never) => f.write_str(",unsigned=never")?,
             Some(AllowUnsigned::Always) => f.write_str(",unsigned=always")?,
         }
-        self.rate_bytes_s.map_or(Ok(()), |rate| write!(f, ",rate={rate}"))
+        self.rate_bytes_s.map_or(Ok(()), |rate| write!(f, ",rate={rate}"))?;
+        self.values_hz.map_or(Ok(()), |per_s| write!(f, ",values={per_s}"))?;
+        self.system.map_or(Ok(()), |id| write!(f, ",system={id}"))
     }
 }
 
@@ -153,6 +196,7 @@ mod tests {
             "tcpin://0.0.0.0:5760,unsigned=always",
             "udpout://10.0.0.2:14550,unsigned=loopback",
             "serial:///dev/ttyUSB0:57600",
+            "serial:///dev/ttyUSB0:57600,rate=4000,values=0.5,system=3",
         ] {
             assert_eq!(text.parse::<LinkSpec>().unwrap().to_string(), text);
         }
@@ -160,12 +204,48 @@ mod tests {
             "udpin://127.0.0.1:7000,unsigned=maybe",
             "tcpin://127.0.0.1:1,rate=5",
             "tcpin://127.0.0.1:1,x",
+            "tcpin://127.0.0.1:1,values=5",
+            "tcpin://127.0.0.1:1,values=NaN",
+            "tcpin://127.0.0.1:1,system=0",
+            "tcpin://127.0.0.1:1,system=256",
         ] {
             let error = bad.parse::<LinkSpec>().unwrap_err().to_string();
             assert!(error.contains("rate=BYTES_PER_SECOND"), "{error}");
         }
         let error = "ftp://x".parse::<LinkSpec>().unwrap_err().to_string();
         assert!(error.contains("udpout://"), "{error}");
+    }
+
+    #[test]
+    fn values_are_rare_where_the_link_leaves_this_machine_or_is_slow() {
+        let per_s = |text: &str| text.parse::<LinkSpec>().unwrap().values_per_s();
+        for here in [
+            "udpout://127.0.0.1:1",
+            "tcpin://[::1]:1",
+            "udpin://127.0.0.1:1,rate=100000",
+        ] {
+            assert_eq!(per_s(here), None, "{here}");
+        }
+        for away in [
+            "udpin://0.0.0.0:1",
+            "udpout://10.0.0.2:14550",
+            "tcpout://10.0.0.2:1",
+            "serial:///dev/ttyACM0:921600",
+        ] {
+            assert_eq!(per_s(away), Some(1.0), "{away}");
+        }
+        for (slow, wanted) in [
+            ("serial:///dev/ttyUSB0:57600", 0.886),
+            ("serial:///dev/ttyUSB0:9600", 0.148),
+            ("udpout://127.0.0.1:1,rate=6500", 1.0),
+            ("serial:///dev/ttyUSB0:9600,values=2", 2.0),
+        ] {
+            assert!(
+                (per_s(slow).unwrap() - wanted).abs() < 0.01,
+                "{slow}: {:?}",
+                per_s(slow)
+            );
+        }
     }
 
     #[test]

@@ -34,6 +34,16 @@ pub struct LinkUrlError {
     reason: String,
 }
 
+impl LinkUrl {
+    /// Whether only this machine can be at the other end: a loopback address.
+    pub fn is_on_this_machine(&self) -> bool {
+        match self {
+            Self::UdpIn(a) | Self::UdpOut(a) | Self::TcpIn(a) | Self::TcpOut(a) => a.ip().to_canonical().is_loopback(),
+            Self::Serial { .. } => false,
+        }
+    }
+}
+
 impl FromStr for LinkUrl {
     type Err = LinkUrlError;
 

@@ -6,19 +6,21 @@
 //! - Nobody on a ground link is taken for the vehicle's autopilot, and nobody at all for the guidance computer.
 //! - No link can use up what another needs: each is read into room of its own, packets are passed on in turn, the guidance
 //!   computer's own packets go first, and the flight stack gets a few packets of each ground link per step.
-//! - A signing key is passed on to nobody. One for the guidance computer is put into force here, before the flight stack
-//!   and its log could see it.
+//! - A signing key is passed on to nobody. One for the guidance computer that passed the gate is put into force here, before
+//!   the flight stack and its log could see it.
 
 use crate::Link;
 use crate::gate::Gate;
 use crate::link_spec::{Budget, LinkSpec};
 use crate::link_url::LinkUrl;
-use crate::links::{Door, LinkError, LinkStatistics, SerialWire, TcpWire, UdpPeers, UdpWire, Wire, somebody_is_heard};
-use vigil_mavlink::common::{MavSeverity, SETUP_SIGNING_DATA, STATUSTEXT_DATA};
+use crate::links::{
+    Door, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire, Wire, somebody_is_heard,
+};
+use crate::value_rate::ValueRate;
+use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
-use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::routing::{ComponentId, LinkSet, MAX_LINKS, Routing};
-use vigil_mavlink::signing::{SIGNATURE_LEN, SigningKey, Timestamp};
+use vigil_mavlink::signing::{SIGNATURE_LEN, SigningKey, Timestamp, carries_key};
 use vigil_mavlink::{MavHeader, MavMessage};
 use vigil_types::{Datagrams, Nanos};
 
@@ -37,6 +39,8 @@ const GROUND_BYTES: usize = GROUND_COUNT * 280;
 const BURST_BYTES: f64 = 4096.0;
 /// The share of a burst that is kept for them.
 const OWN_SHARE: f64 = 0.25;
+/// Refused keys are told of this often at most: an attacker must not fill the links.
+const KEY_REFUSED_NS: Nanos = 10_000_000_000;
 
 /// What became of packets between links, since start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -61,13 +65,18 @@ enum AnyWire {
 }
 
 impl AnyWire {
-    fn open(url: &LinkUrl, is_vehicle: bool) -> Result<Self, LinkError> {
+    fn open(spec: &LinkSpec, is_vehicle: bool) -> Result<Self, LinkError> {
+        let url = &spec.url;
         let of = |source| LinkError::of(url, source);
+        let rule = match is_vehicle {
+            true => PeerRule::Vehicle { system: spec.system },
+            false => PeerRule::Anyone,
+        };
         match url {
-            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) if is_vehicle => UdpWire::open(url).map(Self::Udp),
+            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) if is_vehicle => UdpWire::open(url, rule).map(Self::Udp),
             LinkUrl::UdpIn(local) => UdpPeers::listening(*local).map(Self::Peers).map_err(of),
             LinkUrl::UdpOut(peer) => UdpPeers::calling(*peer).map(Self::Peers).map_err(of),
-            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpWire::open(url).map(Self::Tcp),
+            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpWire::open(url, rule).map(Self::Tcp),
             LinkUrl::Serial { .. } => SerialWire::open(url).map(Self::Serial),
         }
     }
@@ -105,6 +114,8 @@ struct Port {
     wire: AnyWire,
     spec: LinkSpec,
     budget: Option<Budget>,
+    /// How often values are told here.
+    values: ValueRate,
     /// Of the guidance computer's packets on this link.
     sequence: u8,
     /// The guidance computer's packets of this step.
@@ -120,8 +131,9 @@ impl Port {
         let policy = spec.allow_unsigned.unwrap_or(gate.allow_unsigned());
         somebody_is_heard(&spec.url, gate.has_key(), policy)?;
         Ok(Self {
-            wire: AnyWire::open(&spec.url, is_vehicle)?,
+            wire: AnyWire::open(spec, is_vehicle)?,
             budget: Budget::of(spec, BURST_BYTES),
+            values: ValueRate::new(spec.values_per_s()),
             spec: LinkSpec {
                 allow_unsigned: Some(policy),
                 ..spec.clone()
@@ -165,7 +177,7 @@ impl Switch {
         if packet.is_known() {
             self.routing.note(self.now_ns, id_of(packet), from);
         }
-        if is_secret(packet) {
+        if carries_key(packet) {
             self.set_up(packet);
             return;
         }
@@ -229,7 +241,7 @@ impl Switch {
         let links = if known.is_empty() { LinkSet::only(link) } else { known };
         let len = packet.len() + self.signature_len;
         for (number, port) in (0..).zip(&mut self.ports) {
-            if !links.contains(number) {
+            if !links.contains(number) || !port.values.passes(self.now_ns, &parsed) {
                 continue;
             }
             let allowed = match &mut port.budget {
@@ -261,11 +273,6 @@ fn id_of(packet: &Packet<'_>) -> ComponentId {
     }
 }
 
-/// Whether a packet holds a signing key, which is its receiver's business only.
-fn is_secret(packet: &Packet<'_>) -> bool {
-    packet.message_id() == SETUP_SIGNING_DATA::ID
-}
-
 /// The vehicle's link and those for ground stations, behind one port of the flight stack.
 pub struct RoutedLinks {
     switch: Switch,
@@ -273,6 +280,9 @@ pub struct RoutedLinks {
     inboxes: Vec<Datagrams>,
     /// What is to be told to everybody in this step.
     text: Option<&'static str>,
+    /// Keys that the gate had refused when it was last told, and when it may be told again.
+    keys_refused: u64,
+    key_refused_next_ns: Nanos,
 }
 
 impl RoutedLinks {
@@ -284,6 +294,9 @@ impl RoutedLinks {
     pub fn open(vehicle: &LinkSpec, ground: &[LinkSpec], gate: Gate) -> Result<Self, LinkError> {
         if ground.len() > MAX_GROUND_LINKS {
             return Err(LinkError::TooMany { count: ground.len() });
+        }
+        if let Some(spec) = ground.iter().find(|spec| spec.system.is_some()) {
+            return Err(LinkError::NotTheVehicles { url: spec.url.clone() });
         }
         let mut ports = vec![Port::open(vehicle, true, &gate)?];
         for spec in ground {
@@ -304,6 +317,8 @@ impl RoutedLinks {
                 setup: None,
             },
             text: None,
+            keys_refused: 0,
+            key_refused_next_ns: 0,
             gate,
         })
     }
@@ -328,22 +343,24 @@ impl RoutedLinks {
         self.switch.counters
     }
 
-    /// Does what SETUP_SIGNING asks, and tells what came of it. Whoever passes the gate may ask.
+    /// Does what a SETUP_SIGNING asks that passed the gate, and tells what came of it.
     fn set_up(&mut self, key: [u8; 32], timestamp: Timestamp) -> &'static str {
-        if key != [0; 32] {
-            self.gate.set_key(SigningKey(key), timestamp);
-            return "signing key accepted";
+        match self.gate.set_key(SigningKey(key), timestamp) {
+            true => "signing key accepted",
+            false => "signing key refused: all zeros",
         }
-        let heard_without = |port: &Port| {
-            let policy = port.spec.allow_unsigned.unwrap_or_default();
-            somebody_is_heard(&port.spec.url, false, policy).is_ok()
-        };
-        if !self.switch.ports.iter().all(heard_without) {
-            return "signing stays on: a link hears nobody without";
-        }
-        match self.gate.remove_key() {
-            true => "signing is off",
-            false => "signing is off until the next start",
+    }
+
+    /// Tells of keys that the gate refused, at most every [`KEY_REFUSED_NS`].
+    fn tell_of_refused_keys(&mut self, now_ns: Nanos) {
+        let refused = self.gate.counters().unsigned_key;
+        if refused > self.keys_refused && now_ns >= self.key_refused_next_ns {
+            self.keys_refused = refused;
+            self.key_refused_next_ns = now_ns + KEY_REFUSED_NS;
+            self.text = Some(match self.gate.has_key() {
+                true => "signing key refused: not signed with present one",
+                false => "signing key refused: see --accept-first-key",
+            });
         }
     }
 
@@ -393,6 +410,7 @@ impl Link for RoutedLinks {
             give_of_vehicle(switch, datagram, received);
         }
         route_in_turn(switch, inboxes, received);
+        self.tell_of_refused_keys(now_ns);
         if let Some((key, timestamp)) = self.switch.setup.take() {
             self.text = Some(self.set_up(key, timestamp));
         }
@@ -425,7 +443,7 @@ fn give_of_vehicle(switch: &mut Switch, datagram: &[u8], received: &mut Datagram
         }
     };
     let own = switch.own;
-    let may_pass = |packet: &Packet<'_>| id_of(packet) != own && !is_secret(packet);
+    let may_pass = |packet: &Packet<'_>| id_of(packet) != own && !carries_key(packet);
     let mut framing = FramingCounters::default();
     if packets(datagram, &mut framing).all(|packet| may_pass(&packet)) {
         give(datagram);

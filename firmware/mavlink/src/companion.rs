@@ -13,8 +13,7 @@ use crate::streams::Streams;
 use crate::time;
 use crate::vehicle::Vehicle;
 use heapless::{Deque, Vec};
-use mavlink::MessageData;
-use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage, MavState};
+use mavlink::dialects::common::{MavMessage, MavState};
 use vigil_types::{
     Alarm, Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, STEP_NS, StepReport,
     VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
@@ -22,8 +21,6 @@ use vigil_types::{
 
 /// The autopilot's component.
 const AUTOPILOT: u8 = 1;
-/// MAV_AUTOPILOT_INVALID: not a vehicle.
-const NO_AUTOPILOT: u8 = 8;
 const HEARTBEAT_NS: Nanos = 1_000_000_000;
 const VALUES_NS: Nanos = 250_000_000;
 /// Answers that one step can owe: more than several links ask for in a step.
@@ -275,17 +272,7 @@ impl Companion {
 
     /// The first autopilot whose heartbeat comes is the vehicle, unless its system is configured.
     fn learn_vehicle(&mut self, packet: &Packet<'_>) {
-        // A heartbeat's sixth byte is its MAV_AUTOPILOT.
-        let names_autopilot = packet
-            .payload()
-            .get(5)
-            .is_some_and(|autopilot| *autopilot != NO_AUTOPILOT);
-        if self.system_id.is_none()
-            && packet.message_id() == HEARTBEAT_DATA::ID
-            && packet.component_id() == AUTOPILOT
-            && packet.system_id() != 0
-            && names_autopilot
-        {
+        if self.system_id.is_none() && packet.is_autopilots_heartbeat() {
             self.system_id = Some(packet.system_id());
             self.sender.system_id = packet.system_id();
         }

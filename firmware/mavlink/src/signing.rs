@@ -6,8 +6,8 @@
 
 use crate::framing::Packet;
 use heapless::Vec;
-use mavlink::dialects::common::MavMessage;
-use mavlink::{MAV_STX_V2, Message, calculate_crc};
+use mavlink::dialects::common::{MavMessage, SETUP_SIGNING_DATA};
+use mavlink::{MAV_STX_V2, Message, MessageData, calculate_crc};
 use sha2::{Digest, Sha256};
 
 /// Units of a [`Timestamp`] in a second: one is 10 µs.
@@ -16,7 +16,7 @@ pub const UNITS_PER_SECOND: u64 = 100_000;
 pub const SIGNATURE_LEN: usize = 13;
 /// Streams remembered. Only who has the key can fill the table.
 pub const MAX_STREAMS: usize = 32;
-/// A stream that was not seen before may lag this far behind; nothing may be this far ahead.
+/// A stream that was not seen before may lag this far behind the clock; nothing may be this far ahead of it.
 const TOLERANCE: u64 = 60 * UNITS_PER_SECOND;
 /// 2015-01-01T00:00:00Z, the protocol's epoch, in seconds of Unix time.
 const EPOCH_UNIX_S: u64 = 1_420_070_400;
@@ -35,6 +35,13 @@ pub const fn timestamp_of_unix_ns(unix_ns: u64) -> Timestamp {
 /// The shared secret. It is not shown by `Debug`.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct SigningKey(pub [u8; 32]);
+
+impl SigningKey {
+    /// Whether it is all zeros, which the protocol takes for "no signing" and anybody would guess: never a key.
+    pub fn is_zero(&self) -> bool {
+        self.0 == [0; 32]
+    }
+}
 
 impl core::fmt::Debug for SigningKey {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
@@ -64,7 +71,8 @@ impl StreamTime {
 /// What replay protection needs to know after a restart.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct SigningMemory {
-    /// Newest timestamp sent or accepted.
+    /// Newest timestamp sent. What others send does not move it: who has the key could else carry it ahead, packet by
+    /// packet.
     pub newest: Timestamp,
     /// Newest timestamp of each stream.
     pub streams: Vec<StreamTime, MAX_STREAMS>,
@@ -98,6 +106,13 @@ pub enum Refusal {
     FromTheFuture,
     /// It begins a stream, and [`MAX_STREAMS`] are known.
     TooManyStreams,
+    /// It brings a key (SETUP_SIGNING) and is not signed with the present one.
+    UnsignedKey,
+}
+
+/// Whether a packet holds a signing key (SETUP_SIGNING), which is its receiver's business only.
+pub fn carries_key(packet: &Packet<'_>) -> bool {
+    packet.message_id() == SETUP_SIGNING_DATA::ID
 }
 
 /// What was accepted and refused since start.
@@ -119,6 +134,8 @@ pub struct SigningCounters {
     pub from_the_future: u64,
     /// [`Refusal::TooManyStreams`].
     pub too_many_streams: u64,
+    /// [`Refusal::UnsignedKey`].
+    pub unsigned_key: u64,
 }
 
 impl SigningCounters {
@@ -133,12 +150,13 @@ impl SigningCounters {
             Err(Refusal::Outdated) => &mut self.outdated,
             Err(Refusal::FromTheFuture) => &mut self.from_the_future,
             Err(Refusal::TooManyStreams) => &mut self.too_many_streams,
+            Err(Refusal::UnsignedKey) => &mut self.unsigned_key,
         };
         *counter += 1;
     }
 
     /// Packets refused, with the reason's name.
-    pub fn refusals(&self) -> [(&'static str, u64); 6] {
+    pub fn refusals(&self) -> [(&'static str, u64); 7] {
         [
             ("unsigned", self.unsigned),
             ("wrong signature", self.wrong_signature),
@@ -146,6 +164,7 @@ impl SigningCounters {
             ("outdated", self.outdated),
             ("from the future", self.from_the_future),
             ("too many senders", self.too_many_streams),
+            ("keys without a signature", self.unsigned_key),
         ]
     }
 
@@ -201,13 +220,14 @@ impl Signing {
     }
 
     /// Whether the packet is to be obeyed at `now`; the verdict is counted, the stream's time is noted.
-    /// With `allow_unsigned` a packet without a signature is accepted; a wrong one never is.
+    /// With `allow_unsigned` a packet without a signature is accepted, unless it brings another key; a wrong one never is.
     ///
     /// # Errors
     /// [`Refusal`].
     pub fn verify(&mut self, now: Timestamp, packet: &Packet<'_>, allow_unsigned: bool) -> Result<(), Refusal> {
         let verdict = match packet.is_signed() {
             true => self.check(now, packet),
+            false if carries_key(packet) => Err(Refusal::UnsignedKey),
             false if allow_unsigned => Ok(()),
             false => Err(Refusal::Unsigned),
         };
@@ -243,12 +263,10 @@ impl Signing {
             None if timestamp + TOLERANCE < local => return Err(Refusal::Outdated),
             None => self.memory.streams.push(stream).map_err(|_| Refusal::TooManyStreams)?,
         }
-        self.memory.newest = self.memory.newest.max(timestamp);
         Ok(())
     }
 
-    /// The clock, or what was sent or accepted, whichever is later: the protocol's local timestamp. So a machine without
-    /// a battery for its clock goes on where it was.
+    /// The clock, or what was sent, whichever is later. So a machine whose clock was set back goes on where it was.
     fn local(&self, now: Timestamp) -> Timestamp {
         now.max(self.memory.newest)
     }

@@ -232,6 +232,26 @@ fn what_was_received_before_a_restart_is_refused_after_it() {
     assert_eq!(verdict(&mut killed, NOW + 3 * UNITS_PER_SECOND, &after), Ok(()));
 }
 
+/// Who has the key, and each of whose packets is further ahead than the one before.
+#[test]
+fn nobody_carries_the_clock_ahead_packet_by_packet() {
+    let mut verifier = signing(0, 0);
+    let step = 55 * UNITS_PER_SECOND;
+    for i in 1..=20 {
+        let at = NOW + u64::from(i) * step;
+        let packet = from_ground(&mut signing(0, 0), at, i);
+        let expected = if i == 1 { Ok(()) } else { Err(Refusal::FromTheFuture) };
+        assert_eq!(verdict(&mut verifier, NOW, &packet), expected, "{i}");
+    }
+    // Others are heard as before, a new one too, and what is sent bears the clock's time.
+    for component in [191, 192] {
+        let packet = signed(&mut signing(0, 0), NOW + 1, &unsigned(0, (255, component)));
+        assert_eq!(verdict(&mut verifier, NOW + 1, &packet), Ok(()));
+    }
+    let sent = from_ground(&mut verifier, NOW + 2, 0);
+    assert_eq!(verdict(&mut signing(0, 0), NOW - MINUTE + 2, &sent), Ok(()));
+}
+
 #[test]
 fn sent_timestamps_only_grow_whatever_the_clock_does() {
     let mut signer = signing(0, 0);

@@ -95,6 +95,13 @@ impl Datagrams {
         })
     }
 
+    /// The datagram that was appended last.
+    pub fn last(&self) -> Option<&[u8]> {
+        let before = self.count.checked_sub(2).and_then(|i| self.marks.get(i));
+        let start = before.map_or(0, |mark| usize::from(mark.0));
+        self.bytes.get(start..self.used()).filter(|_| self.count > 0)
+    }
+
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.count == 0

@@ -27,7 +27,7 @@ pub struct Refusals {
     pub setpoint_form: u64,
     /// Setpoints with a value that is not finite or absurd.
     pub setpoint_value: u64,
-    /// Setpoints of others while the owner holds OFFBOARD.
+    /// Setpoints of others while the owner holds OFFBOARD, those included that claim its identity elsewhere.
     pub setpoint_foreign: u64,
     /// Commands answered UNSUPPORTED.
     pub command_unsupported: u64,
@@ -39,6 +39,27 @@ pub struct Refusals {
     pub file: u64,
     /// Plans refused, and messages of the mission protocol that fit no transfer.
     pub plan: u64,
+    /// Packets for other links beyond what is passed on of one link.
+    pub crowded_out: u64,
+}
+
+impl Refusals {
+    /// What was refused, with its name.
+    pub fn named(&self) -> [(&'static str, u64); 11] {
+        [
+            ("packets in the vehicle's name", self.own_identity),
+            ("not understood", self.not_parsed),
+            ("setpoints of a kind that is not flown", self.setpoint_form),
+            ("setpoints with absurd values", self.setpoint_value),
+            ("setpoints of others than their owner", self.setpoint_foreign),
+            ("unknown commands", self.command_unsupported),
+            ("commands denied", self.command_denied),
+            ("parameters", self.parameter),
+            ("file requests", self.file),
+            ("plans", self.plan),
+            ("packets beyond what is passed on", self.crowded_out),
+        ]
+    }
 }
 
 /// What the simulator may show and a test may check.
@@ -227,7 +248,7 @@ impl Core {
             landed: self.commander.landed(),
             failsafe: self.commander.failsafe(),
             terminated: self.commander.is_terminated(),
-            setpoint_owner: self.setpoints.owner(),
+            setpoint_owner: self.setpoints.owner().map(|owner| owner.id),
             setpoint_age_ns: self.setpoints.owner_age_ns(self.now_ns),
             framing: self.framing,
             refusals: self.refusals,

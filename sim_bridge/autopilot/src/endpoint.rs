@@ -4,11 +4,11 @@ use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup};
 use crate::service::{Answer, Service, Source};
 use crate::streams::Streams;
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services};
-use vigil_mavlink::common::{MavResult, SETUP_SIGNING_DATA};
+use vigil_mavlink::common::{MavResult, MavSeverity};
 use vigil_mavlink::framing::{self, Command, CommandAck, Packet};
-use vigil_mavlink::mavlink::MessageData;
-use vigil_mavlink::routing::{LinkSet, Routing};
-use vigil_types::Nanos;
+use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
+use vigil_mavlink::signing::carries_key;
+use vigil_types::{Nanos, STEP_NS};
 use vigil_vehicle::{ControlCommand, VehicleView};
 
 /// A PX4-flavoured MAVLink vehicle, sans IO.
@@ -22,7 +22,12 @@ pub struct Endpoint {
     routing: Routing,
     /// Earliest time at which a service or stream wants to run.
     due_ns: Nanos,
+    /// Packets of each link that were passed on in the present step's time, and when that ends.
+    passed_on: [(Nanos, u32); MAX_LINKS],
 }
+
+/// Packets of one link that are passed on in 50 ms: a file transfer's burst. What is beyond is counted.
+const PASSED_ON_PER_STEP: u32 = 64;
 
 impl core::fmt::Debug for Endpoint {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
@@ -50,26 +55,32 @@ impl Endpoint {
             streams,
             routing: Routing::default(),
             due_ns: 0,
+            passed_on: [(0, 0); MAX_LINKS],
         })
     }
 
     /// Takes one datagram that came on `link`. Whatever it holds, it is obeyed, passed on or counted; never a panic.
     /// A link that the configuration does not have is ignored.
     pub fn receive(&mut self, now_ns: Nanos, link: LinkId, datagram: &[u8]) {
+        self.receive_from(now_ns, link, 0, datagram);
+    }
+
+    /// The same on a link with several ends: `peer` is another number for another end. Ownership is of one of them.
+    pub fn receive_from(&mut self, now_ns: Nanos, link: LinkId, peer: u64, datagram: &[u8]) {
         if usize::from(link.0) >= self.core.outbox.links() {
             return;
         }
         self.core.now_ns = self.core.now_ns.max(now_ns);
         let mut counters = self.core.framing;
         for packet in framing::packets(datagram, &mut counters) {
-            self.packet(link, &packet);
+            self.packet(link, peer, &packet);
         }
         self.core.framing = counters;
         self.streams.send_wanted(&mut self.core, &self.services);
         self.due_ns = self.next_due_ns();
     }
 
-    fn packet(&mut self, link: LinkId, packet: &Packet<'_>) {
+    fn packet(&mut self, link: LinkId, peer: u64, packet: &Packet<'_>) {
         let id = ComponentId {
             system: packet.system_id(),
             component: packet.component_id(),
@@ -84,14 +95,17 @@ impl Endpoint {
         }
         let target = packet.target();
         // A signing key is nobody else's business.
-        let is_secret = packet.message_id() == SETUP_SIGNING_DATA::ID;
         let onward = self
             .routing
             .onward(self.core.id, target, link.0, self.core.outbox.links());
-        let onward = if is_secret { LinkSet::NONE } else { onward };
-        for to in onward.iter() {
-            self.core.outbox.forward(to, packet.raw());
-            self.core.forwarded += 1;
+        let onward = if carries_key(packet) { LinkSet::NONE } else { onward };
+        if !onward.is_empty() && !self.may_pass_on(link) {
+            self.core.refusals.crowded_out += 1;
+        } else {
+            for to in onward.iter() {
+                self.core.outbox.forward(to, packet.raw());
+                self.core.forwarded += 1;
+            }
         }
         let for_us = target.is_none_or(|(system, component)| {
             system == 0 || (system == self.core.id.system && (component == 0 || component == self.core.id.component))
@@ -99,7 +113,7 @@ impl Endpoint {
         if !for_us || !packet.is_known() {
             return;
         }
-        let source = Source { link, id };
+        let source = Source { link, peer, id };
         if let Some(command) = packet.command() {
             self.command(&command, source);
         } else {
@@ -107,6 +121,18 @@ impl Endpoint {
                 service.receive(packet, source, &mut self.core);
             }
         }
+    }
+
+    /// Whether another packet of a link may be passed on: a flood on one link must not become one on the others.
+    fn may_pass_on(&mut self, link: LinkId) -> bool {
+        let Some((until_ns, count)) = self.passed_on.get_mut(usize::from(link.0)) else {
+            return false;
+        };
+        if self.core.now_ns >= *until_ns {
+            (*until_ns, *count) = (self.core.now_ns + STEP_NS, 0);
+        }
+        *count += 1;
+        *count <= PASSED_ON_PER_STEP
     }
 
     fn command(&mut self, command: &Command, source: Source) {
@@ -181,6 +207,11 @@ impl Endpoint {
     /// The signing key that SETUP_SIGNING brought since the last call, for whoever owns the links.
     pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
         self.core.signing_setup.take()
+    }
+
+    /// Tells everybody something that the owner of the links knows.
+    pub fn warn(&mut self, text: &str) {
+        self.core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
     }
 
     /// What is going on.

@@ -24,6 +24,7 @@ mod plan;
 mod saved;
 mod service;
 mod services;
+mod source;
 mod streams;
 
 #[cfg(test)]

@@ -1,18 +1,11 @@
 //! What a protocol service is.
 
-use crate::LinkId;
-use crate::core::{ComponentId, Core};
+use crate::core::Core;
+pub(crate) use crate::source::Source;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{Command, Packet};
 use vigil_types::Nanos;
-
-/// Who sent a packet and on which link.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Source {
-    pub link: LinkId,
-    pub id: ComponentId,
-}
 
 /// The answer to a command.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -47,6 +47,8 @@ pub struct Bench {
     pub command: ControlCommand,
     vehicle: Vehicle,
     sequence: u8,
+    /// From which end of its link everybody sends.
+    pub peer: u64,
     /// Components that stream velocity setpoints at 20 Hz, with the velocity along the heading.
     streaming: Vec<(LinkId, ComponentId, [f32; 3])>,
 }
@@ -64,6 +66,7 @@ impl Bench {
             command: ControlCommand::MotorsOff,
             vehicle: Vehicle::new(VehicleParams::default(), Wind::default(), 1).expect("defaults are valid"),
             sequence: 0,
+            peer: 0,
             streaming: Vec::new(),
         };
         bench.run_ms(500);
@@ -146,7 +149,7 @@ impl Bench {
 
     /// Hands raw bytes to the endpoint.
     pub fn send_raw(&mut self, link: LinkId, bytes: &[u8]) {
-        self.endpoint.receive(self.now_ns, link, bytes);
+        self.endpoint.receive_from(self.now_ns, link, self.peer, bytes);
         self.collect();
     }
 

@@ -52,6 +52,14 @@ pub enum SigningFileError {
         /// The key file.
         path: PathBuf,
     },
+    /// The file holds zeros.
+    #[error(
+        "signing key {path} is all zeros, which anybody would guess: make one with: head -c 32 /dev/urandom > {path}"
+    )]
+    Zero {
+        /// The key file.
+        path: PathBuf,
+    },
     /// The state cannot be read or written.
     #[error("signing state {path}: {source}; without it packets could be replayed after a restart")]
     State {
@@ -104,7 +112,11 @@ pub fn read_key(path: &Path) -> Result<SigningKey, SigningFileError> {
         .take(LONGEST_KEY_FILE)
         .read_to_end(&mut bytes)
         .map_err(read)?;
-    key_of(&bytes).ok_or_else(|| SigningFileError::Content { path: path.to_owned() })
+    let key = key_of(&bytes).ok_or_else(|| SigningFileError::Content { path: path.to_owned() })?;
+    match key.is_zero() {
+        true => Err(SigningFileError::Zero { path: path.to_owned() }),
+        false => Ok(key),
+    }
 }
 
 fn key_of(bytes: &[u8]) -> Option<SigningKey> {
@@ -126,8 +138,8 @@ fn key_of(bytes: &[u8]) -> Option<SigningKey> {
 /// What is to be written.
 enum Job {
     State(SigningMemory),
-    /// Another key or none, and the state that begins with it.
-    Key(Option<SigningKey>, SigningMemory),
+    /// Another key, and the state that begins with it.
+    Key(SigningKey, SigningMemory),
 }
 
 /// Writes states and keys to their files, from a thread of its own: the loop must not wait for a disk.
@@ -163,11 +175,7 @@ impl Keeper {
                         newest = Some(match job {
                             Job::State(state) => state,
                             Job::Key(key, state) => {
-                                let result = match &key {
-                                    Some(key) => write_key(&key_file, key),
-                                    None => std::fs::remove_file(&key_file),
-                                };
-                                if let Err(e) = result {
+                                if let Err(e) = write_key(&key_file, &key) {
                                     let file = key_file.display();
                                     tracing::warn!("signing key {file}: {e}; after a restart the old key is in force");
                                 }
@@ -211,15 +219,6 @@ impl Keeper {
 
     /// Has the key replaced in its file, and the state that begins with it written. Never waits.
     pub fn replace_key(&mut self, key: SigningKey, memory: SigningMemory) {
-        self.store_key(Some(key), memory);
-    }
-
-    /// Has the key's file removed, and the state stored for the next key. Never waits.
-    pub fn remove_key(&mut self, memory: SigningMemory) {
-        self.store_key(None, memory);
-    }
-
-    fn store_key(&mut self, key: Option<SigningKey>, memory: SigningMemory) {
         if let Some(ring) = &mut self.ring
             && ring.push(Job::Key(key, memory)).is_err()
         {
@@ -334,6 +333,15 @@ mod tests {
             let error = read_key(&key_file(folder.path(), content, 0o400)).unwrap_err();
             assert!(matches!(error, SigningFileError::Content { .. }));
             assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
+        }
+    }
+
+    #[test]
+    fn zeros_are_no_key() {
+        let folder = tempfile::tempdir().unwrap();
+        for content in [&[0; 32][..], &[b'0'; 64]] {
+            let error = read_key(&key_file(folder.path(), content, 0o600)).unwrap_err();
+            assert!(error.to_string().contains("all zeros"), "{error}");
         }
     }
 

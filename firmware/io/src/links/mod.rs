@@ -2,14 +2,18 @@
 //!
 //! None of them waits, allocates after its opening, or ends: a peer that is gone is waited for.
 
+mod callers;
+mod peer_rule;
 mod peers;
 mod serial;
+mod socket_filter;
 mod stream;
 mod tcp;
 mod udp;
 mod wire;
 
-pub use peers::UdpPeers;
+pub use peer_rule::PeerRule;
+pub use peers::{UdpPeers, UdpSender};
 pub use serial::SerialLink;
 pub(crate) use serial::SerialWire;
 pub use tcp::TcpLink;
@@ -73,6 +77,12 @@ pub enum LinkError {
         /// Links given.
         count: usize,
     },
+    /// `system=` on a link that is not the firmware's to its vehicle.
+    #[error("{url}: the option system= is for the firmware's link to its vehicle only: leave it out")]
+    NotTheVehicles {
+        /// The link.
+        url: LinkUrl,
+    },
     /// Signing cannot be switched on.
     #[error(transparent)]
     Signing(#[from] SigningFileError),
@@ -103,6 +113,8 @@ pub struct LinkStatistics {
     pub unsent: u64,
     /// Connections made or devices opened; always 0 on UDP.
     pub connections: u64,
+    /// The system of a vehicle that called last and is not the one that is asked for.
+    pub other_system: Option<u8>,
     /// What the framing of a byte stream or of the signatures' check refused.
     pub framing: FramingCounters,
     /// What signing accepted and refused.
@@ -120,15 +132,15 @@ pub enum LiveLink {
 }
 
 impl LiveLink {
-    /// Opens the link. A TCP peer may come later; a serial device must be there.
+    /// Opens the link. A TCP peer may come later, by `rule`; a serial device must be there.
     ///
     /// # Errors
     /// [`LinkError`], each naming the link.
-    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: Gate) -> Result<Self, LinkError> {
         somebody_is_heard(url, gate.has_key(), gate.allow_unsigned())?;
         match url {
-            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => UdpLink::open(url, gate).map(Self::Udp),
-            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpLink::open(url, gate).map(Self::Tcp),
+            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => UdpLink::open(url, rule, gate).map(Self::Udp),
+            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpLink::open(url, rule, gate).map(Self::Tcp),
             LinkUrl::Serial { .. } => SerialLink::open(url, gate).map(Self::Serial),
         }
     }

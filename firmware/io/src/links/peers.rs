@@ -1,24 +1,62 @@
 //! MAVLink over one UDP socket with several peers: a link for ground stations.
 //!
-//! A link may have one peer that is sent to unasked; whoever else sends to the local port something that passes the gate
-//! becomes a peer too, until it has been silent for [`PEER_TIMEOUT_NS`]. All peers hear the same.
+//! A link may have one peer that is sent to unasked; whoever else sends to the local port MAVLink that passes the gate
+//! becomes a peer too, until it has been silent for [`PEER_TIMEOUT_NS`]. All peers hear the same. While a flood comes, the
+//! kernel lets in what known peers send, and little of anything else.
 
+use super::peer_rule::PeerRule;
+use super::socket_filter::{FloodWatch, Newcomers, SocketFilter};
 use super::{Door, LinkStatistics, Wire, is_local};
 use crate::gate::{Gate, MAX_DATAGRAM_BYTES};
 use std::io::ErrorKind;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::{IpAddr, SocketAddr, UdpSocket};
 use vigil_types::{Datagrams, Nanos};
 
 /// A peer that was learned is forgotten after this silence; MAVLink's heartbeat comes every second.
 const PEER_TIMEOUT_NS: Nanos = 10_000_000_000;
-/// Peers learned per link; the one that was silent longest gives way.
+/// Peers learned per link.
 const MAX_LEARNED: usize = 8;
+/// When there are that many, one that missed three heartbeats gives way to a newcomer, others do not: strangers cannot
+/// push out who is heard.
+const GIVES_WAY_NS: Nanos = 3_000_000_000;
 /// Datagrams taken in one call: a flood on a link must not hold up who calls.
 const MAX_PER_CALL: usize = 128;
+/// A learned peer of which more than this is read in a second is let in as newcomers are while a flood comes.
+const LOUD_PER_S: u32 = 150;
+/// How often is looked who is loud and who is silent.
+const LOOK_NS: Nanos = 1_000_000_000;
 
 struct Learned {
     address: SocketAddr,
     heard_ns: Nanos,
+    /// Datagrams since the last look.
+    count: u32,
+    is_loud: bool,
+}
+
+/// Who sent a datagram, of several on one socket.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct UdpSender {
+    /// On this machine.
+    pub is_local: bool,
+    /// Another number for another address.
+    pub number: u64,
+}
+
+impl UdpSender {
+    fn of(address: SocketAddr) -> Self {
+        // FNV-1a, which is the same in every process.
+        let mix = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3);
+        let begin = address.port().to_le_bytes().iter().fold(0xCBF2_9CE4_8422_2325, mix);
+        let number = match address.ip().to_canonical() {
+            IpAddr::V4(ip) => ip.octets().iter().fold(begin, mix),
+            IpAddr::V6(ip) => ip.octets().iter().fold(begin, mix),
+        };
+        Self {
+            is_local: is_local(address),
+            number,
+        }
+    }
 }
 
 /// One UDP socket with its peers.
@@ -27,6 +65,10 @@ pub struct UdpPeers {
     /// Sent to unasked.
     peer: Option<SocketAddr>,
     learned: Vec<Learned>,
+    filter: SocketFilter,
+    flood: FloodWatch,
+    next_look_ns: Nanos,
+    not_learned: u64,
     buffer: Box<[u8; MAX_DATAGRAM_BYTES]>,
     now_ns: Nanos,
 }
@@ -39,13 +81,19 @@ impl UdpPeers {
     pub fn open(local: SocketAddr, peer: Option<SocketAddr>) -> std::io::Result<Self> {
         let socket = UdpSocket::bind(local)?;
         socket.set_nonblocking(true)?;
-        Ok(Self {
+        let mut link = Self {
             socket,
             peer,
             learned: Vec::with_capacity(MAX_LEARNED),
+            filter: SocketFilter::new(),
+            flood: FloodWatch::default(),
+            next_look_ns: 0,
+            not_learned: 0,
             buffer: Box::new([0; MAX_DATAGRAM_BYTES]),
             now_ns: 0,
-        })
+        };
+        link.set_filter();
+        Ok(link)
     }
 
     /// Answers whoever speaks.
@@ -68,29 +116,59 @@ impl UdpPeers {
         Self::open(any, Some(peer))
     }
 
-    /// Hands over every datagram that has come, without waiting, and whether its sender is on this machine. `admit` tells
-    /// whether any of it was taken: only then the sender becomes a peer.
-    pub fn receive(&mut self, now_ns: Nanos, mut admit: impl FnMut(bool, &[u8]) -> bool) {
+    fn set_filter(&mut self) {
+        let quiet = self.learned.iter().filter(|l| !l.is_loud).map(|l| l.address);
+        let peers = self.peer.into_iter().chain(quiet);
+        let flooded = self.flood.is_flooded(self.now_ns);
+        self.filter.set(&self.socket, peers, Newcomers::Mavlink, flooded);
+    }
+
+    /// Once a second: who is loud, who is silent.
+    fn look(&mut self) {
+        if self.now_ns < self.next_look_ns {
+            return;
+        }
+        let now_ns = self.now_ns;
+        self.next_look_ns = now_ns + LOOK_NS;
+        self.learned
+            .retain(|l| now_ns.saturating_sub(l.heard_ns) < PEER_TIMEOUT_NS);
+        for learned in &mut self.learned {
+            // What the kernel let in of a loud one is a part of what it sends.
+            let limit = if learned.is_loud { LOUD_PER_S / 16 } else { LOUD_PER_S };
+            learned.is_loud = std::mem::take(&mut learned.count) > limit;
+        }
+        if self.flood.is_flooded(now_ns) {
+            self.filter.peers_changed();
+        }
+    }
+
+    /// Hands over every datagram that has come and may be MAVLink, without waiting, and who sent it. `admit` tells whether
+    /// any of it was taken: only then the sender becomes a peer.
+    pub fn receive(&mut self, now_ns: Nanos, mut admit: impl FnMut(UdpSender, &[u8]) -> bool) {
         self.now_ns = now_ns;
-        for _ in 0..MAX_PER_CALL {
+        self.look();
+        self.set_filter();
+        let (mut read, mut of_newcomers) = (0, 0);
+        while read < MAX_PER_CALL {
             match self.socket.recv_from(self.buffer.as_mut_slice()) {
                 Ok((len, from)) => {
-                    if admit(is_local(from), self.buffer.get(..len).unwrap_or_default()) {
-                        self.learn(from);
+                    read += 1;
+                    let datagram = self.buffer.get(..len).unwrap_or_default();
+                    let is_taken = admit(UdpSender::of(from), datagram) && PeerRule::Anyone.is_heard_in(datagram);
+                    if !self.note(from, is_taken) {
+                        of_newcomers += 1;
                     }
                 }
-                Err(e) if e.kind() == ErrorKind::WouldBlock => return,
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
                 // An earlier datagram met a closed port (ICMP); what arrived is still to be read.
-                Err(_) => {}
+                Err(_) => read += 1,
             }
         }
+        self.flood.note(now_ns, of_newcomers, read == MAX_PER_CALL);
     }
 
     /// Sends a datagram to every peer. One that the system does not take is lost, as on any UDP link.
     pub fn send(&mut self, datagram: &[u8]) {
-        let now_ns = self.now_ns;
-        self.learned
-            .retain(|l| now_ns.saturating_sub(l.heard_ns) < PEER_TIMEOUT_NS);
         for address in self.peer.into_iter().chain(self.learned.iter().map(|l| l.address)) {
             // A peer that does not listen is no error of ours.
             let _ = self.socket.send_to(datagram, address);
@@ -105,21 +183,45 @@ impl UdpPeers {
         self.socket.local_addr()
     }
 
-    fn learn(&mut self, from: SocketAddr) {
+    /// Notes who sent a datagram, and learns him if it was taken and there is room. Tells whether he is a peer that the
+    /// kernel lets in whatever else comes.
+    fn note(&mut self, from: SocketAddr, is_taken: bool) -> bool {
         if self.peer == Some(from) {
-            return;
+            return true;
+        }
+        let now_ns = self.now_ns;
+        if let Some(known) = self.learned.iter_mut().find(|l| l.address == from) {
+            known.count += 1;
+            // Who is refused does not stay a peer.
+            if is_taken {
+                known.heard_ns = now_ns;
+            }
+            return !known.is_loud;
+        }
+        if !is_taken {
+            return false;
         }
         let new = Learned {
             address: from,
-            heard_ns: self.now_ns,
+            heard_ns: now_ns,
+            count: 1,
+            is_loud: false,
         };
-        if let Some(known) = self.learned.iter_mut().find(|l| l.address == from) {
-            *known = new;
-        } else if self.learned.len() < MAX_LEARNED {
+        if self.learned.len() < MAX_LEARNED {
             self.learned.push(new);
-        } else if let Some(oldest) = self.learned.iter_mut().min_by_key(|l| l.heard_ns) {
-            *oldest = new;
+        } else if let Some(silent) = self
+            .learned
+            .iter_mut()
+            .filter(|l| now_ns.saturating_sub(l.heard_ns) > GIVES_WAY_NS)
+            .min_by_key(|l| l.heard_ns)
+        {
+            *silent = new;
+        } else {
+            self.not_learned += 1;
+            return false;
         }
+        self.filter.peers_changed();
+        false
     }
 }
 
@@ -128,7 +230,9 @@ impl Wire for UdpPeers {
 
     fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
         // What finds no room is dropped and counted by `received`: it is this link's own share.
-        self.receive(now_ns, |is_local, datagram| door.admit(is_local, datagram, received));
+        self.receive(now_ns, |sender, datagram| {
+            door.admit(sender.is_local, datagram, received)
+        });
     }
 
     fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
@@ -138,13 +242,19 @@ impl Wire for UdpPeers {
     }
 
     fn statistics(&self) -> LinkStatistics {
-        LinkStatistics::default()
+        LinkStatistics {
+            foreign: self.not_learned,
+            ..LinkStatistics::default()
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vigil_mavlink::MavHeader;
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 
     fn loopback(port: u16) -> SocketAddr {
         ([127, 0, 0, 1], port).into()
@@ -156,14 +266,28 @@ mod tests {
         socket
     }
 
-    /// What comes, all of it admitted unless it begins with `x`. On the loopback interface a datagram has arrived when
+    /// A ground station's heartbeat.
+    fn hello(system_id: u32) -> Vec<u8> {
+        let header = MavHeader {
+            system_id,
+            component_id: 190,
+            sequence: 0,
+        };
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
+        out[..len].to_vec()
+    }
+
+    const REFUSED: u32 = 66;
+
+    /// What comes, all of it admitted unless it is of [`REFUSED`]. On the loopback interface a datagram has arrived when
     /// its sending returns.
     fn heard(link: &mut UdpPeers, now_ns: Nanos) -> Vec<Vec<u8>> {
         let mut got = Vec::new();
-        link.receive(now_ns, |is_local, datagram| {
-            assert!(is_local);
+        link.receive(now_ns, |sender, datagram| {
+            assert!(sender.is_local);
             got.push(datagram.to_vec());
-            !datagram.starts_with(b"x")
+            datagram != hello(REFUSED)
         });
         got
     }
@@ -177,10 +301,14 @@ mod tests {
         link.send(b"one");
         assert_eq!(companion.recv(&mut buffer).unwrap(), 3);
 
-        stranger.send_to(b"hello", here).unwrap();
-        stranger.send_to(b"", here).unwrap();
-        refused.send_to(b"xyz", here).unwrap();
-        assert_eq!(heard(&mut link, 1), [b"hello".to_vec(), Vec::new(), b"xyz".to_vec()]);
+        companion.send_to(b"what the peer sends is let in", here).unwrap();
+        stranger.send_to(&hello(255), here).unwrap();
+        stranger.send_to(b"no MAVLink, so the kernel drops it", here).unwrap();
+        refused.send_to(&hello(REFUSED), here).unwrap();
+        assert_eq!(
+            heard(&mut link, 1),
+            [b"what the peer sends is let in".to_vec(), hello(255), hello(REFUSED)]
+        );
         link.send(b"two");
         assert_eq!(companion.recv(&mut buffer).unwrap(), 3);
         assert_eq!(stranger.recv(&mut buffer).unwrap(), 3);
@@ -194,16 +322,71 @@ mod tests {
     }
 
     #[test]
-    fn strangers_cannot_grow_the_list_of_peers() {
+    fn strangers_can_neither_grow_the_list_of_peers_nor_push_out_who_is_heard() {
         let mut link = UdpPeers::listening(loopback(0)).unwrap();
         let here = link.local_address().unwrap();
-        let strangers: Vec<_> = (0..20).map(|_| socket()).collect();
-        for (now_ns, stranger) in (0..).zip(&strangers) {
-            stranger.send_to(b"!", here).unwrap();
-            assert_eq!(heard(&mut link, now_ns).len(), 1);
+        let callers: Vec<_> = (0..20).map(|_| socket()).collect();
+        for (now_ns, caller) in (0..).zip(&callers) {
+            caller
+                .send_to(b"\xFDgarbage, with a packet's first byte", here)
+                .unwrap();
+            caller.send_to(&hello(255), here).unwrap();
+            assert_eq!(heard(&mut link, now_ns).len(), 2);
         }
-        link.send(b"!");
-        let answered: Vec<_> = (0..20).filter(|i| strangers[*i].recv(&mut [0; 4]).is_ok()).collect();
-        assert_eq!(answered, (12..20).collect::<Vec<_>>(), "the newest");
+        let answered = |link: &mut UdpPeers| -> Vec<usize> {
+            link.send(b"!");
+            (0..20).filter(|i| callers[*i].recv(&mut [0; 4]).is_ok()).collect()
+        };
+        assert_eq!(answered(&mut link), (0..8).collect::<Vec<_>>(), "the first");
+        // One that misses three heartbeats gives way.
+        for second in 1..5 {
+            for caller in &callers[1..] {
+                caller.send_to(&hello(255), here).unwrap();
+            }
+            heard(&mut link, second * 1_000_000_000);
+        }
+        assert_eq!(answered(&mut link), (1..9).collect::<Vec<_>>());
+        assert!(link.statistics().foreign > 12);
+    }
+
+    #[test]
+    fn in_a_flood_of_strangers_who_speak_mavlink_each_packet_of_a_known_peer_arrives() {
+        let mut link = UdpPeers::listening(loopback(0)).unwrap();
+        let here = link.local_address().unwrap();
+        let station = socket();
+        let strangers: Vec<_> = (0..10).map(|_| socket()).collect();
+        station.send_to(&hello(1), here).unwrap();
+        heard(&mut link, 0);
+        let (mut of_station, mut of_strangers) = (0, 0);
+        // 20 000 a second for 10 s; the link is looked at 20 times a second.
+        for step in 1..=200_u64 {
+            for i in 0..1000 {
+                if i == 500 {
+                    station.send_to(&hello(1), here).unwrap();
+                }
+                // The queue may be full.
+                let _ = strangers[i % 10].send_to(&hello(255), here);
+            }
+            for datagram in heard(&mut link, step * 50_000_000) {
+                match datagram == hello(1) {
+                    true => of_station += 1,
+                    false => of_strangers += 1,
+                }
+            }
+        }
+        // Until the first look tells who is loud, after a second.
+        assert!(of_station >= 180, "{of_station} of 200");
+        assert!((200..20_000).contains(&of_strangers), "{of_strangers} of 200 000");
+        station.send_to(&hello(1), here).unwrap();
+        let newcomer = socket();
+        for second in 11..16 {
+            heard(&mut link, second * 1_000_000_000);
+        }
+        newcomer.send_to(&hello(9), here).unwrap();
+        assert_eq!(
+            heard(&mut link, 17_000_000_000),
+            [hello(9)],
+            "and when it is over, newcomers"
+        );
     }
 }

@@ -1,7 +1,7 @@
 //! MAVLink over a serial line; the device may disappear and return.
 
 use super::stream::PacketStream;
-use super::{Door, Gated, LinkError, LinkStatistics, RETRY_NS, Wire};
+use super::{Door, Gated, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
 use crate::gate::Gate;
 use crate::link_url::LinkUrl;
 use rustix::fs::{Mode, OFlags, open};
@@ -99,7 +99,11 @@ impl Wire for SerialWire {
         self.reopen(now_ns);
         let Some(port) = &mut self.port else { return };
         // Whoever holds the other end of a cable is not known: never this machine.
-        if self.stream.receive(port, door, false, received).is_err() {
+        if self
+            .stream
+            .receive(port, (PeerRule::Anyone, door, false), received)
+            .is_err()
+        {
             self.close();
         }
     }

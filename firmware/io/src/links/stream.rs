@@ -1,9 +1,9 @@
 //! MAVLink over a byte stream: packets are found in what is read, and never torn by what is written.
 
-use super::{Door, LinkStatistics};
+use super::{Door, LinkStatistics, PeerRule};
 use crate::gate::Gate;
 use std::io::{ErrorKind, Read, Write};
-use vigil_mavlink::framing::{FramingCounters, StreamFramer};
+use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer};
 use vigil_types::Datagrams;
 
 /// Bytes read at once. The packets that one read can complete must fit in what [`MIN_FREE_COUNT`] and [`MIN_FREE_BYTES`]
@@ -13,6 +13,8 @@ const MIN_FREE_COUNT: usize = (CHUNK + 300) / 8 + 1;
 const MIN_FREE_BYTES: usize = CHUNK + 300;
 /// Reads in one step at most; bounds the step.
 const MAX_READS_PER_STEP: usize = 64;
+/// The same of somebody who is not the peer.
+const MAX_READS_OF_A_CALLER: usize = 4;
 /// Bytes that may wait to be written: some steps' worth. What is older is of no use to the vehicle.
 const OUTBOX: usize = 8192;
 
@@ -30,6 +32,7 @@ pub(super) struct PacketStream {
     written: usize,
     queued: usize,
     unsent: u64,
+    other_system: Option<u8>,
 }
 
 impl PacketStream {
@@ -42,6 +45,7 @@ impl PacketStream {
             written: 0,
             queued: 0,
             unsent: 0,
+            other_system: None,
         }
     }
 
@@ -49,6 +53,7 @@ impl PacketStream {
     pub fn statistics(&self) -> LinkStatistics {
         LinkStatistics {
             unsent: self.unsent,
+            other_system: self.other_system,
             framing: self.counters,
             ..LinkStatistics::default()
         }
@@ -56,36 +61,69 @@ impl PacketStream {
 
     /// Another stream begins: halves of packets are worth nothing to it.
     pub fn reset(&mut self) {
-        self.framer.reset();
+        self.continue_with(StreamFramer::default());
+    }
+
+    /// Another stream goes on where `framer` is in it.
+    pub fn continue_with(&mut self, framer: StreamFramer) {
+        self.framer = framer;
         self.written = 0;
         self.queued = 0;
     }
 
-    /// Reads what is there; each packet that passes the gate becomes a datagram. Tells whether one did.
+    /// Reads what is there; each packet that passes the gate becomes a datagram. Tells whether one did that keeps the peer
+    /// from being taken for silent.
     pub fn receive(
         &mut self,
         wire: &mut impl Read,
-        door: &mut Door<'_>,
-        is_local: bool,
+        (rule, door, is_local): (PeerRule, &mut Door<'_>, bool),
         received: &mut Datagrams,
     ) -> Result<bool, Broken> {
         let mut heard = false;
+        let mut on_packet = |packet: &Packet<'_>, received: &mut Datagrams| {
+            heard |= door.admit(is_local, packet.raw(), received) && rule.is_heard_by(packet);
+        };
+        let chunk = self.chunk.as_mut_slice();
         for _ in 0..MAX_READS_PER_STEP {
-            if Datagrams::MAX_COUNT - received.len() < MIN_FREE_COUNT || received.free_bytes() < MIN_FREE_BYTES {
+            let Some(bytes) = read(wire, chunk, received)? else {
                 break;
-            }
-            let bytes = match wire.read(self.chunk.as_mut_slice()) {
-                Ok(0) => return Err(Broken),
-                Ok(len) => self.chunk.get(..len).unwrap_or_default(),
-                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
-                Err(e) if e.kind() == ErrorKind::Interrupted => continue,
-                Err(_) => return Err(Broken),
             };
-            self.framer.feed(bytes, &mut self.counters, |packet| {
-                heard |= door.admit(is_local, packet.raw(), received);
-            });
+            let framer = &mut self.framer;
+            framer.feed(bytes, &mut self.counters, |packet| on_packet(packet, received));
         }
         Ok(heard)
+    }
+
+    /// Reads what somebody sends who is not the peer yet, with a framing of his own, until he shows that he may be: from
+    /// then on packets become datagrams as the peer's do. Tells whether he did.
+    pub fn receive_introduction(
+        &mut self,
+        wire: &mut impl Read,
+        framer: &mut StreamFramer,
+        garbage: &mut FramingCounters,
+        (rule, door, is_local): (PeerRule, &mut Door<'_>, bool),
+        received: &mut Datagrams,
+    ) -> Result<bool, Broken> {
+        let mut introduced = false;
+        let mut other_system = None;
+        let has_key = door.gate.has_key();
+        for _ in 0..MAX_READS_OF_A_CALLER {
+            let Some(bytes) = read(wire, self.chunk.as_mut_slice(), received)? else {
+                break;
+            };
+            framer.feed(bytes, garbage, |packet| {
+                if introduced || rule.introduces(packet, has_key) {
+                    introduced |= door.admit(is_local, packet.raw(), received);
+                } else {
+                    other_system = rule.other_system(packet).or(other_system);
+                }
+            });
+            if introduced {
+                break;
+            }
+        }
+        self.other_system = other_system.or(self.other_system);
+        Ok(introduced)
     }
 
     /// Queues the packets, as many as fit, and writes what the stream takes.
@@ -124,6 +162,22 @@ impl PacketStream {
         self.queued -= self.written;
         self.written = 0;
         Ok(())
+    }
+}
+
+/// Reads once; `None` when nothing is there or there is no room for what it may hold.
+fn read<'a>(wire: &mut impl Read, chunk: &'a mut [u8], received: &Datagrams) -> Result<Option<&'a [u8]>, Broken> {
+    loop {
+        if Datagrams::MAX_COUNT - received.len() < MIN_FREE_COUNT || received.free_bytes() < MIN_FREE_BYTES {
+            return Ok(None);
+        }
+        match wire.read(chunk) {
+            Ok(0) => return Err(Broken),
+            Ok(len) => return Ok(chunk.get(..len)),
+            Err(e) if e.kind() == ErrorKind::WouldBlock => return Ok(None),
+            Err(e) if e.kind() == ErrorKind::Interrupted => {}
+            Err(_) => return Err(Broken),
+        }
     }
 }
 
@@ -240,7 +294,7 @@ mod tests {
         let mut got = Vec::new();
         let mut received = Datagrams::default();
         while stream
-            .receive(&mut line, &mut door(&mut gate), true, &mut received)
+            .receive(&mut line, (PeerRule::Anyone, &mut door(&mut gate), true), &mut received)
             .unwrap()
             || !line.to_read.is_empty()
         {
@@ -264,7 +318,7 @@ mod tests {
         while !line.to_read.is_empty() {
             let mut received = Datagrams::default();
             stream
-                .receive(&mut line, &mut door(&mut gate), true, &mut received)
+                .receive(&mut line, (PeerRule::Anyone, &mut door(&mut gate), true), &mut received)
                 .unwrap();
             assert_eq!(received.dropped(), 0);
             count += received.len();

@@ -1,7 +1,8 @@
 //! MAVLink over TCP, as client or server, reconnecting.
 
+use super::callers::Callers;
 use super::stream::PacketStream;
-use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, RETRY_NS, Wire, is_local};
+use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
 use crate::gate::Gate;
 use crate::link_url::LinkUrl;
 use rustix::io::Errno;
@@ -14,8 +15,9 @@ use vigil_types::{Datagrams, Nanos};
 const CONNECT_NS: Nanos = 5_000_000_000;
 /// A peer that was called and is silent this long is called anew: the network may have lost it without a word.
 const LOST_NS: Nanos = 10_000_000_000;
-/// Callers taken in one step at most; bounds the step.
-const MAX_CALLERS_PER_STEP: usize = 4;
+/// Callers taken in one step at most; bounds the step. Fewer while there is a peer, who is what counts then.
+const MAX_CALLERS_PER_STEP: usize = 16;
+const MAX_CALLERS_BESIDE_PEER: usize = 4;
 
 enum Role {
     Server(TcpListener),
@@ -27,6 +29,8 @@ struct Connection {
     is_local: bool,
     /// The peer has answered the call.
     is_up: bool,
+    /// The peer has shown that it may be: others must wait until it is silent.
+    is_introduced: bool,
     since_ns: Nanos,
     heard_ns: Nanos,
 }
@@ -37,7 +41,9 @@ pub type TcpLink = Gated<TcpWire>;
 /// The connection.
 pub struct TcpWire {
     role: Role,
+    rule: PeerRule,
     connection: Option<Connection>,
+    callers: Callers,
     stream: PacketStream,
     foreign: u64,
     connections: u64,
@@ -48,8 +54,8 @@ impl TcpLink {
     ///
     /// # Errors
     /// [`LinkError::InUse`] and others, each naming the link.
-    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
-        let wire = TcpWire::open(url)?;
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: Gate) -> Result<Self, LinkError> {
+        let wire = TcpWire::open(url, rule)?;
         Ok(Self { wire, gate })
     }
 
@@ -66,7 +72,7 @@ impl TcpLink {
 }
 
 impl TcpWire {
-    pub(crate) fn open(url: &LinkUrl) -> Result<Self, LinkError> {
+    pub(crate) fn open(url: &LinkUrl, rule: PeerRule) -> Result<Self, LinkError> {
         let error = |source| LinkError::of(url, source);
         let role = match *url {
             LinkUrl::TcpIn(local) => {
@@ -79,39 +85,55 @@ impl TcpWire {
         };
         Ok(Self {
             role,
+            rule,
             connection: None,
+            callers: Callers::new(),
             stream: PacketStream::new(),
             foreign: 0,
             connections: 0,
         })
     }
 
+    /// Whether the connection is a peer's who showed that it may be, and is heard.
+    fn is_taken(&self, now_ns: Nanos) -> bool {
+        let heard = |c: &Connection| c.is_introduced && now_ns.saturating_sub(c.heard_ns) <= PEER_SILENCE_NS;
+        self.connection.as_ref().is_some_and(heard)
+    }
+
+    /// Answers who calls, or calls.
     fn connect(&mut self, now_ns: Nanos) {
+        let taken = self.is_taken(now_ns);
         match &mut self.role {
             Role::Server(listener) => {
-                for _ in 0..MAX_CALLERS_PER_STEP {
+                let most = if taken {
+                    MAX_CALLERS_BESIDE_PEER
+                } else {
+                    MAX_CALLERS_PER_STEP
+                };
+                for _ in 0..most {
                     let Ok((socket, from)) = listener.accept() else {
                         return;
                     };
-                    let taken = self
-                        .connection
-                        .as_ref()
-                        .is_some_and(|c| now_ns.saturating_sub(c.heard_ns) <= PEER_SILENCE_NS);
                     if taken || socket.set_nonblocking(true).is_err() {
                         self.foreign += 1;
                         continue;
                     }
                     // Without it packets only go later.
                     let _ = socket.set_nodelay(true);
-                    self.stream.reset();
-                    self.connections += 1;
-                    self.connection = Some(Connection {
-                        socket,
-                        is_local: is_local(from),
-                        is_up: true,
-                        since_ns: now_ns,
-                        heard_ns: now_ns,
-                    });
+                    if self.rule.serves_the_silent() && self.connection.is_none() {
+                        self.stream.reset();
+                        self.connections += 1;
+                        self.connection = Some(Connection {
+                            socket,
+                            is_local: is_local(from),
+                            is_up: true,
+                            is_introduced: false,
+                            since_ns: now_ns,
+                            heard_ns: now_ns,
+                        });
+                    } else if !self.callers.take(socket, is_local(from), now_ns) {
+                        self.foreign += 1;
+                    }
                 }
             }
             Role::Client { peer, next_call_ns } => {
@@ -120,6 +142,31 @@ impl TcpWire {
                     self.connection = call(*peer, now_ns);
                 }
             }
+        }
+    }
+
+    /// Makes the first caller the peer who shows that he may be, if the place is free.
+    fn admit_a_caller(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+        if self.is_taken(now_ns) {
+            self.foreign += self.callers.dismiss();
+            return;
+        }
+        let with = (self.rule, &mut *door);
+        let admitted = self
+            .callers
+            .listen(now_ns, with, &mut self.stream, received, &mut self.foreign);
+        if let Some(caller) = admitted {
+            self.stream.continue_with(caller.framer);
+            self.connections += 1;
+            self.connection = Some(Connection {
+                socket: caller.socket,
+                is_local: caller.is_local,
+                is_up: true,
+                is_introduced: true,
+                since_ns: now_ns,
+                heard_ns: now_ns,
+            });
+            self.foreign += self.callers.dismiss();
         }
     }
 
@@ -163,6 +210,7 @@ fn call(peer: SocketAddr, now_ns: Nanos) -> Option<Connection> {
         socket,
         is_local: is_local(peer),
         is_up: false,
+        is_introduced: true,
         since_ns: now_ns,
         heard_ns: now_ns,
     })
@@ -174,14 +222,18 @@ impl Wire for TcpWire {
     fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
         self.connect(now_ns);
         self.watch(now_ns);
-        let Some(connection) = self.connection.as_mut().filter(|c| c.is_up) else {
-            return;
-        };
-        let mut socket = &connection.socket;
-        match self.stream.receive(&mut socket, door, connection.is_local, received) {
-            Ok(true) => connection.heard_ns = now_ns,
-            Ok(false) => {}
-            Err(_) => self.connection = None,
+        self.admit_a_caller(now_ns, door, received);
+        if let Some(connection) = self.connection.as_mut().filter(|c| c.is_up) {
+            let mut socket = &connection.socket;
+            let with = (self.rule, door, connection.is_local);
+            match self.stream.receive(&mut socket, with, received) {
+                Ok(true) => {
+                    connection.heard_ns = now_ns;
+                    connection.is_introduced = true;
+                }
+                Ok(false) => {}
+                Err(_) => self.connection = None,
+            }
         }
     }
 

@@ -1,26 +1,34 @@
 //! MAVLink over one UDP socket.
 
-use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, Wire, is_local};
+use super::socket_filter::{FLOOD, FloodWatch, Newcomers, SocketFilter};
+use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local};
 use crate::gate::{Gate, MAX_DATAGRAM_BYTES};
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
 use vigil_types::{Datagrams, Nanos};
 
-/// Datagrams taken from the socket in one step at most; bounds the step.
-const MAX_DATAGRAMS_PER_STEP: usize = 128;
+/// Datagrams taken from the peer in one step at most; bounds the step. What the vehicle passes on of others is among them.
+const MAX_DATAGRAMS_PER_STEP: usize = 192;
+/// Datagrams read in one step at most, those of strangers included, which are put aside unread: more than a socket's
+/// queue holds by default.
+const MAX_READS_PER_STEP: usize = 512;
 
-/// MAVLink over one UDP socket. It speaks with one peer: who called first with something that passed the gate, or who is
-/// called.
+/// MAVLink over one UDP socket. It speaks with one peer: who called first and showed who it is, or who is called. The
+/// kernel lets in nobody else while the peer is heard.
 pub type UdpLink = Gated<UdpWire>;
 
 /// The socket of one peer.
 pub struct UdpWire {
     socket: UdpSocket,
+    rule: PeerRule,
     peer: Option<SocketAddr>,
     peer_heard_ns: Nanos,
     calling: bool,
+    filter: SocketFilter,
+    flood: FloodWatch,
     foreign: u64,
+    other_system: Option<u8>,
     unsent: u64,
     buffer: Box<[u8; MAX_DATAGRAM_BYTES]>,
 }
@@ -30,8 +38,8 @@ impl UdpLink {
     ///
     /// # Errors
     /// [`LinkError::InUse`] and others, each naming the link.
-    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
-        let wire = UdpWire::open(url)?;
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: Gate) -> Result<Self, LinkError> {
+        let wire = UdpWire::open(url, rule)?;
         Ok(Self { wire, gate })
     }
 
@@ -45,7 +53,7 @@ impl UdpLink {
 }
 
 impl UdpWire {
-    pub(crate) fn open(url: &LinkUrl) -> Result<Self, LinkError> {
+    pub(crate) fn open(url: &LinkUrl, rule: PeerRule) -> Result<Self, LinkError> {
         let error = |source| LinkError::of(url, source);
         let (local, peer) = match *url {
             LinkUrl::UdpIn(local) => (local, None),
@@ -60,21 +68,63 @@ impl UdpWire {
         };
         let socket = UdpSocket::bind(local).map_err(error)?;
         socket.set_nonblocking(true).map_err(error)?;
-        Ok(Self {
+        let mut wire = Self {
             socket,
+            rule,
             peer,
             peer_heard_ns: 0,
             calling: peer.is_some(),
+            filter: SocketFilter::new(),
+            flood: FloodWatch::default(),
             foreign: 0,
+            other_system: None,
             unsent: 0,
             buffer: Box::new([0; MAX_DATAGRAM_BYTES]),
-        })
+        };
+        wire.set_filter(0);
+        Ok(wire)
     }
 
-    /// Whether `from` is the peer, or may become it.
-    fn is_welcome(&self, from: SocketAddr, now_ns: Nanos) -> bool {
+    /// Whether somebody else may become the peer now.
+    fn is_vacant(&self, now_ns: Nanos) -> bool {
         let silent = now_ns.saturating_sub(self.peer_heard_ns) > PEER_SILENCE_NS;
-        self.peer == Some(from) || !self.calling && (self.peer.is_none() || silent)
+        !self.calling && (self.peer.is_none() || silent)
+    }
+
+    fn set_filter(&mut self, now_ns: Nanos) {
+        let newcomers = match self.rule {
+            _ if !self.is_vacant(now_ns) => Newcomers::None,
+            PeerRule::Vehicle { system } => Newcomers::Autopilots(system),
+            PeerRule::Anyone => Newcomers::Mavlink,
+        };
+        let flooded = self.flood.is_flooded(now_ns);
+        self.filter.set(&self.socket, self.peer.into_iter(), newcomers, flooded);
+    }
+
+    /// Takes a datagram of somebody else than the peer: whether its sender is the peer from now on.
+    fn introduce(
+        &mut self,
+        len: usize,
+        from: SocketAddr,
+        now_ns: Nanos,
+        door: &mut Door<'_>,
+        received: &mut Datagrams,
+    ) -> bool {
+        let datagram = self.buffer.get(..len).unwrap_or_default();
+        let has_key = door.gate.has_key();
+        let introduced = self.rule.introduces_any(datagram, has_key)
+            && door.admit(is_local(from), datagram, received)
+            // What passed the gate, and not what came with it.
+            && received.last().is_some_and(|passed| self.rule.introduces_any(passed, has_key));
+        if !introduced {
+            self.other_system = self.rule.other_system_in(datagram).or(self.other_system);
+        } else {
+            self.peer = Some(from);
+            self.peer_heard_ns = now_ns;
+            self.filter.peers_changed();
+            self.set_filter(now_ns);
+        }
+        introduced
     }
 }
 
@@ -82,25 +132,36 @@ impl Wire for UdpWire {
     const IS_STREAM: bool = false;
 
     fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
-        for _ in 0..MAX_DATAGRAMS_PER_STEP {
-            if received.len() >= Datagrams::MAX_COUNT || received.free_bytes() < MAX_DATAGRAM_BYTES {
-                return;
+        self.set_filter(now_ns);
+        let (mut taken, mut introductions) = (0, 0);
+        for _ in 0..MAX_READS_PER_STEP {
+            let no_room = received.len() >= Datagrams::MAX_COUNT || received.free_bytes() < MAX_DATAGRAM_BYTES;
+            if no_room || taken >= MAX_DATAGRAMS_PER_STEP || introductions >= FLOOD {
+                break;
             }
             match self.socket.recv_from(self.buffer.as_mut_slice()) {
-                Ok((_, from)) if !self.is_welcome(from, now_ns) => self.foreign += 1,
-                Ok((len, from)) => {
+                Ok((len, from)) if self.peer == Some(from) => {
+                    taken += 1;
                     let datagram = self.buffer.get(..len).unwrap_or_default();
-                    // Who is refused at the gate neither becomes the peer nor stays it.
-                    if door.admit(is_local(from), datagram, received) {
-                        self.peer = Some(from);
+                    // Who is refused at the gate, or is no vehicle any more, does not stay the peer.
+                    let passed = door.admit(is_local(from), datagram, received);
+                    if passed && received.last().is_some_and(|passed| self.rule.is_heard_in(passed)) {
                         self.peer_heard_ns = now_ns;
                     }
                 }
-                Err(e) if e.kind() == ErrorKind::WouldBlock => return,
+                Ok((len, from)) if self.is_vacant(now_ns) => {
+                    introductions += 1;
+                    if !self.introduce(len, from, now_ns, door, received) {
+                        self.foreign += 1;
+                    }
+                }
+                Ok(_) => self.foreign += 1,
+                Err(e) if e.kind() == ErrorKind::WouldBlock => break,
                 // An earlier datagram met a closed port (ICMP); what arrived is still to be read.
                 Err(_) => {}
             }
         }
+        self.flood.note(now_ns, introductions, false);
     }
 
     fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
@@ -115,6 +176,7 @@ impl Wire for UdpWire {
     fn statistics(&self) -> LinkStatistics {
         LinkStatistics {
             foreign: self.foreign,
+            other_system: self.other_system,
             unsent: self.unsent,
             ..LinkStatistics::default()
         }

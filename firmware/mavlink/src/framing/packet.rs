@@ -1,14 +1,18 @@
 //! The scanner that finds packets, and what a packet tells before it is parsed.
 
 use crate::framing::{Command, CommandAck};
-use mavlink::dialects::common::MavMessage;
+use mavlink::dialects::common::{HEARTBEAT_DATA, MavMessage};
 use mavlink::error::ParserError;
-use mavlink::{MAV_STX, MAV_STX_V2, MavHeader, MavlinkVersion, Message, calculate_crc};
+use mavlink::{MAV_STX, MAV_STX_V2, MavHeader, MavlinkVersion, Message, MessageData, calculate_crc};
 
 const V1_HEADER_LEN: usize = 6;
 const V2_HEADER_LEN: usize = 10;
 const CRC_LEN: usize = 2;
 const SIGNATURE_LEN: usize = 13;
+/// The autopilot's component.
+const AUTOPILOT: u8 = 1;
+/// MAV_AUTOPILOT_INVALID: not a vehicle.
+const NO_AUTOPILOT: u8 = 8;
 /// The one incompatibility flag that a receiver of ours understands; a packet with any other must be discarded.
 const INCOMPATIBILITY_SIGNED: u8 = 0x01;
 
@@ -115,6 +119,18 @@ impl<'a> Packet<'a> {
     /// The acknowledgement of a COMMAND_ACK, whatever its command and result; `None` for any other message.
     pub fn command_ack(&self) -> Option<CommandAck> {
         CommandAck::from_payload(self.message_id, self.payload)
+    }
+
+    /// Whether this is the heartbeat of an autopilot: of component 1, naming a MAV_AUTOPILOT. Ground stations, cameras and
+    /// companions name none (MAV_AUTOPILOT_INVALID).
+    pub fn is_autopilots_heartbeat(&self) -> bool {
+        // A heartbeat's sixth byte is its MAV_AUTOPILOT.
+        let names_autopilot = self.payload.get(5).is_some_and(|autopilot| *autopilot != NO_AUTOPILOT);
+        self.known
+            && self.message_id == HEARTBEAT_DATA::ID
+            && self.component_id == AUTOPILOT
+            && self.system_id != 0
+            && names_autopilot
     }
 
     /// The (system, component) that the message is addressed to; 0 is everybody. `None` when the message has no target

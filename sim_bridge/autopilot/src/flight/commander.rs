@@ -6,6 +6,7 @@ use crate::flight::setpoints::{Claim, Setpoints};
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
 use crate::message_ids;
 use crate::parameters::ParamId;
+use crate::source::Source;
 use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Nanos, NedVector};
 use vigil_vehicle::YawCommand;
@@ -107,7 +108,7 @@ impl Core {
     }
 
     /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
-    pub fn change_mode(&mut self, mode: FlightMode, commander: ComponentId) -> Result<(), Denial> {
+    pub fn change_mode(&mut self, mode: FlightMode, commander: Source) -> Result<(), Denial> {
         if mode == FlightMode::Offboard {
             return self.enter_offboard(commander);
         }
@@ -128,7 +129,7 @@ impl Core {
         Ok(())
     }
 
-    fn enter_offboard(&mut self, commander: ComponentId) -> Result<(), Denial> {
+    fn enter_offboard(&mut self, commander: Source) -> Result<(), Denial> {
         let max_age_ns = self.setpoint_max_age_ns();
         if self.commander.mode == FlightMode::Offboard
             && let Some(owner) = self.setpoints.owner()
@@ -263,7 +264,7 @@ impl Core {
             component: GUIDANCE_COMPONENT,
         };
         let max_age_ns = self.setpoint_max_age_ns();
-        if self.setpoints.owner() == Some(guidance) {
+        if self.setpoints.owner().map(|owner| owner.id) == Some(guidance) {
             max_age_ns.min((f64::from(self.param(ParamId::GuidanceLossS)) * 1e9) as Nanos)
         } else {
             max_age_ns

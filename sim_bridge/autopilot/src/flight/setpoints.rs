@@ -1,20 +1,22 @@
 //! Offboard setpoints: what a message asks for, and whose setpoints are flown.
 //!
-//! One owner at a time. The owner is chosen when OFFBOARD is entered: the sender of the mode command if its own setpoints
+//! One owner at a time: an identity, on the link and from the end of it where it was when it became the owner. Whoever
+//! claims the same identity elsewhere is somebody else. The owner is chosen when OFFBOARD is entered: the sender of the mode command if its own setpoints
 //! are fresh, else the only source whose setpoints are fresh. Everybody else's setpoints are counted and ignored until
 //! OFFBOARD is left.
 
+use crate::source::Source;
 use crate::{HomePosition, geo};
 use vigil_mavlink::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
     SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
-use vigil_mavlink::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
-/// Sources remembered; the oldest gives way.
-const MAX_SOURCES: usize = 8;
+/// Sources remembered; the oldest gives way. So many that a flood of made-up ones does not come between a setpoint and the
+/// mode command behind it.
+const MAX_SOURCES: usize = 64;
 /// Beyond these a value is a mistake, not a wish: the setpoint is refused rather than limited.
 const ABSURD_POSITION_M: f32 = 100_000.0;
 const ABSURD_VELOCITY_M_S: f32 = 100.0;
@@ -32,7 +34,7 @@ pub(crate) enum SetpointDefect {
 
 #[derive(Debug, Clone, Copy)]
 struct SourceState {
-    id: ComponentId,
+    id: Source,
     last_ns: Nanos,
     command: ControlCommand,
     /// A status text has told that its setpoints are ignored.
@@ -43,22 +45,22 @@ struct SourceState {
 #[derive(Debug, Default)]
 pub(crate) struct Setpoints {
     sources: Vec<SourceState>,
-    owner: Option<ComponentId>,
+    owner: Option<Source>,
 }
 
 /// Who would own OFFBOARD if it were entered now.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Claim {
-    Owner(ComponentId),
+    Owner(Source),
     /// Nobody streams.
     Nobody,
     /// Several stream, and the commander is none of them.
-    Several(Vec<ComponentId>),
+    Several(Vec<Source>),
 }
 
 impl Setpoints {
     /// Whose setpoints are flown.
-    pub fn owner(&self) -> Option<ComponentId> {
+    pub fn owner(&self) -> Option<Source> {
         self.owner
     }
 
@@ -80,7 +82,7 @@ impl Setpoints {
     }
 
     /// Takes a source's newest setpoint.
-    pub fn take(&mut self, now_ns: Nanos, id: ComponentId, command: ControlCommand) -> Taken {
+    pub fn take(&mut self, now_ns: Nanos, id: Source, command: ControlCommand) -> Taken {
         let owner = self.owner;
         let is_foreign = owner.is_some_and(|owner| owner != id);
         if let Some(source) = self.sources.iter_mut().find(|s| s.id == id) {
@@ -113,8 +115,8 @@ impl Setpoints {
     }
 
     /// Who would own OFFBOARD on a mode command of `commander`.
-    pub fn claim(&self, now_ns: Nanos, max_age_ns: Nanos, commander: ComponentId) -> Claim {
-        let mut streaming: Vec<ComponentId> = self
+    pub fn claim(&self, now_ns: Nanos, max_age_ns: Nanos, commander: Source) -> Claim {
+        let mut streaming: Vec<Source> = self
             .sources
             .iter()
             .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
@@ -132,7 +134,7 @@ impl Setpoints {
     }
 
     /// Sets or clears the owner.
-    pub fn set_owner(&mut self, owner: Option<ComponentId>) {
+    pub fn set_owner(&mut self, owner: Option<Source>) {
         self.owner = owner;
         for source in &mut self.sources {
             source.told = false;
@@ -553,9 +555,17 @@ mod tests {
         assert_eq!(attitude_setpoint(&excessive), Err(SetpointDefect::Value));
     }
 
+    fn source(system: u8, component: u8) -> Source {
+        Source {
+            link: crate::LinkId::ONBOARD,
+            peer: 0,
+            id: vigil_mavlink::routing::ComponentId { system, component },
+        }
+    }
+
     #[test]
     fn the_commander_owns_if_it_streams_else_the_only_stream() {
-        let id = |component| ComponentId { system: 1, component };
+        let id = |component| source(1, component);
         let hold = ControlCommand::Idle;
         let mut setpoints = Setpoints::default();
         assert_eq!(setpoints.claim(0, 400, id(190)), Claim::Nobody);
@@ -573,7 +583,7 @@ mod tests {
 
     #[test]
     fn a_flood_of_sources_never_evicts_the_owner() {
-        let id = |system| ComponentId { system, component: 1 };
+        let id = |system| source(system, 1);
         let mut setpoints = Setpoints::default();
         setpoints.take(0, id(2), ControlCommand::Idle);
         setpoints.set_owner(Some(id(2)));

@@ -3,7 +3,7 @@
 
 use crate::flight::mode::FlightMode;
 use crate::plan::Breach;
-use vigil_mavlink::routing::ComponentId;
+use crate::source::Source;
 use vigil_types::{Nanos, NedVector};
 use vigil_vehicle::{Estimate, YawCommand};
 
@@ -55,9 +55,9 @@ pub(crate) enum Denial {
     #[error("offboard denied: no setpoints")]
     NoSetpoints,
     #[error("offboard denied: setpoints from {}", list(.0))]
-    SeveralSources(Vec<ComponentId>),
+    SeveralSources(Vec<Source>),
     #[error("offboard denied: {0} owns it")]
-    OwnedByOther(ComponentId),
+    OwnedByOther(Source),
     #[error("denied: not in the air")]
     NotInAir,
     #[error("mission denied: no mission")]
@@ -68,8 +68,8 @@ pub(crate) enum Denial {
     OutsideFence,
 }
 
-fn list(sources: &[ComponentId]) -> String {
-    let names: Vec<String> = sources.iter().map(ToString::to_string).collect();
+fn list(sources: &[Source]) -> String {
+    let names: Vec<String> = sources.iter().map(|source| source.id.to_string()).collect();
     names.join(", ")
 }
 
@@ -250,12 +250,12 @@ pub(crate) struct Deflections {
 /// The newest sticks, and whose they are. Two stations' sticks never mix: who streams keeps the vehicle until silent.
 #[derive(Debug, Default)]
 pub(crate) struct Sticks {
-    newest: Option<(ComponentId, Nanos, Deflections)>,
+    newest: Option<(Source, Nanos, Deflections)>,
 }
 
 impl Sticks {
     /// Takes what a station sends; `false` if another one has the vehicle.
-    pub fn take(&mut self, now_ns: Nanos, from: ComponentId, deflections: Deflections) -> bool {
+    pub fn take(&mut self, now_ns: Nanos, from: Source, deflections: Deflections) -> bool {
         let is_others = self.current(now_ns).is_some() && self.newest.is_some_and(|(owner, ..)| owner != from);
         if !is_others {
             self.newest = Some((from, now_ns, deflections));

@@ -68,7 +68,7 @@ impl Service for Actions {
 fn set_mode(requested: Requested, source: Source, core: &mut Core) -> Answer {
     match requested {
         Requested::Flown(mode) => {
-            let outcome = core.change_mode(mode, source.id);
+            let outcome = core.change_mode(mode, source);
             answer(outcome, core)
         }
         Requested::Unknown => Answer::DENIED,

@@ -39,7 +39,7 @@ impl Service for MissionService {
                     Some(1.0) => FlightMode::Mission,
                     _ => return Some(Answer::DENIED),
                 };
-                let outcome = core.change_mode(mode, source.id);
+                let outcome = core.change_mode(mode, source);
                 answer(outcome, core)
             }
             DO_SET_MISSION_CURRENT => {
@@ -108,9 +108,7 @@ fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
         }
         Some(_) => return Answer::DENIED,
     }
-    let outcome = core
-        .change_mode(FlightMode::Mission, source.id)
-        .and_then(|()| core.arm());
+    let outcome = core.change_mode(FlightMode::Mission, source).and_then(|()| core.arm());
     answer(outcome, core)
 }
 

@@ -41,7 +41,7 @@ pub(crate) use intervals::message_interval;
 /// Every service: a new one needs its line here. Commands are offered in this order; a message goes to all.
 pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
     vec![
-        Box::new(setpoints::SetpointService),
+        Box::<setpoints::SetpointService>::default(),
         Box::new(manual::Manual),
         Box::new(state::State),
         Box::new(attitude::Attitude),

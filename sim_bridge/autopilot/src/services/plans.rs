@@ -164,7 +164,7 @@ impl PlanTransfer {
         let Some(kind) = PlanKind::from_number(mission_type) else {
             return acknowledge(core, source, mission_type, MavMissionResult::MAV_MISSION_UNSUPPORTED);
         };
-        if self.upload.as_ref().is_some_and(|upload| upload.source.id != source.id) {
+        if self.upload.as_ref().is_some_and(|upload| upload.source != source) {
             let result = MavMissionResult::MAV_MISSION_DENIED;
             return refuse(core, source, kind, result, "another upload is under way");
         }
@@ -193,7 +193,7 @@ impl PlanTransfer {
 
     fn take(&mut self, item: PlanItem, envelope: Envelope, source: Source, core: &mut Core) {
         let is_this = |upload: &Upload| {
-            upload.source.id == source.id
+            upload.source == source
                 && upload.kind.wire() as u8 == envelope.mission_type
                 // 2 and 3 are ArduPilot's "go there now".
                 && envelope.current < 2

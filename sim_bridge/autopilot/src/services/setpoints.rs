@@ -10,8 +10,15 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
 
-pub(crate) struct SetpointService;
+/// Claimants are told of this often at most: there may be any number of made-up ones.
+const TOLD_NS: Nanos = 1_000_000_000;
+
+#[derive(Default)]
+pub(crate) struct SetpointService {
+    told_next_ns: Nanos,
+}
 
 impl Service for SetpointService {
     fn receive(&mut self, packet: &Packet<'_>, source: Source, core: &mut Core) {
@@ -37,14 +44,21 @@ impl Service for SetpointService {
         match command {
             Err(SetpointDefect::Form) => core.refusals.setpoint_form += 1,
             Err(SetpointDefect::Value) => core.refusals.setpoint_value += 1,
-            Ok(command) => match core.setpoints.take(core.now_ns, source.id, command) {
+            Ok(command) => match core.setpoints.take(core.now_ns, source, command) {
                 Taken::Own => {}
                 Taken::Ignored => core.refusals.setpoint_foreign += 1,
                 Taken::IgnoredFirst => {
                     core.refusals.setpoint_foreign += 1;
-                    let owner = core.setpoints.owner().unwrap_or(core.id);
-                    let text = format!("setpoints of {} ignored: owner {owner}", source.id);
-                    core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+                    if core.now_ns >= self.told_next_ns
+                        && let Some(owner) = core.setpoints.owner()
+                    {
+                        self.told_next_ns = core.now_ns + TOLD_NS;
+                        let text = match owner.id == source.id {
+                            true => format!("setpoints of a second {source} ignored"),
+                            false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
+                        };
+                        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+                    }
                 }
             },
         }

@@ -3,7 +3,7 @@
 //! A few commands of PX4's shell, by the same paths as the messages that do the same: a shell can do nothing that a
 //! message could not.
 
-use crate::core::{ComponentId, Core};
+use crate::core::Core;
 use crate::flight::{Denial, FlightMode};
 use crate::parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
 use crate::plan::PlanKind;
@@ -106,7 +106,7 @@ impl Shell {
         self.lines.retain(|(of, _)| *of != client);
         let text = match core::str::from_utf8(&line) {
             _ if line.len() > MAX_LINE => "line too long\n".to_owned(),
-            Ok(text) => execute(text.trim(), client.id, core),
+            Ok(text) => execute(text.trim(), client, core),
             Err(_) => "not text\n".to_owned(),
         };
         output.push_str(&text);
@@ -126,7 +126,7 @@ impl Shell {
 }
 
 /// Does what a line says and tells what came of it.
-fn execute(line: &str, client: ComponentId, core: &mut Core) -> String {
+fn execute(line: &str, client: Source, core: &mut Core) -> String {
     let words: Vec<&str> = line.split_whitespace().collect();
     match words.as_slice() {
         [] => String::new(),

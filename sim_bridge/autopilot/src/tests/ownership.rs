@@ -91,6 +91,68 @@ fn two_sources_never_mix() {
     assert_eq!(b.status().setpoint_owner, Some(COMPANION));
 }
 
+/// Who claims to be the owner, on another link or from another end of the owner's own.
+#[test]
+fn an_owners_identity_claimed_elsewhere_is_somebody_else() {
+    for (link, peer) in [(API, 0), (GCS, 3), (ONBOARD, 7)] {
+        let mut b = Bench::airborne();
+        b.stream(ONBOARD, COMPANION, [1.0, 0.0, 0.0]);
+        b.run_ms(200);
+        assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+        b.run_ms(200);
+        let before = b.status().refusals;
+        for _ in 0..200 {
+            b.run_ms(10);
+            b.peer = peer;
+            b.send_velocity(link, COMPANION, [-5.0, 0.0, 0.0]);
+            b.peer = 0;
+            b.run_ms(1);
+            let ControlCommand::VelocityHeading { velocity_m_s, .. } = b.command else {
+                panic!("{:?}", b.command);
+            };
+            assert_eq!(velocity_m_s.x, 1.0, "the owner's");
+        }
+        b.peer = peer;
+        assert_eq!(b.set_mode(link, COMPANION, 6, 0), REJECTED, "nor does it take over");
+        b.peer = 0;
+        let after = b.status().refusals;
+        assert_eq!(after.setpoint_foreign - before.setpoint_foreign, 200);
+        assert_eq!(after.command_denied - before.command_denied, 1);
+        let told = format!("setpoints of a second 1/191 on link {} ignored", link.0);
+        assert_eq!(b.texts().iter().filter(|t| **t == told).count(), 1, "{:?}", b.texts());
+        // A claimant does not keep a dead owner alive.
+        b.stop_stream(COMPANION);
+        for _ in 0..60 {
+            b.run_ms(10);
+            b.peer = peer;
+            b.send_velocity(link, COMPANION, [-5.0, 0.0, 0.0]);
+            b.peer = 0;
+        }
+        assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+    }
+}
+
+#[test]
+fn a_flood_of_made_up_claimants_neither_fills_the_links_with_texts_nor_keeps_the_companion_from_owning() {
+    let mut b = Bench::airborne();
+    b.stream(ONBOARD, COMPANION, [1.0, 0.0, 0.0]);
+    b.run_ms(200);
+    for step in 0..40 {
+        for claimant in 0..20 {
+            b.peer = 1000 + step * 20 + claimant;
+            b.send_velocity(API, COMPANION, [-5.0, 0.0, 0.0]);
+        }
+        b.peer = 0;
+        b.run_ms(50);
+        if step == 10 {
+            assert_eq!(b.set_mode(ONBOARD, COMPANION, 6, 0), ACCEPTED);
+        }
+    }
+    assert_eq!(b.status().setpoint_owner, Some(COMPANION));
+    let told = b.texts().iter().filter(|t| t.contains("ignored")).count();
+    assert!((1..=2).contains(&told), "{told} texts in 1.5 s");
+}
+
 #[test]
 fn a_lost_stream_means_hold_within_half_a_second_until_a_new_mode_command() {
     let mut b = Bench::airborne();

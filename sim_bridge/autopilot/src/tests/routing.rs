@@ -125,3 +125,22 @@ fn each_link_counts_its_own_sequence() {
         assert!(sequence.windows(2).all(|w| w[1] == w[0].wrapping_add(1)));
     }
 }
+
+#[test]
+fn a_flood_on_one_link_does_not_become_one_on_the_others() {
+    let mut b = Bench::new();
+    b.sent.clear();
+    // 20 000 broadcasts a second by a station, and twenty by the companion.
+    for _ in 0..1000 {
+        (0..20).for_each(|_| b.send_heartbeat(GCS, STATION));
+        b.run_ms(1);
+        if b.now_ns.is_multiple_of(50_000_000) {
+            b.send_heartbeat(ONBOARD, COMPANION);
+        }
+    }
+    let from = |link, id| forwarded(&b, link).iter().filter(|(from, _)| *from == id).count();
+    assert_eq!(from(API, COMPANION), 20);
+    assert_eq!(from(GCS, COMPANION), 20);
+    assert!((1000..1400).contains(&from(ONBOARD, STATION)));
+    assert!(b.status().refusals.crowded_out > 18_000);
+}

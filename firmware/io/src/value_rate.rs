@@ -1,0 +1,151 @@
+//! How often a link gets the guidance computer's values: each named value, and what the pilot sees. Four times a second
+//! they are too many for a radio.
+
+use vigil_mavlink::common::{NAMED_VALUE_FLOAT_DATA, OBSTACLE_DISTANCE_DATA};
+use vigil_mavlink::framing::Packet;
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::{Nanos, STEP_NS};
+
+/// Names told apart; more than there are. What finds no room is sent each time.
+const MAX_NAMES: usize = 32;
+/// State, reasons and verdict: told at once when they change.
+const TOLD_ON_CHANGE: [&[u8]; 3] = [b"gd_state", b"gd_reason", b"dt_state"];
+/// But no more often than this: reasons may come and go with each step. The guidance computer repeats all values after
+/// that time, so that the last change is never lost.
+const CHANGE_NS: Nanos = 250_000_000;
+
+#[derive(Debug, Clone, Copy)]
+struct Told {
+    name: [u8; 10],
+    value: [u8; 4],
+    at_ns: Nanos,
+}
+
+/// What a link was told, and when.
+#[derive(Debug)]
+pub(crate) struct ValueRate {
+    /// `None`: everything passes. The longest time there is: changes only.
+    interval_ns: Option<Nanos>,
+    told: heapless::Vec<Told, MAX_NAMES>,
+}
+
+impl ValueRate {
+    /// At most `per_s` of each value in a second; `None` for all of them.
+    pub fn new(per_s: Option<f32>) -> Self {
+        let interval_ns = |per_s: f32| match per_s > 0.0 {
+            true => (1e9 / f64::from(per_s)) as Nanos,
+            false => Nanos::MAX,
+        };
+        Self {
+            interval_ns: per_s.map(interval_ns),
+            told: heapless::Vec::new(),
+        }
+    }
+
+    /// Whether a packet is sent now. Packets that hold no value always are.
+    pub fn passes(&mut self, now_ns: Nanos, packet: &Packet<'_>) -> bool {
+        let (Some(interval_ns), Some((name, value))) = (self.interval_ns, value_of(packet)) else {
+            return true;
+        };
+        let new = Told {
+            name,
+            value,
+            at_ns: now_ns,
+        };
+        let Some(told) = self.told.iter_mut().find(|told| told.name == name) else {
+            let _ = self.told.push(new);
+            return true;
+        };
+        // The step nearest to the time.
+        let has_waited = |ns: Nanos| now_ns.saturating_sub(told.at_ns).saturating_add(STEP_NS / 2) >= ns;
+        let is_news =
+            told.value != value && TOLD_ON_CHANGE.iter().any(|n| name.starts_with(n)) && has_waited(CHANGE_NS);
+        let passes = is_news || has_waited(interval_ns);
+        if passes {
+            *told = new;
+        }
+        passes
+    }
+}
+
+/// A value's name and bits. What the pilot sees is one value, of no name.
+fn value_of(packet: &Packet<'_>) -> Option<([u8; 10], [u8; 4])> {
+    if packet.message_id() == OBSTACLE_DISTANCE_DATA::ID {
+        return Some(([0; 10], [0; 4]));
+    }
+    if packet.message_id() != NAMED_VALUE_FLOAT_DATA::ID {
+        return None;
+    }
+    // Time, value and name; zeros at the end are not sent.
+    let mut payload = [0; 18];
+    for (to, from) in payload.iter_mut().zip(packet.payload()) {
+        *to = *from;
+    }
+    let [_, _, _, _, v0, v1, v2, v3, name @ ..] = payload;
+    Some((name, [v0, v1, v2, v3]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_mavlink::MavHeader;
+    use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
+    use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+
+    const HEADER: MavHeader = MavHeader {
+        system_id: 1,
+        component_id: 191,
+        sequence: 0,
+    };
+
+    fn passes(rate: &mut ValueRate, step: u64, message: &MavMessage) -> bool {
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(HEADER, message, &mut out).unwrap();
+        let mut counters = FramingCounters::default();
+        rate.passes(step * STEP_NS, &packets(&out[..len], &mut counters).next().unwrap())
+    }
+
+    fn named(name: &str, value: f32) -> MavMessage {
+        MavMessage::NAMED_VALUE_FLOAT(NAMED_VALUE_FLOAT_DATA {
+            name: name.into(),
+            value,
+            ..NAMED_VALUE_FLOAT_DATA::DEFAULT
+        })
+    }
+
+    #[test]
+    fn each_value_comes_at_the_links_rate_and_other_messages_always() {
+        let mut rate = ValueRate::new(Some(1.0));
+        let (mut goal, mut step_us, mut seen, mut others) = (0, 0, 0, 0);
+        // Told every fifth step, for 10 s.
+        for step in (0..200).step_by(5) {
+            goal += u32::from(passes(&mut rate, step, &named("goal_m", step as f32)));
+            step_us += u32::from(passes(&mut rate, step, &named("step_us", step as f32)));
+            let obstacles = MavMessage::OBSTACLE_DISTANCE(OBSTACLE_DISTANCE_DATA::DEFAULT);
+            seen += u32::from(passes(&mut rate, step, &obstacles));
+            others += u32::from(passes(&mut rate, step, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT)));
+        }
+        assert_eq!((goal, step_us, seen, others), (10, 10, 10, 40));
+        let mut all = ValueRate::new(None);
+        assert!((0..200).all(|step| passes(&mut all, step, &named("goal_m", 1.0))));
+    }
+
+    #[test]
+    fn a_change_of_state_is_told_at_once_and_one_that_flutters_four_times_a_second() {
+        for per_s in [1.0, 0.0] {
+            let mut rate = ValueRate::new(Some(per_s));
+            assert!(passes(&mut rate, 0, &named("gd_state", 0.0)));
+            assert!(!passes(&mut rate, 6, &named("gd_state", 0.0)));
+            assert!(passes(&mut rate, 7, &named("gd_state", 1.0)));
+            let fluttering = (8..108).filter(|step| passes(&mut rate, *step, &named("gd_state", (step % 2) as f32)));
+            assert!((15..=20).contains(&fluttering.count()));
+            assert!(
+                passes(&mut rate, 115, &named("gd_state", 7.0)),
+                "the last change is told"
+            );
+        }
+        let mut rate = ValueRate::new(Some(0.0));
+        assert!(passes(&mut rate, 0, &named("goal_m", 1.0)));
+        assert!((1..1000).all(|step| !passes(&mut rate, step, &named("goal_m", step as f32))));
+    }
+}
