@@ -19,6 +19,8 @@ use vigil_types::{Goal, NedVector};
 
 /// Highest instance number: the ports of the next one would be the simulator's own.
 pub const MAX_INSTANCE: u32 = 99;
+/// A configuration file has a page or two.
+const SIZE_LIMIT: u64 = 1 << 20;
 /// The port on which instance 0 meets the simulator, as PX4's SITL has it for an onboard computer.
 const COMPANION_PORT: u16 = 14030;
 
@@ -210,8 +212,9 @@ pub struct PilotConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DetectorConfig {
-    /// Whether the actor is watched.
-    pub enabled: bool,
+    /// Whether the actor is watched; absent means that it is, where it flies.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub enabled: Option<bool>,
     /// The frozen detector; absent means the one built into this program.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
@@ -263,7 +266,7 @@ impl Default for DetectorConfig {
     fn default() -> Self {
         let d = AlarmConfig::default();
         Self {
-            enabled: false,
+            enabled: None,
             file: None,
             threshold: None,
             alarm: AlarmChoice::Recover,
@@ -281,9 +284,9 @@ impl Default for DetectorConfig {
 #[serde(rename_all = "lowercase")]
 pub enum PilotKind {
     /// Goal seeking and potential field on the depth frame.
-    #[default]
     Geometric,
     /// The frozen actor.
+    #[default]
     Actor,
 }
 
@@ -436,7 +439,7 @@ impl FirmwareConfig {
     /// # Errors
     /// [`ConfigError`]: an unknown key or a bad value with file, line and field.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -516,6 +519,11 @@ impl FirmwareConfig {
             (None, None) => Ok(Gate::new(None, *allow_unsigned)),
         };
         Ok(gate?.accepting_first_key(*accept_first_key))
+    }
+
+    /// Whether a detector watches the pilot.
+    pub fn is_watched(&self) -> bool {
+        self.detector.enabled.unwrap_or(true) && self.pilot.kind == PilotKind::Actor
     }
 
     /// What the flight stack needs of this.

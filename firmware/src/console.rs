@@ -1,5 +1,6 @@
 //! Tells a person what the loop does, from a thread of its own: writing to a terminal may wait, the loop may not.
 
+use crate::frame_keeper::{FrameRefusals, Refusal};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -9,7 +10,7 @@ use vigil_types::{GuidanceState, Nanos, Reasons, StepReport};
 const CAPACITY: usize = 64;
 /// How often the printer looks.
 const PAUSE: Duration = Duration::from_millis(50);
-/// Refused packets are told of this often at most: an attacker must not fill the terminal.
+/// Refused packets and frames are told of this often at most: an attacker must not fill the terminal.
 const REFUSED_NS: Nanos = 10_000_000_000;
 
 #[derive(Debug, Clone, Copy)]
@@ -32,6 +33,11 @@ enum Announcement {
         at_ns: Nanos,
         system: u8,
     },
+    FramesRefused {
+        at_ns: Nanos,
+        total: u64,
+        last: Refusal,
+    },
 }
 
 /// Announces changes of the guidance state and missed steps.
@@ -44,6 +50,8 @@ pub struct Console {
     refused: u64,
     refused_next_ns: Nanos,
     other_system: Option<u8>,
+    frames_refused: u64,
+    frames_next_ns: Nanos,
 }
 
 impl Console {
@@ -64,6 +72,8 @@ impl Console {
             refused: 0,
             refused_next_ns: 0,
             other_system: None,
+            frames_refused: 0,
+            frames_next_ns: 0,
         })
     }
 
@@ -104,6 +114,19 @@ impl Console {
         {
             self.other_system = Some(system);
             self.announce(Announcement::OtherVehicle { at_ns, system });
+        }
+    }
+
+    /// Is told which frames were refused since start. Never waits and allocates nothing.
+    pub fn frames_refused(&mut self, at_ns: Nanos, refusals: &FrameRefusals) {
+        let total = refusals.total();
+        if let Some(last) = refusals.last()
+            && total > self.frames_refused
+            && at_ns >= self.frames_next_ns
+        {
+            self.frames_refused = total;
+            self.frames_next_ns = at_ns.saturating_add(REFUSED_NS);
+            self.announce(Announcement::FramesRefused { at_ns, total, last });
         }
     }
 
@@ -158,6 +181,13 @@ fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
                     tracing::warn!(
                         "{:8.2} s  a vehicle of system {system} calls, which is not the one asked for: give the link with \
                          system={system} if it is yours (docs/firmware.md, \"Who is the vehicle\")",
+                        seconds(at_ns)
+                    );
+                }
+                Announcement::FramesRefused { at_ns, total, last } => {
+                    tracing::warn!(
+                        "{:8.2} s  {total} depth frames refused since start; the last one: {last} (docs/firmware.md, \
+                         \"Depth frames\")",
                         seconds(at_ns)
                     );
                 }

@@ -33,8 +33,12 @@ impl Crew {
     /// The crew of a configuration.
     ///
     /// # Errors
-    /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name.
+    /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name. A
+    /// detector that was asked for where no actor flies.
     pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
+        if config.detector.enabled == Some(true) && !config.is_watched() {
+            return Err(StackError::NothingToWatch);
+        }
         let Some(frozen) = config.frozen_actor()? else {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
@@ -87,10 +91,10 @@ impl FirmwareConfig {
     /// # Errors
     /// [`FileError`]: a detector that is truncated, altered or of another architecture, by name.
     pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, FileError> {
-        match (self.pilot.kind, self.detector.enabled, &self.detector.file) {
-            (PilotKind::Geometric, ..) | (_, false, _) => Ok(None),
-            (PilotKind::Actor, true, Some(path)) => Ok(Some(FrozenDetector::load(path)?)),
-            (PilotKind::Actor, true, None) => Ok(Some(FrozenDetector::built_in()?)),
+        match (self.is_watched(), &self.detector.file) {
+            (false, _) => Ok(None),
+            (true, Some(path)) => Ok(Some(FrozenDetector::load(path)?)),
+            (true, None) => Ok(Some(FrozenDetector::built_in()?)),
         }
     }
 }

@@ -24,6 +24,82 @@ pub enum Refusal {
     NotNewer,
 }
 
+impl Refusal {
+    /// Its number, below [`REASONS`].
+    const fn code(self) -> usize {
+        match self {
+            Self::Defect(FrameDefect::WrongSize { .. }) => 0,
+            Self::Defect(FrameDefect::WrongSensor { .. }) => 1,
+            Self::Defect(FrameDefect::BadChecksum) => 2,
+            Self::Defect(FrameDefect::BadPose) => 3,
+            Self::Defect(FrameDefect::BadRange) => 4,
+            Self::FromTheFuture => 5,
+            Self::NotNewer => 6,
+        }
+    }
+}
+
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Defect(defect @ FrameDefect::BadChecksum) => write!(
+                f,
+                "{defect} (XXH3 of the header, then chained over blocks of 1024 pixels)"
+            ),
+            Self::Defect(defect @ FrameDefect::WrongSensor { .. }) => {
+                write!(f, "{defect}, which is not the configured sensor_id")
+            }
+            Self::Defect(defect) => defect.fmt(f),
+            Self::FromTheFuture => f.write_str("frame's stamp lies in the future of CLOCK_MONOTONIC"),
+            Self::NotNewer => f.write_str("frame's stamp is not later than that of the frame before"),
+        }
+    }
+}
+
+/// Reasons for which frames are refused.
+const REASONS: usize = 7;
+/// Their names, by number.
+const NAMES: [&str; REASONS] = [
+    "size",
+    "sensor id",
+    "checksum",
+    "pose",
+    "range",
+    "stamp in the future",
+    "stamp not newer",
+];
+
+/// Frames refused since start, by reason.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct FrameRefusals {
+    counts: [u64; REASONS],
+    last: Option<Refusal>,
+}
+
+impl FrameRefusals {
+    fn count(&mut self, refusal: Refusal) {
+        if let Some(count) = self.counts.get_mut(refusal.code()) {
+            *count += 1;
+        }
+        self.last = Some(refusal);
+    }
+
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.counts.iter().sum()
+    }
+
+    /// Why the last one was refused.
+    pub fn last(&self) -> Option<Refusal> {
+        self.last
+    }
+
+    /// The reasons that there were, and how often.
+    pub fn by_reason(&self) -> impl Iterator<Item = (&'static str, u64)> {
+        NAMES.into_iter().zip(self.counts).filter(|(_, count)| *count > 0)
+    }
+}
+
 /// The newest valid frame, and room to check the next.
 ///
 /// A frame is copied first and checked then: the memory it comes from may belong to another process.
@@ -34,7 +110,7 @@ pub struct FrameKeeper {
     /// The valid frame is the second; the other one is room.
     valid_is_second: bool,
     has_valid: bool,
-    refused: u64,
+    refusals: FrameRefusals,
 }
 
 impl FrameKeeper {
@@ -45,7 +121,10 @@ impl FrameKeeper {
             frames: [DepthFrame::EMPTY; 2],
             valid_is_second: false,
             has_valid: false,
-            refused: 0,
+            refusals: FrameRefusals {
+                counts: [0; REASONS],
+                last: None,
+            },
         }
     }
 
@@ -65,7 +144,7 @@ impl FrameKeeper {
                 self.valid_is_second = !self.valid_is_second;
                 self.has_valid = true;
             }
-            Err(_) => self.refused += 1,
+            Err(refusal) => self.refusals.count(refusal),
         }
         checked
     }
@@ -79,7 +158,12 @@ impl FrameKeeper {
 
     /// Frames refused so far.
     pub fn refused(&self) -> u64 {
-        self.refused
+        self.refusals.total()
+    }
+
+    /// Frames refused so far, by reason.
+    pub fn refusals(&self) -> FrameRefusals {
+        self.refusals
     }
 }
 

@@ -2,7 +2,12 @@
 //!
 //! [`stack::FlightStack::tick`] is the whole of a step, pure and without allocation. [`step::Firmware`] runs it over
 //! [`ports`]: [`live`] at a fixed rate, [`lockstep`] driven by a simulator, [`mod@replay`] driven by a log.
+#![cfg_attr(
+    not(test),
+    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)
+)]
 
+mod alarms;
 pub mod config;
 mod console;
 pub mod crew;
@@ -20,7 +25,9 @@ pub mod step;
 pub mod timing;
 mod tunables;
 
+pub use alarms::AlarmTally;
 pub use config::FirmwareConfig;
+pub use frame_keeper::{FrameRefusals, Refusal};
 pub use lockstep::LockstepFirmware;
 pub use replay::{ReplayReport, replay};
 pub use vigil_io::{link_spec, link_url};

@@ -1,7 +1,9 @@
 //! A real-time flight: the fixed-rate loop over the live ports.
 
+use crate::alarms::AlarmTally;
 use crate::config::FirmwareConfig;
 use crate::console::Console;
+use crate::frame_keeper::FrameRefusals;
 use crate::ports::links::{LinkError, LinkStatistics};
 use crate::ports::live::{MonotonicClock, SharedFrames};
 use crate::ports::router::{RoutedLinks, RoutingCounters};
@@ -64,8 +66,10 @@ pub struct FlightSummary {
     pub wake_late: Spread,
     /// Valid frames used.
     pub frames: u64,
-    /// Frames refused.
-    pub frames_refused: u64,
+    /// Frames refused, by reason.
+    pub frames_refused: FrameRefusals,
+    /// What the alarms came to.
+    pub alarms: AlarmTally,
     /// Failures of the transport to receive.
     pub frame_failures: u64,
     /// What MAVLink refused or dropped.
@@ -91,10 +95,22 @@ impl std::fmt::Display for FlightSummary {
         )?;
         writeln!(f, "step      {}", self.execution)?;
         writeln!(f, "wake-up   {} late", self.wake_late)?;
-        write!(f, "frames    {} used, {} refused", self.frames, self.frames_refused)?;
+        write!(
+            f,
+            "frames    {} used, {} refused",
+            self.frames,
+            self.frames_refused.total()
+        )?;
+        let mut separator = " (";
+        for (reason, count) in self.frames_refused.by_reason() {
+            write!(f, "{separator}{count} for their {reason}")?;
+            separator = ", ";
+        }
+        f.write_str(if self.frames_refused.total() > 0 { ")" } else { "" })?;
         if self.frame_failures > 0 {
             write!(f, ", {} times the transport failed", self.frame_failures)?;
         }
+        write!(f, "\nalarms    {}", self.alarms)?;
         let line = &self.line;
         if line.foreign + line.unsent > 0 {
             write!(
@@ -205,6 +221,7 @@ pub struct LiveLoop {
     wake_late: Durations,
     last: StepReport,
     used_frames: u64,
+    alarms: AlarmTally,
     console: Console,
     parameters: Option<ParameterKeeper>,
     _domain: Domain,
@@ -250,6 +267,7 @@ impl LiveLoop {
             wake_late: Durations::default(),
             last: StepReport::default(),
             used_frames: 0,
+            alarms: AlarmTally::new(config.is_watched()),
             console: Console::start(now_ns).map_err(LiveError::Console)?,
             parameters,
             _domain: domain,
@@ -278,6 +296,9 @@ impl LiveLoop {
         self.console.refused(report.now_ns, self.link.link.signing_refused());
         self.console
             .other_vehicle(report.now_ns, self.link.link.statistics().other_system);
+        self.console
+            .frames_refused(report.now_ns, &self.firmware.frame_refusals());
+        self.alarms.observe(&report);
         if report.frame_sequence.is_some() && report.frame_sequence != self.last.frame_sequence {
             self.used_frames += 1;
         }
@@ -301,7 +322,8 @@ impl LiveLoop {
             execution: self.execution.spread(),
             wake_late: self.wake_late.spread(),
             frames: self.used_frames,
-            frames_refused: self.last.frames_refused,
+            frames_refused: self.firmware.frame_refusals(),
+            alarms: self.alarms,
             frame_failures: self.frames.failures(),
             link: self.firmware.link_counters(),
             line: self.link.link.statistics(),

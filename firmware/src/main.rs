@@ -1,7 +1,7 @@
 //! The `firmware` program: the 20 Hz loop on a vehicle.
 
 use clap::Parser;
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
@@ -22,11 +22,13 @@ fn main() -> ExitCode {
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
+        .log_internal_errors(false)
         .init();
     match vigil_firmware::program::run(cli.args) {
         Ok(code) => code,
         Err(error) => {
-            eprintln!("firmware: {error:#}");
+            // Where nobody listens, nothing can be told.
+            let _ = writeln!(std::io::stderr(), "firmware: {}", vigil_firmware::program::told(&error));
             ExitCode::FAILURE
         }
     }

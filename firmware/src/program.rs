@@ -9,12 +9,13 @@ use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
 use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
 use anyhow::{Context, Result, ensure};
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use vigil_io::shared_memory::Domain;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
 use vigil_types::StepReport;
 
@@ -85,7 +86,7 @@ pub struct FirmwareArgs {
     #[arg(long, value_enum)]
     pub at_goal: Option<AtGoalChoice>,
 
-    /// Who decides [default: geometric].
+    /// Who decides [default: actor].
     #[arg(long, value_enum)]
     pub pilot: Option<PilotKind>,
 
@@ -97,7 +98,7 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     pub apf: Option<bool>,
 
-    /// Whether a detector watches the actor [default: off].
+    /// Whether a detector watches the actor [default: on, where the actor flies].
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     pub detector: Option<bool>,
 
@@ -231,7 +232,7 @@ impl FirmwareArgs {
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file);
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
-        config.detector.enabled = self.detector.unwrap_or(config.detector.enabled);
+        config.detector.enabled = self.detector.or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file);
         config.detector.threshold = self.threshold.or(config.detector.threshold);
         config.detector.guard = self.guard.unwrap_or(config.detector.guard);
@@ -258,6 +259,26 @@ impl FirmwareArgs {
     }
 }
 
+/// An error and its causes in one line, each thing told once: a message that ends with its cause holds it already, and so does a
+/// cause that begins with what names it.
+pub fn told(error: &anyhow::Error) -> String {
+    let mut text = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if text.ends_with(&cause) {
+            continue;
+        }
+        // A name that the cause begins with is in it already.
+        if cause.starts_with(&text) {
+            text.clear();
+        }
+        if !text.is_empty() {
+            text += ": ";
+        }
+        text += &cause;
+    }
+    text
+}
+
 /// Runs the firmware until it is told to end (Ctrl-C, SIGTERM; in lockstep also by the simulator).
 ///
 /// # Errors
@@ -275,17 +296,12 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
         run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
     } else {
         let summary = live::fly(&config, &stop, |granted| {
-            tracing::info!(
-                "instance {}: {} on {}{} ({}), engages {}; {granted}",
-                config.instance,
-                config.vehicle.name(),
-                config.vehicle_link(),
-                ground_links(&config.links),
-                config.signing,
-                config.engage.name(),
+            announce(&format!("{}\nscheduling {granted}", Start(&config)));
+            announce(
+                "end        Ctrl-C or SIGTERM: it brakes, sends zeros for a quarter of a second and closes the log",
             );
         })?;
-        println!("{summary}");
+        vigil_files::print_line(&summary.to_string())?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -303,17 +319,85 @@ fn run_lockstep(config: &FirmwareConfig, timeout: Duration, stop: &AtomicBool) -
     let mut firmware = LockstepFirmware::recording(config, recorder)?;
     let mut last = StepReport::default();
     let cancelled = || stop.load(Ordering::Relaxed);
+    announce(&format!(
+        "lockstep   instance {}: waits for a simulator that sets the pace, {} s at most; {}\nend        Ctrl-C or SIGTERM",
+        config.instance,
+        timeout.as_secs(),
+        pilot_line(config)
+    ));
     let served = lockstep::serve(&mut firmware, &domain, timeout, cancelled, |report| last = *report);
     let steps = firmware.steps();
     // The log is closed whatever ended the flight.
     let log = firmware.finish();
     served?;
-    println!("lockstep  {steps} steps, ended in {}", last.state.name());
+    let mut text = format!("lockstep  {steps} steps, ended in {}", last.state.name());
     if let Some(log) = log {
-        println!("log       {} ({} records)", log.path.display(), log.records);
-        log.failure.iter().for_each(|failure| println!("log       {failure}"));
+        text += &format!("\nlog       {} ({} records)", log.path.display(), log.records);
+        log.failure
+            .iter()
+            .for_each(|failure| text += &format!("\nlog       {failure}"));
     }
-    Ok(())
+    Ok(vigil_files::print_line(&text)?)
+}
+
+/// Tells a person something at once.
+fn announce(text: &str) {
+    // Where nobody listens, nothing can be told; a flight does not end for it.
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// What a person is told at start: a line for each of vehicle and links, frames, pilot, signing.
+struct Start<'a>(&'a FirmwareConfig);
+
+impl std::fmt::Display for Start<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let config = self.0;
+        writeln!(
+            f,
+            "firmware   instance {}: {} on {}{}; engages {}",
+            config.instance,
+            config.vehicle.name(),
+            config.vehicle_link(),
+            ground_links(&config.links),
+            config.engage.name(),
+        )?;
+        writeln!(
+            f,
+            "frames     of sensor {} on `{DEPTH_TOPIC}` in shared memory",
+            config.sensor_id
+        )?;
+        writeln!(f, "pilot      {}", pilot_line(config))?;
+        write!(f, "signing    {}", config.signing)
+    }
+}
+
+/// Who flies, and what watches.
+fn pilot_line(config: &FirmwareConfig) -> String {
+    if config.pilot.kind == PilotKind::Geometric {
+        return "the geometric pilot; nothing watches it".to_owned();
+    }
+    let named = |file: &Option<PathBuf>| match file {
+        Some(path) => path.display().to_string(),
+        None => "built in".to_owned(),
+    };
+    let field = if config.pilot.apf { "with" } else { "without" };
+    let actor = format!(
+        "the actor ({}), {field} the potential field",
+        named(&config.pilot.actor_file)
+    );
+    if !config.is_watched() {
+        return format!("{actor}; nothing watches it");
+    }
+    format!(
+        "{actor}; the detector ({}) {}, an alarm brings about: {}",
+        named(&config.detector.file),
+        if config.detector.guard {
+            "and the guard watch it"
+        } else {
+            "watches it"
+        },
+        config.detector.alarm.name()
+    )
 }
 
 impl Vehicle {

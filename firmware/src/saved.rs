@@ -62,7 +62,7 @@ impl ParameterKeeper {
         for (name, value) in &saved.parameters {
             let checked = table
                 .check(name, *value)
-                .map_err(|e| file.refused(&format!("{name} = {value}: {e}")))?;
+                .map_err(|e| file.refused_at(name, &format!("{name} = {value}: {e}")))?;
             put(config, name, checked);
         }
         if !saved.parameters.is_empty() {
@@ -256,7 +256,7 @@ mod tests {
             ("[parameters]\nGD_AT_GOAL = 0.5", "whole numbers"),
             (
                 "[parameters]\nGD_SPEED_LIM = 99.0",
-                "GD_SPEED_LIM = 99: allowed: 0.1 to 1.5",
+                "line 2: GD_SPEED_LIM = 99: allowed: 0.1 to 1.5",
             ),
             ("[parameters]\nGD_SPEED_LIM = nan", "allowed: 0.1 to 1.5"),
             ("[parameters]\nGD_SPEED_LIM = 1e300", "allowed: 0.1 to 1.5"),

@@ -10,7 +10,7 @@
 )]
 
 use crate::crew::Crew;
-use crate::frame_keeper::FrameKeeper;
+use crate::frame_keeper::{FrameKeeper, FrameRefusals};
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
@@ -236,6 +236,11 @@ impl FlightStack {
     /// The parameters and their values in force.
     pub fn parameters(&mut self) -> &Parameters {
         self.companion.parameters()
+    }
+
+    /// Frames refused since start, by reason.
+    pub fn frame_refusals(&self) -> FrameRefusals {
+        self.frames.refusals()
     }
 
     /// What the link refused or dropped, since start.

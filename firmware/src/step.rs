@@ -2,6 +2,7 @@
 
 use crate::config::FirmwareConfig;
 use crate::crew::Crew;
+use crate::frame_keeper::FrameRefusals;
 use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_detector::MonitorError;
@@ -20,6 +21,11 @@ pub enum StackError {
     /// The actor's or the detector's file is refused.
     #[error(transparent)]
     Frozen(#[from] FileError),
+    /// A detector was asked for, and there is nothing for it to watch.
+    #[error(
+        "the detector is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
+    )]
+    NothingToWatch,
     /// The detector is not this actor's, or cannot explain it.
     #[error("detector {file}: {source}")]
     Monitor {
@@ -94,6 +100,11 @@ impl Firmware {
             });
         }
         &self.output.report
+    }
+
+    /// Frames refused since start, by reason.
+    pub fn frame_refusals(&self) -> FrameRefusals {
+        self.stack.frame_refusals()
     }
 
     /// The command of a person at the terminal who disengages guidance, for the next step's link to receive.

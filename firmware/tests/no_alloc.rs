@@ -60,6 +60,7 @@ fn a_whole_flight_of_ticks_allocates_nothing() {
 fn the_actor_s_ticks_allocate_nothing() {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
+    config.detector.enabled = Some(false);
     whole_flight(&config);
 }
 

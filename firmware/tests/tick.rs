@@ -474,6 +474,6 @@ fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_fli
         "{error}"
     );
 
-    config.detector.enabled = false;
+    config.detector.enabled = Some(false);
     assert!(LockstepFirmware::new(&config).is_ok());
 }

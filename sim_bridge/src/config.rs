@@ -7,6 +7,9 @@ use vigil_autopilot::{EndpointConfig, Saved};
 use vigil_vehicle::{ParamsError, VehicleParams, Wind};
 use vigil_world::{Course, CourseError, Family, LidarConfig, generate};
 
+/// A simulation file has a page or two.
+const SIZE_LIMIT: u64 = 1 << 20;
+
 /// Where the vehicle is at time zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Start {
@@ -112,7 +115,7 @@ pub enum ConfigError {
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
-    std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+    vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
         path: path.to_owned(),
         source,
     })

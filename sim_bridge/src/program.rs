@@ -1,8 +1,10 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
+use crate::config::SimError;
 use crate::links::{LinksConfig, VehicleLinks};
 use crate::lockstep::{FirmwarePort, fly_lockstep};
 use crate::state::state_file;
+use crate::udp::ports_in_words;
 use crate::{CompanionView, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
@@ -12,7 +14,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use vigil_autopilot::{EndpointConfig, LinkId, LinkRole};
+use vigil_autopilot::{ConfigError, EndpointConfig, LinkId, LinkRole};
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
@@ -26,6 +28,8 @@ const SLICE_MS: u64 = 2;
 const STATUS_STEPS: u64 = 4;
 /// How often the vehicle's state is looked at for changes to store.
 const SAVE_MS: u64 = 1000;
+/// Exit code when Ctrl-C ends a flight in lockstep.
+const INTERRUPTED: u8 = 130;
 /// How long lockstep waits for the firmware before it names it as missing.
 const LOCKSTEP_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -140,7 +144,7 @@ pub fn run(args: SimArgs) -> Result<ExitCode> {
     ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
     let domain = Domain::open(args.instance, "simulator")?;
     if args.lockstep {
-        run_lockstep(&config, &domain)
+        run_lockstep(&args, &config, &domain, &stop)
     } else {
         run_real_time(&args, &config, &domain, &stop)
     }
@@ -183,12 +187,20 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     Ok(config)
 }
 
-struct OtherProcess {
+struct OtherProcess<'a> {
     client: LockstepClient,
+    stop: &'a AtomicBool,
+    steps: u64,
 }
 
-impl FirmwarePort for OtherProcess {
-    type Error = LockstepError;
+/// Why a flight in lockstep did not end by itself.
+enum Broken {
+    Lockstep(LockstepError),
+    Interrupted,
+}
+
+impl FirmwarePort for OtherProcess<'_> {
+    type Error = Broken;
 
     fn step(
         &mut self,
@@ -197,19 +209,95 @@ impl FirmwarePort for OtherProcess {
         frame: &DepthFrame,
         received: &Datagrams,
         sent: &mut Datagrams,
-    ) -> Result<(), LockstepError> {
-        self.client.exchange(step, now_ns, Some(frame), received, sent)
+    ) -> Result<(), Broken> {
+        if self.stop.load(Ordering::Relaxed) {
+            return Err(Broken::Interrupted);
+        }
+        self.steps = step + 1;
+        let exchanged = self.client.exchange(step, now_ns, Some(frame), received, sent);
+        exchanged.map_err(Broken::Lockstep)
     }
 }
 
-fn run_lockstep(config: &SimConfig, domain: &Domain) -> Result<ExitCode> {
-    let mut simulator = Simulator::new(config, 0)?;
+/// The simulator; a state that it refuses is named with file and line.
+fn simulator(args: &SimArgs, config: &SimConfig, epoch_ns: Nanos) -> Result<Simulator> {
+    Simulator::new(config, epoch_ns).map_err(|error| match (&error, &args.state) {
+        (SimError::Endpoint(ConfigError::Plan { .. } | ConfigError::Parameter(_)), Some(folder)) => {
+            let message = error.to_string();
+            let names = config.saved.parameters.keys();
+            let key = names
+                .filter(|name| message.contains(name.as_str()))
+                .max_by_key(|name| name.len());
+            state_file(folder, args.instance)
+                .refused_at(key.map_or("", String::as_str), &message)
+                .into()
+        }
+        _ => error.into(),
+    })
+}
+
+/// Tells a person something at once.
+fn announce(text: &str) {
+    // Where nobody listens, nothing can be told; the vehicle does not end for it.
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
+/// What a person is told at start, a line for each thing.
+fn start_lines(args: &SimArgs, config: &SimConfig) -> String {
+    let place = match config.start {
+        Start::Ground => "on the ground",
+        Start::Airborne => "hovering",
+    };
+    let extra: String = args.link.iter().map(|link| format!(", and {link}")).collect();
+    let signing = match &args.signing_key {
+        Some(file) => format!("signed with {}", file.display()),
+        None => "not signed until SETUP_SIGNING brings a key".to_owned(),
+    };
+    let unsigned = match args.allow_unsigned {
+        AllowUnsigned::Loopback => "unsigned packets from this machine only",
+        AllowUnsigned::Never => "no unsigned packets",
+        AllowUnsigned::Always => "unsigned packets from everybody",
+    };
+    format!(
+        "simulator  instance {}: {}, seed {}, vehicle {place}\n\
+         links      MAVLink on UDP 127.0.0.1: {}{extra}\n\
+         frames     on `{}` in shared memory\n\
+         signing    {signing}, {unsigned}\n\
+         end        Ctrl-C or SIGTERM",
+        args.instance,
+        config.course.name,
+        config.seed,
+        ports_in_words(args.instance),
+        args.frames
+    )
+}
+
+fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
+    let mut simulator = simulator(args, config, 0)?;
+    announce(&format!(
+        "simulator  instance {}: {}, seed {}, in lockstep with `vigil firmware --lockstep`, for which it waits {} s\n\
+         end        with the flight, or Ctrl-C or SIGTERM",
+        args.instance,
+        config.course.name,
+        config.seed,
+        LOCKSTEP_TIMEOUT.as_secs()
+    ));
     let mut port = OtherProcess {
         client: LockstepClient::connect(domain, LOCKSTEP_TIMEOUT)?,
+        stop,
+        steps: 0,
     };
-    let record = fly_lockstep(&mut simulator, &mut port, f64::from(config.course.time_limit_s), 0.0)?;
+    let record = match fly_lockstep(&mut simulator, &mut port, f64::from(config.course.time_limit_s), 0.0) {
+        Ok(record) => record,
+        Err(Broken::Lockstep(error)) => return Err(error.into()),
+        Err(Broken::Interrupted) => {
+            port.client.finish(port.steps)?;
+            announce(&format!("interrupted after {} steps", port.steps));
+            return Ok(ExitCode::from(INTERRUPTED));
+        }
+    };
     port.client.finish(record.steps)?;
-    println!("{}", serde_json::to_string(&record)?);
+    vigil_files::print_line(&serde_json::to_string(&record)?)?;
     Ok(ExitCode::from(ending_code(simulator.ending().map(|e| e.outcome))))
 }
 
@@ -229,7 +317,8 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
     let mut publisher = FramePublisher::create(domain, &args.frames)?;
     // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
     let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
-    let mut simulator = Simulator::new(config, epoch_ns)?;
+    let mut simulator = simulator(args, config, epoch_ns)?;
+    announce(&start_lines(args, config));
     let mut state = args.state.as_ref().map(|folder| state_file(folder, args.instance));
     let mut companion = CompanionView::default();
     let mut elapsed_ms = 0u64;

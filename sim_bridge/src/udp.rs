@@ -51,6 +51,20 @@ fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
     (local + instance as u16, peer + own_peer as u16)
 }
 
+/// The ports of `instance` as a person is told of them.
+pub(crate) fn ports_in_words(instance: u32) -> String {
+    let of = |(id, local, peer)| {
+        let who = match id {
+            LinkId::ONBOARD => "guidance computer",
+            LinkId::API => "scripts",
+            _ => "ground stations",
+        };
+        let (local, peer) = ports(id, local, peer, instance);
+        format!("{who} {local} (sends to {peer})")
+    };
+    PORTS.map(of).join(", ")
+}
+
 /// Opens the three links of `instance` (0 to 99) on the loopback interface.
 ///
 /// # Errors

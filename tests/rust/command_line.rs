@@ -39,6 +39,7 @@ fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
         summary.contains("success") && summary.contains("landed, disarmed"),
         "{summary}"
     );
+    assert!(summary.contains("\nalarms    "), "{summary}");
     let folder = flight_folder(runs.path());
     for file in ["course.toml", "scene.json", "firmware.log", "simulator.log"] {
         assert!(folder.join(file).is_file(), "{file} is missing");
@@ -219,5 +220,265 @@ fn every_part_of_a_decision_is_timed_beside_the_paper_s_figure() {
             panic!("{text}")
         };
         assert!(0.0 < median && median <= late && paper > 0.0, "{text}");
+    }
+}
+
+/// Numbers of the processes of an instance that this user runs.
+fn processes_of(instance: &str) -> Vec<String> {
+    let wanted = format!("\0--instance\0{instance}\0");
+    std::fs::read_dir("/proc")
+        .expect("processes")
+        .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+        .filter(|pid| {
+            let command = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            command.contains(&wanted)
+        })
+        .collect()
+}
+
+fn wait_until(what: &str, mut holds: impl FnMut() -> bool) {
+    let begun = std::time::Instant::now();
+    while !holds() {
+        assert!(begun.elapsed() < vigil_tests::PATIENCE, "waited for: {what}");
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies() {
+    let runs = tempfile::tempdir().expect("a folder");
+    let fly = || {
+        Running::start(&[
+            "fly",
+            "--family",
+            "training",
+            "--seed",
+            "3",
+            "--instance",
+            "91",
+            "--attack",
+            "noise",
+            "--log",
+            text(runs.path()),
+        ])
+    };
+    let first = fly();
+    wait_until("fly, simulator, adversary and firmware run", || {
+        processes_of("91").len() == 4
+    });
+    first.kill();
+    wait_until("all of them have ended", || processes_of("91").is_empty());
+    let mut second = fly();
+    wait_until("four processes again", || processes_of("91").len() == 4);
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    second.signal(Signal::INT);
+    assert_eq!(second.wait(), Some(130));
+    let folders = std::fs::read_dir(runs.path()).expect("a folder").count();
+    assert_eq!(folders, 2, "each flight has a folder of its own");
+}
+
+#[test]
+fn what_cannot_be_written_is_named_and_is_no_success() {
+    let full = run(&[
+        "evaluate",
+        "--flights",
+        "1",
+        "--pilot",
+        "geometric",
+        "--json",
+        "/dev/full",
+    ]);
+    assert_eq!(full.status.code(), Some(1), "{}", said(&full));
+    assert!(
+        said(&full).contains("cannot write /dev/full: No space left"),
+        "{}",
+        said(&full)
+    );
+    // A file size limit stands for a disk that fills up: what was there before is kept.
+    let folder = tempfile::tempdir().expect("a folder");
+    let course = folder.path().join("course.toml");
+    std::fs::write(&course, "name = 'kept'").expect("a file");
+    let command = format!(
+        "ulimit -f 0; trap '' XFSZ; {} courses write --seed 7 -o {}",
+        vigil_tests::vigil().display(),
+        course.display()
+    );
+    let cut = std::process::Command::new("bash")
+        .args(["-c", &command])
+        .output()
+        .expect("a shell");
+    assert_eq!(cut.status.code(), Some(1), "{}", said(&cut));
+    assert!(said(&cut).contains("course.toml"), "{}", said(&cut));
+    assert_eq!(std::fs::read_to_string(&course).expect("a file"), "name = 'kept'");
+    assert_eq!(std::fs::read_dir(folder.path()).expect("a folder").count(), 1);
+}
+
+#[test]
+fn a_reader_that_has_gone_is_no_fault_and_a_full_one_is() {
+    let shell = |command: &str| {
+        let command = format!("set -o pipefail; {} {command}", vigil_tests::vigil().display());
+        std::process::Command::new("bash")
+            .args(["-c", &command])
+            .output()
+            .expect("a shell")
+    };
+    let closed = shell("courses write --seed 7 | true");
+    assert_eq!((closed.status.code(), said(&closed)), (Some(0), String::new()));
+    let full = shell("courses write --seed 7 > /dev/full");
+    assert_eq!(full.status.code(), Some(1), "{}", said(&full));
+    assert!(said(&full).contains("cannot write standard output"), "{}", said(&full));
+}
+
+#[test]
+fn a_report_on_standard_output_is_json_alone() {
+    let told = run(&["evaluate", "--flights", "1", "--pilot", "geometric", "--json", "-"]);
+    assert_eq!(told.status.code(), Some(0), "{}", said(&told));
+    let report: serde_json::Value = serde_json::from_slice(&told.stdout).expect("JSON alone");
+    assert_eq!(report["interrupted"], false);
+    assert!(
+        String::from_utf8_lossy(&told.stderr).contains("outcome"),
+        "the table is for people"
+    );
+}
+
+#[test]
+fn an_interrupted_campaign_keeps_the_flights_that_had_ended_and_says_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let json = folder.path().join("part.json");
+    let mut campaign = std::process::Command::new(vigil_tests::vigil())
+        .args([
+            "evaluate",
+            "--flights",
+            "1000000",
+            "--pilot",
+            "geometric",
+            "--threads",
+            "1",
+            "--json",
+        ])
+        .arg(&json)
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("vigil starts");
+    // A line every few seconds tells how far it is, terminal or not, once there is something to tell; here it is time.
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    rustix::process::kill_process(rustix::process::Pid::from_child(&campaign), Signal::INT).expect("it is running");
+    let ended = campaign.wait().expect("it ends");
+    assert_eq!(ended.code(), Some(130));
+    let report: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&json).expect("a report")).expect("JSON");
+    assert_eq!(report["interrupted"], true);
+    assert_eq!(report["flights_asked_for"], 1_000_000);
+}
+
+#[test]
+fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let huge = folder.path().join("huge");
+    std::fs::File::create(&huge)
+        .expect("a file")
+        .set_len(10 << 30)
+        .expect("a sparse file");
+    for (arguments, limit) in [
+        (["courses", "check"], "4 MiB"),
+        (["sim", "--course"], "4 MiB"),
+        (["sim", "--config"], "1 MiB"),
+        (["firmware", "--config"], "1 MiB"),
+        (["train", "--config"], "1 MiB"),
+        (["judge", "--actor"], "64 MiB"),
+    ] {
+        let refused = run(&[&arguments[..], &[text(&huge)]].concat());
+        let words = said(&refused);
+        assert!(!refused.status.success(), "{words}");
+        assert!(
+            words.contains(&format!("it holds 10 GiB, the limit is {limit}")),
+            "{words}"
+        );
+        let device = said(&run(&[&arguments[..], &["/dev/zero"]].concat()));
+        assert!(device.contains("/dev/zero: it is a device"), "{device}");
+        let missing = said(&run(&[&arguments[..], &["/no/such/file"]].concat()));
+        assert_eq!(missing.matches("No such file").count(), 1, "{missing}");
+    }
+}
+
+#[test]
+fn a_picture_of_another_format_is_refused_by_name() {
+    let refused = run(&["courses", "draw", "--seed", "7", "-o", "course.jpg"]);
+    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+    assert!(said(&refused).contains("course.png"), "{}", said(&refused));
+}
+
+#[test]
+fn a_state_that_is_refused_is_named_with_file_and_line() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("vehicle92.toml");
+    std::fs::write(&file, "[parameters]\nMIS_TAKEOFF_ALT = 3.1\nCOM_OBL_RC_ACT = 4.5\n").expect("a file");
+    let refused = run(&["sim", "--instance", "92", "--seed", "1", "--state", text(folder.path())]);
+    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+    let words = said(&refused);
+    assert!(words.contains("vehicle92.toml: mend or delete it: line 3: "), "{words}");
+    assert!(words.contains("COM_OBL_RC_ACT"), "{words}");
+}
+
+#[test]
+fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
+    let told = |arguments: &[&str], words: &[&str]| {
+        let mut process = std::process::Command::new(vigil_tests::vigil())
+            .args(arguments)
+            .stdout(std::process::Stdio::null())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .expect("vigil starts");
+        let lines = std::io::BufRead::lines(std::io::BufReader::new(process.stderr.take().expect("it is piped")));
+        let mut heard = String::new();
+        for line in lines.map_while(Result::ok) {
+            heard += &(line + "\n");
+            if heard.contains("\nend ") {
+                break;
+            }
+        }
+        rustix::process::kill_process(rustix::process::Pid::from_child(&process), Signal::TERM).expect("it runs");
+        assert_eq!(process.wait().expect("it ends").code(), Some(0), "{heard}");
+        for word in words {
+            assert!(heard.contains(word), "{word} is not in:\n{heard}");
+        }
+    };
+    told(
+        &["sim", "--instance", "93", "--seed", "5"],
+        &[
+            "14373",
+            "14549",
+            "18663",
+            "`depth`",
+            "seed 5",
+            "unsigned packets from this machine only",
+            "Ctrl-C",
+        ],
+    );
+    let start = ["14123", "PX4", "not signed", "on command", "scheduling", "Ctrl-C"];
+    let watched = [
+        "the actor (built in)",
+        "the detector (built in) and the guard watch it",
+        "recover",
+    ];
+    told(&["firmware", "--instance", "93"], &[&start[..], &watched[..]].concat());
+    let geometric = ["the geometric pilot; nothing watches it"];
+    told(&["firmware", "--instance", "93", "--pilot", "geometric"], &geometric);
+}
+
+#[test]
+fn a_detector_that_would_watch_nothing_is_refused() {
+    for command in [
+        &["firmware", "--instance", "94"][..],
+        &["evaluate", "--flights", "1", "--json", "/dev/null"],
+    ] {
+        let refused = run(&[command, &["--pilot", "geometric", "--detector", "on"]].concat());
+        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+        assert!(
+            said(&refused).contains("it watches the actor only"),
+            "{}",
+            said(&refused)
+        );
     }
 }

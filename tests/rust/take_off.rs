@@ -88,7 +88,7 @@ fn after_a_take_off_on_an_empty_field_the_geometric_pilot_flies_straight_to_the_
 fn after_a_take_off_the_recovery_pilot_flies_straight_to_the_goal() {
     let reports = fly(|config| {
         config.pilot.kind = PilotKind::Actor;
-        config.detector.enabled = true;
+        config.detector.enabled = Some(true);
         // The first nine steps have no verdict: the alarm comes at once, and stays.
         config.detector.unknown_steps = 1;
         config.detector.clear_steps = 1200;
@@ -106,7 +106,7 @@ fn after_a_take_off_the_recovery_pilot_flies_straight_to_the_goal() {
 fn no_pilot_is_asked_and_nothing_is_judged_before_the_vehicle_is_handed_over() {
     let reports = fly(|config| {
         config.pilot.kind = PilotKind::Actor;
-        config.detector.enabled = true;
+        config.detector.enabled = Some(true);
     });
     let begun = reports
         .iter()

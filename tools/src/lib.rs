@@ -1,4 +1,5 @@
 //! Everything a person does with Vigil: the command line, training, campaigns, reports.
+#![deny(clippy::print_stdout, clippy::print_stderr)]
 
 pub mod actor_training;
 mod attack_campaigns;

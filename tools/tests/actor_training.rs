@@ -1,5 +1,7 @@
 //! Whole runs, small ones.
 
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use sha2::{Digest, Sha256};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_policy::FrozenActor;
@@ -101,6 +103,31 @@ fn another_seed_is_another_run() {
     assert_eq!(actor(&two).seed, 2);
 }
 
+/// A checkpoint with another state and a digest that is right.
+fn sealed_again(checkpoint: &[u8], edit: impl Fn(&mut serde_json::Value)) -> Vec<u8> {
+    let (_, header) = SafeTensors::read_metadata(checkpoint).unwrap();
+    let mut metadata = header.metadata().clone().unwrap();
+    let file = SafeTensors::deserialize(checkpoint).unwrap();
+    let mut state = serde_json::from_slice(file.tensor("state").unwrap().data()).unwrap();
+    edit(&mut state);
+    let state = serde_json::to_vec(&state).unwrap();
+    let view = TensorView::new(Dtype::U8, vec![state.len()], &state).unwrap();
+    let mut tensors: Vec<(String, TensorView<'_>)> = file.tensors();
+    tensors.retain(|(name, _)| name != "state");
+    tensors.push(("state".to_owned(), view));
+    tensors.sort_by(|(a, _), (b, _)| a.cmp(b));
+    let mut hash = Sha256::new();
+    for (name, view) in &tensors {
+        let kind = format!("{:?}", view.dtype());
+        for part in [name.as_bytes(), &[0], kind.as_bytes(), &[0], view.data()] {
+            hash.update(part);
+        }
+    }
+    let digest = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    metadata.insert("sha256".to_owned(), digest);
+    safetensors::serialize(tensors, Some(metadata)).unwrap()
+}
+
 #[test]
 fn what_cannot_be_resumed_is_refused_and_left_as_it_is() {
     let config = small();
@@ -132,9 +159,37 @@ fn what_cannot_be_resumed_is_refused_and_left_as_it_is() {
     assert_eq!(kept, config.to_toml(), "the run keeps its own configuration");
     std::fs::write(&path, &good[..good.len() / 2]).unwrap();
     refused(&config, true, "truncated");
-    // A directory in the way of the new file stands for a disk that takes no more.
+    // One bit anywhere, in weights, numbers of the run or the list of what is where.
+    for part in 1..12 {
+        let mut bad = good.clone();
+        let at = good.len() * part / 12;
+        bad[at] ^= 0x10;
+        std::fs::write(&path, bad).unwrap();
+        refused(&config, true, "checkpoint.safetensors");
+    }
+    // A list that was emptied, sealed again by whoever did it.
+    let emptied: [(&str, &str); 5] = [
+        ("/lanes", "another number of environments"),
+        ("/collectors", "another number of environments"),
+        ("/lanes/0/records", "do not belong together"),
+        ("/lanes/1/episodes", "a flight that lasts"),
+        ("/lanes/0/records/0/newest_frame", "frames that were not taken"),
+    ];
+    for (place, why) in emptied {
+        let edit = |state: &mut serde_json::Value| {
+            let value = state.pointer_mut(place).expect("the place is in the state");
+            *value = match value.is_array() {
+                true => serde_json::json!([]),
+                false => serde_json::json!(u64::MAX),
+            };
+        };
+        std::fs::write(&path, sealed_again(&good, edit)).unwrap();
+        refused(&config, true, why);
+    }
+    // A directory in the place of a file stands for a disk that takes no more.
     std::fs::write(&path, &good).unwrap();
-    std::fs::create_dir(folder.0.join("checkpoint.new")).unwrap();
+    std::fs::remove_file(folder.0.join("config.toml")).unwrap();
+    std::fs::create_dir(folder.0.join("config.toml")).unwrap();
     refused(&config, true, "is kept as it was");
     assert!(std::fs::read(&path).unwrap() == good);
 }

@@ -1,6 +1,10 @@
 //! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
 //! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), files that outlive a restart ([`state`]), and
 //! [`shared_memory`] with depth frames and lockstep exchanges.
+#![cfg_attr(
+    not(test),
+    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)
+)]
 
 pub mod clock;
 pub mod gate;

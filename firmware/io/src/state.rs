@@ -4,6 +4,10 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
+use vigil_files::Access;
+
+/// Parameters and plans take some kilobytes.
+const SIZE_LIMIT: u64 = 16 << 20;
 
 /// Why a state cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -56,11 +60,9 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
     /// # Errors
     /// [`StateError`]: the file cannot be read, is damaged or holds wrong types; the message names file, line and field.
     pub fn load(&self) -> Result<T, StateError> {
-        match std::fs::read(&self.path) {
-            Ok(bytes) => {
-                let text = std::str::from_utf8(&bytes).map_err(|e| self.refused(&e.to_string()))?;
-                toml::from_str(text).map_err(|e| self.refused(&e.to_string()))
-            }
+        match vigil_files::read_text(&self.path, SIZE_LIMIT) {
+            Ok(text) => toml::from_str(&text).map_err(|e| self.refused(e.to_string().trim_end())),
+            Err(e) if e.kind() == std::io::ErrorKind::InvalidData => Err(self.refused(&e.to_string())),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
             Err(source) => Err(StateError::Read {
                 path: self.path.clone(),
@@ -74,6 +76,19 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
         StateError::Content {
             path: self.path.clone(),
             message: message.to_owned(),
+        }
+    }
+
+    /// The error that names the file and the line on which `key` is set; without the line where there is none.
+    pub fn refused_at(&self, key: &str, message: &str) -> StateError {
+        let text = vigil_files::read_text(&self.path, SIZE_LIMIT).unwrap_or_default();
+        let sets = |line: &str| {
+            let name = line.split_once('=').map(|(name, _)| name.trim().trim_matches('"'));
+            name == Some(key)
+        };
+        match text.lines().position(sets) {
+            Some(at) => self.refused(&format!("line {}: {message}", at + 1)),
+            None => self.refused(message),
         }
     }
 
@@ -101,10 +116,7 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
         if let Some(folder) = self.path.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        let new = self.path.with_extension("toml.new");
-        std::fs::write(&new, text)?;
-        // In place at once: whoever is killed here leaves the old state or the new one.
-        std::fs::rename(&new, &self.path)
+        vigil_files::replace(&self.path, text.as_bytes(), Access::Shared)
     }
 }
 

@@ -1,14 +1,12 @@
 //! Drives the MCAP reader over a file, as far as the file is complete.
 
+use crate::salvage::LENGTH_LIMIT;
 use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
-
-/// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
-const LENGTH_LIMIT: usize = 64 << 20;
 
 /// What comes next in a file.
 pub(crate) enum Next {
@@ -30,9 +28,9 @@ impl Container {
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
         let options = LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(LENGTH_LIMIT);
+            .with_record_length_limit(LENGTH_LIMIT as usize);
         Ok(Self {
-            file: BufReader::new(File::open(path)?),
+            file: BufReader::new(vigil_files::open(path)?),
             reader: LinearReader::new_with_options(options),
         })
     }

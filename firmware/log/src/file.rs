@@ -39,9 +39,9 @@ pub(crate) mod topic {
     pub(crate) const LOG: &str = "/log";
 }
 
-struct Channels {
-    depth: u16,
-    tick: u16,
+pub(crate) struct Channels {
+    pub(crate) depth: u16,
+    pub(crate) tick: u16,
     status: u16,
     transform: u16,
     pose: u16,
@@ -53,7 +53,7 @@ struct Channels {
 }
 
 impl Channels {
-    fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
+    pub(crate) fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
         let own_schemas = wire::file_descriptor_set();
         Ok(Self {
             depth: standard::<RawImage, W>(writer, topic::DEPTH)?,
@@ -194,15 +194,20 @@ impl<W: Write + Seek> LogFile<W> {
 
     /// Closes the log: notes how it ended and writes the index that lets viewers seek.
     pub(crate) fn finish(mut self, records: u64, dropped: u64) -> McapResult<W> {
-        self.writer.write_metadata(&Metadata {
-            name: META_END.to_owned(),
-            metadata: BTreeMap::from([
-                ("records".to_owned(), records.to_string()),
-                ("dropped".to_owned(), dropped.to_string()),
-            ]),
-        })?;
+        self.writer.write_metadata(&end_metadata(records, dropped))?;
         self.writer.finish()?;
         Ok(self.writer.into_inner())
+    }
+}
+
+/// The record at the end of a log that was closed.
+pub(crate) fn end_metadata(records: u64, dropped: u64) -> Metadata {
+    Metadata {
+        name: META_END.to_owned(),
+        metadata: BTreeMap::from([
+            ("records".to_owned(), records.to_string()),
+            ("dropped".to_owned(), dropped.to_string()),
+        ]),
     }
 }
 

@@ -4,6 +4,10 @@
 //! schemas, so that viewers open the file as it is, and with everything a replay needs. [`Reader`] gives the records
 //! back bit for bit. `docs/log.md` describes the channels and the format.
 #![forbid(unsafe_code)]
+#![cfg_attr(
+    not(test),
+    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)
+)]
 
 mod container;
 mod convert;
@@ -14,6 +18,7 @@ mod reader;
 mod record;
 mod recorder;
 mod recover;
+mod salvage;
 mod scene;
 mod tlog;
 mod wire;
@@ -26,5 +31,5 @@ pub use record::TickRecord;
 pub use recorder::{
     LogPlace, Recorder, RecorderConfig, RecorderStatus, StartError, Summary, WhenFull, epoch_offset_ns,
 };
-pub use recover::{RecoverError, recover};
+pub use recover::{Gap, RecoverError, Recovery, recover};
 pub use scene::{Scene, SceneError, SceneSolid};

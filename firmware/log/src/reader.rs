@@ -62,7 +62,10 @@ pub enum ReadError {
         key: &'static str,
     },
     /// The file is damaged; the records before are good.
-    #[error("{path} is damaged after record {records}: {what}; the records before it are good")]
+    #[error(
+        "{path} is damaged after record {records}: {what}; the records before it are good, and \
+         `vigil recover` saves those behind it as well"
+    )]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -132,8 +135,8 @@ impl std::fmt::Display for LogEnd {
             Self::Closed { dropped } => write!(f, "the log was closed; {dropped} records were dropped while recording"),
             Self::Interrupted { records } => write!(
                 f,
-                "the log was not closed (process killed or disk full): {records} records were recovered, at most the \
-                 last second is missing"
+                "the log was not closed: {records} records are whole; what was recorded after them is missing, at most a \
+                 second if the process was killed, more if the disk was full or the file was cut"
             ),
         }
     }

@@ -1,12 +1,15 @@
-//! Makes a closed log of one that was not closed, for viewers that insist on the index at the end.
+//! Makes a closed log of one that was not closed or is damaged: everything that is whole, and what was lost in words.
 
-use crate::container::{Container, Next};
-use crate::{LogEnd, ReadError, Reader, file};
+use crate::file::{self, META_END, topic};
+use crate::{LogEnd, ReadError, Reader, TickRecord, convert, display, salvage, tlog, wire};
+use foxglove::messages::RawImage;
 use mcap::McapError;
-use mcap::records::{Record, op};
+use mcap::records::{MessageHeader, Record};
+use prost::Message;
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use vigil_types::{Nanos, STEP_S};
 
 /// Why a log could not be recovered.
 #[derive(Debug, thiserror::Error)]
@@ -14,6 +17,12 @@ pub enum RecoverError {
     /// The log itself cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
+    /// There is nothing in it to recover.
+    #[error("{path} holds no whole record; nothing was written")]
+    Nothing {
+        /// The log.
+        path: PathBuf,
+    },
     /// The new file is already there; nothing was touched.
     #[error("{path} already exists and is kept; give another name")]
     Exists {
@@ -30,50 +39,284 @@ pub enum RecoverError {
     },
 }
 
-/// Copies the complete part of the log `from` into the new file `to` and closes it. `from` is not changed. Returns how
-/// `from` ends.
-///
-/// # Errors
-/// [`RecoverError`] when `from` is no log or is damaged before its end, or when `to` exists or cannot be written.
-pub fn recover(from: &Path, to: &Path) -> Result<LogEnd, RecoverError> {
-    // A first pass checks every record, so that no damaged log is dressed up as a good one.
-    let mut reader = Reader::open(from)?;
-    let mut record = Box::default();
-    while reader.read_next(&mut record)? {}
-    let end = reader.end().unwrap_or(LogEnd::Interrupted { records: 0 });
-
-    let sink = File::create_new(to).map_err(|error| match error.kind() {
-        io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.to_owned() },
-        _ => RecoverError::Write {
-            path: to.to_owned(),
-            source: error.into(),
-        },
-    })?;
-    copy(from, sink).map_err(|source| RecoverError::Write {
-        path: to.to_owned(),
-        source,
-    })?;
-    Ok(end)
+/// What is in the new log, and what is not.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Recovery {
+    /// Records in the new log.
+    pub records: u64,
+    /// Time from the first of them to the last.
+    pub span_s: f64,
+    /// How the old log ends.
+    pub end: LogEnd,
+    /// What is missing between whole records.
+    pub gaps: Vec<Gap>,
+    /// Records that a closed log counts and that are whole nowhere.
+    pub lost: u64,
+    /// Bytes of a piece that was cut off at the file's end.
+    pub cut_bytes: u64,
+    /// How much longer the tlog beside the old log goes on than its whole records, when it does.
+    pub tlog_beyond_s: Option<f64>,
 }
 
-fn copy(from: &Path, to: File) -> Result<(), McapError> {
-    let mut source = Container::open(from)?;
-    let mut writer = file::write_options().create(BufWriter::new(to))?;
-    // Schemas and channels that the summary at the end repeats have the same numbers and are written once.
-    let wanted = |opcode, _: &[u8]| matches!(opcode, op::METADATA | op::SCHEMA | op::CHANNEL | op::MESSAGE);
-    while let Next::Record(record) = source.next(wanted)? {
-        match record {
-            Record::Metadata(metadata) => writer.write_metadata(&metadata)?,
-            Record::Schema { header, data } => {
-                writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data)?;
+/// Records that are missing between two that are whole.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gap {
+    /// The last step before it; none if it is at the beginning.
+    pub after_step: Option<u64>,
+    /// The first step behind it.
+    pub before_step: u64,
+    /// Records that were in it.
+    pub records: u64,
+    /// Time without records.
+    pub seconds: f64,
+}
+
+impl std::fmt::Display for Recovery {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} records over {:.2} s are whole", self.records, self.span_s)?;
+        for gap in &self.gaps {
+            let first = gap.after_step.map_or(0, |step| step + 1);
+            let last = gap.before_step.saturating_sub(1);
+            write!(
+                f,
+                "; lost to damage: steps {first} to {last} ({} records, {:.2} s)",
+                gap.records, gap.seconds
+            )?;
+        }
+        match self.end {
+            LogEnd::Closed { .. } => {
+                let inside: u64 = self.gaps.iter().map(|gap| gap.records).sum();
+                match self.lost.saturating_sub(inside) {
+                    0 => Ok(()),
+                    behind => write!(
+                        f,
+                        "; lost to damage at the end: {behind} records, {:.2} s",
+                        behind as f64 * f64::from(STEP_S)
+                    ),
+                }
             }
-            Record::Channel(c) => {
-                writer.add_channel_with_id(c.id, c.schema_id, &c.topic, &c.message_encoding, &c.metadata)?;
+            LogEnd::Interrupted { .. } => {
+                f.write_str("; the log was not closed, and what came after them is lost")?;
+                match self.tlog_beyond_s {
+                    Some(seconds) => write!(
+                        f,
+                        ": by the tlog beside it {seconds:.2} s, about {:.0} records",
+                        seconds / f64::from(STEP_S)
+                    ),
+                    None => f.write_str(": at most a second if the process was killed, more if the file was cut"),
+                }?;
+                match self.cut_bytes {
+                    0 => Ok(()),
+                    bytes => write!(f, " ({bytes} bytes of it are an unfinished piece)"),
+                }
             }
-            Record::Message { header, data } => writer.write_to_known_channel(&header, &data)?,
-            _ => (),
         }
     }
-    writer.finish()?;
-    Ok(())
+}
+
+/// Copies every whole record of the log `from` into the new file `to` and closes it: a record is left out only if its own
+/// chunk is damaged or cut off. `from` is not changed. The first record behind a gap counts what is missing as dropped, so
+/// that a replay stops there.
+///
+/// # Errors
+/// [`RecoverError`] when `from` is no log or holds no whole record, or when `to` exists or cannot be written.
+pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
+    // Whose log it is, and of which version.
+    let reader = Reader::open(from)?;
+    let epoch_offset_ns = reader.epoch_offset_ns();
+    drop(reader);
+    let unreadable = |source| {
+        RecoverError::Read(ReadError::Io {
+            path: from.to_owned(),
+            source,
+        })
+    };
+    let description = salvage::describe(from).map_err(unreadable)?;
+    let unwritable = |source: McapError| RecoverError::Write {
+        path: to.to_owned(),
+        source,
+    };
+    let sink = File::create_new(to).map_err(|error| match error.kind() {
+        io::ErrorKind::AlreadyExists => RecoverError::Exists { path: to.to_owned() },
+        _ => unwritable(error.into()),
+    })?;
+    let copied = copy(from, &description, sink).map_err(unwritable);
+    let result = copied.and_then(|copy| match copy.records {
+        0 => Err(RecoverError::Nothing { path: from.to_owned() }),
+        _ => Ok(copy.recovery(&description, from, epoch_offset_ns)),
+    });
+    if result.is_err() {
+        // It was made above, and there is nothing in it that is not in the old log.
+        let _ = std::fs::remove_file(to);
+    }
+    result
+}
+
+fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Copy, McapError> {
+    let keep = to.try_clone()?;
+    let mut copy = Copy {
+        writer: file::write_options().create(BufWriter::new(to))?,
+        depth: None,
+        tick: None,
+        group: Vec::new(),
+        scratch: Box::default(),
+        records: 0,
+        first_ns: 0,
+        last: None,
+        lost: 0,
+        gaps: Vec::new(),
+        counted: None,
+    };
+    if let Some(start) = &description.start {
+        copy.writer.write_metadata(start)?;
+    }
+    if description.channels.is_empty() {
+        // Those of this version, which numbers them as the one that wrote the log did: the format is the same.
+        let channels = file::Channels::register(&mut copy.writer)?;
+        (copy.depth, copy.tick) = (Some(channels.depth), Some(channels.tick));
+    }
+    for (header, data) in description.schemas.values() {
+        copy.writer
+            .add_schema_with_id(header.id, &header.name, &header.encoding, data)?;
+    }
+    for channel in description.channels.values() {
+        match channel.topic.as_str() {
+            topic::DEPTH => copy.depth = Some(channel.id),
+            topic::TICK => copy.tick = Some(channel.id),
+            _ => {}
+        }
+        copy.writer.add_channel_with_id(
+            channel.id,
+            channel.schema_id,
+            &channel.topic,
+            &channel.message_encoding,
+            &channel.metadata,
+        )?;
+    }
+    salvage::pieces(from, |piece| match piece {
+        Record::Message { header, data } => copy.take(header, data.into_owned()),
+        Record::Metadata(metadata) if metadata.name == META_END => {
+            let number = |key: &str| metadata.metadata.get(key).and_then(|text| text.parse().ok());
+            copy.counted = number("records").zip(number("dropped"));
+            Ok(())
+        }
+        _ => Ok(()),
+    })?;
+    copy.end_group()?;
+    if let Some((counted, dropped)) = copy.counted {
+        let lost = counted.saturating_sub(copy.records);
+        copy.writer
+            .write_metadata(&file::end_metadata(copy.records, dropped + lost))?;
+    }
+    copy.writer.finish()?;
+    keep.sync_all()?;
+    Ok(copy)
+}
+
+/// What was copied so far.
+struct Copy {
+    writer: mcap::Writer<BufWriter<File>>,
+    depth: Option<u16>,
+    tick: Option<u16>,
+    /// The messages of one record: they follow one another and have the same number and time.
+    group: Vec<(MessageHeader, Vec<u8>)>,
+    scratch: Box<TickRecord>,
+    records: u64,
+    first_ns: Nanos,
+    /// Step, time and dropped records of the last one.
+    last: Option<(u64, Nanos, u64)>,
+    lost: u64,
+    gaps: Vec<Gap>,
+    counted: Option<(u64, u64)>,
+}
+
+impl Copy {
+    fn take(&mut self, header: MessageHeader, data: Vec<u8>) -> Result<(), McapError> {
+        let is_next = self
+            .group
+            .first()
+            .is_some_and(|(first, _)| (first.sequence, first.log_time) != (header.sequence, header.log_time));
+        if is_next {
+            self.end_group()?;
+        }
+        self.group.push((header, data));
+        Ok(())
+    }
+
+    /// Writes the record that was being put together, if it is whole.
+    fn end_group(&mut self) -> Result<(), McapError> {
+        let group = std::mem::take(&mut self.group);
+        let Some(mut tick) = self.whole(&group) else {
+            return Ok(());
+        };
+        let (step, now_ns, dropped) = (self.scratch.timing.step, self.scratch.now_ns, tick.dropped_before);
+        let (expected, dropped_then) = self.last.map_or((0, 0), |(last, _, dropped)| (last + 1, dropped));
+        let missing = step
+            .saturating_sub(expected)
+            .saturating_sub(dropped.saturating_sub(dropped_then));
+        if missing > 0 {
+            let seconds = match self.last {
+                Some((_, then_ns, _)) => now_ns.saturating_sub(then_ns) as f64 * 1e-9 - f64::from(STEP_S),
+                None => missing as f64 * f64::from(STEP_S),
+            };
+            self.gaps.push(Gap {
+                after_step: self.last.map(|(last, _, _)| last),
+                before_step: step,
+                records: missing,
+                seconds: seconds.max(0.0),
+            });
+            self.lost += missing;
+        }
+        if self.records == 0 {
+            self.first_ns = now_ns;
+        }
+        self.last = Some((step, now_ns, dropped));
+        self.records += 1;
+        for (header, data) in group {
+            if Some(header.channel_id) == self.tick && self.lost > 0 {
+                tick.dropped_before += self.lost;
+                self.writer.write_to_known_channel(&header, &tick.encode_to_vec())?;
+            } else {
+                self.writer.write_to_known_channel(&header, &data)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The step's message of a record that a reader accepts.
+    fn whole(&mut self, group: &[(MessageHeader, Vec<u8>)]) -> Option<wire::Tick> {
+        let of = |channel: Option<u16>| group.iter().find(|(header, _)| Some(header.channel_id) == channel);
+        let tick = wire::Tick::decode(of(self.tick)?.1.as_slice()).ok()?;
+        let has_frame = convert::from_wire(&tick, &mut self.scratch).ok()?;
+        let image_is_whole = match of(self.depth) {
+            None => false,
+            Some((header, data)) => {
+                let image = RawImage::decode(data.as_slice()).ok()?;
+                header.sequence == self.scratch.timing.step as u32
+                    && display::read_depth_image(&image, &mut self.scratch.frame_slot(true).depth)
+            }
+        };
+        (has_frame == image_is_whole).then_some(tick)
+    }
+
+    fn recovery(self, description: &salvage::Description, from: &Path, epoch_offset_ns: u64) -> Recovery {
+        let last_ns = self.last.map_or(0, |(_, at_ns, _)| at_ns);
+        let beyond_s = tlog::last_stamp_ns(&from.with_extension("tlog"))
+            .map(|at_ns| at_ns.saturating_sub(last_ns.saturating_add(epoch_offset_ns)) as f64 * 1e-9)
+            .filter(|beyond_s| *beyond_s >= f64::from(STEP_S));
+        Recovery {
+            records: self.records,
+            span_s: last_ns.saturating_sub(self.first_ns) as f64 * 1e-9,
+            end: match self.counted {
+                Some((_, dropped)) => LogEnd::Closed { dropped },
+                None => LogEnd::Interrupted { records: self.records },
+            },
+            gaps: self.gaps,
+            lost: self
+                .counted
+                .map_or(0, |(counted, _)| counted.saturating_sub(self.records)),
+            cut_bytes: description.cut_bytes,
+            tlog_beyond_s: beyond_s.filter(|_| self.counted.is_none()),
+        }
+    }
 }

@@ -50,6 +50,9 @@ pub enum SceneSolid {
     },
 }
 
+/// A scene of a thousand obstacles has 200 kB.
+const SIZE_LIMIT: u64 = 16 << 20;
+
 /// Why a scene could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
@@ -93,7 +96,7 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when the file is missing, unreadable or not a scene.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read_to_string(path).map_err(|source| SceneError::Io {
+        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| SceneError::Io {
             path: path.to_owned(),
             source,
         })?;
@@ -124,9 +127,11 @@ impl Scene {
             path: path.to_owned(),
             source,
         })?;
-        std::fs::write(path, text + "\n").map_err(|source| SceneError::Io {
-            path: path.to_owned(),
-            source,
+        vigil_files::replace(path, (text + "\n").as_bytes(), vigil_files::Access::Shared).map_err(|source| {
+            SceneError::Io {
+                path: path.to_owned(),
+                source,
+            }
         })
     }
 

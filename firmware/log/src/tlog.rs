@@ -2,7 +2,8 @@
 //! UNIX epoch, then the packet (<https://mavlink.io/en/file_formats/>, the layout that MAVProxy, QGroundControl and
 //! pymavlink share).
 
-use std::io::{self, Write};
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
 use vigil_types::Datagrams;
 
 /// Cuts a datagram into its MAVLink packets by their length fields. Bytes that are no packet are left out, because a
@@ -51,6 +52,28 @@ impl<W: Write> Tlog<W> {
 
     pub(crate) fn flush(&mut self) -> io::Result<()> {
         self.sink.flush()
+    }
+}
+
+/// The newest stamp of a tlog as nanoseconds since the UNIX epoch, as far as the file is whole; `None` where there is none.
+pub(crate) fn last_stamp_ns(path: &Path) -> Option<u64> {
+    let mut file = BufReader::new(vigil_files::open(path).ok()?);
+    let mut last = None;
+    loop {
+        let mut entry = [0; 11];
+        if file.read_exact(&mut entry).is_err() {
+            return last;
+        }
+        let [s0, s1, s2, s3, s4, s5, s6, s7, magic, length, flags] = entry;
+        let rest = match magic {
+            0xFD => 12 + i64::from(length) + if flags & 1 == 1 { 13 } else { 0 } - 3,
+            0xFE => 8 + i64::from(length) - 3,
+            _ => return last,
+        };
+        if file.seek_relative(rest).is_err() {
+            return last;
+        }
+        last = Some(u64::from_be_bytes([s0, s1, s2, s3, s4, s5, s6, s7]).saturating_mul(1000));
     }
 }
 

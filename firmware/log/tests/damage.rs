@@ -88,21 +88,86 @@ fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
     let (records, _) = read_all(&cut).unwrap();
     assert!(records > 2);
 
-    assert_eq!(recover(&cut, &closed).unwrap(), LogEnd::Interrupted { records });
+    let recovery = recover(&cut, &closed).unwrap();
+    assert_eq!(
+        (recovery.records, recovery.end),
+        (records, LogEnd::Interrupted { records })
+    );
+    let told = recovery.to_string();
+    assert!(told.contains("not closed") && !told.contains("damage"), "{told}");
     assert_eq!(read_all(&closed).unwrap().0, records);
     let index = mcap::Summary::read(&std::fs::read(&closed).unwrap()).unwrap().unwrap();
     let tick = index.channels.values().find(|c| c.topic == "/vigil/tick").unwrap();
     assert_eq!(index.stats.unwrap().channel_message_counts[&tick.id], records);
 
-    // What is there is never overwritten, and a damaged log is not made to look good.
+    // What is there is never overwritten.
     assert!(matches!(recover(&cut, &closed), Err(RecoverError::Exists { .. })));
-    let (damaged, other) = (dir.path().join("damaged.mcap"), dir.path().join("other.mcap"));
-    let mut bytes = good;
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
+}
+
+/// Where the chunks of a log begin, and how long each is.
+fn chunks(log: &[u8]) -> Vec<(usize, usize)> {
+    let mut at = 8;
+    let mut chunks = Vec::new();
+    while let Some(head) = log.get(at..at + 9) {
+        let length = 9 + u64::from_le_bytes(head[1..].try_into().unwrap()) as usize;
+        if head[0] == 6 {
+            chunks.push((at, length));
+        }
+        at += length;
+    }
+    chunks
+}
+
+/// Recovers a log, reads the copy back and checks that every record is the true one; returns their steps.
+fn recovered(bytes: &[u8]) -> (Vec<u64>, vigil_log::Recovery) {
+    let dir = tempfile::tempdir().unwrap();
+    let (damaged, copy) = (dir.path().join("damaged.mcap"), dir.path().join("copy.mcap"));
     std::fs::write(&damaged, bytes).unwrap();
-    assert!(matches!(recover(&damaged, &other), Err(RecoverError::Read(_))));
-    assert!(!other.exists());
+    let recovery = recover(&damaged, &copy).unwrap();
+    let mut reader = Reader::open(&copy).unwrap();
+    let mut steps = Vec::new();
+    for record in reader.by_ref() {
+        let mut record = record.unwrap();
+        let step = record.timing.step;
+        // The records behind a gap say how many are missing.
+        assert_eq!(record.dropped_before, step - steps.len() as u64);
+        record.dropped_before = 0;
+        assert!(bits(&record) == expected(step), "step {step} is wrong");
+        steps.push(step);
+    }
+    let dropped = recovery.lost;
+    match recovery.end {
+        LogEnd::Closed { .. } => assert_eq!(reader.end(), Some(LogEnd::Closed { dropped })),
+        end => assert_eq!(reader.end(), Some(end)),
+    }
+    (steps, recovery)
+}
+
+#[test]
+fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = small_log(dir.path());
+    let chunks = chunks(&good);
+    assert!(chunks.len() >= 3, "several chunks: {chunks:?}");
+    let all: Vec<u64> = (0..STEPS).collect();
+    let (steps, whole) = recovered(&good);
+    assert_eq!((steps, whole.gaps.len(), whole.lost), (all.clone(), 0, 0));
+    for (begin, length) in chunks {
+        // A bit of the content, and a bit of the length, which takes away where the next piece begins.
+        for at in [begin + length - 40, begin + 1] {
+            let mut bad = good.clone();
+            bad[at] ^= 0x10;
+            let (steps, recovery) = recovered(&bad);
+            let missing: Vec<u64> = all.iter().copied().filter(|step| !steps.contains(step)).collect();
+            assert!(
+                !missing.is_empty() && missing.len() < all.len(),
+                "{begin} {at}: {steps:?}"
+            );
+            assert_eq!(recovery.lost, missing.len() as u64);
+            let told = recovery.to_string();
+            assert!(told.contains("lost to damage") && told.contains("records,"), "{told}");
+        }
+    }
 }
 
 proptest! {

@@ -13,8 +13,11 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::path::Path;
+use vigil_files::Access;
 
 const DIGEST: &str = "sha256";
+/// The networks that fly have 0.2 to 2 MB.
+const SIZE_LIMIT: u64 = 64 << 20;
 
 /// What a file must be.
 #[derive(Debug, Clone, Copy)]
@@ -147,23 +150,20 @@ impl Kind {
         }
     }
 
-    /// Reads a file.
+    /// Reads a file of at most 64 MiB.
     ///
     /// # Errors
     /// [`FileError::Access`].
     pub fn load(&self, path: &Path) -> Result<Vec<u8>, FileError> {
-        std::fs::read(path).map_err(|source| self.access_error(path, source))
+        vigil_files::read(path, SIZE_LIMIT).map_err(|source| self.access_error(path, source))
     }
 
-    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
+    /// Replaces a file ([`vigil_files::replace`]).
     ///
     /// # Errors
     /// [`FileError::Access`].
     pub fn save(&self, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-        let beside = path.with_extension("new");
-        std::fs::write(&beside, bytes)
-            .and_then(|()| std::fs::rename(&beside, path))
-            .map_err(|source| self.access_error(path, source))
+        vigil_files::replace(path, bytes, Access::Shared).map_err(|source| self.access_error(path, source))
     }
 
     fn access_error(&self, path: &Path, source: std::io::Error) -> FileError {

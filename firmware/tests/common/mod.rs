@@ -72,6 +72,11 @@ pub fn config() -> FirmwareConfig {
             east_m: 5.0,
             height_m: Some(2.5),
         }),
+        // These frames are made by hand; the actor knows those of the LiDAR.
+        pilot: PilotConfig {
+            kind: PilotKind::Geometric,
+            ..PilotConfig::default()
+        },
         ..FirmwareConfig::default()
     }
 }
@@ -105,7 +110,7 @@ pub fn watched_config(folder: &Path) -> FirmwareConfig {
             ..PilotConfig::default()
         },
         detector: DetectorConfig {
-            enabled: true,
+            enabled: Some(true),
             file: Some(file),
             ..DetectorConfig::default()
         },

@@ -6,6 +6,9 @@ use std::path::{Path, PathBuf};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+/// A course of a thousand obstacles has 100 kB.
+const SIZE_LIMIT: u64 = 4 << 20;
+
 /// Why a course could not be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum CourseError {
@@ -71,7 +74,7 @@ impl Course {
     /// # Errors
     /// [`CourseError::Read`] or [`CourseError::Invalid`].
     pub fn load(path: &Path) -> Result<Self, CourseError> {
-        let text = std::fs::read_to_string(path).map_err(|source| CourseError::Read {
+        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| CourseError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -91,7 +94,8 @@ impl Course {
     /// # Errors
     /// [`CourseError::Unwritable`] or [`CourseError::Write`].
     pub fn save(&self, path: &Path) -> Result<(), CourseError> {
-        std::fs::write(path, self.to_toml_string()?).map_err(|source| CourseError::Write {
+        let text = self.to_toml_string()?;
+        vigil_files::replace(path, text.as_bytes(), vigil_files::Access::Shared).map_err(|source| CourseError::Write {
             path: path.to_owned(),
             source,
         })

@@ -27,7 +27,7 @@ pub use corridor::{CORRIDOR_MARGIN_M, HARD_CORRIDOR_MARGIN_M};
 pub use course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
 };
-pub use draw::{FlightPath, Image, ImageError, draw};
+pub use draw::{FlightPath, Image, ImageError, check_png_name, draw};
 pub use file::CourseError;
 pub use generate::generate;
 pub use lidar::{

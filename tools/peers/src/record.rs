@@ -43,6 +43,7 @@ impl Record {
             .map(|(name, shape, dtype, bytes)| Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?)))
             .collect::<Result<Vec<_>>>()?;
         let bytes = safetensors::serialize(views, Some(self.metadata))?;
-        std::fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
+        vigil_files::replace(path, &bytes, vigil_files::Access::Shared)
+            .with_context(|| format!("cannot write {}", path.display()))
     }
 }

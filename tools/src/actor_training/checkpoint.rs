@@ -1,4 +1,6 @@
-//! A run that can go on exactly where it was: one safetensors file.
+//! A run that can go on exactly where it was: one safetensors file, sealed with a digest as models are.
+//!
+//! The metadata entry `sha256` is over all tensors in the order of their names: name, zero byte, type, zero byte, bytes.
 //!
 //! Frames are not saved. Every flight that has frames in the memory is saved as its seed and its actions, and is flown again
 //! when the run resumes; the simulator gives the same bits.
@@ -12,9 +14,15 @@ use crate::actor_training::replay::LaneState;
 use crate::actor_training::weights::Weights;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
 
-const FORMAT: &str = "vigil training checkpoint 2";
+const FORMAT: &str = "vigil training checkpoint 3";
+/// Metadata entries.
+const FORMAT_ENTRY: &str = "format";
+const DIGEST: &str = "sha256";
+/// A run has some megabytes; its priorities have 8 bytes a decision, its flights 8 bytes a step.
+const SIZE_LIMIT: u64 = 2 << 30;
 
 /// An actor that may be the one to freeze.
 #[derive(Debug, Clone, PartialEq)]
@@ -30,7 +38,6 @@ pub struct Candidate {
 /// Everything of a run but its weights and frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunState {
-    format: String,
     /// The configuration, TOML.
     pub config: String,
     /// Decisions flown.
@@ -107,6 +114,27 @@ pub enum CheckpointError {
         /// Values expected.
         expected: usize,
     },
+    /// The digest does not match.
+    #[error(
+        "checkpoint {path} was altered: its content has SHA-256 {found}, its own entry says {expected}; it cannot be gone on with, \
+         train anew in another folder"
+    )]
+    Altered {
+        /// The file.
+        path: PathBuf,
+        /// Digest of the content.
+        found: String,
+        /// The entry.
+        expected: String,
+    },
+    /// Unaltered, but what it holds does not belong together.
+    #[error("checkpoint {path} does not hold together: {what}")]
+    Inconsistent {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        what: &'static str,
+    },
     /// The run had another configuration.
     #[error(
         "checkpoint {path} is of a run with another configuration; resume with the same one, or train in another folder"
@@ -131,7 +159,6 @@ impl RunState {
         (rows, row, flights): (Vec<Row>, RowSum, Vec<FlightRow>),
     ) -> Self {
         Self {
-            format: FORMAT.to_owned(),
             config,
             decisions,
             updates,
@@ -147,6 +174,45 @@ impl RunState {
             candidates: Vec::new(),
         }
     }
+
+    /// What does not belong together, whatever the configuration.
+    fn check(&self) -> Result<(), &'static str> {
+        let largest = f64::from_bits(self.largest_priority_bits);
+        if !(largest > 0.0 && largest.is_finite()) {
+            return Err("its largest priority is no number above 0");
+        }
+        if !self.elapsed_s.is_finite() {
+            return Err("its time is no number");
+        }
+        if !self.rows.is_sorted_by_key(|row| row.updates) {
+            return Err("its learning curve is not in order");
+        }
+        if self.collectors.len() != self.lanes.len() {
+            return Err("it has another number of environments than of lanes");
+        }
+        let both = self.collectors.iter().zip(&self.lanes);
+        for (collector, lane) in both {
+            lane.check()?;
+            if collector.is_flying() && lane.episodes.is_empty() {
+                return Err("a flight that lasts is not among those of its lane");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// SHA-256 over tensors, whatever their order.
+fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
+    let mut sorted: Vec<_> = tensors.iter().map(|(name, view)| (name.as_ref(), view)).collect();
+    sorted.sort_by_key(|(name, _)| *name);
+    let mut hash = Sha256::new();
+    for (name, view) in sorted {
+        let kind = format!("{:?}", view.dtype());
+        for part in [name.as_bytes(), &[0], kind.as_bytes(), &[0], view.data()] {
+            hash.update(part);
+        }
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn bytes_of(values: &[f32]) -> Vec<u8> {
@@ -191,7 +257,11 @@ impl Checkpoint {
             .iter()
             .map(|(name, dtype, len, bytes)| Ok((name, TensorView::new(*dtype, vec![*len], bytes)?)))
             .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-            .and_then(|views| safetensors::serialize(views, None))
+            .and_then(|views| {
+                let metadata = [(FORMAT_ENTRY, FORMAT.to_owned()), (DIGEST, digest(&views))];
+                let metadata = metadata.into_iter().map(|(key, value)| (key.to_owned(), value));
+                safetensors::serialize(views, Some(metadata.collect()))
+            })
             .map_err(|e| container(e.to_string()))?;
         Ok(files::replace(path, &views)?)
     }
@@ -201,7 +271,7 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`]: unreadable, truncated, another architecture.
     pub fn load(path: &Path, networks: &Networks) -> Result<Self, CheckpointError> {
-        let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read {
+        let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(|source| CheckpointError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -210,6 +280,23 @@ impl Checkpoint {
             message,
         };
         let file = SafeTensors::deserialize(&bytes).map_err(|e| container(e.to_string()))?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| container(e.to_string()))?;
+        let metadata = header.metadata().clone().unwrap_or_default();
+        let format = metadata.get(FORMAT_ENTRY).map_or("unknown", String::as_str);
+        if format != FORMAT {
+            return Err(container(format!("its format is \"{format}\", not \"{FORMAT}\"")));
+        }
+        let (found, expected) = (
+            digest(&file.tensors()),
+            metadata.get(DIGEST).cloned().unwrap_or_default(),
+        );
+        if found != expected {
+            return Err(CheckpointError::Altered {
+                path: path.to_owned(),
+                found,
+                expected,
+            });
+        }
         let tensor = |name: &str, dtype: Dtype| {
             let view = file.tensor(name).map_err(|e| container(e.to_string()))?;
             if view.dtype() == dtype {
@@ -234,12 +321,11 @@ impl Checkpoint {
         };
         let state: RunState =
             serde_json::from_slice(&tensor("state", Dtype::U8)?).map_err(|e| container(e.to_string()))?;
-        if state.format != FORMAT {
-            return Err(container(format!(
-                "its format is \"{}\", not \"{FORMAT}\"",
-                state.format
-            )));
-        }
+        let inconsistent = |what| CheckpointError::Inconsistent {
+            path: path.to_owned(),
+            what,
+        };
+        state.check().map_err(inconsistent)?;
         let mut weights = Weights::zeros(networks);
         for (name, values) in weights.parts_mut() {
             let read = floats(name, values.len())?;
@@ -269,6 +355,13 @@ impl Checkpoint {
             .iter()
             .map(|b| f64::from_le_bytes(*b))
             .collect();
+        if !weights
+            .parts()
+            .iter()
+            .all(|(_, values)| values.iter().all(|v| v.is_finite()))
+        {
+            return Err(inconsistent("a weight is not finite"));
+        }
         Ok(Self {
             state,
             weights,

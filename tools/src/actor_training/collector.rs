@@ -84,6 +84,13 @@ pub struct CollectorState {
     lasting: Option<Lasting>,
 }
 
+impl CollectorState {
+    /// Whether it is in the middle of a flight.
+    pub fn is_flying(&self) -> bool {
+        self.lasting.is_some()
+    }
+}
+
 struct Current {
     flight: Flight,
     state: Lasting,
@@ -182,7 +189,8 @@ impl Collector {
     fn begin(&mut self, config: &TrainConfig, lane: &mut Lane, warm_up: bool) -> Result<Current, ParamsError> {
         // Runs of different seeds fly different courses.
         let run = config.seed.wrapping_mul(1 << 24);
-        let seed = FIRST_TRAINING_SEED + run + self.flights * self.environments + self.number;
+        let flight = self.flights.wrapping_mul(self.environments).wrapping_add(self.number);
+        let seed = FIRST_TRAINING_SEED.wrapping_add(run).wrapping_add(flight);
         self.flights += 1;
         let flight = simulate(config, seed)?;
         self.pilot.reset();

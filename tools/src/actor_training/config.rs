@@ -3,6 +3,14 @@
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use vigil_policy::{GeometricConfig, GeometricPilot};
+use vigil_types::DEPTH_PIXELS;
+
+/// A training file has a page or two.
+const SIZE_LIMIT: u64 = 1 << 20;
+/// Most memory that the frames of the replay memory may take.
+const LARGEST_MEMORY: u64 = 64 << 30;
+/// Most flights that an evaluation may have.
+const MOST_FLIGHTS: u64 = 1_000_000;
 
 /// A training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -353,7 +361,7 @@ impl TrainConfig {
     /// # Errors
     /// [`ConfigError`].
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -383,8 +391,11 @@ impl TrainConfig {
     /// The first one that is not allowed.
     pub fn check(&self) -> Result<(), ConfigError> {
         let (l, r, n) = (&self.learning, &self.replay, &self.noise);
-        let least_memory = (self.environments * (l.n_steps + l.batch + 2)) as f64;
-        let checks: [(&'static str, f64, bool, &'static str); 36] = [
+        let least_memory = self.environments as f64 * (l.n_steps as f64 + l.batch as f64 + 2.0);
+        // A decision keeps one frame of a byte a pixel for each of its steps.
+        let frames = (r.decisions as u64).saturating_mul(self.steps_per_decision as u64);
+        let memory = frames.saturating_mul(DEPTH_PIXELS as u64);
+        let checks: [(&'static str, f64, bool, &'static str); 39] = [
             ("decisions", self.decisions as f64, self.decisions > 0, "1 or more"),
             (
                 "environments",
@@ -486,6 +497,24 @@ impl TrainConfig {
                 r.decisions as f64 >= least_memory,
                 "environments x (batch + n_steps + 2) or more",
             ),
+            (
+                "replay.decisions",
+                r.decisions as f64,
+                memory <= LARGEST_MEMORY,
+                "at most as many as fit 64 GiB: decisions x steps_per_decision x 32 KiB",
+            ),
+            (
+                "evaluation.flights",
+                self.evaluation.flights as f64,
+                self.evaluation.flights <= MOST_FLIGHTS,
+                "0 to 1000000",
+            ),
+            (
+                "evaluation.final_flights",
+                self.evaluation.final_flights as f64,
+                self.evaluation.final_flights <= MOST_FLIGHTS,
+                "0 to 1000000",
+            ),
             ("replay.alpha", r.alpha, (0.0..=1.0).contains(&r.alpha), "0 to 1"),
             ("replay.beta", r.beta, (0.0..=1.0).contains(&r.beta), "0 to 1"),
         ];
@@ -535,6 +564,9 @@ mod tests {
             ("[warm_up]\npilot = \"human\"", "geometric"),
             ("environments = 0", "`environments` is 0"),
             ("[replay]\ndecisions = 10", "replay.decisions"),
+            ("[replay]\ndecisions = 1000000000000", "64 GiB"),
+            ("[evaluation]\nflights = 1000000000000", "`evaluation.flights`"),
+            ("environments = 18446744073709551615", "environments"),
         ] {
             let error = load(text).unwrap_err();
             assert!(error.contains(expected), "{text}\n{error}");

@@ -1,8 +1,8 @@
-//! Files that are written beside and renamed, so that a full disk or an interruption leaves the earlier one whole.
+//! Files of a run: a full disk or an interruption leaves the earlier one whole.
 
-use std::fs::File;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
+use vigil_files::Access;
 
 /// A file that could not be written.
 #[derive(Debug, thiserror::Error)]
@@ -19,19 +19,8 @@ pub struct WriteError {
 /// # Errors
 /// [`WriteError`] names the file.
 pub fn replace(path: &Path, content: &[u8]) -> Result<(), WriteError> {
-    let beside = path.with_extension("new");
-    let write = || {
-        let mut file = File::create(&beside)?;
-        file.write_all(content)?;
-        file.sync_all()?;
-        std::fs::rename(&beside, path)
-    };
-    write().map_err(|source| {
-        // The half-written file would only fill the disk further.
-        let _ = std::fs::remove_file(&beside);
-        WriteError {
-            path: path.to_owned(),
-            source,
-        }
+    vigil_files::replace(path, content, Access::Shared).map_err(|source| WriteError {
+        path: path.to_owned(),
+        source,
     })
 }

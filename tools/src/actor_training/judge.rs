@@ -61,13 +61,13 @@ impl Verdict {
     }
 
     /// Mean time of those that did, seconds.
-    pub fn mean_time_s(&self) -> f64 {
+    pub fn mean_time_s(&self) -> Option<f64> {
         let times = self
             .flights
             .iter()
             .filter(|(o, _)| *o == Outcome::Success)
             .map(|(_, t)| t);
-        times.sum::<f64>() / self.successes().max(1) as f64
+        (self.successes() > 0).then(|| times.sum::<f64>() / self.successes() as f64)
     }
 }
 
@@ -89,7 +89,7 @@ pub enum JudgeError {
 pub fn judge(judged: Judged<'_>, isa: Isa, what: &Judgement) -> Result<Verdict, JudgeError> {
     let flights = (0..what.flights)
         .into_par_iter()
-        .map(|i| fly(judged, isa, what, what.first_seed + i))
+        .map(|i| fly(judged, isa, what, what.first_seed.wrapping_add(i)))
         .collect::<Result<Vec<_>, _>>()?;
     Ok(Verdict { flights })
 }

@@ -103,6 +103,34 @@ pub struct LaneState {
     settled: u64,
 }
 
+impl LaneState {
+    /// Beyond it a number is damage, and sums would overflow.
+    const MOST: u64 = 1 << 48;
+
+    /// What does not belong together, whatever the capacity.
+    pub fn check(&self) -> Result<(), &'static str> {
+        if self.next_frame.max(self.next_record) > Self::MOST {
+            return Err("it counts more frames than can have been flown");
+        }
+        if self.settled > self.next_record {
+            return Err("it has settled decisions that were not made");
+        }
+        let frames_are_known =
+            |record: &Record| record.first_frame <= record.newest_frame && record.newest_frame < self.next_frame;
+        if !self.records.iter().all(frames_are_known) {
+            return Err("a decision has frames that were not taken");
+        }
+        if !self
+            .episodes
+            .iter()
+            .all(|episode| episode.first_frame < self.next_frame)
+        {
+            return Err("a flight has frames that were not taken");
+        }
+        Ok(())
+    }
+}
+
 /// What one environment lived through, oldest overwritten first.
 pub struct Lane {
     frames: Vec<u8>,
@@ -186,9 +214,42 @@ impl Lane {
         &self.state
     }
 
-    /// Takes over a saved state; the frames have to be written again.
-    pub fn restore(&mut self, state: LaneState) {
+    /// Takes over a saved state; the frames have to be written again. `false` if it does not fit this lane: it has other
+    /// records than its numbers say, or a priority for one whose return is not known.
+    #[must_use]
+    pub fn restore(&mut self, state: LaneState, priorities: &[f64], n_steps: u64) -> bool {
+        let capacity = self.capacity as u64;
+        let fits = state.records.len() as u64 == state.next_record.min(capacity)
+            && state.next_record - state.settled <= capacity
+            && priorities.len() == self.capacity;
+        if !fits {
+            return false;
+        }
         self.state = state;
+        let oldest = self.state.next_record.saturating_sub(capacity);
+        let slots = (oldest..self.state.next_record).map(|number| (number, (number % capacity) as usize));
+        let mut known = vec![false; self.capacity];
+        for (number, slot) in slots {
+            known[slot] = number < self.state.settled && self.is_known(number, n_steps);
+        }
+        let is_sound =
+            |(priority, known): (&f64, bool)| *priority == 0.0 || (known && *priority > 0.0 && priority.is_finite());
+        priorities.iter().zip(known).all(is_sound)
+    }
+
+    /// Whether the return of a decision lies within what is kept.
+    fn is_known(&self, number: u64, n_steps: u64) -> bool {
+        for at in number..number.saturating_add(n_steps) {
+            if at >= self.state.next_record {
+                return false;
+            }
+            match self.record(at).next {
+                Next::Decision => {}
+                Next::CutOff => return at + 1 < self.state.next_record,
+                Next::Terminal | Next::Nothing => return true,
+            }
+        }
+        number.saturating_add(n_steps) < self.state.next_record
     }
 
     /// A kept frame.
@@ -396,16 +457,28 @@ impl Memory {
         ((0..self.tree.slots()).map(|i| self.tree.get(i)).collect(), self.largest)
     }
 
-    /// Takes over saved priorities. `false` if there are not as many as this memory has places.
+    /// Takes over saved lanes and priorities; the frames have to be written again. `false` if they do not fit this memory or one
+    /// another.
     #[must_use]
-    pub fn restore_priorities(&mut self, priorities: &[f64], largest: f64) -> bool {
-        self.largest = largest;
-        self.tree.slots() == priorities.len() && {
-            for (i, p) in priorities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
-                self.tree.set(i, *p);
-            }
-            true
+    pub fn restore(&mut self, lanes: Vec<LaneState>, priorities: &[f64], largest: f64) -> bool {
+        // The tree may have more places than decisions fit.
+        let (used, spare) = priorities
+            .split_at_checked(self.lanes.len() * self.capacity)
+            .unwrap_or_default();
+        if self.tree.slots() != priorities.len() || lanes.len() != self.lanes.len() || spare.iter().any(|p| *p != 0.0) {
+            return false;
         }
+        let each = self.lanes.iter_mut().zip(lanes).zip(used.chunks(self.capacity.max(1)));
+        for ((lane, state), priorities) in each {
+            if !lane.restore(state, priorities, self.n_steps) {
+                return false;
+            }
+        }
+        self.largest = largest;
+        for (i, p) in priorities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
+            self.tree.set(i, *p);
+        }
+        true
     }
 }
 

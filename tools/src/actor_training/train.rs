@@ -195,14 +195,14 @@ impl<'a> Run<'a> {
             let threads = self.config.threads;
             TrainConfig { threads, ..saved } == *self.config
         });
-        let fits =
-            same && state.lanes.len() == self.memory.lanes.len() && state.collectors.len() == self.collectors.len();
-        let largest = f64::from_bits(state.largest_priority_bits);
-        if !fits || !self.memory.restore_priorities(&saved.priorities, largest) {
+        if !same || state.collectors.len() != self.collectors.len() {
             return Err(other().into());
         }
-        for (lane, state) in self.memory.lanes.iter_mut().zip(state.lanes) {
-            lane.restore(state);
+        let largest = f64::from_bits(state.largest_priority_bits);
+        if !self.memory.restore(state.lanes, &saved.priorities, largest) {
+            let what = "its decisions and priorities do not belong together";
+            let path = path.clone();
+            return Err(CheckpointError::Inconsistent { path, what }.into());
         }
         let config = self.config;
         self.collectors

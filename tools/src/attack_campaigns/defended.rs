@@ -3,8 +3,9 @@
 //! Each flight is a line of `defended.csv` as soon as it has ended, so a campaign of hours loses at most the flights in the air, and
 //! `--resume` flies what is missing.
 
-use super::{Common, bar, write_json};
+use super::{Common, write_json};
 use crate::campaign::{self, Flown, Tally};
+use crate::cli::output::{self, Progress, say};
 use anyhow::{Context, Result, bail, ensure};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -44,8 +45,8 @@ pub struct DefendedArgs {
     arms: Vec<Arm>,
 
     /// The attack.
-    #[arg(long, value_enum, default_value_t = Method::BimAccumulating)]
-    method: Method,
+    #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::BimAccumulating)]
+    attack: Method,
 
     /// Steps attacked, once in a flight at a moment drawn from its seed, or `continuous`.
     #[arg(long, value_name = "STEPS|continuous", default_value = "100")]
@@ -169,6 +170,8 @@ struct Line {
     recovery_steps: u64,
 }
 
+/// A flight has a line of 100 bytes.
+const SIZE_LIMIT: u64 = 1 << 30;
 const NO_FLIGHT: &str = "none";
 const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,stop_steps,recovery_steps";
 
@@ -265,7 +268,7 @@ impl Log {
             resume,
             "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another folder with --output"
         );
-        let text = std::fs::read_to_string(&log.path).with_context(|| format!("cannot read {name}"))?;
+        let text = vigil_files::read_text(&log.path, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
         let Some(lines) = text.strip_prefix(&log.heading) else {
             bail!("{name} is of another campaign (its first line tells which); name another folder with --output");
         };
@@ -284,14 +287,11 @@ impl Log {
         for line in self.lines.values() {
             text += &format!("{line}\n");
         }
-        let beside = self.path.with_extension("csv.new");
-        let context = || format!("cannot write {}", self.path.display());
-        std::fs::write(&beside, text).with_context(context)?;
-        std::fs::rename(&beside, &self.path).with_context(context)?;
+        output::write(&self.path, text)?;
         std::fs::OpenOptions::new()
             .append(true)
             .open(&self.path)
-            .with_context(context)
+            .with_context(|| format!("cannot write {}", self.path.display()))
     }
 }
 
@@ -336,7 +336,7 @@ impl Row {
     }
 
     fn print_heading() {
-        println!(
+        say!(
             "{:<13} {:>7} {}   {:<22} alarms",
             "arm",
             "flights",
@@ -360,7 +360,7 @@ impl Row {
                 100.0 * self.recovering_share
             )
         };
-        println!(
+        say!(
             "{:<13} {:>7} {}   {effective:<22} {alarms}",
             self.arm.name(),
             self.tally.flights,
@@ -411,7 +411,7 @@ struct Report<'a> {
 pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     let folder = args.common.folder()?;
     let attack = AttackArgs {
-        attack: Some(args.method),
+        attack: Some(args.attack),
         epsilon: args.epsilon,
         iterations: args.iterations,
         burst: args.burst,
@@ -452,7 +452,7 @@ fn fly_missing(
         .flat_map(|seed| args.arms.iter().map(move |arm| (seed, *arm)))
         .filter(|key| !log.lines.contains_key(key))
         .collect();
-    let bar = bar(missing.len() as u64, "flights")?;
+    let bar = Progress::new(missing.len() as u64, "flights")?;
     let file = Mutex::new(log.write()?);
     let flown: Vec<Line> = args.common.pool()?.install(|| {
         missing
@@ -467,12 +467,12 @@ fn fly_missing(
             })
             .collect::<Result<_>>()
     })?;
-    bar.finish_and_clear();
+    bar.finish();
     log.lines
         .extend(flown.into_iter().map(|line| ((line.seed, line.arm), line)));
     log.write()?;
 
-    println!(
+    say!(
         "{}, ε = {}/255, {} iterations, {}, burst {}, field {}; validation courses from seed {}, the same in every arm",
         settings.attack.method.name(),
         settings.attack.epsilon_255,
@@ -496,7 +496,7 @@ fn fly_missing(
     .into_iter()
     .filter_map(|(without, with)| pair(&log.lines, without, with))
     .inspect(|p| {
-        println!(
+        say!(
             "{} against {}: of {} courses {} completed only with, {} only without",
             p.with.name(),
             p.without.name(),
@@ -506,14 +506,14 @@ fn fly_missing(
         );
     })
     .collect();
-    println!("flights   {}", log.path.display());
+    say!("flights   {}", log.path.display());
     write_json(&folder.join("defended.json"), &Report { settings, rows, pairs })?;
     Ok(ExitCode::SUCCESS)
 }
 
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
     let (config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
-    firmware.detector.enabled = arm.alarm().is_some();
+    firmware.detector.enabled = Some(arm.alarm().is_some());
     firmware.detector.guard = args.guard;
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))

@@ -1,6 +1,7 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
 use super::{Common, write_json};
+use crate::cli::output::{put, say};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -90,20 +91,21 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
     })?;
     for block in cells.chunks(GAPS.len() * BEARINGS_DEG.len()) {
         let method = block[0].method.name();
-        println!(
+        say!(
             "yaw deflection, °/s: {method}, ε = {}/255, {} iterations",
-            args.epsilon, args.iterations
+            args.epsilon,
+            args.iterations
         );
-        print!("gap to wall ");
-        BEARINGS_DEG.iter().for_each(|b| print!("{:>8}", format!("{b}°")));
-        println!("    mean    the paper");
+        put!("gap to wall ");
+        BEARINGS_DEG.iter().for_each(|b| put!("{:>8}", format!("{b}°")));
+        say!("    mean    the paper");
         for (row, (gap_m, paper)) in block.chunks(BEARINGS_DEG.len()).zip(GAPS) {
-            print!("{:<12}", format!("{gap_m:.1} m"));
-            row.iter().for_each(|c| print!("{:>7.0}", c.deflection_deg_s));
+            put!("{:<12}", format!("{gap_m:.1} m"));
+            row.iter().for_each(|c| put!("{:>7.0}", c.deflection_deg_s));
             let mean = row.iter().map(|c| c.deflection_deg_s).sum::<f32>() / row.len() as f32;
-            println!("  {mean:>7.0}    {paper:>9.0}");
+            say!("  {mean:>7.0}    {paper:>9.0}");
         }
-        println!();
+        say!();
     }
     write_json(
         &folder.join("table-2.json"),
@@ -137,8 +139,8 @@ fn cell(args: &DeflectionArgs, params: &[f32], method: Method, gap_m: f32, beari
     let to_deg_s = YAW_RATE_PER_UNIT_RAD_S.to_degrees();
     let (mut clean, mut deflection) = (0.0, 0.0);
     for i in 0..args.states {
-        attack.reseed(args.seed + i);
-        let outcome = attack.attack(&mut hovering_before_wall(gap_m, args.seed + i)?, position)?;
+        attack.reseed(args.seed.wrapping_add(i));
+        let outcome = attack.attack(&mut hovering_before_wall(gap_m, args.seed.wrapping_add(i))?, position)?;
         clean += to_deg_s * outcome.clean[1];
         deflection += to_deg_s * outcome.yaw_change().abs();
     }

@@ -1,9 +1,9 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
-use super::{Common, bar, write_json};
+use super::{Common, write_json};
 use crate::campaign::{self, Flown, Tally};
+use crate::cli::output::{Progress, say};
 use anyhow::Result;
-use indicatif::ProgressBar;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::process::ExitCode;
@@ -23,8 +23,8 @@ pub struct CellsArgs {
     seed: u64,
 
     /// The attack.
-    #[arg(long, value_enum, default_value_t = Method::BimAccumulating)]
-    method: Method,
+    #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::BimAccumulating)]
+    attack: Method,
 
     /// ε in 1/255 of the image's range.
     #[arg(long, default_value_t = 1.0)]
@@ -50,12 +50,23 @@ pub struct WorstArgs {
     seed: u64,
 
     /// Attacks to try.
-    #[arg(long, value_enum, value_delimiter = ',', default_value = "bim-accumulating,pgd")]
-    methods: Vec<Method>,
+    #[arg(
+        long,
+        value_enum,
+        value_name = "METHOD,…",
+        value_delimiter = ',',
+        default_value = "bim-accumulating,pgd"
+    )]
+    attack: Vec<Method>,
 
     /// Lengths to try, in steps.
-    #[arg(long, value_delimiter = ',', default_value = "5,50,100,continuous")]
-    bursts: Vec<Burst>,
+    #[arg(
+        long,
+        value_name = "STEPS|continuous,…",
+        value_delimiter = ',',
+        default_value = "5,50,100,continuous"
+    )]
+    burst: Vec<Burst>,
 
     /// Directions to try.
     #[arg(long, value_enum, value_delimiter = ',', default_value = "away")]
@@ -109,7 +120,7 @@ struct Report<'a> {
 
 impl Row {
     fn print_heading() {
-        println!(
+        say!(
             "{:<6} {:<17} {:<11} {:<8} {}   yaw moved ≥ 1.0",
             "field",
             "attack",
@@ -123,7 +134,7 @@ impl Row {
         let (attack, burst, towards) = self.attack.map_or(("none", "—".to_owned(), "—"), |s| {
             (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
         });
-        println!(
+        say!(
             "{:<6} {attack:<17} {burst:<11} {towards:<8} {}   {}",
             if self.apf { "on" } else { "off" },
             self.tally.columns(),
@@ -138,7 +149,7 @@ struct Campaign<'a> {
     seed: u64,
     flights: u64,
     pool: rayon::ThreadPool,
-    bar: ProgressBar,
+    bar: Progress,
 }
 
 impl Campaign<'_> {
@@ -150,9 +161,10 @@ impl Campaign<'_> {
             evade: None,
         });
         let flown: Vec<(u64, Flown)> = self.pool.install(|| {
-            (self.seed..self.seed + self.flights)
+            (0..self.flights)
                 .into_par_iter()
-                .map(|seed| {
+                .map(|i| {
+                    let seed = self.seed.wrapping_add(i);
                     // Undefended; with a detector: `vigil attack defended`.
                     let (config, firmware) = campaign::actor_flight(self.common.actor.as_deref(), apf, seed);
                     let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
@@ -195,10 +207,10 @@ fn fly_all(
         seed,
         flights,
         pool: common.pool()?,
-        bar: bar(flights * settings.len() as u64, "flights")?,
+        bar: Progress::new(flights.saturating_mul(settings.len() as u64), "flights")?,
     };
     let begun = Instant::now();
-    println!("{flights} validation courses from seed {seed}, the same for every row");
+    say!("{flights} validation courses from seed {seed}, the same for every row");
     Row::print_heading();
     let mut rows = Vec::new();
     for (apf, setting) in settings {
@@ -206,9 +218,9 @@ fn fly_all(
         campaign.bar.suspend(|| row.print());
         rows.push(row);
     }
-    campaign.bar.finish_and_clear();
+    campaign.bar.finish();
     let wall_s = begun.elapsed().as_secs_f64();
-    println!("{wall_s:.0} s");
+    say!("{wall_s:.0} s");
     write_json(
         &folder.join(name),
         &Report {
@@ -228,7 +240,7 @@ fn fly_all(
 /// A file that is no actor, a folder that cannot be written.
 pub fn run_cells(args: &CellsArgs) -> Result<ExitCode> {
     let config = AttackConfig {
-        method: args.method,
+        method: args.attack,
         epsilon_255: args.epsilon,
         iterations: args.iterations,
         ..AttackConfig::PAPER
@@ -252,9 +264,9 @@ pub fn run_cells(args: &CellsArgs) -> Result<ExitCode> {
 /// A file that is no actor, a folder that cannot be written.
 pub fn run_worst(args: &WorstArgs) -> Result<ExitCode> {
     let mut settings = vec![(args.apf, None)];
-    for method in &args.methods {
+    for method in &args.attack {
         for towards in &args.towards {
-            for burst in &args.bursts {
+            for burst in &args.burst {
                 let config = AttackConfig {
                     method: *method,
                     epsilon_255: args.epsilon,

@@ -6,8 +6,8 @@ mod flights;
 mod states;
 mod table;
 
+use crate::cli::output::{self, say};
 use anyhow::{Context, Result};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -60,7 +60,7 @@ struct Common {
     threads: Option<u16>,
 
     /// Folder for JSON, CSV and pictures.
-    #[arg(long, value_name = "DIR", default_value = "runs/attack")]
+    #[arg(short, long, value_name = "DIR", default_value = "runs/attack")]
     output: PathBuf,
 }
 
@@ -111,14 +111,9 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     }
 }
 
-fn bar(len: u64, what: &str) -> Result<ProgressBar> {
-    let style = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{elapsed}} gone, {{eta}} left");
-    Ok(ProgressBar::new(len).with_style(ProgressStyle::with_template(&style)?))
-}
-
 fn write_json(path: &Path, report: &impl Serialize) -> Result<()> {
     let text = serde_json::to_string_pretty(report)?;
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
-    println!("details   {}", path.display());
+    output::write(path, text)?;
+    say!("details   {}", path.display());
     Ok(())
 }

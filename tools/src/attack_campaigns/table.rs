@@ -1,10 +1,10 @@
 //! The paper's figure 11: how many states are deceived, by size and iterations of the attack.
 
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
-use super::{Common, bar, write_json};
-use crate::cli::output::range_grey;
+use super::{Common, write_json};
+use crate::cli::output::{self, Progress, put, range_grey, say};
 use crate::statistics::wilson_95;
-use anyhow::{Context, Result};
+use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
 use std::fmt::Write;
@@ -65,14 +65,14 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
     let flights = args.states.div_ceil(STATES_PER_FLIGHT as u64);
-    let bar = bar(args.states, "states")?;
+    let bar = Progress::new(args.states, "states")?;
     let begun = Instant::now();
     let mut attacked: Vec<Vec<f32>> = args.common.pool()?.install(|| {
         (0..flights)
             .into_par_iter()
             .map(|i| {
                 let mut rows = Vec::new();
-                for state in met_in_flight(&victim.params, args.seed + i)? {
+                for state in met_in_flight(&victim.params, args.seed.wrapping_add(i))? {
                     rows.push(yaw_changes(&victim.params, &state)?);
                     bar.inc(1);
                 }
@@ -82,7 +82,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
             .map(|rows| rows.into_iter().flatten().collect())
     })?;
     attacked.truncate(args.states as usize);
-    bar.finish_and_clear();
+    bar.finish();
     let wall_s = begun.elapsed().as_secs_f64();
 
     let cells: Vec<Cell> = settings()
@@ -106,7 +106,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
         .collect();
     print(&cells, attacked.len(), args.seed, wall_s);
     let csv = folder.join("figure-11.csv");
-    std::fs::write(&csv, to_csv(&cells)).with_context(|| format!("cannot write {}", csv.display()))?;
+    output::write(&csv, to_csv(&cells))?;
     if let Some(state) = met_in_flight(&victim.params, args.seed)?.first() {
         picture(&victim.params, state)?.write_png(&folder.join("frames.png"))?;
     }
@@ -169,26 +169,26 @@ fn yaw_changes(params: &[f32], state: &State) -> Result<Vec<f32>> {
 }
 
 fn print(cells: &[Cell], states: usize, seed: u64, wall_s: f64) {
-    println!(
+    say!(
         "share of {states} states whose yaw moves by 1.0 (30 °/s) or more, validation courses from seed {seed}, {wall_s:.0} s"
     );
     for (method, block) in METHODS.iter().zip(cells.chunks(EPSILONS_255.len() * ITERATIONS.len())) {
-        print!("\n{:<18}", method.name());
+        put!("\n{:<18}", method.name());
         for n in ITERATIONS {
-            print!("{:>22}", format!("{n} iterations"));
+            put!("{:>22}", format!("{n} iterations"));
         }
-        println!();
+        say!();
         for row in block.chunks(ITERATIONS.len()) {
-            print!("  ε = {:<4} / 255    ", row[0].epsilon_255);
+            put!("  ε = {:<4} / 255    ", row[0].epsilon_255);
             for c in row {
                 let (low, high) = c.wilson_95;
                 let interval = format!("({:.0} to {:.0})", 100.0 * low, 100.0 * high);
-                print!("{:>6.1} % {interval:<13}", 100.0 * c.share);
+                put!("{:>6.1} % {interval:<13}", 100.0 * c.share);
             }
-            println!();
+            say!();
         }
     }
-    println!();
+    say!();
 }
 
 fn to_csv(cells: &[Cell]) -> String {

@@ -89,7 +89,7 @@ pub fn actor_flight(actor: Option<&Path>, apf: bool, seed: u64) -> (SimConfig, F
     firmware.pilot.kind = PilotKind::Actor;
     firmware.pilot.actor_file = actor.map(Path::to_owned);
     firmware.pilot.apf = apf;
-    firmware.detector.enabled = false;
+    firmware.detector.enabled = Some(false);
     (config, firmware)
 }
 

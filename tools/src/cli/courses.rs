@@ -1,6 +1,7 @@
 //! `vigil courses`: draw, write and check courses.
 
-use anyhow::{Context, Result};
+use crate::cli::output::{self, put, say};
+use anyhow::Result;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_sim::{CourseChoice, Models, SimConfig, Simulator, Start};
@@ -61,10 +62,12 @@ enum CoursesCommand {
 pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
     match &args.command {
         CoursesCommand::Draw { course, output } => {
+            vigil_world::check_png_name(output)?;
             let course = course.load(course.seed_or_random())?;
             write_png(&vigil_world::draw(&course, &[]), output)?;
         }
         CoursesCommand::View { course, output } => {
+            vigil_world::check_png_name(output)?;
             let seed = course.seed_or_random();
             let mut config = SimConfig::with_models(course.load(seed)?, seed, Models::default());
             config.start = Start::Airborne;
@@ -75,8 +78,8 @@ pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
         CoursesCommand::Write { course, output } => {
             let text = course.load(course.seed_or_random())?.to_toml_string()?;
             match output {
-                Some(path) => std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?,
-                None => print!("{text}"),
+                Some(path) => output::write(path, text)?,
+                None => put!("{text}"),
             }
         }
         CoursesCommand::Check { files } => return Ok(check(files)),
@@ -113,7 +116,7 @@ fn check(files: &[PathBuf]) -> ExitCode {
                 error.to_string()
             }
         };
-        println!("{verdict}");
+        say!("{verdict}");
     }
     if good {
         ExitCode::SUCCESS
@@ -124,7 +127,7 @@ fn check(files: &[PathBuf]) -> ExitCode {
 
 fn write_png(image: &Image, path: &Path) -> Result<()> {
     image.write_png(path)?;
-    println!("{}", path.display());
+    say!("{}", path.display());
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 //! `vigil detector`: data for the detectors, their training, and how well they detect.
 
-use crate::cli::output::git_commit;
+use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
     Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Report,
     Separation, Set, States, fly_sets, sets,
@@ -8,8 +8,8 @@ use crate::detector_training::{
 use crate::report::{Figure, Panel};
 use crate::statistics::quantile;
 use anyhow::{Context, Result};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_detector::FrozenDetector;
@@ -189,8 +189,11 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         .num_threads(args.threads.map_or(0, usize::from))
         .build()
         .context("cannot start threads")?;
+    if let DetectorCommand::Gather { windows } = &args.command {
+        return pool.install(|| stage.gather(*windows as usize));
+    }
     pool.install(|| match &args.command {
-        DetectorCommand::Gather { windows } => stage.gather(*windows as usize),
+        DetectorCommand::Gather { .. } => Ok(()),
         DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
         DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
         DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
@@ -225,10 +228,6 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn bar(length: u64, template: &str) -> Result<ProgressBar> {
-    Ok(ProgressBar::new(length).with_style(ProgressStyle::with_template(template)?))
-}
-
 impl Stage<'_> {
     fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
@@ -243,7 +242,8 @@ impl Stage<'_> {
         Ok(Some(Flights::load(&path, &self.actor)?))
     }
 
-    fn gather(&self, windows: usize) -> Result<()> {
+    fn gather(&self, windows: usize) -> Result<ExitCode> {
+        let interrupt = Interrupt::on_ctrl_c()?;
         for (name, seed, count) in [
             ("learn.safetensors", LEARN_SEED, windows),
             ("choose.safetensors", CHOOSE_SEED, windows / 5),
@@ -255,29 +255,43 @@ impl Stage<'_> {
             let flights = match self.kept(name)? {
                 Some(flights) => flights,
                 None => {
-                    let bar = bar(
-                        count as u64,
-                        "{bar:30} {pos}/{len} attacked windows, {elapsed} gone, {msg}",
-                    )?;
-                    let flights = crate::detector_training::gather(
+                    let bar = Progress::new(count as u64, "attacked windows")?;
+                    let part = format!("{name}.part");
+                    let begun = self.kept(&part)?.map_or_else(Vec::new, |flights| flights.records);
+                    let (flights, complete) = crate::detector_training::gather(
                         self.isa,
                         &self.actor,
-                        Family::Training,
-                        seed,
+                        (Family::Training, seed),
                         want,
+                        begun,
                         &mut |counts, flights| {
-                            bar.set_position(counts.attacked as u64);
                             bar.set_message(format!("{} unattacked, {flights} flights", counts.unattacked));
+                            bar.set_position(counts.attacked as u64);
+                            match interrupt.came() {
+                                true => ControlFlow::Break(()),
+                                false => ControlFlow::Continue(()),
+                            }
                         },
                     )?;
-                    bar.finish_and_clear();
+                    bar.finish();
+                    if !complete {
+                        flights.save(&self.path(&part))?;
+                        say!(
+                            "interrupted: {} flights are kept in {}; the same command goes on with them",
+                            flights.records.len(),
+                            self.path(&part).display()
+                        );
+                        return Ok(ExitCode::from(EXIT_INTERRUPTED));
+                    }
                     flights.save(&self.path(name))?;
+                    // What it held is in the file just written.
+                    let _ = std::fs::remove_file(self.path(&part));
                     flights
                 }
             };
             let counts = Counts::of(&flights.records);
             let (weak, lingering) = crate::detector_training::left_out(&flights.records);
-            println!(
+            say!(
                 "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {weak} weak, {lingering} lingering",
                 name,
                 flights.records.len(),
@@ -285,7 +299,7 @@ impl Stage<'_> {
                 counts.unattacked
             );
         }
-        Ok(())
+        Ok(ExitCode::SUCCESS)
     }
 
     fn training_flights(&self) -> Result<[Flights; 2]> {
@@ -295,7 +309,7 @@ impl Stage<'_> {
 
     fn train_on(&self, feature: Feature, [learn, choose]: &[Flights; 2], config: &LstmConfig) -> Result<Judge> {
         let steps = crate::detector_training::train_steps(&learn.records, config) as u64;
-        let bar = bar(steps, "{bar:30} {pos}/{len} steps, {elapsed} gone, {eta} left, {msg}")?;
+        let bar = Progress::new(steps, "steps")?;
         let judge = crate::detector_training::train(
             self.isa,
             &self.actor.params,
@@ -313,7 +327,7 @@ impl Stage<'_> {
                 }
             },
         )?;
-        bar.finish_and_clear();
+        bar.finish();
         Ok(judge)
     }
 
@@ -331,14 +345,14 @@ impl Stage<'_> {
         self.write("lstm_ad.csv", curves_csv(&judge.fitted.epochs))?;
         self.write("lstm_ad.png", curves_png(&judge.fitted.epochs))?;
         let chosen = judge.fitted.epochs.get(judge.fitted.chosen.saturating_sub(1));
-        println!(
-            "LSTM-AD          {} after epoch {} of {epochs}, {} windows: {:.2} % right, loss {:.4} on the flights that choose; \
+        say!(
+            "LSTM-AD          {} after epoch {} of {epochs}, {} windows: {} right, loss {} on the flights that choose; \
              threshold {threshold:.3}",
             file.display(),
             judge.fitted.chosen,
             judge.windows,
-            100.0 * chosen.map_or(f64::NAN, |e| e.choose_accuracy),
-            chosen.map_or(f64::NAN, |e| e.choose_loss),
+            or_dash(100.0 * chosen.map_or(f64::NAN, |e| e.choose_accuracy), 2, " %"),
+            or_dash(chosen.map_or(f64::NAN, |e| e.choose_loss), 4, ""),
         );
         Ok(())
     }
@@ -354,12 +368,9 @@ impl Stage<'_> {
         let mut records = match kept {
             Some(kept) => kept.records,
             None => {
-                let bar = bar(
-                    scenarios().count() as u64,
-                    "{bar:30} {pos}/{len} flights, {elapsed} gone, {eta} left",
-                )?;
+                let bar = Progress::new(scenarios().count() as u64, "flights")?;
                 let records = fly_sets(self.isa, &self.actor.params, &sets, &mut |flights| bar.inc(flights))?;
-                bar.finish_and_clear();
+                bar.finish();
                 let flights = Flights {
                     actor_sha256: self.actor.sha256(),
                     records: records.concat(),
@@ -385,7 +396,7 @@ impl Stage<'_> {
             crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, threshold, judged)
         };
         let (report, in_flight) = (at(0.5)?, at(frozen.threshold)?);
-        print!(
+        put!(
             "{}\nAT THE THRESHOLD IN FLIGHT ({})\n{}",
             text(&report),
             frozen.threshold_choice,
@@ -401,7 +412,7 @@ impl Stage<'_> {
         });
         self.write("evaluate.json", serde_json::to_string_pretty(&json)?)?;
         self.write("roc.png", roc_png(&[&report]))?;
-        println!("written          {} and roc.png", self.path("evaluate.json").display());
+        say!("written          {} and roc.png", self.path("evaluate.json").display());
         Ok(())
     }
 
@@ -419,13 +430,13 @@ impl Stage<'_> {
     fn times(&self, seed: u64, pictures: usize) -> Result<()> {
         let detector = FrozenDetector::built_in()?;
         let (record, times) = crate::detector_training::time(self.isa, &self.actor, &detector, seed, pictures)?;
-        println!(
+        say!(
             "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
             record.steps.len(),
             times.pixels_s.len(),
             self.isa.name()
         );
-        println!("                                             median        99 %       paper");
+        say!("                                             median        99 %       paper");
         let step_s: Vec<f64> = (0..times.action_s.len())
             .map(|i| times.action_s[i] + times.explanation_s[i] + times.verdict_s[i])
             .collect();
@@ -439,13 +450,8 @@ impl Stage<'_> {
             ("FCN-AD", &times.fcn_s, 0.056),
         ];
         for (name, seconds, paper_s) in rows {
-            let at = |share| 1e3 * quantile(seconds, share).unwrap_or(f64::NAN);
-            println!(
-                "{name:<42} {:>7.3} ms {:>8.3} ms {:>8.0} ms",
-                at(0.5),
-                at(0.99),
-                1e3 * paper_s
-            );
+            let at = |share| or_dash(1e3 * quantile(seconds, share).unwrap_or(f64::NAN), 3, " ms");
+            say!("{name:<42} {:>10} {:>11} {:>8.0} ms", at(0.5), at(0.99), 1e3 * paper_s);
         }
         Ok(())
     }
@@ -474,20 +480,17 @@ impl Stage<'_> {
             let path = self.path(name);
             if path.exists() {
                 States::load(&path, &self.actor)?;
-                println!("{name:<26} is there already");
+                say!("{name:<26} is there already");
                 continue;
             }
-            let bar = bar(
-                count as u64,
-                "{bar:30} {pos}/{len} states of each class, {elapsed} gone, {eta} left",
-            )?;
+            let bar = Progress::new(count as u64, "states of each class")?;
             let (place, size) = ((family, seed), (count, backgrounds));
             let states = crate::detector_training::gather_states(self.isa, &self.actor, place, size, &mut |count| {
                 bar.set_position(count as u64);
             })?;
-            bar.finish_and_clear();
+            bar.finish();
             states.save(&path)?;
-            println!(
+            say!(
                 "{name:<26} {} states of {} flights from seed {seed}",
                 states.states.len(),
                 states.flights.records.len()
@@ -505,7 +508,7 @@ impl Stage<'_> {
         for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
             let config = crate::detector_training::image_fit(epochs, seed);
             let steps = (learn.states.len().div_ceil(config.batch) * epochs) as u64;
-            let bar = bar(steps, "{bar:30} {pos}/{len} steps, {elapsed} gone, {eta} left, {msg}")?;
+            let bar = Progress::new(steps, "steps")?;
             let fitted = network.train(self.isa, (&learn, &choose), &config, &mut |step, epoch| {
                 bar.set_position(step as u64);
                 if let Some(e) = epoch {
@@ -513,7 +516,7 @@ impl Stage<'_> {
                     bar.set_message(format!("{} epoch {}: {right:.1} % right", network.name(), e.epoch));
                 }
             })?;
-            bar.finish_and_clear();
+            bar.finish();
             let name = network.name().to_lowercase().replace('-', "_");
             self.write(&format!("{name}.csv"), curves_csv(&fitted.epochs))?;
             self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
@@ -537,17 +540,17 @@ impl Stage<'_> {
         ));
         let pca = crate::detector_training::pca_scores(&learn, &choose, &judged);
         rows.push(crate::detector_training::row("PCA", 0.70, 1.0, &judged, &pca));
-        println!("detector   paper     accuracy                                  detected %   false alarms %   AUC");
+        say!("detector   paper     accuracy                                  detected %   false alarms %   AUC");
         for row in &rows {
             let s = &row.separation;
-            println!(
-                "{:<8} {:>5.0} %     {:<40} {:>10}   {:>14}   {:.4}",
+            say!(
+                "{:<8} {:>5.0} %     {:<40} {:>10}   {:>14}   {}",
                 row.detector,
                 100.0 * row.paper,
                 share(&s.accuracy),
                 short(&s.detected),
                 short(&s.false_alarms),
-                s.auc
+                or_dash(s.auc, 4, "")
             );
         }
         let json = serde_json::json!({
@@ -558,7 +561,7 @@ impl Stage<'_> {
             "rows": rows,
         });
         self.write("table.json", serde_json::to_string_pretty(&json)?)?;
-        println!("written    {}", self.path("table.json").display());
+        say!("written    {}", self.path("table.json").display());
         Ok(())
     }
 
@@ -567,7 +570,7 @@ impl Stage<'_> {
         let (sets, records) = self.evaluation(size)?;
         let config = LstmConfig::default();
         let mut reports = Vec::new();
-        println!(
+        say!(
             "rows of             accuracy       AUC   found at 1 %   at 0.1 %   false alarms   untrained attacks found"
         );
         for feature in Feature::ALL {
@@ -580,13 +583,13 @@ impl Stage<'_> {
                 .filter(|s| s.role == crate::detector_training::Role::Untrained);
             let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
             let s = &report.separation;
-            println!(
-                "{:<18} {:>8.2} %   {:.5}       {:>6.2} %   {:>6.2} %       {:>6.2} %                  {:>6.2} %",
+            say!(
+                "{:<18} {:>10}   {:>7}       {:>8}   {:>8}       {:>8}                  {:>8}",
                 feature.name(),
                 percent(&s.accuracy),
-                s.auc,
-                100.0 * s.found_at_1_percent,
-                100.0 * s.found_at_0_1_percent,
+                or_dash(s.auc, 5, ""),
+                or_dash(100.0 * s.found_at_1_percent, 2, " %"),
+                or_dash(100.0 * s.found_at_0_1_percent, 2, " %"),
                 percent(&s.false_alarms),
                 percent(&Proportion::new(count, of)),
             );
@@ -594,20 +597,19 @@ impl Stage<'_> {
         }
         self.write("ablate.json", serde_json::to_string_pretty(&reports)?)?;
         self.write("ablate.png", roc_png(&reports.iter().collect::<Vec<_>>()))?;
-        println!("written          {} and ablate.png", self.path("ablate.json").display());
+        say!("written          {} and ablate.png", self.path("ablate.json").display());
         Ok(())
     }
 
     fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<()> {
         let path = self.path(name);
-        std::fs::create_dir_all(self.folder)
-            .and_then(|()| std::fs::write(&path, content))
-            .with_context(|| format!("cannot write {}", path.display()))
+        std::fs::create_dir_all(self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
+        output::write(&path, content)
     }
 }
 
-fn percent(p: &Proportion) -> f64 {
-    100.0 * p.share.unwrap_or(f64::NAN)
+fn percent(p: &Proportion) -> String {
+    or_dash(100.0 * p.share.unwrap_or(f64::NAN), 2, " %")
 }
 
 /// A share with its interval, or a dash for nothing.
@@ -689,15 +691,15 @@ fn text(report: &Report) -> String {
     };
     let separation = |name: &str, s: &Separation| {
         format!(
-            "{name}\n  accuracy at {}    {}\n  detected           {}\n  false alarms       {}\n  AUC                {:.5}\n  \
-             found at 1 % / 0.1 % false alarms   {:.2} % / {:.2} %",
+            "{name}\n  accuracy at {}    {}\n  detected           {}\n  false alarms       {}\n  AUC                {}\n  \
+             found at 1 % / 0.1 % false alarms   {} / {}",
             report.threshold,
             share(&s.accuracy),
             share(&s.detected),
             share(&s.false_alarms),
-            s.auc,
-            100.0 * s.found_at_1_percent,
-            100.0 * s.found_at_0_1_percent
+            or_dash(s.auc, 5, ""),
+            or_dash(100.0 * s.found_at_1_percent, 2, " %"),
+            or_dash(100.0 * s.found_at_0_1_percent, 2, " %")
         )
     };
     line(separation(
@@ -709,18 +711,18 @@ fn text(report: &Report) -> String {
         &report.separation_effective,
     ));
     line(format!(
-        "false stops          {} in {:.2} h of unattacked flight: {:.2} an hour",
+        "false stops          {} in {:.2} h of unattacked flight: {} an hour",
         report.false_stops,
         report.unattacked_hours,
-        report.false_stops as f64 / report.unattacked_hours
+        or_dash(report.false_stops as f64 / report.unattacked_hours, 2, "")
     ));
     line("\nattacked rows of ten   detected %   accuracy %   windows".to_owned());
     for row in &report.rows {
         line(format!(
-            "{:>20} {:>12} {:>12.2} {:>9}",
+            "{:>20} {:>12} {:>12} {:>9}",
             row.attacked_rows,
             short(&row.detected),
-            100.0 * row.accuracy,
+            or_dash(100.0 * row.accuracy, 2, ""),
             row.detected.of
         ));
     }

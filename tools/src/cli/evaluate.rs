@@ -2,11 +2,10 @@
 
 use crate::campaign::WatchRecord;
 use crate::campaign::{self, Flown};
-use crate::cli::output::Paint;
+use crate::cli::output::{self, Interrupt, Paint, Progress, say};
 use crate::cli::pilot::PilotArgs;
 use crate::statistics::{quantile, wilson_95};
 use anyhow::{Context, Result, ensure};
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -20,6 +19,9 @@ use vigil_sim::{Models, SimConfig, Start, family_parser};
 use vigil_types::STEP_S;
 use vigil_vehicle::Wind;
 use vigil_world::{Course, Family, FlightPath, Outcome, generate};
+
+/// Beyond it the report would not fit the memory.
+const MOST_FLIGHTS: u64 = 10_000_000;
 
 /// Arguments of `vigil evaluate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -37,10 +39,13 @@ Examples:
 
 Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
 arm and take off first. Each ends as success, collision, out of bounds or time-out (docs/courses.md).
-The same seeds give the same flights, bit for bit, on any number of threads.")]
+The same seeds give the same flights, bit for bit, on any number of threads.
+
+Ctrl-C ends it with the flights that had ended: the report then says how many were asked for, and that it was interrupted.
+Exit code: 0 all flights were flown (however they ended), 1 error, 130 interrupted.")]
 pub struct EvaluateArgs {
     /// Number of flights; flight i uses seed SEED + i.
-    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=MOST_FLIGHTS))]
     flights: u64,
 
     /// First seed.
@@ -81,8 +86,8 @@ pub struct EvaluateArgs {
     #[command(flatten)]
     attack: AttackArgs,
 
-    /// Where the JSON goes.
-    #[arg(long, value_name = "FILE", default_value = "runs/evaluate.json")]
+    /// Where the JSON goes; `-` is standard output, the table then goes to standard error.
+    #[arg(short = 'o', long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
 
     /// Draw the course and path of every flight that failed into this folder.
@@ -124,6 +129,9 @@ struct Rate {
 #[derive(Serialize)]
 struct Report<'a> {
     version: &'static str,
+    /// Ctrl-C came before all flights that were asked for had been flown.
+    interrupted: bool,
+    flights_asked_for: u64,
     family: Family,
     first_seed: u64,
     wind_m_s: f64,
@@ -174,9 +182,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         .map(Models::load)
         .transpose()?
         .unwrap_or_default();
-    if let Some(folder) = args.json.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    }
+    output::prepare(&args.json)?;
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
@@ -184,15 +190,15 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.threads.map_or(0, usize::from))
         .build()?;
-    let bar = ProgressBar::new(args.flights).with_style(ProgressStyle::with_template(
-        "{bar:30} {pos}/{len} flights, {elapsed} gone, {eta} left, {msg}",
-    )?);
+    let interrupt = Interrupt::on_ctrl_c()?;
+    let bar = Progress::new(args.flights, "flights")?;
     let begun = Instant::now();
     let flights: Vec<Flight> = pool.install(|| {
         (0..args.flights)
             .into_par_iter()
-            .map(|i| {
-                let flight = fly(args, &models, attack.as_ref(), args.seed.wrapping_add(i))?;
+            .filter_map(|i| (!interrupt.came()).then_some(args.seed.wrapping_add(i)))
+            .map(|seed| {
+                let flight = fly(args, &models, attack.as_ref(), seed)?;
                 if !flight.record.is_success() {
                     bar.set_message(format!(
                         "last failure: seed {} ({})",
@@ -205,9 +211,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
             })
             .collect::<Result<_>>()
     })?;
-    bar.finish_and_clear();
+    bar.finish();
     let wall_s = begun.elapsed().as_secs_f64();
-    report(args, attack.as_ref(), &flights, wall_s, pool.current_num_threads())
+    report(args, attack.as_ref(), &flights, wall_s, pool.current_num_threads())?;
+    Ok(interrupt.exit_code())
 }
 
 fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64) -> Result<Flight> {
@@ -259,13 +266,15 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
     Ok(vigil_world::draw(course, &[flight]).write_png(path)?)
 }
 
-fn report(
-    args: &EvaluateArgs,
-    attack: Option<&Attack>,
-    flights: &[Flight],
-    wall_s: f64,
-    threads: usize,
-) -> Result<ExitCode> {
+fn report(args: &EvaluateArgs, attack: Option<&Attack>, flights: &[Flight], wall_s: f64, threads: usize) -> Result<()> {
+    let interrupted = (flights.len() as u64) < args.flights;
+    if interrupted {
+        say!(
+            "interrupted      {} of {} flights were flown",
+            flights.len(),
+            args.flights
+        );
+    }
     let rates: Vec<Rate> = OUTCOMES
         .into_iter()
         .map(|outcome| {
@@ -273,16 +282,16 @@ fn report(
             Rate {
                 outcome: name(outcome),
                 flights: n,
-                share: n as f64 / flights.len() as f64,
+                share: n as f64 / flights.len().max(1) as f64,
                 wilson_95: wilson_95(n, flights.len()),
             }
         })
         .collect();
     let simulated_s: f64 = flights.iter().map(|f| f.record.steps as f64 * f64::from(STEP_S)).sum();
-    let factor = simulated_s / wall_s / threads.min(flights.len()) as f64;
+    let factor = simulated_s / wall_s / threads.min(flights.len()).max(1) as f64;
 
     let paint = Paint::stdout();
-    println!("{:<16} {:>7} {:>9}   95 % interval", "outcome", "flights", "share");
+    say!("{:<16} {:>7} {:>9}   95 % interval", "outcome", "flights", "share");
     for r in rates.iter().filter(|r| r.flights > 0 || r.outcome == "success") {
         let row = format!(
             "{:<16} {:>7} {:>7.2} %   {:.2} to {:.2} %",
@@ -292,22 +301,22 @@ fn report(
             100.0 * r.wilson_95.0,
             100.0 * r.wilson_95.1
         );
-        println!("{}", paint.verdict(r.outcome == "success", &row));
+        say!("{}", paint.verdict(r.outcome == "success", &row));
     }
     let from_ground = flights.iter().filter(|f| f.from_ground).count();
-    println!("from the ground  {from_ground} of {} flights", flights.len());
+    say!("from the ground  {from_ground} of {} flights", flights.len());
     let times: Vec<f64> = flights
         .iter()
         .filter(|f| f.record.is_success())
         .map(|f| f.record.flight_time_s)
         .collect();
     if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
-        println!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
+        say!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
     }
     if attack.is_some() {
         let each = || flights.iter().filter_map(|f| f.attack.as_ref());
         let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
-        println!(
+        say!(
             "attacked         {steps} steps in {} of {} flights; the yaw moved by 1.0 or more in {:.1} % of them",
             each().filter(|a| a.attacked_steps > 0).count(),
             flights.len(),
@@ -316,11 +325,14 @@ fn report(
     }
     if flights.iter().any(|f| f.watch.is_some()) {
         let watched = flights.iter().filter_map(|f| f.watch.as_ref());
-        println!("detector         {}", WatchRecord::summary(watched));
+        say!("detector         {}", WatchRecord::summary(watched));
     }
-    println!(
+    say!(
         "{:.0} s simulated in {:.1} s on {} threads: {:.0} x real time per thread",
-        simulated_s, wall_s, threads, factor
+        simulated_s,
+        wall_s,
+        threads,
+        factor
     );
     let failed: Vec<String> = flights
         .iter()
@@ -329,37 +341,38 @@ fn report(
         .map(|f| f.seed.to_string())
         .collect();
     if !failed.is_empty() {
-        println!(
+        say!(
             "failed seeds     {}{}",
             failed.join(" "),
             if failed.len() == 12 { " …" } else { "" }
         );
     }
 
-    let file = std::fs::File::create(&args.json).with_context(|| format!("cannot write {}", args.json.display()))?;
-    serde_json::to_writer_pretty(
-        std::io::BufWriter::new(file),
-        &Report {
-            version: env!("CARGO_PKG_VERSION"),
-            family: args.family,
-            first_seed: args.seed,
-            wind_m_s: args.wind,
-            noise_factor: args.noise,
-            still: args.still,
-            ground_every: args.ground_every,
-            threads,
-            wall_s,
-            simulated_s,
-            real_time_factor_per_thread: factor,
-            attack: attack.map(|attack| AttackReport {
-                config: attack.config,
-                burst: attack.burst,
-                adaptive: attack.evade.is_some(),
-            }),
-            rates: &rates,
-            flights,
-        },
-    )?;
-    println!("details          {}", args.json.display());
-    Ok(ExitCode::SUCCESS)
+    let json = serde_json::to_vec_pretty(&Report {
+        version: env!("CARGO_PKG_VERSION"),
+        interrupted,
+        flights_asked_for: args.flights,
+        family: args.family,
+        first_seed: args.seed,
+        wind_m_s: args.wind,
+        noise_factor: args.noise,
+        still: args.still,
+        ground_every: args.ground_every,
+        threads,
+        wall_s,
+        simulated_s,
+        real_time_factor_per_thread: factor,
+        attack: attack.map(|attack| AttackReport {
+            config: attack.config,
+            burst: attack.burst,
+            adaptive: attack.evade.is_some(),
+        }),
+        rates: &rates,
+        flights,
+    })?;
+    output::write(&args.json, json)?;
+    if !output::is_stdout(&args.json) {
+        say!("details          {}", args.json.display());
+    }
+    Ok(())
 }

@@ -1,16 +1,16 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
-use crate::cli::output::{EXIT_ERROR, Paint};
+use crate::cli::family;
+use crate::cli::output::{EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::PilotArgs;
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fs::File;
-use std::io::{BufRead, BufReader, IsTerminal};
+use std::io::{BufRead, BufReader, IsTerminal, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitCode, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
@@ -21,6 +21,8 @@ use vigil_world::{Course, FlightPath};
 
 /// After reaching the goal the vehicle may take this long to land.
 const LANDING_LIMIT: Duration = Duration::from_secs(30);
+/// Diagnostics of a child beyond this are not shown.
+const SIZE_LIMIT: u64 = 1 << 20;
 /// A simulator that says nothing for so long is given up.
 const SILENCE_LIMIT: Duration = Duration::from_secs(5);
 /// A child that was asked to end gets this long before it is killed.
@@ -39,7 +41,8 @@ Examples:
   vigil fly --course my.toml         your own course (docs/courses.md)
   vigil fly --instance 1             beside another flight on the same machine
 
-While it flies, any MAVLink client can watch on port 14550 and command on 14540 (plus the instance number).
+While it flies, any MAVLink client can watch on port 14550 and command on 14540, plus the instance number for instances 1 to 9;
+instances from 10 on all speak to 14559 and 14549 (docs/scripting.md).
 Exit code: 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight, 1 error, 130 interrupted.")]
 pub struct FlyArgs {
     /// Course to fly.
@@ -63,7 +66,7 @@ pub struct FlyArgs {
     attack: AttackArgs,
 
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
-    #[arg(long, value_name = "DIR", default_value = "runs")]
+    #[arg(short = 'o', long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
 }
 
@@ -87,13 +90,10 @@ impl Default for FlyArgs {
 pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let seed = args.course.seed_or_random();
     let course = args.course.load(seed)?;
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = Arc::clone(&stop);
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
-
+    let interrupt = Interrupt::on_ctrl_c()?;
     let folder = make_folder(&args.log, seed)?;
     let course_file = folder.join("course.toml");
-    std::fs::write(&course_file, course.to_toml_string()?).context("cannot write the course")?;
+    course.save(&course_file)?;
     let scene_file = folder.join("scene.json");
     crate::cli::scene::of(&course).save(&scene_file)?;
 
@@ -106,7 +106,6 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         if args.attack.attack.is_some() {
             c.args(["--frames", RAW_TOPIC]);
         }
-        c.stdout(Stdio::piped());
     })?;
     let statuses = read_statuses(&mut simulator.child)?;
     let goal = course.goal_ned_m();
@@ -121,6 +120,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
             }
             args.attack.hand_on(c);
         })
+        .map(Process::listening)
     });
     let mut adversary = adversary.transpose()?;
     let mut firmware = Process::start("firmware", &folder, |c| {
@@ -130,23 +130,18 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
             .arg(format!("--height={}", -goal.z));
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
         args.pilot.hand_on(c);
-    })?;
+    })?
+    .listening();
 
     let title = match &args.course.course {
         Some(file) => format!("course {}", file.display()),
         None => format!("{:?} course {seed}", args.course.family).to_lowercase(),
     };
-    let watched = watch(&title, &statuses, &mut simulator, &mut firmware, &stop);
+    let watched = watch(&title, &statuses, &mut simulator, &mut firmware, &interrupt);
     // The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
     let firmware_said = firmware.end()?;
     simulator.end()?;
-    // That of an adversary which ended early, or was killed, is in its log; the flight went on or held without frames.
-    if let Some(adversary) = adversary.as_mut() {
-        println!(
-            "adversary {}",
-            adversary.end()?.lines().last().unwrap_or("said nothing")
-        );
-    }
+    let adversary_said = adversary.as_mut().map(Process::end).transpose()?;
     let Flight { last, path } = watched?;
     let outcome = last
         .as_ref()
@@ -158,21 +153,57 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         outcome,
     };
     vigil_world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
-    summarise(&course, &last, &folder, &firmware_said, stop.load(Ordering::Relaxed))
+    summarise(
+        &course,
+        &last,
+        &folder,
+        (&firmware_said, adversary_said.as_deref()),
+        interrupt.came(),
+    )
 }
 
 fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {
     let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    let folder = parent.join(format!("fly-{stamp}-{seed}"));
-    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    Ok(folder)
+    vigil_files::make_new_folder(parent, &format!("fly-{stamp}-{seed}"))
+        .with_context(|| format!("cannot make a folder in {}", parent.display()))
+}
+
+/// What the adversary's last line says. One that was killed has none; the flight went on or held without frames.
+fn adversary_in_words(said: &str) -> String {
+    let Some(record) = said
+        .lines()
+        .rev()
+        .find_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
+    else {
+        return "ended without a report: see adversary.log".to_owned();
+    };
+    let number = |key: &str| record[key].as_u64().unwrap_or(0);
+    let (frames, attacked, effective) = (number("frames"), number("attacked_steps"), number("effective_steps"));
+    if attacked == 0 {
+        return format!("altered none of {frames} frames: the flight ended before its burst began");
+    }
+    let mut text = format!(
+        "altered {attacked} of {frames} frames, from step {} on; the actor's yaw decision moved by 1.0 (30 °/s) or more in {effective} of \
+         them ({:.0} %), by {:.2} on average",
+        number("first_step"),
+        100.0 * effective as f64 / attacked as f64,
+        record["mean_yaw_change"].as_f64().unwrap_or(0.0)
+    );
+    match number("cut_short") {
+        0 => {}
+        cut => text += &format!("; {cut} iterations ended at the deadline"),
+    }
+    text
 }
 
 /// A child that is asked to end, and killed if it does not, however this program ends.
 struct Process {
     name: &'static str,
     child: Child,
+    /// Its diagnostics.
     stderr_file: PathBuf,
+    /// What it reports on standard output, read while it runs; the simulator's statuses are read elsewhere.
+    report: Option<JoinHandle<String>>,
 }
 
 impl Process {
@@ -181,14 +212,29 @@ impl Process {
         let stderr_file = folder.join(format!("{name}.log"));
         let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
         let mut command = Command::new(program);
-        command.stdin(Stdio::null()).stdout(log.try_clone()?).stderr(log);
+        command.args(family::arguments());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
         arrange(&mut command);
         let child = command.spawn().with_context(|| format!("cannot start the {name}"))?;
         Ok(Self {
             name,
             child,
             stderr_file,
+            report: None,
         })
+    }
+
+    /// Keeps what it reports until it ends.
+    fn listening(mut self) -> Self {
+        self.report = self.child.stdout.take().map(|mut pipe| {
+            std::thread::spawn(move || {
+                let mut text = String::new();
+                // What is no text, or comes after a failure, is no report.
+                let _ = pipe.read_to_string(&mut text);
+                text
+            })
+        });
+        self
     }
 
     /// Fails when the child has ended, with the last of what it said.
@@ -203,10 +249,10 @@ impl Process {
     }
 
     fn said(&self) -> String {
-        std::fs::read_to_string(&self.stderr_file).unwrap_or_default()
+        vigil_files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default()
     }
 
-    /// Ends the child and returns what it said.
+    /// Ends the child and returns what it reported.
     fn end(&mut self) -> Result<String> {
         if self.child.try_wait()?.is_none() {
             let pid = rustix::process::Pid::from_child(&self.child);
@@ -214,7 +260,7 @@ impl Process {
             let asked = Instant::now();
             while self.child.try_wait()?.is_none() {
                 if asked.elapsed() > END_LIMIT {
-                    eprintln!(
+                    tell!(
                         "vigil: the {} did not end within {} s and is killed",
                         self.name,
                         END_LIMIT.as_secs()
@@ -224,7 +270,12 @@ impl Process {
                 std::thread::sleep(Duration::from_millis(20));
             }
         }
-        Ok(self.said())
+        // The reader does not panic, and ends with the pipe.
+        Ok(self
+            .report
+            .take()
+            .and_then(|reader| reader.join().ok())
+            .unwrap_or_default())
     }
 }
 
@@ -270,14 +321,14 @@ fn watch(
     statuses: &Receiver<Status>,
     simulator: &mut Process,
     firmware: &mut Process,
-    stop: &AtomicBool,
+    interrupt: &Interrupt,
 ) -> Result<Flight> {
     let live = std::io::stderr().is_terminal();
     let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{spinner} {msg}")?);
     let mut flight = Flight::default();
     let mut last_printed_s = f64::NEG_INFINITY;
     let mut reached_at: Option<Instant> = None;
-    while !stop.load(Ordering::Relaxed) {
+    while !interrupt.came() {
         match statuses.recv_timeout(SILENCE_LIMIT) {
             Ok(status) => {
                 let line = progress_line(title, &status);
@@ -285,7 +336,7 @@ fn watch(
                     bar.set_message(line);
                     bar.tick();
                 } else if status.time_s - last_printed_s >= 2.0 {
-                    eprintln!("{line}");
+                    tell!("{line}");
                     last_printed_s = status.time_s;
                 }
                 if status.outcome.is_none() {
@@ -335,12 +386,12 @@ fn summarise(
     course: &Course,
     flight: &Option<Status>,
     folder: &Path,
-    firmware_said: &str,
+    (firmware_said, adversary_said): (&str, Option<&str>),
     interrupted: bool,
 ) -> Result<ExitCode> {
     let Some(status) = flight else {
-        println!("no flight: interrupted before the simulator reported");
-        return Ok(ExitCode::from(130));
+        say!("no flight: interrupted before the simulator reported");
+        return Ok(ExitCode::from(EXIT_INTERRUPTED));
     };
     let paint = Paint::stdout();
     let success = status.outcome.as_deref() == Some("success");
@@ -354,9 +405,9 @@ fn summarise(
         (None, true) => format!("interrupted {:.1} m from the goal", status.goal_distance_m),
         (None, false) => "no outcome".to_owned(),
     };
-    println!("{} on {}", paint.verdict(success, &verdict), course.name);
+    say!("{} on {}", paint.verdict(success, &verdict), course.name);
     if success {
-        println!(
+        say!(
             "vehicle   {}",
             if status.armed {
                 "still armed: it did not land in time"
@@ -366,12 +417,15 @@ fn summarise(
         );
     }
     for line in firmware_said.lines().filter(|l| !l.trim().is_empty()) {
-        println!("{line}");
+        say!("{line}");
     }
-    println!("files     {}", folder.display());
+    if let Some(said) = adversary_said {
+        say!("adversary {}", adversary_in_words(said));
+    }
+    say!("files     {}", folder.display());
     Ok(ExitCode::from(match (&status.outcome, interrupted) {
         (Some(outcome), _) => ending_code(outcome.parse().ok()),
-        (None, true) => 130,
+        (None, true) => EXIT_INTERRUPTED,
         (None, false) => EXIT_ERROR,
     }))
 }

@@ -1,6 +1,7 @@
 //! `vigil judge`: how an actor flies alone, without MAVLink and guidance around it.
 
 use crate::actor_training::{Judged, Judgement};
+use crate::cli::output::{or_dash, say};
 use crate::statistics::wilson_95;
 use anyhow::{Context, Result};
 use std::path::Path;
@@ -64,7 +65,7 @@ pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
         .num_threads(threads)
         .build()
         .context("cannot start threads")?;
-    println!("field  completion   95 % interval      collision  out of bounds  time-out  mean time");
+    say!("field  completion   95 % interval      collision  out of bounds  time-out  mean time");
     for field in [false, true] {
         let what = Judgement {
             family: args.family,
@@ -75,8 +76,8 @@ pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
         };
         let verdict = pool.install(|| crate::actor_training::judge(judged, Isa::detect(), &what))?;
         let (low, high) = wilson_95(verdict.successes(), verdict.flights.len());
-        println!(
-            "{:<5} {:>9.1} %   {:>5.1} to {:>5.1} %   {:>9} {:>14} {:>9} {:>8.1} s",
+        say!(
+            "{:<5} {:>9.1} %   {:>5.1} to {:>5.1} %   {:>9} {:>14} {:>9} {:>10}",
             if field { "on" } else { "off" },
             100.0 * verdict.completion(),
             100.0 * low,
@@ -84,7 +85,7 @@ pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
             verdict.count(Outcome::Collision),
             verdict.count(Outcome::OutOfBounds),
             verdict.count(Outcome::TimeOut),
-            verdict.mean_time_s(),
+            or_dash(verdict.mean_time_s().unwrap_or(f64::NAN), 1, " s"),
         );
     }
     Ok(ExitCode::SUCCESS)

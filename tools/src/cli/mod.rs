@@ -3,6 +3,7 @@
 mod courses;
 mod detector;
 mod evaluate;
+mod family;
 mod fly;
 mod judge;
 pub(crate) mod output;
@@ -30,6 +31,10 @@ struct Cli {
     /// Log more: -v for what happens, -vv for details. RUST_LOG overrides it.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     verbose: u8,
+
+    /// End when the process of this number does, which started this one.
+    #[arg(long, global = true, hide = true, value_name = "PID")]
+    ends_with: Option<u32>,
 }
 
 const EXAMPLES: &str = "\
@@ -59,7 +64,7 @@ enum Command {
     Adversary(vigil_adversary::process::AdversaryArgs),
     /// Run the tick over a flight log's recorded inputs and compare every output byte.
     Replay(replay::ReplayArgs),
-    /// Close a flight log that was cut off when its process was killed.
+    /// Save what is whole of a flight log that was cut off or damaged.
     Recover(recover::RecoverArgs),
     /// Train an actor from nothing.
     Train(train::TrainArgs),
@@ -77,6 +82,11 @@ enum Command {
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     output::start_tracing(cli.verbose);
+    if let Some(parent) = cli.ends_with
+        && let Err(error) = family::end_with(parent)
+    {
+        return output::finish(Err(error));
+    }
     let result = match cli.command.unwrap_or_else(|| Command::Fly(fly::FlyArgs::default())) {
         Command::Fly(args) => fly::run(&args),
         Command::Sim(args) => vigil_sim::program::run(args),
@@ -92,11 +102,5 @@ pub fn main() -> ExitCode {
         Command::Detector(args) => detector::run(&args),
         Command::Courses(args) => courses::run(&args),
     };
-    match result {
-        Ok(code) => code,
-        Err(error) => {
-            eprintln!("vigil: {error:#}");
-            ExitCode::from(output::EXIT_ERROR)
-        }
-    }
+    output::finish(result)
 }

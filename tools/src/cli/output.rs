@@ -1,12 +1,271 @@
-//! What all commands share in talking to people: exit codes, colours, tracing.
+//! What all commands share in talking to people: output, progress, interruption, exit codes, colours, tracing.
 
-use std::io::IsTerminal;
+use anyhow::{Context, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Arguments;
+use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::Duration;
 use tracing_subscriber::EnvFilter;
 
-/// The command could not do its work (bad arguments, missing file, port in use).
+/// The command could not do its work (bad arguments, missing file, port in use, full disk).
 pub const EXIT_ERROR: u8 = 1;
 /// A comparison or check failed (replay differs).
 pub const EXIT_DIFFERS: u8 = 3;
+/// Ctrl-C or SIGTERM ended it; what was done until then is kept.
+pub const EXIT_INTERRUPTED: u8 = 130;
+
+/// Why standard output took no more, the first time.
+static OUTPUT_FAILURE: OnceLock<io::Error> = OnceLock::new();
+/// Standard output carries a report, so what is for people goes to standard error.
+static REPORT_ON_STDOUT: AtomicBool = AtomicBool::new(false);
+
+/// Writes a line to standard output, as `println!` does, but survives a reader that has gone (`… | head`). Any other
+/// failure is told when the program ends ([`finish`]).
+macro_rules! say {
+    () => { $crate::cli::output::put_line(format_args!("")) };
+    ($($text:tt)*) => { $crate::cli::output::put_line(format_args!($($text)*)) };
+}
+pub(crate) use say;
+
+/// [`say`] without the end of the line.
+macro_rules! put {
+    ($($text:tt)*) => { $crate::cli::output::put_text(format_args!($($text)*)) };
+}
+pub(crate) use put;
+
+/// Writes a line to standard error, if anybody listens there.
+macro_rules! tell {
+    ($($text:tt)*) => { $crate::cli::output::tell_line(format_args!($($text)*)) };
+}
+pub(crate) use tell;
+
+#[doc(hidden)]
+pub fn put_line(text: Arguments<'_>) {
+    put_text(format_args!("{text}\n"));
+}
+
+#[doc(hidden)]
+pub fn put_text(text: Arguments<'_>) {
+    if REPORT_ON_STDOUT.load(Ordering::Relaxed) {
+        let _ = io::stderr().write_fmt(text);
+    } else if let Err(error) = io::stdout().write_fmt(text) {
+        OUTPUT_FAILURE.get_or_init(|| error);
+    }
+}
+
+#[doc(hidden)]
+pub fn tell_line(text: Arguments<'_>) {
+    // Where nobody listens, nothing can be told.
+    let _ = io::stderr().write_fmt(format_args!("{text}\n"));
+}
+
+/// The program's exit code: that of the command, unless standard output took not all of it.
+pub fn finish(result: Result<ExitCode>) -> ExitCode {
+    let code = result.unwrap_or_else(|error| {
+        tell!("vigil: {}", vigil_firmware::program::told(&error));
+        ExitCode::from(EXIT_ERROR)
+    });
+    let failure = io::stdout().flush().err();
+    match OUTPUT_FAILURE.get().or(failure.as_ref()) {
+        // Whoever read it has seen enough.
+        Some(error) if error.kind() != ErrorKind::BrokenPipe => {
+            tell!("vigil: cannot write standard output: {error}");
+            ExitCode::from(EXIT_ERROR)
+        }
+        _ => code,
+    }
+}
+
+/// Whether a path means standard output.
+pub fn is_stdout(path: &Path) -> bool {
+    path == Path::new("-")
+}
+
+/// Reserves standard output for the report that goes to `path`, if that is standard output, and otherwise makes the
+/// folder of `path` before the work, so that the work is not lost.
+///
+/// # Errors
+/// A folder that cannot be made.
+pub fn prepare(path: &Path) -> Result<()> {
+    if is_stdout(path) {
+        REPORT_ON_STDOUT.store(true, Ordering::Relaxed);
+        return Ok(());
+    }
+    match path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        Some(folder) => std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display())),
+        None => Ok(()),
+    }
+}
+
+/// Replaces a file ([`vigil_files::replace`]); `-` is standard output.
+///
+/// # Errors
+/// Whatever keeps it from being written whole, with the file's name. An earlier file is then kept.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+    let content = content.as_ref();
+    if is_stdout(path) {
+        let mut out = io::stdout().lock();
+        return match out.write_all(content).and_then(|()| out.flush()) {
+            Err(error) if error.kind() != ErrorKind::BrokenPipe => Err(error).context("cannot write standard output"),
+            _ => Ok(()),
+        };
+    }
+    vigil_files::replace(path, content, vigil_files::Access::Shared)
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Set by Ctrl-C or SIGTERM; the second time ends the program at once.
+#[derive(Clone)]
+pub struct Interrupt(Arc<AtomicBool>);
+
+impl Interrupt {
+    /// Takes the signals from now on.
+    ///
+    /// # Errors
+    /// Something else takes them already.
+    pub fn on_ctrl_c() -> Result<Self> {
+        let interrupt = Self(Arc::default());
+        let flag = interrupt.clone();
+        ctrlc::set_handler(move || {
+            if flag.0.swap(true, Ordering::Relaxed) {
+                std::process::exit(EXIT_INTERRUPTED.into());
+            }
+        })
+        .context("cannot install the Ctrl-C handler")?;
+        Ok(interrupt)
+    }
+
+    /// Whether it came.
+    pub fn came(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// For those that look for themselves.
+    pub fn flag(&self) -> &AtomicBool {
+        &self.0
+    }
+
+    /// The exit code of a command that went as far as this let it.
+    pub fn exit_code(&self) -> ExitCode {
+        match self.came() {
+            true => ExitCode::from(EXIT_INTERRUPTED),
+            false => ExitCode::SUCCESS,
+        }
+    }
+}
+
+/// How far a command has come: a bar on a terminal, a line every few seconds anywhere else.
+pub struct Progress {
+    bar: ProgressBar,
+    what: &'static str,
+    message: Mutex<String>,
+    /// `None` on a terminal.
+    pace: Option<Mutex<Pace>>,
+}
+
+impl Progress {
+    /// `length` of `what` are to be done.
+    ///
+    /// # Errors
+    /// None: the bar's template is constant.
+    pub fn new(length: u64, what: &'static str) -> Result<Self> {
+        let style = format!("{{bar:30}} {{pos}}/{{len}} {what}, {{elapsed}} gone, {{eta}} left{{msg}}");
+        let bar = ProgressBar::new(length).with_style(ProgressStyle::with_template(&style)?);
+        Ok(Self {
+            pace: bar.is_hidden().then(Mutex::default),
+            bar,
+            what,
+            message: Mutex::default(),
+        })
+    }
+
+    /// So many more are done.
+    pub fn inc(&self, count: u64) {
+        self.bar.inc(count);
+        self.tick();
+    }
+
+    /// So many are done.
+    pub fn set_position(&self, done: u64) {
+        self.bar.set_position(done);
+        self.tick();
+    }
+
+    /// So many are to be done.
+    pub fn set_length(&self, length: u64) {
+        self.bar.set_length(length);
+    }
+
+    /// What stands behind the numbers.
+    pub fn set_message(&self, message: impl std::fmt::Display) {
+        let message = format!(", {message}");
+        self.bar.set_message(message.clone());
+        if let Ok(mut kept) = self.message.lock() {
+            *kept = message;
+        }
+    }
+
+    /// Writes to standard output without the bar in between.
+    pub fn suspend(&self, write: impl FnOnce()) {
+        self.bar.suspend(write);
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    fn tick(&self) {
+        let Some(pace) = &self.pace else { return };
+        let (done, length) = (self.bar.position(), self.bar.length().unwrap_or(0));
+        let elapsed = self.bar.elapsed();
+        // Whoever holds it is telling.
+        if let Ok(mut pace) = pace.try_lock()
+            && pace.is_due(elapsed, done, length)
+        {
+            let message = self.message.lock().map(|message| message.clone()).unwrap_or_default();
+            let left = self.bar.eta().as_secs();
+            tell!(
+                "{done}/{length} {}, {} s gone, {left} s left{message}",
+                self.what,
+                elapsed.as_secs()
+            );
+        }
+    }
+}
+
+/// When the next line is due: 5 s after the last at the earliest, then with the next whole percent or after a minute.
+#[derive(Default)]
+struct Pace {
+    told_at: Duration,
+    told_percent: u64,
+}
+
+impl Pace {
+    fn is_due(&mut self, elapsed: Duration, done: u64, length: u64) -> bool {
+        const LEAST: Duration = Duration::from_secs(5);
+        const MOST: Duration = Duration::from_secs(60);
+        let since = elapsed.saturating_sub(self.told_at);
+        let percent = (done as u128 * 100 / u128::from(length.max(1))) as u64;
+        let due = since >= MOST || (since >= LEAST && percent != self.told_percent);
+        if due {
+            (self.told_at, self.told_percent) = (elapsed, percent);
+        }
+        due
+    }
+}
+
+/// A number with its unit, or a dash where there is none.
+pub fn or_dash(value: f64, decimals: usize, unit: &str) -> String {
+    match value.is_finite() {
+        true => format!("{value:.decimals$}{unit}"),
+        false => "-".to_owned(),
+    }
+}
 
 /// Starts diagnostics on standard error; `RUST_LOG` overrides `verbosity`.
 pub fn start_tracing(verbosity: u8) {
@@ -17,6 +276,8 @@ pub fn start_tracing(verbosity: u8) {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
+        // Told on standard error, which is what could not be written.
+        .log_internal_errors(false)
         .init();
 }
 
@@ -56,4 +317,32 @@ pub fn git_commit() -> Option<String> {
 /// Colour of a range over full scale in pictures of frames: near is bright, as in the contrast that the actor sees.
 pub fn range_grey(range: f32) -> [u8; 3] {
     [(255.0 / (1.0 + range * 100.0 / 3.0)) as u8; 3]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_progress_is_due_every_few_seconds_with_a_new_percent_and_every_minute_without() {
+        let mut pace = Pace::default();
+        let mut due = |seconds, done| pace.is_due(Duration::from_secs(seconds), done, 1000);
+        let told = [
+            (4, 50),
+            (5, 50),
+            (9, 90),
+            (10, 90),
+            (20, 95),
+            (69, 96),
+            (70, 96),
+            (75, 110),
+        ]
+        .map(|(s, n)| due(s, n));
+        assert_eq!(told, [false, true, false, true, false, false, true, true]);
+    }
+
+    #[test]
+    fn what_is_no_number_is_a_dash() {
+        assert_eq!([or_dash(f64::NAN, 1, " s"), or_dash(0.25, 1, " %")], ["-", "0.2 %"]);
+    }
 }

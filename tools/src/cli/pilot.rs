@@ -48,22 +48,12 @@ pub struct PilotArgs {
 }
 
 impl PilotArgs {
-    /// The pilot that flies.
-    fn kind(&self) -> PilotKind {
-        self.pilot.unwrap_or(PilotKind::Actor)
-    }
-
-    /// Whether a detector watches.
-    fn detector(&self) -> bool {
-        self.detector.unwrap_or(self.kind() == PilotKind::Actor)
-    }
-
-    /// Sets what was given, and what is flown where nothing was.
+    /// Sets what was given.
     pub fn apply(&self, config: &mut FirmwareConfig) {
-        config.pilot.kind = self.kind();
+        config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
-        config.detector.enabled = self.detector();
+        config.detector.enabled = self.detector.or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
         config.detector.threshold = self.threshold.or(config.detector.threshold);
         if let Some((count, window)) = self.raise {
@@ -78,10 +68,14 @@ impl PilotArgs {
         self.actor.as_deref()
     }
 
-    /// Hands on to a `firmware` process what was given, pilot and detector in any case.
+    /// Hands on to a `firmware` process what was given.
     pub fn hand_on(&self, command: &mut Command) {
-        command.args(["--pilot", self.kind().name()]);
-        command.args(["--detector", if self.detector() { "on" } else { "off" }]);
+        if let Some(pilot) = self.pilot {
+            command.args(["--pilot", pilot.name()]);
+        }
+        if let Some(detector) = self.detector {
+            command.args(["--detector", if detector { "on" } else { "off" }]);
+        }
         if let Some(file) = &self.actor {
             command.arg("--actor").arg(file);
         }

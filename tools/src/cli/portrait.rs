@@ -1,6 +1,6 @@
 //! `vigil detector figures`: the paper's figures 12 to 14 of one flight.
 
-use crate::cli::output::range_grey;
+use crate::cli::output::{self, range_grey, say};
 use crate::detector_training::{Adversary, ExplainedFrame, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
 use crate::report::{Figure, Panel};
 use anyhow::{Context, Result};
@@ -43,17 +43,17 @@ pub fn draw(
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let write = |name: &str, content: &[u8]| {
         let path = folder.join(name);
-        println!("{}", path.display());
-        std::fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))
+        say!("{}", path.display());
+        output::write(&path, content)
     };
     figure_12(&portrait.frames).write_png(&folder.join("figure-12.png"))?;
-    println!("{}", folder.join("figure-12.png").display());
+    say!("{}", folder.join("figure-12.png").display());
     let steps = &portrait.steps;
     let last_s = seconds(steps.len());
     write("figure-13.png", &over_time(contributions(steps), last_s))?;
     write("figure-14.png", &over_time(sum_and_action(steps), last_s))?;
     write("explanations.csv", to_csv(&portrait).as_bytes())?;
-    println!(
+    say!(
         "validation course {seed}, {} steps{}, flight ended: {}",
         steps.len(),
         if attacked {

@@ -1,5 +1,6 @@
-//! `vigil recover`: close a log whose process was killed.
+//! `vigil recover`: a closed log of one whose process was killed, or that is damaged.
 
+use crate::cli::output::say;
 use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -10,9 +11,10 @@ use std::process::ExitCode;
 Example:
   vigil recover runs/fly-1760000000-7/flight-0001.mcap whole.mcap
 
-`vigil replay` reads an unclosed log as it is; some viewers do not.")]
+`vigil replay` reads an unclosed log as it is; some viewers do not. Of a damaged log everything is saved but the pieces that are
+damaged themselves, and what is lost is told in steps, records and seconds.")]
 pub struct RecoverArgs {
-    /// The log that was not closed.
+    /// The log that was not closed, or is damaged.
     from: PathBuf,
     /// The closed copy; must not exist yet.
     to: PathBuf,
@@ -23,7 +25,7 @@ pub struct RecoverArgs {
 /// # Errors
 /// A log that is missing or unreadable, a copy that exists or cannot be written.
 pub fn run(args: &RecoverArgs) -> Result<ExitCode> {
-    let end = vigil_log::recover(&args.from, &args.to)?;
-    println!("{}: {end}", args.to.display());
+    let recovery = vigil_log::recover(&args.from, &args.to)?;
+    say!("{}: {recovery}", args.to.display());
     Ok(ExitCode::SUCCESS)
 }

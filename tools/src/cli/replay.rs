@@ -1,6 +1,6 @@
 //! `vigil replay`: does the tick give the same bytes again?
 
-use crate::cli::output::{EXIT_DIFFERS, Paint};
+use crate::cli::output::{EXIT_DIFFERS, Paint, say};
 use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -27,7 +27,7 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let path = find_log(&args.log)?;
     let mut reader = Reader::open(&path).with_context(|| path.display().to_string())?;
     let report = vigil_firmware::replay(&mut reader).with_context(|| path.display().to_string())?;
-    println!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
+    say!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
     Ok(if report.is_equal() {
         ExitCode::SUCCESS
     } else {

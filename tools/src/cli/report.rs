@@ -1,12 +1,15 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
 use crate::actor_training::RunResult;
+use crate::cli::output::{self, put, say};
 use crate::report::{Figure, Panel, Series};
 use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
+/// A run of a million flights has 40 MB.
+const SIZE_LIMIT: u64 = 256 << 20;
 /// Training flights over which the reward's mean rolls in figure 9.
 const ROLLING_REWARDS: usize = 20;
 /// Training flights over which figure 10 counts successes (the paper's ten).
@@ -80,7 +83,7 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
             .join(", ")
     );
     let table = table(&arms);
-    print!("{table}");
+    put!("{table}");
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot make {}", args.output.display()))?;
     for (name, content) in [
         ("table-1.md", table.into_bytes()),
@@ -90,8 +93,8 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
         ("figure-10.svg", figure_10(&arms).svg().into_bytes()),
     ] {
         let path = args.output.join(name);
-        std::fs::write(&path, content).with_context(|| format!("cannot write {}", path.display()))?;
-        println!("{}", path.display());
+        output::write(&path, content)?;
+        say!("{}", path.display());
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -118,7 +121,7 @@ fn folders(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
 fn read(folder: &Path) -> Result<Run> {
     let text = |name: &str| {
         let path = folder.join(name);
-        std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))
+        vigil_files::read_text(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
     };
     let bad = |name: &str| format!("{} is not what `vigil train` writes", folder.join(name).display());
     let result = serde_json::from_str(&text("result.json")?).with_context(|| bad("result.json"))?;

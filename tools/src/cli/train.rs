@@ -1,13 +1,10 @@
 //! `vigil train`: the actor from nothing, and how it flies.
 
 use crate::actor_training::{Progress, RunEnd, RunOptions, TrainConfig};
-use crate::cli::output::{EXIT_ERROR, Paint, git_commit};
-use anyhow::{Context, Result};
-use indicatif::{ProgressBar, ProgressStyle};
+use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Paint, git_commit, put, say};
+use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Arguments of `vigil train`.
 #[derive(Debug, Clone, clap::Args)]
@@ -20,7 +17,8 @@ Examples:
 
 The run leaves actor.safetensors, result.json, curves.csv, curves.png, flights.csv, config.toml and checkpoint.safetensors in
 its folder. Ctrl-C stops it after the
-update being made; --resume goes on as if it had never stopped. docs/training.md explains the method.")]
+update being made; --resume goes on as if it had never stopped. docs/training.md explains the method.
+Exit code: 0 the actor is trained, 1 error, 130 interrupted, with a checkpoint to go on from.")]
 pub struct TrainArgs {
     /// Training file (TOML); what it does not name keeps its default.
     #[arg(long, value_name = "FILE")]
@@ -66,33 +64,31 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
     config.threads = args.threads.map_or(config.threads, usize::from);
     config.check()?;
     if args.print_config {
-        print!("{}", config.to_toml());
+        put!("{}", config.to_toml());
         return Ok(ExitCode::SUCCESS);
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let interrupt = Interrupt::on_ctrl_c()?;
     let options = RunOptions {
         folder: args.output.clone(),
         resume: args.resume,
         git_commit: git_commit(),
         test_flights: args.test_flights,
     };
-    let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
-        "{bar:30} {pos}/{len} updates, {elapsed} gone, {msg}",
-    )?);
-    let end = crate::actor_training::run(&config, &options, &stop, &mut |progress| show(&bar, progress));
-    bar.finish_and_clear();
+    let bar = output::Progress::new(0, "updates")?;
+    let end = crate::actor_training::run(&config, &options, interrupt.flag(), &mut |progress| {
+        show(&bar, progress)
+    });
+    bar.finish();
     match end? {
         RunEnd::Interrupted(checkpoint) => {
-            println!("stopped; go on with: vigil train --resume -o {}", args.output.display());
-            println!("checkpoint       {}", checkpoint.display());
-            Ok(ExitCode::from(EXIT_ERROR))
+            say!("stopped; go on with: vigil train --resume -o {}", args.output.display());
+            say!("checkpoint       {}", checkpoint.display());
+            Ok(ExitCode::from(EXIT_INTERRUPTED))
         }
         RunEnd::Complete { actor, result } => {
             for count in [&result.chosen_by, &result.test] {
                 let (low, high) = count.wilson_95;
-                println!(
+                say!(
                     "completion       {:.1} % of {} {} courses without the field (95 %: {:.1} to {:.1} %)",
                     100.0 * count.completion,
                     count.flights,
@@ -101,7 +97,7 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
                     100.0 * high,
                 );
             }
-            println!(
+            say!(
                 "{}",
                 Paint::stdout().verdict(
                     true,
@@ -117,9 +113,8 @@ pub fn run(args: &TrainArgs) -> Result<ExitCode> {
     }
 }
 
-fn show(bar: &ProgressBar, progress: &Progress<'_>) {
+fn show(bar: &output::Progress, progress: &Progress<'_>) {
     bar.set_length(progress.all_updates);
-    bar.set_position(progress.updates);
     let left = progress
         .left_s
         .map_or("gathering".to_owned(), |s| format!("{:.0} min left", (s / 60.0).ceil()));
@@ -127,6 +122,7 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
         "{left}, decision {}/{}",
         progress.decisions, progress.all_decisions
     ));
+    bar.set_position(progress.updates);
     if let Some(row) = progress.row {
         let u = &row.update;
         let judged = row.completion.map_or(String::new(), |c| {
@@ -136,10 +132,6 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
             "{:>6} updates: {} of {} training flights at the goal, reward {:.1}, critic {:.3}, imitation {:.3}, value {:.2}{judged}",
             row.updates, row.successes, row.flights, row.reward, u.critic_loss, u.imitation_loss, u.value
         );
-        if bar.is_hidden() {
-            println!("{line}");
-        } else {
-            bar.println(line);
-        }
+        bar.suspend(|| say!("{line}"));
     }
 }

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
+use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_detector::WINDOW;
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Isa};
@@ -84,39 +85,49 @@ impl Class {
 /// Flights flown at once; fixed, so that what is gathered does not depend on the number of threads.
 const BLOCK: u64 = 12;
 
-/// Draws and flies scenarios, two attacked for each unattacked, until there are so many windows of each class.
+/// Draws and flies scenarios, two attacked for each unattacked, until there are so many windows of each class. `begun` are
+/// the flights of an earlier call that `progress` broke off; what is gathered is then the same as in one go.
+///
+/// Returns the flights, and whether they are as many as wanted: `progress` may break it off after each dozen.
 ///
 /// # Errors
 /// Parameters of another architecture.
 pub fn gather(
     isa: Isa,
     actor: &FrozenActor,
-    family: Family,
-    first_seed: u64,
+    (family, first_seed): (Family, u64),
     want: Counts,
-    progress: &mut dyn FnMut(Counts, usize),
-) -> Result<Flights, DetectError> {
-    let mut counts = Counts::default();
-    let mut records = Vec::new();
-    let mut seed = first_seed;
-    while counts.attacked < want.attacked || counts.unattacked < want.unattacked {
-        let block = (seed..seed + BLOCK)
+    begun: Vec<Record>,
+    progress: &mut dyn FnMut(Counts, usize) -> ControlFlow<()>,
+) -> Result<(Flights, bool), DetectError> {
+    let mut records = begun;
+    let mut counts = Counts::of(&records);
+    let is_enough = |counts: &Counts| counts.attacked >= want.attacked && counts.unattacked >= want.unattacked;
+    while !is_enough(&counts) {
+        let seed = first_seed.wrapping_add(records.len() as u64);
+        let block = (0..BLOCK)
             .into_par_iter()
-            .map(|seed| {
+            .map(|i| {
+                let seed = seed.wrapping_add(i);
                 let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
                 fly(isa, &actor.params, &scenario, &mut ())
             })
             .collect::<Result<Vec<_>, _>>()?;
         block.iter().for_each(|record| counts.add(record));
         records.extend(block);
-        seed += BLOCK;
-        progress(counts, records.len());
+        if progress(counts, records.len()).is_break() {
+            break;
+        }
     }
-    Ok(Flights {
+    let flights = Flights {
         actor_sha256: actor.sha256(),
         records,
-    })
+    };
+    Ok((flights, is_enough(&counts)))
 }
+
+/// An hour of flight has 15 MB.
+const SIZE_LIMIT: u64 = 4 << 30;
 
 /// Value of the metadata entry `format`.
 const FORMAT: &str = "vigil detector data 1";
@@ -177,10 +188,7 @@ impl Flights {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(access(folder))?;
         }
-        let beside = path.with_extension("new");
-        std::fs::write(&beside, bytes)
-            .and_then(|()| std::fs::rename(&beside, path))
-            .map_err(access(path))
+        vigil_files::replace(path, &bytes, vigil_files::Access::Shared).map_err(access(path))
     }
 
     /// Reads them.
@@ -188,7 +196,7 @@ impl Flights {
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
-        let bytes = std::fs::read(path).map_err(access(path))?;
+        let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
         let data = |message: &str| DetectError::Data {
             path: path.to_owned(),
             message: message.to_owned(),

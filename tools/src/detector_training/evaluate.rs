@@ -80,7 +80,7 @@ const ALTERED: u64 = 100;
 
 /// The flights of an evaluation.
 pub fn sets(size: &EvaluationSize) -> Vec<Set> {
-    let validation = |i: u64, plan| Scenario::unattacked(Family::Validation, size.first_seed + i, plan);
+    let validation = |i: u64, plan| Scenario::unattacked(Family::Validation, size.first_seed.wrapping_add(i), plan);
     let attacked = |method, epsilon_255, iterations, i: u64| {
         // Every other flight is recovered, since the verdict must hold there as well.
         let plan = if i.is_multiple_of(2) { Plan::Actor } else { RECOVERING };

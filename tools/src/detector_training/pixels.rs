@@ -244,6 +244,8 @@ pub fn gather_states(
 }
 
 /// Value of the metadata entry `format`.
+/// A state has five frames of 32 kB.
+const SIZE_LIMIT: u64 = 16 << 30;
 const FORMAT: &str = "vigil detector images 1";
 
 impl States {
@@ -272,10 +274,7 @@ impl States {
         ];
         let metadata = HashMap::from([("format".to_owned(), FORMAT.to_owned())]);
         let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
-        let beside = path.with_extension("new");
-        std::fs::write(&beside, bytes)
-            .and_then(|()| std::fs::rename(&beside, path))
-            .map_err(access(path))
+        vigil_files::replace(path, &bytes, vigil_files::Access::Shared).map_err(access(path))
     }
 
     /// Reads them.
@@ -284,7 +283,7 @@ impl States {
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
         let flights = Flights::load(&path.with_extension("flights"), actor)?;
-        let bytes = std::fs::read(path).map_err(access(path))?;
+        let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
         let data = |message: &str| DetectError::Data {
             path: path.to_owned(),
             message: message.to_owned(),

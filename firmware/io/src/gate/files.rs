@@ -1,15 +1,17 @@
 //! The files of signing: the key, and what replay protection needs over restarts.
 
 use rtrb::{Producer, RingBuffer};
-use std::io::{Read, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::Duration;
+use vigil_files::Access;
 use vigil_mavlink::signing::{SigningKey, SigningMemory, StreamTime};
 
 /// A key file is longer than this only by mistake.
-const LONGEST_KEY_FILE: u64 = 4096;
+const KEY_SIZE_LIMIT: u64 = 4 << 10;
+/// A line for each stream, of which there are a few dozen at most.
+const STATE_SIZE_LIMIT: u64 = 64 << 10;
 /// States that may wait to be written; the newest is offered again a second later.
 const CAPACITY: usize = 8;
 /// How often the writer looks.
@@ -90,7 +92,7 @@ pub fn read_key(path: &Path) -> Result<SigningKey, SigningFileError> {
         path: path.to_owned(),
         source,
     };
-    let mut file = std::fs::File::open(path).map_err(read)?;
+    let mut file = vigil_files::open(path).map_err(read)?;
     // Of the open file, so that nobody can exchange it in between.
     let metadata = file.metadata().map_err(read)?;
     let mode = metadata.permissions().mode() & 0o7777;
@@ -107,11 +109,7 @@ pub fn read_key(path: &Path) -> Result<SigningKey, SigningFileError> {
             owner,
         });
     }
-    let mut bytes = Vec::new();
-    (&mut file)
-        .take(LONGEST_KEY_FILE)
-        .read_to_end(&mut bytes)
-        .map_err(read)?;
+    let bytes = vigil_files::read_from(&mut file, KEY_SIZE_LIMIT).map_err(read)?;
     let key = key_of(&bytes).ok_or_else(|| SigningFileError::Content { path: path.to_owned() })?;
     match key.is_zero() {
         true => Err(SigningFileError::Zero { path: path.to_owned() }),
@@ -243,35 +241,17 @@ fn write_state(path: &Path, memory: &SigningMemory) -> std::io::Result<()> {
     for s in &memory.streams {
         text += &format!("{} {} {} {}\n", s.link_id, s.system_id, s.component_id, s.timestamp);
     }
-    replace(path, &text)
+    vigil_files::replace(path, text.as_bytes(), Access::Private)
 }
 
 /// 64 hexadecimal digits, for nobody else to read.
 fn write_key(path: &Path, key: &SigningKey) -> std::io::Result<()> {
     let digits: String = key.0.iter().map(|byte| format!("{byte:02x}")).collect();
-    replace(path, &digits)
-}
-
-fn replace(path: &Path, text: &str) -> std::io::Result<()> {
-    let mut temporary = path.as_os_str().to_owned();
-    temporary.push(".new");
-    // What a killed run left; it must be a new file, with this mode, or others might read it or have put a link there.
-    match std::fs::remove_file(&temporary) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => return Err(e),
-        _ => {}
-    }
-    let mut file = std::fs::OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(&temporary)?;
-    file.write_all(text.as_bytes())?;
-    // In place at once: whoever is killed here leaves the old state or the new one.
-    std::fs::rename(&temporary, path)
+    vigil_files::replace(path, digits.as_bytes(), Access::Private)
 }
 
 fn read_state(path: &Path) -> Result<SigningMemory, SigningFileError> {
-    let text = match std::fs::read_to_string(path) {
+    let text = match vigil_files::read_text(path, STATE_SIZE_LIMIT) {
         Ok(text) => text,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(SigningMemory::default()),
         Err(source) => {

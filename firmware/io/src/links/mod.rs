@@ -44,7 +44,7 @@ const RETRY_NS: Nanos = 1_000_000_000;
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// The port or device is taken.
-    #[error("{url}: in use by another process: stop it, or choose another --link or --instance")]
+    #[error("{url}: in use by another process: stop it, or choose another address or --instance")]
     InUse {
         /// The link.
         url: LinkUrl,

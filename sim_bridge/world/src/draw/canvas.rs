@@ -3,8 +3,6 @@
 use core::convert::Infallible;
 use embedded_graphics::pixelcolor::Rgb888;
 use embedded_graphics::prelude::*;
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 /// Shapes are drawn this much larger in both directions and averaged.
@@ -20,12 +18,32 @@ pub struct Image {
 
 /// Why a picture could not be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write picture {}: {source}", path.display())]
-pub struct ImageError {
-    /// The file.
-    pub path: PathBuf,
-    /// What went wrong.
-    pub source: png::EncodingError,
+pub enum ImageError {
+    /// The file cannot be written.
+    #[error("cannot write picture {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What went wrong.
+        source: png::EncodingError,
+    },
+    /// The file's name promises another format.
+    #[error("cannot write picture {}: pictures are PNG files; name it {}", path.display(), path.with_extension("png").display())]
+    Format {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// Refuses a picture's file whose name promises another format than PNG, before the work is done.
+///
+/// # Errors
+/// [`ImageError::Format`].
+pub fn check_png_name(path: &Path) -> Result<(), ImageError> {
+    match path.extension() {
+        Some(extension) if !extension.eq_ignore_ascii_case("png") => Err(ImageError::Format { path: path.to_owned() }),
+        _ => Ok(()),
+    }
 }
 
 impl Image {
@@ -67,18 +85,27 @@ impl Image {
     /// # Errors
     /// [`ImageError`] names the file and what the system said.
     pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
-        let failed = |source| ImageError {
+        check_png_name(path)?;
+        let write = || {
+            let bytes = self.to_png()?;
+            Ok(vigil_files::replace(path, &bytes, vigil_files::Access::Shared)?)
+        };
+        write().map_err(|source| ImageError::Write {
             path: path.to_owned(),
             source,
-        };
-        let file = File::create(path).map_err(|e| failed(e.into()))?;
+        })
+    }
+
+    fn to_png(&self) -> Result<Vec<u8>, png::EncodingError> {
+        let mut bytes = Vec::new();
         // The sizes are a few thousand pixels at most.
-        let mut encoder = png::Encoder::new(BufWriter::new(file), self.width as u32, self.height as u32);
+        let mut encoder = png::Encoder::new(&mut bytes, self.width as u32, self.height as u32);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header().map_err(failed)?;
-        writer.write_image_data(&self.rgb).map_err(failed)?;
-        writer.finish().map_err(failed)
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&self.rgb)?;
+        writer.finish()?;
+        Ok(bytes)
     }
 }
 

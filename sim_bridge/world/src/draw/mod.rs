@@ -4,7 +4,7 @@ mod canvas;
 mod legend;
 mod movers;
 
-pub use canvas::{Image, ImageError};
+pub use canvas::{Image, ImageError, check_png_name};
 
 use crate::course::Course;
 use crate::referee::Outcome;

@@ -1,0 +1,108 @@
+//! What the alarms of a flight came to, for the summary at its end.
+
+use vigil_types::{Alarm, AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepReport};
+
+/// Counts alarms, by whom they were raised, and what they brought about.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct AlarmTally {
+    is_watched: bool,
+    flown_steps: u64,
+    /// By [`AlarmCause`].
+    raised: [u64; AlarmCause::ALL.len()],
+    first_at_step: Option<u64>,
+    stop_steps: u64,
+    recovery_steps: u64,
+    was_raised: bool,
+}
+
+impl AlarmTally {
+    /// No step yet; `is_watched` tells whether anything can raise an alarm.
+    pub fn new(is_watched: bool) -> Self {
+        Self {
+            is_watched,
+            ..Self::default()
+        }
+    }
+
+    /// Takes a step's report.
+    pub fn observe(&mut self, report: &StepReport) {
+        let flown = matches!(report.state, GuidanceState::Guided | GuidanceState::Hold);
+        self.flown_steps += u64::from(flown);
+        if let Some(Alarm { cause, response }) = report.alarm {
+            self.stop_steps += u64::from(response == AlarmResponse::Stop);
+            self.recovery_steps += u64::from(response == AlarmResponse::Recovery);
+            if !self.was_raised {
+                self.first_at_step = self.first_at_step.or(Some(self.flown_steps));
+                if let Some(count) = self.raised.get_mut(cause as usize) {
+                    *count += 1;
+                }
+            }
+        }
+        self.was_raised = report.alarm.is_some();
+    }
+}
+
+impl std::fmt::Display for AlarmTally {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let seconds = |steps: u64| steps as f64 * f64::from(STEP_S);
+        let flown_s = seconds(self.flown_steps);
+        if !self.is_watched {
+            return write!(f, "nothing watched the pilot in {flown_s:.1} s of flight");
+        }
+        let Some(first) = self.first_at_step else {
+            return write!(f, "none in {flown_s:.1} s of flight");
+        };
+        write!(f, "{} (", self.raised.iter().sum::<u64>())?;
+        let mut separator = "";
+        for (cause, count) in AlarmCause::ALL
+            .into_iter()
+            .zip(self.raised)
+            .filter(|(_, count)| *count > 0)
+        {
+            let by = match cause {
+                AlarmCause::Attack => "by the detector: an attack",
+                AlarmCause::NoVerdict => "for want of a verdict",
+                AlarmCause::CollisionCourse => "by the guard: a collision course",
+            };
+            write!(f, "{separator}{count} {by}")?;
+            separator = ", ";
+        }
+        write!(
+            f,
+            "), the first after {:.1} s of flight; of {flown_s:.1} s it stopped for {:.1} s and the recovery pilot flew {:.1} s",
+            seconds(first),
+            seconds(self.stop_steps),
+            seconds(self.recovery_steps)
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_flight_s_alarms_are_told_with_who_raised_them_and_what_they_led_to() {
+        let mut tally = AlarmTally::new(true);
+        let mut report = StepReport {
+            state: GuidanceState::Guided,
+            ..StepReport::default()
+        };
+        let mut fly = |steps: u32, alarm: Option<(AlarmCause, AlarmResponse)>, tally: &mut AlarmTally| {
+            report.alarm = alarm.map(|(cause, response)| Alarm { cause, response });
+            (0..steps).for_each(|_| tally.observe(&report));
+        };
+        fly(100, None, &mut tally);
+        assert_eq!(tally.to_string(), "none in 5.0 s of flight");
+        fly(10, Some((AlarmCause::Attack, AlarmResponse::Stop)), &mut tally);
+        fly(40, Some((AlarmCause::Attack, AlarmResponse::Recovery)), &mut tally);
+        fly(20, None, &mut tally);
+        fly(10, Some((AlarmCause::CollisionCourse, AlarmResponse::Stop)), &mut tally);
+        assert_eq!(
+            tally.to_string(),
+            "2 (1 by the detector: an attack, 1 by the guard: a collision course), the first after 5.0 s of flight; of 9.0 s it \
+             stopped for 1.0 s and the recovery pilot flew 2.0 s"
+        );
+        assert!(AlarmTally::new(false).to_string().starts_with("nothing watched"));
+    }
+}
