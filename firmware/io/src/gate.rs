@@ -406,7 +406,7 @@ mod tests {
             );
             assert_eq!(with_key.counters().unsigned_key, 1);
             let right = gate(Some(signing()), policy).seal(&setup([9; 32])).to_vec();
-            assert_eq!(admitted(&mut with_key, true, &right), [right.clone()]);
+            assert_eq!(admitted(&mut with_key, true, &right), std::slice::from_ref(&right));
 
             let mut without = gate(None, policy);
             assert_eq!(
