@@ -181,6 +181,8 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
         config.endpoint = EndpointConfig {
             system_id: (args.instance + 1) as u8,
             links: LinkRole::ALL.into_iter().chain(extra).collect(),
+            // The machine's time, on the clock that the endpoint's steps have.
+            unix_time_at_zero_us: unix_time_us().saturating_sub(monotonic_ns() / 1000),
             ..EndpointConfig::default()
         };
     }
@@ -310,6 +312,13 @@ pub fn ending_code(outcome: Option<Outcome>) -> u8 {
         Some(Outcome::TimeOut) => 12,
         None => 13,
     }
+}
+
+/// Microseconds since 1970; 0 on a machine whose clock is before that.
+fn unix_time_us() -> u64 {
+    std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .map_or(0, |since| since.as_micros() as u64)
 }
 
 fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {

@@ -117,6 +117,7 @@ impl Simulator {
     pub fn advance_1ms(&mut self) {
         self.elapsed_ms += 1;
         let view = self.vehicle.view();
+        self.endpoint.observe_truth(&self.vehicle.truth());
         let command = self.endpoint.step(self.now_ns(), &view);
         // A vehicle that hit something has broken propellers, whatever its autopilot asks.
         let crashed = matches!(

@@ -424,7 +424,9 @@ async def sent_only(api):
     await api.call("transponder.set_rate_transponder", 1.0)
     await api.call("transponder.transponder", limit_s=3.0)
     failure = api.types("failure")
-    await api.call("failure.inject", failure.FailureUnit.SENSOR_GPS, failure.FailureType.OFF, 0)
+    await api.call("param.set_param_int", "SYS_FAILURE_EN", 1)
+    await api.call("failure.inject", failure.FailureUnit.SENSOR_BARO, failure.FailureType.OFF, 0)
+    await api.call("failure.inject", failure.FailureUnit.SENSOR_BARO, failure.FailureType.OK, 0)
     await api.call("action.set_actuator", 1, 0.5)
     await api.call("action.set_relay", 0, api.types("action").RelayCommand.ON)
     await api.call("action.transition_to_fixedwing")
@@ -543,7 +545,7 @@ async def offboard(api):
 
 
 async def by_hand(api):
-    """Sticks instead of setpoints: these come in a stream, 0.4 s without them are a loss."""
+    """Sticks instead of setpoints: these come in a stream, 0.5 s without them are a loss."""
     stick = 0.0
 
     async def stream():
@@ -577,6 +579,7 @@ async def follow(api):
     await api.call("follow_me.set_config", config)
     await api.call("follow_me.is_active")
     await api.call("follow_me.start")
+    await until("follow mode", lambda: api.mode == "FOLLOW_ME", 3.0)
     north, east, _ = api.position
     target = types.TargetLocation(*globe(north + 5.0, east), HOME[2], 0.0, 0.0, 0.0)
     await api.call("follow_me.set_target_location", target)

@@ -21,7 +21,6 @@ PX4_REFUSES = {
     "action.transition_to_fixedwing": "not a VTOL",
     "action.transition_to_multicopter": "not a VTOL",
     "calibration.calibrate_gimbal_accelerometer": "no gimbal",
-    "failure.inject": "off by default",
     "param.get_param_custom": "the extended parameter protocol is for cameras",
     "param.set_param_custom": "the extended parameter protocol is for cameras",
     "telemetry.actuator_control_target": "no longer sent",
@@ -37,10 +36,6 @@ NOTES = {
     "action.shutdown": "end the simulator instead",
     "calibration.calibrate_accelerometer": "nobody turns a simulated vehicle by hand",
     "calibration.calibrate_magnetometer": "nobody turns a simulated vehicle by hand",
-    "follow_me.set_target_location": "no follow-me mode",
-    "follow_me.start": "no follow-me mode",
-    "manual_control.start_altitude_control": "sticks fly in position mode only",
-    "telemetry.ground_truth": "telemetry never tells the simulator's truth",
     "param.select_component": "an error inside MAVSDK",
     "tune.play_tune": "4.1: an error inside MAVSDK; there is no buzzer",
 }

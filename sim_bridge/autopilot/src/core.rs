@@ -4,17 +4,17 @@
 use crate::files::FileSystem;
 use crate::flight::mode::FlightMode;
 use crate::flight::setpoints::Setpoints;
-use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, Sticks};
-use crate::outbox::Outbox;
+use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
+use crate::outbox::{Outbox, Traffic};
 use crate::parameters::{ParamId, Parameters};
 use crate::plan::Plans;
-use crate::{ConfigError, EndpointConfig, HomePosition, LinkId};
+use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::FramingCounters;
 pub use vigil_mavlink::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
-use vigil_vehicle::{Estimate, Sensors, VehicleView};
+use vigil_vehicle::{Estimate, Sensors, Truth, VehicleView};
 
 /// What was refused since start, besides what the framing refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -121,6 +121,9 @@ pub(crate) struct Core {
     pub commander: Commander,
     pub setpoints: Setpoints,
     pub sticks: Sticks,
+    pub lost_sensors: LostSensors,
+    /// What the simulator told of the truth: for the one message that clients know as such.
+    pub truth: Option<Truth>,
     /// A new signing key that the links have not taken yet.
     pub signing_setup: Option<SigningSetup>,
     pub plans: Plans,
@@ -128,6 +131,10 @@ pub(crate) struct Core {
     pub outbox: Outbox,
     pub files: FileSystem,
     pub framing: FramingCounters,
+    /// What came on each link.
+    pub received: Vec<Traffic>,
+    /// What each link is for.
+    pub roles: Vec<LinkRole>,
     pub refusals: Refusals,
     pub forwarded: u64,
     pub texts: u64,
@@ -154,12 +161,16 @@ impl Core {
             commander: Commander::default(),
             setpoints: Setpoints::default(),
             sticks: Sticks::default(),
+            lost_sensors: LostSensors::default(),
+            truth: None,
             signing_setup: None,
             plans: Plans::default(),
             fence_watch: FenceWatch::default(),
             outbox: Outbox::new(config.system_id, config.links.len()),
             files: FileSystem::default(),
             framing: FramingCounters::default(),
+            received: vec![Traffic::default(); config.links.len()],
+            roles: config.links.clone(),
             refusals: Refusals::default(),
             forwarded: 0,
             texts: 0,

@@ -3,13 +3,13 @@
 use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup};
 use crate::service::{Answer, Service, Source};
 use crate::streams::Streams;
-use crate::{ConfigError, EndpointConfig, LinkId, Saved, services};
+use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
 use vigil_mavlink::common::{MavResult, MavSeverity};
 use vigil_mavlink::framing::{self, Command, CommandAck, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::carries_key;
 use vigil_types::{Nanos, STEP_NS};
-use vigil_vehicle::{ControlCommand, VehicleView};
+use vigil_vehicle::{ControlCommand, Truth, VehicleView};
 
 /// A PX4-flavoured MAVLink vehicle, sans IO.
 ///
@@ -72,8 +72,13 @@ impl Endpoint {
         }
         self.core.now_ns = self.core.now_ns.max(now_ns);
         let mut counters = self.core.framing;
+        let before = counters.packets;
         for packet in framing::packets(datagram, &mut counters) {
             self.packet(link, peer, &packet);
+        }
+        if let Some(received) = self.core.received.get_mut(usize::from(link.0)) {
+            received.packets += counters.packets - before;
+            received.bytes += datagram.len() as u64;
         }
         self.core.framing = counters;
         self.streams.send_wanted(&mut self.core, &self.services);
@@ -137,9 +142,19 @@ impl Endpoint {
 
     fn command(&mut self, command: &Command, source: Source) {
         let core = &mut self.core;
-        let answer = services::message_interval(command, source, core, &mut self.streams, &mut self.services)
+        if let Some(number) = used_parameters::misused_in_command(command) {
+            let text = format!("command {} denied: parameter {number} has no meaning", command.number);
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            return self.acknowledge(command, source, Answer::DENIED);
+        }
+        let answer = services::message_interval(command, source, core, &mut self.streams, &self.services)
             .or_else(|| self.services.iter_mut().find_map(|s| s.command(command, source, core)))
             .unwrap_or(Answer::UNSUPPORTED);
+        self.acknowledge(command, source, answer);
+    }
+
+    fn acknowledge(&mut self, command: &Command, source: Source, answer: Answer) {
+        let core = &mut self.core;
         match answer.result {
             MavResult::MAV_RESULT_UNSUPPORTED => core.refusals.command_unsupported += 1,
             MavResult::MAV_RESULT_DENIED | MavResult::MAV_RESULT_TEMPORARILY_REJECTED => {
@@ -182,6 +197,12 @@ impl Endpoint {
         }
         self.streams.send_wanted(&mut self.core, &self.services);
         command
+    }
+
+    /// Takes the simulator's truth for HIL_STATE_QUATERNION, which clients know as ground truth. Nothing else looks at it,
+    /// and no onboard link gets it.
+    pub fn observe_truth(&mut self, truth: &Truth) {
+        self.core.truth = Some(*truth);
     }
 
     /// Hands out the datagrams that wait, in order.

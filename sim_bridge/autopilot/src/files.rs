@@ -356,9 +356,14 @@ const CRC_TABLE: [u32; 256] = {
 /// The CRC32 of MAVLink FTP and component metadata: the polynomial of IEEE 802.3, but it begins with 0 and is not
 /// inverted at the end.
 pub(crate) fn crc32(bytes: &[u8]) -> u32 {
+    crc32_on(0, bytes)
+}
+
+/// The same over what `crc` stands for and these bytes behind it.
+pub(crate) fn crc32_on(crc: u32, bytes: &[u8]) -> u32 {
     bytes
         .iter()
-        .fold(0, |crc, byte| CRC_TABLE[usize::from(crc as u8 ^ *byte)] ^ (crc >> 8))
+        .fold(crc, |crc, byte| CRC_TABLE[usize::from(crc as u8 ^ *byte)] ^ (crc >> 8))
 }
 
 #[cfg(test)]

@@ -26,6 +26,8 @@ mod service;
 mod services;
 mod source;
 mod streams;
+mod told_parameters;
+mod used_parameters;
 
 #[cfg(test)]
 mod testing;
@@ -36,6 +38,6 @@ pub use config::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 pub use core::{EndpointStatus, Refusals, SigningSetup};
 pub use endpoint::Endpoint;
 pub use flight::{Failsafe, FlightMode, LandedState};
-pub use parameters::{ParameterError, ParameterInfo, ParameterType, ParameterValue, parameter_table};
+pub use parameters::{ParameterError, ParameterInfo, ParameterRole, ParameterType, ParameterValue, parameter_table};
 pub use saved::Saved;
 pub use vigil_mavlink::routing::ComponentId;

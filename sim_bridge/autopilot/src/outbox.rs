@@ -8,6 +8,20 @@ use vigil_mavlink::{MavMessage, framing::CommandAck};
 /// Bytes that may wait between two calls of `transmit`; more is dropped and counted.
 const CAPACITY_BYTES: usize = 256 * 1024;
 
+/// Packets and bytes since start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Traffic {
+    pub packets: u64,
+    pub bytes: u64,
+}
+
+impl Traffic {
+    pub fn count(&mut self, bytes: usize) {
+        self.packets += 1;
+        self.bytes += bytes as u64;
+    }
+}
+
 /// The queue. It keeps its memory, so that a steady flow allocates nothing.
 #[derive(Debug)]
 pub(crate) struct Outbox {
@@ -18,6 +32,8 @@ pub(crate) struct Outbox {
     marks: Vec<(u8, u32)>,
     /// Sequence per link, as PX4 counts.
     sequences: Vec<u8>,
+    /// What was queued on each link.
+    sent: Vec<Traffic>,
     dropped: u64,
 }
 
@@ -29,6 +45,7 @@ impl Outbox {
             bytes: Vec::with_capacity(16 * 1024),
             marks: Vec::with_capacity(256),
             sequences: vec![0; links],
+            sent: vec![Traffic::default(); links],
             dropped: 0,
         }
     }
@@ -36,6 +53,11 @@ impl Outbox {
     /// Number of links.
     pub fn links(&self) -> usize {
         self.links
+    }
+
+    /// What was queued on a link.
+    pub fn sent(&self, link: LinkId) -> Traffic {
+        self.sent.get(usize::from(link.0)).copied().unwrap_or_default()
     }
 
     /// Packets dropped because nobody took them.
@@ -97,6 +119,9 @@ impl Outbox {
         if self.bytes.len() + packet.len() > CAPACITY_BYTES {
             self.dropped += 1;
             return;
+        }
+        if let Some(sent) = self.sent.get_mut(usize::from(link)) {
+            sent.count(packet.len());
         }
         self.bytes.extend_from_slice(packet);
         self.marks.push((link, self.bytes.len() as u32));

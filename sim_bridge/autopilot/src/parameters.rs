@@ -1,6 +1,9 @@
-//! The vehicle's parameters: every one of them acts; the protocol that reads and sets them is `services::parameters`.
+//! The vehicle's parameters; the protocol that reads and sets them is `services::parameters`. Those that act are here, what
+//! clients read or set besides is in `told_parameters`.
 
+use crate::told_parameters::TOLD;
 use std::collections::BTreeMap;
+use std::sync::LazyLock;
 
 /// A parameter's wire type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,6 +41,17 @@ impl ParameterValue {
     }
 }
 
+/// What a parameter is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ParameterRole {
+    /// The vehicle flies by it.
+    Acts,
+    /// Taken and told again, because clients set it; nothing depends on it.
+    Kept,
+    /// Tells what the vehicle is, and cannot be set.
+    Fixed,
+}
+
 /// What is known of a parameter besides its value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ParameterInfo {
@@ -53,6 +67,8 @@ pub struct ParameterInfo {
     pub unit: &'static str,
     /// One line.
     pub description: &'static str,
+    /// What it is for.
+    pub role: ParameterRole,
 }
 
 /// Why a parameter was not set.
@@ -63,6 +79,12 @@ pub enum ParameterError {
     Unknown {
         /// The name asked for.
         name: String,
+    },
+    /// The parameter cannot be set.
+    #[error("{name} cannot be set: it tells what the vehicle is")]
+    Fixed {
+        /// The parameter.
+        name: &'static str,
     },
     /// The value's type is not the parameter's.
     #[error("{name} is of another type")]
@@ -90,18 +112,19 @@ macro_rules! parameters {
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub(crate) enum ParamId { $($variant),* }
 
-        const TABLE: &[ParameterInfo] = &[$(ParameterInfo {
+        const ACTING: &[ParameterInfo] = &[$(ParameterInfo {
             name: $name,
             default: ParameterValue::$kind($default),
             min: $min,
             max: $max,
             unit: $unit,
             description: $description,
+            role: ParameterRole::Acts,
         }),*];
     };
 }
 
-// In alphabetical order of their names: the index on the wire. Speeds end where the vehicle's own limits lie
+// In alphabetical order of their names. Speeds end where the vehicle's own limits lie
 // (`vigil_vehicle::ControlParams`): beyond them a parameter would not act.
 parameters! {
     DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
@@ -112,6 +135,8 @@ parameters! {
         "What follows a lost setpoint stream: 3 return, 4 land, 5 hold";
     OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left";
+    SticksLossS = "COM_RC_LOSS_T", Real32(0.5), 0.1, 35.0, "s",
+        "Age of the last sticks at which they are lost";
     FollowAltitudeMode = "FLW_TGT_ALT_M", Int32(0), 0.0, 2.0, "",
         "What follow mode counts its height from: 0 home, 1 the ground (the same here), 2 the target";
     FollowDistanceM = "FLW_TGT_DST", Real32(8.0), 1.0, 100.0, "m",
@@ -154,23 +179,44 @@ parameters! {
         "Distance at which a mission item that gives none is reached";
     HeightAcceptanceM = "NAV_MC_ALT_RAD", Real32(0.8), 0.05, 200.0, "m",
         "Height error within which a mission item is reached";
+    SticksLossAction = "NAV_RCL_ACT", Int32(1), 1.0, 3.0, "",
+        "What follows lost sticks in a mode that is flown by them: 1 hold, 2 return, 3 land";
+    ReturnMinDistanceM = "RTL_MIN_DIST", Real32(2.0), 0.5, 100.0, "m",
+        "Distance from where a return leads within which it lands at once";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";
     ReturnType = "RTL_TYPE", Int32(0), 0.0, 1.0, "",
         "Where a return flies to: 0 the nearest of home and rally points, 1 the nearest rally point, home if there is none";
+    FailureEnabled = "SYS_FAILURE_EN", Int32(0), 0.0, 1.0, "",
+        "Whether INJECT_FAILURE is obeyed";
     GuidanceLossS = "VGL_OF_LOSS_T", Real32(0.4), 0.1, 60.0, "s",
         "The same as COM_OF_LOSS_T where the owner is the guidance computer, component 191 of the vehicle's system; the shorter counts";
 }
 
+/// All parameters in alphabetical order of their names: the index on the wire.
+static TABLE: LazyLock<Vec<ParameterInfo>> = LazyLock::new(|| {
+    let mut table: Vec<_> = ACTING.iter().chain(TOLD).copied().collect();
+    table.sort_by_key(|info| info.name);
+    table
+});
+
+/// Index of each acting parameter, in the order of [`ParamId`].
+static PLACES: LazyLock<Vec<usize>> = LazyLock::new(|| {
+    let place = |acting: &ParameterInfo| TABLE.iter().position(|info| info.name == acting.name);
+    ACTING.iter().filter_map(place).collect()
+});
+
 /// All parameters in the order of their index.
 pub fn parameter_table() -> &'static [ParameterInfo] {
-    TABLE
+    &TABLE
 }
 
 /// The values in force.
 #[derive(Debug, Clone)]
 pub(crate) struct Parameters {
     values: Vec<ParameterValue>,
+    /// Where the acting ones are among them.
+    places: &'static [usize],
 }
 
 impl Parameters {
@@ -178,6 +224,7 @@ impl Parameters {
     pub fn new(overrides: &BTreeMap<String, f64>) -> Result<Self, ParameterError> {
         let mut parameters = Self {
             values: TABLE.iter().map(|info| info.default).collect(),
+            places: &PLACES,
         };
         for (name, value) in overrides {
             parameters.set_by_name(name, *value)?;
@@ -203,7 +250,7 @@ impl Parameters {
     /// A parameter's value as a float.
     #[inline]
     pub fn get(&self, id: ParamId) -> f32 {
-        self.values[id as usize].as_f32()
+        self.values[self.places[id as usize]].as_f32()
     }
 
     /// The value at an index of the table.
@@ -214,6 +261,13 @@ impl Parameters {
     /// Number of parameters.
     pub fn count() -> usize {
         TABLE.len()
+    }
+
+    /// Gives every one its default again.
+    pub fn reset(&mut self) {
+        for (value, info) in self.values.iter_mut().zip(TABLE.iter()) {
+            *value = info.default;
+        }
     }
 
     /// Index of a name.
@@ -228,6 +282,9 @@ impl Parameters {
         })?;
         if info.default.parameter_type() != value.parameter_type() {
             return Err(ParameterError::WrongType { name: info.name });
+        }
+        if info.role == ParameterRole::Fixed && value != info.default {
+            return Err(ParameterError::Fixed { name: info.name });
         }
         // NaN is in no range.
         if !(info.min..=info.max).contains(&value.as_f32()) {
@@ -250,6 +307,7 @@ mod tests {
     #[test]
     fn the_table_is_sorted_fits_the_wire_and_holds_valid_defaults() {
         assert!(TABLE.is_sorted_by(|a, b| a.name < b.name));
+        assert!(ACTING.is_sorted_by(|a, b| a.name < b.name));
         let mut parameters = Parameters::new(&BTreeMap::new()).expect("defaults");
         for (index, info) in TABLE.iter().enumerate() {
             assert!(info.name.len() <= 16, "{}", info.name);
@@ -257,7 +315,7 @@ mod tests {
             assert!(!info.description.is_empty());
         }
         assert_eq!(parameters.get(ParamId::TakeoffAltitudeM), 2.5);
-        assert_eq!(TABLE[ParamId::ReturnAltitudeM as usize].name, "RTL_RETURN_ALT");
+        assert_eq!(TABLE[PLACES[ParamId::ReturnAltitudeM as usize]].name, "RTL_RETURN_ALT");
     }
 
     #[test]

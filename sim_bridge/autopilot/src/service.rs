@@ -1,5 +1,6 @@
 //! What a protocol service is.
 
+use crate::LinkId;
 use crate::core::Core;
 pub(crate) use crate::source::Source;
 use vigil_mavlink::MavMessage;
@@ -45,7 +46,7 @@ pub(crate) struct Produced {
 pub(crate) enum Build {
     /// In what all services share; `None` if there is nothing to tell.
     From(fn(&Core) -> Option<MavMessage>),
-    /// In the service itself: [`Service::produce`] builds it.
+    /// In the service itself, or different on each link: [`Service::produce`] builds it.
     Stateful,
 }
 
@@ -70,8 +71,14 @@ pub(crate) trait Service {
         &[]
     }
 
-    /// Builds one of its messages whose contents it keeps itself ([`Build::Stateful`]); `None` if there is nothing to tell.
-    fn produce(&self, _message_id: u32, _core: &Core) -> Option<MavMessage> {
+    /// Builds one of its [`Build::Stateful`] messages for a link; `None` if there is nothing to tell.
+    fn produce(&self, _message_id: u32, _link: LinkId, _core: &Core) -> Option<MavMessage> {
+        None
+    }
+
+    /// A REQUEST_MESSAGE for one of its messages that depends on the request's further parameters; `None` has the message
+    /// built as for a stream.
+    fn request(&self, _message_id: u32, _request: &Command, _source: Source, _core: &mut Core) -> Option<Answer> {
         None
     }
 

@@ -1,9 +1,10 @@
 //! Which message goes out on which link when.
 
 use crate::core::Core;
-use crate::service::{Build, Produced, Services};
+use crate::service::{Answer, Build, Produced, Services, Source};
 use crate::{LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
+use vigil_mavlink::framing::Command;
 use vigil_types::Nanos;
 
 /// Shortest interval that can be asked for.
@@ -28,10 +29,10 @@ struct Stream {
 }
 
 impl Origin {
-    fn build(&self, core: &Core, services: &Services) -> Option<MavMessage> {
+    fn build(&self, link: LinkId, core: &Core, services: &Services) -> Option<MavMessage> {
         match self.produced.build {
             Build::From(build) => build(core),
-            Build::Stateful => services.get(self.service)?.produce(self.produced.id, core),
+            Build::Stateful => services.get(self.service)?.produce(self.produced.id, link, core),
         }
     }
 }
@@ -128,20 +129,39 @@ impl Streams {
     }
 
     /// Whether there is such a message and something for it to tell now.
-    pub fn has(&self, core: &Core, services: &Services, id: u32) -> bool {
+    pub fn has(&self, link: LinkId, core: &Core, services: &Services, id: u32) -> bool {
         self.find(id)
-            .is_some_and(|i| self.streams[i].origin.build(core, services).is_some())
+            .is_some_and(|i| self.streams[i].origin.build(link, core, services).is_some())
+    }
+
+    /// Offers a request for a message to the service that produces it.
+    pub fn request(
+        &self,
+        id: u32,
+        request: &Command,
+        source: Source,
+        core: &mut Core,
+        services: &Services,
+    ) -> Option<Answer> {
+        let stream = self.find(id).map(|i| &self.streams[i])?;
+        services.get(stream.origin.service)?.request(id, request, source, core)
     }
 
     /// Sends everything that was asked for besides the streams.
     pub fn send_wanted(&self, core: &mut Core, services: &Services) {
         let mut wanted = core.take_wanted();
         for (link, id) in wanted.drain(..) {
-            let message = self.find(id).and_then(|i| self.streams[i].origin.build(core, services));
-            match (message, link) {
-                (Some(message), Some(link)) => core.outbox.send(link, &message),
-                (Some(message), None) => core.outbox.send_all(&message),
-                (None, _) => {}
+            let Some(stream) = self.find(id).map(|i| &self.streams[i]) else {
+                continue;
+            };
+            let links = match link {
+                Some(link) => link.0..link.0 + 1,
+                None => 0..self.roles.len() as u8,
+            };
+            for link in links.map(LinkId) {
+                if let Some(message) = stream.origin.build(link, core, services) {
+                    core.outbox.send(link, &message);
+                }
             }
         }
         core.keep_wanted(wanted);
@@ -158,9 +178,13 @@ impl Streams {
                     continue;
                 };
                 if schedule.next_ns <= now_ns {
-                    let message = built.get_or_insert_with(|| stream.origin.build(core, services));
+                    let link = LinkId(link as u8);
+                    if matches!(stream.origin.produced.build, Build::Stateful) {
+                        built = None;
+                    }
+                    let message = built.get_or_insert_with(|| stream.origin.build(link, core, services));
                     if let Some(message) = message {
-                        core.outbox.send(LinkId(link as u8), message);
+                        core.outbox.send(link, message);
                     }
                     // On the grid of the interval; after a pause the missed ones are not made up for.
                     schedule.next_ns += interval_ns;

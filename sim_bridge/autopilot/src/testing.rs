@@ -1,11 +1,11 @@
 //! A bench for tests: the endpoint, the vehicle, and clients that read what comes back.
 
 use crate::core::{ComponentId, EndpointStatus};
-use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId};
+use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId, ParameterValue};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
-    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, PositionTargetTypemask,
-    SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
+    COMMAND_INT_DATA, COMMAND_LONG_DATA, HEARTBEAT_DATA, MavCmd, MavFrame, MavParamType, PARAM_SET_DATA,
+    PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA, STATUSTEXT_DATA,
 };
 use vigil_mavlink::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
 use vigil_mavlink::mavlink::{MavHeader, Message};
@@ -108,6 +108,7 @@ impl Bench {
                     self.send_velocity(link, from, velocity);
                 }
             }
+            self.endpoint.observe_truth(&self.vehicle.truth());
             self.command = self.endpoint.step(self.now_ns, &self.vehicle.view());
             self.vehicle.step(&self.command);
             self.collect();
@@ -242,6 +243,22 @@ impl Bench {
     pub fn set_mode(&mut self, link: LinkId, from: ComponentId, main: u8, sub: u8) -> u8 {
         let params = [129.0, f32::from(main), f32::from(sub), 0.0, 0.0, 0.0, 0.0];
         self.command_long(link, from, 176, params)
+    }
+
+    /// Sets a parameter by PARAM_SET; whole numbers bytewise.
+    pub fn set_parameter(&mut self, name: &str, value: ParameterValue) {
+        let (param_value, param_type) = match value {
+            ParameterValue::Int32(v) => (f32::from_bits(v as u32), MavParamType::MAV_PARAM_TYPE_INT32),
+            ParameterValue::Real32(v) => (v, MavParamType::MAV_PARAM_TYPE_REAL32),
+        };
+        let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+            param_value,
+            target_system: 1,
+            target_component: 1,
+            param_id: name.into(),
+            param_type,
+        });
+        self.send(API, SCRIPT, &message);
     }
 
     /// Arms and takes off by MAVSDK's commands; ends in Hold.

@@ -15,6 +15,8 @@ use vigil_vehicle::YawCommand;
 const GUIDANCE_COMPONENT: u8 = 191;
 /// Contact that lasts this long is "on the ground"; a bounce is not.
 const LANDED_AFTER_NS: Nanos = 300_000_000;
+/// How long the position is known without GPS; PX4's EKF2_NOAID_TOUT.
+const POSITION_KEPT_NS: Nanos = 5_000_000_000;
 /// A thrust below this sinks (0.5 hovers), so that who is still at it for so long stands on something.
 const SINKING_THRUST: f32 = 0.48;
 const RESTING_M_S: f32 = 0.1;
@@ -37,7 +39,10 @@ impl Core {
         if !self.is_inside_fence() {
             return Err(Denial::OutsideFence);
         }
-        if self.commander.mode.needs_sticks() && self.sticks.current(self.now_ns).is_none() {
+        if let Some(name) = self.lost_sensors.name() {
+            return Err(Denial::SensorLost(name));
+        }
+        if self.commander.mode.needs_sticks() && self.current_sticks().is_none() {
             return Err(Denial::ArmingWithoutSticks);
         }
         Ok(())
@@ -109,6 +114,9 @@ impl Core {
 
     /// A mode command of `commander`. Clears a failsafe. Accepted also while disarmed: the mode acts once armed.
     pub fn change_mode(&mut self, mode: FlightMode, commander: Source) -> Result<(), Denial> {
+        if !mode.is_flown_without_position() && !self.knows_position() {
+            return Err(Denial::PositionUnknown(mode));
+        }
         if mode == FlightMode::Offboard {
             return self.enter_offboard(commander);
         }
@@ -196,7 +204,7 @@ impl Core {
         let rally_first = self.param(ParamId::ReturnType) == 1.0;
         let (north, east) = self.plans.rally.nearest_m((here.x, here.y), self.home_m, rally_first);
         self.commander.return_to_m = (north, east);
-        let is_there = libm::hypotf(here.x - north, here.y - east) < 2.0;
+        let is_there = libm::hypotf(here.x - north, here.y - east) < self.param(ParamId::ReturnMinDistanceM);
         let maneuver = if self.commander.is_on_ground() || is_there {
             Maneuver::Descend
         } else {
@@ -242,6 +250,7 @@ impl Core {
             self.commander.mode = mode;
             self.text(MavSeverity::MAV_SEVERITY_INFO, &format!("mode: {}", mode.name()));
             self.announce(message_ids::HEARTBEAT);
+            self.announce(message_ids::CURRENT_MODE);
         }
     }
 
@@ -298,6 +307,27 @@ impl Core {
         }
         self.commander.failsafe = Some(failsafe);
         self.announce(message_ids::HEARTBEAT);
+    }
+
+    /// Whether INJECT_FAILURE is obeyed.
+    pub fn injects_failures(&self) -> bool {
+        self.param(ParamId::FailureEnabled) == 1.0
+    }
+
+    /// Whether the position is still known: for a while after the last fix the estimator goes by its inertial sensors.
+    pub fn knows_position(&self) -> bool {
+        let since_ns = self.lost_sensors.gps_since_ns;
+        since_ns.is_none_or(|since_ns| self.now_ns.saturating_sub(since_ns) < POSITION_KEPT_NS)
+    }
+
+    /// Lands when the position is lost in a mode that needs it.
+    pub(super) fn watch_position(&mut self) {
+        let c = &self.commander;
+        let needs_position = !c.mode.is_flown_without_position();
+        if c.armed && !c.is_on_ground() && needs_position && !self.knows_position() {
+            self.text(MavSeverity::MAV_SEVERITY_CRITICAL, "position lost: land");
+            self.fail_over(FlightMode::Land, Failsafe::PositionLost);
+        }
     }
 
     /// Follows contact with the ground, and disarms by itself after a landing or a wait.

@@ -25,6 +25,7 @@ impl Core {
             return ControlCommand::MotorsOff;
         }
         let on_ground = self.commander.is_on_ground();
+        self.watch_position();
         if self.commander.mode() == FlightMode::Mission {
             self.step_mission();
         }

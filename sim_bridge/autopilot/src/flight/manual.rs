@@ -5,8 +5,9 @@ use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Deflections, Denial, Failsafe, Maneuver};
 use crate::parameters::ParamId;
+use crate::source::Source;
 use vigil_mavlink::common::MavSeverity;
-use vigil_types::{Attitude, FrdVector, HeadingVector};
+use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// Deflections below this are the centre.
@@ -35,12 +36,33 @@ fn thrust(sticks: Deflections) -> f32 {
 }
 
 impl Core {
+    fn sticks_max_age_ns(&self) -> Nanos {
+        (f64::from(self.param(ParamId::SticksLossS)) * 1e9) as Nanos
+    }
+
+    /// Takes what a station sends; `false` if another one has the vehicle.
+    pub fn take_sticks(&mut self, from: Source, deflections: Deflections) -> bool {
+        let (now_ns, max_age_ns) = (self.now_ns, self.sticks_max_age_ns());
+        self.sticks.take(now_ns, max_age_ns, from, deflections)
+    }
+
+    /// The sticks, unless they are lost.
+    pub(super) fn current_sticks(&self) -> Option<Deflections> {
+        self.sticks.current(self.now_ns, self.sticks_max_age_ns())
+    }
+
     /// What the sticks ask for in the present mode. On the ground the motors idle until the throttle goes up. Lost sticks
-    /// end in hold.
+    /// end in NAV_RCL_ACT.
     pub(super) fn fly_by_sticks(&mut self, held_down_m: Option<f32>, on_ground: bool) -> ControlCommand {
-        let Some(sticks) = self.sticks.current(self.now_ns) else {
-            self.text(MavSeverity::MAV_SEVERITY_CRITICAL, "manual control lost: hold");
-            self.fail_over(FlightMode::Hold, Failsafe::ManualControlLost);
+        let Some(sticks) = self.current_sticks() else {
+            let action = match self.param(ParamId::SticksLossAction) as i32 {
+                2 => FlightMode::Return,
+                3 => FlightMode::Land,
+                _ => FlightMode::Hold,
+            };
+            let text = format!("manual control lost: {}", action.name());
+            self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+            self.fail_over(action, Failsafe::ManualControlLost);
             return if on_ground {
                 ControlCommand::Idle
             } else {
@@ -123,16 +145,14 @@ impl Core {
     /// The thrust that the sticks ask for, in modes in which they do.
     pub(super) fn stick_thrust(&self) -> Option<f32> {
         match self.commander.mode() {
-            FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => {
-                self.sticks.current(self.now_ns).map(thrust)
-            }
+            FlightMode::Stabilized | FlightMode::Manual | FlightMode::Acro => self.current_sticks().map(thrust),
             _ => None,
         }
     }
 
     /// Enters a mode that is flown by sticks. While disarmed it waits for them.
     pub(super) fn enter_manual(&mut self, mode: FlightMode) -> Result<(), Denial> {
-        if self.commander.is_armed() && self.sticks.current(self.now_ns).is_none() {
+        if self.commander.is_armed() && self.current_sticks().is_none() {
             return Err(Denial::NoSticks(mode));
         }
         self.clear_failsafe();

@@ -78,6 +78,14 @@ impl FlightMode {
         )
     }
 
+    /// Whether it goes on when the position is lost.
+    pub(crate) const fn is_flown_without_position(self) -> bool {
+        matches!(
+            self,
+            Self::Land | Self::Altitude | Self::Stabilized | Self::Manual | Self::Acro
+        )
+    }
+
     const fn px4(self) -> (u8, u8) {
         match self {
             Self::Takeoff => (MAIN_AUTO, 2),

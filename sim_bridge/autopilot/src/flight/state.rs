@@ -11,9 +11,6 @@ use vigil_vehicle::{Estimate, YawCommand};
 const CLIMB_BRAKING_M_S2: f32 = 0.4;
 /// Margin on that distance, for the jerk limit's delay.
 const CLIMB_MARGIN_M: f32 = 0.5;
-/// Sticks that are older are lost; PX4's COM_RC_LOSS_T.
-const LOST_AFTER_NS: Nanos = 500_000_000;
-
 /// Whether the vehicle is on the ground, as EXTENDED_SYS_STATE tells it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LandedState {
@@ -35,8 +32,10 @@ pub enum Failsafe {
     SetpointLost,
     /// The vehicle left its geofence.
     GeofenceBreached,
-    /// The sticks stopped in position mode.
+    /// The sticks stopped in a mode that is flown by them.
     ManualControlLost,
+    /// The GPS receiver stopped, and with it the position.
+    PositionLost,
 }
 
 /// Why arming, disarming or a mode change is refused.
@@ -66,6 +65,10 @@ pub(crate) enum Denial {
     MissionOutsideFence(usize),
     #[error("denied: outside the geofence")]
     OutsideFence,
+    #[error("{} denied: position lost", .0.name())]
+    PositionUnknown(FlightMode),
+    #[error("arming denied: {0} lost")]
+    SensorLost(&'static str),
 }
 
 fn list(sources: &[Source]) -> String {
@@ -218,6 +221,29 @@ pub(crate) struct Orbit {
     pub bearing_rad: Option<f32>,
 }
 
+/// Sensors that INJECT_FAILURE has switched off.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct LostSensors {
+    /// Since when.
+    pub gps_since_ns: Option<Nanos>,
+    pub barometer: bool,
+    pub magnetometer: bool,
+}
+
+impl LostSensors {
+    /// The first that is lost.
+    pub fn name(&self) -> Option<&'static str> {
+        match self {
+            Self {
+                gps_since_ns: Some(_), ..
+            } => Some("GPS"),
+            Self { barometer: true, .. } => Some("barometer"),
+            Self { magnetometer: true, .. } => Some("compass"),
+            _ => None,
+        }
+    }
+}
+
 /// What FOLLOW_TARGET reported last.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FollowTarget {
@@ -255,18 +281,19 @@ pub(crate) struct Sticks {
 
 impl Sticks {
     /// Takes what a station sends; `false` if another one has the vehicle.
-    pub fn take(&mut self, now_ns: Nanos, from: Source, deflections: Deflections) -> bool {
-        let is_others = self.current(now_ns).is_some() && self.newest.is_some_and(|(owner, ..)| owner != from);
+    pub fn take(&mut self, now_ns: Nanos, max_age_ns: Nanos, from: Source, deflections: Deflections) -> bool {
+        let is_streamed = self.current(now_ns, max_age_ns).is_some();
+        let is_others = is_streamed && self.newest.is_some_and(|(owner, ..)| owner != from);
         if !is_others {
             self.newest = Some((from, now_ns, deflections));
         }
         !is_others
     }
 
-    /// The sticks, unless they are lost.
-    pub fn current(&self, now_ns: Nanos) -> Option<Deflections> {
+    /// The sticks, unless they are older than that.
+    pub fn current(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<Deflections> {
         self.newest
-            .filter(|(_, at_ns, _)| now_ns.saturating_sub(*at_ns) <= LOST_AFTER_NS)
+            .filter(|(_, at_ns, _)| now_ns.saturating_sub(*at_ns) <= max_age_ns)
             .map(|(_, _, deflections)| deflections)
     }
 }

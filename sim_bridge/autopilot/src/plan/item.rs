@@ -2,7 +2,7 @@
 //! that they do not know, but such an item must be answered.
 
 use crate::plan::PlanDefect;
-use crate::{HomePosition, geo};
+use crate::{HomePosition, geo, used_parameters};
 use serde::{Deserialize, Serialize};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_mavlink::mavlink::MessageData;
@@ -134,6 +134,22 @@ impl PlanItem {
     /// Parameter 1 to 4; `None` if it is NaN.
     pub fn param(&self, number: usize) -> Option<f32> {
         self.params.get(number.checked_sub(1)?).copied().filter(|p| !p.is_nan())
+    }
+
+    /// Whether parameters that the command does not use are left out.
+    pub fn check_parameters(&self) -> Result<(), PlanDefect> {
+        use MavMissionResult as R;
+        let result = match used_parameters::misused_in_item(self.command, self.params, self.x, self.y, self.z) {
+            None => return Ok(()),
+            Some(1) => R::MAV_MISSION_INVALID_PARAM1,
+            Some(2) => R::MAV_MISSION_INVALID_PARAM2,
+            Some(3) => R::MAV_MISSION_INVALID_PARAM3,
+            Some(4) => R::MAV_MISSION_INVALID_PARAM4,
+            Some(5) => R::MAV_MISSION_INVALID_PARAM5_X,
+            Some(6) => R::MAV_MISSION_INVALID_PARAM6_Y,
+            Some(_) => R::MAV_MISSION_INVALID_PARAM7,
+        };
+        Err(PlanDefect::new(result, "a parameter that has no meaning"))
     }
 
     /// Parameters 5 and 6 as metres north and east of home; `None` where both are zero or not given.

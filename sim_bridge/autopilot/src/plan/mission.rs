@@ -12,6 +12,7 @@ const NAV_RETURN_TO_LAUNCH: u16 = 20;
 const NAV_LAND: u16 = 21;
 const NAV_TAKEOFF: u16 = 22;
 const NAV_LOITER_TO_ALT: u16 = 31;
+const NAV_ROI: u16 = 80;
 const NAV_DELAY: u16 = 93;
 const CONDITION_YAW: u16 = 115;
 const DO_JUMP: u16 = 177;
@@ -188,10 +189,15 @@ impl MissionItem {
             DO_SET_ROI_LOCATION => Ok(Self::Interest {
                 place_m: Some(item.point(home)?),
             }),
-            DO_SET_ROI if item.param(1) == Some(ROI_LOCATION) => Ok(Self::Interest {
-                place_m: Some(item.point(home)?),
-            }),
-            DO_SET_ROI_NONE | DO_SET_ROI => Ok(Self::Interest { place_m: None }),
+            DO_SET_ROI_NONE => Ok(Self::Interest { place_m: None }),
+            NAV_ROI | DO_SET_ROI => match item.param(1) {
+                Some(ROI_LOCATION) => Ok(Self::Interest {
+                    place_m: Some(item.point(home)?),
+                }),
+                // None, or a waypoint: the nose points there anyway.
+                None | Some(0.0..ROI_LOCATION) => Ok(Self::Interest { place_m: None }),
+                Some(_) => Err(invalid(R::MAV_MISSION_INVALID_PARAM1, "no such region of interest")),
+            },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
             _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
         }

@@ -103,6 +103,7 @@ pub(crate) struct Plans {
 impl Plans {
     /// Whether an item may be part of a plan of this kind.
     pub fn check(kind: PlanKind, item: &PlanItem, home: &HomePosition) -> Result<(), PlanDefect> {
+        item.check_parameters()?;
         match kind {
             PlanKind::Mission => MissionItem::read(item, home).map(|_| ()),
             PlanKind::Fence => Fence::check(item, home),

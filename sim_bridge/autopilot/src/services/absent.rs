@@ -1,14 +1,12 @@
 //! Messages that PX4 knows and this vehicle has nothing to put into: there is no pilot's receiver, no range finder
-//! and no transponder, the mixer's inputs are not modelled, the estimator knows no wind, and telemetry never tells the
-//! simulator's truth. A client may set their rate, as it
+//! and no transponder, the mixer's inputs are not modelled, and the estimator knows no wind. A client may set their rate, as it
 //! may with PX4 where the sensor is missing; none is ever sent, and a request for one is DENIED.
 
 use crate::core::Core;
 use crate::service::{Build, Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
-    ACTUATOR_CONTROL_TARGET_DATA, ADSB_VEHICLE_DATA, DISTANCE_SENSOR_DATA, HIL_STATE_QUATERNION_DATA, RC_CHANNELS_DATA,
-    WIND_COV_DATA,
+    ACTUATOR_CONTROL_TARGET_DATA, ADSB_VEHICLE_DATA, DISTANCE_SENSOR_DATA, RC_CHANNELS_DATA, WIND_COV_DATA,
 };
 use vigil_mavlink::mavlink::MessageData;
 
@@ -19,7 +17,6 @@ impl Service for Absent {
         const {
             &[
                 absent(RC_CHANNELS_DATA::ID),
-                absent(HIL_STATE_QUATERNION_DATA::ID),
                 absent(DISTANCE_SENSOR_DATA::ID),
                 absent(ACTUATOR_CONTROL_TARGET_DATA::ID),
                 absent(WIND_COV_DATA::ID),

@@ -1,62 +1,123 @@
 //! What the motors are told, as pulse widths: ACTUATOR_OUTPUT_STATUS and SERVO_OUTPUT_RAW. 1000 µs is standstill, 2000 µs
-//! the top speed; disarmed motors get 900 µs, as PX4 has it.
+//! the top speed; disarmed motors get 900 µs, as PX4 has it. ACTUATOR_TEST shows in these outputs and moves nothing: the
+//! propellers are off.
 
+use crate::LinkId;
 use crate::core::Core;
-use crate::service::{Build, Produced, Service};
+use crate::service::{Answer, Build, Produced, Service, Source};
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, SERVO_OUTPUT_RAW_DATA};
+use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, MavSeverity, SERVO_OUTPUT_RAW_DATA};
+use vigil_mavlink::framing::{Command, CommandForm};
 use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
 
 const DISARMED_US: f32 = 900.0;
 
-pub(crate) struct Actuators;
+const ACTUATOR_TEST: u16 = 310;
+/// ACTUATOR_OUTPUT_FUNCTION_MOTOR1 to 4.
+const MOTORS: core::ops::RangeInclusive<f32> = 1.0..=4.0;
+/// PX4's longest test; one without a time lasts as long.
+const LONGEST_TEST_S: f32 = 3.0;
+
+/// A motor that is tried: pulse, and until when.
+#[derive(Debug, Clone, Copy)]
+struct Test {
+    pulse_us: f32,
+    until_ns: Nanos,
+}
+
+#[derive(Default)]
+pub(crate) struct Actuators {
+    tests: [Option<Test>; 4],
+}
 
 impl Service for Actuators {
+    /// Parameter 1 is the output (0 to 1, NaN ends the test), 2 the time in seconds, 5 the motor.
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        if command.number != ACTUATOR_TEST {
+            return None;
+        }
+        if core.commander.is_armed() {
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, "actuator test denied: armed");
+            return Some(Answer::REJECTED);
+        }
+        let function = match command.form {
+            CommandForm::Int { x, .. } => Some(x as f32),
+            CommandForm::Long { .. } => command.param(5),
+        };
+        let motor = function.filter(|function| MOTORS.contains(function) && function.fract() == 0.0);
+        let Some(test) = motor.and_then(|motor| self.tests.get_mut(motor as usize - 1)) else {
+            return Some(Answer::UNSUPPORTED);
+        };
+        let lasts_s = command.param(2).filter(|s| *s > 0.0).unwrap_or(LONGEST_TEST_S);
+        *test = match command.param(1) {
+            None => None,
+            Some(output) if (0.0..=1.0).contains(&output) && lasts_s <= LONGEST_TEST_S => Some(Test {
+                pulse_us: 1000.0 + 1000.0 * output,
+                until_ns: core.now_ns + (f64::from(lasts_s) * 1e9) as Nanos,
+            }),
+            Some(_) => return Some(Answer::DENIED),
+        };
+        Some(Answer::ACCEPTED)
+    }
+
+    fn produce(&self, message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
+        let pulses_us = self.pulses_us(core);
+        Some(match message_id {
+            SERVO_OUTPUT_RAW_DATA::ID => servo_outputs(pulses_us, core),
+            _ => actuator_outputs(pulses_us, core),
+        })
+    }
+
     fn messages(&self) -> &'static [Produced] {
         &[
             Produced {
                 id: SERVO_OUTPUT_RAW_DATA::ID,
                 rate_hz: [0.0, 1.0, 1.0],
-                build: Build::From(servo_outputs),
+                build: Build::Stateful,
             },
             Produced {
                 id: ACTUATOR_OUTPUT_STATUS_DATA::ID,
                 rate_hz: [0.0, 5.0, 0.0],
-                build: Build::From(actuator_outputs),
+                build: Build::Stateful,
             },
         ]
     }
 }
 
-fn pulses_us(core: &Core) -> [f32; 4] {
-    if core.view.armed {
-        core.view.sensors.motors.map(|share| 1000.0 + 1000.0 * share)
-    } else {
-        [DISARMED_US; 4]
+impl Actuators {
+    fn pulses_us(&self, core: &Core) -> [f32; 4] {
+        if core.view.armed {
+            return core.view.sensors.motors.map(|share| 1000.0 + 1000.0 * share);
+        }
+        self.tests.map(|test| {
+            test.filter(|test| core.now_ns <= test.until_ns)
+                .map_or(DISARMED_US, |test| test.pulse_us)
+        })
     }
 }
 
-fn actuator_outputs(core: &Core) -> Option<MavMessage> {
+fn actuator_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
     let mut actuator = [0.0; 32];
-    for (output, pulse) in actuator.iter_mut().zip(pulses_us(core)) {
+    for (output, pulse) in actuator.iter_mut().zip(pulses_us) {
         *output = pulse;
     }
-    Some(MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
+    MavMessage::ACTUATOR_OUTPUT_STATUS(ACTUATOR_OUTPUT_STATUS_DATA {
         time_usec: core.time_boot_us(),
         // One bit per motor.
         active: 0b1111,
         actuator,
-    }))
+    })
 }
 
-fn servo_outputs(core: &Core) -> Option<MavMessage> {
-    let [servo1_raw, servo2_raw, servo3_raw, servo4_raw] = pulses_us(core).map(|pulse| pulse as u16);
-    Some(MavMessage::SERVO_OUTPUT_RAW(SERVO_OUTPUT_RAW_DATA {
+fn servo_outputs(pulses_us: [f32; 4], core: &Core) -> MavMessage {
+    let [servo1_raw, servo2_raw, servo3_raw, servo4_raw] = pulses_us.map(|pulse| pulse as u16);
+    MavMessage::SERVO_OUTPUT_RAW(SERVO_OUTPUT_RAW_DATA {
         time_usec: core.time_boot_us() as u32,
         servo1_raw,
         servo2_raw,
         servo3_raw,
         servo4_raw,
         ..Default::default()
-    }))
+    })
 }

@@ -31,7 +31,7 @@ fn estimator_status(core: &Core) -> Option<MavMessage> {
         | Flags::ESTIMATOR_POS_VERT_ABS
         | Flags::ESTIMATOR_PRED_POS_HORIZ_REL
         | Flags::ESTIMATOR_PRED_POS_HORIZ_ABS;
-    flags.set(position, e.position_ned_m.is_finite());
+    flags.set(position, e.position_ned_m.is_finite() && core.knows_position());
     Some(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
         time_usec: core.time_boot_us(),
         vel_ratio: f32::NAN,

@@ -1,5 +1,6 @@
 //! FLIGHT_INFORMATION: when the vehicle was armed and took off, and the number of the flight.
 
+use crate::LinkId;
 use crate::core::Core;
 use crate::service::{Build, Produced, Service};
 use vigil_mavlink::MavMessage;
@@ -37,7 +38,7 @@ impl Service for FlightInformation {
         }]
     }
 
-    fn produce(&self, _id: u32, core: &Core) -> Option<MavMessage> {
+    fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
         Some(flight_information(&self.times, core))
     }
 

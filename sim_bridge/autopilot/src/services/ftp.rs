@@ -6,6 +6,7 @@
 use crate::core::Core;
 use crate::files::{FileError, FileSystem, crc32};
 use crate::service::{Service, Source};
+use crate::services::packed_parameters;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{FILE_TRANSFER_PROTOCOL_DATA, MavFtpErr, MavFtpOpcode as Opcode};
 use vigil_mavlink::framing::Packet;
@@ -124,6 +125,8 @@ struct Session {
     client: Source,
     number: u8,
     path: String,
+    /// What is read instead of a file of that path: made when it was opened.
+    made: Option<Vec<u8>>,
     writes: bool,
     used_ns: Nanos,
     burst: Option<Burst>,
@@ -282,8 +285,12 @@ impl Ftp {
             list(&core.files, request, true)?
         } else if is(MAV_FTP_OPCODE_OPENFILERO) {
             let path = request.path()?;
-            let size = core.files.read(path)?.len();
-            self.open(client, request.session, path, false, core.now_ns)?;
+            let made = packed_parameters::read(path, core);
+            let size = match &made {
+                Some(made) => made.len(),
+                None => core.files.read(path)?.len(),
+            };
+            self.open(client, request.session, path, false, core.now_ns)?.made = made;
             Reply::number(size as u32)
         } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
             let path = request.path()?;
@@ -333,7 +340,11 @@ impl Ftp {
             core.files.rename(from, to)?;
             done()
         } else if is(MAV_FTP_OPCODE_CALCFILECRC) {
-            Reply::number(crc32(core.files.read(request.path()?)?))
+            let path = request.path()?;
+            match packed_parameters::read(path, core) {
+                Some(made) => Reply::number(crc32(&made)),
+                None => Reply::number(crc32(core.files.read(path)?)),
+            }
         } else {
             return Err(MavFtpErr::MAV_FTP_ERR_UNKNOWNCOMMAND.into());
         };
@@ -371,17 +382,25 @@ impl Ftp {
         Ok(())
     }
 
-    fn open(&mut self, client: Source, number: u8, path: &str, writes: bool, now_ns: Nanos) -> Result<(), Nak> {
+    fn open(
+        &mut self,
+        client: Source,
+        number: u8,
+        path: &str,
+        writes: bool,
+        now_ns: Nanos,
+    ) -> Result<&mut Session, Nak> {
         self.make_room(client, number, now_ns)?;
         self.sessions.push(Session {
             client,
             number,
             path: path.to_owned(),
+            made: None,
             writes,
             used_ns: now_ns,
             burst: None,
         });
-        Ok(())
+        self.session(client, number, now_ns)
     }
 
     fn keep_answer(&mut self, client: Source, request: [u8; 251], payload: [u8; 251], now_ns: Nanos) {
@@ -400,7 +419,10 @@ impl Ftp {
 
 impl Session {
     fn read(&self, files: &FileSystem, offset: usize, size: usize) -> Result<Reply, Nak> {
-        let content = files.read(&self.path)?;
+        let content = match &self.made {
+            Some(made) => made,
+            None => files.read(&self.path)?,
+        };
         let rest = content.get(offset..).filter(|rest| !rest.is_empty());
         let rest = rest.ok_or(MavFtpErr::MAV_FTP_ERR_EOF)?;
         Ok(Reply {

@@ -33,10 +33,14 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
     let mut health = present;
     // Healthy also without a geofence: ground stations take the bit's absence for a breach.
     health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
+    let lost = core.lost_sensors;
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_GPS, lost.gps_since_ns.is_none());
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, !lost.barometer);
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, !lost.magnetometer);
     let attitude = core.view.estimate.attitude;
     health.set(
         Sensor::MAV_SYS_STATUS_AHRS,
-        attitude.is_valid() && core.view.estimate.position_ned_m.is_finite(),
+        attitude.is_valid() && core.view.estimate.position_ned_m.is_finite() && core.knows_position(),
     );
     health.set(Sensor::MAV_SYS_STATUS_PREARM_CHECK, core.arming_check().is_ok());
     let s = &core.view.sensors;

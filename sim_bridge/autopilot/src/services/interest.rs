@@ -6,6 +6,7 @@ use crate::service::{Answer, Service, Source};
 use crate::services::actions;
 use vigil_mavlink::framing::Command;
 
+const NAV_ROI: u16 = 80;
 const DO_SET_ROI_LOCATION: u16 = 195;
 const DO_SET_ROI_NONE: u16 = 197;
 const DO_SET_ROI: u16 = 201;
@@ -19,10 +20,10 @@ pub(crate) struct Interest;
 impl Service for Interest {
     fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
         let is_place = match (command.number, command.param(1)) {
-            (DO_SET_ROI_LOCATION, _) | (DO_SET_ROI, Some(ROI_LOCATION)) => true,
-            (DO_SET_ROI_NONE, _) | (DO_SET_ROI, Some(ROI_NONE)) => false,
+            (DO_SET_ROI_LOCATION, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_LOCATION)) => true,
+            (DO_SET_ROI_NONE, _) | (NAV_ROI | DO_SET_ROI, Some(ROI_NONE)) => false,
             // Other vehicles and mission items are not looked at.
-            (DO_SET_ROI, _) => return Some(Answer::DENIED),
+            (NAV_ROI | DO_SET_ROI, _) => return Some(Answer::DENIED),
             _ => return None,
         };
         let place_m = if is_place {

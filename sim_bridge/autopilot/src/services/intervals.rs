@@ -19,7 +19,7 @@ pub(crate) fn message_interval(
     source: Source,
     core: &mut Core,
     streams: &mut Streams,
-    services: &mut Services,
+    services: &Services,
 ) -> Option<Answer> {
     if !(GET_MESSAGE_INTERVAL..=REQUEST_MESSAGE).contains(&command.number) {
         return None;
@@ -32,6 +32,11 @@ pub(crate) fn message_interval(
     let Some(id) = id.filter(|id| streams.knows(*id)) else {
         return Some(Answer::DENIED);
     };
+    if command.number == REQUEST_MESSAGE
+        && let Some(answer) = streams.request(id, command, source, core, services)
+    {
+        return Some(answer);
+    }
     match command.number {
         GET_MESSAGE_INTERVAL => {
             let message = MavMessage::MESSAGE_INTERVAL(MESSAGE_INTERVAL_DATA {
@@ -47,7 +52,7 @@ pub(crate) fn message_interval(
             streams.set_interval(core.now_ns, source.link, id, interval_us);
         }
         // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
-        _ if !streams.has(core, services, id) => return Some(Answer::DENIED),
+        _ if !streams.has(source.link, core, services, id) => return Some(Answer::DENIED),
         _ => core.request(source.link, id),
     }
     Some(Answer::ACCEPTED)

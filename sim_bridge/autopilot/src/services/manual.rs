@@ -38,7 +38,7 @@ impl Service for Manual {
         match sticks {
             None => core.refusals.setpoint_value += 1,
             Some(sticks) => {
-                if !core.sticks.take(core.now_ns, source, sticks) {
+                if !core.take_sticks(source, sticks) {
                     core.refusals.setpoint_foreign += 1;
                 }
             }

@@ -9,19 +9,24 @@ mod battery;
 mod calibration;
 mod estimator;
 mod events;
+mod failures;
 mod flight_information;
 mod follow;
 mod ftp;
 mod geofence;
 mod geography;
+mod ground_truth;
 mod health;
 mod interest;
 mod intervals;
+mod link_status;
 mod logs;
 mod manual;
 mod metadata;
 mod mission;
+mod modes;
 mod orbit;
+mod packed_parameters;
 mod parameters;
 mod plans;
 mod position;
@@ -30,6 +35,7 @@ mod setpoints;
 mod shell;
 mod signing;
 mod state;
+mod storage;
 mod time;
 mod version;
 mod vibration;
@@ -47,11 +53,13 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(attitude::Attitude),
         Box::new(position::Position),
         Box::new(sensors::SensorReadings),
-        Box::new(actuators::Actuators),
+        Box::<actuators::Actuators>::default(),
         Box::new(estimator::Estimator),
         Box::<vibration::Vibration>::default(),
         Box::<flight_information::FlightInformation>::default(),
         Box::new(absent::Absent),
+        Box::new(ground_truth::GroundTruth),
+        Box::new(failures::Failures),
         Box::new(battery::Battery),
         Box::new(health::Health),
         Box::new(geography::Geography),
@@ -65,12 +73,15 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(follow::Follow),
         Box::new(interest::Interest),
         Box::<parameters::ParameterService>::default(),
+        Box::new(storage::Storage),
         Box::<ftp::Ftp>::default(),
         Box::new(metadata::Metadata),
         Box::<logs::Logs>::default(),
         Box::<events::Events>::default(),
         Box::<shell::Shell>::default(),
         Box::new(time::Time),
+        Box::<link_status::LinkStatus>::default(),
+        Box::new(modes::Modes),
         Box::new(version::Version),
         Box::new(signing::SigningService),
     ]

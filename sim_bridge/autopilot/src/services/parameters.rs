@@ -1,7 +1,11 @@
 //! The parameter protocol, integers bytewise as in PX4. <https://mavlink.io/en/services/parameter.html>
+//!
+//! `_HASH_CHECK` is no parameter but a digest of all of them, by which a ground station knows that what it has kept is
+//! current: it comes before a list, and set to its own value it ends one.
 
 use crate::LinkId;
 use crate::core::Core;
+use crate::files::crc32_on;
 use crate::parameters::{ParameterError, ParameterValue, Parameters};
 use crate::service::{Service, Source};
 use vigil_mavlink::MavMessage;
@@ -16,6 +20,8 @@ use vigil_types::Nanos;
 
 /// Pause between the values of a list: a burst would overrun a client's socket buffer.
 const LIST_PAUSE_NS: Nanos = 5_000_000;
+
+const HASH_CHECK: &str = "_HASH_CHECK";
 
 /// A list that is being sent.
 #[derive(Debug, Clone, Copy)]
@@ -42,7 +48,19 @@ impl Service for ParameterService {
             return;
         }
         match packet.message() {
-            Ok(MavMessage::PARAM_REQUEST_LIST(_)) => self.begin_list(source.link, core.now_ns),
+            Ok(MavMessage::PARAM_REQUEST_LIST(_)) => {
+                core.outbox.send(source.link, &hash_message(core));
+                self.begin_list(source.link, core.now_ns);
+            }
+            Ok(MavMessage::PARAM_REQUEST_READ(m)) if m.param_index < 0 && m.param_id.to_str() == Ok(HASH_CHECK) => {
+                core.outbox.send(source.link, &hash_message(core));
+            }
+            Ok(MavMessage::PARAM_SET(m)) if m.param_id.to_str() == Ok(HASH_CHECK) => {
+                if m.param_value.to_bits() == hash(core) {
+                    self.listings.retain(|l| l.link != source.link);
+                }
+                core.outbox.send(source.link, &hash_message(core));
+            }
             Ok(MavMessage::PARAM_REQUEST_READ(m)) => {
                 let index = match usize::try_from(m.param_index) {
                     Ok(index) => Some(index),
@@ -109,6 +127,29 @@ pub(super) fn value_message(core: &Core, index: usize) -> Option<MavMessage> {
     }))
 }
 
+/// PX4's digest: a CRC over the names and values in the order of the index.
+fn hash(core: &Core) -> u32 {
+    let all = (0..Parameters::count()).filter_map(|index| core.parameters.at(index));
+    all.fold(0, |crc, (info, value)| {
+        let bytes = match value {
+            ParameterValue::Int32(value) => value.to_le_bytes(),
+            ParameterValue::Real32(value) => value.to_le_bytes(),
+        };
+        crc32_on(crc32_on(crc, info.name.as_bytes()), &bytes)
+    })
+}
+
+fn hash_message(core: &Core) -> MavMessage {
+    MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+        param_value: f32::from_bits(hash(core)),
+        param_count: Parameters::count() as u16,
+        // It has no place among the parameters.
+        param_index: u16::MAX,
+        param_id: HASH_CHECK.into(),
+        param_type: MavParamType::MAV_PARAM_TYPE_UINT32,
+    })
+}
+
 /// Counts a refusal and tells the sender.
 fn refuse(core: &mut Core, source: Source, param_id: CharArray<16>, param_index: i16, error: MavParamError) {
     core.refusals.parameter += 1;
@@ -149,6 +190,7 @@ fn set(m: &PARAM_SET_DATA, source: Source, core: &mut Core) {
     let code = match error {
         ParameterError::Unknown { .. } => MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
         ParameterError::WrongType { .. } => MavParamError::MAV_PARAM_ERROR_TYPE_MISMATCH,
+        ParameterError::Fixed { .. } => MavParamError::MAV_PARAM_ERROR_READ_ONLY,
         ParameterError::OutOfRange { .. } => MavParamError::MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE,
     };
     // The error first: a client that knows it would take the unchanged value for a lost packet and try again.

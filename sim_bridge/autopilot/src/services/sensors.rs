@@ -65,6 +65,15 @@ fn imu(core: &Core) -> Option<MavMessage> {
     let [n, e, d] = FIELD_NED_GAUSS;
     let field = core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d));
     let altitude_m = barometric_altitude_m(core);
+    // All but differential pressure.
+    let mut updated = Updated::from_bits_truncate(0x1BFF);
+    let lost = core.lost_sensors;
+    if lost.barometer {
+        updated &= !Updated::from_bits_truncate(0xA00);
+    }
+    if lost.magnetometer {
+        updated &= !Updated::from_bits_truncate(0x1C0);
+    }
     Some(MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
         time_usec: core.time_boot_us(),
         xacc: s.accelerometer_frd_m_s2.x,
@@ -80,8 +89,7 @@ fn imu(core: &Core) -> Option<MavMessage> {
         diff_pressure: 0.0,
         pressure_alt: altitude_m as f32,
         temperature: TEMPERATURE_C,
-        // All but differential pressure.
-        fields_updated: Updated::from_bits_truncate(0x1BFF),
+        fields_updated: updated,
         id: 0,
     }))
 }
@@ -147,6 +155,9 @@ fn raw_imu(core: &Core) -> Option<MavMessage> {
 }
 
 fn pressure(core: &Core) -> Option<MavMessage> {
+    if core.lost_sensors.barometer {
+        return None;
+    }
     Some(MavMessage::SCALED_PRESSURE(SCALED_PRESSURE_DATA {
         time_boot_ms: core.time_boot_ms(),
         press_abs: pressure_hpa(barometric_altitude_m(core)),
@@ -157,6 +168,17 @@ fn pressure(core: &Core) -> Option<MavMessage> {
 }
 
 fn gps(core: &Core) -> Option<MavMessage> {
+    if core.lost_sensors.gps_since_ns.is_some() {
+        return Some(MavMessage::GPS_RAW_INT(GPS_RAW_INT_DATA {
+            time_usec: core.time_boot_us(),
+            eph: u16::MAX,
+            epv: u16::MAX,
+            vel: u16::MAX,
+            cog: u16::MAX,
+            fix_type: GpsFixType::GPS_FIX_TYPE_NO_GPS,
+            ..Default::default()
+        }));
+    }
     let s = &core.view.sensors;
     let (lat, lon, alt_m) = geo::to_global(&core.home, s.gps_position_ned_m);
     let v = s.gps_velocity_ned_m_s;

@@ -1,5 +1,6 @@
 //! VIBRATION: how much the accelerometer's readings change from one look to the next.
 
+use crate::LinkId;
 use crate::core::Core;
 use crate::service::{Build, Produced, Service};
 use vigil_mavlink::MavMessage;
@@ -28,7 +29,7 @@ impl Service for Vibration {
         }]
     }
 
-    fn produce(&self, _id: u32, core: &Core) -> Option<MavMessage> {
+    fn produce(&self, _message_id: u32, _link: LinkId, core: &Core) -> Option<MavMessage> {
         Some(vibration(self.mean_m_s2, core))
     }
 

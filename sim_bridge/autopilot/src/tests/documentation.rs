@@ -1,6 +1,6 @@
 //! `docs/mavlink.md` holds exactly what the tables say. `UPDATE_DOCS=1 cargo test --release -p vigil-autopilot` writes it.
 
-use crate::{parameter_table, services};
+use crate::{ParameterRole, parameter_table, services};
 use std::fmt::Write;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::mavlink::Message;
@@ -21,12 +21,16 @@ fn streams() -> String {
     table
 }
 
-fn parameters() -> String {
+fn parameters(roles: &[ParameterRole]) -> String {
     let mut table = String::from("| Parameter | Default | Limits | Unit | |\n| --- | --- | --- | --- | --- |\n");
-    for info in parameter_table() {
+    for info in parameter_table().iter().filter(|info| roles.contains(&info.role)) {
         let default = info.default.as_f32();
-        let (name, min, max, unit, text) = (info.name, info.min, info.max, info.unit, info.description);
-        writeln!(table, "| {name} | {default} | {min} to {max} | {unit} | {text} |").expect("a string grows");
+        let (name, unit, text) = (info.name, info.unit, info.description);
+        let limits = match info.role {
+            ParameterRole::Fixed => "fixed".to_owned(),
+            _ => format!("{} to {}", info.min, info.max),
+        };
+        writeln!(table, "| {name} | {default} | {limits} | {unit} | {text} |").expect("a string grows");
     }
     table
 }
@@ -41,7 +45,11 @@ fn with_section(text: &str, name: &str, content: &str) -> String {
 #[test]
 fn the_documentation_has_the_tables_of_the_code() {
     let text = std::fs::read_to_string(FILE).expect("docs/mavlink.md");
-    let current = with_section(&with_section(&text, "streams", &streams()), "parameters", &parameters());
+    let acting = parameters(&[ParameterRole::Acts]);
+    let told = parameters(&[ParameterRole::Kept, ParameterRole::Fixed]);
+    let current = with_section(&text, "streams", &streams());
+    let current = with_section(&current, "parameters", &acting);
+    let current = with_section(&current, "told parameters", &told);
     if std::env::var_os("UPDATE_DOCS").is_some() {
         std::fs::write(FILE, &current).expect("docs/mavlink.md can be written");
     }

@@ -1,7 +1,7 @@
 //! Follow-me.
 
 use crate::testing::*;
-use crate::{FlightMode, HomePosition, geo};
+use crate::{FlightMode, HomePosition, ParameterValue, geo};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::FOLLOW_TARGET_DATA;
 use vigil_types::NedVector;
@@ -20,23 +20,11 @@ fn report(b: &mut Bench, (north, east): (f32, f32), velocity: Option<[f32; 3]>) 
     b.send(API, SCRIPT, &message);
 }
 
-fn set(b: &mut Bench, name: &str, value: f32) {
-    use vigil_mavlink::common::{MavParamType, PARAM_SET_DATA};
-    let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
-        param_value: value,
-        target_system: 1,
-        target_component: 1,
-        param_id: name.into(),
-        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-    });
-    b.send(API, SCRIPT, &message);
-}
-
 #[test]
 fn it_keeps_its_place_behind_who_walks_and_waits_where_the_reports_end() {
     let mut b = Bench::airborne();
-    set(&mut b, "FLW_TGT_DST", 5.0);
-    set(&mut b, "FLW_TGT_HT", 4.0);
+    b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
+    b.set_parameter("FLW_TGT_HT", ParameterValue::Real32(4.0));
     assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
     b.run_ms(2_000);
     assert_eq!(b.status().mode, FlightMode::Follow);

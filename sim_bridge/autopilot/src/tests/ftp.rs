@@ -351,3 +351,69 @@ fn nonsense_is_refused_and_changes_nothing() {
     assert_eq!(c.list(&mut b, LIST, "/"), before);
     assert!(b.status().refusals.file > 80);
 }
+
+/// Name, value's bits and default's bits of each entry, read as the format is written down.
+fn unpack(file: &[u8]) -> Vec<(String, u32, u32)> {
+    let word = |at: usize| u16::from_le_bytes([file[at], file[at + 1]]);
+    let with_defaults = match word(0) {
+        0x671B => false,
+        0x671C => true,
+        other => panic!("{other:#x}"),
+    };
+    let mut entries: Vec<(String, u32, u32)> = Vec::new();
+    let mut at = 6;
+    while at < file.len() {
+        let (kind, flags) = (file[at] & 15, file[at] >> 4);
+        assert!(kind == 3 || kind == 4);
+        let (common, rest) = (usize::from(file[at + 1] & 15), usize::from(file[at + 1] >> 4) + 1);
+        let before = entries.last().map_or("", |e| e.0.as_str());
+        let name = before[..common].to_owned() + std::str::from_utf8(&file[at + 2..at + 2 + rest]).expect("text");
+        at += 2 + rest;
+        let mut value = || {
+            let bytes = [file[at], file[at + 1], file[at + 2], file[at + 3]];
+            at += 4;
+            u32::from_le_bytes(bytes)
+        };
+        let now = value();
+        let default = if with_defaults && flags & 1 == 1 { value() } else { now };
+        entries.push((name, now, default));
+    }
+    assert_eq!(
+        (usize::from(word(2)), usize::from(word(4))),
+        (entries.len(), crate::parameter_table().len())
+    );
+    entries
+}
+
+#[test]
+fn all_parameters_come_as_one_packed_file() {
+    let (mut b, mut c) = (Bench::new(), Client::new());
+    b.set_parameter("NAV_ACC_RAD", crate::ParameterValue::Real32(7.5));
+    let bits = |value| match value {
+        crate::ParameterValue::Int32(v) => v as u32,
+        crate::ParameterValue::Real32(v) => v.to_bits(),
+    };
+    let file = c.download(&mut b, 3, "@PARAM/param.pck?withdefaults=1");
+    let entries = unpack(&file);
+    for (entry, info) in entries.iter().zip(crate::parameter_table()) {
+        assert_eq!((entry.0.as_str(), entry.2), (info.name, bits(info.default)));
+        let is_changed = entry.0 == "NAV_ACC_RAD";
+        assert_eq!(
+            entry.1,
+            if is_changed {
+                7.5_f32.to_bits()
+            } else {
+                bits(info.default)
+            }
+        );
+    }
+    assert_eq!(unpack(&c.download(&mut b, 4, "@PARAM/param.pck")).len(), entries.len());
+    let some = unpack(&c.download(&mut b, 5, "@PARAM/param.pck?start=10&count=5"));
+    let names: Vec<_> = crate::parameter_table()[10..15].iter().map(|info| info.name).collect();
+    assert_eq!(some.iter().map(|e| e.0.as_str()).collect::<Vec<_>>(), names);
+    assert_eq!(
+        c.ask(&mut b, CRC, 0, 0, b"@PARAM/param.pck?withdefaults=1").number(),
+        crc32(&file)
+    );
+    assert_eq!(c.ask(&mut b, OPEN, 6, 0, b"@PARAM/other").error(), NOT_FOUND);
+}

@@ -302,7 +302,7 @@ fn an_acceptance_radius_below_what_can_be_flown_does_not_hang_the_mission() {
 fn the_speed_does_not_sag_where_legs_go_straight_on_and_does_before_a_corner() {
     let mut b = Bench::airborne();
     let legs: Vec<_> = (1..=4).map(|i| waypoint((12.0 * i as f32, 0.0), 3.0)).collect();
-    let speed = item(178, [1.0, 4.0, -1.0, 0.0], (0.0, 0.0), 0.0);
+    let speed = action(178, [1.0, 4.0, -1.0, 0.0]);
     let corner = waypoint((48.0, 20.0), 3.0);
     let plan: Vec<_> = std::iter::once(speed).chain(legs).chain([corner]).collect();
     b.upload(MISSION, &plan);
@@ -331,7 +331,7 @@ fn the_nose_points_at_a_region_of_interest() {
         &[
             there,
             waypoint((10.0, 0.0), 3.0),
-            item(197, [0.0; 4], (0.0, 0.0), 0.0),
+            action(197, [0.0; 4]),
             waypoint((20.0, 0.0), 3.0),
         ],
     );

@@ -1,7 +1,9 @@
 //! Stories of the whole endpoint.
 
+mod connect;
 mod documentation;
 mod events;
+mod failures;
 mod flight;
 mod follow;
 mod ftp;

@@ -113,7 +113,6 @@ fn a_sensor_that_is_not_there_may_be_given_a_rate_and_never_sends() {
         RC_CHANNELS_DATA::ID,
         DISTANCE_SENSOR_DATA::ID,
         ACTUATOR_CONTROL_TARGET_DATA::ID,
-        HIL_STATE_QUATERNION_DATA::ID,
     ] {
         let rate = [id as f32, 1e5, 0.0, 0.0, 0.0, 0.0, 0.0];
         assert_eq!(b.command_long(API, SCRIPT, 511, rate), ACCEPTED);

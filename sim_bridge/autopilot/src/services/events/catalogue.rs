@@ -20,6 +20,7 @@ pub(super) enum ArmingCheck {
     Tilted,
     OutsideFence,
     Other,
+    SensorLost,
 }
 
 impl From<&Denial> for ArmingCheck {
@@ -28,18 +29,25 @@ impl From<&Denial> for ArmingCheck {
             Denial::Terminated => Self::Terminated,
             Denial::Tilted => Self::Tilted,
             Denial::OutsideFence => Self::OutsideFence,
+            Denial::SensorLost(_) => Self::SensorLost,
             _ => Self::Other,
         }
     }
 }
 
 impl ArmingCheck {
-    const ALL: [Self; 4] = [Self::Terminated, Self::Tilted, Self::OutsideFence, Self::Other];
+    const ALL: [Self; 5] = [
+        Self::Terminated,
+        Self::Tilted,
+        Self::OutsideFence,
+        Self::Other,
+        Self::SensorLost,
+    ];
 
     /// Index of the health component it concerns.
     fn component(self) -> u8 {
         match self {
-            Self::Terminated | Self::Other => 1,
+            Self::Terminated | Self::Other | Self::SensorLost => 1,
             Self::Tilted => 2,
             Self::OutsideFence => 3,
         }
@@ -54,6 +62,7 @@ impl ArmingCheck {
             Self::Terminated => ("check_terminated", "Flight was terminated: reboot first"),
             Self::Tilted => ("check_tilted", "Vehicle is tilted"),
             Self::OutsideFence => ("check_outside_fence", "Vehicle is outside its geofence"),
+            Self::SensorLost => ("check_sensor_lost", "A sensor is lost"),
             Self::Other => ("check_other", "Vehicle is not ready"),
         }
     }
@@ -80,6 +89,7 @@ fn failsafe_number(failsafe: Failsafe) -> u8 {
         Failsafe::SetpointLost => 1,
         Failsafe::GeofenceBreached => 2,
         Failsafe::ManualControlLost => 3,
+        Failsafe::PositionLost => 4,
     }
 }
 
@@ -248,6 +258,7 @@ pub(crate) fn definitions() -> Value {
                         (1, "setpoint_lost", "setpoint lost"),
                         (2, "geofence_breached", "geofence breached"),
                         (3, "manual_control_lost", "manual control lost"),
+                        (4, "position_lost", "position lost"),
                     ]),
                 },
                 "navigation_mode_group_t": {

@@ -1,0 +1,95 @@
+//! PING and LINK_NODE_STATUS: what a link carries. <https://mavlink.io/en/services/ping.html>
+
+use crate::LinkId;
+use crate::core::Core;
+use crate::outbox::Traffic;
+use crate::service::{Build, Produced, Service};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{LINK_NODE_STATUS_DATA, PING_DATA};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_types::Nanos;
+
+/// Over which rates are measured.
+const WINDOW_NS: Nanos = 1_000_000_000;
+/// Pings a second: as PX4's.
+const PING_HZ: f32 = 0.1;
+
+/// What a link had carried at the last look, and how fast it was until then.
+#[derive(Debug, Clone, Copy, Default)]
+struct Rates {
+    sent: Traffic,
+    received: Traffic,
+    tx_bytes_s: u32,
+    rx_bytes_s: u32,
+}
+
+#[derive(Debug, Default)]
+pub(crate) struct LinkStatus {
+    links: Vec<Rates>,
+    due_ns: Nanos,
+}
+
+impl Service for LinkStatus {
+    fn start(&mut self, core: &mut Core) {
+        self.links = vec![Rates::default(); core.outbox.links()];
+    }
+
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: PING_DATA::ID,
+                rate_hz: [0.0, PING_HZ, PING_HZ],
+                build: Build::From(ping),
+            },
+            Produced {
+                id: LINK_NODE_STATUS_DATA::ID,
+                rate_hz: [0.0, 1.0, 1.0],
+                build: Build::Stateful,
+            },
+        ]
+    }
+
+    fn produce(&self, _message_id: u32, link: LinkId, core: &Core) -> Option<MavMessage> {
+        let rates = self.links.get(usize::from(link.0))?;
+        let received = core.received.get(usize::from(link.0))?;
+        // Damaged packets and dropped ones are counted for all links together.
+        Some(MavMessage::LINK_NODE_STATUS(LINK_NODE_STATUS_DATA {
+            timestamp: core.time_boot_us(),
+            tx_rate: rates.tx_bytes_s,
+            rx_rate: rates.rx_bytes_s,
+            messages_sent: core.outbox.sent(link).packets as u32,
+            messages_received: received.packets as u32,
+            messages_lost: 0,
+            rx_parse_err: (core.framing.bad_crc + core.framing.truncated).min(u64::from(u16::MAX)) as u16,
+            tx_overflows: core.outbox.dropped().min(u64::from(u16::MAX)) as u16,
+            rx_overflows: 0,
+            tx_buf: 0,
+            rx_buf: 0,
+        }))
+    }
+
+    fn due_ns(&self) -> Nanos {
+        self.due_ns
+    }
+
+    fn step(&mut self, core: &mut Core) {
+        self.due_ns = core.now_ns + WINDOW_NS;
+        for (index, rates) in self.links.iter_mut().enumerate() {
+            let sent = core.outbox.sent(LinkId(index as u8));
+            let received = core.received.get(index).copied().unwrap_or_default();
+            rates.tx_bytes_s = (sent.bytes - rates.sent.bytes) as u32;
+            rates.rx_bytes_s = (received.bytes - rates.received.bytes) as u32;
+            (rates.sent, rates.received) = (sent, received);
+        }
+    }
+}
+
+/// To everybody, who answers as `services::time` does. The time tells one from the next.
+fn ping(core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::PING(PING_DATA {
+        time_usec: core.time_boot_us(),
+        seq: (core.time_boot_ms() as f32 * 1e-3 * PING_HZ) as u32,
+        target_system: 0,
+        target_component: 0,
+    }))
+}

@@ -1,0 +1,157 @@
+//! The standard modes protocol: which modes there are, which one is flown. <https://mavlink.io/en/services/standard_modes.html>
+
+use crate::core::Core;
+use crate::flight::FlightMode;
+use crate::service::{Answer, Build, Produced, Service, Source};
+use crate::services::arming::answer;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{
+    AVAILABLE_MODES_DATA, AVAILABLE_MODES_MONITOR_DATA, CURRENT_MODE_DATA, MavModeProperty, MavStandardMode,
+};
+use vigil_mavlink::framing::Command;
+use vigil_mavlink::mavlink::MessageData;
+
+const DO_SET_STANDARD_MODE: u16 = 262;
+
+#[derive(Default)]
+pub(crate) struct Modes;
+
+impl Service for Modes {
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
+        if command.number != DO_SET_STANDARD_MODE {
+            return None;
+        }
+        let wanted = command.param(1).unwrap_or(0.0);
+        let is_wanted = |mode: &FlightMode| {
+            let standard = standard(*mode);
+            standard != MavStandardMode::MAV_STANDARD_MODE_NON_STANDARD && f32::from(standard as u8) == wanted
+        };
+        let mode = FlightMode::ALL
+            .into_iter()
+            .find(|mode| mode.is_commanded() && is_wanted(mode));
+        Some(match mode {
+            Some(mode) => {
+                let outcome = core.change_mode(mode, source);
+                answer(outcome, core)
+            }
+            None => Answer::DENIED,
+        })
+    }
+
+    fn messages(&self) -> &'static [Produced] {
+        &[
+            Produced {
+                id: AVAILABLE_MODES_DATA::ID,
+                rate_hz: [0.0; 3],
+                build: Build::From(first),
+            },
+            Produced {
+                id: CURRENT_MODE_DATA::ID,
+                rate_hz: [0.0, 0.5, 0.5],
+                build: Build::From(current),
+            },
+            Produced {
+                id: AVAILABLE_MODES_MONITOR_DATA::ID,
+                rate_hz: [0.0, 0.3, 0.3],
+                build: Build::From(monitor),
+            },
+        ]
+    }
+
+    /// Parameter 2 is the index from 1, or 0 for all of them.
+    fn request(&self, message_id: u32, request: &Command, source: Source, core: &mut Core) -> Option<Answer> {
+        if message_id != AVAILABLE_MODES_DATA::ID {
+            return None;
+        }
+        let wanted = request.param(2).unwrap_or(0.0);
+        let mut is_found = false;
+        for index in 1..=FlightMode::ALL.len() {
+            if (wanted == 0.0 || wanted == index as f32)
+                && let Some(message) = available(index)
+            {
+                is_found = true;
+                core.outbox.send(source.link, &message);
+            }
+        }
+        Some(if is_found { Answer::ACCEPTED } else { Answer::DENIED })
+    }
+}
+
+fn standard(mode: FlightMode) -> MavStandardMode {
+    use MavStandardMode as S;
+    match mode {
+        FlightMode::Position => S::MAV_STANDARD_MODE_POSITION_HOLD,
+        FlightMode::Orbit => S::MAV_STANDARD_MODE_ORBIT,
+        FlightMode::Altitude => S::MAV_STANDARD_MODE_ALTITUDE_HOLD,
+        FlightMode::Return => S::MAV_STANDARD_MODE_SAFE_RECOVERY,
+        FlightMode::Mission => S::MAV_STANDARD_MODE_MISSION,
+        FlightMode::Land => S::MAV_STANDARD_MODE_LAND,
+        FlightMode::Takeoff => S::MAV_STANDARD_MODE_TAKEOFF,
+        _ => S::MAV_STANDARD_MODE_NON_STANDARD,
+    }
+}
+
+/// Names as PX4 tells them.
+const fn name(mode: FlightMode) -> &'static str {
+    match mode {
+        FlightMode::Hold => "Hold",
+        FlightMode::Takeoff => "Takeoff",
+        FlightMode::Land => "Land",
+        FlightMode::Return => "Return",
+        FlightMode::Mission => "Mission",
+        FlightMode::Orbit => "Orbit",
+        FlightMode::Follow => "Follow Target",
+        FlightMode::Position => "Position",
+        FlightMode::Altitude => "Altitude",
+        FlightMode::Stabilized => "Stabilized",
+        FlightMode::Manual => "Manual",
+        FlightMode::Acro => "Acro",
+        FlightMode::Offboard => "Offboard",
+    }
+}
+
+fn available(index: usize) -> Option<MavMessage> {
+    let mode = *FlightMode::ALL.get(index.checked_sub(1)?)?;
+    let mut properties = MavModeProperty::empty();
+    properties.set(
+        MavModeProperty::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE,
+        !mode.is_commanded(),
+    );
+    properties.set(
+        MavModeProperty::MAV_MODE_PROPERTY_ADVANCED,
+        matches!(mode, FlightMode::Acro | FlightMode::Manual | FlightMode::Offboard),
+    );
+    properties.set(
+        MavModeProperty::MAV_MODE_PROPERTY_AUTO_MODE,
+        !mode.needs_sticks() && mode != FlightMode::Offboard,
+    );
+    Some(MavMessage::AVAILABLE_MODES(AVAILABLE_MODES_DATA {
+        custom_mode: mode.custom_mode(),
+        properties,
+        number_modes: FlightMode::ALL.len() as u8,
+        mode_index: index as u8,
+        standard_mode: standard(mode),
+        mode_name: name(mode).into(),
+    }))
+}
+
+fn first(_core: &Core) -> Option<MavMessage> {
+    available(1)
+}
+
+fn current(core: &Core) -> Option<MavMessage> {
+    let mode = core.commander.mode();
+    Some(MavMessage::CURRENT_MODE(CURRENT_MODE_DATA {
+        custom_mode: mode.custom_mode(),
+        // What is flown is what was asked for, or a failsafe's choice that nobody asked for.
+        intended_custom_mode: mode.custom_mode(),
+        standard_mode: standard(mode),
+    }))
+}
+
+/// The modes are always the same.
+fn monitor(_core: &Core) -> Option<MavMessage> {
+    Some(MavMessage::AVAILABLE_MODES_MONITOR(AVAILABLE_MODES_MONITOR_DATA {
+        seq: 0,
+    }))
+}

@@ -1,0 +1,40 @@
+//! PREFLIGHT_STORAGE: keeping parameters, and their defaults again.
+//! <https://mavlink.io/en/messages/common.html#MAV_CMD_PREFLIGHT_STORAGE>
+
+use crate::core::Core;
+use crate::service::{Answer, Service, Source};
+use vigil_mavlink::common::MavSeverity;
+use vigil_mavlink::framing::Command;
+
+const PREFLIGHT_STORAGE: u16 = 245;
+/// MAV_PREFLIGHT_STORAGE_ACTION_*.
+const READ: f32 = 0.0;
+const WRITE: f32 = 1.0;
+const RESET: f32 = 2.0;
+const RESET_CALIBRATION: f32 = 3.0;
+const RESET_ALL: f32 = 4.0;
+
+#[derive(Default)]
+pub(crate) struct Storage;
+
+impl Service for Storage {
+    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+        if command.number != PREFLIGHT_STORAGE {
+            return None;
+        }
+        if core.commander.is_armed() {
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, "parameter storage denied: armed");
+            return Some(Answer::REJECTED);
+        }
+        Some(match command.param(1) {
+            // Whatever is set is kept at once, where the simulator keeps anything (`--state`); calibrations change nothing.
+            Some(READ | WRITE | RESET_CALIBRATION) => Answer::ACCEPTED,
+            Some(RESET | RESET_ALL) => {
+                core.parameters.reset();
+                core.text(MavSeverity::MAV_SEVERITY_INFO, "parameters reset to their defaults");
+                Answer::ACCEPTED
+            }
+            _ => Answer::DENIED,
+        })
+    }
+}

@@ -1,0 +1,344 @@
+//! What a ground station asks for when it connects, and what set-up pages and scripts set without asking.
+
+use crate::testing::*;
+use crate::tests::plans::{MISSION, item, waypoint};
+use crate::{FlightMode, LandedState, ParameterRole, ParameterValue, parameter_table};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_mavlink::mavlink::MessageData;
+
+fn request(b: &mut Bench, id: u32, index: f32) -> u8 {
+    b.command_long(API, SCRIPT, 512, [id as f32, index, 0.0, 0.0, 0.0, 0.0, 0.0])
+}
+
+fn modes(b: &Bench) -> Vec<AVAILABLE_MODES_DATA> {
+    let modes = b.messages(API).filter_map(|m| match m {
+        MavMessage::AVAILABLE_MODES(m) => Some(m.clone()),
+        _ => None,
+    });
+    modes.collect()
+}
+
+#[test]
+fn a_station_learns_which_modes_there_are_and_sets_one_by_its_standard_number() {
+    const AVAILABLE_MODES: u32 = AVAILABLE_MODES_DATA::ID;
+    let mut b = Bench::new();
+    b.sent.clear();
+    assert_eq!(request(&mut b, AVAILABLE_MODES, 0.0), ACCEPTED);
+    let all = modes(&b);
+    assert_eq!(all.len(), usize::from(all[0].number_modes));
+    let indices: Vec<u8> = all.iter().map(|m| m.mode_index).collect();
+    assert_eq!(indices, (1..=all[0].number_modes).collect::<Vec<_>>());
+    let find = |name: &str| {
+        all.iter()
+            .find(|m| m.mode_name.to_str() == Ok(name))
+            .expect(name)
+            .clone()
+    };
+    assert_eq!(
+        find("Position").standard_mode,
+        MavStandardMode::MAV_STANDARD_MODE_POSITION_HOLD
+    );
+    assert_eq!(find("Offboard").custom_mode, 6 << 16);
+    let orbit = find("Orbit");
+    assert!(
+        orbit
+            .properties
+            .contains(MavModeProperty::MAV_MODE_PROPERTY_NOT_USER_SELECTABLE)
+    );
+    b.sent.clear();
+    assert_eq!(request(&mut b, AVAILABLE_MODES, 3.0), ACCEPTED);
+    assert_eq!(modes(&b).len(), 1);
+    assert_eq!(request(&mut b, AVAILABLE_MODES, 99.0), DENIED);
+
+    const SET_STANDARD_MODE: u16 = 262;
+    let params = [
+        MavStandardMode::MAV_STANDARD_MODE_LAND as u8 as f32,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    ];
+    assert_eq!(b.command_long(API, SCRIPT, SET_STANDARD_MODE, params), ACCEPTED);
+    assert_eq!(b.status().mode, FlightMode::Land);
+    assert_eq!(
+        b.command_long(API, SCRIPT, SET_STANDARD_MODE, [3.0; 7]),
+        DENIED,
+        "no cruise mode"
+    );
+    let current = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::CURRENT_MODE(m) => Some(m.custom_mode),
+        _ => None,
+    });
+    assert_eq!(current, Some(FlightMode::Land.custom_mode()), "told at once");
+    b.run_ms(4_000);
+    assert!(b.count(GCS, AVAILABLE_MODES_MONITOR_DATA::ID) >= 1);
+}
+
+fn hash(b: &Bench) -> u32 {
+    let told = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::PARAM_VALUE(v) if v.param_id.to_str() == Ok("_HASH_CHECK") => Some(v.param_value.to_bits()),
+        _ => None,
+    });
+    told.expect("a hash")
+}
+
+fn read_hash(b: &mut Bench) -> u32 {
+    let message = MavMessage::PARAM_REQUEST_READ(PARAM_REQUEST_READ_DATA {
+        param_index: -1,
+        target_system: 1,
+        target_component: 1,
+        param_id: "_HASH_CHECK".into(),
+    });
+    b.send(API, SCRIPT, &message);
+    hash(b)
+}
+
+#[test]
+fn the_hash_of_the_parameters_is_that_of_their_names_and_values_and_ends_a_list() {
+    let mut b = Bench::new();
+    let before = read_hash(&mut b);
+    // Bit by bit, as the polynomial is written.
+    let mut crc: u32 = 0;
+    for info in parameter_table() {
+        let value = match info.default {
+            ParameterValue::Int32(v) => v.to_le_bytes(),
+            ParameterValue::Real32(v) => v.to_le_bytes(),
+        };
+        for byte in info.name.bytes().chain(value) {
+            crc ^= u32::from(byte);
+            for _ in 0..8 {
+                crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
+            }
+        }
+    }
+    assert_eq!(before, crc);
+    b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(3.0));
+    assert_ne!(read_hash(&mut b), before);
+    b.set_parameter("NAV_ACC_RAD", ParameterValue::Real32(2.0));
+    assert_eq!(read_hash(&mut b), before);
+
+    let list = MavMessage::PARAM_REQUEST_LIST(PARAM_REQUEST_LIST_DATA {
+        target_system: 1,
+        target_component: 1,
+    });
+    let values = |b: &Bench| b.count(API, PARAM_VALUE_DATA::ID);
+    b.sent.clear();
+    b.send(API, SCRIPT, &list);
+    b.run_ms(2_000);
+    assert_eq!(values(&b), parameter_table().len() + 1, "the hash comes before them");
+    b.sent.clear();
+    b.send(API, SCRIPT, &list);
+    b.run_ms(50);
+    b.set_parameter("_HASH_CHECK", ParameterValue::Real32(f32::from_bits(before)));
+    b.run_ms(2_000);
+    assert!(values(&b) < 20, "a station that knows them all wants no list");
+}
+
+#[test]
+fn set_up_pages_find_what_they_read_and_cannot_change_what_the_vehicle_is() {
+    let mut b = Bench::new();
+    for name in [
+        "SYS_AUTOSTART",
+        "SYS_AUTOCONFIG",
+        "CAL_MAG0_ID",
+        "CAL_GYRO0_ID",
+        "CAL_ACC0_ID",
+        "SENS_BOARD_ROT",
+        "SENS_DPRES_OFF",
+        "RC_MAP_ROLL",
+        "RC_MAP_THROTTLE",
+        "RC_CHAN_CNT",
+        "COM_RC_IN_MODE",
+        "COM_FLTMODE1",
+        "COM_FLTMODE6",
+        "BAT1_N_CELLS",
+        "BAT1_V_EMPTY",
+        "BAT1_V_CHARGED",
+        "BAT_LOW_THR",
+        "COM_LOW_BAT_ACT",
+        "NAV_RCL_ACT",
+        "NAV_DLL_ACT",
+        "COM_RC_LOSS_T",
+        "CP_DIST",
+        "CA_ROTOR_COUNT",
+        "PWM_MAIN_FUNC4",
+        "RTL_LAND_DELAY",
+        "RTL_DESCEND_ALT",
+        "TRIG_MODE",
+        "MNT_MODE_IN",
+    ] {
+        assert!(parameter_table().iter().any(|info| info.name == name), "{name}");
+    }
+    b.sent.clear();
+    b.set_parameter("SYS_AUTOSTART", ParameterValue::Int32(10_016));
+    let answers: Vec<_> = b.messages(API).collect();
+    assert!(matches!(
+        answers[0],
+        MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
+            error: MavParamError::MAV_PARAM_ERROR_READ_ONLY,
+            ..
+        })
+    ));
+    assert!(matches!(answers[1], MavMessage::PARAM_VALUE(v) if v.param_value.to_bits() == 4001));
+    assert!(b.texts().join("|").contains("SYS_AUTOSTART cannot be set"));
+}
+
+#[test]
+fn parameters_that_scripts_set_without_asking_are_taken() {
+    let mut b = Bench::new();
+    let refused = b.status().refusals.parameter;
+    for (name, value) in [
+        ("COM_RCL_EXCEPT", ParameterValue::Int32(4)),
+        ("COM_RC_IN_MODE", ParameterValue::Int32(4)),
+        ("RTL_TYPE", ParameterValue::Int32(1)),
+        ("NAV_MC_ALT_RAD", ParameterValue::Real32(0.5)),
+        ("MPC_Z_V_AUTO_DN", ParameterValue::Real32(2.0)),
+        ("EKF2_HGT_REF", ParameterValue::Int32(0)),
+        ("SYS_FAILURE_EN", ParameterValue::Int32(1)),
+        ("MPC_XY_VEL_MAX", ParameterValue::Real32(12.0)),
+        ("COM_OF_LOSS_T", ParameterValue::Real32(1.0)),
+        ("CBRK_SUPPLY_CHK", ParameterValue::Int32(0)),
+    ] {
+        b.set_parameter(name, value);
+        let saved = b.endpoint.saved().parameters.get(name).copied();
+        let default = parameter_table()
+            .iter()
+            .find(|info| info.name == name)
+            .map(|info| info.default);
+        assert!(
+            saved.map(|v| v as f32) == Some(value.as_f32()) || default == Some(value),
+            "{name}: {saved:?}"
+        );
+    }
+    assert_eq!(b.status().refusals.parameter, refused, "{:?}", b.texts());
+    let kept = parameter_table().iter().filter(|info| info.role == ParameterRole::Kept);
+    assert!(kept.clone().all(|info| !info.description.is_empty()) && kept.count() > 10);
+    // Back to the defaults, unless it is armed.
+    const STORAGE: u16 = 245;
+    let storage =
+        |b: &mut Bench, action: f32| b.command_long(API, SCRIPT, STORAGE, [action, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!((storage(&mut b, 1.0), storage(&mut b, 0.0)), (ACCEPTED, ACCEPTED));
+    assert!(!b.endpoint.saved().parameters.is_empty());
+    assert_eq!(storage(&mut b, 2.0), ACCEPTED);
+    assert!(b.endpoint.saved().parameters.is_empty());
+    assert_eq!(storage(&mut b, 9.0), DENIED);
+    b.arm();
+    assert_eq!(storage(&mut b, 2.0), REJECTED);
+}
+
+#[test]
+fn links_are_pinged_and_their_traffic_is_told() {
+    let mut b = Bench::new();
+    for _ in 0..40 {
+        b.send_heartbeat(API, SCRIPT);
+        b.run_ms(300);
+    }
+    assert!((1..=2).contains(&b.count(API, PING_DATA::ID)));
+    let told = |b: &Bench, link| {
+        let status = b.messages(link).rev().find_map(|m| match m {
+            MavMessage::LINK_NODE_STATUS(m) => Some(m.clone()),
+            _ => None,
+        });
+        status.expect("told")
+    };
+    let (api, gcs) = (told(&b, API), told(&b, GCS));
+    assert!(api.messages_received >= 38 && gcs.messages_received == 0);
+    assert!(api.messages_sent > gcs.messages_sent && api.tx_rate > gcs.tx_rate && api.rx_rate > 0);
+    // What is told is what was sent, but for what came in the second since.
+    let bytes: usize = b
+        .sent
+        .iter()
+        .filter(|s| s.link == API && b.now_ns - s.at_ns <= 1_000_000_000)
+        .map(|s| s.raw.len())
+        .sum();
+    assert!(
+        (f64::from(api.tx_rate) / bytes as f64 - 1.0).abs() < 0.2,
+        "{} {bytes}",
+        api.tx_rate
+    );
+}
+
+#[test]
+fn the_truth_is_told_to_scripts_that_ask_and_never_to_the_guidance_computer() {
+    const TRUTH: u32 = HIL_STATE_QUATERNION_DATA::ID;
+    let mut b = Bench::airborne();
+    for (link, from) in [(API, SCRIPT), (ONBOARD, COMPANION)] {
+        let params = [TRUTH as f32, 20_000.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(b.command_long(link, from, 511, params), ACCEPTED);
+    }
+    b.run_ms(1_000);
+    assert_eq!(
+        b.command_long(ONBOARD, COMPANION, 512, [TRUTH as f32, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        DENIED
+    );
+    assert_eq!(b.count(ONBOARD, TRUTH), 0);
+    assert!((49..=51).contains(&b.count(API, TRUTH)));
+    let altitude_mm = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::HIL_STATE_QUATERNION(m) => Some(m.alt),
+        _ => None,
+    });
+    let truth_m = 488.0 + b.height_m();
+    assert!((altitude_mm.expect("told") as f32 * 1e-3 - truth_m).abs() < 0.01);
+}
+
+#[test]
+fn a_motor_test_shows_in_the_outputs_for_its_time() {
+    const ACTUATOR_TEST: u16 = 310;
+    let mut b = Bench::new();
+    let test = |b: &mut Bench, output: f32, seconds: f32, motor: f32| {
+        b.command_long(API, SCRIPT, ACTUATOR_TEST, [output, seconds, 0.0, 0.0, motor, 0.0, 0.0])
+    };
+    let outputs = |b: &mut Bench| {
+        b.sent.clear();
+        b.run_ms(250);
+        let status = b.messages(API).rev().find_map(|m| match m {
+            MavMessage::ACTUATOR_OUTPUT_STATUS(m) => Some(m.actuator),
+            _ => None,
+        });
+        let [a, b, c, d, ..] = status.expect("told");
+        [a, b, c, d]
+    };
+    assert_eq!(test(&mut b, 0.2, 1.0, 2.0), ACCEPTED);
+    assert_eq!(outputs(&mut b), [900.0, 1200.0, 900.0, 900.0]);
+    b.run_ms(1_000);
+    assert_eq!(outputs(&mut b), [900.0; 4]);
+    assert_eq!(test(&mut b, 0.2, 3.0, 1.0), ACCEPTED);
+    assert_eq!(test(&mut b, f32::NAN, 0.0, 1.0), ACCEPTED);
+    assert_eq!(outputs(&mut b), [900.0; 4]);
+    assert_eq!(test(&mut b, 0.2, 1.0, 33.0), UNSUPPORTED);
+    assert_eq!(test(&mut b, 7.0, 1.0, 1.0), DENIED);
+    assert_eq!(b.status().landed, LandedState::OnGround);
+    b.arm();
+    assert_eq!(test(&mut b, 0.2, 1.0, 1.0), REJECTED);
+}
+
+#[test]
+fn a_parameter_without_a_meaning_is_refused_as_by_px4() {
+    let mut b = Bench::airborne();
+    let land = |third: f32| [f32::NAN, f32::NAN, third, f32::NAN, f32::NAN, f32::NAN, f32::NAN];
+    assert_eq!(b.command_long(API, SCRIPT, 21, land(5.0)), DENIED);
+    assert!(b.texts().join("|").contains("parameter 3 has no meaning"));
+    assert_eq!(b.status().mode, FlightMode::Hold);
+    assert_eq!(
+        b.command_long(API, SCRIPT, 20, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0]),
+        DENIED
+    );
+    assert_eq!(b.command_long(API, SCRIPT, 21, land(0.0)), ACCEPTED);
+
+    let mut strange = waypoint((5.0, 0.0), 3.0);
+    strange.params[2] = 1.0;
+    assert_eq!(
+        b.upload(MISSION, &[strange]),
+        MavMissionResult::MAV_MISSION_INVALID_PARAM3
+    );
+    let mut rtl = item(20, [0.0; 4], (0.0, 0.0), 0.0);
+    (rtl.frame, rtl.x, rtl.y) = (2, 0, 0);
+    rtl.params[0] = 1.0;
+    assert_eq!(b.upload(MISSION, &[rtl]), MavMissionResult::MAV_MISSION_INVALID_PARAM1);
+    rtl.params[0] = f32::NAN;
+    (rtl.x, rtl.y) = (i32::MIN, i32::MAX);
+    assert_eq!(b.upload(MISSION, &[rtl]), MavMissionResult::MAV_MISSION_ACCEPTED);
+}
