@@ -18,6 +18,12 @@ pub const ACTOR_HIDDEN: usize = 48;
 pub const ACTOR_POSITIONAL: usize = 2;
 /// Outputs: x-velocity and yaw in ±[`ACTOR_LIMIT`].
 pub const ACTOR_OUTPUTS: usize = 2;
+/// How many decisions ago each of the five frames was taken, oldest first: five in a row.
+pub const FRAMES_IN_A_ROW: [usize; ACTOR_FRAMES] = [4, 3, 2, 1, 0];
+/// Five frames over 1.6 s at 20 Hz: motion shows, and kept features cost nothing.
+pub const FRAMES_SPREAD: [usize; ACTOR_FRAMES] = [32, 16, 8, 4, 0];
+/// No frame may be older.
+const OLDEST_FRAME: usize = 64;
 /// Limit of both outputs.
 pub const ACTOR_LIMIT: f32 = 1.5;
 
@@ -282,7 +288,11 @@ pub struct Actor {
     encoder_tape: Aligned,
     head: Graph,
     head_tape: Vec<f32>,
-    /// Features of each remembered frame; a ring of [`ACTOR_FRAMES`].
+    /// How many decisions ago each frame was taken, oldest first.
+    ages: [usize; ACTOR_FRAMES],
+    /// Frames remembered.
+    kept: usize,
+    /// Features of each remembered frame; a ring of `kept`.
     features: Vec<f32>,
     /// What each remembered frame contributes to the GRU's gates, in the same ring.
     projections: Vec<f32>,
@@ -300,6 +310,28 @@ impl Actor {
     /// # Errors
     /// A parameter slice of another length.
     pub fn new(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
+        Self::with_frame_ages(spec, isa, params, FRAMES_IN_A_ROW)
+    }
+
+    /// The same for an actor whose five frames are not in a row: how many decisions ago each was taken, oldest first, the last 0.
+    ///
+    /// # Errors
+    /// A parameter slice of another length; ages that do not fall to 0, or begin above 64.
+    pub fn with_frame_ages(
+        spec: ActorSpec,
+        isa: Isa,
+        params: &[f32],
+        ages: [usize; ACTOR_FRAMES],
+    ) -> Result<Self, ShapeError> {
+        let falls = ages.windows(2).all(|pair| pair.first() > pair.last());
+        let (first, last) = (ages.first().copied(), ages.last().copied());
+        let kept = first.filter(|age| *age <= OLDEST_FRAME && falls && last == Some(0));
+        let Some(kept) = kept.map(|age| age + 1) else {
+            return Err(ShapeError::Description {
+                what: "the frames' ages",
+                why: "they have to fall from at most 64 to 0",
+            });
+        };
         let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
         let head = spec.head_graph(Purpose::Gradients)?;
         expect("actor parameters", params, head.param_len())?;
@@ -312,8 +344,10 @@ impl Actor {
             encoder,
             head_tape: vec![0.0; head.tape_len()],
             head,
-            features: vec![0.0; ACTOR_FRAMES * spec.features()],
-            projections: vec![0.0; ACTOR_FRAMES * spec.gru().projection_len()],
+            features: vec![0.0; kept * spec.features()],
+            projections: vec![0.0; kept * spec.gru().projection_len()],
+            ages,
+            kept,
             started: false,
             oldest: 0,
             gates: vec![0.0; spec.gru().gates_len()],
@@ -355,16 +389,16 @@ impl Actor {
         part_mut("actor memory", &mut self.features, self.oldest * width, width)?.copy_from_slice(features);
         if !self.started {
             for (memory, len) in [(&mut self.features, width), (&mut self.projections, len)] {
-                for slot in 0..ACTOR_FRAMES {
+                for slot in 0..self.kept {
                     memory.copy_within(self.oldest * len..(self.oldest + 1) * len, slot * len);
                 }
             }
             self.started = true;
         }
-        self.oldest = (self.oldest + 1) % ACTOR_FRAMES;
+        self.oldest = (self.oldest + 1) % self.kept;
         self.state.fill(0.0);
-        for age in 0..ACTOR_FRAMES {
-            let slot = (self.oldest + age) % ACTOR_FRAMES;
+        for age in self.ages {
+            let slot = (self.oldest + self.kept - 1 - age) % self.kept;
             let projection = part("actor memory", &self.projections, slot * len, len)?;
             let previous = self.state;
             gru.step(
@@ -388,13 +422,17 @@ impl Actor {
         &self.state
     }
 
-    /// Features of the frame of `age` decisions ago: 0 is the newest, [`ACTOR_FRAMES`] − 1 the oldest that counts.
-    /// `None` for an older one.
+    /// Features of the frame of `age` decisions ago: 0 is the newest. `None` for one older than the oldest that counts.
     pub fn features(&self, age: usize) -> Option<&[f32]> {
-        let slot = (self.oldest + ACTOR_FRAMES).checked_sub(age + 1)? % ACTOR_FRAMES;
+        let slot = (self.oldest + self.kept).checked_sub(age + 1)? % self.kept;
         let width = self.spec.features();
         let memory = self.features.get(slot * width..(slot + 1) * width);
-        memory.filter(|_| age < ACTOR_FRAMES)
+        memory.filter(|_| age < self.kept)
+    }
+
+    /// How many decisions ago each of the five frames was taken, oldest first.
+    pub fn frame_ages(&self) -> [usize; ACTOR_FRAMES] {
+        self.ages
     }
 
     /// The parameters.

@@ -149,11 +149,21 @@ pub(crate) fn column_sums(
     sums.run(isa, &[1.0], d, Start::Output, out)
 }
 
+/// Side of the blocks in which [`transpose`] goes, so that what it reads and writes stays in the cache.
+const BLOCK: usize = 16;
+
 /// `to[c][r] = from[r][c]`.
 pub(crate) fn transpose(rows: usize, cols: usize, from: &[f32], to: &mut [f32]) {
-    for (r, row) in from.chunks_exact(cols.max(1)).take(rows).enumerate() {
-        for (to, x) in to.iter_mut().skip(r).step_by(rows).zip(row) {
-            *to = *x;
+    let height = BLOCK * cols;
+    for (band, from) in from.chunks(height.max(1)).enumerate() {
+        for left in (0..cols).step_by(BLOCK) {
+            for (r, row) in from.chunks_exact(cols.max(1)).enumerate() {
+                let row = row.get(left..).unwrap_or_default();
+                let to = to.iter_mut().skip(left * rows + band * BLOCK + r).step_by(rows);
+                for (to, x) in to.zip(row).take(BLOCK) {
+                    *to = *x;
+                }
+            }
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The frozen actor's file ([`vigil_nnet::file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
-//! `seed`, `updates`, `git_commit`, `sha256`; tensors in the order of [`vigil_nnet::ActorParams`].
+//! `seed`, `updates`, `git_commit`, `sha256`, and `frame_ages` where the five frames are not in a row; tensors in the order of [`vigil_nnet::ActorParams`].
 
 extern crate std;
 
@@ -12,7 +12,7 @@ use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
 use vigil_nnet::file::{Contents, FileError, Kind, Verified};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, GraphBuilder, Isa};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, FRAMES_IN_A_ROW, GraphBuilder, Isa};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -28,6 +28,8 @@ pub const NORMALISATION: &str =
 pub struct FrozenActor {
     /// Parameters in the order of [`vigil_nnet::ActorParams`].
     pub params: Vec<f32>,
+    /// How many decisions ago each of its five frames was taken, oldest first.
+    pub frame_ages: [usize; ACTOR_FRAMES],
     /// The training configuration, TOML.
     pub training_config: String,
     /// Seed of the training.
@@ -96,12 +98,13 @@ impl FrozenActor {
 
     fn contents(&self) -> Contents {
         let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
+        let ages = (self.frame_ages != FRAMES_IN_A_ROW).then(|| ("frame_ages", self.frame_ages.map(|a| a.to_string()).join(" ")));
         let entries = [
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
             ("updates", self.updates.to_string()),
         ];
-        let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit));
+        let mut contents = Contents::new(&KIND, entries.into_iter().chain(ages).chain(commit));
         contents.push_all(&tensors(), &self.params);
         contents
     }
@@ -111,7 +114,7 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
-        Actor::new(ActorSpec::FULL, isa, &self.params).map_err(|e| KIND.content_error("in memory", e.to_string()))
+        Actor::with_frame_ages(ActorSpec::FULL, isa, &self.params, self.frame_ages).map_err(|e| KIND.content_error("in memory", e.to_string()))
     }
 
     /// The digest of the actor and its metadata.
@@ -133,7 +136,16 @@ impl FrozenActor {
     /// [`FileError`]: anything but an unaltered actor of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
         let read = Verified::from_bytes(&KIND, file, bytes)?;
+        let frame_ages = match read.optional("frame_ages") {
+            None => FRAMES_IN_A_ROW,
+            Some(text) => {
+                let ages: Option<Vec<usize>> = text.split(' ').map(|age| age.parse().ok()).collect();
+                let ages = ages.and_then(|ages| ages.try_into().ok());
+                ages.ok_or_else(|| KIND.content_error(file, format!("has frames of the ages \"{text}\"")))?
+            }
+        };
         Ok(Self {
+            frame_ages,
             training_config: read.text("training_config")?,
             seed: read.number("seed")?,
             updates: read.number("updates")?,

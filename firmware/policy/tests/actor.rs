@@ -14,6 +14,7 @@ fn frozen() -> FrozenActor {
     // Some numbers of either sign, small enough not to saturate.
     let params = (0..len).map(|i| 0.05 * libm::sinf(i as f32 * 1.7)).collect();
     FrozenActor {
+        frame_ages: vigil_nnet::FRAMES_IN_A_ROW,
         params,
         training_config: "seed = 3\n".to_owned(),
         seed: 3,

@@ -4,7 +4,7 @@ use vigil_policy::{PilotInput, Surroundings, apf};
 use vigil_types::{
     Action, AttitudeSample, DepthFrame, Goal, GoalRelative, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
-use vigil_vehicle::{ControlCommand, ParamsError, Vehicle, VehicleParams, Wind, YawCommand};
+use vigil_vehicle::{ControlCommand, ParamsError, Truth, Vehicle, VehicleParams, Wind, YawCommand};
 use vigil_world::{Course, Lidar, LidarConfig, Outcome, Referee, Shot, World};
 
 /// Vertical speed per metre of height error, 1/s, and its limit: guidance's height hold (docs/guidance.md).
@@ -65,8 +65,8 @@ impl Flight {
         Ok(flight)
     }
 
-    /// Takes the next frame.
-    fn look(&mut self) {
+    /// Takes the next frame, where the vehicle is now.
+    pub fn look(&mut self) {
         self.world.set_time_ns(self.vehicle.truth().at_ns);
         let (truth, estimate) = (self.vehicle.truth(), self.vehicle.view().estimate);
         let shot = Shot {
@@ -149,8 +149,23 @@ impl Flight {
         self.referee.duration_s().unwrap_or(now_s)
     }
 
+    /// How the vehicle really moves, which no pilot knows.
+    pub fn truth(&self) -> Truth {
+        self.vehicle.truth()
+    }
+
     /// Flies one step of 50 ms under an action and takes the next frame. `Some` when the flight has ended.
     pub fn advance(&mut self, action: Action) -> Option<Outcome> {
+        let outcome = self.advance_unseen(action);
+        // The state in which a flight is cut off still counts.
+        if matches!(outcome, None | Some(Outcome::TimeOut)) {
+            self.look();
+        }
+        outcome
+    }
+
+    /// [`Self::advance`] without the next frame, whose rays are most of a step's cost.
+    pub fn advance_unseen(&mut self, action: Action) -> Option<Outcome> {
         let action = action.clipped();
         let height_error_m = self.goal.position_ned_m.z - self.vehicle.view().estimate.position_ned_m.z;
         let down_m_s = (HEIGHT_GAIN_PER_S * height_error_m).clamp(-VERTICAL_LIMIT_M_S, VERTICAL_LIMIT_M_S);
@@ -171,17 +186,10 @@ impl Flight {
                 truth.attitude,
                 truth.velocity_ned_m_s,
             );
-            match outcome {
-                None => {}
-                // The state in which a flight is cut off still counts.
-                Some(Outcome::TimeOut) => {
-                    self.look();
-                    return outcome;
-                }
-                Some(_) => return outcome,
+            if outcome.is_some() {
+                return outcome;
             }
         }
-        self.look();
         None
     }
 }

@@ -4,7 +4,7 @@ use crate::actor_training::flight::Flight;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
+use vigil_nnet::{ACTOR_FRAMES, Actor, ActorSpec, Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightField, Surroundings};
 use vigil_types::{ACTION_LIMIT, Action};
@@ -14,8 +14,8 @@ use vigil_world::{Family, Outcome, generate};
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
 pub enum Judged<'a> {
-    /// An actor's parameters.
-    Actor(&'a [f32]),
+    /// An actor's parameters, and how many decisions ago its five frames were taken, oldest first.
+    Actor(&'a [f32], [usize; ACTOR_FRAMES]),
     /// No motion at all: what the field does alone.
     Zero,
     /// Each output drawn evenly anew each step.
@@ -99,7 +99,7 @@ fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Out
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::new(&course, Wind::default(), seed)?;
     let mut actor = match judged {
-        Judged::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?),
+        Judged::Actor(params, ages) => Some(Actor::with_frame_ages(ActorSpec::FULL, isa, params, ages)?),
         Judged::Zero | Judged::Random => None,
     };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);

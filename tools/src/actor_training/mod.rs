@@ -21,6 +21,7 @@ mod replay;
 mod result;
 mod shard;
 mod train;
+pub mod value;
 mod weights;
 
 pub use config::{ConfigError, TrainConfig};

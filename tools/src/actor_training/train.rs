@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use vigil_nnet::file::FileError;
-use vigil_nnet::{Isa, ShapeError};
+use vigil_nnet::{FRAMES_IN_A_ROW, Isa, ShapeError};
 use vigil_policy::FrozenActor;
 use vigil_world::Family;
 
@@ -387,7 +387,7 @@ impl<'a> Run<'a> {
     }
 
     fn judge(&self, actor: &[f32], what: &Judgement) -> Result<Verdict, JudgeError> {
-        judge(Judged::Actor(actor), self.isa, what)
+        judge(Judged::Actor(actor, FRAMES_IN_A_ROW), self.isa, what)
     }
 
     /// Keeps the actor if it is among the best; of equals the later.
@@ -422,6 +422,7 @@ impl<'a> Run<'a> {
         let path = options.folder.join("actor.safetensors");
         let actor = FrozenActor {
             params: candidate.params.clone(),
+            frame_ages: FRAMES_IN_A_ROW,
             training_config: self.config.to_toml(),
             seed: self.config.seed,
             updates: candidate.updates,

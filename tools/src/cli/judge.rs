@@ -57,7 +57,7 @@ pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
         "random" => Judged::Random,
         file => {
             frozen = FrozenActor::load(Path::new(file))?;
-            Judged::Actor(&frozen.params)
+            Judged::Actor(&frozen.params, frozen.frame_ages)
         }
     };
     let threads = args.threads.map_or(0, usize::from);

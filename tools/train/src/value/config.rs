@@ -1,0 +1,395 @@
+//! What a run by value is made of: a TOML file whose every key is optional and whose unknown keys are refused.
+
+use crate::config::{ConfigError, NoiseConfig, ReplayConfig};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use vigil_world::Family;
+
+/// A run by value.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValueConfig {
+    /// Fixes courses, noise, initial weights and samples: the same seed trains the same actor, bit for bit, on machines with the
+    /// same instruction set.
+    pub seed: u64,
+    /// Threads; any number trains the same actor.
+    pub threads: usize,
+    /// What the actor sees.
+    pub sees: Sees,
+    /// Each training flight's course is of one of these, in turn by chance.
+    pub families: Vec<Family>,
+    /// Decisions after which training ends.
+    pub decisions: u64,
+    /// Decisions of noise that fill the memory before the first update (the paper: 5 000).
+    pub warm_up: u64,
+    /// Mean forward output of the warm-up's noise: noise alone stays where it is.
+    pub warm_up_forward: f32,
+    /// Flights at the same time.
+    pub environments: usize,
+    /// Steps of 0.05 s that a decision lasts while training.
+    pub steps_per_decision: usize,
+    /// A training flight is cut off after this time, seconds. The value of its last state still counts.
+    pub time_limit_s: f32,
+    /// Exploration.
+    pub noise: NoiseConfig,
+    /// Share of the training flights in which the potential field is added to the action (the paper: 1).
+    pub apf_share: f64,
+    /// Reward.
+    pub reward: ValueReward,
+    /// Updates.
+    pub learning: ValueLearning,
+    /// Replay memory.
+    pub replay: ReplayConfig,
+    /// Flights that judge the actor.
+    pub evaluation: ValueEvaluation,
+    /// What the actor's encoder learns before it is frozen; for an actor that sees pictures.
+    pub encoder: EncoderConfig,
+}
+
+/// What an actor sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Sees {
+    /// The true state: an expert, which teaches and does not fly.
+    Truth,
+    /// Depth frames and the goal: the actor that flies.
+    Pictures,
+}
+
+/// Along what the reward measures progress.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Along {
+    /// The shortest free way past what stands still.
+    Way,
+    /// The straight line to the goal (the paper).
+    Line,
+}
+
+/// Reward: metres of progress, and these.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValueReward {
+    /// Progress along what.
+    pub along: Along,
+    /// At the goal.
+    pub success: f32,
+    /// For collision and out of bounds (the paper: −2).
+    pub dead: f32,
+    /// For each decision (the paper: 0).
+    pub decision: f32,
+    /// At checkpoint C of N: this times (1 + C/N) (the paper: 2).
+    pub checkpoint: f32,
+}
+
+/// The updates of actor and critics.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValueLearning {
+    /// Discount per decision.
+    pub gamma: f32,
+    /// Rewards summed before the critics' value is used.
+    pub n_steps: usize,
+    /// Transitions in an update.
+    pub batch: usize,
+    /// Decisions per update.
+    pub decisions_per_update: u64,
+    /// Adam's rate for the actor.
+    pub actor_rate: f32,
+    /// Adam's rate for the critics.
+    pub critic_rate: f32,
+    /// Share of all updates after which the rates begin to fall linearly, to a twentieth at the end; 1 keeps them.
+    pub rates_fall_from: f64,
+    /// Share of the weights that the target networks take over at each update.
+    pub tau: f32,
+    /// Longest gradient.
+    pub gradient_norm: f32,
+    /// Weight of the square of what exceeds 1 before the actor's last tanh.
+    pub saturation_penalty: f32,
+    /// Standard deviation of the noise on the target's action, cut off at twice that.
+    pub smoothing: f32,
+    /// Two critics, of which the lower one's value is the target (Fujimoto et al. 2018); otherwise one.
+    pub twin: bool,
+    /// Units of the critics' two layers.
+    pub critic_units: [usize; 2],
+    /// Units of the expert's two layers.
+    pub actor_units: [usize; 2],
+    /// Weight of the critics' value in the actor's loss (the paper: 1).
+    pub value_weight: f32,
+    /// Weight of the distance between the actor's action and the expert's, at first; needs an expert.
+    pub imitation: f32,
+    /// Share of the run over which this weight falls linearly to 0, at most a half.
+    pub imitation_falls_over: f64,
+    /// The critics begin as the expert's.
+    pub expert_critics: bool,
+    /// Updates that the critics make before the actor begins to move.
+    pub critics_first: u64,
+    /// Half of the sampled transitions are seen in a mirror; of true states only.
+    pub mirror: bool,
+    /// Judge and freeze the actor's target network, a mean over the last 1/τ updates, instead of the actor itself.
+    pub freeze_target: bool,
+}
+
+/// Flights that judge the actor, always over the same courses.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValueEvaluation {
+    /// Updates between evaluations.
+    pub every_updates: u64,
+    /// Families that are flown at each; the mean of their completions chooses.
+    pub families: Vec<Family>,
+    /// Flights of each.
+    pub flights: u64,
+    /// Seed of the first course. Training itself uses seeds from 1 000 000 on.
+    pub first_seed: u64,
+    /// A flight that takes longer has failed, seconds.
+    pub time_limit_s: f32,
+    /// States at which the critics' slope is compared with what flights tell.
+    pub slope_states: u64,
+}
+
+/// What the encoder learns before it is frozen: the ranges in sight, on frames of the warm-up's flights.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EncoderConfig {
+    /// Frames to learn from.
+    pub frames: usize,
+    /// Updates.
+    pub updates: u64,
+    /// Frames in an update.
+    pub batch: usize,
+    /// Adam's rate.
+    pub rate: f32,
+}
+
+impl Default for ValueConfig {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            threads: 1,
+            sees: Sees::Truth,
+            families: vec![Family::Training, Family::Hard],
+            decisions: 200_000,
+            warm_up: 5_000,
+            warm_up_forward: 0.7,
+            environments: 8,
+            steps_per_decision: 4,
+            time_limit_s: 60.0,
+            noise: NoiseConfig {
+                theta: 0.15,
+                sigma_first: 1.0,
+                sigma_last: 0.1,
+                falls_over: 0.5,
+                share: 0.7,
+            },
+            apf_share: 0.0,
+            reward: ValueReward::default(),
+            learning: ValueLearning::default(),
+            replay: ReplayConfig {
+                decisions: 300_000,
+                alpha: 0.0,
+                beta: 0.4,
+            },
+            evaluation: ValueEvaluation::default(),
+            encoder: EncoderConfig::default(),
+        }
+    }
+}
+
+impl Default for ValueReward {
+    fn default() -> Self {
+        Self {
+            along: Along::Way,
+            success: 5.0,
+            dead: -6.0,
+            decision: -0.02,
+            checkpoint: 0.0,
+        }
+    }
+}
+
+impl Default for ValueLearning {
+    fn default() -> Self {
+        Self {
+            gamma: 0.97,
+            n_steps: 3,
+            batch: 128,
+            decisions_per_update: 4,
+            actor_rate: 3e-4,
+            critic_rate: 5e-4,
+            rates_fall_from: 0.6,
+            tau: 0.005,
+            gradient_norm: 5.0,
+            saturation_penalty: 0.05,
+            smoothing: 0.15,
+            twin: true,
+            critic_units: [256, 256],
+            actor_units: [256, 128],
+            value_weight: 1.0,
+            imitation: 0.0,
+            imitation_falls_over: 0.5,
+            expert_critics: false,
+            critics_first: 0,
+            mirror: true,
+            freeze_target: true,
+        }
+    }
+}
+
+impl Default for ValueEvaluation {
+    fn default() -> Self {
+        Self {
+            every_updates: 5_000,
+            families: vec![Family::Training, Family::Hard],
+            flights: 40,
+            first_seed: 0,
+            time_limit_s: 90.0,
+            slope_states: 24,
+        }
+    }
+}
+
+impl Default for EncoderConfig {
+    fn default() -> Self {
+        Self {
+            frames: 3_000,
+            updates: 2_000,
+            batch: 32,
+            rate: 1e-3,
+        }
+    }
+}
+
+impl ValueConfig {
+    /// Updates that belong to so many decisions.
+    pub(crate) fn updates_due(&self, decisions: u64) -> u64 {
+        decisions.saturating_sub(self.warm_up) / self.learning.decisions_per_update.max(1)
+    }
+
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn load(path: &Path) -> Result<Self, ConfigError> {
+        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let config: Self = toml::from_str(&text).map_err(|e| ConfigError::Content {
+            path: path.to_owned(),
+            message: e.to_string(),
+        })?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// Writes TOML that [`Self::load`] reads back unchanged.
+    pub fn to_toml(&self) -> String {
+        // Plain maps and numbers; serialisation fails for other types only.
+        toml::to_string(self).unwrap_or_default()
+    }
+
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// The first one that is not allowed.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let (l, n, e) = (&self.learning, &self.noise, &self.evaluation);
+        let least = (self.environments * (l.n_steps + 40)) as u64;
+        let checks: [(&'static str, f64, bool, &'static str); 27] = [
+            ("families", self.families.len() as f64, !self.families.is_empty(), "one or more families"),
+            ("threads", self.threads as f64, (1..=256).contains(&self.threads), "1 to 256"),
+            ("decisions", self.decisions as f64, self.decisions > self.warm_up, "more than the warm-up"),
+            ("warm_up", self.warm_up as f64, self.warm_up >= least, "environments x (n_steps + 40) or more"),
+            within("warm_up_forward", self.warm_up_forward, -1.5, 1.5, "-1.5 to 1.5"),
+            ("environments", self.environments as f64, (1..=256).contains(&self.environments), "1 to 256"),
+            (
+                "steps_per_decision",
+                self.steps_per_decision as f64,
+                (1..=40).contains(&self.steps_per_decision),
+                "1 to 40",
+            ),
+            within("time_limit_s", self.time_limit_s, 1.0, 3600.0, "1 to 3600"),
+            within("noise.theta", n.theta, 0.001, 1.0, "0.001 to 1"),
+            within("noise.sigma_first", n.sigma_first, 0.0, 10.0, "0 to 10"),
+            within("noise.sigma_last", n.sigma_last, 0.0, 10.0, "0 to 10"),
+            within("noise.falls_over", n.falls_over, 0.001, 1.0, "0.001 to 1"),
+            within("noise.share", n.share as f32, 0.0, 1.0, "0 to 1"),
+            within("apf_share", self.apf_share as f32, 0.0, 1.0, "0 to 1"),
+            within("learning.gamma", l.gamma, 0.0, 1.0, "0 to 1"),
+            ("learning.n_steps", l.n_steps as f64, (1..=100).contains(&l.n_steps), "1 to 100"),
+            ("learning.batch", l.batch as f64, (1..=4096).contains(&l.batch), "1 to 4096"),
+            (
+                "learning.decisions_per_update",
+                l.decisions_per_update as f64,
+                l.decisions_per_update > 0,
+                "1 or more",
+            ),
+            within("learning.actor_rate", l.actor_rate, 0.0, 1.0, "0 to 1"),
+            within("learning.critic_rate", l.critic_rate, 0.0, 1.0, "0 to 1"),
+            within("learning.tau", l.tau, 0.0, 1.0, "0 to 1"),
+            within("learning.gradient_norm", l.gradient_norm, 1e-6, 1e9, "above 0"),
+            within("learning.imitation", l.imitation, 0.0, 1e6, "0 or more"),
+            within(
+                "learning.imitation_falls_over",
+                l.imitation_falls_over as f32,
+                0.0,
+                0.5,
+                "0 to 0.5: the teacher's word ends at half of the run",
+            ),
+            within("replay.alpha", self.replay.alpha as f32, 0.0, 1.0, "0 to 1"),
+            (
+                "replay.decisions",
+                self.replay.decisions as f64,
+                self.replay.decisions as u64 >= least,
+                "environments x (n_steps + 40) or more",
+            ),
+            (
+                "evaluation.every_updates",
+                e.every_updates as f64,
+                e.every_updates > 0,
+                "1 or more",
+            ),
+        ];
+        for (key, value, good, allowed) in checks {
+            if !good {
+                return Err(ConfigError::Value { key, value, allowed });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A number within limits; NaN is within none.
+fn within(
+    key: &'static str,
+    value: f32,
+    low: f32,
+    high: f32,
+    allowed: &'static str,
+) -> (&'static str, f64, bool, &'static str) {
+    (key, f64::from(value), (low..=high).contains(&value), allowed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_configuration_survives_its_own_toml_and_what_is_wrong_is_named() {
+        let default = ValueConfig::default();
+        let read: ValueConfig = toml::from_str(&default.to_toml()).unwrap();
+        assert_eq!(read, default);
+        assert!(default.check().is_ok());
+        for (text, expected) in [
+            ("[learning]\ngama = 0.9", "gama"),
+            ("[learning]\nimitation_falls_over = 0.8", "half of the run"),
+            ("families = []", "`families`"),
+            ("sees = \"everything\"", "pictures"),
+        ] {
+            let config: Result<ValueConfig, _> = toml::from_str(text);
+            let error = config.map_or_else(|e| e.to_string(), |c| c.check().unwrap_err().to_string());
+            assert!(error.contains(expected), "{text}\n{error}");
+        }
+    }
+}

@@ -1,0 +1,441 @@
+//! The updates: deterministic policy gradient with critics that see the true state, whatever the actor sees.
+
+use super::actors::{ActorNetwork, LAST_LAYER_LIMIT, Row, push_truth};
+use super::config::{ValueConfig, ValueLearning};
+use super::memory::Step;
+use super::mlp::{Mlp, MlpTape};
+use super::true_state::TRUE_STATE;
+use crate::adam::{self, Adam};
+use crate::learner::UpdateError;
+use crate::networks::squash;
+use crate::noise::normal;
+use rand::Rng;
+use serde::{Deserialize, Serialize};
+use vigil_nnet::train::soft_update;
+use vigil_nnet::{ACTOR_LIMIT, Isa, ShapeError};
+
+const ACTIONS: usize = 2;
+/// Inputs of a critic: the true state, then the action.
+const CRITIC_INPUTS: usize = TRUE_STATE + ACTIONS;
+/// Distance to the expert from which on it counts as it is, not squared.
+const IMITATION_WIDTH: f32 = 0.2;
+
+/// An expert: an actor on the true state, and the critics that taught it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Expert {
+    /// Units of its two layers.
+    pub actor_units: [usize; 2],
+    /// Its actor's parameters.
+    pub actor: Vec<f32>,
+    /// Units of the critics' layers.
+    pub critic_units: [usize; 2],
+    /// The critics' parameters.
+    pub critics: Vec<Vec<f32>>,
+}
+
+/// A critic with what training keeps about it.
+pub struct Critic {
+    /// Parameters.
+    pub params: Vec<f32>,
+    /// Their slow copy.
+    pub target: Vec<f32>,
+    /// Optimiser.
+    pub adam: Adam,
+    packed: Vec<f32>,
+    tape: MlpTape,
+    d: Vec<f32>,
+    out: Vec<f32>,
+    report: (f32, f32),
+}
+
+/// What an update was like; means over its transitions.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct ValueReport {
+    /// Squared error of the first critic, weighted.
+    pub critic_loss: f32,
+    /// First critic's value of the actor's own actions.
+    pub value: f32,
+    /// Distance to the expert.
+    pub imitation_loss: f32,
+    /// Share of the actor's outputs beyond 1 before the last tanh.
+    pub saturated: f32,
+    /// Length of the first critic's gradient.
+    pub critic_norm: f32,
+    /// Length of the actor's gradient.
+    pub actor_norm: f32,
+}
+
+impl ValueReport {
+    /// The sum, field by field.
+    pub fn plus(&self, other: &Self) -> Self {
+        Self {
+            critic_loss: self.critic_loss + other.critic_loss,
+            value: self.value + other.value,
+            imitation_loss: self.imitation_loss + other.imitation_loss,
+            saturated: self.saturated + other.saturated,
+            critic_norm: self.critic_norm + other.critic_norm,
+            actor_norm: self.actor_norm + other.actor_norm,
+        }
+    }
+
+    /// All fields times a factor.
+    pub fn scaled(&self, by: f32) -> Self {
+        Self {
+            critic_loss: self.critic_loss * by,
+            value: self.value * by,
+            imitation_loss: self.imitation_loss * by,
+            saturated: self.saturated * by,
+            critic_norm: self.critic_norm * by,
+            actor_norm: self.actor_norm * by,
+        }
+    }
+}
+
+/// Actor, critics, and the updates made.
+pub struct ValueLearner {
+    config: ValueLearning,
+    isa: Isa,
+    all_updates: u64,
+    /// Updates made.
+    pub updates: u64,
+    network: ActorNetwork,
+    /// The actor's trained parameters.
+    pub actor: Vec<f32>,
+    /// Their slow copy.
+    pub actor_target: Vec<f32>,
+    /// Optimiser.
+    pub actor_adam: Adam,
+    actor_shares: Vec<f32>,
+    d_actor: Vec<f32>,
+    critic_mlp: Mlp,
+    critic_shares: Vec<f32>,
+    /// One or two.
+    pub critics: Vec<Critic>,
+    expert: Option<(Mlp, Vec<f32>, MlpTape)>,
+    x: Vec<f32>,
+    pre: Vec<f32>,
+    d_pre: Vec<f32>,
+    d_x: Vec<f32>,
+    targets: Vec<f32>,
+}
+
+impl ValueLearner {
+    /// First weights; the critics' are the expert's where the configuration says so.
+    ///
+    /// # Errors
+    /// An expert of other dimensions than the configuration's.
+    pub fn new(
+        config: &ValueConfig,
+        isa: Isa,
+        expert: Option<&Expert>,
+        rng: &mut impl Rng,
+    ) -> Result<Self, ShapeError> {
+        let l = &config.learning;
+        let rows = l.batch;
+        let network = ActorNetwork::new(config, rows);
+        let actor = network.initial(rng)?;
+        let critic_mlp = Mlp::new(CRITIC_INPUTS, &l.critic_units, 1);
+        let len = critic_mlp.param_len();
+        let mut critics = Vec::new();
+        for i in 0..if l.twin { 2 } else { 1 } {
+            let first = critic_mlp.initial(rng, LAST_LAYER_LIMIT);
+            let taught = expert.filter(|_| l.expert_critics).and_then(|e| e.critics.get(i));
+            let params = taught.cloned().unwrap_or(first);
+            fits("critic of the expert", &params, len)?;
+            critics.push(Critic {
+                target: params.clone(),
+                params,
+                adam: Adam::new(len),
+                packed: vec![0.0; len],
+                tape: critic_mlp.tape(rows),
+                d: vec![0.0; len],
+                out: vec![0.0; rows],
+                report: (0.0, 0.0),
+            });
+        }
+        let expert = expert.map(|e| {
+            let mlp = Mlp::new(TRUE_STATE, &e.actor_units, ACTIONS);
+            let tape = mlp.tape(rows);
+            fits("expert", &e.actor, mlp.param_len())?;
+            Ok::<_, ShapeError>((mlp, e.actor.clone(), tape))
+        });
+        Ok(Self {
+            isa,
+            all_updates: config.updates_due(config.decisions),
+            updates: 0,
+            actor_target: actor.clone(),
+            actor_adam: Adam::new(actor.len()),
+            actor_shares: network.rate_shares(),
+            d_actor: vec![0.0; actor.len()],
+            actor,
+            network,
+            critic_shares: vec![1.0; len],
+            critic_mlp,
+            critics,
+            expert: expert.transpose()?,
+            x: Vec::new(),
+            pre: vec![0.0; rows * ACTIONS],
+            d_pre: vec![0.0; rows * ACTIONS],
+            d_x: vec![0.0; rows * CRITIC_INPUTS],
+            targets: vec![0.0; rows],
+            config: l.clone(),
+        })
+    }
+
+    /// The parameters that are judged and frozen.
+    pub fn frozen(&self) -> &[f32] {
+        if self.config.freeze_target {
+            &self.actor_target
+        } else {
+            &self.actor
+        }
+    }
+
+    /// The expert that this run makes of its actor and critics, where the actor sees the true state.
+    pub fn as_expert(&self) -> Expert {
+        Expert {
+            actor_units: self.config.actor_units,
+            actor: self.frozen().to_vec(),
+            critic_units: self.config.critic_units,
+            critics: self.critics.iter().map(|c| c.target.clone()).collect(),
+        }
+    }
+
+    /// What the expert's word counts in the next update.
+    pub fn imitation(&self) -> f32 {
+        let over = self.config.imitation_falls_over * self.all_updates as f64;
+        let left = if over > 0.0 { 1.0 - self.updates as f64 / over } else { 0.0 };
+        self.config.imitation * left.max(0.0) as f32
+    }
+
+    fn rates_share(&self) -> f32 {
+        let (from, all) = (self.config.rates_fall_from, self.all_updates.max(1) as f64);
+        let over = (self.updates as f64 / all - from).max(0.0) / (1.0 - from).max(1e-9);
+        (1.0 - 0.95 * over.min(1.0)) as f32
+    }
+
+    /// First critic's value, and its slope over the two outputs, of one state under one action.
+    ///
+    /// # Errors
+    /// None for a true state.
+    pub fn slope(&mut self, truth: &[f32; TRUE_STATE], action: [f32; 2]) -> Result<(f32, [f32; 2]), ShapeError> {
+        let (isa, mlp) = (self.isa, &self.critic_mlp);
+        let mut mean = (0.0, [0.0; 2]);
+        let count = self.critics.len() as f32;
+        for critic in &mut self.critics {
+            let mut x = truth.to_vec();
+            x.extend_from_slice(&action);
+            mlp.forward(isa, &critic.params, &x, &mut critic.tape)?;
+            mean.0 += critic.tape.out(mlp)[0] / count;
+            mlp.pack(&critic.params, &mut critic.packed)?;
+            let d_x = &mut self.d_x[..CRITIC_INPUTS];
+            mlp.backward(
+                isa,
+                &critic.params,
+                &critic.packed,
+                &x,
+                &mut critic.tape,
+                &[1.0],
+                None,
+                Some(&mut *d_x),
+            )?;
+            mean.1[0] += d_x[TRUE_STATE] / count;
+            mean.1[1] += d_x[TRUE_STATE + 1] / count;
+        }
+        Ok(mean)
+    }
+
+    /// One update of critics, actor and target networks. Returns each transition's temporal-difference error as well.
+    ///
+    /// # Errors
+    /// [`UpdateError`] names a loss or gradient that is not finite; the weights are as they were then.
+    pub fn update(
+        &mut self,
+        batch: &[Step<'_>],
+        rng: &mut impl Rng,
+    ) -> Result<(ValueReport, Vec<(usize, f32)>), UpdateError> {
+        let (isa, rows) = (self.isa, batch.len());
+        let (count, imitation) = (rows as f32, self.imitation());
+        let mut report = ValueReport::default();
+
+        // What the decisions turned out to be worth.
+        let next: Vec<Row<'_>> = batch.iter().map(|s| (s.next, s.mirror)).collect();
+        let pre = &mut self.pre[..rows * ACTIONS];
+        self.network.forward(isa, &self.actor_target, &next, pre)?;
+        self.x.clear();
+        for (step, pre) in batch.iter().zip(pre.chunks_exact(ACTIONS)) {
+            push_truth(&mut self.x, step.next.truth, step.mirror);
+            let limit = 2.0 * self.config.smoothing;
+            self.x.extend(squash(pre).map(|a| {
+                let noise = (self.config.smoothing * normal(rng)).clamp(-limit, limit);
+                (a + noise).clamp(-ACTOR_LIMIT, ACTOR_LIMIT)
+            }));
+        }
+        let (mlp, x) = (&self.critic_mlp, &self.x);
+        each(&mut self.critics, |c| {
+            mlp.forward(isa, &c.target, x, &mut c.tape)?;
+            c.out[..rows].copy_from_slice(c.tape.out(mlp));
+            Ok(())
+        })?;
+        for (i, (target, step)) in self.targets.iter_mut().zip(batch).enumerate() {
+            let lowest = self.critics.iter().map(|c| c.out[i]).fold(f32::INFINITY, f32::min);
+            *target = step.reward + if step.discount > 0.0 { step.discount * lowest } else { 0.0 };
+        }
+
+        // Critics: L = mean of w (Q(s, a) − y)².
+        self.x.clear();
+        for step in batch {
+            push_truth(&mut self.x, step.state.truth, step.mirror);
+            self.x.extend_from_slice(&mirrored(step.action, step.mirror));
+        }
+        let (x, targets) = (&self.x, &self.targets);
+        each(&mut self.critics, |c| {
+            mlp.forward(isa, &c.params, x, &mut c.tape)?;
+            let mut loss = 0.0;
+            let values = c.tape.out(mlp).to_vec();
+            for (((slot, value), target), step) in c.out.iter_mut().zip(&values).zip(targets).zip(batch) {
+                let error = value - target;
+                *slot = 2.0 * step.weight * error / count;
+                loss += step.weight * error * error / count;
+            }
+            mlp.pack(&c.params, &mut c.packed)?;
+            c.d.fill(0.0);
+            let (packed, d) = (&c.packed, Some(&mut *c.d));
+            mlp.backward(isa, &c.params, packed, x, &mut c.tape, &c.out[..rows], d, None)?;
+            c.report = (loss, adam::norm(&[&c.d]) as f32);
+            Ok(())
+        })?;
+        let errors = batch
+            .iter()
+            .enumerate()
+            .map(|(i, step)| (step.leaf, 0.5 * count * self.critics[0].out[i] / step.weight.max(1e-6)))
+            .collect();
+        (report.critic_loss, report.critic_norm) = self.critics[0].report;
+        for critic in &self.critics {
+            finite(self.updates, "loss", "critic", critic.report.0)?;
+            finite(self.updates, "gradient", "critic", critic.report.1)?;
+        }
+
+        // Actor: L = mean of penalty + imitation − Q(s, μ(s)).
+        let states: Vec<Row<'_>> = batch.iter().map(|s| (s.state, s.mirror)).collect();
+        let pre = &mut self.pre[..rows * ACTIONS];
+        self.network.forward(isa, &self.actor, &states, pre)?;
+        for (row, pre) in self.x.chunks_exact_mut(CRITIC_INPUTS).zip(pre.chunks_exact(ACTIONS)) {
+            row[TRUE_STATE..].copy_from_slice(&squash(pre));
+        }
+        let judge = &mut self.critics[0];
+        mlp.forward(isa, &judge.params, &self.x, &mut judge.tape)?;
+        report.value = judge.tape.out(mlp).iter().sum::<f32>() / count;
+        judge.out[..rows].fill(1.0);
+        let d_x = &mut self.d_x[..rows * CRITIC_INPUTS];
+        mlp.backward(
+            isa,
+            &judge.params,
+            &judge.packed,
+            &self.x,
+            &mut judge.tape,
+            &judge.out[..rows],
+            None,
+            Some(&mut *d_x),
+        )?;
+        if let Some((expert, params, tape)) = &mut self.expert {
+            let truths: Vec<f32> = self
+                .x
+                .chunks_exact(CRITIC_INPUTS)
+                .flat_map(|row| row[..TRUE_STATE].iter().copied())
+                .collect();
+            expert.forward(isa, params, &truths, tape)?;
+        }
+        for i in 0..rows * ACTIONS {
+            let (row, k) = (i / ACTIONS, i % ACTIONS);
+            let (before, action) = (pre[i], ACTOR_LIMIT * libm::tanhf(pre[i]));
+            let mut d_action = -self.config.value_weight * d_x[row * CRITIC_INPUTS + TRUE_STATE + k];
+            if let Some((expert, _, tape)) = &self.expert {
+                let apart = action - ACTOR_LIMIT * libm::tanhf(tape.out(expert)[i]);
+                report.imitation_loss += apart.abs() / count;
+                d_action += imitation * (apart / IMITATION_WIDTH).clamp(-1.0, 1.0);
+            }
+            let slope = ACTOR_LIMIT - action * action / ACTOR_LIMIT;
+            let beyond = before.abs() - 1.0;
+            let penalty = if beyond > 0.0 {
+                report.saturated += 1.0 / (count * ACTIONS as f32);
+                2.0 * self.config.saturation_penalty * beyond * before.signum()
+            } else {
+                0.0
+            };
+            self.d_pre[i] = (d_action * slope + penalty) / count;
+        }
+        self.d_actor.fill(0.0);
+        let d_pre = &self.d_pre[..rows * ACTIONS];
+        self.network.backward(isa, &self.actor, d_pre, &mut self.d_actor)?;
+        let actor_norm = adam::norm(&[&self.d_actor]);
+        report.actor_norm = actor_norm as f32;
+        finite(self.updates, "loss", "actor", report.value)?;
+        finite(self.updates, "gradient", "actor", report.actor_norm)?;
+
+        let share = self.rates_share();
+        let (limit, critic_rate) = (self.config.gradient_norm, share * self.config.critic_rate);
+        let (shares, tau) = (&self.critic_shares, self.config.tau);
+        each(&mut self.critics, |c| {
+            shorten(&mut c.d, f64::from(c.report.1), limit);
+            c.adam.step(critic_rate, shares, &mut c.params, &c.d);
+            soft_update(tau, &c.params, &mut c.target)
+        })?;
+        if self.updates >= self.config.critics_first {
+            shorten(&mut self.d_actor, actor_norm, limit);
+            self.actor_adam.step(
+                share * self.config.actor_rate,
+                &self.actor_shares,
+                &mut self.actor,
+                &self.d_actor,
+            );
+            soft_update(tau, &self.actor, &mut self.actor_target)?;
+        }
+        self.updates += 1;
+        Ok((report, errors))
+    }
+}
+
+/// Both critics at once, on two threads where there are two.
+fn each(
+    critics: &mut [Critic],
+    f: impl Fn(&mut Critic) -> Result<(), ShapeError> + Sync,
+) -> Result<(), ShapeError> {
+    match critics {
+        [one] => f(one),
+        [one, two] => {
+            let (first, second) = rayon::join(|| f(one), || f(two));
+            first.and(second)
+        }
+        _ => Ok(()),
+    }
+}
+
+fn shorten(d: &mut [f32], norm: f64, limit: f32) {
+    let scale = adam::shortening(norm, limit);
+    d.iter_mut().for_each(|d| *d *= scale);
+}
+
+fn finite(update: u64, what: &'static str, layer: &'static str, value: f32) -> Result<(), UpdateError> {
+    if value.is_finite() {
+        Ok(())
+    } else {
+        Err(UpdateError::NotFinite { update, what, layer })
+    }
+}
+
+fn fits(what: &'static str, params: &[f32], expected: usize) -> Result<(), ShapeError> {
+    if params.len() == expected {
+        Ok(())
+    } else {
+        Err(ShapeError::Length {
+            what,
+            expected,
+            got: params.len(),
+        })
+    }
+}
+
+fn mirrored([forward, yaw]: [f32; 2], mirror: bool) -> [f32; 2] {
+    [forward, if mirror { -yaw } else { yaw }]
+}

@@ -1,0 +1,25 @@
+//! Learning by value: DDPG with critics that see the true state and a reward along the shortest free way.
+//!
+//! An expert that sees the true state as well learns within minutes; the actor of the pictures learns from its own flights, by the
+//! critics' slope, behind an encoder that is taught first and then frozen. `docs/training.md` describes it and what was measured.
+
+mod actors;
+mod config;
+mod encoder;
+mod flights;
+mod learner;
+mod memory;
+mod mlp;
+mod run;
+mod shortest_way;
+mod slope;
+mod store;
+mod true_state;
+
+pub use config::{Along, EncoderConfig, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward};
+pub use encoder::EncoderError;
+pub use learner::{Expert, ValueReport};
+pub use run::{
+    FamilyCount, ValueEnd, ValueError, ValueOptions, ValueProgress, ValueResult, ValueRow, run_value,
+};
+pub use slope::SlopeReport;

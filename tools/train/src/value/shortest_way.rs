@@ -1,0 +1,201 @@
+//! The length of the shortest free way to the goal from everywhere on a course: what the training reward goes by, and what a
+//! critic may know. Progress along the straight line punishes the only way out of a dead end; progress along this way does not.
+
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use vigil_world::{Course, Solid, VEHICLE};
+
+/// Grid spacing, metres.
+const CELL_M: f32 = 0.2;
+/// Half of the band of heights that the vehicle needs around its flight height, metres.
+const HALF_BAND_M: f32 = 0.3;
+/// A way keeps this from every solid beside the vehicle's radius, metres.
+const MARGIN_M: f32 = 0.05;
+/// Below this clearance a metre of the way counts as more, up to [`NARROW_FACTOR`] times more where it is narrowest.
+const WIDE_M: f32 = 0.9;
+const NARROW_FACTOR: f32 = 1.5;
+/// What a metre counts where the vehicle does not fit: the way out of there, so that the length is known everywhere.
+const COVERED_FACTOR: f32 = 3.0;
+
+/// Whether a solid reaches into the band of heights in which a course is flown.
+pub fn in_the_way(course: &Course, solid: &Solid) -> bool {
+    let height_m = course.flight_height_m;
+    solid.bottom_m() < height_m + HALF_BAND_M && solid.top_m() > height_m - HALF_BAND_M
+}
+
+/// The length of the shortest free way past what stands still, metres, on a grid over the course's bounds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShortestWay {
+    origin_m: [f32; 2],
+    cells: [usize; 2],
+    /// By north, then east.
+    length_m: Vec<f32>,
+}
+
+/// A cell to be settled, nearest first; ties by cell number, so the result is the same everywhere.
+type Entry = Reverse<(u32, usize)>;
+
+impl ShortestWay {
+    /// Searches the course once, from the goal outwards (Dijkstra 1959). Movers are not obstacles here.
+    pub fn new(course: &Course) -> Self {
+        let b = &course.bounds;
+        let origin_m = [b.north_m[0], b.east_m[0]];
+        let count = |range: [f32; 2]| ((range[1] - range[0]) / CELL_M).ceil() as usize + 1;
+        let cells = [count(b.north_m), count(b.east_m)];
+        let solids: Vec<Solid> = course.solids().into_iter().filter(|s| in_the_way(course, s)).collect();
+        let clearances_m: Vec<f32> = (0..cells[0] * cells[1])
+            .map(|n| {
+                let north_m = origin_m[0] + (n / cells[1]) as f32 * CELL_M;
+                let east_m = origin_m[1] + (n % cells[1]) as f32 * CELL_M;
+                let edge_m = (north_m - b.north_m[0])
+                    .min(b.north_m[1] - north_m)
+                    .min(east_m - b.east_m[0])
+                    .min(b.east_m[1] - east_m);
+                let distances = solids.iter().map(|s| s.plan_distance_m(north_m, east_m));
+                distances.fold(edge_m, f32::min)
+            })
+            .collect();
+        let mut way = Self {
+            origin_m,
+            cells,
+            length_m: vec![f32::INFINITY; clearances_m.len()],
+        };
+        let goal = way.nearest(course.goal.north_m, course.goal.east_m);
+        way.length_m[goal] = 0.0;
+        // Where the vehicle fits first; then, from there, the rest, so that no way leads through a wall.
+        let factors: Vec<f32> = clearances_m.iter().map(|c| factor(*c)).collect();
+        let fits: Vec<bool> = clearances_m.iter().map(|c| *c >= VEHICLE.radius_m + MARGIN_M).collect();
+        way.spread(&factors, &fits);
+        let rest: Vec<bool> = way.length_m.iter().map(|l| l.is_infinite()).collect();
+        way.spread(&factors, &rest);
+        way
+    }
+
+    /// The length of the way from a place, metres; narrow passages count as longer. Interpolated between the grid's points.
+    pub fn length_m(&self, north_m: f32, east_m: f32) -> f32 {
+        let axis = |axis: usize, at_m: f32| {
+            let last = self.cells[axis] - 1;
+            let at = ((at_m - self.origin_m[axis]) / CELL_M).clamp(0.0, last as f32);
+            let low = (at as usize).min(last.saturating_sub(1));
+            (low, (low + 1).min(last), at - low as f32)
+        };
+        let ((i0, i1, u), (j0, j1, v)) = (axis(0, north_m), axis(1, east_m));
+        let at = |i: usize, j: usize| self.length_m[i * self.cells[1] + j];
+        let mix = |a: f32, b: f32, share: f32| a + share * (b - a);
+        mix(mix(at(i0, j0), at(i0, j1), v), mix(at(i1, j0), at(i1, j1), v), u)
+    }
+
+    fn nearest(&self, north_m: f32, east_m: f32) -> usize {
+        let index = |axis: usize, at_m: f32| {
+            let cell = ((at_m - self.origin_m[axis]) / CELL_M).round().max(0.0) as usize;
+            cell.min(self.cells[axis] - 1)
+        };
+        index(0, north_m) * self.cells[1] + index(1, east_m)
+    }
+
+    /// Settles the cells that are `open`, from those whose length is known.
+    fn spread(&mut self, factors: &[f32], open: &[bool]) {
+        const DIAGONAL_M: f32 = CELL_M * core::f32::consts::SQRT_2;
+        const STEPS: [(isize, isize, f32); 8] = [
+            (1, 0, CELL_M),
+            (-1, 0, CELL_M),
+            (0, 1, CELL_M),
+            (0, -1, CELL_M),
+            (1, 1, DIAGONAL_M),
+            (1, -1, DIAGONAL_M),
+            (-1, 1, DIAGONAL_M),
+            (-1, -1, DIAGONAL_M),
+        ];
+        // Lengths are not negative, so their bits are in their order.
+        let known = self.length_m.iter().enumerate().filter(|(_, l)| l.is_finite());
+        let mut queue: BinaryHeap<Entry> = known.map(|(n, l)| Reverse((l.to_bits(), n))).collect();
+        while let Some(Reverse((bits, n))) = queue.pop() {
+            let length_m = f32::from_bits(bits);
+            if length_m > self.length_m[n] {
+                continue;
+            }
+            for (di, dj, step_m) in STEPS {
+                let cell = (n / self.cells[1]).checked_add_signed(di).filter(|i| *i < self.cells[0]);
+                let cell = cell.zip((n % self.cells[1]).checked_add_signed(dj).filter(|j| *j < self.cells[1]));
+                let Some(to) = cell.map(|(i, j)| i * self.cells[1] + j).filter(|to| open[*to]) else {
+                    continue;
+                };
+                let through_m = length_m + step_m * 0.5 * (factors[n] + factors[to]);
+                if through_m < self.length_m[to] {
+                    self.length_m[to] = through_m;
+                    queue.push(Reverse((through_m.to_bits(), to)));
+                }
+            }
+        }
+    }
+}
+
+/// What a metre counts at a clearance of the vehicle's centre.
+fn factor(clearance_m: f32) -> f32 {
+    let least_m = VEHICLE.radius_m + MARGIN_M;
+    if clearance_m < least_m {
+        return COVERED_FACTOR;
+    }
+    let lack = ((WIDE_M - clearance_m) / (WIDE_M - least_m)).max(0.0);
+    1.0 + NARROW_FACTOR * lack
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn course(walls: &str) -> Course {
+        let text = format!(
+            r#"
+name = "test"
+goal = {{ north_m = 20.0, east_m = 0.0 }}
+bounds = {{ north_m = [-4.0, 26.0], east_m = [-8.0, 8.0], top_m = 6.0 }}
+{walls}
+"#
+        );
+        Course::from_toml_str(&text, "test").expect("valid")
+    }
+
+    #[test]
+    fn in_an_open_field_the_way_is_the_straight_line() {
+        let way = ShortestWay::new(&course(""));
+        assert!((way.length_m(0.0, 0.0) - 20.0).abs() < 0.05);
+        assert!(way.length_m(20.0, 0.0) < 0.05);
+        // On a grid of eight directions at most 8 % longer.
+        let aslant = way.length_m(10.0, 5.0) / 125.0_f32.sqrt();
+        assert!((1.0..1.09).contains(&aslant), "{aslant}");
+    }
+
+    #[test]
+    fn in_a_dead_end_the_way_leads_back_out() {
+        let pocket = r#"wall = [
+    { from_m = [12.0, -3.0], to_m = [12.0, 3.0], thickness_m = 0.2, height_m = 3.0 },
+    { from_m = [8.0, -3.0], to_m = [12.0, -3.0], thickness_m = 0.2, height_m = 3.0 },
+    { from_m = [8.0, 3.0], to_m = [12.0, 3.0], thickness_m = 0.2, height_m = 3.0 },
+]"#;
+        let way = ShortestWay::new(&course(pocket));
+        assert!(way.length_m(11.0, 0.0) > way.length_m(9.0, 0.0) + 0.5);
+        assert!(way.length_m(9.0, 0.0) > way.length_m(7.0, 0.0) + 0.5);
+        // Inside the wall the length is known too, and no shorter than beside it.
+        assert!(way.length_m(12.0, 0.0) > way.length_m(13.0, 0.0));
+        assert!(way.length_m(12.0, 0.0).is_finite());
+    }
+
+    #[test]
+    fn what_can_be_flown_under_is_not_in_the_way() {
+        let beam = |bottom_m: f32| {
+            course(&format!(
+                "[[overhang]]
+north_m = 10.0
+east_m = 0.0
+length_m = 0.5
+width_m = 14.0
+bottom_m = {bottom_m:?}
+top_m = 4.0
+"
+            ))
+        };
+        assert!((ShortestWay::new(&beam(2.0)).length_m(0.0, 0.0) - 20.0).abs() < 0.05);
+        assert!(ShortestWay::new(&beam(1.2)).length_m(0.0, 0.0) > 21.0);
+    }
+}
