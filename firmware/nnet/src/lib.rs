@@ -30,7 +30,8 @@ pub mod train;
 
 pub use activation::{Activation, RESCALE_THRESHOLD};
 pub use actor::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorParams, ActorSpec, FRAMES_IN_A_ROW, FRAMES_SPREAD,
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorParams, ActorSpec,
+    FRAMES_IN_A_ROW, FRAMES_SPREAD,
 };
 pub use aligned::Aligned;
 pub use conv::Conv2d;

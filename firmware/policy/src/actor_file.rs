@@ -98,7 +98,8 @@ impl FrozenActor {
 
     fn contents(&self) -> Contents {
         let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
-        let ages = (self.frame_ages != FRAMES_IN_A_ROW).then(|| ("frame_ages", self.frame_ages.map(|a| a.to_string()).join(" ")));
+        let ages = (self.frame_ages != FRAMES_IN_A_ROW)
+            .then(|| ("frame_ages", self.frame_ages.map(|a| a.to_string()).join(" ")));
         let entries = [
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
@@ -114,7 +115,8 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
-        Actor::with_frame_ages(ActorSpec::FULL, isa, &self.params, self.frame_ages).map_err(|e| KIND.content_error("in memory", e.to_string()))
+        Actor::with_frame_ages(ActorSpec::FULL, isa, &self.params, self.frame_ages)
+            .map_err(|e| KIND.content_error("in memory", e.to_string()))
     }
 
     /// The digest of the actor and its metadata.

@@ -6,6 +6,7 @@ mod evaluate;
 mod family;
 mod fly;
 mod judge;
+mod learn;
 pub(crate) mod output;
 mod pilot;
 mod portrait;
@@ -68,6 +69,8 @@ enum Command {
     Recover(recover::RecoverArgs),
     /// Train an actor from nothing.
     Train(train::TrainArgs),
+    /// Train an expert or an actor by value: critics that see the true state, reward along the shortest free way.
+    Learn(learn::LearnArgs),
     /// Table I and figures 9 and 10 from the logs of training runs.
     Report(report::ReportArgs),
     /// Judge an actor alone, the potential field off and on.
@@ -97,6 +100,7 @@ pub fn main() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Learn(args) => learn::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Judge(args) => judge::run(&args),
         Command::Detector(args) => detector::run(&args),

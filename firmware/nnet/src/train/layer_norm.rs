@@ -47,7 +47,17 @@ impl LayerNorm {
         expect("layer norm deviations", inverse, rows)?;
         expect("layer norm output", y, x.len())?;
         let layer = *self;
-        kernels::run(isa, Forward { layer, params, x, normal, inverse, y });
+        kernels::run(
+            isa,
+            Forward {
+                layer,
+                params,
+                x,
+                normal,
+                inverse,
+                y,
+            },
+        );
         Ok(())
     }
 
@@ -72,7 +82,17 @@ impl LayerNorm {
             expect("layer norm parameter gradient", d_params, self.param_len())?;
         }
         let layer = *self;
-        kernels::run(isa, Backward { layer, params, normal, inverse, d, d_params });
+        kernels::run(
+            isa,
+            Backward {
+                layer,
+                params,
+                normal,
+                inverse,
+                d,
+                d_params,
+            },
+        );
         Ok(())
     }
 }
@@ -89,7 +109,14 @@ struct Forward<'a> {
 impl Task for Forward<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let Self { layer, params, x, normal, inverse, y } = self;
+        let Self {
+            layer,
+            params,
+            x,
+            normal,
+            inverse,
+            y,
+        } = self;
         let width = layer.width.max(1);
         let (scale, shift) = params.split_at_checked(layer.width).unwrap_or_default();
         let slots = normal.chunks_exact_mut(width).zip(y.chunks_exact_mut(width));
@@ -118,7 +145,14 @@ struct Backward<'a> {
 impl Task for Backward<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        let Self { layer, params, normal, inverse, d, mut d_params } = self;
+        let Self {
+            layer,
+            params,
+            normal,
+            inverse,
+            d,
+            mut d_params,
+        } = self;
         let width = layer.width.max(1);
         let (scale, _) = params.split_at_checked(layer.width).unwrap_or_default();
         for ((d, normal), inverse) in d.chunks_exact_mut(width).zip(normal.chunks_exact(width)).zip(inverse) {

@@ -4,7 +4,7 @@ use super::config::ValueConfig;
 use super::memory::{StateView, double};
 use super::mlp::{Mlp, MlpTape};
 use super::true_state::{TRUE_STATE, mirror};
-use crate::networks::{Networks, SPEC};
+use crate::actor_training::networks::{Networks, SPEC};
 use rand::Rng;
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, Aligned, Dense, Isa, ShapeError};
 
@@ -281,7 +281,9 @@ impl PicturesActor {
             RECURRENT.forward(isa, &self.recurrent, Activation::Identity, before, None, from_state)?;
             let gates = &mut self.gates[span.clone()];
             let projected = self.projections[span].chunks_exact(GATES);
-            let sums = gates.chunks_exact_mut(GATES).zip(projected.zip(from_state.chunks_exact(GATES)));
+            let sums = gates
+                .chunks_exact_mut(GATES)
+                .zip(projected.zip(from_state.chunks_exact(GATES)));
             for ((gates, (projected, from_state)), (before, after)) in sums.zip(
                 before
                     .chunks_exact(ACTOR_HIDDEN)
@@ -458,7 +460,14 @@ mod tests {
                 assert!((a - b).abs() < 1e-5, "row {row}: {a}, {b}");
             }
             graph
-                .backward(isa, &packed, &tape, &d[2 * row..2 * row + 2], Some(&mut d_actor), &mut work)
+                .backward(
+                    isa,
+                    &packed,
+                    &tape,
+                    &d[2 * row..2 * row + 2],
+                    Some(&mut d_actor),
+                    &mut work,
+                )
                 .unwrap();
         }
         let expected = &d_actor[networks.encoder_len()..];

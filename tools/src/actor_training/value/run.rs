@@ -8,13 +8,13 @@ use super::learner::{Expert, ValueLearner, ValueReport};
 use super::memory::{Moment, ValueMemory};
 use super::slope::{Chooser, SlopeReport, fly_chooser, slope_against_truth};
 use super::store::{Stored, Values, save};
-use crate::adam::Adam;
-use crate::checkpoint::CheckpointError;
-use crate::collector::{CollectError, FlightReport};
-use crate::config::ConfigError;
-use crate::files::{self, WriteError};
-use crate::judge::{JudgeError, Judged, Judgement, judge};
-use crate::learner::UpdateError;
+use crate::actor_training::adam::Adam;
+use crate::actor_training::checkpoint::CheckpointError;
+use crate::actor_training::collector::{CollectError, FlightReport};
+use crate::actor_training::config::ConfigError;
+use crate::actor_training::files::{self, WriteError};
+use crate::actor_training::judge::{JudgeError, Judged, Judgement, judge};
+use crate::actor_training::learner::UpdateError;
 use crate::statistics::wilson_95;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -92,7 +92,9 @@ pub enum ValueError {
         path: PathBuf,
     },
     /// Imitation or critics of an expert, and none was given.
-    #[error("the configuration asks for an expert (learning.imitation, learning.expert_critics); name one with --expert")]
+    #[error(
+        "the configuration asks for an expert (learning.imitation, learning.expert_critics); name one with --expert"
+    )]
     NoExpert,
 }
 
@@ -298,7 +300,7 @@ impl<'a> Run<'a> {
             (_, Sees::Truth, _) => Vec::new(),
             (Some(saved), _, _) => saved.f32("encoder", None)?,
             (None, _, Some(path)) => {
-                let networks = crate::networks::Networks::new()?;
+                let networks = crate::actor_training::networks::Networks::new()?;
                 FrozenActor::load(path)?.params[..networks.encoder_len()].to_vec()
             }
             (None, _, None) => teach_encoder(config, isa, &mut |updates, loss| {
@@ -714,7 +716,10 @@ fn sigma(config: &ValueConfig, decisions: u64) -> f32 {
 
 /// The curve as comma-separated values.
 pub fn csv(rows: &[ValueRow]) -> String {
-    let families = rows.iter().find(|r| !r.judged.is_empty()).map_or(&[][..], |r| &r.judged);
+    let families = rows
+        .iter()
+        .find(|r| !r.judged.is_empty())
+        .map_or(&[][..], |r| &r.judged);
     let names: String = families.iter().map(|c| format!(",{}", c.family)).collect();
     let mut text = format!(
         "updates,decisions,elapsed_s,flights,successes,reward,critic_loss,value,imitation_loss,imitation,saturated,critic_norm,\
@@ -723,7 +728,10 @@ pub fn csv(rows: &[ValueRow]) -> String {
     for r in rows {
         let (u, s) = (&r.update, r.slope.as_ref());
         let slope = s.map_or(",,".to_owned(), |s| {
-            format!("{:.3},{:.3},{:.3}", s.value_correlation, s.slope_correlation, s.sign_agreement)
+            format!(
+                "{:.3},{:.3},{:.3}",
+                s.value_correlation, s.slope_correlation, s.sign_agreement
+            )
         });
         let judged: String = match r.judged.is_empty() {
             true => ",".repeat(families.len()),

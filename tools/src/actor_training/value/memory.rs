@@ -2,7 +2,7 @@
 
 use super::config::ValueConfig;
 use super::true_state::TRUE_STATE;
-use crate::replay::Next;
+use crate::actor_training::replay::Next;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use vigil_nnet::ACTOR_FRAMES;
@@ -236,7 +236,11 @@ impl ValueMemory {
             let Some(leaf) = self.tree.find((k as f64 + u) / count as f64 * total) else {
                 return Vec::new();
             };
-            weights.push((held * self.tree.get(leaf) / total).max(f64::MIN_POSITIVE).powf(-self.beta));
+            weights.push(
+                (held * self.tree.get(leaf) / total)
+                    .max(f64::MIN_POSITIVE)
+                    .powf(-self.beta),
+            );
             let mirror = self.mirror && rng.random_bool(0.5);
             batch.push(Step {
                 mirror,

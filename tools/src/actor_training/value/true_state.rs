@@ -41,9 +41,16 @@ pub struct TrueCourse {
 /// A solid in the plan view.
 #[derive(Clone, Copy)]
 enum Outline {
-    Circle { at: [f32; 2], radius_m: f32 },
+    Circle {
+        at: [f32; 2],
+        radius_m: f32,
+    },
     /// Half of its size along and across the direction (cosine, sine).
-    Rectangle { at: [f32; 2], half_m: [f32; 2], along: [f32; 2] },
+    Rectangle {
+        at: [f32; 2],
+        half_m: [f32; 2],
+        along: [f32; 2],
+    },
 }
 
 impl Outline {
@@ -75,7 +82,11 @@ impl Outline {
                     return f32::INFINITY;
                 }
                 let half = under.sqrt();
-                if ahead + half < 0.0 { f32::INFINITY } else { (ahead - half).max(0.0) }
+                if ahead + half < 0.0 {
+                    f32::INFINITY
+                } else {
+                    (ahead - half).max(0.0)
+                }
             }
             Self::Rectangle { at, half_m, along } => {
                 let turn = |v: [f32; 2]| [v[0] * along[0] + v[1] * along[1], v[1] * along[0] - v[0] * along[1]];
@@ -88,7 +99,11 @@ impl Outline {
                     near = near.max(a.min(b));
                     far = far.min(a.max(b));
                 }
-                if near > far || far < 0.0 { f32::INFINITY } else { near.max(0.0) }
+                if near > far || far < 0.0 {
+                    f32::INFINITY
+                } else {
+                    near.max(0.0)
+                }
             }
         }
     }
@@ -129,7 +144,9 @@ impl TrueCourse {
         for (k, slot) in state[..RAYS].iter_mut().enumerate() {
             let direction = unit(yaw_rad + k as f32 * (TAU / RAYS as f32));
             let outlines = self.outlines.iter().chain(&moving);
-            let range_m = outlines.map(|o| o.range_m(here, direction)).fold(f32::INFINITY, f32::min);
+            let range_m = outlines
+                .map(|o| o.range_m(here, direction))
+                .fold(f32::INFINITY, f32::min);
             *slot = contrast(range_m);
         }
         let velocity = truth.velocity_ned_m_s.to_heading(yaw_rad);
@@ -250,7 +267,11 @@ wall = [{{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m
     fn ranges_go_clockwise_from_the_nose() {
         let course = TrueCourse::new(&course(""));
         let ahead = course.state(&hovering(0.0), GOAL);
-        assert!((ahead[0] - contrast(4.5)).abs() < 1e-4, "the column ahead: {}", ahead[0]);
+        assert!(
+            (ahead[0] - contrast(4.5)).abs() < 1e-4,
+            "the column ahead: {}",
+            ahead[0]
+        );
         assert!((ahead[RAYS / 4] - contrast(2.9)).abs() < 1e-4, "the wall on the right");
         assert_eq!(ahead[3 * RAYS / 4], 0.0, "nothing on the left");
         let right = course.state(&hovering(PI / 2.0), GOAL);
@@ -270,7 +291,11 @@ wall = [{{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m
         assert!((mover[0] - contrast(2.7)).abs() < 1e-4, "{mover:?}");
         assert!((mover[4] - 0.5).abs() < 1e-3 && mover[3].abs() < 1e-3, "{mover:?}");
         assert!((mover[5] - 4.0 / 5.0).abs() < 1e-3, "{mover:?}");
-        assert_eq!(&state[MOVER + MOVER_VALUES..], &[0.0; MOVER_VALUES], "there is no other");
+        assert_eq!(
+            &state[MOVER + MOVER_VALUES..],
+            &[0.0; MOVER_VALUES],
+            "there is no other"
+        );
     }
 
     #[test]

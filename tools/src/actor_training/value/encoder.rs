@@ -4,12 +4,12 @@
 use super::config::ValueConfig;
 use super::flights::TrueFlight;
 use super::true_state::RAYS;
-use crate::adam::{self, Adam};
-use crate::collector::CollectError;
-use crate::learner::UpdateError;
-use crate::networks::Networks;
-use crate::noise::Wander;
-use crate::replay::{pack_frame, unpack_frame};
+use crate::actor_training::adam::{self, Adam};
+use crate::actor_training::collector::CollectError;
+use crate::actor_training::learner::UpdateError;
+use crate::actor_training::networks::Networks;
+use crate::actor_training::noise::Wander;
+use crate::actor_training::replay::{pack_frame, unpack_frame};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -133,10 +133,8 @@ pub fn teach_encoder(
         readout.pack(&read, &mut read_packed)?;
         let count = (draws.len() * TARGETS) as f32;
         let per_shard = draws.len().div_ceil(SHARDS);
-        shards
-            .par_iter_mut()
-            .zip(draws.par_chunks(per_shard))
-            .try_for_each(|(s, draws)| -> Result<(), ShapeError> {
+        shards.par_iter_mut().zip(draws.par_chunks(per_shard)).try_for_each(
+            |(s, draws)| -> Result<(), ShapeError> {
                 s.d_encoder.fill(0.0);
                 s.d_readout.fill(0.0);
                 s.loss = 0.0;
@@ -161,7 +159,8 @@ pub fn teach_encoder(
                         .backward(isa, &packed, &s.tape, &s.d_features, d_encoder, &mut s.work)?;
                 }
                 Ok(())
-            })?;
+            },
+        )?;
         let (total, others) = shards.split_at_mut(1);
         let total = &mut total[0];
         for other in others {

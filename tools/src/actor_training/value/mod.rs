@@ -16,10 +16,8 @@ mod slope;
 mod store;
 mod true_state;
 
-pub use config::{Along, EncoderConfig, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward};
+pub use config::{Along, EncoderConfig, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward};
 pub use encoder::EncoderError;
 pub use learner::{Expert, ValueReport};
-pub use run::{
-    FamilyCount, ValueEnd, ValueError, ValueOptions, ValueProgress, ValueResult, ValueRow, run_value,
-};
+pub use run::{FamilyCount, ValueEnd, ValueError, ValueOptions, ValueProgress, ValueResult, ValueRow, run_value};
 pub use slope::SlopeReport;

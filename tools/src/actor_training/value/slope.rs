@@ -9,10 +9,10 @@ use super::flights::{Encoder, TrueFlight};
 use super::learner::ValueLearner;
 use super::memory::{Moment, ValueLane};
 use super::true_state::TRUE_STATE;
-use crate::collector::CollectError;
-use crate::networks::squash;
-use crate::noise::Wander;
-use crate::replay::Next;
+use crate::actor_training::collector::CollectError;
+use crate::actor_training::networks::squash;
+use crate::actor_training::noise::Wander;
+use crate::actor_training::replay::Next;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -274,11 +274,14 @@ fn regression(x: &[f32; 5], y: &[f32; 5]) -> f32 {
 fn pearson(x: &[f64], y: &[f64]) -> f64 {
     let n = x.len().max(1) as f64;
     let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
-    let product = |a: &[f64], ma: f64, b: &[f64], mb: f64| -> f64 {
-        a.iter().zip(b).map(|(a, b)| (a - ma) * (b - mb)).sum()
-    };
+    let product =
+        |a: &[f64], ma: f64, b: &[f64], mb: f64| -> f64 { a.iter().zip(b).map(|(a, b)| (a - ma) * (b - mb)).sum() };
     let spread = (product(x, mx, x, mx) * product(y, my, y, my)).sqrt();
-    if spread > 0.0 { product(x, mx, y, my) / spread } else { 0.0 }
+    if spread > 0.0 {
+        product(x, mx, y, my) / spread
+    } else {
+        0.0
+    }
 }
 
 fn ranks(x: &[f64]) -> Vec<f64> {

@@ -115,8 +115,14 @@ impl ShortestWay {
                 continue;
             }
             for (di, dj, step_m) in STEPS {
-                let cell = (n / self.cells[1]).checked_add_signed(di).filter(|i| *i < self.cells[0]);
-                let cell = cell.zip((n % self.cells[1]).checked_add_signed(dj).filter(|j| *j < self.cells[1]));
+                let cell = (n / self.cells[1])
+                    .checked_add_signed(di)
+                    .filter(|i| *i < self.cells[0]);
+                let cell = cell.zip(
+                    (n % self.cells[1])
+                        .checked_add_signed(dj)
+                        .filter(|j| *j < self.cells[1]),
+                );
                 let Some(to) = cell.map(|(i, j)| i * self.cells[1] + j).filter(|to| open[*to]) else {
                     continue;
                 };

@@ -1,6 +1,6 @@
 //! What a run by value is made of: a TOML file whose every key is optional and whose unknown keys are refused.
 
-use crate::config::{ConfigError, NoiseConfig, ReplayConfig};
+use crate::actor_training::config::{ConfigError, NoiseConfig, ReplayConfig};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use vigil_world::Family;
@@ -44,6 +44,17 @@ pub struct ValueConfig {
     pub evaluation: ValueEvaluation,
     /// What the actor's encoder learns before it is frozen; for an actor that sees pictures.
     pub encoder: EncoderConfig,
+}
+
+/// Which of the configurations that were measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Recipe {
+    /// An expert that sees the true state.
+    Expert,
+    /// The pictures' actor, taught by an expert's critics.
+    Actor,
+    /// The pictures' actor from nothing, without any teacher.
+    Nothing,
 }
 
 /// What an actor sees.
@@ -261,6 +272,29 @@ impl Default for EncoderConfig {
 }
 
 impl ValueConfig {
+    /// A configuration that was measured (docs/training.md).
+    pub fn recipe(recipe: Recipe) -> Self {
+        let mut config = Self::default();
+        if recipe == Recipe::Expert {
+            return config;
+        }
+        config.sees = Sees::Pictures;
+        config.apf_share = 0.25;
+        config.learning.actor_rate = 5e-4;
+        config.replay.decisions = 100_000;
+        config.replay.alpha = 0.6;
+        config.evaluation.every_updates = 2_000;
+        if recipe == Recipe::Nothing {
+            config.families = vec![Family::Training];
+            config.evaluation.families = vec![Family::Training];
+            config.time_limit_s = 45.0;
+        } else {
+            config.learning.imitation = 1.0;
+            config.learning.expert_critics = true;
+        }
+        config
+    }
+
     /// Updates that belong to so many decisions.
     pub(crate) fn updates_due(&self, decisions: u64) -> u64 {
         decisions.saturating_sub(self.warm_up) / self.learning.decisions_per_update.max(1)
@@ -297,12 +331,37 @@ impl ValueConfig {
         let (l, n, e) = (&self.learning, &self.noise, &self.evaluation);
         let least = (self.environments * (l.n_steps + 40)) as u64;
         let checks: [(&'static str, f64, bool, &'static str); 27] = [
-            ("families", self.families.len() as f64, !self.families.is_empty(), "one or more families"),
-            ("threads", self.threads as f64, (1..=256).contains(&self.threads), "1 to 256"),
-            ("decisions", self.decisions as f64, self.decisions > self.warm_up, "more than the warm-up"),
-            ("warm_up", self.warm_up as f64, self.warm_up >= least, "environments x (n_steps + 40) or more"),
+            (
+                "families",
+                self.families.len() as f64,
+                !self.families.is_empty(),
+                "one or more families",
+            ),
+            (
+                "threads",
+                self.threads as f64,
+                (1..=256).contains(&self.threads),
+                "1 to 256",
+            ),
+            (
+                "decisions",
+                self.decisions as f64,
+                self.decisions > self.warm_up,
+                "more than the warm-up",
+            ),
+            (
+                "warm_up",
+                self.warm_up as f64,
+                self.warm_up >= least,
+                "environments x (n_steps + 40) or more",
+            ),
             within("warm_up_forward", self.warm_up_forward, -1.5, 1.5, "-1.5 to 1.5"),
-            ("environments", self.environments as f64, (1..=256).contains(&self.environments), "1 to 256"),
+            (
+                "environments",
+                self.environments as f64,
+                (1..=256).contains(&self.environments),
+                "1 to 256",
+            ),
             (
                 "steps_per_decision",
                 self.steps_per_decision as f64,
@@ -317,8 +376,18 @@ impl ValueConfig {
             within("noise.share", n.share as f32, 0.0, 1.0, "0 to 1"),
             within("apf_share", self.apf_share as f32, 0.0, 1.0, "0 to 1"),
             within("learning.gamma", l.gamma, 0.0, 1.0, "0 to 1"),
-            ("learning.n_steps", l.n_steps as f64, (1..=100).contains(&l.n_steps), "1 to 100"),
-            ("learning.batch", l.batch as f64, (1..=4096).contains(&l.batch), "1 to 4096"),
+            (
+                "learning.n_steps",
+                l.n_steps as f64,
+                (1..=100).contains(&l.n_steps),
+                "1 to 100",
+            ),
+            (
+                "learning.batch",
+                l.batch as f64,
+                (1..=4096).contains(&l.batch),
+                "1 to 4096",
+            ),
             (
                 "learning.decisions_per_update",
                 l.decisions_per_update as f64,

@@ -194,9 +194,14 @@ impl Mlp {
             Activation::Elu.gradient(isa, &y[..len], &mut d[..len])?;
             let d_norm = d_params.as_deref_mut().map(|p| &mut p[norm_range.clone()]);
             let norm_params = &params[norm_range.clone()];
-            layer
-                .norm
-                .backward(isa, norm_params, &normal[..len], &inverse[..rows], &mut d[..len], d_norm)?;
+            layer.norm.backward(
+                isa,
+                norm_params,
+                &normal[..len],
+                &inverse[..rows],
+                &mut d[..len],
+                d_norm,
+            )?;
             let input = match i.checked_sub(1) {
                 Some(below) => &tape.layers[below].2[..rows * layer.dense.inputs],
                 None => x,
@@ -270,7 +275,10 @@ mod tests {
             };
             for (i, d) in d_params.iter().enumerate() {
                 let expected = slope(&params, i, &|p| loss(&mlp, p, &x, &toward));
-                assert!((f64::from(*d) - expected).abs() < 2e-2, "parameter {i}: {d}, {expected}");
+                assert!(
+                    (f64::from(*d) - expected).abs() < 2e-2,
+                    "parameter {i}: {d}, {expected}"
+                );
             }
             for (i, d) in d_x.iter().enumerate() {
                 let expected = slope(&x, i, &|x| loss(&mlp, &params, x, &toward));

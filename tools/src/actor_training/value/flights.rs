@@ -3,11 +3,11 @@
 use super::config::{Along, ValueConfig};
 use super::memory::{Moment, StateView, ValueLane, halve};
 use super::true_state::{RAYS, TRUE_STATE, TrueCourse};
-use crate::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
-use crate::flight::Flight;
-use crate::networks::squash;
-use crate::noise::Wander;
-use crate::replay::Next;
+use crate::actor_training::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
+use crate::actor_training::flight::Flight;
+use crate::actor_training::networks::squash;
+use crate::actor_training::noise::Wander;
+use crate::actor_training::replay::Next;
 use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;

@@ -3,8 +3,8 @@
 use super::learner::Expert;
 use super::mlp::Mlp;
 use super::true_state::TRUE_STATE;
-use crate::checkpoint::CheckpointError;
-use crate::files;
+use crate::actor_training::checkpoint::CheckpointError;
+use crate::actor_training::files;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};

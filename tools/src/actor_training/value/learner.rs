@@ -5,10 +5,10 @@ use super::config::{ValueConfig, ValueLearning};
 use super::memory::Step;
 use super::mlp::{Mlp, MlpTape};
 use super::true_state::TRUE_STATE;
-use crate::adam::{self, Adam};
-use crate::learner::UpdateError;
-use crate::networks::squash;
-use crate::noise::normal;
+use crate::actor_training::adam::{self, Adam};
+use crate::actor_training::learner::UpdateError;
+use crate::actor_training::networks::squash;
+use crate::actor_training::noise::normal;
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::train::soft_update;
@@ -204,7 +204,11 @@ impl ValueLearner {
     /// What the expert's word counts in the next update.
     pub fn imitation(&self) -> f32 {
         let over = self.config.imitation_falls_over * self.all_updates as f64;
-        let left = if over > 0.0 { 1.0 - self.updates as f64 / over } else { 0.0 };
+        let left = if over > 0.0 {
+            1.0 - self.updates as f64 / over
+        } else {
+            0.0
+        };
         self.config.imitation * left.max(0.0) as f32
     }
 
@@ -279,7 +283,12 @@ impl ValueLearner {
         })?;
         for (i, (target, step)) in self.targets.iter_mut().zip(batch).enumerate() {
             let lowest = self.critics.iter().map(|c| c.out[i]).fold(f32::INFINITY, f32::min);
-            *target = step.reward + if step.discount > 0.0 { step.discount * lowest } else { 0.0 };
+            *target = step.reward
+                + if step.discount > 0.0 {
+                    step.discount * lowest
+                } else {
+                    0.0
+                };
         }
 
         // Critics: L = mean of w (Q(s, a) − y)².
@@ -397,10 +406,7 @@ impl ValueLearner {
 }
 
 /// Both critics at once, on two threads where there are two.
-fn each(
-    critics: &mut [Critic],
-    f: impl Fn(&mut Critic) -> Result<(), ShapeError> + Sync,
-) -> Result<(), ShapeError> {
+fn each(critics: &mut [Critic], f: impl Fn(&mut Critic) -> Result<(), ShapeError> + Sync) -> Result<(), ShapeError> {
     match critics {
         [one] => f(one),
         [one, two] => {
@@ -438,4 +444,126 @@ fn fits(what: &'static str, params: &[f32], expected: usize) -> Result<(), Shape
 
 fn mirrored([forward, yaw]: [f32; 2], mirror: bool) -> [f32; 2] {
     [forward, if mirror { -yaw } else { yaw }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::memory::StateView;
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// What should be done in a state, and what an action is worth there.
+    fn best(truth: &[f32]) -> [f32; 2] {
+        [0.8 * truth[0], -0.8 * truth[1]]
+    }
+
+    fn worth(truth: &[f32], action: [f32; 2]) -> f32 {
+        let best = best(truth);
+        1.0 - (action[0] - best[0]).powi(2) - (action[1] - best[1]).powi(2)
+    }
+
+    fn config() -> ValueConfig {
+        let mut config = ValueConfig::default();
+        config.learning.batch = 64;
+        config.learning.critic_units = [32, 32];
+        config.learning.actor_units = [32, 32];
+        config.learning.actor_rate = 3e-3;
+        config.learning.critic_rate = 3e-3;
+        config.learning.freeze_target = false;
+        config
+    }
+
+    fn truths(rng: &mut ChaCha8Rng, rows: usize) -> Vec<Vec<f32>> {
+        (0..rows)
+            .map(|_| (0..TRUE_STATE).map(|_| rng.random_range(-1.0..1.0)).collect())
+            .collect()
+    }
+
+    /// Updates on actions drawn at random, in states after which nothing follows.
+    fn learn(learner: &mut ValueLearner, rng: &mut ChaCha8Rng, updates: usize) {
+        for _ in 0..updates {
+            let truths = truths(rng, 64);
+            let batch: Vec<Step<'_>> = truths
+                .iter()
+                .enumerate()
+                .map(|(leaf, truth)| {
+                    let action = [rng.random_range(-1.5..1.5), rng.random_range(-1.5..1.5)];
+                    let state = StateView {
+                        truth,
+                        features: [&[]; 5],
+                        position: [0.0; 2],
+                    };
+                    Step {
+                        leaf,
+                        state,
+                        action,
+                        reward: worth(truth, action),
+                        discount: 0.0,
+                        next: state,
+                        weight: 1.0,
+                        mirror: false,
+                    }
+                })
+                .collect();
+            learner.update(&batch, rng).unwrap();
+        }
+    }
+
+    fn mean_worth(learner: &ValueLearner, rng: &mut ChaCha8Rng) -> f32 {
+        let mlp = Mlp::new(TRUE_STATE, &[32, 32], 2);
+        let mut tape = mlp.tape(1);
+        let truths = truths(rng, 200);
+        let sum: f32 = truths
+            .iter()
+            .map(|truth| {
+                mlp.forward(Isa::detect(), &learner.actor, truth, &mut tape).unwrap();
+                worth(truth, squash(tape.out(&mlp)))
+            })
+            .sum();
+        sum / 200.0
+    }
+
+    /// Nobody shows the actor what to do; were the critic's slope taken with the wrong sign, it would go to its limits, where the
+    /// mean is below −2.
+    #[test]
+    fn the_value_alone_teaches_what_is_best() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut learner = ValueLearner::new(&config(), Isa::detect(), None, &mut rng).unwrap();
+        let first = mean_worth(&learner, &mut rng);
+        assert!((0.4..0.75).contains(&first), "an actor that does nothing: {first}");
+        learn(&mut learner, &mut rng, 600);
+        let last = mean_worth(&learner, &mut rng);
+        assert!(last > 0.9, "{first}, then {last}");
+        // The slope points to what is better, from either side of it.
+        let mut truth = [0.0; TRUE_STATE];
+        truth[1] = -0.5;
+        let (_, above) = learner.slope(&truth, [0.0, 1.2]).unwrap();
+        let (_, below) = learner.slope(&truth, [0.0, -0.4]).unwrap();
+        assert!(above[1] < -0.3 && below[1] > 0.3, "{above:?} {below:?}");
+    }
+
+    #[test]
+    fn the_experts_word_ends_at_half_of_the_run() {
+        let mut config = config();
+        config.learning.imitation = 2.0;
+        let expert = Expert {
+            actor_units: [8, 8],
+            actor: vec![0.0; Mlp::new(TRUE_STATE, &[8, 8], 2).param_len()],
+            critic_units: config.learning.critic_units,
+            critics: Vec::new(),
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let mut learner = ValueLearner::new(&config, Isa::detect(), Some(&expert), &mut rng).unwrap();
+        let all = config.updates_due(config.decisions);
+        for (updates, expected) in [(0, 2.0), (all / 4, 1.0), (all / 2, 0.0), (all, 0.0)] {
+            learner.updates = updates;
+            assert!((learner.imitation() - expected).abs() < 1e-2, "{updates}");
+        }
+        let short = Expert {
+            actor: vec![0.0; 3],
+            ..expert
+        };
+        assert!(ValueLearner::new(&config, Isa::detect(), Some(&short), &mut rng).is_err());
+    }
 }
