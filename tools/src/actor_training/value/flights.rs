@@ -225,6 +225,7 @@ impl Flyer {
             return Ok(());
         };
         let mut flight = TrueFlight::new(lasting.family, lasting.seed, config.time_limit_s, config.reward.along)?;
+        self.see(&mut flight)?;
         for &[forward_m_s, yaw] in &lasting.actions {
             flight.decide(config, Action { forward_m_s, yaw });
             self.see(&mut flight)?;
