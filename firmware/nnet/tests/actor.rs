@@ -6,7 +6,7 @@ mod torch;
 
 use common::{distance, rng, uniform, wide};
 use torch::{SPEC, Tensors, actor_params};
-use vigil_nnet::{Actor, ActorSpec, ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
+use vigil_nnet::{Actor, ActorSpec, FRAMES_SPREAD, ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
 
 const FRAME: usize = 128 * 256;
 
@@ -187,5 +187,27 @@ fn instruction_sets_agree() {
             let error = distance(fused, &wide(portable)) as f32;
             assert!(error <= tolerance * scale, "{error:e} of {scale}");
         }
+    }
+}
+
+#[test]
+fn frames_may_be_spread_over_many_decisions() {
+    let (spec, params) = small();
+    let isa = Isa::detect();
+    let graph = spec.graph(Purpose::Gradients, false).unwrap();
+    let mut tape = vec![0.0; graph.tape_len()];
+    let frames: Vec<Vec<f32>> = (0..50).map(|i| uniform(&mut rng(i), spec.frame_len(), 0.5)).collect();
+    let mut actor = Actor::with_frame_ages(spec, isa, &params, FRAMES_SPREAD).unwrap();
+    for newest in 0..frames.len() {
+        let position = [0.3, 0.02 * newest as f32];
+        let action = actor.decide(&frames[newest], position).unwrap();
+        let older = FRAMES_SPREAD.map(|age| frames[newest.saturating_sub(age)].as_slice());
+        let mut inputs = older.to_vec();
+        inputs.push(&position);
+        graph.forward(isa, &params, &inputs, &mut tape).unwrap();
+        assert_eq!(action, graph.output(&tape).unwrap(), "step {newest}");
+    }
+    for ages in [[4, 3, 2, 1, 1], [4, 3, 3, 1, 0], [0, 1, 2, 3, 4], [65, 3, 2, 1, 0]] {
+        assert!(Actor::with_frame_ages(spec, isa, &params, ages).is_err(), "{ages:?}");
     }
 }

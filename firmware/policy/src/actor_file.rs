@@ -119,6 +119,19 @@ impl FrozenActor {
             .map_err(|e| KIND.content_error("in memory", e.to_string()))
     }
 
+    /// This actor, if its five frames are in a row: for whoever rebuilds its memory of frames, as attacks and the detector's training do.
+    ///
+    /// # Errors
+    /// [`FileError::Content`] for one whose frames are spread.
+    pub fn in_a_row(self) -> Result<Self, FileError> {
+        if self.frame_ages == FRAMES_IN_A_ROW {
+            return Ok(self);
+        }
+        let message =
+            "sees frames that are not in a row; attacks and the training of detectors take frames in a row only";
+        Err(KIND.content_error("given", message))
+    }
+
     /// The digest of the actor and its metadata.
     pub fn sha256(&self) -> String {
         self.contents().sha256()

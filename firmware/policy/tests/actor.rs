@@ -34,6 +34,21 @@ fn an_actor_survives_its_file() {
     let path = folder.join("actor.safetensors");
     actor.save(&path).unwrap();
     assert_eq!(FrozenActor::load(&path).unwrap(), actor);
+    assert_eq!(actor.clone().in_a_row().unwrap(), actor);
+    let spread = FrozenActor {
+        frame_ages: vigil_nnet::FRAMES_SPREAD,
+        ..actor.clone()
+    };
+    assert_ne!(spread.sha256(), actor.sha256());
+    assert_eq!(
+        FrozenActor::from_bytes("spread", &spread.to_bytes().unwrap()).unwrap(),
+        spread
+    );
+    assert_eq!(
+        spread.actor(Isa::detect()).unwrap().frame_ages(),
+        vigil_nnet::FRAMES_SPREAD
+    );
+    assert!(spread.in_a_row().unwrap_err().to_string().contains("not in a row"));
     let missing = FrozenActor::load(&folder.join("none.safetensors")).unwrap_err();
     assert!(missing.to_string().contains("none.safetensors"), "{missing}");
     std::fs::remove_dir_all(&folder).unwrap();

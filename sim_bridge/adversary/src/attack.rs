@@ -69,7 +69,7 @@ impl AttackArgs {
     pub fn attack(&self, flown: Option<&Path>) -> Result<Option<Attack>> {
         let Some(method) = self.attack else { return Ok(None) };
         let actor = match self.attack_actor.as_deref().or(flown) {
-            Some(file) => FrozenActor::load(file)?,
+            Some(file) => FrozenActor::load(file)?.in_a_row()?,
             None => FrozenActor::built_in()?,
         };
         let evade = self.evade.as_deref().map(FrozenDetector::load).transpose()?;

@@ -73,7 +73,7 @@ struct Victim {
 impl Common {
     fn victim(&self) -> Result<Victim> {
         let actor = match &self.actor {
-            Some(file) => FrozenActor::load(file)?,
+            Some(file) => FrozenActor::load(file)?.in_a_row()?,
             None => FrozenActor::built_in()?,
         };
         Ok(Victim {

@@ -177,7 +177,7 @@ struct Stage<'a> {
 /// A file that is no actor, data of another actor, a folder that cannot be written.
 pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
     let actor = match &args.actor {
-        Some(file) => FrozenActor::load(file)?,
+        Some(file) => FrozenActor::load(file)?.in_a_row()?,
         None => FrozenActor::built_in()?,
     };
     let stage = Stage {

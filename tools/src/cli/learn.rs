@@ -1,12 +1,12 @@
 //! `vigil learn`: an expert or an actor by value.
 
+use crate::actor_training::value::{Recipe, ValueConfig, ValueEnd, ValueOptions, ValueProgress, ValueRow, run_value};
 use crate::cli::output::{EXIT_ERROR, Paint, git_commit};
 use anyhow::{Context, Result};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use crate::actor_training::value::{Recipe, ValueConfig, ValueEnd, ValueOptions, ValueProgress, ValueRow, run_value};
 
 /// Arguments of `vigil learn`.
 #[derive(Debug, Clone, clap::Args)]

@@ -40,7 +40,7 @@ pub type Row<'a> = (StateView<'a>, bool);
 /// An actor's network with its buffers.
 pub enum ActorNetwork {
     /// Of the true state.
-    Truth(TruthActor),
+    Truth(Box<TruthActor>),
     /// Of frames' features and positional inputs.
     Pictures(Box<PicturesActor>),
 }
@@ -59,12 +59,12 @@ impl ActorNetwork {
         match config.sees {
             super::config::Sees::Truth => {
                 let mlp = Mlp::new(TRUE_STATE, &config.learning.actor_units, 2);
-                Self::Truth(TruthActor {
+                Self::Truth(Box::new(TruthActor {
                     tape: mlp.tape(rows),
                     packed: vec![0.0; mlp.param_len()],
                     x: Vec::new(),
                     mlp,
-                })
+                }))
             }
             super::config::Sees::Pictures => Self::Pictures(Box::new(PicturesActor::new(rows))),
         }
@@ -128,7 +128,8 @@ impl ActorNetwork {
     /// Slices of other lengths.
     pub fn backward(&mut self, isa: Isa, params: &[f32], d: &[f32], d_params: &mut [f32]) -> Result<(), ShapeError> {
         match self {
-            Self::Truth(TruthActor { mlp, tape, packed, x }) => {
+            Self::Truth(actor) => {
+                let TruthActor { mlp, tape, packed, x } = &mut **actor;
                 mlp.pack(params, packed)?;
                 mlp.backward(isa, params, packed, x, tape, d, Some(d_params), None)
             }

@@ -275,22 +275,32 @@ impl ValueConfig {
     /// A configuration that was measured (docs/training.md).
     pub fn recipe(recipe: Recipe) -> Self {
         let mut config = Self::default();
+        let e = &mut config.evaluation;
         if recipe == Recipe::Expert {
+            config.families = vec![Family::Hard];
+            (e.every_updates, e.families, e.flights) = (2_500, vec![Family::Hard], 30);
             return config;
         }
         config.sees = Sees::Pictures;
-        config.apf_share = 0.25;
         config.learning.actor_rate = 5e-4;
         config.replay.decisions = 100_000;
         config.replay.alpha = 0.6;
-        config.evaluation.every_updates = 2_000;
         if recipe == Recipe::Nothing {
             config.families = vec![Family::Training];
-            config.evaluation.families = vec![Family::Training];
+            config.decisions = 120_000;
+            config.apf_share = 0.25;
             config.time_limit_s = 45.0;
+            (e.every_updates, e.families) = (1_500, vec![Family::Training]);
+            (config.encoder.frames, config.encoder.updates) = (2_400, 1_200);
+            (e.slope_states, e.flights) = (16, 40);
         } else {
+            config.decisions = 85_000;
+            config.apf_share = 0.1;
+            config.noise.sigma_first = 0.6;
             config.learning.imitation = 1.0;
             config.learning.expert_critics = true;
+            (e.every_updates, e.slope_states) = (2_000, 12);
+            (config.encoder.frames, config.encoder.updates) = (3_200, 1_400);
         }
         config
     }

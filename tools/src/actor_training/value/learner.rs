@@ -355,9 +355,9 @@ impl ValueLearner {
                 .collect();
             expert.forward(isa, params, &truths, tape)?;
         }
-        for i in 0..rows * ACTIONS {
+        for (i, (d_pre, before)) in self.d_pre.iter_mut().zip(&*pre).enumerate() {
             let (row, k) = (i / ACTIONS, i % ACTIONS);
-            let (before, action) = (pre[i], ACTOR_LIMIT * libm::tanhf(pre[i]));
+            let action = ACTOR_LIMIT * libm::tanhf(*before);
             let mut d_action = -self.config.value_weight * d_x[row * CRITIC_INPUTS + TRUE_STATE + k];
             if let Some((expert, _, tape)) = &self.expert {
                 let apart = action - ACTOR_LIMIT * libm::tanhf(tape.out(expert)[i]);
@@ -372,7 +372,7 @@ impl ValueLearner {
             } else {
                 0.0
             };
-            self.d_pre[i] = (d_action * slope + penalty) / count;
+            *d_pre = (d_action * slope + penalty) / count;
         }
         self.d_actor.fill(0.0);
         let d_pre = &self.d_pre[..rows * ACTIONS];
