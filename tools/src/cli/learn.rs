@@ -1,12 +1,10 @@
 //! `vigil learn`: an expert or an actor by value.
 
 use crate::actor_training::value::{Recipe, ValueConfig, ValueEnd, ValueOptions, ValueProgress, ValueRow, run_value};
-use crate::cli::output::{EXIT_ERROR, Paint, git_commit};
-use anyhow::{Context, Result};
+use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Paint, git_commit, put, say};
+use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Arguments of `vigil learn`.
 #[derive(Debug, Clone, clap::Args)]
@@ -92,12 +90,10 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
     config.threads = args.threads.map_or(config.threads, usize::from);
     config.check()?;
     if args.print_config {
-        print!("{}", config.to_toml());
+        put!("{}", config.to_toml());
         return Ok(ExitCode::SUCCESS);
     }
-    let stop = Arc::new(AtomicBool::new(false));
-    let flag = stop.clone();
-    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let interrupt = Interrupt::on_ctrl_c()?;
     let options = ValueOptions {
         folder: args.output.clone(),
         resume: args.resume,
@@ -106,22 +102,22 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
         git_commit: git_commit(),
         test_flights: args.test_flights,
     };
-    let end = run_value(&config, &options, &stop, &mut |progress| match progress {
+    let end = run_value(&config, &options, interrupt.flag(), &mut |progress| match progress {
         ValueProgress::Encoder(updates, loss) => {
-            println!("encoder, {updates} updates: mean squared error of the contrast {loss:.5}");
+            say!("encoder, {updates} updates: mean squared error of the contrast {loss:.5}");
         }
-        ValueProgress::Row(row, all) => println!("{}", told(row, all)),
+        ValueProgress::Row(row, all) => say!("{}", told(row, all)),
     });
     match end? {
         ValueEnd::Interrupted(checkpoint) => {
-            println!("stopped; go on with the same command and --resume");
-            println!("checkpoint       {}", checkpoint.display());
-            Ok(ExitCode::from(EXIT_ERROR))
+            say!("stopped; go on with the same command and --resume");
+            say!("checkpoint       {}", checkpoint.display());
+            Ok(ExitCode::from(EXIT_INTERRUPTED))
         }
         ValueEnd::Complete(path, result) => {
             for count in &result.test {
                 let (low, high) = count.wilson_95;
-                println!(
+                say!(
                     "{:<10} {:.1} % of {} (95 %: {:.1} to {:.1} %), {} collisions, {} time-outs",
                     count.family.name(),
                     100.0 * count.completion(),
@@ -133,7 +129,7 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
                 );
             }
             let written = format!("written    {} after {} updates", path.display(), result.frozen_after);
-            println!("{}", Paint::stdout().verdict(true, &written));
+            say!("{}", Paint::stdout().verdict(true, &written));
             Ok(ExitCode::SUCCESS)
         }
     }
