@@ -13,7 +13,7 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 use vigil_log::FlightInfo;
-use vigil_mavlink::{CompanionConfig, Flavour};
+use vigil_mavlink::{CompanionConfig, Flavour, ObstacleReports};
 use vigil_policy::GeometricConfig;
 use vigil_types::{Goal, NedVector};
 
@@ -49,6 +49,8 @@ pub struct FirmwareConfig {
     pub signing: SigningConfig,
     /// Which autopilot the vehicle has.
     pub vehicle: Vehicle,
+    /// When OBSTACLE_DISTANCE is sent.
+    pub obstacle_distance: ObstacleDistance,
     /// The sensor whose frames are accepted.
     pub sensor_id: u32,
     /// Who starts a flight.
@@ -92,12 +94,28 @@ pub struct SigningConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Vehicle {
-    /// PX4, and the simulator.
+    /// What its heartbeat names.
     #[default]
+    Auto,
+    /// PX4, and the simulator.
     Px4,
     /// ArduPilot (Copter).
     #[value(name = "ardupilot")]
     ArduPilot,
+}
+
+/// When OBSTACLE_DISTANCE, what the pilot sees, is sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum ObstacleDistance {
+    /// Never.
+    Off,
+    /// While the pilot looks and the vehicle is in the air.
+    #[default]
+    Flight,
+    /// The same; at any other time messages without a distance, for an ArduPilot that listens (PRX1_TYPE 2) and would not
+    /// arm without.
+    KeepAlive,
 }
 
 /// Who starts a flight.
@@ -329,10 +347,13 @@ pub struct LogConfig {
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct StateConfig {
-    /// Where a signing key that came by SETUP_SIGNING and parameters that were set are kept; absent means that they end
-    /// with the process.
+    /// Where a signing key that came by SETUP_SIGNING, parameters that were set and a person's take-over are kept; absent
+    /// means that they end with the process.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub directory: Option<PathBuf>,
+    /// A person took the vehicle over in an earlier run; the folder has it, and the log.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub taken_over: bool,
 }
 
 impl Default for FirmwareConfig {
@@ -343,6 +364,7 @@ impl Default for FirmwareConfig {
             links: Vec::new(),
             signing: SigningConfig::default(),
             vehicle: Vehicle::default(),
+            obstacle_distance: ObstacleDistance::default(),
             sensor_id: 1,
             engage: Engage::default(),
             at_goal: AtGoalChoice::default(),
@@ -534,6 +556,7 @@ impl FirmwareConfig {
                 Engage::Auto => EngagePolicy::Auto,
                 Engage::Command => EngagePolicy::Command,
             },
+            taken_over: self.state.taken_over,
             at_goal: match self.at_goal {
                 AtGoalChoice::Hold => AtGoal::Hold,
                 AtGoalChoice::Land => AtGoal::Land,
@@ -574,8 +597,14 @@ impl FirmwareConfig {
             guidance,
             companion: CompanionConfig {
                 flavour: match self.vehicle {
-                    Vehicle::Px4 => Flavour::Px4,
-                    Vehicle::ArduPilot => Flavour::ArduPilot,
+                    Vehicle::Auto => None,
+                    Vehicle::Px4 => Some(Flavour::Px4),
+                    Vehicle::ArduPilot => Some(Flavour::ArduPilot),
+                },
+                obstacles: match self.obstacle_distance {
+                    ObstacleDistance::Off => ObstacleReports::Off,
+                    ObstacleDistance::Flight => ObstacleReports::Flight,
+                    ObstacleDistance::KeepAlive => ObstacleReports::KeepAlive,
                 },
                 setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
                 system_id: self.link.as_ref().and_then(|link| link.system),

@@ -4,6 +4,8 @@ use crate::frame_keeper::{FrameRefusals, Refusal};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::thread::JoinHandle;
 use std::time::Duration;
+use vigil_mavlink::StatusText;
+use vigil_mavlink::common::MavSeverity;
 use vigil_types::{GuidanceState, Nanos, Reasons, StepReport};
 
 /// Announcements that may wait to be printed; more are left out.
@@ -13,7 +15,11 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// Refused packets and frames are told of this often at most: an attacker must not fill the terminal.
 const REFUSED_NS: Nanos = 10_000_000_000;
 
+/// How the companion begins the text of a change of state.
+const STATE_TEXT: &str = "guidance: ";
+
 #[derive(Debug, Clone, Copy)]
+#[allow(clippy::large_enum_variant, reason = "they wait in a ring that is allocated once")]
 enum Announcement {
     State {
         at_ns: Nanos,
@@ -37,6 +43,10 @@ enum Announcement {
         at_ns: Nanos,
         total: u64,
         last: Refusal,
+    },
+    Text {
+        at_ns: Nanos,
+        text: StatusText,
     },
 }
 
@@ -95,6 +105,13 @@ impl Console {
                 at_ns,
                 total: self.slips,
             });
+        }
+    }
+
+    /// Is told what others are told by STATUSTEXT; changes of state it announces itself. Never waits and allocates nothing.
+    pub fn text(&mut self, at_ns: Nanos, text: &StatusText) {
+        if !text.text().starts_with(STATE_TEXT) {
+            self.announce(Announcement::Text { at_ns, text: *text });
         }
     }
 
@@ -190,6 +207,16 @@ fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
                          \"Depth frames\")",
                         seconds(at_ns)
                     );
+                }
+                Announcement::Text { at_ns, text } => {
+                    let (seconds, told) = (seconds(at_ns), text.text());
+                    match text.severity() {
+                        MavSeverity::MAV_SEVERITY_WARNING => tracing::warn!("{seconds:8.2} s  {told}"),
+                        MavSeverity::MAV_SEVERITY_NOTICE
+                        | MavSeverity::MAV_SEVERITY_INFO
+                        | MavSeverity::MAV_SEVERITY_DEBUG => tracing::info!("{seconds:8.2} s  {told}"),
+                        _ => tracing::error!("{seconds:8.2} s  {told}"),
+                    }
                 }
                 Announcement::Slips { at_ns, total } => {
                     tracing::warn!("{:8.2} s  {total} steps missed since start", seconds(at_ns));

@@ -122,6 +122,13 @@ impl std::fmt::Display for FlightSummary {
         if line.connections > 1 {
             write!(f, "\nlink      connected {} times", line.connections)?;
         }
+        if self.link.slow_streams > 0 {
+            write!(
+                f,
+                "\nlink      {} times the vehicle's telemetry came too slowly and was asked for again",
+                self.link.slow_streams
+            )?;
+        }
         write_routing(f, &self.routing)?;
         let damaged = |f: &FramingCounters| f.bad_crc + f.truncated + f.incompatible;
         let refused = damaged(&self.link.framing) + damaged(&line.framing) + self.link.unreadable;
@@ -291,7 +298,11 @@ impl LiveLoop {
             .step(timing, &mut self.clock, &mut self.frames, &mut self.link);
         self.console.observe(&report);
         if let Some(keeper) = &mut self.parameters {
-            keeper.observe(self.firmware.parameters());
+            let taken_over = self.firmware.taken_over();
+            keeper.observe(self.firmware.parameters(), taken_over);
+        }
+        for text in self.firmware.told() {
+            self.console.text(report.now_ns, text);
         }
         self.console.refused(report.now_ns, self.link.link.signing_refused());
         self.console
@@ -311,6 +322,8 @@ impl LiveLoop {
 
     /// Brakes, sends zeros for some steps, closes the log.
     pub fn finish(mut self) -> FlightSummary {
+        // What follows is the program's own end, and no person's take-over to be kept. Dropped last: it waits for its writer.
+        let _keeper = self.parameters.take();
         self.firmware.disengage_command(&mut self.link.pending);
         for _ in 0..FAREWELL_STEPS {
             self.step();

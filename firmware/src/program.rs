@@ -1,7 +1,8 @@
 //! The `firmware` program, which is also `vigil firmware`.
 
 use crate::config::{
-    AlarmChoice, AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, PilotKind, SigningConfig, Vehicle,
+    AlarmChoice, AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, ObstacleDistance, PilotKind,
+    SigningConfig, Vehicle,
 };
 use crate::link_spec::LinkSpec;
 use crate::live::{self, recorder_config};
@@ -25,7 +26,7 @@ use vigil_types::StepReport;
 Examples:
   firmware                                  on the simulator of instance 0, waiting for an operator to engage it
   firmware --engage auto --goal 20,5        take off and fly to 20 m north, 5 m east of home
-  firmware --link udpin://0.0.0.0:14540 --allow-unsigned always --vehicle ardupilot --goal 50,0 --height 5
+  firmware --link udpin://0.0.0.0:14540 --allow-unsigned always --goal 50,0 --height 5
                                             on a vehicle of yours, over a network that only it reaches
   firmware --link serial:///dev/ttyUSB0:921600 --signing-key vigil.key
                                             over a serial line, with MAVLink signing
@@ -66,11 +67,16 @@ pub struct FirmwareArgs {
     #[arg(long)]
     pub accept_first_key: bool,
 
-    /// Which autopilot the vehicle has [default: px4].
+    /// Which autopilot the vehicle has; a vehicle of another one is not flown [default: auto].
     #[arg(long, value_enum)]
     pub vehicle: Option<Vehicle>,
 
-    /// Who starts a flight: guidance itself as soon as it is ready, or an operator's command [default: command].
+    /// When OBSTACLE_DISTANCE is sent (docs/firmware.md, "Obstacles for the autopilot") [default: flight].
+    #[arg(long, value_enum, value_name = "WHEN")]
+    pub obstacle_distance: Option<ObstacleDistance>,
+
+    /// Who starts a flight: guidance itself as soon as it is ready and no person has the vehicle (docs/guidance.md, "Where
+    /// auto engages"), or an operator's command [default: command].
     #[arg(long, value_enum)]
     pub engage: Option<Engage>,
 
@@ -131,8 +137,8 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "DIR")]
     pub log: Option<PathBuf>,
 
-    /// Folder that keeps a signing key that came by SETUP_SIGNING, and parameters that were set, over restarts. Without it
-    /// they end with the process.
+    /// Folder that keeps over restarts a signing key that came by SETUP_SIGNING, parameters that were set, and that a person
+    /// took the vehicle over. Without it they end with the process.
     #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
     pub state: Option<PathBuf>,
 
@@ -227,6 +233,7 @@ impl FirmwareArgs {
         config.signing.allow_unsigned = self.allow_unsigned.unwrap_or(config.signing.allow_unsigned);
         config.signing.accept_first_key |= self.accept_first_key;
         config.vehicle = self.vehicle.unwrap_or(config.vehicle);
+        config.obstacle_distance = self.obstacle_distance.unwrap_or(config.obstacle_distance);
         config.engage = self.engage.unwrap_or(config.engage);
         config.at_goal = self.at_goal.unwrap_or(config.at_goal);
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
@@ -403,6 +410,7 @@ fn pilot_line(config: &FirmwareConfig) -> String {
 impl Vehicle {
     fn name(self) -> &'static str {
         match self {
+            Self::Auto => "any vehicle",
             Self::Px4 => "PX4",
             Self::ArduPilot => "ArduPilot",
         }

@@ -1,4 +1,5 @@
-//! Parameters of the guidance computer that were set over MAVLink, kept over restarts (docs/firmware.md, "State").
+//! What the guidance computer keeps over restarts: parameters that were set over MAVLink, and that a person took the
+//! vehicle over (docs/firmware.md, "State").
 
 use crate::config::{AlarmChoice, AtGoalChoice, FirmwareConfig};
 use crate::tunables::Tunables;
@@ -28,11 +29,23 @@ pub enum SavedError {
     Thread(std::io::Error),
 }
 
-/// The file's content: parameters that were set, by name.
+/// The file's content.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct Saved {
+    /// A person took the vehicle over, and no operator engaged since.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    taken_over: bool,
+    /// Parameters that were set, by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     parameters: BTreeMap<String, f64>,
+}
+
+/// What is to be kept, as a step leaves it.
+#[derive(Debug, Clone, PartialEq)]
+struct Kept {
+    table: Parameters,
+    taken_over: bool,
 }
 
 /// What an earlier run left, put into the configuration.
@@ -44,9 +57,9 @@ pub struct LoadedParameters {
 /// Has the file written when a parameter was set, by a thread of its own: the loop must not wait for a disk.
 pub struct ParameterKeeper {
     // Dropped before the thread is joined: the writer ends when nobody can offer any more.
-    ring: Option<Producer<Parameters>>,
+    ring: Option<Producer<Kept>>,
     writer: Option<JoinHandle<()>>,
-    offered: Parameters,
+    offered: Kept,
 }
 
 impl ParameterKeeper {
@@ -65,6 +78,13 @@ impl ParameterKeeper {
                 .map_err(|e| file.refused_at(name, &format!("{name} = {value}: {e}")))?;
             put(config, name, checked);
         }
+        config.state.taken_over |= saved.taken_over;
+        if saved.taken_over {
+            tracing::warn!(
+                "from {}: a person took the vehicle over; guidance engages when an operator says so",
+                file.path().display()
+            );
+        }
         if !saved.parameters.is_empty() {
             let names: Vec<_> = saved.parameters.keys().map(String::as_str).collect();
             tracing::info!("from {}: {}", file.path().display(), names.join(", "));
@@ -72,13 +92,18 @@ impl ParameterKeeper {
         Ok(LoadedParameters { file, saved })
     }
 
-    /// Looks at the table after a step. Never waits and allocates nothing.
-    pub fn observe(&mut self, table: &Parameters) {
-        if *table != self.offered
+    /// Looks at what a step left. Never waits and allocates nothing.
+    pub fn observe(&mut self, table: &Parameters, taken_over: bool) {
+        if (*table != self.offered.table || taken_over != self.offered.taken_over)
             && let Some(ring) = &mut self.ring
-            && ring.push(table.clone()).is_ok()
         {
-            self.offered = table.clone();
+            let kept = Kept {
+                table: table.clone(),
+                taken_over,
+            };
+            if ring.push(kept.clone()).is_ok() {
+                self.offered = kept;
+            }
         }
     }
 }
@@ -90,7 +115,8 @@ impl LoadedParameters {
     /// When the thread cannot be started.
     pub fn start(self, table: &Parameters) -> Result<ParameterKeeper, SavedError> {
         let Self { mut file, mut saved } = self;
-        let (ring, mut offered) = RingBuffer::<Parameters>::new(CAPACITY);
+        let (ring, mut offered) = RingBuffer::<Kept>::new(CAPACITY);
+        let taken_over = saved.taken_over;
         let begun_with = table.clone();
         let writer = std::thread::Builder::new()
             .name("parameters".to_owned())
@@ -98,8 +124,9 @@ impl LoadedParameters {
                 loop {
                     let last_look = offered.is_abandoned();
                     let mut changed = false;
-                    while let Ok(table) = offered.pop() {
-                        note(&mut saved, &begun_with, &table);
+                    while let Ok(kept) = offered.pop() {
+                        note(&mut saved, &begun_with, &kept.table);
+                        saved.taken_over = kept.taken_over;
                         changed = true;
                     }
                     if changed {
@@ -115,7 +142,10 @@ impl LoadedParameters {
         Ok(ParameterKeeper {
             ring: Some(ring),
             writer: Some(writer),
-            offered: table.clone(),
+            offered: Kept {
+                table: table.clone(),
+                taken_over,
+            },
         })
     }
 }
@@ -209,7 +239,7 @@ mod tests {
         let mut keeper = loaded.start(&begun_with).unwrap();
         config.limits.speed_m_s = 0.7;
         config.at_goal = AtGoalChoice::Land;
-        keeper.observe(&Tunables::of(&config.stack(), None).parameters());
+        keeper.observe(&Tunables::of(&config.stack(), None).parameters(), false);
         drop(keeper);
 
         let path = state.join("firmware0.toml");
@@ -224,10 +254,32 @@ mod tests {
         // Set back, it stays set: the configuration may say something else tomorrow.
         let mut keeper = loaded.start(&Tunables::of(&again.stack(), None).parameters()).unwrap();
         again.at_goal = AtGoalChoice::Hold;
-        keeper.observe(&Tunables::of(&again.stack(), None).parameters());
+        keeper.observe(&Tunables::of(&again.stack(), None).parameters(), false);
         drop(keeper);
         let text = "[parameters]\nGD_AT_GOAL = 0.0\nGD_SPEED_LIM = 0.7\n";
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
+    }
+
+    #[test]
+    fn a_take_over_is_in_force_after_a_restart_until_an_operator_engaged() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("firmware0.toml");
+        let run = |taken_over: bool| {
+            let mut config = FirmwareConfig::default();
+            let loaded = ParameterKeeper::load(folder.path(), &mut config).unwrap();
+            let table = Tunables::of(&config.stack(), None).parameters();
+            let mut keeper = loaded.start(&table).unwrap();
+            keeper.observe(&table, taken_over);
+            drop(keeper);
+            config.stack().guidance.taken_over
+        };
+        assert!(!run(false) && !path.exists(), "nothing to keep");
+        assert!(!run(true));
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "taken_over = true\n");
+        assert!(run(true), "the next start knows");
+        assert!(run(false), "engaged by an operator in this one");
+        assert!(!run(false));
+        assert!(start(b"taken_over = 1").unwrap_err().contains("firmware0.toml"));
     }
 
     #[test]
@@ -239,7 +291,7 @@ mod tests {
         assert_eq!(config.detector.threshold, Some(0.4));
         let mut keeper = loaded.start(&Tunables::of(&config.stack(), None).parameters()).unwrap();
         config.limits.goal_radius_m = 2.5;
-        keeper.observe(&Tunables::of(&config.stack(), None).parameters());
+        keeper.observe(&Tunables::of(&config.stack(), None).parameters(), false);
         drop(keeper);
         let text = std::fs::read_to_string(folder.path().join("firmware0.toml")).unwrap();
         assert_eq!(text, "[parameters]\nDT_THRESH = 0.4\nGD_GOAL_RAD = 2.5\n");

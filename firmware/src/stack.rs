@@ -14,7 +14,7 @@ use crate::frame_keeper::{FrameKeeper, FrameRefusals};
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, framing};
+use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{
@@ -44,7 +44,7 @@ pub struct StackConfig {
     pub pilot: GeometricConfig,
     /// Greatest speed that any pilot's action may have, metres per second.
     pub speed_limit_m_s: f32,
-    /// Where to fly; `None` waits for an operator.
+    /// Where to fly, from home; `None` waits for an operator.
     pub goal: Option<Goal>,
 }
 
@@ -179,6 +179,9 @@ impl FlightStack {
             timing: input.timing,
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
+            vehicle_up_ns: self.companion.vehicle_up_ns(),
+            home_ned_m: self.companion.home_ned_m(),
+            telemetry_interval_ns: self.companion.telemetry_interval_ns(),
         });
 
         self.recovering = guidance
@@ -204,14 +207,14 @@ impl FlightStack {
         };
         output.sent.clear();
         self.companion.emit(&output.report, guidance.request, &mut output.sent);
-        if action.is_some() {
+        let sectors = action.map(|_| {
             let scan = self.crew.pilot.surroundings().scan();
             let directions = scan.direction_right.iter().zip(&scan.direction_forward);
-            let sectors = directions
+            directions
                 .zip(&scan.range_m)
-                .map(|((right, forward), range_m)| (libm::atan2f(*right, *forward), *range_m));
-            self.companion.emit_obstacles(now_ns, sectors, &mut output.sent);
-        }
+                .map(|((right, forward), range_m)| (libm::atan2f(*right, *forward), *range_m))
+        });
+        self.companion.emit_obstacles(now_ns, sectors, &mut output.sent);
     }
 
     /// Takes over the parameters that an operator set.
@@ -241,6 +244,16 @@ impl FlightStack {
     /// Frames refused since start, by reason.
     pub fn frame_refusals(&self) -> FrameRefusals {
         self.frames.refusals()
+    }
+
+    /// Whether a person took the vehicle over and no operator engaged since.
+    pub fn taken_over(&self) -> bool {
+        self.guidance.taken_over()
+    }
+
+    /// The texts that the last step told people.
+    pub fn told(&self) -> &[StatusText] {
+        self.companion.told()
     }
 
     /// What the link refused or dropped, since start.
@@ -291,7 +304,8 @@ impl FlightStack {
             goal: goal?.relative_to(&kinematics, &attitude),
             attitude: attitude.attitude,
             velocity_m_s: kinematics.velocity_ned_m_s.to_heading(attitude.attitude.yaw_rad()),
-            height_m: -kinematics.position_ned_m.z,
+            // Home is on the ground, wherever the estimator began.
+            height_m: -(kinematics.position_ned_m - self.guidance.home_ned_m()).z,
         })
     }
 

@@ -8,7 +8,7 @@ use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_detector::MonitorError;
 use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
-use vigil_mavlink::{LinkCounters, Parameters};
+use vigil_mavlink::{LinkCounters, Parameters, StatusText};
 use vigil_nnet::file::FileError;
 use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
 
@@ -121,6 +121,16 @@ impl Firmware {
     /// The parameters and their values in force.
     pub fn parameters(&mut self) -> &Parameters {
         self.stack.parameters()
+    }
+
+    /// Whether a person took the vehicle over and no operator engaged since.
+    pub fn taken_over(&self) -> bool {
+        self.stack.taken_over()
+    }
+
+    /// The texts that the last step told people.
+    pub fn told(&self) -> &[StatusText] {
+        self.stack.told()
     }
 
     /// What the link refused or dropped, since start.

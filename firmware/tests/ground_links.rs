@@ -267,6 +267,7 @@ fn with_state(folder: &Path) -> FirmwareConfig {
     FirmwareConfig {
         state: StateConfig {
             directory: Some(folder.join("state")),
+            ..StateConfig::default()
         },
         ..FirmwareConfig::default()
     }

@@ -139,6 +139,7 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
         links: vec![format!("udpin://127.0.0.1:{}", free_port()).parse().unwrap()],
         state: StateConfig {
             directory: Some(folder.path().join("state")),
+            ..StateConfig::default()
         },
         rate: RateConfig {
             priority: 0,

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{PATIENCE, TestVehicle, config};
+use common::{LOITER, PATIENCE, TestVehicle, config};
 use std::fmt::Write as _;
 use std::net::UdpSocket;
 use std::path::Path;
@@ -57,6 +57,10 @@ struct Flight {
 
 impl Flight {
     fn start(log: &Path) -> Self {
+        Self::start_with(log, &[])
+    }
+
+    fn start_with(log: &Path, further: &[&str]) -> Self {
         let (instance, domain, publisher) = free_instance();
         let port = free_port();
         let child = firmware(&["--engage", "auto", "--goal", "20,5", "--priority", "0"])
@@ -64,6 +68,7 @@ impl Flight {
             .args(["--link", &format!("udpin://127.0.0.1:{port}")])
             .arg("--log")
             .arg(log)
+            .args(further)
             .spawn()
             .unwrap();
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -77,6 +82,20 @@ impl Flight {
             instance,
             child: Some(child),
         }
+    }
+
+    /// The same command again, as somebody would type it.
+    fn restart(&mut self, log: &Path, further: &[&str]) {
+        let port = self.socket.peer_addr().unwrap().port();
+        let child = firmware(&["--engage", "auto", "--goal", "20,5", "--priority", "0"])
+            .args(["--instance", &self.instance.to_string()])
+            .args(["--link", &format!("udpin://127.0.0.1:{port}")])
+            .arg("--log")
+            .arg(log)
+            .args(further)
+            .spawn()
+            .unwrap();
+        self.child = Some(child);
     }
 
     /// A twentieth of a second of flight.
@@ -225,21 +244,47 @@ fn a_killed_firmware_leaves_a_log_that_can_be_read_and_can_be_started_again() {
         "{report}"
     );
 
-    // The same command again, as somebody would type it.
     let again = tempfile::tempdir().unwrap();
-    let port = flight.socket.peer_addr().unwrap().port();
-    let child = firmware(&["--engage", "auto", "--goal", "20,5", "--priority", "0"])
-        .args(["--instance", &flight.instance.to_string()])
-        .args(["--link", &format!("udpin://127.0.0.1:{port}")])
-        .arg("--log")
-        .arg(again.path())
-        .spawn()
-        .unwrap();
-    flight.child = Some(child);
+    flight.restart(again.path(), &[]);
     flight.vehicle.setpoints.clear();
     flight.until("guided flight by the second", moving);
     let ended = flight.signal(rustix::process::Signal::INT);
     assert!(ended.status.success(), "{}", said(&ended));
+}
+
+#[test]
+fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_and_started_again() {
+    const POSITION: (u8, u8) = (3, 0);
+    let folder = tempfile::tempdir().unwrap();
+    let (log, state) = (folder.path().join("log"), folder.path().join("state"));
+    let mut flight = Flight::start_with(&log, &["--state", state.to_str().unwrap()]);
+    flight.until("guided flight", moving);
+    flight.vehicle.mode = POSITION;
+    flight.until_text("guidance: standby");
+    let file = state.join(format!("firmware{}.toml", flight.instance));
+    flight.until("the state", |_| file.exists());
+    flight.signal(rustix::process::Signal::KILL);
+
+    // The pilot lets go: the vehicle holds its position, where a firmware that knows nothing would take it.
+    flight.vehicle.mode = LOITER;
+    flight.restart(&folder.path().join("again"), &["--state", state.to_str().unwrap()]);
+    flight.until_text("a person has the vehicle");
+    (flight.vehicle.setpoints.clear(), flight.vehicle.heard.clear());
+    for _ in 0..40 {
+        flight.step();
+    }
+    let commanded = flight
+        .vehicle
+        .heard
+        .iter()
+        .any(|(_, m)| matches!(m, MavMessage::COMMAND_LONG(c) if (c.command as u16) < 500));
+    assert!(!commanded && flight.vehicle.setpoints.is_empty() && flight.vehicle.mode == LOITER);
+    let ended = flight.signal(rustix::process::Signal::TERM);
+    assert!(
+        said(&ended).contains("a person took the vehicle over"),
+        "{}",
+        said(&ended)
+    );
 }
 
 #[test]

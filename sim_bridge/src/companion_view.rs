@@ -3,6 +3,9 @@
 use mavlink::dialects::common::MavMessage;
 use vigil_mavlink::framing::{self, FramingCounters};
 
+/// Bits of the reasons that `gd_reason` holds.
+const LOW_BITS: u32 = 0xFF_FFFF;
+
 /// The last values heard from the guidance computer.
 #[derive(Debug, Clone, Default)]
 pub struct CompanionView {
@@ -26,12 +29,20 @@ impl CompanionView {
             match packet.message() {
                 Ok(MavMessage::NAMED_VALUE_FLOAT(m)) => match m.name.to_str().unwrap_or_default() {
                     "gd_state" => self.state_code = Some(m.value as u8),
-                    "gd_reason" => self.reason_bits = m.value as u32,
+                    // A float holds 24 bits: the others come apart, while there are any.
+                    "gd_reason" => self.reason_bits = self.reason_bits & !LOW_BITS | m.value as u32 & LOW_BITS,
+                    "gd_reason2" => self.reason_bits = self.reason_bits & LOW_BITS | (m.value as u32) << 24,
                     "step_us" => self.step_us = m.value,
                     "slips" => self.slips = m.value as u64,
                     _ => {}
                 },
-                Ok(MavMessage::STATUSTEXT(m)) => self.text = m.text.to_str().unwrap_or_default().to_owned(),
+                Ok(MavMessage::STATUSTEXT(m)) => {
+                    if m.chunk_seq == 0 {
+                        self.text.clear();
+                    }
+                    // Chunks of other texts do not come in between: each text is sent as a whole.
+                    self.text.push_str(m.text.to_str().unwrap_or_default());
+                }
                 _ => {}
             }
         }

@@ -48,7 +48,8 @@ class Guidance:
         if kind == "NAMED_VALUE_FLOAT" and component == GUIDANCE:
             self.values[message.name] = message.value
         elif kind == "STATUSTEXT":
-            self.text = message.text
+            # A long text comes in chunks.
+            self.text = message.text if message.chunk_seq == 0 else self.text + message.text
             print(f"\r\033[K  {self.text}")
         elif kind == "LOCAL_POSITION_NED":
             self.position = (message.x, message.y, message.z)

@@ -15,6 +15,8 @@ pub enum Demand {
     Wait,
     /// The recovery pilot's action is sent instead of the actor's.
     Recover,
+    /// Nothing but to be told.
+    Warn,
 }
 
 /// One named condition.
@@ -49,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 20] = [
+pub static CONDITIONS: [Condition; 22] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -90,7 +92,7 @@ pub static CONDITIONS: [Condition; 20] = [
         Demand::Hold,
         false,
         "guided, hold: the vehicle is not in its external mode",
-        "it is again; or the next engagement",
+        "it is again; or the end of the flight",
     ),
     condition(
         Reason::Disarmed,
@@ -183,6 +185,20 @@ pub static CONDITIONS: [Condition; 20] = [
         false,
         "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
         "as *attack*",
+    ),
+    condition(
+        Reason::SlowTelemetry,
+        Demand::Warn,
+        false,
+        "position or attitude arrive more than {slow_telemetry} apart on average, half of the age that is *stale telemetry*",
+        "both arrive faster",
+    ),
+    condition(
+        Reason::PilotInCommand,
+        Demand::Wait,
+        false,
+        "standby, ready: a person took the vehicle over, or the policy is *auto* and the vehicle is where *auto* does not take it ([below](#where-auto-engages))",
+        "an operator engages; where nobody took it over also a state of the vehicle in which *auto* takes it",
     ),
 ];
 

@@ -8,8 +8,8 @@ const MS: Nanos = 1_000_000;
 /// Who starts a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum EngagePolicy {
-    /// Guidance engages by itself as soon as it is ready, once per start of the autopilot, and takes the vehicle back
-    /// after a failsafe hold.
+    /// Guidance engages by itself as soon as it is ready, where no person has the vehicle, once per start of its own, and
+    /// takes the vehicle back after a failsafe hold.
     Auto,
     /// An operator engages.
     #[default]
@@ -31,14 +31,14 @@ pub enum AtGoal {
 pub enum FenceShape {
     /// A rectangle along north and east.
     Box {
-        /// Southern, western corner: metres north and east of the local origin.
+        /// Southern, western corner: metres north and east of home.
         min_m: [f32; 2],
         /// Northern, eastern corner.
         max_m: [f32; 2],
     },
     /// A circle.
     Cylinder {
-        /// Centre: metres north and east of the local origin.
+        /// Centre: metres north and east of home.
         center_m: [f32; 2],
         /// Radius in metres.
         radius_m: f32,
@@ -50,14 +50,14 @@ pub enum FenceShape {
 pub struct Geofence {
     /// Horizontal outline.
     pub shape: FenceShape,
-    /// Lowest height in metres above the local origin; counts in the states guided and hold only.
+    /// Lowest height in metres above home; counts in the states guided and hold only.
     pub min_height_m: f32,
-    /// Greatest height in metres above the local origin.
+    /// Greatest height in metres above home.
     pub max_height_m: f32,
 }
 
 impl Geofence {
-    /// Whether the place is within the outline and below the greatest height, each reduced by `margin_m`.
+    /// Whether the place, seen from home, is within the outline and below the greatest height, each reduced by `margin_m`.
     pub fn contains(&self, position_ned_m: NedVector, margin_m: f32) -> bool {
         let NedVector { x, y, z, .. } = position_ned_m;
         let inside = match self.shape {
@@ -74,7 +74,7 @@ impl Geofence {
         inside && -z <= self.max_height_m - margin_m
     }
 
-    /// Whether the place is high enough.
+    /// Whether the place, seen from home, is high enough.
     pub fn is_high_enough(&self, position_ned_m: NedVector, margin_m: f32) -> bool {
         -position_ned_m.z >= self.min_height_m + margin_m
     }
@@ -85,6 +85,8 @@ impl Geofence {
 pub struct GuidanceConfig {
     /// Who starts a flight.
     pub engage: EngagePolicy,
+    /// A person took the vehicle over in an earlier run, and no operator has engaged since.
+    pub taken_over: bool,
     /// What to do at the goal.
     pub at_goal: AtGoal,
     /// Greatest age of the newest valid depth frame.
@@ -115,7 +117,7 @@ pub struct GuidanceConfig {
     pub battery_limit: f32,
     /// Longest flight, counted from the first step in guided; then land.
     pub time_limit_ns: Option<Nanos>,
-    /// Height for a goal without one, metres above the local origin.
+    /// Height for a goal without one, metres above home.
     pub default_height_m: f32,
     /// Vertical speed per metre of height error, 1/s.
     pub height_gain_per_s: f32,
@@ -129,6 +131,7 @@ impl Default for GuidanceConfig {
     fn default() -> Self {
         Self {
             engage: EngagePolicy::Command,
+            taken_over: false,
             at_goal: AtGoal::Hold,
             frame_age_limit_ns: 250 * MS,
             telemetry_age_limit_ns: 300 * MS,

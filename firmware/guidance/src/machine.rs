@@ -10,8 +10,13 @@ use vigil_types::{
     VelocitySetpoint, Verdict,
 };
 
-/// Farthest goal from the local origin, metres north or east: beyond it f32 no longer holds centimetres well.
+/// Farthest goal from home, metres north or east: beyond it f32 no longer holds centimetres well.
 const GOAL_LIMIT_M: f32 = 10_000.0;
+/// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
+/// disarmed it.
+const RESTART_SHOWS_NS: Nanos = 2_000_000_000;
+/// A vehicle in the air whose autopilot started less than this ago did not take off: it is a simulation that begins there.
+const BORN_AIRBORNE_NS: Nanos = 30_000_000_000;
 /// Missed steps that are remembered; [`GuidanceConfig::slip_limit`] is at most this.
 const SLIPS_REMEMBERED: usize = 8;
 
@@ -48,6 +53,19 @@ pub struct GuidanceInput<'a> {
     pub handover: HandoverProgress,
     /// How often the autopilot was seen to start anew.
     pub vehicle_restarts: u32,
+    /// How long ago the autopilot started; `None` when it has not told.
+    pub vehicle_up_ns: Option<Nanos>,
+    /// Home in the local frame; `None` when the vehicle has not told, and then the local origin stands for it.
+    pub home_ned_m: Option<NedVector>,
+    /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.
+    pub telemetry_interval_ns: Option<Nanos>,
+}
+
+/// What a goal is relative to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Datum {
+    Home,
+    Origin,
 }
 
 /// What guidance decided.
@@ -78,14 +96,25 @@ pub struct Guidance {
     state: GuidanceState,
     since_ns: Nanos,
     goal: Option<Goal>,
+    /// The goal as it was given.
+    given: Option<(Datum, NedVector)>,
+    /// Home as far as the goal and the fence are concerned; the local origin until the vehicle tells.
+    home_ned_m: NedVector,
+    home_known: bool,
     /// Guidance wants to fly.
     intent: bool,
+    /// An operator engaged, and it came to no end yet.
+    asked: bool,
+    /// A person took the vehicle over, and no operator engaged since.
+    taken_over: bool,
+    /// Guidance began to take this vehicle, and since then neither did a person nor ended the flight.
+    begun: bool,
+    /// When the vehicle came back disarmed after silence.
+    returned_disarmed_ns: Option<Nanos>,
     /// An operator disengaged or told to land.
     operator: bool,
     operator_land: bool,
     outside_fence: bool,
-    /// The vehicle was taken over in the last flight.
-    mode_lost: bool,
     /// The vehicle was in its landing mode since this landing began.
     landing_seen: bool,
     reached_ns: Option<Nanos>,
@@ -120,11 +149,17 @@ impl Guidance {
             state: GuidanceState::Standby,
             since_ns: 0,
             goal: None,
+            given: None,
+            home_ned_m: NedVector::ZERO,
+            home_known: false,
             intent: config.engage == EngagePolicy::Auto,
+            asked: false,
+            taken_over: config.taken_over,
+            begun: false,
+            returned_disarmed_ns: None,
             operator: false,
             operator_land: false,
             outside_fence: false,
-            mode_lost: false,
             landing_seen: false,
             reached_ns: None,
             dwelt: false,
@@ -153,7 +188,17 @@ impl Guidance {
         self.flying_to_goal() || self.state == GuidanceState::Engaging && handover == HandoverProgress::Done
     }
 
-    /// The goal in force.
+    /// Whether a person took the vehicle over and no operator engaged since: what should outlive a restart.
+    pub fn taken_over(&self) -> bool {
+        self.taken_over
+    }
+
+    /// Home in the local frame, as goal and fence are counted from it.
+    pub fn home_ned_m(&self) -> NedVector {
+        self.home_ned_m
+    }
+
+    /// The goal in force, in the local frame.
     pub fn goal(&self) -> Option<Goal> {
         self.goal
     }
@@ -180,19 +225,22 @@ impl Guidance {
                 north_m,
                 east_m,
                 height_m,
-            } => self.request_goal(north_m, east_m, height_m),
+            } => self.request_goal(Datum::Home, north_m, east_m, height_m),
+            OperatorRequest::FixedGoal {
+                north_m,
+                east_m,
+                height_m,
+            } => self.request_goal(Datum::Origin, north_m, east_m, height_m),
             OperatorRequest::Engage => self.request_engage(),
             OperatorRequest::Disengage => {
-                self.intent = false;
-                self.operator = true;
+                self.operator_ends();
                 RequestOutcome::Accepted
             }
             OperatorRequest::Land => match self.state {
                 // Before guidance has the vehicle, landing it is not guidance's to do.
                 GuidanceState::Standby | GuidanceState::Ready => RequestOutcome::TemporarilyRejected,
                 _ => {
-                    self.intent = false;
-                    self.operator = true;
+                    self.operator_ends();
                     self.operator_land = true;
                     RequestOutcome::Accepted
                 }
@@ -200,28 +248,73 @@ impl Guidance {
         }
     }
 
-    fn request_goal(&mut self, north_m: f32, east_m: f32, height_m: Option<f32>) -> RequestOutcome {
+    fn operator_ends(&mut self) {
+        self.intent = false;
+        self.operator = true;
+        self.taken_over = true;
+    }
+
+    fn request_goal(&mut self, datum: Datum, north_m: f32, east_m: f32, height_m: Option<f32>) -> RequestOutcome {
+        let datum_ned_m = self.datum_ned_m(datum);
         let height_m = height_m.unwrap_or(match self.goal {
-            Some(goal) => -goal.position_ned_m.z,
-            None => self.config.default_height_m,
+            Some(goal) => -(goal.position_ned_m - datum_ned_m).z,
+            None => self.config.default_height_m - (self.home_ned_m - datum_ned_m).z,
         });
-        let position_ned_m = NedVector::new(north_m, east_m, -height_m);
-        let permitted = position_ned_m.is_finite()
-            && north_m.abs() <= GOAL_LIMIT_M
-            && east_m.abs() <= GOAL_LIMIT_M
-            && height_m > 0.0
-            && height_m <= GOAL_LIMIT_M
+        let given_m = NedVector::new(north_m, east_m, -height_m);
+        let from_home_m = given_m + (datum_ned_m - self.home_ned_m);
+        let permitted = from_home_m.is_finite()
+            && from_home_m.x.abs() <= GOAL_LIMIT_M
+            && from_home_m.y.abs() <= GOAL_LIMIT_M
+            && from_home_m.z < 0.0
+            && from_home_m.z >= -GOAL_LIMIT_M
             && self.config.geofence.is_none_or(|fence| {
-                fence.contains(position_ned_m, FENCE_CLEAR_MARGIN_M)
-                    && fence.is_high_enough(position_ned_m, FENCE_CLEAR_MARGIN_M)
+                fence.contains(from_home_m, FENCE_CLEAR_MARGIN_M)
+                    && fence.is_high_enough(from_home_m, FENCE_CLEAR_MARGIN_M)
             });
         if !permitted {
             return RequestOutcome::Denied;
         }
-        self.goal = Some(Goal { position_ned_m });
+        self.given = Some((datum, given_m));
+        self.place_goal();
+        RequestOutcome::Accepted
+    }
+
+    /// Where what a goal is relative to is in the local frame.
+    fn datum_ned_m(&self, datum: Datum) -> NedVector {
+        match datum {
+            Datum::Home => self.home_ned_m,
+            Datum::Origin => NedVector::ZERO,
+        }
+    }
+
+    /// Puts the goal where it is now that home is where it is.
+    fn place_goal(&mut self) {
+        self.goal = self.given.map(|(datum, given_m)| Goal {
+            position_ned_m: given_m + self.datum_ned_m(datum),
+        });
         self.reached_ns = None;
         self.dwelt = false;
-        RequestOutcome::Accepted
+    }
+
+    /// An autopilot may set home anew when it is armed, and the goal goes with it. In flight a goal does not wander off: then
+    /// only the first home that the vehicle ever told counts.
+    fn note_home(&mut self, input: &GuidanceInput<'_>, restarted: bool) {
+        if restarted {
+            // Another start, another origin.
+            self.home_known = false;
+        }
+        let told = input.home_ned_m.filter(|home_ned_m| home_ned_m.is_finite());
+        let may_move = !self.home_known || !self.in_flight();
+        let home_ned_m = match (told, restarted) {
+            (Some(home_ned_m), _) if may_move => home_ned_m,
+            (None, true) => NedVector::ZERO,
+            _ => return,
+        };
+        self.home_known = told.is_some();
+        if home_ned_m != self.home_ned_m {
+            self.home_ned_m = home_ned_m;
+            self.place_goal();
+        }
     }
 
     fn request_engage(&mut self) -> RequestOutcome {
@@ -236,6 +329,9 @@ impl Guidance {
             return RequestOutcome::TemporarilyRejected;
         }
         self.intent = true;
+        self.asked = true;
+        self.taken_over = false;
+        self.returned_disarmed_ns = None;
         self.operator = false;
         self.operator_land = false;
         self.handover_failed_ns = None;
@@ -246,6 +342,8 @@ impl Guidance {
     pub fn step(&mut self, input: &GuidanceInput<'_>) -> GuidanceOutput {
         let restarted =
             self.restarts.replace(input.vehicle_restarts) != Some(input.vehicle_restarts) && input.vehicle_restarts > 0;
+        self.note_home(input, restarted);
+        self.note_return(input.now_ns);
         self.note_slips(input);
         self.note_hand_over(input);
         let alarm = self.note_verdict(input);
@@ -256,6 +354,7 @@ impl Guidance {
             }) => input.recovery,
             _ => input.action,
         };
+        let was_lost = self.reasons.contains(Reason::LinkLost);
         let reasons = self.conditions(input, alarm, action);
         self.reasons = reasons;
         self.count_steps(input, reasons);
@@ -263,7 +362,7 @@ impl Guidance {
             .iter()
             .find(|row| row.from.contains(&self.state) && self.holds(row.when, input, reasons, restarted));
         if let Some(row) = transition {
-            self.enter(row, input.now_ns);
+            self.enter(row, input.now_ns, was_lost);
         }
         GuidanceOutput {
             state: self.state,
@@ -285,6 +384,42 @@ impl Guidance {
 
     fn flying_to_goal(&self) -> bool {
         matches!(self.state, GuidanceState::Guided | GuidanceState::Hold)
+    }
+
+    /// A vehicle that came back disarmed after silence, and did not restart: a person had it meanwhile.
+    fn note_return(&mut self, now_ns: Nanos) {
+        if let Some(at_ns) = self.returned_disarmed_ns
+            && now_ns.saturating_sub(at_ns) > RESTART_SHOWS_NS
+        {
+            self.take_over();
+        }
+    }
+
+    /// A person has the vehicle from now on.
+    fn take_over(&mut self) {
+        self.taken_over = true;
+        self.begun = false;
+        self.returned_disarmed_ns = None;
+    }
+
+    /// Whether the policy *auto* may take the vehicle from where it is; `docs/guidance.md`, "Where auto engages".
+    fn auto_may_take(&self, input: &GuidanceInput<'_>) -> bool {
+        let telemetry = input.telemetry;
+        let Some(heartbeat) = telemetry.heartbeat else {
+            // Nothing is known of it, and nothing is engaged without a heartbeat.
+            return true;
+        };
+        match heartbeat.mode {
+            // It was given to whoever sends setpoints; an unknown one is refused by the hand-over, which says why.
+            VehicleMode::External | VehicleMode::Unknown => true,
+            VehicleMode::Hold if !heartbeat.armed || heartbeat.failsafe => true,
+            VehicleMode::Hold => {
+                let born_airborne = input.vehicle_up_ns.is_some_and(|up_ns| up_ns < BORN_AIRBORNE_NS);
+                self.begun || born_airborne && telemetry.is_airborne()
+            }
+            VehicleMode::Takeoff => self.begun,
+            VehicleMode::Land | VehicleMode::Return | VehicleMode::Mission | VehicleMode::Other => false,
+        }
     }
 
     fn note_slips(&mut self, input: &GuidanceInput<'_>) {
@@ -338,9 +473,17 @@ impl Guidance {
             .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.goal_dwell_ns);
         let mode_lost = match self.state {
             GuidanceState::Guided | GuidanceState::Hold => !self.obeys(input),
-            GuidanceState::Standby | GuidanceState::Ready => self.mode_lost,
-            GuidanceState::Engaging | GuidanceState::Land => false,
+            _ => false,
         };
+        let pilot_in_command = match self.state {
+            GuidanceState::Standby | GuidanceState::Ready => {
+                self.taken_over || self.config.engage == EngagePolicy::Auto && !self.auto_may_take(input)
+            }
+            _ => false,
+        };
+        let slow_telemetry = input
+            .telemetry_interval_ns
+            .is_some_and(|interval_ns| interval_ns > self.config.telemetry_age_limit_ns / 2);
         let recent_slips = self
             .slip_times_ns
             .iter()
@@ -381,6 +524,8 @@ impl Guidance {
             .with_if(stops_for(AlarmCause::NoVerdict), Reason::NoVerdict)
             .with_if(recovering, Reason::Recovering)
             .with_if(stops_for(AlarmCause::CollisionCourse), Reason::CollisionCourse)
+            .with_if(slow_telemetry, Reason::SlowTelemetry)
+            .with_if(pilot_in_command, Reason::PilotInCommand)
     }
 
     fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {
@@ -402,8 +547,9 @@ impl Guidance {
     fn note_fence(&mut self, position_ned_m: NedVector) {
         let Some(fence) = self.config.geofence else { return };
         let margin_m = if self.outside_fence { FENCE_CLEAR_MARGIN_M } else { 0.0 };
-        let high_enough = !self.flying_to_goal() || fence.is_high_enough(position_ned_m, margin_m);
-        self.outside_fence = !(fence.contains(position_ned_m, margin_m) && high_enough);
+        let from_home_m = position_ned_m - self.home_ned_m;
+        let high_enough = !self.flying_to_goal() || fence.is_high_enough(from_home_m, margin_m);
+        self.outside_fence = !(fence.contains(from_home_m, margin_m) && high_enough);
     }
 
     fn note_goal(&mut self, now_ns: Nanos, position_ned_m: NedVector) {
@@ -466,7 +612,10 @@ impl Guidance {
             Guard::VehicleTaken => !failsafe_hold && self.released_steps >= self.config.release_steps,
             Guard::ClearLongEnough | Guard::InputsGood => self.clear_steps >= self.config.clear_steps,
             Guard::InputsMissing => reasons.intersects(self.ready_conditions),
-            Guard::EngageWanted => self.intent && !reasons.contains(Reason::HandoverFailed),
+            Guard::EngageWanted => {
+                let permitted = self.asked || !reasons.contains(Reason::PilotInCommand);
+                self.intent && permitted && !reasons.contains(Reason::HandoverFailed)
+            }
         }
     }
 
@@ -477,20 +626,32 @@ impl Guidance {
             || reasons.contains(Reason::TimeLimit)
     }
 
-    fn enter(&mut self, row: &Transition, now_ns: Nanos) {
+    /// `was_lost`: the vehicle was silent until this step.
+    fn enter(&mut self, row: &Transition, now_ns: Nanos, was_lost: bool) {
+        let auto = self.config.engage == EngagePolicy::Auto;
+        let ended_by_restart = row.when == Guard::VehicleRestarted && self.returned_disarmed_ns.take().is_some();
+        match (row.when, self.state) {
+            (Guard::VehicleTaken | Guard::LandingTakenOver, _) => self.take_over(),
+            // A landing that ends disarmed is the end of the flight, and of guidance's claim.
+            (Guard::MotorsOff, GuidanceState::Land) => self.begun = false,
+            (Guard::MotorsOff, _) if was_lost => self.returned_disarmed_ns = Some(now_ns),
+            (Guard::MotorsOff, _) => self.take_over(),
+            _ => {}
+        }
         self.state = row.to;
         self.since_ns = now_ns;
         (self.clear_steps, self.regain_steps, self.released_steps) = (0, 0, 0);
         self.landing_seen = false;
-        self.mode_lost = row.when == Guard::VehicleTaken || self.mode_lost && row.to != GuidanceState::Engaging;
         match row.intent {
             Intent::Keep => {}
             Intent::Clear => self.intent = false,
-            Intent::Spend => self.intent &= self.config.engage == EngagePolicy::Auto,
-            Intent::Renew => self.intent = self.config.engage == EngagePolicy::Auto,
+            Intent::Spend => self.intent &= auto,
+            Intent::Renew => self.intent = auto && (self.intent || ended_by_restart),
         }
         match row.to {
+            GuidanceState::Engaging => self.begun = true,
             GuidanceState::Standby => {
+                self.asked = false;
                 self.operator_land = false;
                 self.operator &= row.when != Guard::VehicleRestarted;
                 self.reached_ns = None;

@@ -35,7 +35,7 @@ pub enum Guard {
     InputsGood,
     /// Something that guidance needs is missing.
     InputsMissing,
-    /// An operator, or the policy, wants to fly, and no failed hand-over has to be waited for.
+    /// An operator wants to fly, or the policy does and no person has the vehicle; no failed hand-over has to be waited for.
     EngageWanted,
 }
 
@@ -72,7 +72,8 @@ pub enum Intent {
     Clear,
     /// Kept by the policy *auto*; an operator's engage is spent with the policy *command*.
     Spend,
-    /// As after the start: yes with the policy *auto*, no with *command*.
+    /// As [`Intent::Spend`], and the policy *auto* wants to fly again when all that ended the flight was a vehicle that was
+    /// unreachable and came back disarmed: that was the restart itself.
     Renew,
 }
 
@@ -83,7 +84,7 @@ impl Intent {
             Self::Keep => "kept",
             Self::Clear => "cleared",
             Self::Spend => "kept by *auto*, cleared by *command*",
-            Self::Renew => "as after the start",
+            Self::Renew => "kept by *auto*, also when the restart itself disarmed the vehicle; cleared by *command*",
         }
     }
 }

@@ -13,6 +13,7 @@ fn thresholds(text: &str) -> String {
     [
         ("{frame_age_limit}", seconds(c.frame_age_limit_ns)),
         ("{telemetry_age_limit}", seconds(c.telemetry_age_limit_ns)),
+        ("{slow_telemetry}", seconds(c.telemetry_age_limit_ns / 2)),
         ("{heartbeat_age_limit}", seconds(c.heartbeat_age_limit_ns)),
         ("{slip_limit}", c.slip_limit.to_string()),
         ("{slip_window}", seconds(c.slip_window_ns)),
@@ -44,6 +45,7 @@ fn conditions() -> String {
             Demand::End => "end of flight",
             Demand::Wait => "wait",
             Demand::Recover => "recovery pilot flies",
+            Demand::Warn => "warning",
         };
         let blocks = if c.blocks_ready { "yes" } else { "" };
         let (bit, name) = (c.reason as u8, c.reason.name());

@@ -6,8 +6,8 @@ use common::{GOAL, Story};
 use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
-    Action, AlarmCause, AlarmResponse, HandoverProgress, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome,
-    STEP_NS, VehicleMode, VehicleRequest, VelocitySetpoint, Verdict,
+    Action, AlarmCause, AlarmResponse, HandoverProgress, Landed, NedVector, OperatorRequest, Reason, Reasons,
+    RequestOutcome, STEP_NS, VehicleMode, VehicleRequest, VelocitySetpoint, Verdict,
 };
 
 fn auto() -> GuidanceConfig {
@@ -93,6 +93,100 @@ fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
         NedVector::new(-5.0, 0.0, -3.0)
     );
     assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_it_is_armed() {
+    let geofence = Some(Geofence {
+        shape: FenceShape::Cylinder {
+            center_m: [0.0, 0.0],
+            radius_m: 30.0,
+        },
+        min_height_m: 0.8,
+        max_height_m: 6.0,
+    });
+    let mut s = Story::begin(GuidanceConfig { geofence, ..auto() });
+    let goal = |s: &Story| s.guidance.goal().unwrap().position_ned_m;
+    s.step();
+    assert_eq!(
+        goal(&s),
+        NedVector::new(20.0, 5.0, -3.0),
+        "home is not known: the local origin"
+    );
+    s.home_ned_m = Some(NedVector::new(12.0, 3.0, -1.0));
+    s.position_ned_m = NedVector::new(12.0, 3.0, -1.0);
+    s.until(Engaging);
+    assert_eq!(goal(&s), NedVector::new(32.0, 8.0, -4.0));
+    assert_eq!(
+        s.last.unwrap().request,
+        VehicleRequest::FlyExternal { takeoff_height_m: 4.0 }
+    );
+    // Armed: home is where it stands now.
+    s.home_ned_m = Some(NedVector::new(13.0, 3.0, -1.0));
+    s.step();
+    assert_eq!(goal(&s), NedVector::new(33.0, 8.0, -4.0));
+
+    s.hand_over();
+    s.position_ned_m = NedVector::new(13.0, 3.0, -4.0);
+    s.until(Guided);
+    s.home_ned_m = Some(NedVector::ZERO);
+    s.run(20);
+    assert_eq!(
+        goal(&s),
+        NedVector::new(33.0, 8.0, -4.0),
+        "in flight the goal does not wander off"
+    );
+
+    let at = |north_m| OperatorRequest::Goal {
+        north_m,
+        east_m: 0.0,
+        height_m: None,
+    };
+    assert_eq!(s.ask(at(28.0)), RequestOutcome::Accepted);
+    assert_eq!(goal(&s), NedVector::new(41.0, 3.0, -4.0));
+    assert_eq!(s.ask(at(29.6)), RequestOutcome::Denied, "the fence is around home");
+    s.position_ned_m = NedVector::new(42.8, 3.0, -4.0);
+    assert!(!s.step().reasons.contains(Reason::Geofence));
+    s.position_ned_m = NedVector::new(43.2, 3.0, -4.0);
+    assert!(s.step().reasons.contains(Reason::Geofence));
+
+    // A place on the globe stays where it is.
+    let fixed = OperatorRequest::FixedGoal {
+        north_m: 20.0,
+        east_m: 5.0,
+        height_m: Some(3.0),
+    };
+    assert_eq!(s.ask(fixed), RequestOutcome::Accepted);
+    assert_eq!(goal(&s), NedVector::new(20.0, 5.0, -3.0));
+    assert_eq!(
+        s.ask(OperatorRequest::FixedGoal {
+            north_m: -18.0,
+            east_m: 3.0,
+            height_m: None
+        }),
+        RequestOutcome::Denied,
+        "31 m from home"
+    );
+}
+
+#[test]
+fn a_home_that_is_told_only_in_flight_counts_once() {
+    let mut s = Story::guided(auto());
+    s.home_ned_m = Some(NedVector::new(12.0, 3.0, 0.0));
+    s.step();
+    let goal = s.guidance.goal().unwrap().position_ned_m;
+    assert_eq!(goal, NedVector::new(32.0, 8.0, -3.0));
+}
+
+#[test]
+fn telemetry_with_little_margin_is_told_and_flown_all_the_same() {
+    let mut s = Story::guided(auto());
+    s.interval_ns = Some(150_000_000);
+    assert_eq!(s.run(20).reasons, Reasons::NONE, "half of the age that is stale");
+    s.interval_ns = Some(250_000_000);
+    let slow = s.run(20);
+    assert_eq!((slow.state, slow.reasons), (Guided, Reasons::of(Reason::SlowTelemetry)));
+    assert_eq!(slow.setpoint.unwrap().velocity_m_s.x, 1.0);
 }
 
 #[test]
@@ -274,7 +368,7 @@ fn a_person_who_changes_the_mode_keeps_the_vehicle() {
         let out = s.run(seconds(20.0));
         assert_eq!(
             (out.state, out.setpoint, out.reasons),
-            (Ready, None, Reasons::of(Reason::ModeLost))
+            (Ready, None, Reasons::of(Reason::PilotInCommand))
         );
         assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
         assert_eq!(s.step().state, Engaging);
@@ -314,7 +408,10 @@ fn disarming_ends_the_flight_and_nothing_arms_again_by_itself() {
     assert_eq!((out.state, out.setpoint), (Standby, None));
     assert!(out.reasons.contains(Reason::Disarmed));
     let later = s.run(seconds(60.0));
-    assert_eq!((later.state, later.reasons), (Ready, Reasons::NONE));
+    assert_eq!(
+        (later.state, later.reasons),
+        (Ready, Reasons::of(Reason::PilotInCommand))
+    );
 }
 
 #[test]
@@ -476,6 +573,184 @@ fn an_operator_who_disengages_during_the_hand_over_gets_a_hovering_vehicle() {
         Ready,
         "the policy auto does not overrule a person"
     );
+}
+
+/// The autopilot starts anew, on the ground.
+fn reboot(s: &mut Story) {
+    s.heartbeat_age_ns = Some(3_000_000_000);
+    s.telemetry_age_ns = 3_000_000_000;
+    s.run(seconds(2.0));
+    let fresh = Story::begin(auto());
+    (s.armed, s.failsafe, s.mode) = (false, false, fresh.mode);
+    (s.position_ned_m, s.handover) = (fresh.position_ned_m, fresh.handover);
+    (s.telemetry_age_ns, s.heartbeat_age_ns) = (fresh.telemetry_age_ns, fresh.heartbeat_age_ns);
+    s.restarts += 1;
+}
+
+#[test]
+fn a_vehicle_that_a_person_took_is_not_taken_again_after_the_autopilot_restarted_until_an_operator_engages() {
+    type Takes = fn(&mut Story);
+    let stories: [(Takes, &str); 5] = [
+        (
+            |s| {
+                (s.mode, s.handover) = (VehicleMode::Land, HandoverProgress::Idle);
+                s.until(Standby);
+            },
+            "landed by a ground station",
+        ),
+        (
+            |s| {
+                (s.mode, s.handover) = (VehicleMode::Other, HandoverProgress::Idle);
+                s.until(Standby);
+            },
+            "flown by sticks",
+        ),
+        (
+            |s| {
+                s.armed = false;
+                s.until(Standby);
+            },
+            "disarmed",
+        ),
+        (
+            |s| {
+                assert_eq!(s.ask(OperatorRequest::Land), RequestOutcome::Accepted);
+                s.until(Land);
+                s.mode = VehicleMode::Land;
+                s.run(20);
+                s.armed = false;
+                s.until(Standby);
+            },
+            "landed by an operator",
+        ),
+        (
+            |s| {
+                assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted);
+                s.run(20);
+            },
+            "disengaged by an operator",
+        ),
+    ];
+    for (takes, how) in stories {
+        let mut s = Story::guided(auto());
+        s.run(20);
+        takes(&mut s);
+        for _ in 0..2 {
+            reboot(&mut s);
+            let later = s.run(seconds(60.0));
+            assert_eq!((later.state, later.request), (Ready, VehicleRequest::None), "{how}");
+            assert_eq!(later.reasons, Reasons::of(Reason::PilotInCommand), "{how}");
+            assert!(s.guidance.taken_over(), "{how}: to be kept over restarts");
+        }
+        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+        assert!(!s.guidance.taken_over());
+        assert_eq!(s.step().state, Engaging, "{how}");
+        s.hand_over();
+        s.until(Guided);
+    }
+}
+
+#[test]
+fn a_flight_that_ended_on_the_ground_is_not_repeated_because_the_autopilot_restarts() {
+    let mut s = Story::guided(GuidanceConfig {
+        at_goal: AtGoal::Land,
+        ..auto()
+    });
+    s.position_ned_m = NedVector::new(20.0, 5.0, -3.0);
+    s.until(Land);
+    s.mode = VehicleMode::Land;
+    s.run(20);
+    s.armed = false;
+    s.until(Standby);
+    reboot(&mut s);
+    let later = s.run(seconds(60.0));
+    assert_eq!((later.state, later.reasons), (Ready, Reasons::NONE));
+    assert!(!s.guidance.taken_over(), "nobody took it");
+}
+
+#[test]
+fn a_vehicle_that_was_landed_while_the_link_was_lost_is_not_taken_when_it_is_heard_again() {
+    let mut s = Story::guided(auto());
+    s.heartbeat_age_ns = Some(20_000_000_000);
+    s.telemetry_age_ns = 20_000_000_000;
+    s.action = None;
+    assert_eq!(s.run(seconds(20.0)).state, Hold);
+    let fresh = Story::begin(auto());
+    (s.armed, s.mode, s.handover) = (false, VehicleMode::Hold, HandoverProgress::Idle);
+    (s.telemetry_age_ns, s.heartbeat_age_ns, s.action) = (fresh.telemetry_age_ns, fresh.heartbeat_age_ns, fresh.action);
+    // Its clock goes on: it is not a restart that disarmed it.
+    assert_eq!(s.run(seconds(5.0)).reasons, Reasons::of(Reason::PilotInCommand));
+    s.restarts += 1;
+    assert_eq!(s.run(seconds(30.0)).state, Ready);
+}
+
+#[test]
+fn a_take_over_of_an_earlier_run_is_kept_until_an_operator_engages() {
+    let mut s = Story::begin(GuidanceConfig {
+        taken_over: true,
+        ..auto()
+    });
+    let waiting = s.run(seconds(60.0));
+    assert_eq!(
+        (waiting.state, waiting.reasons),
+        (Ready, Reasons::of(Reason::PilotInCommand))
+    );
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.step().state, Engaging);
+    assert!(!s.guidance.taken_over());
+}
+
+/// `docs/guidance.md`, "Where auto engages": a firmware that just started judges by what it sees.
+#[test]
+fn auto_engages_only_from_where_it_is_allowed_to() {
+    use VehicleMode::{External, Hold as Own, Land as Landing, Mission, Other, Return, Takeoff};
+    let height_m = |landed| if landed == Landed::InAir { -3.0 } else { 0.0 };
+    let minutes = 600_000_000_000;
+    for (armed, landed, mode, failsafe, up_ns, takes) in [
+        (false, Landed::OnGround, Own, false, minutes, true),
+        (false, Landed::OnGround, External, false, minutes, true),
+        (false, Landed::OnGround, Other, false, minutes, false),
+        (false, Landed::OnGround, Landing, false, minutes, false),
+        (false, Landed::OnGround, Return, false, minutes, false),
+        (false, Landed::OnGround, Mission, false, minutes, false),
+        (true, Landed::OnGround, Own, false, minutes, false),
+        (true, Landed::InAir, External, false, minutes, true),
+        (true, Landed::InAir, Own, true, minutes, true),
+        (true, Landed::InAir, Own, false, minutes, false),
+        (true, Landed::InAir, Own, false, 5_000_000_000, true),
+        (true, Landed::OnGround, Own, false, 5_000_000_000, false),
+        (true, Landed::InAir, Other, false, 5_000_000_000, false),
+        (true, Landed::InAir, Other, true, minutes, false),
+        (true, Landed::InAir, Takeoff, false, minutes, false),
+        (true, Landed::InAir, Return, true, minutes, false),
+        (true, Landed::InAir, Mission, false, minutes, false),
+        (true, Landed::InAir, Landing, false, minutes, false),
+    ] {
+        let mut s = Story::begin(auto());
+        (s.armed, s.landed, s.mode, s.failsafe) = (armed, landed, mode, failsafe);
+        (s.up_ns, s.position_ned_m.z) = (Some(up_ns), height_m(landed));
+        let out = s.run(seconds(20.0));
+        let told = out.reasons.contains(Reason::PilotInCommand);
+        let story = format!("armed {armed}, {landed:?}, {mode:?}, failsafe {failsafe}, up {up_ns}");
+        assert_eq!(
+            (out.state, told),
+            if takes { (Engaging, false) } else { (Ready, true) },
+            "{story}"
+        );
+        if !takes {
+            assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted, "{story}");
+            assert_eq!(s.step().state, Engaging, "an operator may: {story}");
+        }
+    }
+}
+
+#[test]
+fn auto_engages_when_the_pilot_gives_the_vehicle_by_its_mode() {
+    let mut s = Story::begin(auto());
+    (s.armed, s.mode, s.position_ned_m.z) = (true, VehicleMode::Other, -3.0);
+    assert_eq!(s.run(seconds(20.0)).state, Ready);
+    s.mode = VehicleMode::External;
+    assert_eq!(s.step().state, Engaging);
 }
 
 #[test]

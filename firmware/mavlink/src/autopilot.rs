@@ -14,10 +14,10 @@ pub(crate) mod command_number {
     /// Name for a person.
     pub fn name(number: u16) -> &'static str {
         match number {
-            NAV_LAND => "land",
+            NAV_LAND => "landing",
             NAV_TAKEOFF => "take-off",
-            DO_SET_MODE => "mode",
-            COMPONENT_ARM_DISARM => "arm",
+            DO_SET_MODE => "change of mode",
+            COMPONENT_ARM_DISARM => "arming",
             _ => "command",
         }
     }
@@ -75,6 +75,14 @@ impl Flavour {
         }
     }
 
+    /// What a person calls the mode that obeys setpoints.
+    pub const fn external_mode_name(self) -> &'static str {
+        match self {
+            Self::Px4 => "OFFBOARD",
+            Self::ArduPilot => "GUIDED",
+        }
+    }
+
     /// What stands in command parameters that are not used.
     pub const fn unused(self) -> f32 {
         match self {
@@ -105,8 +113,8 @@ const fn copter_mode(custom_mode: u32) -> VehicleMode {
     match custom_mode {
         3 => VehicleMode::Mission,
         4 => VehicleMode::External,
-        // LOITER, POSHOLD, BRAKE: hold their position when nobody moves the sticks.
-        5 | 16 | 17 => VehicleMode::Hold,
+        // BRAKE. LOITER and POSHOLD hold their position too, but by a person's sticks.
+        17 => VehicleMode::Hold,
         // RTL, SMART_RTL, AUTO_RTL.
         6 | 21 | 27 => VehicleMode::Return,
         9 => VehicleMode::Land,
@@ -140,7 +148,12 @@ mod tests {
         let mode = |custom| Flavour::ArduPilot.mode(0x81, custom);
         assert_eq!(mode(4), VehicleMode::External);
         assert_eq!(mode(3), VehicleMode::Mission);
-        assert_eq!((mode(5), mode(17)), (VehicleMode::Hold, VehicleMode::Hold));
+        assert_eq!(mode(17), VehicleMode::Hold);
+        assert_eq!(
+            (mode(5), mode(16), mode(2)),
+            (VehicleMode::Other, VehicleMode::Other, VehicleMode::Other),
+            "LOITER, POSHOLD and ALT_HOLD are flown by sticks"
+        );
         assert_eq!(
             (mode(6), mode(9), mode(0)),
             (VehicleMode::Return, VehicleMode::Land, VehicleMode::Other)

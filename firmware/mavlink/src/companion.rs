@@ -3,20 +3,22 @@
 use crate::autopilot::Flavour;
 use crate::framing::{Command, CommandAck, FramingCounters, Packet, packets};
 use crate::handover::Handover;
+use crate::inputs::{self, MissingInputs};
 use crate::obstacles;
-use crate::operator::{PendingRequest, ReplyTo, decode, result, result_of};
+use crate::operator::{PendingRequest, ReplyTo, decode, request_name, result, result_of};
 use crate::parameters::{ParameterRequest, Parameters, SetRefusal};
-use crate::report;
+use crate::report::{self, Refusal};
 use crate::sender::Sender;
 use crate::setpoint_timeout::{Next, SetpointTimeout};
-use crate::streams::Streams;
+use crate::status_text::StatusText;
+use crate::streams::{Ask, Streams};
 use crate::time;
 use crate::vehicle::Vehicle;
 use heapless::{Deque, Vec};
 use mavlink::dialects::common::{MavMessage, MavState};
 use vigil_types::{
-    Alarm, Datagrams, GuidanceState, HandoverProgress, Nanos, Reasons, RequestOutcome, STEP_NS, StepReport,
-    VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
+    Alarm, Datagrams, GuidanceState, HandoverProgress, Nanos, NedVector, OperatorRequest, Reason, Reasons,
+    RequestOutcome, STEP_NS, StepReport, VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// The autopilot's component.
@@ -27,6 +29,31 @@ const VALUES_NS: Nanos = 250_000_000;
 const REPLIES: usize = 128;
 /// Requests that guidance can owe an answer to.
 const REQUESTS: usize = 32;
+/// Texts about refused requests in a second; a flood of requests must not become one of texts.
+const REFUSALS_PER_SECOND: usize = 4;
+const REFUSALS_NS: Nanos = 1_000_000_000;
+/// Texts of a step that whoever runs the program can show.
+const TOLD: usize = 16;
+/// Texts that are kept for a vehicle's link that nobody answers on yet.
+const KEPT: usize = 8;
+/// A vehicle of another autopilot than the configured one is told of this often.
+const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
+/// Home is told of when it is this much elsewhere than last told, metres.
+const HOME_MOVED_M: f32 = 0.5;
+
+/// When OBSTACLE_DISTANCE is sent. Frames from the ground see the ground: told as obstacles they keep an autopilot that
+/// listens from arming.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ObstacleReports {
+    /// Never.
+    Off,
+    /// While the pilot looks and the vehicle is in the air.
+    #[default]
+    Flight,
+    /// The same; at any other time messages without a distance, for an autopilot that wants to hear the sensor before it
+    /// arms.
+    KeepAlive,
+}
 
 /// Ten setpoints.
 const DEFAULT_SETPOINT_TIMEOUT_S: f32 = 0.5;
@@ -38,8 +65,10 @@ pub struct CompanionConfig {
     pub system_id: Option<u8>,
     /// The guidance computer's component.
     pub component_id: u8,
-    /// The vehicle's autopilot.
-    pub flavour: Flavour,
+    /// The vehicle's autopilot; `None` recognises it from its heartbeat.
+    pub flavour: Option<Flavour>,
+    /// When OBSTACLE_DISTANCE is sent.
+    pub obstacles: ObstacleReports,
     /// The longest time, seconds, that the vehicle may keep to its last setpoint; a longer one is set in the vehicle's
     /// parameters when it is taken over. `None` neither asks nor sets.
     pub setpoint_timeout_s: Option<f32>,
@@ -54,7 +83,8 @@ impl Default for CompanionConfig {
             system_id: None,
             // MAV_COMP_ID_ONBOARD_COMPUTER
             component_id: 191,
-            flavour: Flavour::Px4,
+            flavour: None,
+            obstacles: ObstacleReports::default(),
             setpoint_timeout_s: Some(DEFAULT_SETPOINT_TIMEOUT_S),
             link: 0,
         }
@@ -76,6 +106,8 @@ pub struct LinkCounters {
     pub parameters_refused: u64,
     /// Answers dropped because one step owed too many.
     pub replies_dropped: u64,
+    /// Messages of the vehicle that were asked for again because they came too rarely.
+    pub slow_streams: u64,
 }
 
 impl LinkCounters {
@@ -116,7 +148,7 @@ impl Periodic {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Reply {
-    Ack(ReplyTo, u16, u8),
+    Ack(ReplyTo, u16, u8, Reasons),
     Time(u8, time::Answer),
     Parameter(u8, usize),
     NoSuchParameter(ReplyTo, [u8; 16], i16),
@@ -147,6 +179,26 @@ pub struct Companion {
     values: Periodic,
     obstacles: Periodic,
     streaming: bool,
+    missing: MissingInputs,
+    /// Requests that were refused since the last step, by name.
+    refused: Vec<(&'static str, Refusal), REFUSALS_PER_SECOND>,
+    refusals_since_ns: Nanos,
+    refusals_told: usize,
+    /// The texts of this step.
+    told: Vec<StatusText, TOLD>,
+    /// The newest texts from before the vehicle was heard.
+    kept: Vec<StatusText, KEPT>,
+    /// Of the last text of several chunks.
+    text_id: u16,
+    /// Packets came on the vehicle's link; on others, one bit each.
+    vehicle_heard: bool,
+    links_heard: u64,
+    /// A ground station was heard for the first time: it is told the state.
+    newcomer: bool,
+    vehicle_named: bool,
+    wrong_vehicle_ns: Option<Nanos>,
+    home_said_m: NedVector,
+    pilot_said: bool,
 }
 
 impl Companion {
@@ -157,9 +209,9 @@ impl Companion {
             // Until the vehicle is heard, 1: what a vehicle's system is unless somebody changed it.
             sender: Sender::new(config.system_id.unwrap_or(1), config.component_id),
             vehicle: Vehicle::new(config.flavour),
-            handover: Handover::new(config.flavour),
-            streams: Streams::new(config.flavour),
-            setpoint_timeout: SetpointTimeout::new(config.flavour, config.setpoint_timeout_s),
+            handover: Handover::new(),
+            streams: Streams::new(),
+            setpoint_timeout: SetpointTimeout::new(config.setpoint_timeout_s),
             counters: LinkCounters::default(),
             replies: Vec::new(),
             requests: Deque::new(),
@@ -173,6 +225,20 @@ impl Companion {
             values: Periodic::new(VALUES_NS),
             obstacles: Periodic::new(VALUES_NS),
             streaming: false,
+            missing: MissingInputs::default(),
+            refused: Vec::new(),
+            refusals_since_ns: 0,
+            refusals_told: 0,
+            told: Vec::new(),
+            kept: Vec::new(),
+            text_id: 0,
+            vehicle_heard: false,
+            links_heard: 0,
+            newcomer: false,
+            vehicle_named: false,
+            wrong_vehicle_ns: None,
+            home_said_m: NedVector::ZERO,
+            pilot_said: false,
         }
     }
 
@@ -202,6 +268,31 @@ impl Companion {
         self.vehicle.restarts
     }
 
+    /// How long ago the autopilot started, by its own clock; `None` when it has not told.
+    pub fn vehicle_up_ns(&self) -> Option<Nanos> {
+        self.vehicle.up_ns()
+    }
+
+    /// Home in the local frame; `None` when the vehicle has not told.
+    pub fn home_ned_m(&self) -> Option<NedVector> {
+        self.vehicle.home_ned_m()
+    }
+
+    /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.
+    pub fn telemetry_interval_ns(&self) -> Option<Nanos> {
+        self.streams.flight_interval_ns()
+    }
+
+    /// The vehicle's autopilot: as configured or recognised, PX4 before that.
+    pub fn flavour(&self) -> Flavour {
+        self.vehicle.flavour()
+    }
+
+    /// The texts that the last step told.
+    pub fn told(&self) -> &[StatusText] {
+        &self.told
+    }
+
     /// The vehicle's system, once it is known.
     pub fn system_id(&self) -> Option<u8> {
         self.system_id
@@ -211,6 +302,7 @@ impl Companion {
     pub fn counters(&self) -> LinkCounters {
         LinkCounters {
             late: self.vehicle.late,
+            slow_streams: self.streams.slow_asked,
             ..self.counters
         }
     }
@@ -227,6 +319,11 @@ impl Companion {
     fn packet(&mut self, now_ns: Nanos, link: u8, packet: &Packet<'_>) {
         // What the vehicle says counts on its own link only: nobody on another can speak in its place.
         let of_vehicle = link == self.config.link;
+        if !of_vehicle {
+            let bit = 1_u64.checked_shl(link.into()).unwrap_or(0);
+            self.newcomer |= self.links_heard & bit != bit;
+            self.links_heard |= bit;
+        }
         if of_vehicle {
             self.learn_vehicle(packet);
         }
@@ -291,10 +388,21 @@ impl Companion {
                     reply,
                 };
                 if self.requests.push_back(pending).is_err() {
-                    self.acknowledge(reply, command.number, result::TEMPORARILY_REJECTED);
+                    self.refuse(command.number, Refusal::Busy);
+                    self.acknowledge(reply, command.number, result::TEMPORARILY_REJECTED, Reasons::NONE);
                 }
             }
-            Err(mav_result) => self.acknowledge(reply, command.number, mav_result),
+            Err(mav_result) => {
+                self.refuse(command.number, Refusal::Command(mav_result));
+                self.acknowledge(reply, command.number, mav_result, Reasons::NONE);
+            }
+        }
+    }
+
+    /// To be told in the next step, as far as there is room.
+    fn refuse(&mut self, command: u16, why: Refusal) {
+        if let Some(name) = request_name(command) {
+            let _ = self.refused.push((name, why));
         }
     }
 
@@ -335,7 +443,7 @@ impl Companion {
                     self.said,
                     None | Some((GuidanceState::Standby | GuidanceState::Ready, _))
                 );
-                let flavour = self.config.flavour;
+                let flavour = self.vehicle.flavour();
                 if let Err(refusal) = self.parameters.set(index, *raw, *mav_type, flavour, flying) {
                     self.counters.parameters_refused += 1;
                     self.parameter_refused = Some((index, refusal));
@@ -346,9 +454,9 @@ impl Companion {
         }
     }
 
-    fn acknowledge(&mut self, reply: ReplyTo, command: u16, mav_result: u8) {
+    fn acknowledge(&mut self, reply: ReplyTo, command: u16, mav_result: u8, reasons: Reasons) {
         self.counters.commands_refused += u64::from(mav_result != result::ACCEPTED);
-        self.reply(Reply::Ack(reply, command, mav_result));
+        self.reply(Reply::Ack(reply, command, mav_result, reasons));
     }
 
     fn reply(&mut self, reply: Reply) {
@@ -362,15 +470,32 @@ impl Companion {
         self.requests.pop_front()
     }
 
-    /// Acknowledges a request.
+    /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.
     pub fn answer(&mut self, pending: &PendingRequest, outcome: RequestOutcome) {
-        self.acknowledge(pending.reply, pending.command, result_of(outcome));
+        let (state, reasons) = self.said.unwrap_or_default();
+        let told = match outcome {
+            RequestOutcome::Accepted => Reasons::NONE,
+            RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
+                let why = match pending.request {
+                    OperatorRequest::Goal { .. } | OperatorRequest::FixedGoal { .. } => Refusal::Goal,
+                    OperatorRequest::Land => Refusal::NotGuiding(state),
+                    OperatorRequest::Engage | OperatorRequest::Disengage => Refusal::In(state, reasons),
+                };
+                self.refuse(pending.command, why);
+                reasons
+            }
+        };
+        self.acknowledge(pending.reply, pending.command, result_of(outcome), told);
     }
 
     /// Writes this step's packets: `report` is what was decided, `request` what guidance asks of the vehicle.
     pub fn emit(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
         let now_ns = report.now_ns;
+        self.told.clear();
+        self.vehicle.in_flight = !matches!(report.state, GuidanceState::Standby | GuidanceState::Ready);
+        self.emit_kept(out);
         self.emit_replies(out);
+        self.emit_refusals(now_ns, out);
         if self.heartbeat.is_due(now_ns) {
             self.say(out, &report::heartbeat(report::mav_state(report.state, report.reasons)));
         }
@@ -378,8 +503,58 @@ impl Companion {
         if let (Some(setpoint), Some(system)) = (&report.setpoint, self.system_id) {
             self.say(out, &report::setpoint(now_ns, system, setpoint));
         }
-        self.emit_commands(now_ns, request, out);
+        self.emit_commands(report, request, out);
         self.emit_status(report, out);
+        self.emit_warnings(report, out);
+    }
+
+    /// Says a text to everybody, and to whoever runs the program; also to a vehicle's link on which nobody answers yet, later.
+    fn tell(&mut self, out: &mut Datagrams, text: &StatusText) {
+        if !self.vehicle_heard {
+            if self.kept.is_full() {
+                self.kept.remove(0);
+            }
+            let _ = self.kept.push(*text);
+        }
+        self.tell_now(out, text);
+    }
+
+    /// The same for what is of no interest later.
+    fn tell_now(&mut self, out: &mut Datagrams, text: &StatusText) {
+        self.say_text(out, text);
+        // More than a step tells at its worst.
+        let _ = self.told.push(*text);
+    }
+
+    fn say_text(&mut self, out: &mut Datagrams, text: &StatusText) {
+        // Texts of one chunk have no number, so that 0 stays free.
+        self.text_id = self.text_id % u16::MAX + 1;
+        for message in text.messages(self.text_id) {
+            self.say(out, &message);
+        }
+    }
+
+    /// Once the vehicle is heard, its link has a peer: what was told before reaches it now.
+    fn emit_kept(&mut self, out: &mut Datagrams) {
+        if self.system_id.is_none() || self.vehicle_heard || self.vehicle.telemetry.heartbeat.is_none() {
+            return;
+        }
+        self.vehicle_heard = true;
+        for text in &core::mem::take(&mut self.kept) {
+            self.say_text(out, text);
+        }
+    }
+
+    fn emit_refusals(&mut self, now_ns: Nanos, out: &mut Datagrams) {
+        if now_ns.saturating_sub(self.refusals_since_ns) >= REFUSALS_NS {
+            (self.refusals_since_ns, self.refusals_told) = (now_ns, 0);
+        }
+        for (request, why) in &core::mem::take(&mut self.refused) {
+            if self.refusals_told < REFUSALS_PER_SECOND {
+                self.refusals_told += 1;
+                self.tell(out, &report::refused_text(request, *why));
+            }
+        }
     }
 
     fn say(&mut self, out: &mut Datagrams, message: &MavMessage) {
@@ -390,10 +565,12 @@ impl Companion {
         let replies = core::mem::take(&mut self.replies);
         for reply in &replies {
             match reply {
-                Reply::Ack(to, command, mav_result) => {
+                Reply::Ack(to, command, mav_result, reasons) => {
                     let ack = CommandAck {
                         command: *command,
                         result: *mav_result,
+                        // Why it was refused, as the bits of `gd_reason`.
+                        result_param2: reasons.0 as i32,
                         target_system: to.system,
                         target_component: to.component,
                         ..CommandAck::default()
@@ -402,7 +579,7 @@ impl Companion {
                 }
                 Reply::Time(link, (message_id, payload)) => self.sender.payload(out, *link, *message_id, payload),
                 Reply::Parameter(link, index) => {
-                    if let Some((message_id, payload)) = self.parameters.told(*index, self.config.flavour) {
+                    if let Some((message_id, payload)) = self.parameters.told(*index, self.vehicle.flavour()) {
                         self.sender.payload(out, *link, message_id, &payload);
                     }
                 }
@@ -413,14 +590,22 @@ impl Companion {
             }
         }
         if let Some((index, refusal)) = self.parameter_refused.take() {
-            self.say(
+            self.tell(
                 out,
                 &report::parameter_text(self.parameters.name(index), refusal.name()),
             );
         }
     }
 
-    fn emit_commands(&mut self, now_ns: Nanos, request: VehicleRequest, out: &mut Datagrams) {
+    fn emit_commands(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
+        let now_ns = report.now_ns;
+        if let (VehicleRequest::None, true, Some(unfinished)) = (
+            request,
+            report.reasons.contains(Reason::HandoverFailed),
+            self.handover.unfinished(),
+        ) {
+            self.tell(out, &report::overdue_text(unfinished));
+        }
         let action = self.handover.step(now_ns, request, self.streaming, &self.vehicle);
         let Some(system) = self.system_id else { return };
         if let Some((number, params, confirmation)) = action.send {
@@ -428,44 +613,106 @@ impl Companion {
             self.sender.command(out, self.config.link, &command);
         }
         if let Some(trouble) = action.trouble {
-            self.say(out, &report::trouble_text(trouble, self.config.flavour));
+            self.tell(out, &report::trouble_text(trouble, self.vehicle.flavour()));
         }
+        self.check_setpoint_timeout(now_ns, system, request, out);
+        match self.streams.step(now_ns, &self.vehicle) {
+            Some(Ask::Command(number, params)) => {
+                let command = Command::to_autopilot(system, number, params, 0);
+                self.sender.command(out, self.config.link, &command);
+            }
+            Some(Ask::DataStream { stream, rate_hz }) => {
+                let (message_id, payload) = Ask::data_stream(system, stream, rate_hz);
+                self.sender.payload(out, self.config.link, message_id, &payload);
+            }
+            None => {}
+        }
+        if let Some(slow) = self.streams.take_slow() {
+            self.tell(out, &report::slow_text(&slow));
+        }
+    }
+
+    fn check_setpoint_timeout(&mut self, now_ns: Nanos, system: u8, request: VehicleRequest, out: &mut Datagrams) {
         let taking = matches!(request, VehicleRequest::FlyExternal { .. }) && !self.vehicle.is_other_autopilot();
-        let message = match self.setpoint_timeout.step(now_ns, taking) {
-            Next::Nothing => None,
-            Next::Read => Some(self.setpoint_timeout.read(system)),
-            Next::Set(value_s) => Some(self.setpoint_timeout.set(system, value_s)),
+        match self.setpoint_timeout.step(now_ns, taking, self.vehicle.flavour()) {
+            Next::Nothing => {}
+            Next::Read => {
+                let message = self.setpoint_timeout.read(system);
+                self.say(out, &message);
+            }
+            Next::Set(value_s) => {
+                let message = self.setpoint_timeout.set(system, value_s);
+                self.say(out, &message);
+            }
             Next::Tell(finding) => {
                 let name = self.setpoint_timeout.name();
-                Some(report::setpoint_timeout_text(name, finding))
+                self.tell(out, &report::setpoint_timeout_text(name, finding));
             }
-        };
-        if let Some(message) = message {
-            self.say(out, &message);
         }
-        if let Some((number, params)) = self.streams.step(now_ns, &self.vehicle) {
-            let command = Command::to_autopilot(system, number, params, 0);
-            self.sender.command(out, self.config.link, &command);
+    }
+
+    /// What a person should know of vehicle and inputs.
+    fn emit_warnings(&mut self, report: &StepReport, out: &mut Datagrams) {
+        let now_ns = report.now_ns;
+        if let (true, false, Some(system)) = (self.vehicle_heard, self.vehicle_named, self.system_id) {
+            self.vehicle_named = true;
+            self.tell(out, &report::vehicle_text(system, &self.vehicle));
+        }
+        if let (true, Some(named)) = (self.vehicle.is_other_autopilot(), self.vehicle.named) {
+            let is_due = self
+                .wrong_vehicle_ns
+                .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
+            if is_due {
+                self.wrong_vehicle_ns = Some(now_ns);
+                self.tell(out, &report::wrong_vehicle_text(named, self.vehicle.flavour()));
+            }
+        }
+        if let Some(home_ned_m) = self.vehicle.home_ned_m()
+            && (home_ned_m - self.home_said_m).norm() > HOME_MOVED_M
+        {
+            self.home_said_m = home_ned_m;
+            self.tell(out, &report::home_text(home_ned_m));
+        }
+        for missing in self.missing.due(report).iter().flatten() {
+            self.tell_now(out, &inputs::text(missing));
         }
     }
 
     fn emit_status(&mut self, report: &StepReport, out: &mut Datagrams) {
         let now = (report.state, report.reasons);
         let before = self.said.replace(now);
+        let (state_before, reasons_before) = (before.map(|b| b.0), before.map_or(Reasons::NONE, |b| b.1));
         let due = self.values.is_due(report.now_ns);
         if due || before != Some(now) {
-            for message in &report::state_values(report) {
-                self.say(out, message);
-            }
-        }
-        if due {
-            for message in report::values(report, self.counters.bad_packets()) {
+            for message in report::state_values(report, reasons_before) {
                 self.say(out, &message);
             }
         }
-        if before.map(|(state, _)| state) != Some(report.state) {
-            self.say(out, &report::state_text(report.state, report.reasons));
+        let interval_ns = self.streams.flight_interval_ns();
+        if due {
+            for message in report::values(report, self.counters.bad_packets(), interval_ns) {
+                self.say(out, &message);
+            }
         }
+        if state_before != Some(report.state) {
+            self.tell(out, &report::state_text(report.state, report.reasons));
+            if report.state == GuidanceState::Engaging && self.vehicle.home_ned_m().is_none() {
+                self.tell(out, &report::no_home_text());
+            }
+        } else if self.newcomer {
+            self.say_text(out, &report::state_text(report.state, report.reasons));
+        }
+        self.newcomer = false;
+        let begins = |reason| report.reasons.contains(reason) && !reasons_before.contains(reason);
+        if let (true, Some(interval_ns)) = (begins(Reason::SlowTelemetry), interval_ns) {
+            self.tell(out, &report::slow_telemetry_text(interval_ns));
+        }
+        // Not before the vehicle is known to be ready otherwise: then it is what is waited for.
+        let waits = report.state == GuidanceState::Ready && report.reasons.contains(Reason::PilotInCommand);
+        if waits && !core::mem::replace(&mut self.pilot_said, waits) {
+            self.tell(out, &report::pilot_in_command_text(self.vehicle.flavour()));
+        }
+        self.pilot_said = waits;
         let verdict = report.judgement.map(|j| j.verdict);
         if due | (core::mem::replace(&mut self.said_verdict, verdict) != verdict) {
             for message in report::judgement_values(report) {
@@ -473,15 +720,31 @@ impl Companion {
             }
         }
         if core::mem::replace(&mut self.said_alarm, report.alarm) != report.alarm {
-            self.say(out, &report::alarm_text(report.alarm));
+            self.tell(out, &report::alarm_text(report.alarm));
         }
     }
 
-    /// Tells what the pilot sees, four times a second: for each sector its bearing (radians, positive to the right) and
-    /// its distance (metres, infinite where nothing was seen). Call it in every step in which the pilot looked.
-    pub fn emit_obstacles(&mut self, now_ns: Nanos, sectors: impl Iterator<Item = (f32, f32)>, out: &mut Datagrams) {
-        if self.obstacles.is_due(now_ns) {
-            self.say(out, &obstacles::message(now_ns, sectors));
+    /// Tells what the pilot sees, four times a second, as [`ObstacleReports`] says: for each sector its bearing (radians,
+    /// positive to the right) and its distance (metres, infinite where nothing was seen). Call it in every step; `sectors`
+    /// is `None` in a step in which the pilot did not look.
+    pub fn emit_obstacles(
+        &mut self,
+        now_ns: Nanos,
+        sectors: Option<impl Iterator<Item = (f32, f32)>>,
+        out: &mut Datagrams,
+    ) {
+        let seen = sectors.filter(|_| self.vehicle.telemetry.is_airborne());
+        let tells = match self.config.obstacles {
+            ObstacleReports::Off => false,
+            ObstacleReports::Flight => seen.is_some(),
+            ObstacleReports::KeepAlive => self.vehicle_heard,
+        };
+        if tells && self.obstacles.is_due(now_ns) {
+            let message = match seen {
+                Some(sectors) => obstacles::message(now_ns, sectors),
+                None => obstacles::blank(now_ns),
+            };
+            self.say(out, &message);
         }
     }
 
@@ -495,6 +758,7 @@ impl Companion {
         }
         self.streaming = false;
         self.say(out, &report::heartbeat(MavState::MAV_STATE_POWEROFF));
-        self.say(out, &report::shutdown_text());
+        self.told.clear();
+        self.tell(out, &report::shutdown_text());
     }
 }

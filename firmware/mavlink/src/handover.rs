@@ -17,8 +17,6 @@ const EFFECT_NS: Nanos = 3_000_000_000;
 const TAKEOFF_EFFECT_NS: Nanos = 10_000_000_000;
 /// A land command that failed is asked again after this pause; there is nothing better to do.
 const LAND_PAUSE_NS: Nanos = 2_000_000_000;
-/// Height at which a vehicle that does not tell whether it has landed counts as being in the air.
-const AIRBORNE_HEIGHT_M: f32 = 0.5;
 /// How far below the asked height a climb counts as finished: a tenth of it, at most this.
 const CLIMB_TOLERANCE_M: f32 = 0.3;
 /// A heartbeat this much later than the beginning of a climb shows the mode that the take-off put the vehicle into.
@@ -67,9 +65,9 @@ pub(crate) struct Handover {
 }
 
 impl Handover {
-    pub fn new(flavour: Flavour) -> Self {
+    pub fn new() -> Self {
         Self {
-            flavour,
+            flavour: Flavour::default(),
             progress: HandoverProgress::Idle,
             tracker: Tracker::default(),
             flying: false,
@@ -84,12 +82,25 @@ impl Handover {
         self.progress
     }
 
+    /// What an unfinished hand-over waits for; `None` when there is none.
+    pub fn unfinished(&self) -> Option<&'static str> {
+        if !matches!(self.progress, HandoverProgress::InProgress { .. }) {
+            return None;
+        }
+        Some(match (self.climbing_since_ns, self.tracker.number()) {
+            (Some(_), _) => "climb to the take-off height",
+            (None, Some(number)) => command_number::name(number),
+            (None, None) => "stream of setpoints",
+        })
+    }
+
     pub fn acknowledge(&mut self, now_ns: Nanos, ack: &CommandAck) {
         self.tracker.acknowledge(now_ns, ack);
     }
 
     /// One step. `streaming`: a setpoint is sent in it.
     pub fn step(&mut self, now_ns: Nanos, request: VehicleRequest, streaming: bool, vehicle: &Vehicle) -> Action {
+        self.flavour = vehicle.flavour();
         self.streaming_since_ns = if streaming {
             self.streaming_since_ns.or(Some(now_ns))
         } else {
@@ -172,7 +183,7 @@ impl Handover {
         let Some(heartbeat) = vehicle.telemetry.heartbeat else {
             return Stage::Wait;
         };
-        let airborne = is_airborne(vehicle);
+        let airborne = vehicle.telemetry.is_airborne();
         if heartbeat.armed && airborne && heartbeat.mode == VehicleMode::External {
             return Stage::Done;
         }
@@ -208,7 +219,7 @@ impl Handover {
             return Stage::Ask(self.arm());
         }
         self.note_climb(now_ns, takeoff_height_m, vehicle, &heartbeat);
-        match (is_airborne(vehicle), self.climbing_since_ns) {
+        match (vehicle.telemetry.is_airborne(), self.climbing_since_ns) {
             (false, _) => Stage::Ask(self.take_off(takeoff_height_m, vehicle)),
             (true, Some(_)) => Stage::Wait,
             (true, None) => Stage::Done,
@@ -262,7 +273,7 @@ impl Handover {
                 (origin.altitude_m + f64::from(takeoff_height_m)) as f32
             }),
             // Above home.
-            Flavour::ArduPilot => takeoff_height_m - vehicle.home_height_m,
+            Flavour::ArduPilot => takeoff_height_m - vehicle.home_height_m(),
         };
         self.wanted(command_number::NAV_TAKEOFF, TAKEOFF_EFFECT_NS, &[(7, altitude_m)])
     }
@@ -301,13 +312,4 @@ impl Handover {
 
 fn height_m(vehicle: &Vehicle) -> Option<f32> {
     vehicle.telemetry.kinematics.map(|k| -k.position_ned_m.z)
-}
-
-/// Whether the vehicle is off the ground, by its own word, or by its height when it does not say.
-fn is_airborne(vehicle: &Vehicle) -> bool {
-    match vehicle.telemetry.landed {
-        Landed::OnGround => false,
-        Landed::InAir | Landed::TakingOff | Landed::Landing => true,
-        Landed::Unknown => height_m(vehicle).is_some_and(|height_m| height_m > AIRBORNE_HEIGHT_M),
-    }
 }

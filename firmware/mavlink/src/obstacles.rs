@@ -12,6 +12,11 @@ const FARTHEST_CM: u16 = 3000;
 const FREE: u16 = FARTHEST_CM + 1;
 const UNKNOWN: u16 = u16::MAX;
 
+/// The message of a sensor that looks nowhere: no distance is known.
+pub(crate) fn blank(now_ns: Nanos) -> MavMessage {
+    message(now_ns, core::iter::empty())
+}
+
 /// The message of a scan: bearing (radians, positive to the right of the nose) and horizontal distance (metres, infinite
 /// where nothing was seen) of each of its sectors. The nearest of a bin counts; a bin without a sector is unknown.
 pub(crate) fn message(now_ns: Nanos, sectors: impl Iterator<Item = (f32, f32)>) -> MavMessage {

@@ -17,20 +17,26 @@ pub(crate) mod result {
     pub const FAILED: u8 = 4;
     pub const IN_PROGRESS: u8 = 5;
     pub const CANCELLED: u8 = 6;
+    pub const COMMAND_LONG_ONLY: u8 = 7;
     pub const COMMAND_INT_ONLY: u8 = 8;
     pub const UNSUPPORTED_MAV_FRAME: u8 = 9;
+    pub const NOT_IN_CONTROL: u8 = 10;
 
-    /// Name for a person.
+    /// The protocol's name.
     pub fn name(result: u8) -> &'static str {
         match result {
-            ACCEPTED => "accepted",
-            TEMPORARILY_REJECTED => "temporarily rejected",
-            DENIED => "denied",
-            UNSUPPORTED => "unsupported",
-            FAILED => "failed",
-            IN_PROGRESS => "in progress",
-            CANCELLED => "cancelled",
-            _ => "refused",
+            ACCEPTED => "ACCEPTED",
+            TEMPORARILY_REJECTED => "TEMPORARILY_REJECTED",
+            DENIED => "DENIED",
+            UNSUPPORTED => "UNSUPPORTED",
+            FAILED => "FAILED",
+            IN_PROGRESS => "IN_PROGRESS",
+            CANCELLED => "CANCELLED",
+            COMMAND_LONG_ONLY => "COMMAND_LONG_ONLY",
+            COMMAND_INT_ONLY => "COMMAND_INT_ONLY",
+            UNSUPPORTED_MAV_FRAME => "UNSUPPORTED_MAV_FRAME",
+            NOT_IN_CONTROL => "NOT_IN_CONTROL",
+            _ => "a result that is not known",
         }
     }
 }
@@ -81,6 +87,26 @@ pub(crate) fn decode(command: &Command, vehicle: &Vehicle) -> Result<OperatorReq
     }
 }
 
+/// What a command is called where it is refused; `None` for one that guidance does not know.
+pub(crate) fn request_name(command: u16) -> Option<&'static str> {
+    match command {
+        NAV_GUIDED_ENABLE => Some("engage"),
+        NAV_LAND => Some("landing"),
+        DO_REPOSITION => Some("goal"),
+        _ => None,
+    }
+}
+
+/// Why a command that asks nothing was refused, for a person.
+pub(crate) fn why(mav_result: u8) -> &'static str {
+    match mav_result {
+        result::TEMPORARILY_REJECTED => "the vehicle has not told where its origin is",
+        result::COMMAND_INT_ONLY => "send it as COMMAND_INT, a float does not hold a latitude",
+        result::UNSUPPORTED_MAV_FRAME => "frames LOCAL_NED, GLOBAL and GLOBAL_RELATIVE_ALT are known",
+        _ => "its parameters name nothing",
+    }
+}
+
 /// The goal of a DO_REPOSITION. COMMAND_LONG is refused: a float holds a latitude to half a metre.
 fn reposition(command: &Command, vehicle: &Vehicle) -> Result<OperatorRequest, u8> {
     const LOCAL_NED: u8 = 1;
@@ -112,12 +138,12 @@ fn reposition(command: &Command, vehicle: &Vehicle) -> Result<OperatorRequest, u
         return Err(result::DENIED);
     }
     let (north_m, east_m) = origin.north_east_m(latitude_deg, longitude_deg);
-    Ok(OperatorRequest::Goal {
+    Ok(OperatorRequest::FixedGoal {
         north_m,
         east_m,
         height_m: altitude_m.map(|up_m| {
             if relative {
-                up_m + vehicle.home_height_m
+                up_m + vehicle.home_height_m()
             } else {
                 (f64::from(up_m) - origin.altitude_m) as f32
             }

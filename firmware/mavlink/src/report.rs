@@ -2,14 +2,19 @@
 
 use crate::autopilot::{Flavour, command_number};
 use crate::handover::Trouble;
+use crate::operator::why as why_refused;
 use crate::setpoint_timeout::Finding;
+use crate::status_text::StatusText;
+use crate::streams::Slow;
+use crate::vehicle::Vehicle;
 use core::fmt::Write;
 use mavlink::dialects::common::{
     HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavParamError, MavSeverity, MavState, MavType,
     NAMED_VALUE_FLOAT_DATA, PARAM_ERROR_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
-    STATUSTEXT_DATA,
 };
-use vigil_types::{Alarm, AlarmResponse, GuidanceState, Nanos, Reason, Reasons, StepReport, VelocitySetpoint};
+use vigil_types::{
+    Alarm, AlarmResponse, GuidanceState, Nanos, NedVector, Reason, Reasons, StepReport, VelocitySetpoint,
+};
 
 /// MAVLink's time since boot. Wraps after 49 days, as the protocol's field does.
 pub(crate) fn time_boot_ms(now_ns: Nanos) -> u32 {
@@ -74,13 +79,21 @@ fn named(now_ns: Nanos, name: &str, value: f32) -> MavMessage {
     })
 }
 
-/// State and reasons: what is sent at once when it changes.
-pub(crate) fn state_values(report: &StepReport) -> [MavMessage; 2] {
+/// Bits of the reasons that a float holds exactly.
+const REASON_BITS: u32 = 24;
+
+/// State and reasons: what is sent at once when it changes. The reasons beyond the bits that a float holds are told apart,
+/// while there are or were (`before`) any.
+pub(crate) fn state_values(report: &StepReport, before: Reasons) -> impl Iterator<Item = MavMessage> {
+    let (now_ns, reasons) = (report.now_ns, report.reasons.0);
+    let further = (reasons | before.0) >> REASON_BITS != 0;
     [
-        named(report.now_ns, "gd_state", f32::from(report.state as u8)),
-        // 20 bits: exact in a float.
-        named(report.now_ns, "gd_reason", report.reasons.0 as f32),
+        Some(named(now_ns, "gd_state", f32::from(report.state as u8))),
+        Some(named(now_ns, "gd_reason", (reasons & ((1 << REASON_BITS) - 1)) as f32)),
+        further.then(|| named(now_ns, "gd_reason2", (reasons >> REASON_BITS) as f32)),
     ]
+    .into_iter()
+    .flatten()
 }
 
 /// Verdict, score and contributions; without a judgement there is nothing to tell, and a number that is not one is left
@@ -104,7 +117,11 @@ pub(crate) fn judgement_values(report: &StepReport) -> impl Iterator<Item = MavM
 }
 
 /// Everything else; what is not known in this step is left out.
-pub(crate) fn values(report: &StepReport, bad_packets: u64) -> impl Iterator<Item = MavMessage> {
+pub(crate) fn values(
+    report: &StepReport,
+    bad_packets: u64,
+    telemetry_interval_ns: Option<Nanos>,
+) -> impl Iterator<Item = MavMessage> {
     let now_ns = report.now_ns;
     let timing = report.timing;
     let to_goal = report.goal_relative;
@@ -117,74 +134,52 @@ pub(crate) fn values(report: &StepReport, bad_packets: u64) -> impl Iterator<Ite
         ("slips", Some(timing.slips as f32)),
         ("refused", Some(report.frames_refused as f32)),
         ("rx_bad", Some(bad_packets as f32)),
+        ("tlm_ms", telemetry_interval_ns.map(|ns| ns as f32 * 1e-6)),
     ]
     .into_iter()
     .filter_map(move |(name, value)| value.map(|value| named(now_ns, name, value)))
 }
 
-/// The text of one STATUSTEXT, cut at its 50 bytes.
-struct Text {
-    bytes: [u8; 50],
-    len: usize,
-}
-
-impl Write for Text {
-    fn write_str(&mut self, s: &str) -> core::fmt::Result {
-        // All names are ASCII, so that a cut never splits a character.
-        for (slot, byte) in self.bytes.iter_mut().skip(self.len).zip(s.bytes()) {
-            *slot = byte;
-            self.len += 1;
-        }
-        Ok(())
-    }
-}
-
-fn status_text(severity: MavSeverity, write: impl FnOnce(&mut Text) -> core::fmt::Result) -> MavMessage {
-    let mut text = Text { bytes: [0; 50], len: 0 };
-    // Cannot fail: `Text` never does.
-    let _ = write(&mut text);
-    MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-        severity,
-        text: text.bytes.into(),
-        ..STATUSTEXT_DATA::DEFAULT
-    })
-}
-
 /// "guidance: hold (stale frame, link lost)".
-pub(crate) fn state_text(state: GuidanceState, reasons: Reasons) -> MavMessage {
+pub(crate) fn state_text(state: GuidanceState, reasons: Reasons) -> StatusText {
     let severity = if is_faulty_hold(state, reasons) {
         MavSeverity::MAV_SEVERITY_WARNING
     } else {
         MavSeverity::MAV_SEVERITY_INFO
     };
-    status_text(severity, |text| {
+    StatusText::new(severity, |text| {
         write!(text, "guidance: {}", state.name())?;
-        let mut separator = " (";
-        for reason in reasons.iter() {
-            write!(text, "{separator}{}", reason.name())?;
-            separator = ", ";
-        }
-        text.write_str(if reasons.is_empty() { "" } else { ")" })
+        write_reasons(text, reasons)
     })
 }
 
+/// " (stale frame, link lost)", nothing for none.
+fn write_reasons(text: &mut StatusText, reasons: Reasons) -> core::fmt::Result {
+    let mut separator = " (";
+    for reason in reasons.iter() {
+        write!(text, "{separator}{}", reason.name())?;
+        separator = ", ";
+    }
+    text.write_str(if reasons.is_empty() { "" } else { ")" })
+}
+
 /// "alarm: attack, stopping", "detector: attack, recovery pilot flies", "detector: clear".
-pub(crate) fn alarm_text(alarm: Option<Alarm>) -> MavMessage {
+pub(crate) fn alarm_text(alarm: Option<Alarm>) -> StatusText {
     let severity = match alarm.map(|alarm| alarm.response) {
         Some(AlarmResponse::Stop | AlarmResponse::Ignored) => MavSeverity::MAV_SEVERITY_CRITICAL,
         Some(AlarmResponse::Recovery) | None => MavSeverity::MAV_SEVERITY_INFO,
     };
-    status_text(severity, |text| match alarm {
+    StatusText::new(severity, |text| match alarm {
         Some(Alarm { cause, response }) => write!(text, "alarm: {}, {}", cause.name(), response.name()),
         None => text.write_str("alarm: clear"),
     })
 }
 
-/// "hand-over: arm denied".
-pub(crate) fn trouble_text(trouble: Trouble, configured: Flavour) -> MavMessage {
-    status_text(MavSeverity::MAV_SEVERITY_ERROR, |text| match trouble {
+/// "hand-over: arming refused: DENIED".
+pub(crate) fn trouble_text(trouble: Trouble, configured: Flavour) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_ERROR, |text| match trouble {
         Trouble::Command { number, failure } => {
-            write!(text, "hand-over: {} {}", command_number::name(number), failure.name())
+            write!(text, "hand-over: {} {failure}", command_number::name(number))
         }
         Trouble::OtherAutopilot(named) => write!(
             text,
@@ -196,13 +191,13 @@ pub(crate) fn trouble_text(trouble: Trouble, configured: Flavour) -> MavMessage 
 }
 
 /// "GUID_TIMEOUT was 3 s, set to 0.5 s".
-pub(crate) fn setpoint_timeout_text(name: &str, finding: Finding) -> MavMessage {
+pub(crate) fn setpoint_timeout_text(name: &str, finding: Finding) -> StatusText {
     let severity = match finding {
         Finding::Good(_) => MavSeverity::MAV_SEVERITY_INFO,
         Finding::Set(..) => MavSeverity::MAV_SEVERITY_NOTICE,
         Finding::Stays(..) | Finding::NotTold => MavSeverity::MAV_SEVERITY_WARNING,
     };
-    status_text(severity, |text| match finding {
+    StatusText::new(severity, |text| match finding {
         Finding::Good(value_s) => write!(text, "{name} is {value_s} s"),
         Finding::Set(before_s, value_s) => write!(text, "{name} was {before_s} s, set to {value_s} s"),
         Finding::Stays(value_s, wanted_s) => write!(text, "{name} stays {value_s} s, wanted {wanted_s} s"),
@@ -210,9 +205,134 @@ pub(crate) fn setpoint_timeout_text(name: &str, finding: Finding) -> MavMessage 
     })
 }
 
+/// "hand-over: not done in time, waiting for: climb to the take-off height".
+pub(crate) fn overdue_text(unfinished: &str) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_ERROR, |text| {
+        write!(text, "hand-over: not done in time, waiting for: {unfinished}")
+    })
+}
+
+/// "vehicle 1: ArduPilot".
+pub(crate) fn vehicle_text(system: u8, vehicle: &Vehicle) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_INFO, |text| match vehicle.named {
+        Some(named) => write!(text, "vehicle {system}: {}", named.name()),
+        None => write!(
+            text,
+            "vehicle {system}: autopilot {} is not known, flown as {}",
+            vehicle.mav_autopilot,
+            vehicle.flavour().name()
+        ),
+    })
+}
+
+/// "vehicle is ArduPilot, but set is PX4: it is not flown; use --vehicle auto".
+pub(crate) fn wrong_vehicle_text(named: Flavour, configured: Flavour) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_ERROR, |text| {
+        write!(
+            text,
+            "vehicle is {}, but set is {}: it is not flown; use --vehicle auto",
+            named.name(),
+            configured.name()
+        )
+    })
+}
+
+/// "slow: ATTITUDE at 2.0 Hz, asked for 50 Hz".
+pub(crate) fn slow_text(slow: &Slow) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+        write!(
+            text,
+            "slow: {} at {:.1} Hz, asked for {:.0} Hz",
+            slow.name, slow.rate_hz, slow.wanted_hz
+        )
+    })
+}
+
+/// "telemetry is slow: 4.0 Hz".
+pub(crate) fn slow_telemetry_text(interval_ns: Nanos) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+        let rate_hz = 1e9 / interval_ns as f32;
+        write!(
+            text,
+            "slow telemetry: {rate_hz:.1} Hz leave little margin to stale telemetry"
+        )
+    })
+}
+
+/// "home: 12.0 m north, 3.0 m east, 0.0 m above the local origin; goals are from there".
+pub(crate) fn home_text(home_ned_m: NedVector) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_INFO, |text| {
+        let NedVector { x, y, z, .. } = home_ned_m;
+        write!(
+            text,
+            "home: {x:.1} m north, {y:.1} m east, {:.1} m above the local origin; goals are from there",
+            -z
+        )
+    })
+}
+
+/// Home was not told when the hand-over began.
+pub(crate) fn no_home_text() -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+        text.write_str("home is not told: goals are from the local origin")
+    })
+}
+
+/// Why guidance does not engage by itself.
+pub(crate) fn pilot_in_command_text(flavour: Flavour) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_NOTICE, |text| {
+        write!(
+            text,
+            "a person has the vehicle: engage guidance, or if nobody took it over, change to {}",
+            flavour.external_mode_name()
+        )
+    })
+}
+
+/// "engage refused in standby (stale frame)".
+pub(crate) fn refused_text(request: &str, why: Refusal) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| match why {
+        Refusal::Command(mav_result) => write!(text, "{request} refused: {}", why_refused(mav_result)),
+        Refusal::Goal => write!(
+            text,
+            "{request} refused: outside the fence, too far, or at or below the ground"
+        ),
+        Refusal::NotGuiding(state) => write!(
+            text,
+            "{request} refused in {}: guidance does not have the vehicle",
+            state.name()
+        ),
+        Refusal::In(state, reasons) => {
+            write!(text, "{request} refused in {}", state.name())?;
+            write_reasons(text, reasons)?;
+            text.write_str(if reasons.is_empty() {
+                ": not clear for long enough"
+            } else {
+                ""
+            })
+        }
+        Refusal::Busy => write!(text, "{request} refused: too many requests"),
+    })
+}
+
+/// Why a request was refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Refusal {
+    /// The command asks nothing that guidance knows; its MAV_RESULT.
+    Command(u8),
+    /// The goal is not permitted.
+    Goal,
+    /// There is nothing to land.
+    NotGuiding(GuidanceState),
+    /// Not in that state, for those reasons.
+    In(GuidanceState, Reasons),
+    /// More requests than a step takes.
+    Busy,
+}
+
 /// "PLT_CRUISE not set: out of range".
-pub(crate) fn parameter_text(name: &str, why: &str) -> MavMessage {
-    status_text(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+pub(crate) fn parameter_text(name: &str, why: &str) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
         write!(text, "{name} not set: {why}")
     })
 }
@@ -229,8 +349,8 @@ pub(crate) fn no_such_parameter((system, component): (u8, u8), name: [u8; 16], p
 }
 
 /// The last words.
-pub(crate) fn shutdown_text() -> MavMessage {
-    status_text(MavSeverity::MAV_SEVERITY_NOTICE, |text| {
+pub(crate) fn shutdown_text() -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_NOTICE, |text| {
         text.write_str("guidance: shut down")
     })
 }

@@ -70,9 +70,9 @@ pub(crate) struct SetpointTimeout {
 }
 
 impl SetpointTimeout {
-    pub fn new(flavour: Flavour, longest_s: Option<f32>) -> Self {
+    pub fn new(longest_s: Option<f32>) -> Self {
         Self {
-            flavour,
+            flavour: Flavour::default(),
             longest_s,
             stage: Stage::Idle,
             attempts: 0,
@@ -127,7 +127,8 @@ impl SetpointTimeout {
     }
 
     /// One step. `taking`: guidance asks for the vehicle. What then began goes on to its end, in flight too.
-    pub fn step(&mut self, now_ns: Nanos, taking: bool) -> Next {
+    pub fn step(&mut self, now_ns: Nanos, taking: bool, flavour: Flavour) -> Next {
+        self.flavour = flavour;
         let Some(longest_s) = self.longest_s else {
             return Next::Nothing;
         };

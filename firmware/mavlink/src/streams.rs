@@ -1,97 +1,323 @@
-//! Asks the vehicle for the messages that guidance needs. PX4 streams them unprompted; an ArduPilot sends only what is
-//! asked for. <https://mavlink.io/en/services/message_intervals.html>
+//! Asks the vehicle for the messages that guidance needs, and again when they come too rarely: a ground station may slow
+//! them down for everybody on a link. PX4 streams them unprompted; an ArduPilot sends only what is asked for.
+//! <https://mavlink.io/en/services/message_intervals.html>
 
 use crate::autopilot::{Flavour, command_number};
 use crate::vehicle::Vehicle;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
-    ATTITUDE_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA,
-    SYS_STATUS_DATA,
+    ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA,
+    LOCAL_POSITION_NED_DATA, SYS_STATUS_DATA,
 };
 use vigil_types::Nanos;
 
-/// Message and wanted interval in microseconds.
-const NEEDED: [(u32, f32); 4] = [
-    (LOCAL_POSITION_NED_DATA::ID, 33_333.0),
-    (ATTITUDE_DATA::ID, 20_000.0),
-    (EXTENDED_SYS_STATE_DATA::ID, 200_000.0),
-    (SYS_STATUS_DATA::ID, 1_000_000.0),
+/// A message that guidance needs.
+#[derive(Debug, Clone, Copy)]
+struct Needed {
+    id: u32,
+    /// What says the same and counts for it.
+    or: u32,
+    name: &'static str,
+    /// Wanted interval in microseconds.
+    interval_us: f32,
+    /// Longest mean interval that is borne.
+    slow_ns: Nanos,
+    /// ArduPilot's MAV_DATA_STREAM that has it, for versions that do not know intervals of single messages; 0 is none.
+    stream: u8,
+    /// Guidance cannot fly without it for longer than fractions of a second: that it is slow is told.
+    flies: bool,
+    /// Only an ArduPilot is asked: a PX4 sends it when there is something to tell.
+    of_ardupilot: bool,
+}
+
+/// Places in the table.
+const POSITION: usize = 0;
+const ATTITUDE: usize = 1;
+
+const NEEDED: [Needed; 5] = [
+    Needed {
+        id: LOCAL_POSITION_NED_DATA::ID,
+        or: LOCAL_POSITION_NED_DATA::ID,
+        name: "LOCAL_POSITION_NED",
+        interval_us: 33_333.0,
+        slow_ns: 100_000_000,
+        stream: 6,
+        flies: true,
+        of_ardupilot: false,
+    },
+    Needed {
+        id: ATTITUDE_DATA::ID,
+        or: ATTITUDE_QUATERNION_DATA::ID,
+        name: "ATTITUDE",
+        interval_us: 20_000.0,
+        slow_ns: 100_000_000,
+        stream: 10,
+        flies: true,
+        of_ardupilot: false,
+    },
+    Needed {
+        id: EXTENDED_SYS_STATE_DATA::ID,
+        or: EXTENDED_SYS_STATE_DATA::ID,
+        name: "EXTENDED_SYS_STATE",
+        interval_us: 200_000.0,
+        slow_ns: 1_200_000_000,
+        stream: 0,
+        flies: false,
+        of_ardupilot: false,
+    },
+    Needed {
+        id: SYS_STATUS_DATA::ID,
+        or: SYS_STATUS_DATA::ID,
+        name: "SYS_STATUS",
+        interval_us: 1_000_000.0,
+        slow_ns: 5_000_000_000,
+        stream: 2,
+        flies: false,
+        of_ardupilot: false,
+    },
+    Needed {
+        id: HOME_POSITION_DATA::ID,
+        or: HOME_POSITION_DATA::ID,
+        name: "HOME_POSITION",
+        interval_us: 1_000_000.0,
+        slow_ns: 5_000_000_000,
+        stream: 0,
+        flies: false,
+        of_ardupilot: true,
+    },
 ];
-/// Where the local origin is; asked for once at a time until it is known.
+/// Where local origin and home are; asked for by turns until both are known.
 const PLACES: [u32; 2] = [GPS_GLOBAL_ORIGIN_DATA::ID, HOME_POSITION_DATA::ID];
+const REQUEST_DATA_STREAM: u32 = 66;
 
 /// Pause between two questions, so that they never come as a burst.
 const PAUSE_NS: Nanos = 250_000_000;
-/// A message that did not come for this long is asked for again.
+/// A message that did not come for this long is asked for.
 const MISSING_NS: Nanos = 3_000_000_000;
 /// Without a heartbeat for this long there is nobody to ask.
 const SILENT_NS: Nanos = 3_000_000_000;
+/// Pause before the same is asked again: doubled each time up to the longest, and short again once the message came as it
+/// should for [`GOOD_NS`].
+const FIRST_PAUSE_NS: Nanos = 1_000_000_000;
+const LONGEST_PAUSE_NS: Nanos = 32_000_000_000;
+const GOOD_NS: Nanos = 5_000_000_000;
+/// Arrivals that are remembered; the mean interval is that between them.
+const ARRIVALS: usize = 5;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What to send to the autopilot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Ask {
+    /// A command's number and parameters.
+    Command(u16, [f32; 7]),
+    /// REQUEST_DATA_STREAM.
+    DataStream { stream: u8, rate_hz: u16 },
+}
+
+impl Ask {
+    /// Message number and payload of a [`Ask::DataStream`].
+    pub fn data_stream(system: u8, stream: u8, rate_hz: u16) -> (u32, [u8; 6]) {
+        let [low, high] = rate_hz.to_le_bytes();
+        (REQUEST_DATA_STREAM, [low, high, system, 1, stream, 1])
+    }
+}
+
+/// A message that comes too rarely, to be told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Slow {
+    pub name: &'static str,
+    pub rate_hz: f32,
+    pub wanted_hz: f32,
+}
+
+/// How one message comes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Watched {
+    /// The last arrivals, newest first.
+    arrivals_ns: [Option<Nanos>; ARRIVALS],
+    /// Since when it is waited for.
+    since_ns: Option<Nanos>,
+    asked_ns: Option<Nanos>,
+    /// Questions since it last came as it should.
+    asked: u8,
+    good_since_ns: Option<Nanos>,
+}
+
+impl Watched {
+    fn mean_interval_ns(&self) -> Option<Nanos> {
+        let [newest, .., oldest] = self.arrivals_ns;
+        Some(newest?.saturating_sub(oldest?) / (ARRIVALS as Nanos - 1))
+    }
+
+    fn is_slow(&self, needed: &Needed) -> bool {
+        self.mean_interval_ns().is_some_and(|ns| ns > needed.slow_ns)
+    }
+
+    fn pause_ns(&self) -> Nanos {
+        match self.asked {
+            0 => 0,
+            asked => (FIRST_PAUSE_NS << (asked - 1).min(5)).min(LONGEST_PAUSE_NS),
+        }
+    }
+
+    fn note(&mut self, now_ns: Nanos, needed: &Needed) {
+        self.arrivals_ns.rotate_right(1);
+        if let Some(newest) = self.arrivals_ns.first_mut() {
+            *newest = Some(now_ns);
+        }
+        if self.is_slow(needed) {
+            self.good_since_ns = None;
+        } else if now_ns.saturating_sub(*self.good_since_ns.get_or_insert(now_ns)) >= GOOD_NS {
+            self.asked = 0;
+        }
+    }
+
+    /// Whether it is to be asked for now.
+    fn is_wanting(&self, now_ns: Nanos, needed: &Needed) -> bool {
+        let last_ns = self.arrivals_ns.first().copied().flatten().or(self.since_ns);
+        let missing = last_ns.is_some_and(|ns| now_ns.saturating_sub(ns) > MISSING_NS.max(needed.slow_ns));
+        let waited = self
+            .asked_ns
+            .is_none_or(|ns| now_ns.saturating_sub(ns) >= self.pause_ns());
+        (missing || self.is_slow(needed)) && waited
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Streams {
-    /// Of each needed message: when it came last, or was last asked for.
-    seen_ns: [Option<Nanos>; NEEDED.len()],
+    watched: [Watched; NEEDED.len()],
     /// Of each needed message: an ArduPilot sends it too slowly unless asked.
     ask: [bool; NEEDED.len()],
     asked_ns: Nanos,
     restarts: u32,
-    next_place: usize,
+    places_asked: u8,
     flavour: Flavour,
+    /// To be told, once.
+    slow: Option<Slow>,
+    /// Questions because a message came too rarely, since start.
+    pub slow_asked: u64,
 }
 
 impl Streams {
-    pub fn new(flavour: Flavour) -> Self {
+    pub fn new() -> Self {
+        Self::of(Flavour::Px4)
+    }
+
+    fn of(flavour: Flavour) -> Self {
         Self {
-            seen_ns: [None; NEEDED.len()],
+            watched: [Watched::default(); NEEDED.len()],
             ask: [flavour == Flavour::ArduPilot; NEEDED.len()],
             asked_ns: 0,
             restarts: 0,
-            next_place: 0,
+            places_asked: 0,
             flavour,
+            slow: None,
+            slow_asked: 0,
         }
     }
 
     pub fn note(&mut self, now_ns: Nanos, message_id: u32) {
-        for ((id, _), seen_ns) in NEEDED.iter().zip(&mut self.seen_ns) {
-            if *id == message_id {
-                *seen_ns = Some(now_ns);
+        for (needed, watched) in NEEDED.iter().zip(&mut self.watched) {
+            if needed.id == message_id || needed.or == message_id {
+                watched.note(now_ns, needed);
             }
         }
     }
 
-    /// A command to send in this step: number and parameters.
-    pub fn step(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<(u16, [f32; 7])> {
+    /// Mean time between the last positions or attitudes, whichever is longer.
+    pub fn flight_interval_ns(&self) -> Option<Nanos> {
+        let of = |place: usize| self.watched.get(place)?.mean_interval_ns();
+        Some(of(POSITION)?.max(of(ATTITUDE)?))
+    }
+
+    /// A message that was found too slow since the last call.
+    pub fn take_slow(&mut self) -> Option<Slow> {
+        self.slow.take()
+    }
+
+    /// What to send in this step.
+    pub fn step(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
         let heard = vehicle
             .telemetry
             .heartbeat
             .is_some_and(|h| now_ns.saturating_sub(h.at_ns) < SILENT_NS);
-        if self.restarts != vehicle.restarts {
+        if self.restarts != vehicle.restarts || self.flavour != vehicle.flavour() {
             *self = Self {
                 restarts: vehicle.restarts,
-                ..Self::new(self.flavour)
+                slow_asked: self.slow_asked,
+                ..Self::of(vehicle.flavour())
             };
         }
         if !heard || vehicle.is_other_autopilot() || now_ns.saturating_sub(self.asked_ns) < PAUSE_NS {
             return None;
         }
-        let unused = self.flavour.unused();
-        for (((id, interval_us), seen_ns), ask) in NEEDED.iter().zip(&mut self.seen_ns).zip(&mut self.ask) {
-            let since_ns = *seen_ns.get_or_insert(now_ns);
-            if *ask || now_ns.saturating_sub(since_ns) > MISSING_NS {
-                *ask = false;
-                *seen_ns = Some(now_ns);
-                self.asked_ns = now_ns;
-                let params = [*id as f32, *interval_us, unused, unused, unused, unused, 0.0];
-                return Some((command_number::SET_MESSAGE_INTERVAL, params));
+        for ((needed, watched), ask) in NEEDED.iter().zip(&mut self.watched).zip(&mut self.ask) {
+            if needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
+                continue;
             }
-        }
-        if vehicle.origin.is_none() && now_ns.saturating_sub(self.asked_ns) > MISSING_NS {
-            let id = PLACES.get(self.next_place % PLACES.len())?;
-            self.next_place = self.next_place.wrapping_add(1);
+            watched.since_ns.get_or_insert(now_ns);
+            if !*ask && !watched.is_wanting(now_ns, needed) {
+                continue;
+            }
+            let wanted_hz = 1e6 / needed.interval_us;
+            if let (false, true, true, Some(interval_ns)) =
+                (*ask, needed.flies, watched.is_slow(needed), watched.mean_interval_ns())
+            {
+                self.slow_asked += 1;
+                self.slow = Some(Slow {
+                    name: needed.name,
+                    rate_hz: 1e9 / interval_ns as f32,
+                    wanted_hz,
+                });
+            }
+            *ask = false;
+            // Every third time in the old way, where there is one.
+            let old_way = watched.asked % 3 == 2 && needed.stream != 0 && self.flavour == Flavour::ArduPilot;
+            watched.asked = watched.asked.saturating_add(1);
+            watched.asked_ns = Some(now_ns);
             self.asked_ns = now_ns;
-            let params = [*id as f32, unused, unused, unused, unused, unused, 0.0];
-            return Some((command_number::REQUEST_MESSAGE, params));
+            if old_way {
+                return Some(Ask::DataStream {
+                    stream: needed.stream,
+                    // 50 at most.
+                    rate_hz: libm::roundf(wanted_hz) as u16,
+                });
+            }
+            let unused = self.flavour.unused();
+            let params = [
+                needed.id as f32,
+                needed.interval_us,
+                unused,
+                unused,
+                unused,
+                unused,
+                0.0,
+            ];
+            return Some(Ask::Command(command_number::SET_MESSAGE_INTERVAL, params));
         }
-        None
+        self.ask_for_place(now_ns, vehicle)
+    }
+
+    fn ask_for_place(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Option<Ask> {
+        let known = [vehicle.is_origin_told(), vehicle.home_ned_m().is_some()];
+        // Each twice after 3 s, then less and less often: a vehicle without GPS has neither.
+        let pause_ns = MISSING_NS << (self.places_asked / 4).min(4);
+        if known == [true; 2] || now_ns.saturating_sub(self.asked_ns) <= pause_ns {
+            return None;
+        }
+        let by_turns = PLACES
+            .iter()
+            .zip(known)
+            .cycle()
+            .skip(usize::from(self.places_asked) % 2);
+        let (id, _) = by_turns.take(2).find(|(_, known)| !known)?;
+        self.places_asked = if self.places_asked == u8::MAX {
+            64
+        } else {
+            self.places_asked + 1
+        };
+        self.asked_ns = now_ns;
+        let unused = self.flavour.unused();
+        let params = [*id as f32, unused, unused, unused, unused, unused, 0.0];
+        Some(Ask::Command(command_number::REQUEST_MESSAGE, params))
     }
 }

@@ -31,12 +31,12 @@ pub(crate) enum Failure {
     NoEffect,
 }
 
-impl Failure {
-    pub fn name(self) -> &'static str {
+impl core::fmt::Display for Failure {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Refused(mav_result) => result::name(mav_result),
-            Self::NotAnswered => "not answered",
-            Self::NoEffect => "without effect",
+            Self::Refused(mav_result) => write!(f, "refused: {}", result::name(*mav_result)),
+            Self::NotAnswered => f.write_str("not answered"),
+            Self::NoEffect => f.write_str("accepted, but without effect"),
         }
     }
 }
@@ -132,6 +132,11 @@ impl Tracker {
     pub fn is_accepted(&self, number: u16) -> bool {
         self.current
             .is_some_and(|c| c.number == number && c.answer == Answer::Accepted)
+    }
+
+    /// The command that is followed.
+    pub fn number(&self) -> Option<u16> {
+        self.current.map(|c| c.number)
     }
 
     pub fn reset(&mut self) {

@@ -20,16 +20,33 @@ const FAILSAFE_STATES: [u8; 3] = [5, 6, 8];
 /// MAV_MODE_FLAG_SAFETY_ARMED.
 const ARMED: u8 = 128;
 
+/// Where home is told to be in two ways that differ by more than this, metres, the vehicle fills only one of them.
+const SAME_PLACE_M: f32 = 1.0;
+
+/// HOME_POSITION: the place in the local frame, and on the globe.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Home {
+    ned_m: NedVector,
+    place: Option<Origin>,
+}
+
 /// The vehicle as its messages describe it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Vehicle {
     flavour: Flavour,
+    /// The flavour was configured, not recognised.
+    fixed: bool,
+    /// Guidance has the vehicle: its autopilot is not recognised anew.
+    pub in_flight: bool,
     pub telemetry: VehicleTelemetry,
     /// The autopilot that its heartbeat names, when it is a known one.
     pub named: Option<Flavour>,
+    /// MAV_AUTOPILOT of its heartbeat.
+    pub mav_autopilot: u8,
     pub origin: Option<Origin>,
-    /// Height of home above the local origin.
-    pub home_height_m: f32,
+    /// The origin came by GPS_GLOBAL_ORIGIN and was not inferred from home.
+    origin_told: bool,
+    home: Option<Home>,
     pub restarts: u32,
     /// Packets dropped because a newer one came before.
     pub late: u64,
@@ -38,13 +55,18 @@ pub(crate) struct Vehicle {
 }
 
 impl Vehicle {
-    pub fn new(flavour: Flavour) -> Self {
+    /// `flavour`: what the vehicle must be; `None` recognises it from its heartbeat.
+    pub fn new(flavour: Option<Flavour>) -> Self {
         Self {
-            flavour,
+            flavour: flavour.unwrap_or_default(),
+            fixed: flavour.is_some(),
+            in_flight: false,
             telemetry: VehicleTelemetry::default(),
             named: None,
+            mav_autopilot: 0,
             origin: None,
-            home_height_m: 0.0,
+            origin_told: false,
+            home: None,
             restarts: 0,
             late: 0,
             position_ms: None,
@@ -52,7 +74,44 @@ impl Vehicle {
         }
     }
 
-    /// Whether the vehicle's autopilot is known to be another than the configured one.
+    /// The configured flavour, or the recognised one; PX4 until the vehicle is heard, and where it names no known autopilot.
+    pub fn flavour(&self) -> Flavour {
+        self.flavour
+    }
+
+    /// Whether the vehicle told where its local origin is on the globe.
+    pub fn is_origin_told(&self) -> bool {
+        self.origin_told
+    }
+
+    /// Home in the local frame: as the vehicle tells it there, or on the globe where it fills only those fields.
+    pub fn home_ned_m(&self) -> Option<NedVector> {
+        let home = self.home?;
+        let on_globe = match (self.origin.filter(|_| self.origin_told), home.place) {
+            (Some(origin), Some(place)) => {
+                let (north_m, east_m) = origin.north_east_m(place.latitude_deg, place.longitude_deg);
+                let down_m = (origin.altitude_m - place.altitude_m) as f32;
+                Some(NedVector::new(north_m, east_m, down_m))
+            }
+            _ => None,
+        };
+        let is_filled = home.ned_m.is_finite()
+            && (home.ned_m != NedVector::ZERO || on_globe.is_none_or(|p| p.norm() < SAME_PLACE_M));
+        if is_filled { Some(home.ned_m) } else { on_globe }
+    }
+
+    /// Height of home above the local origin; 0 where it is not known.
+    pub fn home_height_m(&self) -> f32 {
+        self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
+    }
+
+    /// How long ago the autopilot started, by its own clock.
+    pub fn up_ns(&self) -> Option<Nanos> {
+        let ms = self.position_ms.max(self.attitude_ms)?;
+        Some(Nanos::from(ms) * 1_000_000)
+    }
+
+    /// Whether the vehicle's autopilot is known to be another than the one in force.
     pub fn is_other_autopilot(&self) -> bool {
         self.named.is_some_and(|named| named != self.flavour)
     }
@@ -80,6 +139,10 @@ impl Vehicle {
     fn heartbeat(&mut self, now_ns: Nanos, payload: &Zeroed<'_>) {
         let (custom_mode, autopilot, base_mode, state) = (payload.u32(0), payload.u8(5), payload.u8(6), payload.u8(7));
         self.named = Flavour::of_autopilot(autopilot);
+        self.mav_autopilot = autopilot;
+        if let (false, false, Some(named)) = (self.fixed, self.in_flight, self.named) {
+            self.flavour = named;
+        }
         self.telemetry.heartbeat = Some(Heartbeat {
             at_ns: now_ns,
             armed: base_mode & ARMED != 0,
@@ -126,12 +189,15 @@ impl Vehicle {
                     .map(|percent| f32::from(percent) / 100.0);
             }
             MavMessage::GPS_GLOBAL_ORIGIN(m) => {
-                self.origin = Origin::from_integers(m.latitude, m.longitude, m.altitude).or(self.origin);
+                if let Some(origin) = Origin::from_integers(m.latitude, m.longitude, m.altitude) {
+                    (self.origin, self.origin_told) = (Some(origin), true);
+                }
             }
             MavMessage::HOME_POSITION(m) => {
-                if m.z.is_finite() {
-                    self.home_height_m = -m.z;
-                }
+                self.home = Some(Home {
+                    ned_m: NedVector::new(m.x, m.y, m.z),
+                    place: Origin::from_integers(m.latitude, m.longitude, m.altitude),
+                });
                 // GPS_GLOBAL_ORIGIN is exact; without it, home tells where the origin must be.
                 self.origin = self
                     .origin
@@ -163,10 +229,14 @@ impl Vehicle {
                 heartbeat: self.telemetry.heartbeat,
                 ..VehicleTelemetry::default()
             },
+            flavour: self.flavour,
+            fixed: self.fixed,
+            in_flight: self.in_flight,
             named: self.named,
+            mav_autopilot: self.mav_autopilot,
             restarts: self.restarts.wrapping_add(1),
             late: self.late,
-            ..Self::new(self.flavour)
+            ..Self::new(None)
         };
     }
 }

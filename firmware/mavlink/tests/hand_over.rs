@@ -8,7 +8,7 @@ use vigil_guidance::{AtGoal, EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
 use vigil_mavlink::common::MavResult;
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
-use vigil_types::{Reason, STEP_NS};
+use vigil_types::{Reason, Reasons, STEP_NS};
 
 const SECOND: u64 = 1_000_000_000;
 
@@ -56,7 +56,7 @@ fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_s
         ..Default::default()
     };
     let mut f = Flight::with(ArduPilot, Peer::on_the_ground(ArduPilot), config);
-    f.until(Guided);
+    f.engage_and_fly();
     assert_eq!(f.peer.flight_commands(), [176, 400, 22]);
     let of = |number| *f.peer.commands.iter().find(|c| c.command == number).unwrap();
     assert_eq!(of(176).params, [1.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
@@ -70,7 +70,11 @@ fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_s
         .filter(|c| c.command == 511)
         .map(|c| c.params[0])
         .collect();
-    assert_eq!(wanted, [32.0, 30.0, 245.0, 1.0], "an ArduPilot sends what is asked for");
+    assert_eq!(
+        wanted,
+        [32.0, 30.0, 245.0, 1.0, 242.0],
+        "an ArduPilot sends what is asked for"
+    );
 
     f.until(Land);
     f.until(Standby);
@@ -87,7 +91,7 @@ fn an_ardupilot_on_the_ground_is_flown_lands_at_the_goal_and_gets_zeros_before_s
 fn a_vehicle_in_the_air_only_gets_the_change_of_mode() {
     for flavour in [Px4, ArduPilot] {
         let mut f = Flight::new(flavour, Peer::in_the_air(flavour));
-        f.until(Guided);
+        f.engage_and_fly();
         assert_eq!(f.peer.flight_commands(), [176], "{}", flavour.name());
     }
 }
@@ -115,7 +119,7 @@ fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
                 ..Peer::on_the_ground(flavour)
             },
         );
-        f.until(Guided);
+        f.engage_and_fly();
         assert!(f.peer.flight_commands().contains(&22) && !f.peer.disturbed_takeoff);
         let mut f = Flight::new(
             flavour,
@@ -124,7 +128,7 @@ fn a_vehicle_that_does_not_tell_whether_it_landed_is_judged_by_its_height() {
                 ..Peer::in_the_air(flavour)
             },
         );
-        f.until(Guided);
+        f.engage_and_fly();
         assert_eq!(f.peer.flight_commands(), [176]);
     }
 }
@@ -155,7 +159,7 @@ fn a_refused_command_fails_the_hand_over_with_its_result() {
         times: 9,
     };
     let (f, text) = failed_with(Px4, quirk(400, MavResult::MAV_RESULT_DENIED));
-    assert_eq!(text, "hand-over: arm denied");
+    assert_eq!(text, "hand-over: arming refused: DENIED");
     assert_eq!(
         f.peer.commands.iter().filter(|c| c.command == 400).count(),
         1,
@@ -163,9 +167,9 @@ fn a_refused_command_fails_the_hand_over_with_its_result() {
     );
     assert!(!f.peer.armed);
     let (_, text) = failed_with(ArduPilot, quirk(22, MavResult::MAV_RESULT_FAILED));
-    assert_eq!(text, "hand-over: take-off failed");
+    assert_eq!(text, "hand-over: take-off refused: FAILED");
     let (f, text) = failed_with(ArduPilot, quirk(176, MavResult::MAV_RESULT_TEMPORARILY_REJECTED));
-    assert_eq!(text, "hand-over: mode temporarily rejected");
+    assert_eq!(text, "hand-over: change of mode refused: TEMPORARILY_REJECTED");
     assert_eq!(
         f.peer.commands.iter().filter(|c| c.command == 176).count(),
         4,
@@ -183,7 +187,7 @@ fn silence_is_asked_four_times_half_a_second_apart() {
             times: 9,
         },
     );
-    assert_eq!(text, "hand-over: arm not answered");
+    assert_eq!(text, "hand-over: arming not answered");
     let arms: Vec<_> = f.peer.commands.iter().filter(|c| c.command == 400).collect();
     assert_eq!(arms.iter().map(|c| c.confirmation).collect::<Vec<_>>(), [0, 1, 2, 3]);
     assert!(arms.windows(2).all(|w| w[1].at_ns - w[0].at_ns == SECOND / 2));
@@ -199,7 +203,7 @@ fn a_command_accepted_without_effect_is_not_believed() {
             times: 9,
         },
     );
-    assert_eq!(text, "hand-over: arm without effect");
+    assert_eq!(text, "hand-over: arming accepted, but without effect");
     assert_eq!(f.peer.commands.iter().filter(|c| c.command == 400).count(), 4);
 }
 
@@ -215,7 +219,7 @@ fn lost_and_delayed_answers_do_not_stop_the_hand_over() {
                     times: 2,
                 });
             }
-            f.until(Guided);
+            f.engage_and_fly();
         }
     }
 }
@@ -276,7 +280,7 @@ fn a_failsafe_hold_of_the_vehicle_is_regained_with_the_mode_alone() {
 fn a_pilot_who_takes_the_sticks_is_left_alone() {
     for flavour in [Px4, ArduPilot] {
         let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
-        f.until(Guided);
+        f.engage_and_fly();
         f.run(20);
         f.peer.commands.clear();
         f.peer.mode = Mode::Manual;
@@ -287,10 +291,10 @@ fn a_pilot_who_takes_the_sticks_is_left_alone() {
 }
 
 #[test]
-fn a_vehicle_that_restarts_is_handed_over_anew() {
+fn a_vehicle_that_restarts_is_handed_over_anew_unless_it_comes_back_in_a_pilots_mode() {
     for flavour in [Px4, ArduPilot] {
         let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
-        f.until(Guided);
+        f.engage_and_fly();
         f.run(40);
         f.hears = false;
         f.run(30);
@@ -300,6 +304,16 @@ fn a_vehicle_that_restarts_is_handed_over_anew() {
         f.peer.commands.clear();
         f.hears = true;
         f.until(Standby);
+        if flavour == ArduPilot {
+            // It starts in STABILIZE.
+            let waiting = f.run(400);
+            assert_eq!(
+                (waiting.state, waiting.reasons),
+                (Ready, Reasons::of(Reason::PilotInCommand))
+            );
+            assert!(f.peer.flight_commands().is_empty());
+            f.peer.mode = Mode::External;
+        }
         f.until(Guided);
         assert!(f.peer.flight_commands().contains(&22), "{}", flavour.name());
     }
@@ -308,7 +322,7 @@ fn a_vehicle_that_restarts_is_handed_over_anew() {
 #[test]
 fn frames_that_stop_make_the_vehicle_hover_and_it_flies_on_when_they_return() {
     let mut f = Flight::new(ArduPilot, Peer::on_the_ground(ArduPilot));
-    f.until(Guided);
+    f.engage_and_fly();
     f.run(20);
     f.sees = false;
     f.step();
@@ -328,12 +342,18 @@ fn a_refused_landing_is_asked_for_again() {
         answer: Some(MavResult::MAV_RESULT_DENIED),
         times: 3,
     });
-    f.until(Guided);
+    f.engage_and_fly();
     f.guidance.request(vigil_types::OperatorRequest::Land);
     f.until(Land);
     f.until(Standby);
     assert!(!f.peer.armed);
-    assert_eq!(f.texts.iter().filter(|t| *t == "hand-over: land denied").count(), 3);
+    assert_eq!(
+        f.texts
+            .iter()
+            .filter(|t| *t == "hand-over: landing refused: DENIED")
+            .count(),
+        3
+    );
     let lands: Vec<u64> = f
         .peer
         .commands
@@ -356,7 +376,7 @@ fn told(f: &Flight, parameter: &str) -> Vec<String> {
 fn a_vehicle_that_would_fly_on_for_seconds_is_told_not_to_and_stops_when_the_firmware_dies() {
     for (flavour, name, before) in [(ArduPilot, "GUID_TIMEOUT", "3"), (Px4, "COM_OF_LOSS_T", "1")] {
         let mut f = Flight::new(flavour, Peer::on_the_ground(flavour));
-        f.until(Guided);
+        f.engage_and_fly();
         f.run(60);
         assert_eq!(told(&f, name), [format!("{name} was {before} s, set to 0.5 s")]);
         assert_eq!((f.peer.setpoint_timeout_s, f.peer.parameters_set.len()), (0.5, 1));
@@ -383,7 +403,7 @@ fn a_short_setpoint_timeout_is_left_as_it_is() {
         ..Peer::in_the_air(Px4)
     };
     let mut f = Flight::new(Px4, peer);
-    f.until(Guided);
+    f.engage_and_fly();
     f.run(60);
     assert_eq!(told(&f, "COM_OF_LOSS_T"), ["COM_OF_LOSS_T is 0.4 s"]);
     assert!(f.peer.parameters_set.is_empty());
@@ -397,7 +417,7 @@ fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_t
             ..Peer::in_the_air(flavour)
         };
         let mut f = Flight::new(flavour, silent);
-        f.until(Guided);
+        f.engage_and_fly();
         f.run(100);
         assert_eq!(f.peer.parameters_read, 4, "asked a few times, and not for ever");
         assert!(
@@ -411,7 +431,7 @@ fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_t
             ..Peer::in_the_air(flavour)
         };
         let mut f = Flight::new(flavour, locked);
-        f.until(Guided);
+        f.engage_and_fly();
         f.run(100);
         assert_eq!(f.peer.parameters_set, [0.5; 4]);
         assert!(f.texts.iter().any(|t| t.ends_with("s, wanted 0.5 s")), "{:?}", f.texts);
@@ -423,11 +443,11 @@ fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_t
 fn a_companion_told_to_leave_the_timeout_alone_neither_asks_nor_sets() {
     let mut f = Flight::new(ArduPilot, Peer::in_the_air(ArduPilot));
     f.companion = vigil_mavlink::Companion::new(vigil_mavlink::CompanionConfig {
-        flavour: ArduPilot,
+        flavour: Some(ArduPilot),
         setpoint_timeout_s: None,
         ..Default::default()
     });
-    f.until(Guided);
+    f.engage_and_fly();
     f.run(100);
     assert_eq!((f.peer.parameters_read, f.peer.parameters_set.len()), (0, 0));
 }

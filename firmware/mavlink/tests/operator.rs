@@ -70,13 +70,9 @@ fn a_ground_station_commands_a_whole_flight() {
     assert_eq!(say(&mut f, &land), [(21, ACCEPTED, (255, 190))]);
     f.until(Standby);
     assert!(!f.peer.armed);
-    let states: Vec<&str> = f
-        .texts
-        .iter()
-        .filter_map(|t| t.strip_prefix("guidance: ")?.split(' ').next())
-        .collect();
+    let states = f.texts.iter().filter_map(|t| t.strip_prefix("guidance: "));
     assert_eq!(
-        states,
+        states.map(|t| t.split(' ').next().unwrap()).collect::<Vec<_>>(),
         ["standby", "ready", "engaging", "guided", "hold", "land", "standby"]
     );
 }
@@ -143,7 +139,7 @@ fn a_goal_on_the_globe_becomes_local_once_the_origin_is_known() {
         (MavFrame::MAV_FRAME_GLOBAL, 491.5, 3.5),
         (MavFrame::MAV_FRAME_GLOBAL_INT, 491.5, 3.5),
     ] {
-        let Ok(OperatorRequest::Goal {
+        let Ok(OperatorRequest::FixedGoal {
             north_m,
             east_m,
             height_m: Some(height_m),
@@ -468,16 +464,44 @@ fn values_are_named_and_come_four_times_a_second_and_at_once_on_change() {
 }
 
 #[test]
-fn a_text_that_is_too_long_is_cut() {
+fn a_text_that_is_too_long_for_one_message_comes_in_chunks() {
     let mut b = Bench::new(Flavour::Px4);
-    b.step(Standby, Reasons(0x1F), VehicleRequest::None);
-    assert_eq!(texts(&b.sent), ["guidance: standby (stale frame, bad frame, stale t"]);
+    let sent = b.step(Standby, Reasons(0x1F), VehicleRequest::None);
+    assert_eq!(
+        texts(&b.sent),
+        ["guidance: standby (stale frame, bad frame, stale telemetry, link lost, not finite)"]
+    );
+    let chunks: Vec<_> = sent
+        .iter()
+        .filter_map(|(_, m)| match m {
+            MavMessage::STATUSTEXT(t) => Some((t.id != 0, t.chunk_seq, t.text.to_str().unwrap().len())),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(chunks, [(true, 0, 50), (true, 1, 32)]);
+}
+
+#[test]
+fn reasons_beyond_what_a_float_holds_are_told_apart() {
+    let mut b = Bench::new(Flavour::Px4);
+    idle(&mut b);
+    let both = Reasons::of(Reason::StaleFrame).with_if(true, Reason::PilotInCommand);
+    let value = |b: &Bench, name: &str| named_values(&b.sent).into_iter().find(|(n, _)| n == name).map(|v| v.1);
+    b.step(Standby, both, VehicleRequest::None);
+    assert_eq!(
+        (value(&b, "gd_reason"), value(&b, "gd_reason2")),
+        (Some(1.0), Some(8.0))
+    );
+    b.step(Standby, Reasons::NONE, VehicleRequest::None);
+    assert_eq!(value(&b, "gd_reason2"), Some(0.0), "that they ended is told once");
+    b.step(Standby, Reasons::of(Reason::Slip), VehicleRequest::None);
+    assert_eq!(value(&b, "gd_reason2"), None);
 }
 
 #[test]
 fn before_it_ends_it_sends_zeros_if_it_was_streaming() {
     let mut f = Flight::new(Flavour::ArduPilot, Peer::in_the_air(Flavour::ArduPilot));
-    f.until(Guided);
+    f.engage_and_fly();
     f.run(20);
     let mut last = Datagrams::default();
     f.companion.shutdown(f.now_ns, &mut last);

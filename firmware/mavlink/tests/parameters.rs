@@ -4,10 +4,12 @@ mod common;
 
 use common::{GROUND_STATION, bytes_of, messages, report, texts};
 use vigil_mavlink::common::{
-    MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,
-    PARAM_SET_DATA, PARAM_VALUE_DATA,
+    HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA,
+    PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
-use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavMessage, Parameter, ParameterValue, Parameters};
+use vigil_mavlink::{
+    Companion, CompanionConfig, Flavour, MavHeader, MavMessage, Parameter, ParameterValue, Parameters,
+};
 use vigil_types::{Datagrams, GuidanceState, Nanos, STEP_NS, VehicleRequest};
 
 const ME: (u8, u8) = (1, 191);
@@ -40,7 +42,7 @@ impl Computer {
             },
         ]);
         let config = CompanionConfig {
-            flavour,
+            flavour: Some(flavour),
             ..CompanionConfig::default()
         };
         Self {
@@ -258,9 +260,29 @@ fn integers_go_bytewise_to_px4s_clients_and_as_numbers_to_ardupilots() {
     assert_eq!(computer.value(1), ParameterValue::Integer(0), "no integer");
 }
 
+/// A computer whose vehicle is in the air.
+fn in_the_air() -> Companion {
+    let mut companion = Companion::new(CompanionConfig::default());
+    let vehicle = MavHeader {
+        system_id: 1,
+        component_id: 1,
+        sequence: 0,
+    };
+    for message in [
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()),
+        MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+            z: -3.0,
+            ..Default::default()
+        }),
+    ] {
+        companion.receive(0, 0, &bytes_of(vehicle, &message));
+    }
+    companion
+}
+
 fn obstacles(sectors: &[(f32, f32)]) -> OBSTACLE_DISTANCE_DATA {
     let mut sent = Datagrams::default();
-    Companion::new(CompanionConfig::default()).emit_obstacles(5_000_000, sectors.iter().copied(), &mut sent);
+    in_the_air().emit_obstacles(5_000_000, Some(sectors.iter().copied()), &mut sent);
     match messages(&sent).pop() {
         Some((_, MavMessage::OBSTACLE_DISTANCE(data))) => data,
         other => panic!("{other:?}"),
@@ -318,11 +340,11 @@ fn what_cannot_be_is_not_told() {
 
 #[test]
 fn obstacles_are_told_four_times_a_second() {
-    let mut companion = Companion::new(CompanionConfig::default());
+    let mut companion = in_the_air();
     let mut told = 0;
     for step in 1..=200 {
         let mut sent = Datagrams::default();
-        companion.emit_obstacles(step * STEP_NS, [(0.0, 1.0)].into_iter(), &mut sent);
+        companion.emit_obstacles(step * STEP_NS, Some([(0.0, 1.0)].into_iter()), &mut sent);
         told += sent.len();
     }
     // Ten seconds, both ends included.

@@ -92,11 +92,15 @@ pub enum Reason {
     Recovering = 18,
     /// The actor was about to fly into something; the vehicle is being stopped.
     CollisionCourse = 19,
+    /// Position or attitude arrive so rarely that little is left to the age limit. A warning: nothing is held for it.
+    SlowTelemetry = 26,
+    /// A person has the vehicle: guidance does not take it by itself.
+    PilotInCommand = 27,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 20] = [
+    pub const ALL: [Self; 22] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -117,6 +121,8 @@ impl Reason {
         Self::NoVerdict,
         Self::Recovering,
         Self::CollisionCourse,
+        Self::SlowTelemetry,
+        Self::PilotInCommand,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -142,6 +148,8 @@ impl Reason {
             Self::NoVerdict => "no verdict",
             Self::Recovering => "recovering",
             Self::CollisionCourse => "collision course",
+            Self::SlowTelemetry => "slow telemetry",
+            Self::PilotInCommand => "pilot in command",
         }
     }
 }
@@ -207,9 +215,10 @@ mod tests {
             assert_eq!(s as usize, i);
         }
         assert_eq!(GuidanceState::from_code(6), None);
-        for (i, r) in Reason::ALL.into_iter().enumerate() {
-            assert_eq!(r as usize, i);
-        }
+        assert!(
+            Reason::ALL.is_sorted_by(|a, b| (*a as u8) < (*b as u8)),
+            "a bit of its own"
+        );
     }
 
     #[test]

@@ -10,8 +10,18 @@ pub enum OperatorRequest {
     Disengage,
     /// Land where the vehicle is.
     Land,
-    /// Fly to this place from now on.
+    /// Fly to this place from now on. Until the flight begins it moves with home, which an autopilot may set anew when it
+    /// is armed.
     Goal {
+        /// Metres north of home.
+        north_m: f32,
+        /// Metres east of home.
+        east_m: f32,
+        /// Metres above home; `None` keeps the height flown now.
+        height_m: Option<f32>,
+    },
+    /// Fly to this place from now on, wherever home is: a place on the globe.
+    FixedGoal {
         /// Metres north of the local origin.
         north_m: f32,
         /// Metres east of the local origin.

@@ -90,7 +90,20 @@ pub struct VehicleTelemetry {
     pub battery_remaining: Option<f32>,
 }
 
+/// Height at which a vehicle that does not tell whether it has landed counts as being in the air, metres above the local
+/// origin.
+const AIRBORNE_HEIGHT_M: f32 = 0.5;
+
 impl VehicleTelemetry {
+    /// Whether the vehicle is off the ground, by its own word, or by its height when it does not say.
+    pub fn is_airborne(&self) -> bool {
+        match self.landed {
+            Landed::OnGround => false,
+            Landed::InAir | Landed::TakingOff | Landed::Landing => true,
+            Landed::Unknown => self.kinematics.is_some_and(|k| -k.position_ned_m.z > AIRBORNE_HEIGHT_M),
+        }
+    }
+
     /// Age of the oldest of heartbeat-independent flight data (position and attitude), or `None` if any was never received.
     pub fn flight_data_age_ns(&self, now_ns: Nanos) -> Option<Nanos> {
         let oldest = self.kinematics?.at_ns.min(self.attitude?.at_ns);

@@ -46,7 +46,7 @@ Examples:
   vigil replay runs/flight.mcap           run the tick over recorded inputs and compare every byte
   vigil courses draw --seed 7 -o 7.png    see a course
   vigil sim                               the simulated vehicle alone, for MAVSDK and pymavlink scripts
-  vigil firmware --link udpin://0.0.0.0:14540 --vehicle px4 --allow-unsigned always
+  vigil firmware --link udpin://0.0.0.0:14540 --allow-unsigned always
                                           the 20 Hz loop alone, on any vehicle (docs/firmware.md, Signing)";
 
 #[derive(Subcommand)]

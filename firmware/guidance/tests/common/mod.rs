@@ -27,6 +27,10 @@ pub struct Story {
     pub handover: HandoverProgress,
     pub slips: u64,
     pub restarts: u32,
+    pub up_ns: Option<Nanos>,
+    pub landed: Landed,
+    pub home_ned_m: Option<NedVector>,
+    pub interval_ns: Option<Nanos>,
     pub last: Option<GuidanceOutput>,
 }
 
@@ -66,6 +70,10 @@ impl Story {
             handover: HandoverProgress::Idle,
             slips: 0,
             restarts: 0,
+            up_ns: Some(600_000_000_000),
+            landed: Landed::Unknown,
+            home_ned_m: None,
+            interval_ns: None,
             last: None,
         }
     }
@@ -114,7 +122,7 @@ impl Story {
                 attitude: Attitude::LEVEL_NORTH,
                 rates_frd_rad_s: FrdVector::ZERO,
             }),
-            landed: Landed::Unknown,
+            landed: self.landed,
             battery_remaining: self.battery,
         }
     }
@@ -136,6 +144,9 @@ impl Story {
             },
             handover: self.handover,
             vehicle_restarts: self.restarts,
+            vehicle_up_ns: self.up_ns,
+            home_ned_m: self.home_ned_m,
+            telemetry_interval_ns: self.interval_ns,
         });
         self.last = Some(output);
         output

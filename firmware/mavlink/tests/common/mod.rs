@@ -9,8 +9,8 @@ use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFram
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
 use vigil_mavlink::{Companion, CompanionConfig, Flavour, MavHeader, MavMessage};
 use vigil_types::{
-    Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, STEP_NS, StepReport, StepTiming, VehicleRequest,
-    VelocitySetpoint,
+    Action, Datagrams, GuidanceState, Nanos, OperatorRequest, Reasons, RequestOutcome, STEP_NS, StepReport, StepTiming,
+    VehicleRequest, VelocitySetpoint,
 };
 
 /// A ground station, as most are numbered.
@@ -46,14 +46,24 @@ pub fn messages(sent: &Datagrams) -> Vec<(MavHeader, MavMessage)> {
     found
 }
 
+/// The texts of a step, chunks put together as the protocol says.
 pub fn texts(sent: &Datagrams) -> Vec<String> {
-    messages(sent)
-        .into_iter()
-        .filter_map(|(_, m)| match m {
-            MavMessage::STATUSTEXT(t) => Some(t.text.to_str().expect("text is UTF-8").to_owned()),
-            _ => None,
-        })
-        .collect()
+    let mut texts: Vec<(u16, String)> = Vec::new();
+    for (_, message) in messages(sent) {
+        let MavMessage::STATUSTEXT(t) = message else { continue };
+        let chunk = t.text.to_str().expect("text is UTF-8");
+        match texts.last_mut() {
+            Some((id, text)) if t.id != 0 && *id == t.id => {
+                assert_eq!(text.len(), 50 * usize::from(t.chunk_seq));
+                text.push_str(chunk);
+            }
+            _ => {
+                assert_eq!(t.chunk_seq, 0);
+                texts.push((t.id, chunk.to_owned()));
+            }
+        }
+    }
+    texts.into_iter().map(|(_, text)| text).collect()
 }
 
 pub fn named_values(sent: &Datagrams) -> Vec<(String, f32)> {
@@ -132,6 +142,11 @@ impl Flight {
     }
 
     pub fn with(flavour: Flavour, peer: Peer, config: GuidanceConfig) -> Self {
+        Self::of(Some(flavour), peer, config)
+    }
+
+    /// `flavour`: the configured one, `None` to recognise it.
+    pub fn of(flavour: Option<Flavour>, peer: Peer, config: GuidanceConfig) -> Self {
         let mut guidance = Guidance::new(config).expect("valid");
         guidance.request(OperatorRequest::Goal {
             north_m: 12.0,
@@ -188,6 +203,9 @@ impl Flight {
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
+            vehicle_up_ns: self.companion.vehicle_up_ns(),
+            home_ned_m: self.companion.home_ned_m(),
+            telemetry_interval_ns: self.companion.telemetry_interval_ns(),
         });
         let report = StepReport {
             now_ns: self.now_ns,
@@ -227,6 +245,19 @@ impl Flight {
     pub fn run(&mut self, steps: usize) -> GuidanceOutput {
         (0..steps).map(|_| self.step()).last().expect("at least one step")
     }
+
+    /// An operator engages as soon as guidance is ready.
+    pub fn engage(&mut self) {
+        self.until(GuidanceState::Ready);
+        let outcome = self.guidance.request(OperatorRequest::Engage);
+        assert_eq!(outcome, RequestOutcome::Accepted);
+    }
+
+    /// The same, until the vehicle is flown.
+    pub fn engage_and_fly(&mut self) {
+        self.engage();
+        self.until(GuidanceState::Guided);
+    }
 }
 
 /// Emits steps of a companion without guidance.
@@ -241,7 +272,7 @@ impl Bench {
         Self {
             now_ns: 7_000_000_000,
             companion: Companion::new(CompanionConfig {
-                flavour,
+                flavour: Some(flavour),
                 ..Default::default()
             }),
             sent: Datagrams::default(),

@@ -52,6 +52,8 @@ pub struct Peer {
     pub mode: Mode,
     pub failsafe: bool,
     pub north_m: f32,
+    pub east_m: f32,
+    /// Above the local origin.
     pub height_m: f32,
     /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
     pub setpoint_timeout_s: f32,
@@ -61,6 +63,16 @@ pub struct Peer {
     /// Parameters asked for, and set.
     pub parameters_read: u32,
     pub parameters_set: Vec<f32>,
+    /// Home in the local frame; an ArduPilot sets it where it stands when it is armed.
+    pub home_ned_m: [f32; 3],
+    /// HOME_POSITION says where home is on the globe only.
+    pub home_on_globe_only: bool,
+    /// Steps between two positions and attitudes, as somebody set them; `None` is each step.
+    pub slowed_to_steps: Option<u32>,
+    /// SET_MESSAGE_INTERVAL does not undo that.
+    pub keeps_slow: bool,
+    /// What REQUEST_DATA_STREAM asked for: stream and rate.
+    pub streams_asked: Vec<(u8, u16)>,
     /// EXTENDED_SYS_STATE is sent.
     pub tells_landed: bool,
     pub quirks: Vec<Quirk>,
@@ -89,6 +101,7 @@ impl Peer {
             },
             failsafe: false,
             north_m: 0.0,
+            east_m: 0.0,
             height_m: 0.0,
             // What either autopilot ships with.
             setpoint_timeout_s: match flavour {
@@ -99,6 +112,11 @@ impl Peer {
             sets_parameters: true,
             parameters_read: 0,
             parameters_set: Vec::new(),
+            home_ned_m: [0.0; 3],
+            home_on_globe_only: false,
+            slowed_to_steps: None,
+            keeps_slow: false,
+            streams_asked: Vec::new(),
             tells_landed: true,
             quirks: Vec::new(),
             commands: Vec::new(),
@@ -192,15 +210,19 @@ impl Peer {
         }
         let streams = |id: u32, unprompted: bool, wanted: &[u32]| unprompted || wanted.contains(&id);
         let px4 = self.flavour == Flavour::Px4;
-        if streams(32, px4, &self.wanted_messages) {
+        let now = self
+            .slowed_to_steps
+            .is_none_or(|steps| self.steps.is_multiple_of(steps));
+        if now && streams(32, px4, &self.wanted_messages) {
             out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
                 time_boot_ms,
                 x: self.north_m,
+                y: self.east_m,
                 z: -self.height_m,
                 ..Default::default()
             }));
         }
-        if streams(30, px4, &self.wanted_messages) {
+        if now && streams(30, px4, &self.wanted_messages) {
             out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
                 time_boot_ms,
                 ..Default::default()
@@ -218,7 +240,7 @@ impl Peer {
                 ..Default::default()
             }));
         }
-        if px4 && self.steps.is_multiple_of(40) {
+        if self.steps.is_multiple_of(40) && streams(242, px4, &self.wanted_messages) {
             out.push(self.home_position());
         }
         self.steps += 1;
@@ -235,12 +257,31 @@ impl Peer {
             .collect()
     }
 
+    /// A metre is 1e7 / 111 194.93 units of latitude, and of longitude at 47.4° that over its cosine.
     fn home_position(&self) -> MavMessage {
+        let [north_m, east_m, down_m] = self.home_ned_m;
+        let [x, y, z] = if self.home_on_globe_only {
+            [0.0; 3]
+        } else {
+            self.home_ned_m
+        };
         MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+            latitude: 473_977_420 + (north_m * 89.932_16).round() as i32,
+            longitude: 85_455_940 + (east_m * 89.932_16 / 0.676_912_4).round() as i32,
+            altitude: ((HOME_ALTITUDE_M - down_m) * 1000.0).round() as i32,
+            x,
+            y,
+            z,
+            ..Default::default()
+        })
+    }
+
+    fn origin(&self) -> MavMessage {
+        MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
             latitude: 473_977_420,
             longitude: 85_455_940,
             altitude: (HOME_ALTITUDE_M * 1000.0) as i32,
-            ..Default::default()
+            time_usec: 0,
         })
     }
 
@@ -340,6 +381,12 @@ impl Peer {
                         }));
                     }
                 }
+                #[allow(deprecated)] // what ArduPilot's ground stations use
+                MavMessage::REQUEST_DATA_STREAM(r) if r.target_system == self.system => {
+                    self.streams_asked
+                        .push((r.req_stream_id as u8, r.req_message_rate as u16));
+                    self.slowed_to_steps = None;
+                }
                 _ => {}
             }
         }
@@ -372,6 +419,10 @@ impl Peer {
                     return FAILED;
                 }
                 self.armed = true;
+                if !px4 {
+                    self.home_ned_m = [self.north_m, self.east_m, -self.height_m];
+                    self.replies.push(self.home_position());
+                }
                 ACCEPTED
             }
             22 => {
@@ -380,7 +431,7 @@ impl Peer {
                 } else if px4 {
                     c.param7 - HOME_ALTITUDE_M
                 } else {
-                    c.param7
+                    c.param7 - self.home_ned_m[2]
                 };
                 let guided = px4 || self.mode == Mode::External;
                 if !self.armed || !guided || height_m <= 0.0 {
@@ -419,11 +470,18 @@ impl Peer {
                 ACCEPTED
             }
             511 => {
-                self.wanted_messages.push(c.param1 as u32);
+                let id = c.param1 as u32;
+                self.wanted_messages.push(id);
+                if !self.keeps_slow && [30, 32].contains(&id) {
+                    self.slowed_to_steps = None;
+                }
                 ACCEPTED
             }
             512 => {
-                self.replies.push(self.home_position());
+                self.replies.push(match c.param1 as u32 {
+                    49 => self.origin(),
+                    _ => self.home_position(),
+                });
                 ACCEPTED
             }
             _ => MavResult::MAV_RESULT_UNSUPPORTED,
