@@ -269,7 +269,8 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
     flight.vehicle.mode = LOITER;
     flight.restart(&folder.path().join("again"), &["--state", state.to_str().unwrap()]);
     flight.until_text("a person has the vehicle");
-    (flight.vehicle.setpoints.clear(), flight.vehicle.heard.clear());
+    flight.vehicle.setpoints.clear();
+    flight.vehicle.heard.clear();
     for _ in 0..40 {
         flight.step();
     }
