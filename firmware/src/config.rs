@@ -11,7 +11,9 @@ use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+use vigil_guidance::{
+    AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig, OnNoProgress,
+};
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour, ObstacleReports};
 use vigil_policy::GeometricConfig;
@@ -140,6 +142,17 @@ pub enum AtGoalChoice {
     Land,
 }
 
+/// What to do about a vehicle that does not get nearer to its goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NoProgressChoice {
+    /// Hover.
+    Hold,
+    /// Hover for 10 s, in which an operator may give another goal, then land.
+    #[default]
+    Land,
+}
+
 /// The goal in the local frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -178,6 +191,14 @@ pub struct Limits {
     /// Horizontal distance at which the goal is reached.
     #[serde(deserialize_with = "goal_radius")]
     pub goal_radius_m: f32,
+    /// Farthest goal from home.
+    #[serde(deserialize_with = "goal_limit")]
+    pub goal_m: f32,
+    /// Flown so long without getting nearer to the goal, the vehicle holds; 0 never.
+    #[serde(deserialize_with = "no_progress")]
+    pub no_progress_s: f64,
+    /// What to do then.
+    pub no_progress: NoProgressChoice,
     /// Greatest forward speed, whatever the pilot wants.
     #[serde(deserialize_with = "cruise")]
     pub speed_m_s: f32,
@@ -390,6 +411,9 @@ impl Default for Limits {
             setpoint_timeout_s: CompanionConfig::default().setpoint_timeout_s.unwrap_or(0.0),
             slips: d.slip_limit,
             goal_radius_m: d.goal_radius_m,
+            goal_m: d.goal_limit_m,
+            no_progress_s: d.no_progress_limit_ns.map_or(0.0, seconds),
+            no_progress: NoProgressChoice::default(),
             speed_m_s: vigil_types::ACTION_LIMIT,
             battery: d.battery_limit,
             flight_time_s: None,
@@ -566,6 +590,12 @@ impl FirmwareConfig {
             heartbeat_age_limit_ns: nanos(limits.heartbeat_age_s),
             slip_limit: limits.slips,
             goal_radius_m: limits.goal_radius_m,
+            goal_limit_m: limits.goal_m,
+            no_progress_limit_ns: Some(nanos(limits.no_progress_s)).filter(|limit_ns| *limit_ns > 0),
+            on_no_progress: match limits.no_progress {
+                NoProgressChoice::Hold => OnNoProgress::Hold,
+                NoProgressChoice::Land => OnNoProgress::Land,
+            },
             battery_limit: limits.battery,
             default_height_m: self.height_m,
             time_limit_ns: limits.flight_time_s.map(nanos),
@@ -686,6 +716,18 @@ fn slips<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
 
 fn goal_radius<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
     within(d, 0.1, 100.0, " m")
+}
+
+fn goal_limit<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    within(d, 1.0, vigil_guidance::GREATEST_GOAL_M.into(), " m")
+}
+
+fn no_progress<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
+    let value_s: f64 = within(d, 0.0, 86_400.0, " s")?;
+    if value_s > 0.0 && value_s < 1.0 {
+        return Err(D::Error::custom("allowed: 1 to 86400 s, or 0"));
+    }
+    Ok(value_s)
 }
 
 fn fraction<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {

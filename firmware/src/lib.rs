@@ -12,6 +12,7 @@ pub mod config;
 mod console;
 pub mod crew;
 mod frame_keeper;
+mod leg;
 pub mod live;
 pub mod lockstep;
 pub mod ports;

@@ -11,6 +11,7 @@
 
 use crate::crew::Crew;
 use crate::frame_keeper::{FrameKeeper, FrameRefusals};
+use crate::leg::Leg;
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
@@ -18,8 +19,9 @@ use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Paramet
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{
-    Action, AlarmResponse, Attitude, Datagrams, DepthFrame, Goal, GoalRelative, GuidanceState, HeadingVector,
-    Judgement, Nanos, OperatorRequest, StepReport, StepTiming, VehicleTelemetry, Verdict,
+    Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Goal, GoalRelative, GuidanceState,
+    HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, RequestOutcome, StepReport, StepTiming,
+    VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -80,6 +82,8 @@ pub struct FlightStack {
     recovering: bool,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
+    /// What the actor follows to a far goal.
+    leg: Leg,
     /// The recovery pilot has seen nothing since its last reset.
     recovery_is_new: bool,
     tunables: Tunables,
@@ -102,16 +106,23 @@ impl FlightStack {
     /// A stack with a crew that has seen nothing yet.
     ///
     /// # Errors
-    /// A guidance configuration that must not fly.
+    /// A guidance configuration that must not fly, or a goal that it does not permit.
     pub fn with_crew(config: &StackConfig, crew: Crew) -> Result<Self, ConfigError> {
         let mut guidance = Guidance::new(config.guidance)?;
         let tunables = Tunables::of(config, crew.watch.as_ref().map(|watch| watch.monitor.threshold()));
         if let Some(Goal { position_ned_m }) = config.goal {
-            guidance.request(OperatorRequest::Goal {
+            let outcome = guidance.request(OperatorRequest::Goal {
                 north_m: position_ned_m.x,
                 east_m: position_ned_m.y,
                 height_m: Some(-position_ned_m.z),
             });
+            match outcome {
+                RequestOutcome::Accepted => {}
+                RequestOutcome::TooFar { distance_m, limit_m } => {
+                    return Err(ConfigError::GoalTooFar { distance_m, limit_m });
+                }
+                RequestOutcome::Denied | RequestOutcome::TemporarilyRejected => return Err(ConfigError::GoalDenied),
+            }
         }
         Ok(Self {
             frames: FrameKeeper::new(config.sensor_id),
@@ -121,6 +132,7 @@ impl FlightStack {
             crew,
             recovering: false,
             pilot_asked: false,
+            leg: Leg::default(),
             recovery_is_new: true,
             component_id: config.companion.component_id,
             link: config.companion.link,
@@ -300,8 +312,12 @@ impl FlightStack {
             return None;
         }
         let (kinematics, attitude) = (telemetry.kinematics?, telemetry.attitude?);
+        let goal = goal?;
         Some(View {
-            goal: goal?.relative_to(&kinematics, &attitude),
+            goal: goal.relative_to(&kinematics, &attitude),
+            goal_ned_m: goal.position_ned_m,
+            kinematics,
+            sample: attitude,
             attitude: attitude.attitude,
             velocity_m_s: kinematics.velocity_ned_m_s.to_heading(attitude.attitude.yaw_rad()),
             // Home is on the ground, wherever the estimator began.
@@ -313,6 +329,9 @@ impl FlightStack {
     fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Decision {
         let Crew { pilot, watch } = &mut self.crew;
         let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
+        if before_flight {
+            self.leg.reset();
+        }
         if let (true, Some(watch)) = (before_flight && !self.recovery_is_new, &mut *watch) {
             watch.recovery.reset();
             self.recovery_is_new = true;
@@ -338,18 +357,27 @@ impl FlightStack {
             velocity_m_s: view.velocity_m_s,
             height_m: view.height_m,
         };
+        let led = match pilot {
+            // It plans its own way.
+            FlightPilot::Geometric(_) => input,
+            FlightPilot::Actor(_) => {
+                let position_ned_m = self.leg.next(view.kinematics.position_ned_m, view.goal_ned_m);
+                let goal = Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample);
+                PilotInput { goal, ..input }
+            }
+        };
         let limit_m_s = self.tunables.speed_limit_m_s;
         let limited = |action: Action| Action {
             forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
             ..action
         };
-        let action = limited(pilot.decide(&input));
+        let action = limited(pilot.decide(&led));
         let mut decision = Decision {
             action: Some(action),
             ..Decision::default()
         };
         if let (Some(watch), Some(state)) = (watch, pilot.state()) {
-            decision.judgement = Some(watch.monitor.judge(state, positional_inputs(view.goal)));
+            decision.judgement = Some(watch.monitor.judge(state, positional_inputs(led.goal)));
             self.recovery_is_new = false;
             decision.recovery = Some(limited(watch.recovery.decide(&input, self.recovering)));
             decision.collision_course = watch.recovery.foresees_collision(&input, action);
@@ -372,6 +400,9 @@ struct Decision {
 #[derive(Debug, Clone, Copy)]
 struct View {
     goal: GoalRelative,
+    goal_ned_m: NedVector,
+    kinematics: Kinematics,
+    sample: AttitudeSample,
     attitude: Attitude,
     velocity_m_s: HeadingVector,
     height_m: f32,

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
-use vigil_firmware::config::{AtGoalChoice, Engage};
+use vigil_firmware::config::{AtGoalChoice, Engage, GoalConfig};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
@@ -287,6 +287,22 @@ fn goal_radius_and_action_set_in_flight_end_it_sooner_and_on_the_ground() {
     let distance_m = (goal - flight.vehicle.position_ned_m).horizontal_norm();
     assert!((6.0..=8.2).contains(&distance_m), "{distance_m}");
     flight.until(GuidanceState::Land, 10.0);
+}
+
+#[test]
+fn a_goal_beyond_the_limit_is_refused_before_anything_flies_with_both_distances() {
+    let mut config = config();
+    config.goal = Some(GoalConfig {
+        north_m: 600.0,
+        east_m: 0.0,
+        height_m: None,
+    });
+    let error = LockstepFirmware::new(&config).err().unwrap().to_string();
+    for part in ["601 m", "500 m", "goal_m", "[limits]"] {
+        assert!(error.contains(part), "{error}");
+    }
+    config.limits.goal_m = 1000.0;
+    assert!(LockstepFirmware::new(&config).is_ok());
 }
 
 #[test]

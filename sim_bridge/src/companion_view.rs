@@ -3,8 +3,8 @@
 use mavlink::dialects::common::MavMessage;
 use vigil_mavlink::framing::{self, FramingCounters};
 
-/// Bits of the reasons that `gd_reason` holds.
-const LOW_BITS: u32 = 0xFF_FFFF;
+/// What "gd_reason" holds of the reasons; the others are in "gd_reason2".
+const LOW_BITS: u32 = (1 << 24) - 1;
 
 /// The last values heard from the guidance computer.
 #[derive(Debug, Clone, Default)]
@@ -29,9 +29,8 @@ impl CompanionView {
             match packet.message() {
                 Ok(MavMessage::NAMED_VALUE_FLOAT(m)) => match m.name.to_str().unwrap_or_default() {
                     "gd_state" => self.state_code = Some(m.value as u8),
-                    // A float holds 24 bits: the others come apart, while there are any.
-                    "gd_reason" => self.reason_bits = self.reason_bits & !LOW_BITS | m.value as u32 & LOW_BITS,
-                    "gd_reason2" => self.reason_bits = self.reason_bits & LOW_BITS | (m.value as u32) << 24,
+                    "gd_reason" => self.reason_bits = (self.reason_bits & !LOW_BITS) | (m.value as u32 & LOW_BITS),
+                    "gd_reason2" => self.reason_bits = (self.reason_bits & LOW_BITS) | ((m.value as u32) << 24),
                     "step_us" => self.step_us = m.value,
                     "slips" => self.slips = m.value as u64,
                     _ => {}

@@ -5,7 +5,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use vigil_autopilot::{EndpointConfig, Saved};
 use vigil_vehicle::{ParamsError, VehicleParams, Wind};
-use vigil_world::{Course, CourseError, Family, LidarConfig, generate};
+use vigil_world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
 
 /// A simulation file has a page or two.
 const SIZE_LIMIT: u64 = 1 << 20;
@@ -109,6 +109,9 @@ pub enum ConfigError {
         /// Where and what.
         source: toml::de::Error,
     },
+    /// The family has halls with one way in.
+    #[error("--goal-distance: courses of the family {0} cannot be made longer; take another family")]
+    NotLonger(Family),
     /// The course file is not valid.
     #[error(transparent)]
     Course(#[from] CourseError),
@@ -145,6 +148,10 @@ pub struct CourseChoice {
     #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
     pub family: Family,
 
+    /// Make the course this long: a goal 5 to 400 m north, as dense all the way. Not for the hard family.
+    #[arg(long, value_name = "M", conflicts_with = "course", value_parser = long_goal)]
+    pub goal_distance: Option<f32>,
+
     /// Seed of course, noise and wind; a random one when absent.
     #[arg(long)]
     pub seed: Option<u64>,
@@ -155,8 +162,18 @@ impl Default for CourseChoice {
         Self {
             course: None,
             family: Family::Validation,
+            goal_distance: None,
             seed: None,
         }
+    }
+}
+
+/// Parses the distance of a long course's goal, metres.
+fn long_goal(text: &str) -> Result<f32, String> {
+    let (least, most) = (LONG_GOAL_M.start(), LONG_GOAL_M.end());
+    match text.parse() {
+        Ok(distance_m) if LONG_GOAL_M.contains(&distance_m) => Ok(distance_m),
+        _ => Err(format!("a distance is a number from {least} to {most} metres")),
     }
 }
 
@@ -178,9 +195,12 @@ impl CourseChoice {
     /// # Errors
     /// [`ConfigError`] names the file, line and field.
     pub fn load(&self, seed: u64) -> Result<Course, ConfigError> {
-        match &self.course {
-            Some(path) => Ok(Course::load(path)?),
-            None => Ok(generate(self.family, seed)),
+        match (&self.course, self.goal_distance) {
+            (Some(path), _) => Ok(Course::load(path)?),
+            (None, Some(distance_m)) => {
+                generate_long(self.family, seed, distance_m).ok_or(ConfigError::NotLonger(self.family))
+            }
+            (None, None) => Ok(generate(self.family, seed)),
         }
     }
 }

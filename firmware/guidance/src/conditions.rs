@@ -51,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 22] = [
+pub static CONDITIONS: [Condition; 23] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -185,6 +185,13 @@ pub static CONDITIONS: [Condition; 22] = [
         false,
         "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
         "as *attack*",
+    ),
+    condition(
+        Reason::NoProgress,
+        Demand::Hold,
+        false,
+        "{no_progress_limit} in *guided* did not bring the vehicle {no_progress_gain} nearer to the goal than it had been before; with no-progress *land* it demands landing after {no_progress_dwell}",
+        "another goal; an operator engages; the end of the flight",
     ),
     condition(
         Reason::SlowTelemetry,

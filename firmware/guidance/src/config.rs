@@ -5,6 +5,9 @@ use vigil_types::{Nanos, NedVector};
 
 const MS: Nanos = 1_000_000;
 
+/// Farthest goal from the local origin, metres north or east: beyond it f32 no longer holds centimetres well.
+pub const GREATEST_GOAL_M: f32 = 10_000.0;
+
 /// Who starts a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum EngagePolicy {
@@ -23,6 +26,16 @@ pub enum AtGoal {
     #[default]
     Hold,
     /// Hover for [`GuidanceConfig::goal_dwell_ns`], then land.
+    Land,
+}
+
+/// What to do about a vehicle that does not get nearer to its goal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnNoProgress {
+    /// Hover until there is another goal, or an operator engages.
+    Hold,
+    /// Hover for [`GuidanceConfig::no_progress_dwell_ns`], then land.
+    #[default]
     Land,
 }
 
@@ -103,6 +116,17 @@ pub struct GuidanceConfig {
     pub goal_radius_m: f32,
     /// Hover at the goal before landing.
     pub goal_dwell_ns: Nanos,
+    /// Farthest goal, metres from the local origin, horizontally.
+    pub goal_limit_m: f32,
+    /// Time in *guided* that may pass without getting nearer to the goal; `None` for ever. Detours, dead ends and recoveries
+    /// take their time; what the vehicle holds for is not counted.
+    pub no_progress_limit_ns: Option<Nanos>,
+    /// How much nearer than ever before counts as nearer.
+    pub no_progress_gain_m: f32,
+    /// What to do then.
+    pub on_no_progress: OnNoProgress,
+    /// Hover before landing for it.
+    pub no_progress_dwell_ns: Nanos,
     /// Consecutive steps without a blocking condition before standby ends and before hold ends.
     pub clear_steps: u16,
     /// Consecutive steps of zero setpoints after the vehicle left its external mode, before guidance falls silent.
@@ -140,6 +164,11 @@ impl Default for GuidanceConfig {
             slip_window_ns: 1_000 * MS,
             goal_radius_m: 1.0,
             goal_dwell_ns: 2_000 * MS,
+            goal_limit_m: 500.0,
+            no_progress_limit_ns: Some(120_000 * MS),
+            no_progress_gain_m: 1.0,
+            on_no_progress: OnNoProgress::Land,
+            no_progress_dwell_ns: 10_000 * MS,
             clear_steps: 10,
             release_steps: 10,
             handover_limit_ns: 60_000 * MS,
@@ -168,6 +197,19 @@ pub enum ConfigError {
         /// What is allowed.
         allowed: &'static str,
     },
+    /// The goal given at the start is not permitted.
+    #[error(
+        "the goal is {distance_m} m from home, and {limit_m} m are allowed: take a nearer one, or set goal_m under [limits] in the configuration"
+    )]
+    GoalTooFar {
+        /// How far it is.
+        distance_m: u32,
+        /// What is allowed.
+        limit_m: u32,
+    },
+    /// The goal given at the start is not permitted.
+    #[error("the goal is not permitted: outside the geofence, at or below the ground, or not a number")]
+    GoalDenied,
     /// The fence is empty or not finite.
     #[error("guidance: geofence is empty or not finite: check that min is below max and the radius is positive")]
     Fence,
@@ -196,6 +238,29 @@ impl GuidanceConfig {
         range(
             "goal_radius_m",
             self.goal_radius_m.into(),
+            0.1,
+            100.0,
+            "0.1 to 100 metres",
+        )?;
+        range(
+            "goal_limit_m",
+            self.goal_limit_m.into(),
+            1.0,
+            GREATEST_GOAL_M.into(),
+            "1 to 10000 metres",
+        )?;
+        if let Some(limit_ns) = self.no_progress_limit_ns {
+            range(
+                "no_progress_limit",
+                limit_ns as f64 * 1e-9,
+                1.0,
+                86_400.0,
+                "1 to 86400 seconds",
+            )?;
+        }
+        range(
+            "no_progress_gain_m",
+            self.no_progress_gain_m.into(),
             0.1,
             100.0,
             "0.1 to 100 metres",

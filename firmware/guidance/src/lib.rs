@@ -16,5 +16,7 @@ mod machine;
 pub mod table;
 
 pub use alarm::{AlarmConfig, AlarmPolicy};
-pub use config::{AtGoal, ConfigError, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+pub use config::{
+    AtGoal, ConfigError, EngagePolicy, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig, OnNoProgress,
+};
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};

@@ -2,7 +2,7 @@
 
 use crate::alarm::{AlarmInput, AlarmLogic};
 use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
-use crate::config::{AtGoal, ConfigError, EngagePolicy, GuidanceConfig};
+use crate::config::{AtGoal, ConfigError, EngagePolicy, GREATEST_GOAL_M, GuidanceConfig, OnNoProgress};
 use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
     Action, Alarm, AlarmCause, AlarmResponse, Goal, GuidanceState, HandoverProgress, HeadingVector, Nanos, NedVector,
@@ -10,13 +10,13 @@ use vigil_types::{
     VelocitySetpoint, Verdict,
 };
 
-/// Farthest goal from home, metres north or east: beyond it f32 no longer holds centimetres well.
-const GOAL_LIMIT_M: f32 = 10_000.0;
 /// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
 /// disarmed it.
 const RESTART_SHOWS_NS: Nanos = 2_000_000_000;
 /// A vehicle in the air whose autopilot started less than this ago did not take off: it is a simulation that begins there.
 const BORN_AIRBORNE_NS: Nanos = 30_000_000_000;
+/// Longest time between two steps that counts as flown, against clocks that jump.
+const LONGEST_STEP_NS: Nanos = 1_000_000_000;
 /// Missed steps that are remembered; [`GuidanceConfig::slip_limit`] is at most this.
 const SLIPS_REMEMBERED: usize = 8;
 
@@ -87,6 +87,21 @@ pub struct GuidanceOutput {
     pub request: VehicleRequest,
 }
 
+/// How the flight gets on.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Progress {
+    /// Nearest that the vehicle has been to the goal, metres; counted in steps of the least gain.
+    nearest_m: Option<f32>,
+    /// Time flown since.
+    flown_ns: Nanos,
+    /// Time of the last step.
+    last_ns: Option<Nanos>,
+    /// When the vehicle was given up.
+    stopped_ns: Option<Nanos>,
+    /// It was given up long enough ago to land.
+    dwelt: bool,
+}
+
 /// The state machine. Plain data; time only comes in as an argument.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Guidance {
@@ -101,6 +116,7 @@ pub struct Guidance {
     /// Home as far as the goal and the fence are concerned; the local origin until the vehicle tells.
     home_ned_m: NedVector,
     home_known: bool,
+    progress: Progress,
     /// Guidance wants to fly.
     intent: bool,
     /// An operator engaged, and it came to no end yet.
@@ -152,6 +168,7 @@ impl Guidance {
             given: None,
             home_ned_m: NedVector::ZERO,
             home_known: false,
+            progress: Progress::default(),
             intent: config.engage == EngagePolicy::Auto,
             asked: false,
             taken_over: config.taken_over,
@@ -263,16 +280,23 @@ impl Guidance {
         let given_m = NedVector::new(north_m, east_m, -height_m);
         let from_home_m = given_m + (datum_ned_m - self.home_ned_m);
         let permitted = from_home_m.is_finite()
-            && from_home_m.x.abs() <= GOAL_LIMIT_M
-            && from_home_m.y.abs() <= GOAL_LIMIT_M
+            && from_home_m.x.abs() <= GREATEST_GOAL_M
+            && from_home_m.y.abs() <= GREATEST_GOAL_M
             && from_home_m.z < 0.0
-            && from_home_m.z >= -GOAL_LIMIT_M
+            && from_home_m.z >= -GREATEST_GOAL_M
             && self.config.geofence.is_none_or(|fence| {
                 fence.contains(from_home_m, FENCE_CLEAR_MARGIN_M)
                     && fence.is_high_enough(from_home_m, FENCE_CLEAR_MARGIN_M)
             });
         if !permitted {
             return RequestOutcome::Denied;
+        }
+        let distance_m = from_home_m.horizontal_norm();
+        if distance_m > self.config.goal_limit_m {
+            return RequestOutcome::TooFar {
+                distance_m: (distance_m as u32).saturating_add(1),
+                limit_m: self.config.goal_limit_m as u32,
+            };
         }
         self.given = Some((datum, given_m));
         self.place_goal();
@@ -294,6 +318,7 @@ impl Guidance {
         });
         self.reached_ns = None;
         self.dwelt = false;
+        self.progress = Progress::default();
     }
 
     /// An autopilot may set home anew when it is armed, and the goal goes with it. In flight a goal does not wander off: then
@@ -335,6 +360,7 @@ impl Guidance {
         self.operator = false;
         self.operator_land = false;
         self.handover_failed_ns = None;
+        self.progress = Progress::default();
         RequestOutcome::Accepted
     }
 
@@ -467,7 +493,12 @@ impl Guidance {
         if let (true, Some(kinematics)) = (usable, telemetry.kinematics) {
             self.note_fence(kinematics.position_ned_m);
             self.note_goal(now_ns, kinematics.position_ned_m);
+            self.note_progress(now_ns, kinematics.position_ned_m);
         }
+        self.progress.dwelt = self
+            .progress
+            .stopped_ns
+            .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.no_progress_dwell_ns);
         self.dwelt = self
             .reached_ns
             .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.goal_dwell_ns);
@@ -524,6 +555,7 @@ impl Guidance {
             .with_if(stops_for(AlarmCause::NoVerdict), Reason::NoVerdict)
             .with_if(recovering, Reason::Recovering)
             .with_if(stops_for(AlarmCause::CollisionCourse), Reason::CollisionCourse)
+            .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
             .with_if(slow_telemetry, Reason::SlowTelemetry)
             .with_if(pilot_in_command, Reason::PilotInCommand)
     }
@@ -557,6 +589,30 @@ impl Guidance {
             && (goal.position_ned_m - position_ned_m).horizontal_norm() <= self.config.goal_radius_m
         {
             self.reached_ns = Some(now_ns);
+        }
+    }
+
+    /// Counts the time flown since the vehicle last got nearer to its goal; gives the flight up after too much of it.
+    fn note_progress(&mut self, now_ns: Nanos, position_ned_m: NedVector) {
+        let progress = &mut self.progress;
+        let step_ns = now_ns.saturating_sub(progress.last_ns.replace(now_ns).unwrap_or(now_ns));
+        let (true, Some(goal)) = (self.state == GuidanceState::Guided, self.goal) else {
+            return;
+        };
+        let distance_m = (goal.position_ned_m - position_ned_m).horizontal_norm();
+        progress.flown_ns += step_ns.min(LONGEST_STEP_NS);
+        if progress
+            .nearest_m
+            .is_none_or(|nearest_m| distance_m <= nearest_m - self.config.no_progress_gain_m)
+        {
+            (progress.nearest_m, progress.flown_ns) = (Some(distance_m), 0);
+        }
+        let given_up = self
+            .config
+            .no_progress_limit_ns
+            .is_some_and(|limit_ns| progress.flown_ns > limit_ns);
+        if given_up && self.reached_ns.is_none() {
+            progress.stopped_ns = progress.stopped_ns.or(Some(now_ns));
         }
     }
 
@@ -596,7 +652,7 @@ impl Guidance {
         match guard {
             Guard::VehicleRestarted => restarted,
             Guard::MotorsOff => reasons.contains(Reason::Disarmed),
-            Guard::LandDemanded => self.operator_land || self.must_land(reasons),
+            Guard::LandDemanded => self.operator_land || self.lands_without_progress() || self.must_land(reasons),
             Guard::LandingTakenOver => {
                 self.landing_seen
                     && !reasons.contains(Reason::LinkLost)
@@ -624,6 +680,11 @@ impl Guidance {
         self.config.at_goal == AtGoal::Land && self.dwelt
             || reasons.contains(Reason::LowBattery)
             || reasons.contains(Reason::TimeLimit)
+    }
+
+    /// Whether landing is demanded because the vehicle did not get nearer to its goal; an operator's engage lifts it.
+    fn lands_without_progress(&self) -> bool {
+        self.config.on_no_progress == OnNoProgress::Land && self.progress.dwelt
     }
 
     /// `was_lost`: the vehicle was silent until this step.
@@ -655,6 +716,7 @@ impl Guidance {
                 self.operator_land = false;
                 self.operator &= row.when != Guard::VehicleRestarted;
                 self.reached_ns = None;
+                self.progress = Progress::default();
                 self.flight_started_ns = None;
             }
             GuidanceState::Guided => self.flight_started_ns = self.flight_started_ns.or(Some(now_ns)),

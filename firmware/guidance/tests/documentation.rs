@@ -19,6 +19,12 @@ fn thresholds(text: &str) -> String {
         ("{slip_window}", seconds(c.slip_window_ns)),
         ("{goal_radius}", format!("{} m", c.goal_radius_m)),
         ("{goal_dwell}", seconds(c.goal_dwell_ns)),
+        (
+            "{no_progress_limit}",
+            c.no_progress_limit_ns.map_or("no time".to_owned(), seconds),
+        ),
+        ("{no_progress_gain}", format!("{} m", c.no_progress_gain_m)),
+        ("{no_progress_dwell}", seconds(c.no_progress_dwell_ns)),
         ("{handover_limit}", seconds(c.handover_limit_ns)),
         ("{handover_pause}", seconds(c.handover_pause_ns)),
         ("{raise_count}", c.alarm.raise_count.to_string()),

@@ -3,7 +3,9 @@
 mod common;
 
 use common::{GOAL, Story};
-use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig};
+use vigil_guidance::{
+    AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig, OnNoProgress,
+};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Land, Ready, Standby};
 use vigil_types::{
     Action, AlarmCause, AlarmResponse, HandoverProgress, Landed, NedVector, OperatorRequest, Reason, Reasons,
@@ -1132,4 +1134,95 @@ fn an_alarm_lasts_no_longer_than_its_flight() {
     s.armed = false;
     assert_eq!(s.until(Standby), 1);
     assert_eq!(s.step().alarm, None, "what is judged on the ground raises nothing");
+}
+
+#[test]
+fn a_vehicle_that_does_not_get_nearer_holds_by_that_name_after_two_minutes_and_then_lands() {
+    let mut s = Story::guided(auto());
+    // A detour: away from the goal and back again takes less than the time there is.
+    for north_m in [5.0, -30.0, 5.0, 8.0] {
+        s.position_ned_m.x = north_m;
+        assert_eq!(s.run(seconds(39.0)).state, Guided, "at {north_m}");
+    }
+    // To and fro, never nearer than before.
+    for n in 0..8 {
+        s.position_ned_m.x = if n % 2 == 0 { -4.0 } else { 7.5 };
+        assert_eq!(s.run(seconds(10.0)).state, Guided, "{n}");
+    }
+    assert!((1..=40).contains(&s.until(Hold)), "two minutes since it was nearest");
+    let hold = s.last.unwrap();
+    assert_eq!(hold.reasons, Reasons::of(Reason::NoProgress));
+    assert_eq!(hold.setpoint, Some(VelocitySetpoint::HOLD));
+    assert_eq!(s.run(seconds(9.9)).state, Hold);
+    s.run(3);
+    assert_eq!(s.last.unwrap().state, Land);
+}
+
+#[test]
+fn what_the_vehicle_holds_for_is_no_lack_of_progress() {
+    let mut s = Story::guided(auto());
+    for _ in 0..5 {
+        assert_eq!(s.run(seconds(20.0)).state, Guided);
+        s.frame.age_ns = Some(400_000_000);
+        assert_eq!(s.run(seconds(60.0)).reasons, Reasons::of(Reason::StaleFrame));
+        s.frame.age_ns = Some(STEP_NS);
+        s.until(Guided);
+    }
+}
+
+#[test]
+fn a_flight_without_progress_that_is_to_hold_goes_on_with_another_goal_or_an_operator_and_ends_where_none_is_wanted() {
+    let config = GuidanceConfig {
+        on_no_progress: OnNoProgress::Hold,
+        ..auto()
+    };
+    let mut s = Story::guided(config);
+    s.run(seconds(121.0));
+    assert_eq!(s.run(seconds(600.0)).reasons, Reasons::of(Reason::NoProgress));
+    assert_eq!(s.ask(GOAL), RequestOutcome::Accepted);
+    assert_eq!(s.until(Guided), 10);
+    s.run(seconds(121.0));
+    assert_eq!(s.last.unwrap().state, Hold);
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.until(Guided), 10);
+
+    let mut landing = Story::guided(auto());
+    landing.run(seconds(140.0));
+    assert_eq!(landing.last.unwrap().state, Land);
+    assert_eq!(
+        landing.ask(OperatorRequest::Engage),
+        RequestOutcome::Accepted,
+        "an operator goes around"
+    );
+    landing.until(Guided);
+
+    let never = GuidanceConfig {
+        no_progress_limit_ns: None,
+        ..auto()
+    };
+    assert_eq!(Story::guided(never).run(seconds(3600.0)).state, Guided);
+}
+
+#[test]
+fn a_goal_farther_than_the_limit_is_refused_with_its_distance_and_the_one_before_stays() {
+    let mut s = Story::guided(auto());
+    let before = s.guidance.goal();
+    let goal = |north_m, east_m| OperatorRequest::Goal {
+        north_m,
+        east_m,
+        height_m: None,
+    };
+    let too_far = RequestOutcome::TooFar {
+        distance_m: 501,
+        limit_m: 500,
+    };
+    assert_eq!(s.ask(goal(-300.0, 400.5)), too_far);
+    assert_eq!(s.guidance.goal(), before);
+    assert_eq!(s.ask(goal(-300.0, 400.0)), RequestOutcome::Accepted);
+    let farther = GuidanceConfig {
+        goal_limit_m: 1000.0,
+        ..auto()
+    };
+    s.guidance.reconfigure(farther).unwrap();
+    assert_eq!(s.ask(goal(-300.0, 400.5)), RequestOutcome::Accepted);
 }

@@ -175,6 +175,8 @@ pub struct Companion {
     parameters: Parameters,
     /// The last parameter that was not set, to be told of.
     parameter_refused: Option<(usize, SetRefusal)>,
+    /// The last goal that was too far, to be told of: its distance and what is allowed, metres.
+    goal_refused: Option<(u32, u32)>,
     heartbeat: Periodic,
     values: Periodic,
     obstacles: Periodic,
@@ -221,6 +223,7 @@ impl Companion {
             said_alarm: None,
             parameters: Parameters::default(),
             parameter_refused: None,
+            goal_refused: None,
             heartbeat: Periodic::new(HEARTBEAT_NS),
             values: Periodic::new(VALUES_NS),
             obstacles: Periodic::new(VALUES_NS),
@@ -475,6 +478,7 @@ impl Companion {
         let (state, reasons) = self.said.unwrap_or_default();
         let told = match outcome {
             RequestOutcome::Accepted => Reasons::NONE,
+            RequestOutcome::TooFar { .. } => Reasons::NONE,
             RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
                 let why = match pending.request {
                     OperatorRequest::Goal { .. } | OperatorRequest::FixedGoal { .. } => Refusal::Goal,
@@ -486,6 +490,9 @@ impl Companion {
             }
         };
         self.acknowledge(pending.reply, pending.command, result_of(outcome), told);
+        if let RequestOutcome::TooFar { distance_m, limit_m } = outcome {
+            self.goal_refused = Some((distance_m, limit_m));
+        }
     }
 
     /// Writes this step's packets: `report` is what was decided, `request` what guidance asks of the vehicle.
@@ -588,6 +595,9 @@ impl Companion {
                     self.sender.message(out, to.link, &error);
                 }
             }
+        }
+        if let Some((distance_m, limit_m)) = self.goal_refused.take() {
+            self.tell(out, &report::goal_text(distance_m, limit_m));
         }
         if let Some((index, refusal)) = self.parameter_refused.take() {
             self.tell(

@@ -69,7 +69,7 @@ pub(crate) fn result_of(outcome: RequestOutcome) -> u8 {
     match outcome {
         RequestOutcome::Accepted => result::ACCEPTED,
         RequestOutcome::TemporarilyRejected => result::TEMPORARILY_REJECTED,
-        RequestOutcome::Denied => result::DENIED,
+        RequestOutcome::Denied | RequestOutcome::TooFar { .. } => result::DENIED,
     }
 }
 

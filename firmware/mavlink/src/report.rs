@@ -96,6 +96,13 @@ pub(crate) fn state_values(report: &StepReport, before: Reasons) -> impl Iterato
     .flatten()
 }
 
+/// "goal refused: 812 m from home, at most 500 m".
+pub(crate) fn goal_text(distance_m: u32, limit_m: u32) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+        write!(text, "goal refused: {distance_m} m from home, at most {limit_m} m")
+    })
+}
+
 /// Verdict, score and contributions; without a judgement there is nothing to tell, and a number that is not one is left
 /// out.
 pub(crate) fn judgement_values(report: &StepReport) -> impl Iterator<Item = MavMessage> {

@@ -517,3 +517,39 @@ fn before_it_ends_it_sends_zeros_if_it_was_streaming() {
     b.companion.shutdown(b.now_ns, &mut last);
     assert_eq!(common::messages(&last).len(), 2, "nothing to stop: heartbeat and text");
 }
+
+#[test]
+fn a_goal_too_far_away_is_denied_and_the_operator_is_told_why() {
+    let mut f = Flight::new(Flavour::Px4, Peer::on_the_ground(Flavour::Px4));
+    f.until(Guided);
+    let goal = reposition(MavFrame::MAV_FRAME_LOCAL_NED, 8_000_000, 1_000_000, -3.0);
+    f.companion.receive(f.now_ns, 0, &bytes_of(GROUND_STATION, &goal));
+    f.step();
+    let answers = acks(&common::messages(&f.sent));
+    assert_eq!(answers, [(192, MavResult::MAV_RESULT_DENIED, (255, 190))]);
+    assert_eq!(texts(&f.sent), ["goal refused: 807 m from home, at most 500 m"]);
+}
+
+#[test]
+fn reasons_beyond_what_a_float_holds_are_told_beside_the_others_and_their_end_too() {
+    let mut bench = Bench::new(Flavour::Px4);
+    let stuck = Reasons::of(Reason::NoProgress).with_if(true, Reason::StaleFrame);
+    let told = |bench: &mut Bench, reasons: Reasons| {
+        bench.step(Hold, reasons, VehicleRequest::None);
+        let values = named_values(&bench.sent).into_iter();
+        values
+            .filter(|(name, _)| name.starts_with("gd_reason"))
+            .collect::<Vec<_>>()
+    };
+    let value = |name: &str, value: f32| (name.to_owned(), value);
+    assert_eq!(
+        told(&mut bench, stuck),
+        [value("gd_reason", 1.0), value("gd_reason2", 1.0)]
+    );
+    let after = told(&mut bench, Reasons::of(Reason::StaleFrame));
+    assert_eq!(after, [value("gd_reason", 1.0), value("gd_reason2", 0.0)]);
+    for _ in 0..20 {
+        let later = told(&mut bench, Reasons::of(Reason::StaleFrame));
+        assert!(later.iter().all(|(name, _)| name == "gd_reason"));
+    }
+}

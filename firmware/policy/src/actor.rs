@@ -2,18 +2,25 @@
 
 use crate::field::FlightField;
 use crate::surroundings::Surroundings;
-use crate::{GeometricPilot, Pilot, PilotInput};
+use crate::{GeometricPilot, Pilot, PilotInput, smaller};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
 use vigil_types::{Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.
 pub const DISTANCE_SCALE_M: f32 = 20.0;
+/// A goal farther away looks to the actor as if it were this far: its courses' goals are 20.6 m away, and nothing beyond was
+/// ever shown to it, metres.
+pub const FARTHEST_KNOWN_M: f32 = 21.0;
 /// Bearing that its second positional input counts as 1, radians.
 pub const BEARING_SCALE_RAD: f32 = 1.0;
 
-/// The actor's positional inputs: distance in units of [`DISTANCE_SCALE_M`], bearing in units of [`BEARING_SCALE_RAD`].
+/// The actor's positional inputs: distance, at most [`FARTHEST_KNOWN_M`], in units of [`DISTANCE_SCALE_M`], bearing in units of
+/// [`BEARING_SCALE_RAD`].
 pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
-    [goal.distance_m / DISTANCE_SCALE_M, goal.bearing_rad / BEARING_SCALE_RAD]
+    [
+        smaller(goal.distance_m, FARTHEST_KNOWN_M) / DISTANCE_SCALE_M,
+        goal.bearing_rad / BEARING_SCALE_RAD,
+    ]
 }
 
 /// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the four before it

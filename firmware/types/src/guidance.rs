@@ -92,6 +92,8 @@ pub enum Reason {
     Recovering = 18,
     /// The actor was about to fly into something; the vehicle is being stopped.
     CollisionCourse = 19,
+    /// The vehicle did not get nearer to the goal for too long.
+    NoProgress = 24,
     /// Position or attitude arrive so rarely that little is left to the age limit. A warning: nothing is held for it.
     SlowTelemetry = 26,
     /// A person has the vehicle: guidance does not take it by itself.
@@ -100,7 +102,7 @@ pub enum Reason {
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 23] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -121,6 +123,7 @@ impl Reason {
         Self::NoVerdict,
         Self::Recovering,
         Self::CollisionCourse,
+        Self::NoProgress,
         Self::SlowTelemetry,
         Self::PilotInCommand,
     ];
@@ -148,6 +151,7 @@ impl Reason {
             Self::NoVerdict => "no verdict",
             Self::Recovering => "recovering",
             Self::CollisionCourse => "collision course",
+            Self::NoProgress => "no progress",
             Self::SlowTelemetry => "slow telemetry",
             Self::PilotInCommand => "pilot in command",
         }

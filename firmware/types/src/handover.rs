@@ -40,6 +40,13 @@ pub enum RequestOutcome {
     TemporarilyRejected,
     /// Never: its values are not permitted.
     Denied,
+    /// A goal farther from home than the configuration allows; metres, rounded up and down.
+    TooFar {
+        /// How far it is.
+        distance_m: u32,
+        /// What is allowed.
+        limit_m: u32,
+    },
 }
 
 /// What guidance asks of the vehicle in this step; the link repeats, tracks and translates it for the autopilot.

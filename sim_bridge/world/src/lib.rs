@@ -29,7 +29,7 @@ pub use course::{
 };
 pub use draw::{FlightPath, Image, ImageError, check_png_name, draw};
 pub use file::CourseError;
-pub use generate::generate;
+pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
     LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,
     beam_direction_frd, pixel_of, ring_row,

@@ -1,7 +1,7 @@
 //! What every generated course promises.
 
 use std::sync::LazyLock;
-use vigil_world::{Course, Family, HARD_CORRIDOR_MARGIN_M, Solid, VEHICLE, World, generate};
+use vigil_world::{Course, Family, HARD_CORRIDOR_MARGIN_M, Solid, VEHICLE, World, generate, generate_long};
 
 const SEEDS: u64 = 150;
 
@@ -276,4 +276,44 @@ fn figures_of_the_families() {
         );
         assert!(detour / n >= 1.0);
     }
+}
+
+#[test]
+fn a_long_course_is_its_arenas_in_a_row_with_a_way_through_and_limits_that_grow_with_it() {
+    for (seed, goal_m) in [(1, 30.0), (2, 60.0), (3, 61.5), (4, 150.0), (5, 222.22), (6, 300.0)] {
+        let course = generate_long(Family::Validation, seed, goal_m).expect("not hard");
+        course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
+        let text = course.to_toml_string().expect("writable");
+        assert_eq!(Course::from_toml_str(&text, "again").expect("readable"), course);
+        assert_eq!(course, generate_long(Family::Validation, seed, goal_m).expect("again"));
+        assert_eq!(course.goal.north_m, goal_m);
+        assert!(course.goal.east_m.abs() <= 5.0);
+        assert!(course.bounds.contains_plan(goal_m + 4.0, course.goal.east_m));
+        assert!(course.corridor().is_some() && course.straight_line_is_blocked());
+        assert!((course.time_limit_s - 90.0 * goal_m / 20.0).abs() < 0.1);
+        let in_order = course.checkpoints.windows(2).all(|c| c[0].north_m < c[1].north_m);
+        let spacing_m = goal_m / (course.checkpoints.len() as f32 + 1.0);
+        assert!(in_order && (4.0..8.0).contains(&spacing_m), "{spacing_m}");
+
+        // As dense as the family, along all of its length.
+        let obstacles_in = |course: &Course, from_m: f32, to_m: f32| {
+            let centres = course.solids().into_iter().map(|s| s.centre_ned_m().x);
+            centres.filter(|north_m| (from_m..to_m).contains(north_m)).count() as f32
+        };
+        let usual = courses(Family::Validation)
+            .map(|c| obstacles_in(c, 0.0, 20.0))
+            .sum::<f32>()
+            / SEEDS as f32;
+        let here = obstacles_in(&course, 0.0, goal_m) * 20.0 / goal_m;
+        assert!(
+            (0.5 * usual..1.7 * usual).contains(&here),
+            "{}: {here} of {usual}",
+            course.name
+        );
+    }
+    assert_eq!(generate_long(Family::Hard, 1, 100.0), None);
+    assert_ne!(
+        generate_long(Family::Validation, 1, 100.0).expect("a course").solids(),
+        generate_long(Family::Validation, 2, 100.0).expect("a course").solids()
+    );
 }

@@ -18,7 +18,7 @@ use vigil_sim::lockstep::FlightRecord;
 use vigil_sim::{Models, SimConfig, Start, family_parser};
 use vigil_types::STEP_S;
 use vigil_vehicle::Wind;
-use vigil_world::{Course, Family, FlightPath, Outcome, generate};
+use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
 
 /// Beyond it the report would not fit the memory.
 const MOST_FLIGHTS: u64 = 10_000_000;
@@ -31,6 +31,7 @@ Examples:
   vigil evaluate --flights 200 --wind 4                 the same in a mean wind of 4 m/s
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
   vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles; or dense
+  vigil evaluate --flights 200 --goal-distance 30..300  goals 30 to 300 m away, as dense all the way
   vigil evaluate --flights 200 --pilot geometric        the geometric pilot
   vigil evaluate --flights 200 --apf off --detector off the frozen actor alone
   vigil evaluate --apf off --attack bim-accumulating --burst 50
@@ -76,6 +77,11 @@ pub struct EvaluateArgs {
     #[arg(long)]
     still: bool,
 
+    /// Courses to goals this far north, metres (5 to 400), of the family's density all the way; a range spreads its flights
+    /// evenly over it. Not for the hard family.
+    #[arg(long, value_name = "M|FROM..TO", value_parser = GoalDistance::parse)]
+    goal_distance: Option<GoalDistance>,
+
     /// Flights whose seed divides by this begin on the ground, disarmed, all others in the air; 0: none, 1: all.
     #[arg(long, value_name = "N", default_value_t = 4)]
     ground_every: u64,
@@ -93,6 +99,42 @@ pub struct EvaluateArgs {
     /// Draw the course and path of every flight that failed into this folder.
     #[arg(long, value_name = "DIR")]
     draw_failures: Option<PathBuf>,
+}
+
+/// How far away the goals are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct GoalDistance {
+    from_m: f32,
+    to_m: f32,
+}
+
+impl GoalDistance {
+    fn parse(text: &str) -> Result<Self, String> {
+        let (from, to) = text.split_once("..").unwrap_or((text, text));
+        let length = |text: &str| match text.trim().parse::<f32>() {
+            Ok(length_m) if LONG_GOAL_M.contains(&length_m) => Ok(length_m),
+            _ => Err(format!(
+                "a distance is a number from {} to {} metres, a range two of them: 150 or 30..300",
+                LONG_GOAL_M.start(),
+                LONG_GOAL_M.end()
+            )),
+        };
+        let (from_m, to_m) = (length(from)?, length(to)?);
+        if from_m > to_m {
+            return Err(format!("the range {text} is empty: the nearer distance comes first"));
+        }
+        Ok(Self { from_m, to_m })
+    }
+
+    /// The distance of a flight.
+    fn of(self, seed: u64) -> f32 {
+        self.from_m + (self.to_m - self.from_m) * spread(seed) as f32
+    }
+}
+
+/// A number from 0 to 1 for each seed. Multiples of the golden ratio spread neighbouring seeds evenly.
+fn spread(seed: u64) -> f64 {
+    (seed as f64 * 0.618_033_988_749_895) % 1.0
 }
 
 #[derive(Serialize)]
@@ -138,6 +180,8 @@ struct Report<'a> {
     noise_factor: f32,
     still: bool,
     ground_every: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    goal_distance: Option<GoalDistance>,
     threads: usize,
     wall_s: f64,
     simulated_s: f64,
@@ -218,7 +262,15 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
 }
 
 fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64) -> Result<Flight> {
-    let mut course = generate(args.family, seed);
+    let mut course = match args.goal_distance {
+        None => generate(args.family, seed),
+        Some(distance) => generate_long(args.family, seed, distance.of(seed)).with_context(|| {
+            format!(
+                "--goal-distance: courses of the family {} cannot be made longer",
+                args.family
+            )
+        })?,
+    };
     if args.still {
         course.movers.clear();
     }
@@ -252,8 +304,7 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
 
 /// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.
 fn wind(mean_m_s: f64, seed: u64) -> Wind {
-    // Multiples of the golden ratio spread the directions of neighbouring seeds evenly over the circle.
-    let direction_rad = std::f64::consts::TAU * ((seed as f64 * 0.618_033_988_749_895) % 1.0);
+    let direction_rad = std::f64::consts::TAU * spread(seed);
     Wind::gusty(mean_m_s, direction_rad)
 }
 
@@ -358,6 +409,7 @@ fn report(args: &EvaluateArgs, attack: Option<&Attack>, flights: &[Flight], wall
         noise_factor: args.noise,
         still: args.still,
         ground_every: args.ground_every,
+        goal_distance: args.goal_distance,
         threads,
         wall_s,
         simulated_s,

@@ -383,8 +383,7 @@ impl Peer {
                 }
                 #[allow(deprecated)] // what ArduPilot's ground stations use
                 MavMessage::REQUEST_DATA_STREAM(r) if r.target_system == self.system => {
-                    self.streams_asked
-                        .push((r.req_stream_id as u8, r.req_message_rate as u16));
+                    self.streams_asked.push((r.req_stream_id as u8, r.req_message_rate));
                     self.slowed_to_steps = None;
                 }
                 _ => {}

@@ -10,6 +10,9 @@ use crate::course::{
 use crate::mover::Mover;
 use crate::solid::Solid;
 mod hard;
+mod long;
+
+pub use long::{LONG_GOAL_M, generate_long};
 
 use core::ops::Range;
 use rand::{RngExt, SeedableRng};

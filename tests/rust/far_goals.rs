@@ -1,0 +1,148 @@
+//! Goals farther away than any that the actor has learned.
+
+use core::convert::Infallible;
+use vigil_firmware::config::PilotKind;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::lockstep::{FirmwarePort, fly_lockstep};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_tests::{run, said};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, StepReport};
+use vigil_world::{Course, Outcome};
+
+/// Columns in the way, and a screen that has to be passed at its side.
+const COURSE: &str = r#"
+name = "far goal"
+start = { heading_deg = 20.0 }
+goal = { north_m = 110.0, east_m = -4.0 }
+bounds = { north_m = [-4.0, 116.0], east_m = [-9.0, 9.0], top_m = 6.0 }
+time_limit_s = 200.0
+
+[[column]]
+north_m = 12.0
+east_m = -0.4
+radius_m = 0.4
+height_m = 4.0
+
+[[column]]
+north_m = 60.0
+east_m = -2.2
+radius_m = 0.4
+height_m = 4.0
+
+[[wall]]
+from_m = [35.0, -4.0]
+to_m = [35.0, 1.5]
+thickness_m = 0.2
+height_m = 3.0
+"#;
+
+struct Watched {
+    firmware: LockstepFirmware,
+    reports: Vec<StepReport>,
+}
+
+impl FirmwarePort for Watched {
+    type Error = Infallible;
+
+    fn step(
+        &mut self,
+        _: u64,
+        now_ns: Nanos,
+        frame: &DepthFrame,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> Result<(), Infallible> {
+        self.reports
+            .push(*self.firmware.step(now_ns, Some(frame), received, sent));
+        Ok(())
+    }
+}
+
+/// How a flight of the actor alone ended, and its reports.
+fn fly(course: &str, change: impl FnOnce(&mut FirmwareConfig)) -> (Option<Outcome>, Vec<StepReport>) {
+    let course = Course::from_toml_str(course, "course of a test").expect("a course");
+    let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
+    config.pilot.kind = PilotKind::Actor;
+    config.pilot.apf = false;
+    change(&mut config);
+    let limit_s = f64::from(course.time_limit_s);
+    let mut simulation = SimConfig::new(course, 11);
+    simulation.start = Start::Airborne;
+    let mut simulator = Simulator::new(&simulation, 0).expect("valid");
+    let mut port = Watched {
+        firmware: LockstepFirmware::new(&config).expect("valid"),
+        reports: Vec::new(),
+    };
+    let Ok(record) = fly_lockstep(&mut simulator, &mut port, limit_s, 0.0);
+    (record.outcome, port.reports)
+}
+
+#[test]
+fn the_actor_alone_arrives_at_a_goal_110_m_away_and_stays_within_the_course() {
+    let (outcome, reports) = fly(COURSE, |_| {});
+    assert_eq!(outcome, Some(Outcome::Success));
+    let first = reports.iter().find_map(|r| r.goal_relative).expect("a goal");
+    assert!(
+        first.distance_m > 109.0,
+        "what is told is the goal itself: {} m",
+        first.distance_m
+    );
+}
+
+/// A hall with no way to the goal.
+const CLOSED: &str = r#"
+name = "closed"
+goal = { north_m = 20.0, east_m = 0.0 }
+bounds = { north_m = [-4.0, 25.0], east_m = [-9.0, 9.0], top_m = 6.0 }
+time_limit_s = 60.0
+
+[[wall]]
+from_m = [7.0, -9.0]
+to_m = [7.0, 9.0]
+thickness_m = 0.2
+height_m = 5.0
+"#;
+
+#[test]
+fn a_flight_that_cannot_get_nearer_is_ended_by_name_on_the_ground() {
+    let (outcome, reports) = fly(CLOSED, |config| {
+        config.pilot.kind = PilotKind::Geometric;
+        config.limits.no_progress_s = 20.0;
+    });
+    assert_eq!(outcome, Some(Outcome::TimeOut), "it landed, and nothing was hit");
+    let held = reports.iter().find(|r| r.state == GuidanceState::Hold).expect("a hold");
+    assert!(held.reasons.contains(Reason::NoProgress), "{:?}", held.reasons);
+    assert!(reports.iter().any(|r| r.state == GuidanceState::Land));
+}
+
+#[test]
+fn distances_that_no_course_has_are_refused_with_what_is_allowed() {
+    for (arguments, part) in [
+        (["--goal-distance", "900"], "from 5 to 400 metres"),
+        (["--goal-distance", "300..30"], "nearer distance comes first"),
+        (["--goal-distance", "far"], "150 or 30..300"),
+    ] {
+        let output = run(&[&["evaluate", "--flights", "1"][..], &arguments].concat());
+        assert_eq!(output.status.code(), Some(2));
+        assert!(said(&output).contains(part), "{}", said(&output));
+    }
+    let output = run(&[
+        "courses",
+        "write",
+        "--seed",
+        "3",
+        "--goal-distance",
+        "90",
+        "--family",
+        "hard",
+    ]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        said(&output).contains("hard cannot be made longer"),
+        "{}",
+        said(&output)
+    );
+    let output = run(&["courses", "write", "--seed", "3", "--goal-distance", "90"]);
+    let course = Course::from_toml_str(&String::from_utf8_lossy(&output.stdout), "written").expect("a course");
+    assert_eq!(course.goal.north_m, 90.0);
+}
