@@ -27,12 +27,13 @@ impl AlarmTally {
     /// Takes a step's report.
     pub fn observe(&mut self, report: &StepReport) {
         let flown = matches!(report.state, GuidanceState::Guided | GuidanceState::Hold);
+        let flown_before = self.flown_steps;
         self.flown_steps += u64::from(flown);
         if let Some(Alarm { cause, response }) = report.alarm {
             self.stop_steps += u64::from(response == AlarmResponse::Stop);
             self.recovery_steps += u64::from(response == AlarmResponse::Recovery);
             if !self.was_raised {
-                self.first_at_step = self.first_at_step.or(Some(self.flown_steps));
+                self.first_at_step = self.first_at_step.or(Some(flown_before));
                 if let Some(count) = self.raised.get_mut(cause as usize) {
                     *count += 1;
                 }

@@ -14,6 +14,8 @@ const KEY_SIZE_LIMIT: u64 = 4 << 10;
 const STATE_SIZE_LIMIT: u64 = 64 << 10;
 /// States that may wait to be written; the newest is offered again a second later.
 const CAPACITY: usize = 8;
+/// Places that states leave free: a new key must get through a slow disk as well.
+const KEY_SLOTS: usize = 2;
 /// How often the writer looks.
 const PAUSE: Duration = Duration::from_millis(100);
 
@@ -209,7 +211,9 @@ impl Keeper {
 
     /// Has a state written. Never waits; when too many wait, the ones offered later do.
     pub fn offer(&mut self, memory: SigningMemory) {
-        if let Some(ring) = &mut self.ring {
+        if let Some(ring) = &mut self.ring
+            && ring.slots() > KEY_SLOTS
+        {
             // A state that is not written leaves an older one, which lies ahead of it.
             let _ = ring.push(Job::State(memory));
         }
