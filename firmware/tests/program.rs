@@ -351,6 +351,7 @@ fn lockstep_gives_the_same_bytes_in_two_processes_as_in_one() {
     let folder = tempfile::tempdir().unwrap();
     let (instance, domain, _publisher) = free_instance();
     let mut arguments = vec!["--lockstep", "--engage", "auto", "--goal", "20,5", "--height", "2.5"];
+    arguments.extend(["--pilot", "geometric"]);
     let (number, log) = (instance.to_string(), folder.path().to_str().unwrap().to_owned());
     arguments.extend(["--instance", &number, "--log", &log]);
     let child = firmware(&arguments).spawn().unwrap();
