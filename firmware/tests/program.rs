@@ -7,6 +7,7 @@ use std::fmt::Write as _;
 use std::net::UdpSocket;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
@@ -26,10 +27,13 @@ fn firmware(arguments: &[&str]) -> Command {
     command
 }
 
-/// An instance that the program accepts and nobody uses at the moment, with its publisher.
+/// An instance that the program accepts and nobody uses at the moment, with its publisher. None is given twice: a test may
+/// end its publisher and begin another.
 fn free_instance() -> (u32, Domain, FramePublisher) {
+    static GIVEN: AtomicU32 = AtomicU32::new(0);
     let first = std::process::id() % 40;
-    for number in (0..40).map(|i| 60 + (first + i) % 40) {
+    for _ in 0..40 {
+        let number = 60 + (first + GIVEN.fetch_add(1, Ordering::Relaxed)) % 40;
         let domain = Domain::open(number, "test-simulator").unwrap();
         match FramePublisher::create(&domain, DEPTH_TOPIC) {
             Ok(publisher) => return (number, domain, publisher),
