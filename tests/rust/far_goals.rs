@@ -89,16 +89,34 @@ fn the_actor_alone_arrives_at_a_goal_110_m_away_and_stays_within_the_course() {
     );
 }
 
-/// A hall with no way to the goal.
+/// A hall with no way out.
 const CLOSED: &str = r#"
 name = "closed"
 goal = { north_m = 20.0, east_m = 0.0 }
-bounds = { north_m = [-4.0, 25.0], east_m = [-9.0, 9.0], top_m = 6.0 }
+bounds = { north_m = [-8.0, 25.0], east_m = [-9.0, 9.0], top_m = 6.0 }
 time_limit_s = 60.0
 
 [[wall]]
-from_m = [7.0, -9.0]
-to_m = [7.0, 9.0]
+from_m = [-4.0, -6.0]
+to_m = [7.0, -6.0]
+thickness_m = 0.2
+height_m = 5.0
+
+[[wall]]
+from_m = [7.0, -6.0]
+to_m = [7.0, 6.0]
+thickness_m = 0.2
+height_m = 5.0
+
+[[wall]]
+from_m = [7.0, 6.0]
+to_m = [-4.0, 6.0]
+thickness_m = 0.2
+height_m = 5.0
+
+[[wall]]
+from_m = [-4.0, 6.0]
+to_m = [-4.0, -6.0]
 thickness_m = 0.2
 height_m = 5.0
 "#;
