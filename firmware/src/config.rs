@@ -55,6 +55,8 @@ pub struct FirmwareConfig {
     pub obstacle_distance: ObstacleDistance,
     /// The sensor whose frames are accepted.
     pub sensor_id: u32,
+    /// Whether frames are judged before the pilots see them.
+    pub plausibility: bool,
     /// Who starts a flight.
     pub engage: Engage,
     /// What to do at the goal.
@@ -387,6 +389,7 @@ impl Default for FirmwareConfig {
             vehicle: Vehicle::default(),
             obstacle_distance: ObstacleDistance::default(),
             sensor_id: 1,
+            plausibility: true,
             engage: Engage::default(),
             at_goal: AtGoalChoice::default(),
             height_m: GuidanceConfig::default().default_height_m,
@@ -624,6 +627,7 @@ impl FirmwareConfig {
         };
         StackConfig {
             sensor_id: self.sensor_id,
+            plausibility: self.plausibility,
             guidance,
             companion: CompanionConfig {
                 flavour: match self.vehicle {

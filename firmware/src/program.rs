@@ -129,6 +129,11 @@ pub struct FirmwareArgs {
     #[arg(long, value_enum)]
     pub alarm: Option<AlarmChoice>,
 
+    /// Whether frames are judged before the pilots see them, so that a sensor that is dead, frozen or wrong holds the flight
+    /// [default: on].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    pub plausibility: Option<bool>,
+
     /// FIFO priority of the loop, 1 to 99; 0 for ordinary scheduling [default: 50].
     #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(0..=99))]
     pub priority: Option<u8>,
@@ -247,6 +252,7 @@ impl FirmwareArgs {
             (config.detector.raise_count, config.detector.raise_window) = (count, window);
         }
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
+        config.plausibility = self.plausibility.unwrap_or(config.plausibility);
         config.rate.priority = self.priority.unwrap_or(config.rate.priority);
         if let Some([north_m, east_m]) = self.goal {
             config.goal = Some(GoalConfig {

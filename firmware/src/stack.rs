@@ -17,11 +17,11 @@ use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, Guidanc
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput};
+use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Goal, GoalRelative, GuidanceState,
-    HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, RequestOutcome, StepReport, StepTiming,
-    VehicleTelemetry, Verdict,
+    HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons, RequestOutcome, StepReport,
+    StepTiming, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -48,6 +48,8 @@ pub struct StackConfig {
     pub speed_limit_m_s: f32,
     /// Where to fly, from home; `None` waits for an operator.
     pub goal: Option<Goal>,
+    /// Whether frames are judged before the pilots see them (docs/sensor-faults.md).
+    pub plausibility: bool,
 }
 
 /// What one step gets.
@@ -75,6 +77,8 @@ pub struct TickOutput {
 /// The flight stack. A large value without pointers: box it once at start.
 pub struct FlightStack {
     frames: FrameKeeper,
+    /// Judges each new frame; `None` when that is switched off.
+    plausibility: Option<PlausibilityJudge>,
     companion: Companion,
     guidance: Guidance,
     crew: Crew,
@@ -126,6 +130,7 @@ impl FlightStack {
         }
         Ok(Self {
             frames: FrameKeeper::new(config.sensor_id),
+            plausibility: config.plausibility.then(PlausibilityJudge::new),
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
@@ -144,10 +149,8 @@ impl FlightStack {
         let now_ns = input.now_ns;
 
         // Acquire.
-        let refused = match input.frame {
-            Some(frame) => self.frames.take(frame, now_ns).is_err(),
-            None => false,
-        };
+        let taken = input.frame.map(|frame| self.frames.take(frame, now_ns).is_ok());
+        let refused = taken == Some(false);
         for (link, datagram) in input.received.iter() {
             self.companion.receive(now_ns, link, datagram);
         }
@@ -162,9 +165,20 @@ impl FlightStack {
         let telemetry = *self.companion.telemetry();
         let frame_age_ns = self.frames.newest().map(|f| now_ns.saturating_sub(f.header.stamp_ns));
 
+        // Judge the frame.
+        let doubts = match (&mut self.plausibility, self.frames.newest()) {
+            (Some(judge), Some(frame)) if taken == Some(true) => judge.judge(frame, &telemetry),
+            (Some(judge), _) => judge.doubts(),
+            (None, _) => Reasons::NONE,
+        };
+
         // Pilot.
         let goal = self.guidance.goal();
-        let view = self.view(now_ns, &telemetry, goal.as_ref(), frame_age_ns);
+        let view = if doubts.is_empty() {
+            self.view(now_ns, &telemetry, goal.as_ref(), frame_age_ns)
+        } else {
+            None
+        };
         // Frames taken on the ground show the ground at the vehicle's own height: nobody looks before the vehicle is handed over.
         let flying = self.guidance.expects_action(self.companion.handover());
         let Decision {
@@ -183,6 +197,7 @@ impl FlightStack {
             frame: FrameStatus {
                 age_ns: frame_age_ns,
                 refused,
+                doubts,
             },
             action,
             recovery,

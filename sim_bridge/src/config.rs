@@ -1,5 +1,6 @@
 //! What one simulated flight is made of, and the file that changes the defaults.
 
+use crate::SensorFault;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
@@ -35,6 +36,8 @@ pub struct SimConfig {
     pub saved: Saved,
     /// LiDAR model.
     pub lidar: LidarConfig,
+    /// What fails of the LiDAR, if anything.
+    pub sensor_fault: Option<SensorFault>,
     /// Airframe, controllers, sensors, battery.
     pub vehicle: VehicleParams,
     /// Wind and gusts.
@@ -72,6 +75,7 @@ impl SimConfig {
             endpoint,
             saved: Saved::default(),
             lidar,
+            sensor_fault: None,
             vehicle,
             wind,
         }

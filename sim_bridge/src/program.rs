@@ -5,7 +5,7 @@ use crate::links::{LinksConfig, VehicleLinks};
 use crate::lockstep::{FirmwarePort, fly_lockstep};
 use crate::state::state_file;
 use crate::udp::ports_in_words;
-use crate::{CompanionView, CourseChoice, Models, STEP_MS, SimConfig, Simulator, Start};
+use crate::{CompanionView, CourseChoice, Models, STEP_MS, SensorFault, SimConfig, Simulator, Start};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -44,6 +44,7 @@ Examples:
                                         two further links for ground stations
   vigil sim --signing-key vigil.key --allow-unsigned never
                                         obeys signed packets only (docs/mavlink.md, Signing)
+  vigil sim --sensor-fault frozen@8     the LiDAR shows the same image from 8 s on
   vigil sim --lockstep --seed 7         lockstep with `vigil firmware --lockstep`; prints the flight's record")]
 pub struct SimArgs {
     /// Course to fly.
@@ -61,6 +62,10 @@ pub struct SimArgs {
     /// Begin hovering at flight height, armed, in Hold.
     #[arg(long)]
     pub airborne: bool,
+
+    /// Let the LiDAR fail, from the start or from a moment on (docs/sensor-faults.md).
+    #[arg(long, value_name = "MODE[@SECONDS|@random]")]
+    pub sensor_fault: Option<SensorFault>,
 
     /// Take turns with a firmware process instead of running in real time, and end with the flight.
     #[arg(long)]
@@ -172,6 +177,7 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
         .unwrap_or_default();
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
+    config.sensor_fault = args.sensor_fault;
     if let Some(folder) = &args.state {
         config.saved = state_file(folder, args.instance).load()?;
     }

@@ -1,6 +1,7 @@
 //! World, vehicle, LiDAR, MAVLink endpoint and referee on one simulated clock.
 
 use crate::config::{SimConfig, SimError, Start};
+use crate::sensor_fault::FailingSensor;
 use twox_hash::XxHash3_64;
 use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup};
 use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS};
@@ -31,6 +32,8 @@ pub struct Simulator {
     referee: Referee,
     vehicle: Vehicle,
     lidar: Lidar,
+    /// Present when the LiDAR is to fail.
+    failing: Option<FailingSensor>,
     endpoint: Endpoint,
     goal_ned_m: NedVector,
     epoch_ns: Nanos,
@@ -65,6 +68,7 @@ impl Simulator {
             referee: Referee::new(course),
             vehicle,
             lidar: Lidar::new(config.lidar, config.seed)?,
+            failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
             endpoint,
             goal_ned_m: course.goal_ned_m(),
             epoch_ns,
@@ -158,13 +162,18 @@ impl Simulator {
         }
     }
 
-    /// Captures a depth frame into `frame` and seals it.
+    /// Captures a depth frame into `frame`, as the LiDAR's fault leaves it, and seals it.
     pub fn capture(&mut self, frame: &mut DepthFrame) {
         let truth = self.vehicle.truth();
         let estimate = self.vehicle.view().estimate;
+        let elapsed_ns = self.elapsed_ms * MILLISECOND_NS;
+        let attitude = match &self.failing {
+            Some(failing) => failing.attitude(elapsed_ns, truth.attitude),
+            None => truth.attitude,
+        };
         let shot = Shot {
             position_ned_m: truth.position_ned_m,
-            attitude: truth.attitude,
+            attitude,
             estimated_position_ned_m: estimate.position_ned_m,
             estimated_attitude: estimate.attitude,
             stamp_ns: self.now_ns(),
@@ -172,6 +181,9 @@ impl Simulator {
             sensor_id: LIDAR_SENSOR_ID,
         };
         self.lidar.capture(&self.world, &shot, frame);
+        if let Some(failing) = &mut self.failing {
+            failing.spoil(elapsed_ns, frame);
+        }
         self.next_sequence += 1;
     }
 

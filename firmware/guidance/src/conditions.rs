@@ -51,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 23] = [
+pub static CONDITIONS: [Condition; 27] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -185,6 +185,34 @@ pub static CONDITIONS: [Condition; 23] = [
         false,
         "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
         "as *attack*",
+    ),
+    condition(
+        Reason::BlindSensor,
+        Demand::Hold,
+        true,
+        "the frames show no return where the ground must be seen, or zeros for ranges, over 15° or more of the view",
+        "3 frames in a row that show it",
+    ),
+    condition(
+        Reason::FrozenSensor,
+        Demand::Hold,
+        false,
+        "in flight the picture, or a part of it, stays as it was although the vehicle moved",
+        "a picture that fits an earlier one and the way flown since; after the second time in a flight, the end of the flight",
+    ),
+    condition(
+        Reason::ImplausiblePose,
+        Demand::Hold,
+        true,
+        "the pose in the frame's header is more than 2 m or 15° from the telemetry's, or does not move as it does",
+        "10 frames in a row whose pose fits",
+    ),
+    condition(
+        Reason::InconsistentPicture,
+        Demand::Hold,
+        false,
+        "in flight the picture does not move as the vehicle does: it jumps, parts of it vanish, or it moves as a mirrored or a turned sensor's would",
+        "as *frozen sensor*; of a mirrored or a turned sensor the end of the flight",
     ),
     condition(
         Reason::NoProgress,

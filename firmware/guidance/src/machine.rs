@@ -27,6 +27,8 @@ pub struct FrameStatus {
     pub age_ns: Option<Nanos>,
     /// A frame was refused in this step.
     pub refused: bool,
+    /// What is implausible about the newest valid frame: [`Reason::BlindSensor`] and its like; no pilot was shown it then.
+    pub doubts: Reasons,
 }
 
 /// Everything guidance looks at in one step.
@@ -485,6 +487,7 @@ impl Guidance {
         let pilot_could = self.expects_action(input.handover)
             && !stale_frame
             && !input.frame.refused
+            && input.frame.doubts.is_empty()
             && !stale_telemetry
             && !bad_telemetry
             && self.goal.is_some();
@@ -558,6 +561,7 @@ impl Guidance {
             .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
             .with_if(slow_telemetry, Reason::SlowTelemetry)
             .with_if(pilot_in_command, Reason::PilotInCommand)
+            .union(input.frame.doubts)
     }
 
     fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {

@@ -27,6 +27,7 @@ enum Event {
     Position([f32; 3]),
     Battery(Option<f32>),
     Frame(Option<u64>, bool),
+    Doubts(Reasons),
     TelemetryAge(u64),
     HeartbeatAge(Option<u64>),
     Action(Option<[f32; 2]>),
@@ -82,6 +83,7 @@ fn event() -> impl Strategy<Value = Event> {
         2 => [number(), number(), number()].prop_map(Event::Position),
         1 => proptest::option::of(0.0f32..1.0).prop_map(Event::Battery),
         2 => (proptest::option::of(0u64..500_000_000), any::<bool>()).prop_map(|(age, refused)| Event::Frame(age, refused)),
+        2 => prop_oneof![Just(Reasons::NONE), Just(Reasons::of(Reason::BlindSensor)), Just(Reasons::of(Reason::FrozenSensor))].prop_map(Event::Doubts),
         1 => (0u64..600_000_000).prop_map(Event::TelemetryAge),
         1 => proptest::option::of(0u64..3_000_000_000).prop_map(Event::HeartbeatAge),
         3 => proptest::option::of([number(), number()]).prop_map(Event::Action),
@@ -136,7 +138,7 @@ fn good(s: &mut Story) {
     s.position_ned_m = NedVector::new(5.0, 0.0, -3.0);
     s.frame = FrameStatus {
         age_ns: Some(STEP_NS),
-        refused: false,
+        ..FrameStatus::default()
     };
     (s.telemetry_age_ns, s.heartbeat_age_ns, s.battery) = (0, Some(0), Some(0.9));
     s.action = Some(Action {
@@ -156,7 +158,14 @@ fn apply(s: &mut Story, event: &Event) -> usize {
         Event::Failsafe(failsafe) => s.failsafe = failsafe,
         Event::Position([x, y, z]) => s.position_ned_m = NedVector::new(x, y, z),
         Event::Battery(battery) => s.battery = battery,
-        Event::Frame(age_ns, refused) => s.frame = FrameStatus { age_ns, refused },
+        Event::Frame(age_ns, refused) => {
+            s.frame = FrameStatus {
+                age_ns,
+                refused,
+                ..s.frame
+            }
+        }
+        Event::Doubts(doubts) => s.frame.doubts = doubts,
         Event::TelemetryAge(age_ns) => s.telemetry_age_ns = age_ns,
         Event::HeartbeatAge(age_ns) => s.heartbeat_age_ns = age_ns,
         Event::Action(action) => {
@@ -185,6 +194,7 @@ fn something_is_wrong(s: &Story) -> bool {
     let t = s.telemetry();
     let p = s.position_ned_m;
     s.frame.refused
+        || !s.frame.doubts.is_empty()
         || s.frame.age_ns.is_none_or(|age| age > 250_000_000)
         || s.telemetry_age_ns > 300_000_000
         || s.heartbeat_age_ns.is_none_or(|age| age > 1_500_000_000)

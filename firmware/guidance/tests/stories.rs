@@ -214,9 +214,25 @@ fn a_stale_frame_means_hold_in_the_same_step_and_flight_goes_on_half_a_second_af
 #[test]
 fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
     type Spoil = fn(&mut Story);
-    let stories: [(Spoil, Reason); 12] = [
+    let stories: [(Spoil, Reason); 16] = [
         (|s| s.frame.age_ns = None, Reason::StaleFrame),
         (|s| s.frame.refused = true, Reason::BadFrame),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::BlindSensor),
+            Reason::BlindSensor,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::FrozenSensor),
+            Reason::FrozenSensor,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::ImplausiblePose),
+            Reason::ImplausiblePose,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::InconsistentPicture),
+            Reason::InconsistentPicture,
+        ),
         (|s| s.telemetry_age_ns = 300_000_001, Reason::StaleTelemetry),
         (|s| s.heartbeat_age_ns = Some(1_500_000_001), Reason::LinkLost),
         (|s| s.position_ned_m.x = f32::NAN, Reason::NotFinite),
@@ -264,9 +280,17 @@ fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
 #[test]
 fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
     type Spoil = fn(&mut Story);
-    let stories: [(Spoil, Reason); 7] = [
+    let stories: [(Spoil, Reason); 9] = [
         (|s| s.frame.age_ns = None, Reason::StaleFrame),
         (|s| s.frame.refused = true, Reason::BadFrame),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::BlindSensor),
+            Reason::BlindSensor,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::ImplausiblePose),
+            Reason::ImplausiblePose,
+        ),
         (|s| s.telemetry_age_ns = 2_000_000_000, Reason::StaleTelemetry),
         (|s| s.heartbeat_age_ns = None, Reason::LinkLost),
         (|s| s.position_ned_m.y = f32::INFINITY, Reason::NotFinite),

@@ -1,12 +1,14 @@
-//! What a decision of the geometric pilot costs, and reading a frame alone: `cargo bench -p vigil-policy`.
+//! What a decision of the geometric pilot costs, reading a frame alone, and judging it: `cargo bench -p vigil-policy`.
 
 #[path = "../tests/common/mod.rs"]
 mod common;
 
 use common::{Scene, block, column, input};
 use divan::Bencher;
-use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, Surroundings};
-use vigil_types::{Attitude, DepthFrame, NedVector};
+use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PlausibilityJudge, Surroundings};
+use vigil_types::{
+    Attitude, AttitudeSample, DepthFrame, FrdVector, Heartbeat, Kinematics, NedVector, VehicleMode, VehicleTelemetry,
+};
 
 fn main() {
     divan::main();
@@ -55,5 +57,39 @@ fn decide(bencher: Bencher) {
     bencher.bench_local(|| {
         i = (i + 1) % frames.len();
         pilot.decide(&input(&frames[i], frames[i].header.attitude))
+    });
+}
+
+/// Plausibility of a frame in flight, compared with the one before and with two kept ones.
+#[divan::bench]
+fn judge(bencher: Bencher) {
+    let frames = frames();
+    let mut judge = Box::new(PlausibilityJudge::new());
+    let mut i = 0;
+    bencher.bench_local(|| {
+        i = (i + 1) % frames.len();
+        let header = frames[i].header;
+        let telemetry = VehicleTelemetry {
+            heartbeat: Some(Heartbeat {
+                at_ns: header.stamp_ns,
+                armed: true,
+                mode: VehicleMode::External,
+                failsafe: false,
+            }),
+            kinematics: Some(Kinematics {
+                at_ns: header.stamp_ns,
+                position_ned_m: header.position_ned_m,
+                velocity_ned_m_s: NedVector::ZERO,
+            }),
+            attitude: Some(AttitudeSample {
+                at_ns: header.stamp_ns,
+                attitude: header.attitude,
+                rates_frd_rad_s: FrdVector::ZERO,
+            }),
+            ..VehicleTelemetry::default()
+        };
+        let doubts = judge.judge(&frames[i], &telemetry);
+        assert!(doubts.is_empty());
+        doubts
     });
 }

@@ -11,6 +11,7 @@ mod field;
 mod geometric;
 mod governor;
 mod memory;
+pub mod plausibility;
 mod recovery;
 pub mod surroundings;
 mod way;
@@ -21,6 +22,7 @@ pub use actor_file::FrozenActor;
 pub use apf::NearestObstacle;
 pub use field::FlightField;
 pub use geometric::{GeometricConfig, GeometricPilot};
+pub use plausibility::PlausibilityJudge;
 pub use recovery::RecoveryPilot;
 pub use surroundings::{Scan, Surroundings};
 

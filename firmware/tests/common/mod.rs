@@ -15,7 +15,10 @@ use vigil_mavlink::common::{
     MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::{self, FramingCounters};
-use vigil_types::{Attitude, Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
+use vigil_types::{
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S,
+    row_elevation_rad,
+};
 
 /// Bounds every wait; far above what any of them takes.
 pub const PATIENCE: Duration = Duration::from_secs(20);
@@ -325,7 +328,7 @@ impl TestVehicle {
         Attitude::from_euler_rad(0.0, 0.0, self.yaw_rad)
     }
 
-    /// What it sees: open space.
+    /// What it sees: level ground that is never nearer than half a metre below it, and open space.
     pub fn frame(&mut self, now_ns: Nanos) -> Box<DepthFrame> {
         let mut frame = Box::new(DepthFrame::EMPTY);
         frame.header.stamp_ns = now_ns;
@@ -333,6 +336,13 @@ impl TestVehicle {
         frame.header.sensor_id = SENSOR_ID;
         frame.header.position_ned_m = self.position_ned_m;
         frame.header.attitude = self.attitude();
+        let height_m = (-self.position_ned_m.z).max(0.5);
+        for (row, pixels) in frame.depth.chunks_exact_mut(DEPTH_COLS).enumerate() {
+            let range_m = height_m / (-row_elevation_rad(row as f32)).sin();
+            if (0.0..60.0).contains(&range_m) {
+                pixels.fill(range_m / DEPTH_FULL_SCALE_M);
+            }
+        }
         frame.seal();
         self.frames += 1;
         frame

@@ -92,6 +92,14 @@ pub enum Reason {
     Recovering = 18,
     /// The actor was about to fly into something; the vehicle is being stopped.
     CollisionCourse = 19,
+    /// The depth frames show nothing where something must be seen.
+    BlindSensor = 20,
+    /// The picture, or a part of it, stays as it is although the vehicle moves.
+    FrozenSensor = 21,
+    /// The pose in the frames' header is not the vehicle's.
+    ImplausiblePose = 22,
+    /// The picture does not move as the vehicle does: mirrored, turned, or of another place.
+    InconsistentPicture = 23,
     /// The vehicle did not get nearer to the goal for too long.
     NoProgress = 24,
     /// Position or attitude arrive so rarely that little is left to the age limit. A warning: nothing is held for it.
@@ -102,7 +110,7 @@ pub enum Reason {
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 23] = [
+    pub const ALL: [Self; 27] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -123,6 +131,10 @@ impl Reason {
         Self::NoVerdict,
         Self::Recovering,
         Self::CollisionCourse,
+        Self::BlindSensor,
+        Self::FrozenSensor,
+        Self::ImplausiblePose,
+        Self::InconsistentPicture,
         Self::NoProgress,
         Self::SlowTelemetry,
         Self::PilotInCommand,
@@ -151,6 +163,10 @@ impl Reason {
             Self::NoVerdict => "no verdict",
             Self::Recovering => "recovering",
             Self::CollisionCourse => "collision course",
+            Self::BlindSensor => "blind sensor",
+            Self::FrozenSensor => "frozen sensor",
+            Self::ImplausiblePose => "implausible pose",
+            Self::InconsistentPicture => "inconsistent picture",
             Self::NoProgress => "no progress",
             Self::SlowTelemetry => "slow telemetry",
             Self::PilotInCommand => "pilot in command",

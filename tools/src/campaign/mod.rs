@@ -1,7 +1,9 @@
 //! One flight of the whole stack in lockstep, attacked or not: what every campaign repeats.
 
+mod sensor;
 mod watch;
 
+pub use sensor::{FaultChoice, FaultTally, SensorRecord};
 pub use watch::WatchRecord;
 
 use crate::statistics::wilson_95;
@@ -25,6 +27,8 @@ pub struct Flown {
     pub attack: Option<AttackRecord>,
     /// What the detector did, if there was one.
     pub watch: Option<WatchRecord>,
+    /// What was found wrong with the sensor.
+    pub sensor: SensorRecord,
 }
 
 /// How a row of flights ended.
@@ -102,6 +106,7 @@ pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack
     let mut firmware = SameProcess {
         firmware: LockstepFirmware::new(firmware)?,
         watch: WatchRecord::default(),
+        sensor: SensorRecord::default(),
     };
     let mut adversary = attack
         .map(|attack| attack.interceptor(config.seed, config.course.goal_ned_m()))
@@ -121,12 +126,14 @@ pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack
         record,
         attack: done,
         watch: firmware.watch.was_watched().then_some(firmware.watch),
+        sensor: firmware.sensor,
     })
 }
 
 struct SameProcess {
     firmware: LockstepFirmware,
     watch: WatchRecord,
+    sensor: SensorRecord,
 }
 
 impl FirmwarePort for SameProcess {
@@ -142,6 +149,7 @@ impl FirmwarePort for SameProcess {
     ) -> Result<(), Infallible> {
         let report = self.firmware.step(now_ns, Some(frame), received, sent);
         self.watch.observe(step, report);
+        self.sensor.observe(step, report);
         Ok(())
     }
 }

@@ -1,7 +1,6 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
-use crate::campaign::WatchRecord;
-use crate::campaign::{self, Flown};
+use crate::campaign::{self, FaultChoice, FaultTally, Flown, SensorRecord, WatchRecord};
 use crate::cli::output::{self, Interrupt, Paint, Progress, say};
 use crate::cli::pilot::PilotArgs;
 use crate::statistics::{quantile, wilson_95};
@@ -15,7 +14,7 @@ use vigil_adversary::{Attack, AttackArgs, AttackRecord};
 use vigil_adversary::{AttackConfig, Burst};
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep::FlightRecord;
-use vigil_sim::{Models, SimConfig, Start, family_parser};
+use vigil_sim::{Models, SensorFault, SimConfig, Start, family_parser};
 use vigil_types::STEP_S;
 use vigil_vehicle::Wind;
 use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
@@ -36,6 +35,9 @@ Examples:
   vigil evaluate --flights 200 --apf off --detector off the frozen actor alone
   vigil evaluate --apf off --attack bim-accumulating --burst 50
                                                         frames altered for 50 steps of each flight
+  vigil evaluate --flights 200 --sensor-fault frozen@random
+                                                        the LiDAR shows the same image from a random moment on
+  vigil evaluate --flights 20 --sensor-fault all        a table of all faults of the LiDAR
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
 
 Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
@@ -92,6 +94,11 @@ pub struct EvaluateArgs {
     #[command(flatten)]
     attack: AttackArgs,
 
+    /// Let the LiDAR fail, from the start, from a moment on, or from one drawn from each flight's seed; `all` flies every
+    /// fault in turn (docs/sensor-faults.md). Such a flight is over after 45 s.
+    #[arg(long, value_name = "MODE[@SECONDS|@random]", value_parser = FaultChoice::parse)]
+    sensor_fault: Option<FaultChoice>,
+
     /// Where the JSON goes; `-` is standard output, the table then goes to standard error.
     #[arg(short = 'o', long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
@@ -142,12 +149,15 @@ struct Flight {
     seed: u64,
     /// Began on the ground.
     from_ground: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sensor_fault: Option<String>,
     #[serde(flatten)]
     record: FlightRecord,
     #[serde(skip_serializing_if = "Option::is_none")]
     attack: Option<AttackRecord>,
     #[serde(skip_serializing_if = "Option::is_none")]
     watch: Option<WatchRecord>,
+    sensor: SensorRecord,
 }
 
 /// The attack as the report names it.
@@ -189,8 +199,13 @@ struct Report<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     attack: Option<AttackReport>,
     rates: &'a [Rate],
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    sensor_faults: &'a [FaultTally],
     flights: &'a [Flight],
 }
+
+/// Longest flight with a fault of the sensor, seconds: one that is held stays where it is.
+const FAULT_TIME_LIMIT_S: f32 = 45.0;
 
 /// Every way a flight can end; `None` is a vehicle that never took off.
 const OUTCOMES: [Option<Outcome>; 5] = [
@@ -237,12 +252,20 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(args.flights, "flights")?;
     let begun = Instant::now();
+    let faults: Vec<Option<SensorFault>> = match args.sensor_fault {
+        None => vec![None],
+        Some(choice) => choice.faults().into_iter().map(Some).collect(),
+    };
+    let flown = faults.len() as u64 * args.flights;
+    bar.set_length(flown);
     let flights: Vec<Flight> = pool.install(|| {
-        (0..args.flights)
+        (0..flown)
             .into_par_iter()
-            .filter_map(|i| (!interrupt.came()).then_some(args.seed.wrapping_add(i)))
-            .map(|seed| {
-                let flight = fly(args, &models, attack.as_ref(), seed)?;
+            .filter(|_| !interrupt.came())
+            .map(|i| {
+                let fault = faults[(i / args.flights) as usize];
+                let seed = args.seed.wrapping_add(i % args.flights);
+                let flight = fly(args, &models, attack.as_ref(), fault, seed)?;
                 if !flight.record.is_success() {
                     bar.set_message(format!(
                         "last failure: seed {} ({})",
@@ -257,11 +280,33 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     })?;
     bar.finish();
     let wall_s = begun.elapsed().as_secs_f64();
-    report(args, attack.as_ref(), &flights, wall_s, pool.current_num_threads())?;
+    let tallies: Vec<FaultTally> = faults
+        .iter()
+        .flatten()
+        .map(|fault| {
+            let name = fault.to_string();
+            let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(&name));
+            FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
+        })
+        .collect();
+    report(
+        args,
+        attack.as_ref(),
+        &flights,
+        &tallies,
+        wall_s,
+        pool.current_num_threads(),
+    )?;
     Ok(interrupt.exit_code())
 }
 
-fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64) -> Result<Flight> {
+fn fly(
+    args: &EvaluateArgs,
+    models: &Models,
+    attack: Option<&Attack>,
+    fault: Option<SensorFault>,
+    seed: u64,
+) -> Result<Flight> {
     let mut course = match args.goal_distance {
         None => generate(args.family, seed),
         Some(distance) => generate_long(args.family, seed, distance.of(seed)).with_context(|| {
@@ -283,9 +328,18 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
     let mut config = SimConfig::with_models(course, seed, models);
     let from_ground = args.ground_every > 0 && seed.is_multiple_of(args.ground_every);
     config.start = if from_ground { Start::Ground } else { Start::Airborne };
+    if let Some(fault) = fault {
+        config.sensor_fault = Some(fault);
+        config.course.time_limit_s = config.course.time_limit_s.min(FAULT_TIME_LIMIT_S);
+    }
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     args.pilot.apply(&mut firmware);
-    let Flown { record, attack, watch } = campaign::fly(&config, &firmware, attack)?;
+    let Flown {
+        record,
+        attack,
+        watch,
+        sensor,
+    } = campaign::fly(&config, &firmware, attack)?;
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
         draw(
             &config.course,
@@ -296,9 +350,11 @@ fn fly(args: &EvaluateArgs, models: &Models, attack: Option<&Attack>, seed: u64)
     Ok(Flight {
         seed,
         from_ground,
+        sensor_fault: fault.map(|fault| fault.to_string()),
         record,
         attack,
         watch,
+        sensor,
     })
 }
 
@@ -317,14 +373,18 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
     Ok(vigil_world::draw(course, &[flight]).write_png(path)?)
 }
 
-fn report(args: &EvaluateArgs, attack: Option<&Attack>, flights: &[Flight], wall_s: f64, threads: usize) -> Result<()> {
-    let interrupted = (flights.len() as u64) < args.flights;
+fn report(
+    args: &EvaluateArgs,
+    attack: Option<&Attack>,
+    flights: &[Flight],
+    tallies: &[FaultTally],
+    wall_s: f64,
+    threads: usize,
+) -> Result<()> {
+    let asked_for = args.flights * tallies.len().max(1) as u64;
+    let interrupted = (flights.len() as u64) < asked_for;
     if interrupted {
-        say!(
-            "interrupted      {} of {} flights were flown",
-            flights.len(),
-            args.flights
-        );
+        say!("interrupted      {} of {asked_for} flights were flown", flights.len());
     }
     let rates: Vec<Rate> = OUTCOMES
         .into_iter()
@@ -379,6 +439,17 @@ fn report(args: &EvaluateArgs, attack: Option<&Attack>, flights: &[Flight], wall
         say!("detector         {}", WatchRecord::summary(watched));
     }
     say!(
+        "sensor           {}",
+        SensorRecord::summary(flights.iter().map(|f| &f.sensor))
+    );
+    if !tallies.is_empty() {
+        say!("\n{}", FaultTally::HEADING);
+        for tally in tallies {
+            say!("{}", paint.verdict(tally.collisions == 0, &tally.row()));
+        }
+        say!("");
+    }
+    say!(
         "{:.0} s simulated in {:.1} s on {} threads: {:.0} x real time per thread",
         simulated_s,
         wall_s,
@@ -402,7 +473,7 @@ fn report(args: &EvaluateArgs, attack: Option<&Attack>, flights: &[Flight], wall
     let json = serde_json::to_vec_pretty(&Report {
         version: env!("CARGO_PKG_VERSION"),
         interrupted,
-        flights_asked_for: args.flights,
+        flights_asked_for: asked_for,
         family: args.family,
         first_seed: args.seed,
         wind_m_s: args.wind,
@@ -420,6 +491,7 @@ fn report(args: &EvaluateArgs, attack: Option<&Attack>, flights: &[Flight], wall
             adaptive: attack.evade.is_some(),
         }),
         rates: &rates,
+        sensor_faults: tallies,
         flights,
     })?;
     output::write(&args.json, json)?;

@@ -14,8 +14,8 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
-use vigil_sim::CourseChoice;
 use vigil_sim::program::{Status, ending_code};
+use vigil_sim::{CourseChoice, SensorFault};
 use vigil_types::NedVector;
 use vigil_world::{Course, FlightPath};
 
@@ -38,6 +38,7 @@ Examples:
   vigil fly --apf off                the actor without the potential field
   vigil fly --apf off --attack bim-accumulating --burst continuous
                                      ... with an adversary between the sensor and the firmware
+  vigil fly --sensor-fault frozen@12 the LiDAR shows the same image from 12 s on
   vigil fly --course my.toml         your own course (docs/courses.md)
   vigil fly --instance 1             beside another flight on the same machine
 
@@ -65,6 +66,10 @@ pub struct FlyArgs {
     #[command(flatten)]
     attack: AttackArgs,
 
+    /// Let the LiDAR fail, from the simulator's start or from a moment on (docs/sensor-faults.md).
+    #[arg(long, value_name = "MODE[@SECONDS|@random]")]
+    sensor_fault: Option<SensorFault>,
+
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
     #[arg(short = 'o', long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
@@ -78,6 +83,7 @@ impl Default for FlyArgs {
             config: None,
             pilot: PilotArgs::default(),
             attack: AttackArgs::default(),
+            sensor_fault: None,
             log: PathBuf::from("runs"),
         }
     }
@@ -105,6 +111,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         }
         if args.attack.attack.is_some() {
             c.args(["--frames", RAW_TOPIC]);
+        }
+        if let Some(fault) = args.sensor_fault {
+            c.args(["--sensor-fault", &fault.to_string()]);
         }
     })?;
     let statuses = read_statuses(&mut simulator.child)?;

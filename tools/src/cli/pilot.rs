@@ -45,6 +45,11 @@ pub struct PilotArgs {
     /// What an alarm brings about [default: recover].
     #[arg(long, value_enum)]
     alarm: Option<AlarmChoice>,
+
+    /// Whether frames are judged before the pilots see them, so that a sensor that is dead, frozen or wrong holds the flight
+    /// [default: on].
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    plausibility: Option<bool>,
 }
 
 impl PilotArgs {
@@ -61,6 +66,7 @@ impl PilotArgs {
         }
         config.detector.guard = self.guard.unwrap_or(config.detector.guard);
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
+        config.plausibility = self.plausibility.unwrap_or(config.plausibility);
     }
 
     /// The actor's file, if one was given.
@@ -96,6 +102,9 @@ impl PilotArgs {
         }
         if let Some(alarm) = self.alarm {
             command.args(["--alarm", alarm.name()]);
+        }
+        if let Some(plausibility) = self.plausibility {
+            command.args(["--plausibility", if plausibility { "on" } else { "off" }]);
         }
     }
 }

@@ -55,7 +55,7 @@ impl Story {
             battery: Some(0.9),
             frame: FrameStatus {
                 age_ns: Some(STEP_NS),
-                refused: false,
+                ..FrameStatus::default()
             },
             telemetry_age_ns: 10_000_000,
             heartbeat_age_ns: Some(400_000_000),

@@ -194,7 +194,7 @@ impl Flight {
             telemetry: &telemetry,
             frame: FrameStatus {
                 age_ns: self.sees.then_some(STEP_NS),
-                refused: false,
+                ..FrameStatus::default()
             },
             action,
             recovery: None,

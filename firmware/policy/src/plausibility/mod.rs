@@ -1,0 +1,676 @@
+//! Judges, before any pilot sees them, whether the depth frames can be what the sensor of this vehicle sees here and now.
+//!
+//! A valid frame may still be wrong: dead, frozen, mirrored, turned on its mount, of another place. The judge compares each
+//! frame with what must be seen (the ground), its pose with the telemetry, and its picture with earlier ones and the way flown
+//! between them: every surface of one picture, moved as the vehicle moved, must be found in the other. docs/sensor-faults.md
+//! explains what is found, and how fast. No allocation, no panic, no clock.
+
+mod motion;
+mod picture;
+
+use self::motion::{MOST_COST, Map, Pose, cost, look, samples};
+use self::picture::{COLS, Directions, Picture, ROWS, Seen};
+use vigil_types::{Attitude, DepthFrame, FrdVector, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
+
+/// The ground must be seen where its range is below this, metres; and it is at the height of home.
+const GROUND_M: f32 = 15.0;
+/// Lower than this the vehicle may stand or take off, and everything is near.
+const LOW_M: f32 = 0.5;
+/// Higher than this the ground may be too far to be seen at all.
+const HIGH_M: f32 = 0.4 * GROUND_M;
+/// Columns of cells that are judged together: 7.5°.
+const STRIP: usize = 4;
+const STRIPS: usize = COLS / STRIP;
+/// Strips without a ground that make a sensor blind, and cells with zeros that do.
+const BLIND_STRIPS: usize = 2;
+const BLIND_ZEROS: usize = ROWS * COLS / 50;
+/// Cells of a strip that must show the ground before its absence says anything.
+const LEAST_GROUND: u16 = 8;
+/// Frames in a row that make a sensor blind, and that make it see again.
+const BLIND_FRAMES: u8 = 2;
+const SEEING_FRAMES: u8 = 3;
+
+/// How far the header's position and attitude may be from the telemetry's, and by how much the difference may change in 10 frames.
+const POSE_M: f32 = 2.0;
+const POSE_COS_HALF: f32 = 0.991_445; // 15°
+const POSE_DRIFT_M: f32 = 0.4;
+const POSE_FRAMES: usize = 10;
+const BAD_POSES: u8 = 2;
+/// Telemetry is extrapolated to the frame's stamp by no more than this, seconds.
+const MOST_EXTRAPOLATION_S: f32 = 0.3;
+
+/// Earlier pictures that are kept.
+const ANCHORS: usize = 8;
+/// A further one is kept when the vehicle has come so far since the last; a turn of a radian counts as 3 m.
+const ANCHOR_EVERY_M: f32 = 0.2;
+const METRES_PER_RADIAN: f32 = 3.0;
+/// Where the vehicle hardly moves, the newest kept picture is replaced after this time, and older ones are not compared with.
+const ANCHOR_FRESH_NS: Nanos = 1_000_000_000;
+const ANCHOR_USEFUL_NS: Nanos = 6_000_000_000;
+/// How far back a picture is compared with: near to find what is frozen soon, far to tell directions.
+const NEAR_M: f32 = 0.35;
+const FAR_M: f32 = 1.2;
+const LEAST_M: f32 = 0.15;
+
+/// What is found counts for about ten frames, and for about forty where directions are told.
+const KEEP: f32 = 0.9;
+const KEEP_LONG: f32 = 0.975;
+/// Parts of the view of 4 × 4 cells.
+const PART: usize = 4;
+const PART_COLS: usize = COLS / PART;
+const PARTS: usize = (ROWS / PART) * PART_COLS;
+
+/// Cells that did not change by a bit although they should have, of a step's samples, and how many steps in a row.
+const SAME_CELLS: u16 = 10;
+const SAME_FRAMES: u8 = 2;
+/// A cell should have changed if the motion asks for more than this, metres.
+const CHANGE_M: f32 = 0.03;
+/// Cost of the motion over that of standing still, for the view (and as a share of the motion's) and for a part of it, that
+/// tells frozen; and how many parts.
+const FROZEN_VIEW: f32 = 120.0;
+const FROZEN_FIT: f32 = 0.8;
+const FROZEN_PART: f32 = 40.0;
+const FROZEN_PARTS: usize = 6;
+/// Mean cost of the motion that tells a picture of another place, and samples that it needs.
+const MISFIT: f32 = 2.0;
+const MISFIT_SAMPLES: f32 = 300.0;
+/// Cost of the motion over that of a mirrored sensor's, as a share of it too, and of a turned one's.
+const MIRRORED: f32 = 150.0;
+const MIRRORED_FIT: f32 = 0.5;
+const TURNED: f32 = 80.0;
+/// The turn that is tested against, cosine and sine of 5°, and the turns that are told, as multiples of it.
+const TURN: (f32, f32) = (0.996_194_7, 0.087_155_74);
+const LEAST_TURN: f32 = 0.65;
+const MOST_TURN: f32 = 1.75;
+/// Points of a part that were seen through, and how many such parts make a picture from which something vanished.
+const VANISHED: f32 = 6.0;
+const VANISHED_PARTS: usize = 6;
+
+/// A picture fits an earlier one if so many samples say something, such a share of them agrees at such a mean cost, and standing
+/// still would cost so much more.
+const FIT_SAMPLES: u16 = 80;
+const FIT_SHARE: f32 = 0.88;
+const FIT_MEAN_COST: f32 = 1.2;
+const FIT_COST: f32 = 150.0;
+/// So many of the kept pictures have to fit.
+const FITS: u8 = 2;
+/// Raised so often in a flight, it stays until the end of the flight.
+const LAST_RAISE: u8 = 2;
+
+/// An earlier picture, and where it was taken.
+#[derive(Debug, Clone)]
+struct Anchor {
+    picture: Picture,
+    pose: Pose,
+    stamp_ns: Nanos,
+}
+
+/// Evidence on the picture's motion, fading with time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Evidence {
+    /// Samples, and what the motion cost them.
+    samples: f32,
+    cost: f32,
+    /// Cost of the motion over that of standing still.
+    frozen: f32,
+    frozen_parts: [f32; PARTS],
+    cost_parts: [f32; PARTS],
+    /// Points found and seen through.
+    found_parts: [f32; PARTS],
+    lost_parts: [f32; PARTS],
+    /// Cost of the motion over that of a mirrored, and of sensors turned to the left and to the right.
+    mirrored: f32,
+    turned: [f32; 2],
+    /// What the motion cost where these are told.
+    far_cost: f32,
+}
+
+impl Evidence {
+    const NONE: Self = Self {
+        samples: 0.0,
+        cost: 0.0,
+        frozen: 0.0,
+        frozen_parts: [0.0; PARTS],
+        cost_parts: [0.0; PARTS],
+        found_parts: [0.0; PARTS],
+        lost_parts: [0.0; PARTS],
+        mirrored: 0.0,
+        turned: [0.0; 2],
+        far_cost: 0.0,
+    };
+
+    fn fade(&mut self) {
+        for value in [&mut self.samples, &mut self.cost, &mut self.frozen] {
+            *value *= KEEP;
+        }
+        let parts = self.frozen_parts.iter_mut().chain(&mut self.cost_parts);
+        for value in parts.chain(&mut self.found_parts).chain(&mut self.lost_parts) {
+            *value *= KEEP;
+        }
+        self.mirrored *= KEEP_LONG;
+        self.far_cost *= KEEP_LONG;
+        self.turned.iter_mut().for_each(|value| *value *= KEEP_LONG);
+    }
+}
+
+/// What was raised of the picture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Raised {
+    reason: Reason,
+    /// Until the end of the flight.
+    stays: bool,
+}
+
+/// The judge. A large value without pointers; no allocation.
+#[derive(Debug, Clone)]
+pub struct PlausibilityJudge {
+    directions: Directions,
+    picture: Picture,
+    before: Picture,
+    /// Where the picture before was taken; `None` if there was none.
+    pose_before: Option<Pose>,
+    doubts: Reasons,
+    blind_frames: u8,
+    seeing_frames: u8,
+    blind: bool,
+    pose_errors: [NedVector; POSE_FRAMES],
+    poses: usize,
+    bad_poses: u8,
+    good_poses: u8,
+    bad_pose: bool,
+    anchors: [Anchor; ANCHORS],
+    anchors_used: usize,
+    newest: usize,
+    evidence: Evidence,
+    same_frames: u8,
+    raised: Option<Raised>,
+    raises: u8,
+    fit_steps: u8,
+    fits: u8,
+    step: usize,
+}
+
+impl Default for PlausibilityJudge {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl PlausibilityJudge {
+    /// A judge that has seen nothing.
+    pub fn new() -> Self {
+        const NOWHERE: Pose = Pose {
+            position_ned_m: NedVector::ZERO,
+            attitude: Attitude::LEVEL_NORTH,
+        };
+        const NO_ANCHOR: Anchor = Anchor {
+            picture: Picture::EMPTY,
+            pose: NOWHERE,
+            stamp_ns: 0,
+        };
+        Self {
+            directions: Directions::new(),
+            picture: Picture::EMPTY,
+            before: Picture::EMPTY,
+            pose_before: None,
+            doubts: Reasons::NONE,
+            blind_frames: 0,
+            seeing_frames: 0,
+            blind: false,
+            pose_errors: [NedVector::ZERO; POSE_FRAMES],
+            poses: 0,
+            bad_poses: 0,
+            good_poses: 0,
+            bad_pose: false,
+            anchors: [NO_ANCHOR; ANCHORS],
+            anchors_used: 0,
+            newest: 0,
+            evidence: Evidence::NONE,
+            same_frames: 0,
+            raised: None,
+            raises: 0,
+            fit_steps: 0,
+            fits: 0,
+            step: 0,
+        }
+    }
+
+    /// What is implausible about the last frame judged.
+    pub fn doubts(&self) -> Reasons {
+        self.doubts
+    }
+
+    /// Judges a valid frame that is newer than the last. Telemetry that is missing or not finite is judged by nobody here: only
+    /// what needs none of it is then looked at.
+    pub fn judge(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
+        self.step = self.step.wrapping_add(1);
+        core::mem::swap(&mut self.picture, &mut self.before);
+        let zeros = self.picture.take(frame);
+        let armed = telemetry.heartbeat.is_some_and(|h| h.armed);
+        let known = if telemetry.is_finite() {
+            telemetry.kinematics.zip(telemetry.attitude)
+        } else {
+            None
+        };
+        let height_m = known.map(|(kinematics, _)| -kinematics.position_ned_m.z);
+
+        self.note_blindness(zeros, frame.header.attitude, height_m);
+        let pose = Pose {
+            position_ned_m: frame.header.position_ned_m,
+            attitude: frame.header.attitude,
+        };
+        let stamp_ns = frame.header.stamp_ns;
+        if let Some((kinematics, attitude)) = known {
+            let lead_s = |at_ns: Nanos| {
+                let lead_ns = stamp_ns as i64 - at_ns as i64;
+                (lead_ns as f32 * 1e-9).clamp(-MOST_EXTRAPOLATION_S, MOST_EXTRAPOLATION_S)
+            };
+            let position = kinematics.position_ned_m + kinematics.velocity_ned_m_s * lead_s(kinematics.at_ns);
+            let turned = turned_by(attitude.attitude, attitude.rates_frd_rad_s * lead_s(attitude.at_ns));
+            self.note_pose(&pose, position, turned);
+        }
+        let in_flight = armed && height_m.is_some_and(|height_m| height_m > LOW_M);
+        if !armed {
+            // The flight is over.
+            self.forget_motion();
+            (self.raised, self.raises) = (None, 0);
+        } else if !in_flight || self.blind || self.bad_pose {
+            self.forget_pictures();
+        } else if self.raised.is_some() {
+            self.look_for_a_fit(&pose);
+        } else {
+            self.compare(&pose, stamp_ns);
+        }
+        self.pose_before = in_flight.then_some(pose);
+        self.doubts = Reasons::NONE
+            .with_if(self.blind, Reason::BlindSensor)
+            .with_if(self.bad_pose, Reason::ImplausiblePose)
+            .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
+        self.doubts
+    }
+
+    /// What is remembered of pictures is of no use any more; what was raised stays.
+    fn forget_pictures(&mut self) {
+        if self.raised.is_none() {
+            self.forget_motion();
+        }
+        self.same_frames = 0;
+    }
+
+    fn forget_motion(&mut self) {
+        self.anchors_used = 0;
+        self.evidence = Evidence::NONE;
+        self.same_frames = 0;
+        self.fit_steps = 0;
+        self.fits = 0;
+    }
+
+    /// Zeros, no return at all, or strips of the view without the ground.
+    fn note_blindness(&mut self, zeros: usize, attitude: Attitude, height_m: Option<f32>) {
+        let down = |x, y, z| attitude.to_ned(FrdVector::new(x, y, z)).z;
+        let (dx, dy, dz) = (down(1.0, 0.0, 0.0), down(0.0, 1.0, 0.0), down(0.0, 0.0, 1.0));
+        let low = height_m.is_none_or(|height_m| height_m < HIGH_M);
+        let ground_m = height_m.filter(|height_m| (LOW_M..HIGH_M).contains(height_m));
+        let mut returns = false;
+        let (mut expected, mut missing) = ([0_u16; STRIPS], [0_u16; STRIPS]);
+        for (row, cells) in self.picture.rows().iter().enumerate() {
+            let strips = cells
+                .as_chunks::<STRIP>()
+                .0
+                .iter()
+                .zip(expected.iter_mut().zip(&mut missing));
+            for (strip, (cells, (expected, missing))) in strips.enumerate() {
+                returns |= cells.iter().any(|inverse| *inverse != 0.0);
+                let Some(ground_m) = ground_m else { continue };
+                let middle = self.directions.of(row, strip * STRIP + STRIP / 2);
+                let falls = dx * middle.x + dy * middle.y + dz * middle.z;
+                if falls * GROUND_M > ground_m {
+                    *expected += STRIP as u16;
+                    *missing += cells.iter().filter(|inverse| **inverse == 0.0).count() as u16;
+                }
+            }
+        }
+        let strips = expected.iter().zip(&missing);
+        let dead = strips
+            .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
+            .count();
+        let blind = zeros >= BLIND_ZEROS || (low && !returns) || dead >= BLIND_STRIPS;
+        count(&mut self.blind_frames, blind);
+        count(&mut self.seeing_frames, !blind);
+        self.blind = if self.blind {
+            self.seeing_frames < SEEING_FRAMES
+        } else {
+            self.blind_frames >= BLIND_FRAMES
+        };
+    }
+
+    /// The header's pose against the telemetry's at the same time.
+    fn note_pose(&mut self, pose: &Pose, position_ned_m: NedVector, attitude: Attitude) {
+        let error = pose.position_ned_m - position_ned_m;
+        let slot = self.poses % POSE_FRAMES;
+        let drift_m = match self.pose_errors.get_mut(slot) {
+            Some(earlier) => {
+                let drift_m = (error - core::mem::replace(earlier, error)).norm();
+                if self.poses < POSE_FRAMES { 0.0 } else { drift_m }
+            }
+            None => 0.0,
+        };
+        // Counts on from 10 to 19 and back to 10, so that it never wraps.
+        self.poses = if self.poses + 1 == 2 * POSE_FRAMES {
+            POSE_FRAMES
+        } else {
+            self.poses + 1
+        };
+        let (a, b) = (pose.attitude, attitude);
+        let alike = a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z;
+        // Written so that NaN is bad.
+        let good = error.norm() <= POSE_M && drift_m <= POSE_DRIFT_M && alike.abs() >= POSE_COS_HALF;
+        count(&mut self.bad_poses, !good);
+        count(&mut self.good_poses, good);
+        self.bad_pose = if self.bad_pose {
+            usize::from(self.good_poses) < POSE_FRAMES
+        } else {
+            self.bad_poses >= BAD_POSES
+        };
+    }
+
+    /// Compares the picture with the one before and with two that were kept; raises what that tells, or keeps the picture.
+    fn compare(&mut self, pose: &Pose, stamp_ns: Nanos) {
+        let same = self
+            .pose_before
+            .map_or(0, |before| self.cells_that_stayed(&Map::between(pose, &before)));
+        count(&mut self.same_frames, same >= SAME_CELLS);
+        self.evidence.fade();
+        if let Some(near) = self.anchor_at(NEAR_M, pose, stamp_ns) {
+            self.compare_near(near, pose);
+        }
+        if let Some(far) = self.anchor_at(FAR_M, pose, stamp_ns) {
+            self.compare_far(far, pose);
+        }
+        if let Some(raised) = self.verdict() {
+            self.raises = self.raises.saturating_add(1);
+            let stays = raised.stays || self.raises >= LAST_RAISE;
+            self.raised = Some(Raised { stays, ..raised });
+            (self.fit_steps, self.fits) = (0, 0);
+        } else {
+            self.keep(pose, stamp_ns);
+        }
+    }
+
+    /// Samples that show the same, bit for bit, as in the picture before, although the motion asks for another range.
+    fn cells_that_stayed(&self, map: &Map) -> u16 {
+        let mut stayed = 0;
+        for (row, column) in samples(self.step) {
+            let cell = row * COLS + column;
+            let inverse = self.picture.inverse(cell);
+            if inverse > 0.0 && inverse.to_bits() == self.before.inverse(cell).to_bits() {
+                let (found, _) = look(
+                    &self.directions,
+                    (row, column),
+                    self.picture.at(cell),
+                    map,
+                    &self.before,
+                );
+                stayed +=
+                    u16::from(matches!(found, motion::Found::Surface { error_m, .. } if error_m.abs() > CHANGE_M));
+            }
+        }
+        stayed
+    }
+
+    /// The kept picture that is nearest to so far back; `None` if none is far enough, or all are too old.
+    fn anchor_at(&self, back_m: f32, pose: &Pose, stamp_ns: Nanos) -> Option<usize> {
+        let mut best: Option<(usize, f32)> = None;
+        for (i, anchor) in self.anchors.iter().take(self.anchors_used).enumerate() {
+            let way_m = apart_m(&anchor.pose, pose);
+            let miss_m = (way_m - back_m).abs();
+            let useful = way_m >= LEAST_M && stamp_ns.saturating_sub(anchor.stamp_ns) <= ANCHOR_USEFUL_NS;
+            if useful && best.is_none_or(|(_, least_m)| miss_m < least_m) {
+                best = Some((i, miss_m));
+            }
+        }
+        best.map(|(i, _)| i)
+    }
+
+    /// Did the picture move at all, everywhere?
+    fn compare_near(&mut self, near: usize, pose: &Pose) {
+        let Some(anchor) = self.anchors.get(near) else { return };
+        let back = Map::between(pose, &anchor.pose);
+        let evidence = &mut self.evidence;
+        for (row, column) in samples(self.step) {
+            let cell = row * COLS + column;
+            let seen = self.picture.at(cell);
+            let (found, _) = look(&self.directions, (row, column), seen, &back, &anchor.picture);
+            if let (Some(moved), Seen::Surface(range_m)) = (found.cost(), seen) {
+                evidence.samples += 1.0;
+                evidence.cost += moved;
+                let stayed = match anchor.picture.at(cell) {
+                    Seen::Surface(there_m) => Some(cost(there_m - range_m, range_m)),
+                    Seen::Nothing => Some(MOST_COST),
+                    Seen::Mixed => None,
+                };
+                if let Some(stayed) = stayed {
+                    let more = moved - stayed;
+                    evidence.frozen += more;
+                    let part = part_of(row, column);
+                    if let (Some(frozen), Some(cost)) =
+                        (evidence.frozen_parts.get_mut(part), evidence.cost_parts.get_mut(part))
+                    {
+                        *frozen += more;
+                        *cost += moved;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Did it move to the side to which the vehicle did; and is everything still there?
+    fn compare_far(&mut self, far: usize, pose: &Pose) {
+        let Some(anchor) = self.anchors.get(far) else { return };
+        let (map, forth) = (Map::between(pose, &anchor.pose), Map::between(&anchor.pose, pose));
+        let (cos, sin) = TURN;
+        let others = [map.turned((cos, -sin)), map.turned((cos, sin)), map.mirrored()];
+        for (row, column) in samples(self.step) {
+            let (found, (there_row, there_column)) = look(
+                &self.directions,
+                (row, column),
+                anchor.picture.at(row * COLS + column),
+                &forth,
+                &self.picture,
+            );
+            let part = part_of(there_row as usize, there_column as usize);
+            if found.is_seen_through() {
+                if let Some(lost) = self.evidence.lost_parts.get_mut(part) {
+                    *lost += 1.0;
+                }
+            } else if found.agrees()
+                && let Some(kept) = self.evidence.found_parts.get_mut(part)
+            {
+                *kept += 1.0;
+            }
+        }
+        for (row, column) in samples(self.step).step_by(2) {
+            let seen = self.picture.at(row * COLS + column);
+            let cost = |map| {
+                look(&self.directions, (row, column), seen, map, &anchor.picture)
+                    .0
+                    .cost()
+            };
+            let Some(straight) = cost(&map) else { continue };
+            let [left, right, mirrored] = others.each_ref().map(cost);
+            if let (Some(left), Some(right)) = (left, right) {
+                let [to_left, to_right] = &mut self.evidence.turned;
+                *to_left += straight - left;
+                *to_right += straight - right;
+            }
+            if let Some(mirrored) = mirrored {
+                self.evidence.mirrored += straight - mirrored;
+                self.evidence.far_cost += straight;
+            }
+        }
+        // What spoke against it long ago must not outweigh what speaks for it now.
+        self.evidence.mirrored = self.evidence.mirrored.max(-MIRRORED);
+    }
+
+    /// What the evidence tells.
+    fn verdict(&self) -> Option<Raised> {
+        let Evidence {
+            samples,
+            cost,
+            frozen,
+            frozen_parts,
+            cost_parts,
+            found_parts,
+            lost_parts,
+            mirrored,
+            turned,
+            far_cost,
+        } = &self.evidence;
+        // A picture that moves another way may cost less standing still too, but hardly fits.
+        let is_frozen = |frozen: f32, cost: f32, least: f32| frozen > least && frozen > FROZEN_FIT * cost;
+        let frozen_parts = frozen_parts.iter().zip(cost_parts);
+        let frozen_parts = frozen_parts
+            .filter(|(frozen, cost)| is_frozen(**frozen, **cost, FROZEN_PART))
+            .count();
+        let lost = found_parts.iter().zip(lost_parts);
+        let lost_parts = lost
+            .filter(|(found, lost)| **lost > VANISHED && **lost > 4.0 * **found)
+            .count();
+        // Were the error straight in the turn, tests to both sides would cost I·(2a − 1) and −I·(2a + 1) less than none, for a turn
+        // of a times what is tested: that gives a and the information I. What is not such a turn gives no such a.
+        let [left, right] = turned;
+        let (most, information) = (left.max(*right), -0.5 * (left + right));
+        let turn = 0.5 * (most / information + 1.0);
+        let is_turned = most > TURNED && information > 0.0 && (LEAST_TURN..MOST_TURN).contains(&turn);
+        let raised = |reason, stays| Some(Raised { reason, stays });
+        if self.same_frames >= SAME_FRAMES {
+            raised(Reason::FrozenSensor, false)
+        } else if (*mirrored > MIRRORED && *mirrored > MIRRORED_FIT * *far_cost) || is_turned {
+            raised(Reason::InconsistentPicture, true)
+        } else if is_frozen(*frozen, *cost, FROZEN_VIEW) || frozen_parts >= FROZEN_PARTS {
+            raised(Reason::FrozenSensor, false)
+        } else if (*samples >= MISFIT_SAMPLES && *cost > MISFIT * *samples) || lost_parts >= VANISHED_PARTS {
+            raised(Reason::InconsistentPicture, false)
+        } else {
+            None
+        }
+    }
+
+    /// Keeps the picture if the vehicle has come far enough since the last kept, or that one is no longer fresh.
+    fn keep(&mut self, pose: &Pose, stamp_ns: Nanos) {
+        let newest = self.anchors.get(self.newest).filter(|_| self.anchors_used > 0);
+        let (way_m, age_ns) = newest.map_or((f32::INFINITY, 0), |anchor| {
+            (apart_m(&anchor.pose, pose), stamp_ns.saturating_sub(anchor.stamp_ns))
+        });
+        if way_m >= ANCHOR_EVERY_M {
+            self.newest = if self.anchors_used == 0 {
+                0
+            } else {
+                (self.newest + 1) % ANCHORS
+            };
+            self.anchors_used = (self.anchors_used + 1).min(ANCHORS);
+        } else if age_ns < ANCHOR_FRESH_NS {
+            return;
+        }
+        if let Some(anchor) = self.anchors.get_mut(self.newest) {
+            anchor.picture.clone_from(&self.picture);
+            (anchor.pose, anchor.stamp_ns) = (*pose, stamp_ns);
+        }
+    }
+
+    /// While something is raised: one kept picture in each step is looked at whether this one follows from it.
+    fn look_for_a_fit(&mut self, pose: &Pose) {
+        if self.raised.is_some_and(|raised| raised.stays) || self.anchors_used == 0 {
+            return;
+        }
+        if self.fits_anchor(self.step % self.anchors_used, pose) {
+            self.fits += 1;
+        }
+        self.fit_steps += 1;
+        if self.fits >= FITS {
+            self.raised = None;
+            self.forget_motion();
+        } else if usize::from(self.fit_steps) >= ANCHORS {
+            (self.fit_steps, self.fits) = (0, 0);
+        }
+    }
+
+    fn fits_anchor(&self, anchor: usize, pose: &Pose) -> bool {
+        let Some(anchor) = self.anchors.get(anchor) else {
+            return false;
+        };
+        let (back, forth) = (Map::between(pose, &anchor.pose), Map::between(&anchor.pose, pose));
+        let (mut told, mut agreed, mut lost, mut same) = (0_u16, 0_u16, 0_u16, 0_u16);
+        let (mut moved_costs, mut stayed_costs) = (0.0, 0.0);
+        for (row, column) in samples(self.step).chain(samples(self.step + 4)) {
+            let cell = row * COLS + column;
+            let seen = self.picture.at(cell);
+            let inverse = self.picture.inverse(cell);
+            same += u16::from(inverse > 0.0 && inverse.to_bits() == self.before.inverse(cell).to_bits());
+            let (found, _) = look(&self.directions, (row, column), seen, &back, &anchor.picture);
+            if let (Some(moved), Seen::Surface(range_m)) = (found.cost(), seen) {
+                told += 1;
+                agreed += u16::from(found.agrees());
+                moved_costs += moved;
+                if let Seen::Surface(there_m) = anchor.picture.at(cell) {
+                    stayed_costs += cost(there_m - range_m, range_m) - moved;
+                }
+            }
+            let (found, _) = look(
+                &self.directions,
+                (row, column),
+                anchor.picture.at(cell),
+                &forth,
+                &self.picture,
+            );
+            lost += u16::from(found.is_seen_through());
+        }
+        told >= FIT_SAMPLES
+            && f32::from(agreed) >= FIT_SHARE * f32::from(told)
+            && f32::from(lost) <= (1.0 - FIT_SHARE) * f32::from(told)
+            && moved_costs <= FIT_MEAN_COST * f32::from(told)
+            && stayed_costs >= FIT_COST
+            && same < SAME_CELLS
+    }
+}
+
+/// Counts steps in a row.
+fn count(steps: &mut u8, holds: bool) {
+    *steps = if holds { steps.saturating_add(1) } else { 0 };
+}
+
+/// How far two poses are apart, metres; turns count as [`METRES_PER_RADIAN`].
+fn apart_m(a: &Pose, b: &Pose) -> f32 {
+    let (p, q) = (a.attitude, b.attitude);
+    let alike = (p.w * q.w + p.x * q.x + p.y * q.y + p.z * q.z).abs().min(1.0);
+    // For an angle φ between them this is 2 sin(φ/2).
+    let turn_rad = 2.0 * libm::sqrtf(1.0 - alike * alike);
+    (a.position_ned_m - b.position_ned_m).norm() + METRES_PER_RADIAN * turn_rad
+}
+
+/// The attitude after a small turn, radians about the body's axes.
+fn turned_by(attitude: Attitude, turn: FrdVector) -> Attitude {
+    let (a, b, c) = (0.5 * turn.x, 0.5 * turn.y, 0.5 * turn.z);
+    let Attitude { w, x, y, z } = attitude;
+    let (nw, nx, ny, nz) = (
+        w - a * x - b * y - c * z,
+        x + a * w + c * y - b * z,
+        y + b * w + a * z - c * x,
+        z + c * w + b * x - a * y,
+    );
+    let scale = 1.0 / libm::sqrtf(nw * nw + nx * nx + ny * ny + nz * nz);
+    Attitude {
+        w: nw * scale,
+        x: nx * scale,
+        y: ny * scale,
+        z: nz * scale,
+    }
+}
+
+/// The part of the view in which a cell lies.
+fn part_of(row: usize, column: usize) -> usize {
+    (row / PART) * PART_COLS + column / PART
+}
+
+#[cfg(test)]
+mod tests;

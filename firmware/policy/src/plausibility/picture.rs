@@ -1,0 +1,240 @@
+//! A depth frame reduced to cells of 4 × 4 pixels: what two frames are compared by.
+
+use crate::{larger, smaller};
+use vigil_types::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, FrdVector, HORIZONTAL_FOV_RAD, PIXEL_PITCH_RAD,
+    VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
+};
+
+/// Pixels along a cell's side.
+const SIDE: usize = 4;
+/// Rows of cells.
+pub(super) const ROWS: usize = DEPTH_ROWS / SIDE;
+/// Columns of cells.
+pub(super) const COLS: usize = DEPTH_COLS / SIDE;
+/// Cells of a picture.
+pub(super) const CELLS: usize = ROWS * COLS;
+/// Angle between neighbouring cells' centres.
+const PITCH_RAD: f32 = SIDE as f32 * PIXEL_PITCH_RAD;
+
+/// The pixels of a cell see one surface if their ranges differ by no more than this: a part of the range, which a plane at
+/// a grazing angle makes, and metres, which noise makes.
+const SMOOTH_PART: f32 = 0.2;
+const SMOOTH_M: f32 = 0.16;
+/// What lies between four cells is interpolated if the farthest of them is no more than this times as far as the nearest.
+const BETWEEN_RATIO: f32 = 1.3;
+
+/// What a cell shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Seen {
+    /// One surface at this range, metres.
+    Surface(f32),
+    /// No return.
+    Nothing,
+    /// An edge, or returns and none: not to be compared.
+    Mixed,
+}
+
+/// Directions of the cells' centres.
+#[derive(Debug, Clone)]
+pub(super) struct Directions {
+    /// Cosine and sine of the rows' elevations.
+    rows: [(f32, f32); ROWS],
+    /// Cosine and sine of the columns' bearings.
+    columns: [(f32, f32); COLS],
+}
+
+impl Directions {
+    pub(super) fn new() -> Self {
+        let middle = |cell: usize| (cell * SIDE) as f32 + 0.5 * (SIDE as f32 - 1.0);
+        let both = |angle: f32| (libm::cosf(angle), libm::sinf(angle));
+        Self {
+            rows: core::array::from_fn(|r| both(row_elevation_rad(middle(r)))),
+            columns: core::array::from_fn(|c| both(column_bearing_rad(middle(c)))),
+        }
+    }
+
+    /// Unit vector of a cell in body axes.
+    #[inline]
+    pub(super) fn of(&self, row: usize, column: usize) -> FrdVector {
+        let (cos_row, sin_row) = self.rows.get(row).copied().unwrap_or((1.0, 0.0));
+        let (cos_column, sin_column) = self.columns.get(column).copied().unwrap_or((1.0, 0.0));
+        FrdVector::new(cos_row * cos_column, cos_row * sin_column, -sin_row)
+    }
+}
+
+/// Row and column, fractional, of the cell in which a point is seen; `None` outside the view of the cells' centres.
+#[inline]
+pub(super) fn place_of(point: FrdVector) -> Option<(f32, f32)> {
+    let level = libm::sqrtf(point.x * point.x + point.y * point.y);
+    if point.x <= 0.4 * level || level <= 1e-3 {
+        return None;
+    }
+    let bearing = arc_tangent(point.y / point.x);
+    let elevation = arc_tangent(-point.z / level);
+    let column = (bearing + 0.5 * HORIZONTAL_FOV_RAD) * (1.0 / PITCH_RAD) - 0.5;
+    let row = (0.5 * VERTICAL_FOV_RAD - elevation) * (1.0 / PITCH_RAD) - 0.5;
+    let inside = column >= 0.0 && row >= 0.0 && column <= (COLS - 1) as f32 && row <= (ROWS - 1) as f32;
+    inside.then_some((row, column))
+}
+
+/// Arc tangent to 1e-5 (Abramowitz and Stegun 4.4.49): a tenth of what `libm`'s costs.
+#[inline]
+fn arc_tangent(t: f32) -> f32 {
+    let steep = t.abs() > 1.0;
+    let x = if steep { 1.0 / t } else { t };
+    let s = x * x;
+    let a = x * (0.999_866 + s * (-0.330_299_5 + s * (0.180_141 + s * (-0.085_133 + s * 0.020_835_1))));
+    if steep {
+        core::f32::consts::FRAC_PI_2.copysign(t) - a
+    } else {
+        a
+    }
+}
+
+/// A reduced frame.
+#[derive(Debug, Clone)]
+pub(super) struct Picture {
+    /// Reciprocal of the range in 1/m, which changes linearly along any plane; 0 without a return, negative if mixed.
+    inverse: [f32; CELLS],
+}
+
+impl Picture {
+    pub(super) const EMPTY: Self = Self { inverse: [-1.0; CELLS] };
+
+    /// Takes a frame; gives the number of cells that hold a zero, which is no range.
+    pub(super) fn take(&mut self, frame: &DepthFrame) -> usize {
+        let mut zeros = 0;
+        let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
+        for (band, cells) in bands.iter().zip(self.inverse.as_chunks_mut::<COLS>().0) {
+            let (mut sum, mut low, mut high) = ([0.0_f32; DEPTH_COLS], [1.0_f32; DEPTH_COLS], [0.0_f32; DEPTH_COLS]);
+            for row in band.as_chunks::<DEPTH_COLS>().0 {
+                for (((sum, low), high), v) in sum.iter_mut().zip(&mut low).zip(&mut high).zip(row) {
+                    *sum += v;
+                    *low = smaller(*low, *v);
+                    *high = larger(*high, *v);
+                }
+            }
+            let sides = sum.as_chunks::<SIDE>().0.iter();
+            let limits = low.as_chunks::<SIDE>().0.iter().zip(high.as_chunks::<SIDE>().0);
+            for ((cell, sum), (low, high)) in cells.iter_mut().zip(sides).zip(limits) {
+                let mean_m = sum.iter().sum::<f32>() * (DEPTH_FULL_SCALE_M / (SIDE * SIDE) as f32);
+                let low = low.iter().fold(1.0, |a, b| smaller(a, *b));
+                let high = high.iter().fold(0.0, |a, b| larger(a, *b));
+                let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
+                zeros += usize::from(low <= 0.0);
+                *cell = if low >= 1.0 {
+                    0.0
+                } else if low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M {
+                    1.0 / mean_m
+                } else {
+                    -1.0
+                };
+            }
+        }
+        zeros
+    }
+
+    /// Reciprocal ranges row by row, as they are kept: 0 without a return, negative if mixed.
+    pub(super) fn rows(&self) -> &[[f32; COLS]] {
+        self.inverse.as_chunks::<COLS>().0
+    }
+
+    /// The reciprocal range as it is kept.
+    #[inline]
+    pub(super) fn inverse(&self, cell: usize) -> f32 {
+        self.inverse.get(cell).copied().unwrap_or(-1.0)
+    }
+
+    /// What a cell shows.
+    #[inline]
+    pub(super) fn at(&self, cell: usize) -> Seen {
+        seen(self.inverse(cell))
+    }
+
+    /// What is seen between cells.
+    #[inline]
+    pub(super) fn between(&self, row: f32, column: f32) -> Seen {
+        // Within the picture: `place_of` gives no other places. `as` truncates, which is down for what is not negative.
+        let (r, c) = ((row as usize).min(ROWS - 2), (column as usize).min(COLS - 2));
+        let (down, right) = (row - r as f32, column - c as f32);
+        let first = r * COLS + c;
+        let (a, b) = (self.inverse(first), self.inverse(first + 1));
+        let (d, e) = (self.inverse(first + COLS), self.inverse(first + COLS + 1));
+        let low = smaller(smaller(a, b), smaller(d, e));
+        let high = larger(larger(a, b), larger(d, e));
+        if low > 0.0 && high <= BETWEEN_RATIO * low {
+            let above = a + (b - a) * right;
+            let below = d + (e - d) * right;
+            Seen::Surface(1.0 / (above + (below - above) * down))
+        } else if low == 0.0 && high == 0.0 {
+            Seen::Nothing
+        } else {
+            Seen::Mixed
+        }
+    }
+}
+
+#[inline]
+fn seen(inverse: f32) -> Seen {
+    if inverse > 0.0 {
+        Seen::Surface(1.0 / inverse)
+    } else if inverse == 0.0 {
+        Seen::Nothing
+    } else {
+        Seen::Mixed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_arc_tangent_is_right_to_a_hundredth_of_a_pixel() {
+        for i in -300..=300 {
+            let t = i as f32 * 0.01;
+            assert!((arc_tangent(t) - libm::atanf(t)).abs() < 2e-5, "{t}");
+        }
+    }
+
+    #[test]
+    fn a_cell_s_middle_is_seen_in_the_cell() {
+        let directions = Directions::new();
+        for row in 0..ROWS {
+            for column in 0..COLS {
+                // The outermost may come out a hair outside.
+                if let Some((r, c)) = place_of(directions.of(row, column) * 4.0) {
+                    assert!(
+                        (r - row as f32).abs() < 1e-2 && (c - column as f32).abs() < 1e-2,
+                        "{row} {column}"
+                    );
+                }
+            }
+        }
+        assert_eq!(place_of(FrdVector::new(-1.0, 0.0, 0.0)), None);
+        assert_eq!(place_of(FrdVector::ZERO), None);
+    }
+
+    #[test]
+    fn edges_and_holes_are_not_taken_for_surfaces() {
+        let mut frame = DepthFrame::EMPTY;
+        for (i, depth) in frame.depth.iter_mut().enumerate() {
+            *depth = if i % DEPTH_COLS < 126 { 0.03 } else { 0.06 };
+        }
+        frame.depth[0] = 0.0;
+        frame.depth[8] = 1.0;
+        let mut picture = Picture::EMPTY;
+        assert_eq!(picture.take(&frame), 1);
+        assert_eq!(picture.at(0), Seen::Mixed, "a zero");
+        assert_eq!(picture.at(2), Seen::Mixed, "a hole");
+        assert_eq!(picture.at(31), Seen::Mixed, "an edge");
+        for (cell, range_m) in [(5, 3.0), (40, 6.0)] {
+            assert!(matches!(picture.at(cell), Seen::Surface(m) if (m - range_m).abs() < 1e-4));
+        }
+        assert!(matches!(picture.between(3.4, 10.7), Seen::Surface(m) if (m - 3.0).abs() < 1e-4));
+        assert_eq!(picture.between(3.4, 30.5), Seen::Mixed);
+        assert_eq!(picture.take(&DepthFrame::EMPTY), 0);
+        assert_eq!(picture.between(3.4, 30.5), Seen::Nothing);
+    }
+}

@@ -1,0 +1,358 @@
+extern crate std;
+
+use super::*;
+use std::boxed::Box;
+use std::vec::Vec;
+use vigil_types::{
+    AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, Heartbeat, Kinematics, STEP_NS, STEP_S, VehicleMode,
+    column_bearing_rad, row_elevation_rad,
+};
+
+/// A hall with a floor and pillars, and a vehicle that flies through it at 1.5 m/s while it turns and sways.
+struct Flight {
+    judge: Box<PlausibilityJudge>,
+    frame: Box<DepthFrame>,
+    telemetry: VehicleTelemetry,
+    step: u64,
+    yaw_rate_rad_s: f32,
+    /// How far the sensor is turned on its mount.
+    mount_rad: f32,
+    speed_m_s: f32,
+    position: NedVector,
+    yaw_rad: f32,
+}
+
+/// North, east and radius of the pillars; the hall's walls are 6 m to either side and 60 m ahead.
+const PILLARS: [(f32, f32, f32); 6] = [
+    (6.0, 2.0, 0.4),
+    (9.0, -2.2, 0.5),
+    (13.0, 1.8, 0.3),
+    (17.0, -2.0, 0.6),
+    (22.0, 2.2, 0.4),
+    (28.0, -1.8, 0.5),
+];
+
+fn range_m(from: NedVector, ray: NedVector) -> f32 {
+    let mut nearest = f32::INFINITY;
+    let mut hit = |t: f32| {
+        if t > 0.0 && t < nearest {
+            nearest = t;
+        }
+    };
+    hit(-from.z / ray.z);
+    hit((60.0 - from.x) / ray.x);
+    hit((6.0 - from.y) / ray.y);
+    hit((-6.0 - from.y) / ray.y);
+    for (north, east, radius) in PILLARS {
+        let (x, y) = (from.x - north, from.y - east);
+        let (a, b) = (ray.x * ray.x + ray.y * ray.y, x * ray.x + y * ray.y);
+        let root = b * b - a * (x * x + y * y - radius * radius);
+        if root > 0.0 {
+            hit((-b - libm::sqrtf(root)) / a);
+        }
+    }
+    nearest
+}
+
+impl Flight {
+    fn new() -> Self {
+        let mut flight = Self {
+            judge: Box::default(),
+            frame: Box::new(DepthFrame::EMPTY),
+            telemetry: VehicleTelemetry::default(),
+            step: 20,
+            yaw_rate_rad_s: 0.2,
+            mount_rad: 0.0,
+            speed_m_s: 1.5,
+            position: NedVector::new(0.0, 0.0, -1.5),
+            yaw_rad: -0.1,
+        };
+        flight.look();
+        flight
+    }
+
+    /// Flies a step and takes the next frame, which is as it should be.
+    fn look(&mut self) {
+        self.step += 1;
+        let time_s = self.step as f32 * STEP_S;
+        let sway = libm::sinf(2.0 * time_s);
+        self.yaw_rad += self.yaw_rate_rad_s * sway * STEP_S;
+        let velocity = vigil_types::HeadingVector::new(self.speed_m_s, 0.0, 0.0).to_ned(self.yaw_rad);
+        self.position = self.position + velocity * STEP_S;
+        let attitude = Attitude::from_euler_rad(0.03 * sway, -0.08 * self.speed_m_s / 1.5, self.yaw_rad);
+        let sensor = turned_by_exactly(attitude, self.mount_rad);
+        let mut noise = self.step as u32;
+        for (pixel, depth) in self.frame.depth.iter_mut().enumerate() {
+            let (bearing, elevation) = (
+                column_bearing_rad((pixel % DEPTH_COLS) as f32),
+                row_elevation_rad((pixel / DEPTH_COLS) as f32),
+            );
+            let (se, ce) = (libm::sinf(elevation), libm::cosf(elevation));
+            let ray = sensor.to_ned(FrdVector::new(ce * libm::cosf(bearing), ce * libm::sinf(bearing), -se));
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let noise_m = 0.04 * ((noise >> 8) as f32 / (1 << 24) as f32 - 0.5);
+            *depth = ((range_m(self.position, ray) + noise_m) / DEPTH_FULL_SCALE_M).min(1.0);
+        }
+        let now_ns = self.step * STEP_NS;
+        let header = &mut self.frame.header;
+        (header.stamp_ns, header.sequence) = (now_ns, self.step);
+        (header.position_ned_m, header.attitude) = (self.position, attitude);
+        self.telemetry = VehicleTelemetry {
+            heartbeat: Some(Heartbeat {
+                at_ns: now_ns,
+                armed: true,
+                mode: VehicleMode::External,
+                failsafe: false,
+            }),
+            kinematics: Some(Kinematics {
+                at_ns: now_ns,
+                position_ned_m: self.position,
+                velocity_ned_m_s: velocity,
+            }),
+            attitude: Some(AttitudeSample {
+                at_ns: now_ns,
+                attitude,
+                rates_frd_rad_s: FrdVector::ZERO,
+            }),
+            ..VehicleTelemetry::default()
+        };
+    }
+
+    /// Flies on; each frame is spoiled before it is judged. The doubts after each step.
+    fn fly(&mut self, steps: usize, mut spoil: impl FnMut(&mut DepthFrame)) -> Vec<Reasons> {
+        let step = |_| {
+            self.look();
+            spoil(&mut self.frame);
+            self.judge.judge(&self.frame, &self.telemetry)
+        };
+        (0..steps).map(step).collect()
+    }
+
+    /// The first doubt of the next steps and after how many steps it came.
+    fn first_doubt(&mut self, steps: usize, spoil: impl FnMut(&mut DepthFrame)) -> Option<(usize, Reasons)> {
+        let doubts = self.fly(steps, spoil).into_iter().enumerate();
+        doubts.into_iter().find(|(_, doubts)| !doubts.is_empty())
+    }
+}
+
+fn turned_by_exactly(attitude: Attitude, angle: f32) -> Attitude {
+    let (s, c) = (libm::sinf(angle / 2.0), libm::cosf(angle / 2.0));
+    let Attitude { w, x, y, z } = attitude;
+    Attitude {
+        w: w * c - z * s,
+        x: x * c + y * s,
+        y: y * c - x * s,
+        z: z * c + w * s,
+    }
+}
+
+fn good(_: &mut DepthFrame) {}
+
+/// A story in which the sensor fails after 2 s of good flight, and how soon it is found at the latest.
+fn found(name: &str, reason: Reason, within_steps: usize, spoil: impl FnMut(&mut DepthFrame)) -> Flight {
+    let mut flight = Flight::new();
+    assert_eq!(flight.first_doubt(40, good), None, "{name}: before");
+    let (steps, doubts) = flight
+        .first_doubt(60, spoil)
+        .unwrap_or_else(|| panic!("{name} is not found"));
+    assert!(
+        doubts.contains(reason) && steps < within_steps,
+        "{name}: {doubts:?} after {steps} steps"
+    );
+    flight
+}
+
+#[test]
+fn a_good_flight_is_not_doubted_nor_is_one_at_half_the_frame_rate() {
+    assert_eq!(Flight::new().first_doubt(200, good), None);
+    let mut flight = Flight::new();
+    for step in 0..200 {
+        flight.look();
+        if step % 2 == 0 {
+            assert_eq!(
+                flight.judge.judge(&flight.frame, &flight.telemetry),
+                Reasons::NONE,
+                "step {step}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_three() {
+    found("zeros", Reason::BlindSensor, 2, |f| f.depth = [0.0; DEPTH_PIXELS]);
+    let mut flight = found("ones", Reason::BlindSensor, 2, |f| f.depth = [1.0; DEPTH_PIXELS]);
+    let doubts = flight.fly(4, good);
+    assert!(
+        doubts[1].contains(Reason::BlindSensor) && doubts[2].is_empty(),
+        "{doubts:?}"
+    );
+    let half = |columns: core::ops::Range<usize>, value: f32| {
+        move |frame: &mut DepthFrame| {
+            for row in frame.depth.chunks_exact_mut(DEPTH_COLS) {
+                row[columns.clone()].fill(value);
+            }
+        }
+    };
+    found("left half dead", Reason::BlindSensor, 2, half(0..128, 1.0));
+    found("right half dead", Reason::BlindSensor, 2, half(128..256, 1.0));
+    found("columns of zeros", Reason::BlindSensor, 2, half(100..108, 0.0));
+    found("lower half dead", Reason::BlindSensor, 2, |f| {
+        f.depth[DEPTH_PIXELS / 2..].fill(1.0)
+    });
+    found("upper half dead", Reason::InconsistentPicture, 30, |f| {
+        f.depth[..DEPTH_PIXELS / 2].fill(1.0)
+    });
+}
+
+#[test]
+fn a_picture_or_a_part_of_it_that_stays_is_frozen() {
+    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
+    let mut freeze = |pixels: core::ops::Range<usize>, frame: &mut DepthFrame| {
+        let kept = kept.get_or_insert_with(|| Box::new(frame.depth));
+        frame.depth[pixels.clone()].copy_from_slice(&kept[pixels]);
+    };
+    found("the whole", Reason::FrozenSensor, 5, |f| freeze(0..DEPTH_PIXELS, f));
+    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
+    let mut freeze = |pixels: core::ops::Range<usize>, frame: &mut DepthFrame| {
+        let kept = kept.get_or_insert_with(|| Box::new(frame.depth));
+        frame.depth[pixels.clone()].copy_from_slice(&kept[pixels]);
+    };
+    found("the upper half", Reason::FrozenSensor, 8, |f| {
+        freeze(0..DEPTH_PIXELS / 2, f)
+    });
+    let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
+    let mut noise = 1_u32;
+    found("under fresh noise", Reason::FrozenSensor, 20, |f| {
+        f.depth = **kept.get_or_insert_with(|| Box::new(f.depth));
+        for depth in &mut f.depth {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            *depth = (*depth + 0.0004 * ((noise >> 8) as f32 / (1 << 24) as f32 - 0.5)).clamp(1e-4, 1.0);
+        }
+    });
+}
+
+#[test]
+fn a_picture_that_thaws_is_known_again_from_an_earlier_one_even_while_the_vehicle_stands() {
+    let mut kept: Option<Box<DepthFrame>> = None;
+    let mut freeze = |f: &mut DepthFrame| f.depth = kept.get_or_insert_with(|| Box::new(f.clone())).depth;
+    let mut flight = Flight::new();
+    assert_eq!(flight.first_doubt(40, good), None);
+    assert!(flight.first_doubt(5, &mut freeze).is_some());
+    // It stops within a metre.
+    flight.fly(10, &mut freeze);
+    flight.speed_m_s = 0.0;
+    assert!(
+        flight
+            .fly(100, &mut freeze)
+            .iter()
+            .all(|d| d.contains(Reason::FrozenSensor)),
+        "held while it is frozen"
+    );
+    let doubts = flight.fly(40, good);
+    assert!(doubts[39].is_empty(), "{:?}", doubts[39]);
+    // The second time it stays until the motors are off.
+    flight.speed_m_s = 1.5;
+    flight.fly(20, good);
+    kept = None;
+    let mut freeze = |f: &mut DepthFrame| f.depth = kept.get_or_insert_with(|| Box::new(f.clone())).depth;
+    assert!(flight.first_doubt(40, &mut freeze).is_some());
+    assert!(flight.fly(40, good).iter().all(|d| d.contains(Reason::FrozenSensor)));
+    flight.look();
+    flight.telemetry.heartbeat.as_mut().unwrap().armed = false;
+    assert_eq!(flight.judge.judge(&flight.frame, &flight.telemetry), Reasons::NONE);
+}
+
+#[test]
+fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
+    let mirror = |f: &mut DepthFrame| f.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
+    let mut flight = Flight::new();
+    let (_, doubts) = flight.first_doubt(80, mirror).expect("mirrored from the start");
+    assert_eq!(doubts, Reasons::of(Reason::InconsistentPicture));
+    assert!(
+        flight.fly(40, good).iter().all(|d| !d.is_empty()),
+        "until the end of the flight"
+    );
+    found("mirrored in flight", Reason::InconsistentPicture, 20, mirror);
+    for degrees in [-5.0_f32, 5.0] {
+        let mut flight = Flight::new();
+        flight.mount_rad = degrees.to_radians();
+        let found = flight.first_doubt(80, good);
+        assert!(
+            found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
+            "{degrees}: {found:?}"
+        );
+    }
+}
+
+#[test]
+fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
+    let far = |m: f32| move |f: &mut DepthFrame| f.header.position_ned_m = NedVector::new(m, m, m);
+    found("out of this world", Reason::ImplausiblePose, 3, far(1e30));
+    found("overflowing", Reason::ImplausiblePose, 3, far(f32::MAX));
+    let mut flight = found("25 m off", Reason::ImplausiblePose, 3, far(25.0));
+    let doubts = flight.fly(30, good);
+    assert!(doubts[5].contains(Reason::ImplausiblePose) && doubts[29].is_empty());
+    found("turned by 20°", Reason::ImplausiblePose, 3, |f| {
+        f.header.attitude = turned_by_exactly(f.header.attitude, 0.35);
+    });
+    let mut kept = None;
+    found("frozen", Reason::ImplausiblePose, 12, |f| {
+        f.header.position_ned_m = *kept.get_or_insert(f.header.position_ned_m)
+    });
+}
+
+#[test]
+fn on_the_ground_what_is_near_is_no_fault_and_nothing_is_held_against_the_next_flight() {
+    let mut flight = Flight::new();
+    flight.position.z = -0.12;
+    flight.speed_m_s = 0.0;
+    for armed in [false, true] {
+        for _ in 0..40 {
+            flight.look();
+            flight.telemetry.heartbeat.as_mut().unwrap().armed = armed;
+            assert_eq!(flight.judge.judge(&flight.frame, &flight.telemetry), Reasons::NONE);
+        }
+    }
+    flight.look();
+    flight.frame.depth = [1.0; DEPTH_PIXELS];
+    flight.judge.judge(&flight.frame, &flight.telemetry);
+    assert!(
+        flight
+            .judge
+            .judge(&flight.frame, &flight.telemetry)
+            .contains(Reason::BlindSensor)
+    );
+    // Up, while it may well move up and down.
+    while flight.position.z > -2.0 {
+        flight.position.z -= 0.04;
+        flight.look();
+        let doubts = flight.judge.judge(&flight.frame, &flight.telemetry);
+        assert!(
+            flight.position.z > -0.3 || doubts.is_empty(),
+            "{doubts:?} at {}",
+            flight.position.z
+        );
+    }
+}
+
+#[test]
+fn whatever_valid_frames_hold_is_judged_without_a_panic() {
+    let mut flight = Flight::new();
+    let mut state = 7_u32;
+    let mut next = move || {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (state >> 8) as f32 / (1 << 24) as f32
+    };
+    for round in 0..60 {
+        flight.look();
+        let step = 1 + (next() * 300.0) as usize;
+        for depth in flight.frame.depth.iter_mut().step_by(step) {
+            *depth = [0.0, 1.0, next(), f32::MIN_POSITIVE][(next() * 4.0) as usize % 4];
+        }
+        if round % 3 == 0 {
+            flight.telemetry = VehicleTelemetry::default();
+        }
+        flight.judge.judge(&flight.frame, &flight.telemetry);
+    }
+}

@@ -1,0 +1,129 @@
+//! Every fault of the depth sensor holds the vehicle, by the name of what is wrong, before it touches anything.
+
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, Reason, Reasons};
+use vigil_world::{Family, generate};
+
+const SEED: u64 = 4203;
+/// Steps of a story: 12 s.
+const STEPS: usize = 240;
+
+/// How a story ended.
+struct End {
+    /// Everything that was wrong while guidance flew.
+    reasons: Reasons,
+    state: GuidanceState,
+    speed_m_s: f32,
+    ended: bool,
+    goal_m: f32,
+}
+
+fn fly(fault: &str, plausibility: bool) -> End {
+    let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
+    config.start = Start::Airborne;
+    config.sensor_fault = Some(fault.parse().unwrap());
+    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    firmware.plausibility = plausibility;
+    let mut simulator = Simulator::new(&config, 0).unwrap();
+    let mut firmware = LockstepFirmware::new(&firmware).unwrap();
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut end = End {
+        reasons: Reasons::NONE,
+        state: GuidanceState::Standby,
+        speed_m_s: 0.0,
+        ended: false,
+        goal_m: 0.0,
+    };
+    for _ in 0..STEPS {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        end.state = report.state;
+        if matches!(report.state, GuidanceState::Guided | GuidanceState::Hold) {
+            end.reasons = end.reasons.union(report.reasons);
+        }
+    }
+    end.speed_m_s = simulator.truth().velocity_ned_m_s.norm();
+    end.ended = simulator.ending().is_some();
+    end.goal_m = simulator.goal_distance_m();
+    end
+}
+
+/// The fault stops the vehicle and is named; without the judge it does neither.
+fn held(fault: &str, reason: Reason) {
+    let end = fly(fault, true);
+    assert!(
+        end.reasons.contains(reason),
+        "{fault}: {:?}",
+        end.reasons.iter().collect::<Vec<_>>()
+    );
+    assert!(
+        !end.ended && end.state == GuidanceState::Hold,
+        "{fault}: {:?}, ended {}",
+        end.state,
+        end.ended
+    );
+    assert!(end.speed_m_s < 0.2, "{fault}: still at {} m/s", end.speed_m_s);
+    let unjudged = fly(fault, false);
+    assert!(!unjudged.reasons.contains(reason), "{fault}: named by nobody else");
+    assert!(
+        unjudged.ended || unjudged.state != GuidanceState::Hold,
+        "{fault}: without the judge it flies on, {} m to go",
+        unjudged.goal_m
+    );
+}
+
+#[test]
+fn a_dead_sensor_is_blind() {
+    for fault in ["zeros@4", "ones@4", "dead-left@4", "dead-right@4", "dead-bottom@4"] {
+        held(fault, Reason::BlindSensor);
+    }
+}
+
+#[test]
+fn a_frozen_picture_is_frozen_whole_in_part_and_under_noise() {
+    for fault in [
+        "frozen",
+        "frozen@4",
+        "frozen-noisy@4",
+        "frozen-left@4",
+        "frozen-right@4",
+        "stuck-columns@4",
+    ] {
+        held(fault, Reason::FrozenSensor);
+    }
+}
+
+#[test]
+fn a_sensor_that_sits_wrong_is_found_by_the_way_its_picture_moves() {
+    for fault in ["mirrored", "mirrored@4", "shifted", "turned"] {
+        held(fault, Reason::InconsistentPicture);
+    }
+}
+
+#[test]
+fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
+    for fault in ["far-position@4", "displaced-position@4", "frozen-pose@4"] {
+        held(fault, Reason::ImplausiblePose);
+    }
+}
+
+#[test]
+fn stamps_and_poses_that_no_valid_frame_has_need_no_judge() {
+    let stories = [
+        ("delayed@4", Reason::StaleFrame),
+        ("frozen-stamp@4", Reason::BadFrame),
+        ("earlier-stamp@4", Reason::BadFrame),
+        ("bad-quaternion@4", Reason::BadFrame),
+    ];
+    for (fault, reason) in stories {
+        let end = fly(fault, false);
+        assert!(
+            end.reasons.contains(reason),
+            "{fault}: {:?}",
+            end.reasons.iter().collect::<Vec<_>>()
+        );
+        assert!(!end.ended && end.state == GuidanceState::Hold, "{fault}");
+    }
+}

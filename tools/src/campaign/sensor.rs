@@ -1,0 +1,215 @@
+//! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
+
+use serde::Serialize;
+use vigil_sim::lockstep::FlightRecord;
+use vigil_sim::{SensorFault, SensorFaultMode};
+use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
+use vigil_world::Outcome;
+
+/// Conditions that say that frames cannot be used.
+const SENSOR_REASONS: [Reason; 6] = [
+    Reason::StaleFrame,
+    Reason::BadFrame,
+    Reason::BlindSensor,
+    Reason::FrozenSensor,
+    Reason::ImplausiblePose,
+    Reason::InconsistentPicture,
+];
+
+/// What was found wrong with the sensor in a flight.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct SensorRecord {
+    /// Steps in the states guided and hold.
+    pub flown_steps: u64,
+    /// How often something began to be wrong in flight.
+    pub holds: u64,
+    /// The first step of these.
+    pub first_step: Option<u64>,
+    /// Steps in which something was wrong.
+    pub hold_steps: u64,
+    /// Everything that was wrong, by name.
+    pub reasons: Vec<&'static str>,
+    /// Something was wrong at the end.
+    pub held_at_end: bool,
+}
+
+impl SensorRecord {
+    /// Takes a step's report.
+    pub fn observe(&mut self, step: u64, report: &StepReport) {
+        if !matches!(report.state, GuidanceState::Guided | GuidanceState::Hold) {
+            return;
+        }
+        self.flown_steps += 1;
+        let all = SENSOR_REASONS
+            .iter()
+            .fold(Reasons::NONE, |set, r| set.with_if(true, *r));
+        let found = Reasons(report.reasons.0 & all.0);
+        for reason in found.iter().map(Reason::name) {
+            if !self.reasons.contains(&reason) {
+                self.reasons.push(reason);
+            }
+        }
+        if !found.is_empty() {
+            self.hold_steps += 1;
+            self.first_step.get_or_insert(step);
+            self.holds += u64::from(!self.held_at_end);
+        }
+        self.held_at_end = !found.is_empty();
+    }
+
+    /// A line on all flights of a campaign.
+    pub fn summary<'a>(flights: impl Iterator<Item = &'a Self>) -> String {
+        let (mut steps, mut holds, mut held, mut count) = (0, 0, 0, 0);
+        let mut reasons: Vec<(&str, u64)> = SENSOR_REASONS.iter().map(|r| (r.name(), 0)).collect();
+        for flight in flights {
+            count += 1;
+            steps += flight.flown_steps;
+            holds += flight.holds;
+            held += u64::from(flight.holds > 0);
+            for (name, n) in &mut reasons {
+                *n += u64::from(flight.reasons.contains(name));
+            }
+        }
+        let hours = steps as f64 * f64::from(STEP_S) / 3600.0;
+        let named: Vec<String> = reasons
+            .iter()
+            .filter(|(_, n)| *n > 0)
+            .map(|(name, n)| format!("{name} {n}"))
+            .collect();
+        format!(
+            "{holds} holds in {held} of {count} flights, {:.2} per flight hour{}{}",
+            holds as f64 / hours.max(f64::MIN_POSITIVE),
+            if named.is_empty() { "" } else { ": " },
+            named.join(", ")
+        )
+    }
+}
+
+/// Which faults a campaign flies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum FaultChoice {
+    /// One.
+    One(SensorFault),
+    /// Each in turn, with the onset of this one.
+    All(SensorFault),
+}
+
+impl FaultChoice {
+    /// `MODE[@ONSET]` or `all[@ONSET]`.
+    ///
+    /// # Errors
+    /// Anything else, with what there is.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        match text
+            .strip_prefix("all")
+            .filter(|rest| rest.is_empty() || rest.starts_with('@'))
+        {
+            Some(onset) => format!("zeros{onset}").parse().map(Self::All),
+            None => text.parse().map(Self::One),
+        }
+    }
+
+    /// The faults, in order.
+    pub fn faults(self) -> Vec<SensorFault> {
+        use clap::ValueEnum;
+        match self {
+            Self::One(fault) => vec![fault],
+            Self::All(fault) => {
+                let modes = SensorFaultMode::value_variants().iter();
+                modes.map(|mode| SensorFault { mode: *mode, ..fault }).collect()
+            }
+        }
+    }
+}
+
+/// How the flights with a fault ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct FaultTally {
+    /// The fault, as it is named on the command line.
+    pub fault: String,
+    /// Flights flown.
+    pub flights: usize,
+    /// Flights that touched something or left the course.
+    pub collisions: usize,
+    /// Flights that were held at the end.
+    pub held: usize,
+    /// Flights that reached the goal.
+    pub arrived: usize,
+    /// Flights that did neither in time.
+    pub time_outs: usize,
+}
+
+impl FaultTally {
+    /// Counts.
+    pub fn of<'a>(fault: &SensorFault, flights: impl Iterator<Item = (&'a FlightRecord, &'a SensorRecord)>) -> Self {
+        let mut tally = Self {
+            fault: fault.to_string(),
+            flights: 0,
+            collisions: 0,
+            held: 0,
+            arrived: 0,
+            time_outs: 0,
+        };
+        for (record, sensor) in flights {
+            tally.flights += 1;
+            match record.outcome {
+                Some(Outcome::Success) => tally.arrived += 1,
+                Some(Outcome::Collision | Outcome::OutOfBounds) => tally.collisions += 1,
+                // A vehicle that never took off was held on the ground.
+                None => tally.held += 1,
+                Some(Outcome::TimeOut) if sensor.held_at_end => tally.held += 1,
+                Some(Outcome::TimeOut) => tally.time_outs += 1,
+            }
+        }
+        tally
+    }
+
+    /// The heading of [`Self::row`].
+    pub const HEADING: &str = "sensor fault          flights  collision  safe hold  arrived  time-out";
+
+    /// A row of the table.
+    pub fn row(&self) -> String {
+        format!(
+            "{:<21} {:>7} {:>10} {:>10} {:>8} {:>9}",
+            self.fault, self.flights, self.collisions, self.held, self.arrived, self.time_outs
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hold_counts_once_however_long_it_lasts_and_only_in_flight() {
+        let mut record = SensorRecord::default();
+        let blind = Reasons::of(Reason::BlindSensor);
+        let story = [
+            (GuidanceState::Ready, blind),
+            (GuidanceState::Guided, Reasons::of(Reason::GoalReached)),
+            (GuidanceState::Hold, blind),
+            (GuidanceState::Hold, blind),
+            (GuidanceState::Guided, Reasons::NONE),
+            (GuidanceState::Hold, Reasons::of(Reason::BadFrame)),
+        ];
+        for (step, (state, reasons)) in (0..).zip(story) {
+            let report = StepReport {
+                state,
+                reasons,
+                ..StepReport::default()
+            };
+            record.observe(step, &report);
+        }
+        assert_eq!((record.holds, record.hold_steps, record.first_step), (2, 3, Some(2)));
+        assert!(record.held_at_end);
+        assert_eq!(record.reasons, ["blind sensor", "bad frame"]);
+    }
+
+    #[test]
+    fn all_faults_share_the_onset_that_was_given() {
+        let faults = FaultChoice::parse("all@random").unwrap().faults();
+        assert!(faults.len() > 20 && faults.iter().all(|f| f.to_string().ends_with("@random")));
+        assert_eq!(FaultChoice::parse("frozen@3").unwrap().faults().len(), 1);
+        assert!(FaultChoice::parse("allone").is_err());
+    }
+}
