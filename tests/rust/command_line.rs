@@ -456,7 +456,14 @@ fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
             "Ctrl-C",
         ],
     );
-    let start = ["14123", "PX4", "not signed", "on command", "scheduling", "Ctrl-C"];
+    let start = [
+        "14123",
+        "any vehicle",
+        "not signed",
+        "on command",
+        "scheduling",
+        "Ctrl-C",
+    ];
     let watched = [
         "the actor (built in)",
         "the detector (built in) and the guard watch it",

@@ -21,7 +21,7 @@ const HIGH_M: f32 = 0.4 * GROUND_M;
 /// Columns of cells that are judged together: 7.5°.
 const STRIP: usize = 4;
 const STRIPS: usize = COLS / STRIP;
-/// Strips without a ground that make a sensor blind, and cells with zeros that do.
+/// Strips without a ground that make a sensor blind, and cells of zeros that do.
 const BLIND_STRIPS: usize = 2;
 const BLIND_ZEROS: usize = ROWS * COLS / 50;
 /// Cells of a strip that must show the ground before its absence says anything.

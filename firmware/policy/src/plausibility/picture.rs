@@ -102,7 +102,7 @@ pub(super) struct Picture {
 impl Picture {
     pub(super) const EMPTY: Self = Self { inverse: [-1.0; CELLS] };
 
-    /// Takes a frame; gives the number of cells that hold a zero, which is no range.
+    /// Takes a frame; gives the number of cells that hold nothing but zeros, which are no ranges.
     pub(super) fn take(&mut self, frame: &DepthFrame) -> usize {
         let mut zeros = 0;
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
@@ -122,7 +122,7 @@ impl Picture {
                 let low = low.iter().fold(1.0, |a, b| smaller(a, *b));
                 let high = high.iter().fold(0.0, |a, b| larger(a, *b));
                 let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
-                zeros += usize::from(low <= 0.0);
+                zeros += usize::from(high <= 0.0);
                 *cell = if low >= 1.0 {
                     0.0
                 } else if low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M {
@@ -224,8 +224,16 @@ mod tests {
         }
         frame.depth[0] = 0.0;
         frame.depth[8] = 1.0;
+        // Nothing but zeros: four rows of four pixels.
+        for row in 0..SIDE {
+            frame.depth[row * DEPTH_COLS + 16..][..SIDE].fill(0.0);
+        }
         let mut picture = Picture::EMPTY;
-        assert_eq!(picture.take(&frame), 1);
+        assert_eq!(
+            picture.take(&frame),
+            1,
+            "a single zero is noise, a cell of them is none"
+        );
         assert_eq!(picture.at(0), Seen::Mixed, "a zero");
         assert_eq!(picture.at(2), Seen::Mixed, "a hole");
         assert_eq!(picture.at(31), Seen::Mixed, "an edge");
