@@ -345,7 +345,9 @@ async def plans(api):
     await api.call("mission_raw.upload_geofence", [raw.MissionItem(0, 3, 5003, 1, 1, 90.0, 0.0, 0.0, 0.0, x, y, 0.0, 1)])
     await api.call("mission_raw.download_geofence")
     await api.call("geofence.clear_geofence")
-    await api.call("mission_raw.upload_rally_points", [item(5100, 2)])
+    # A parameter that the command does not use must be left out.
+    rally = raw.MissionItem(0, 3, 5100, 1, 1, NAN, NAN, NAN, NAN, x, y, 3.0, 2)
+    await api.call("mission_raw.upload_rally_points", [rally])
     await api.call("mission_raw.download_rallypoints")
     changed = asyncio.create_task(api.call("mission_raw.mission_changed"))
     await asyncio.sleep(0.2)

@@ -22,7 +22,7 @@ pub enum Values<'a> {
 /// Writes a description (JSON) and tensors beside and renames the file.
 ///
 /// # Errors
-/// [`CheckpointError::Write`]: an earlier file is kept.
+/// `CheckpointError::Write`: an earlier file is kept.
 pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>)]) -> Result<(), CheckpointError> {
     let container = |message: String| CheckpointError::Container {
         path: path.to_owned(),
@@ -147,7 +147,7 @@ impl Expert {
     /// Writes it with the configuration and the updates that made it.
     ///
     /// # Errors
-    /// [`CheckpointError::Write`].
+    /// `CheckpointError::Write`.
     pub fn save(&self, path: &Path, config: &str, updates: u64) -> Result<(), CheckpointError> {
         let state = ExpertState {
             format: EXPERT_FORMAT.to_owned(),
@@ -167,7 +167,7 @@ impl Expert {
     /// Reads one.
     ///
     /// # Errors
-    /// [`CheckpointError`]: unreadable, truncated, another architecture.
+    /// `CheckpointError`: unreadable, truncated, another architecture.
     pub fn load(path: &Path) -> Result<Self, CheckpointError> {
         let file = Stored::read(path)?;
         let state: ExpertState = file.state()?;
