@@ -114,7 +114,7 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     );
     let foreign = Path::new(concat!(
         env!("CARGO_MANIFEST_DIR"),
-        "/../../firmware/policy/actor/actor.safetensors"
+        "/../firmware/policy/actor/actor.safetensors"
     ));
     let refused = Flights::load(foreign, &actor()).unwrap_err().to_string();
     assert!(
