@@ -2,7 +2,7 @@
 
 use crate::link_spec::LinkSpec;
 use crate::link_url::LinkUrl;
-use crate::ports::gate::{AllowUnsigned, Gate, SigningFileError};
+use crate::ports::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use crate::ports::links::LinkError;
 use crate::ports::router::{MAX_GROUND_LINKS, RoutedLinks};
 use crate::stack::StackConfig;
@@ -548,7 +548,7 @@ impl FirmwareConfig {
     ///
     /// # Errors
     /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
-    pub fn gate(&self) -> Result<Gate, SigningFileError> {
+    pub fn gate(&self) -> Result<SigningGate, SigningFileError> {
         let SigningConfig {
             key_file,
             allow_unsigned,
@@ -556,16 +556,16 @@ impl FirmwareConfig {
         } = &self.signing;
         let name = self.instance.to_string();
         let gate = match (key_file, &self.state.directory) {
-            (Some(path), _) => Gate::with_key_file(path, &name, *allow_unsigned),
+            (Some(path), _) => SigningGate::with_key_file(path, &name, *allow_unsigned),
             (None, Some(folder)) => {
                 let path = folder.join(format!("firmware{name}.key"));
                 make_folder(folder).map_err(|source| SigningFileError::State {
                     path: folder.clone(),
                     source,
                 })?;
-                Gate::with_kept_key(&path, &name, *allow_unsigned)
+                SigningGate::with_kept_key(&path, &name, *allow_unsigned)
             }
-            (None, None) => Ok(Gate::new(None, *allow_unsigned)),
+            (None, None) => Ok(SigningGate::new(None, *allow_unsigned)),
         };
         Ok(gate?.accepting_first_key(*accept_first_key))
     }

@@ -8,7 +8,7 @@ use std::io::{ErrorKind, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
+use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{LiveLink, PeerRule, SerialLink, TcpLink, UdpLink};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
@@ -202,11 +202,11 @@ fn fuzz<F: FarEnd>(mut rig: Rig<F>, has_key: bool) {
     assert!(grown < 8 << 20, "memory grew by {grown} bytes");
 }
 
-fn gate(has_key: bool) -> Gate {
+fn gate(has_key: bool) -> SigningGate {
     let signing = Signing::new(KEY, 0, SigningMemory::default());
     match has_key {
-        true => Gate::new(Some(signing), AllowUnsigned::Never).with_clock(|| NOW),
-        false => Gate::open(),
+        true => SigningGate::new(Some(signing), AllowUnsigned::Never).with_clock(|| NOW),
+        false => SigningGate::open(),
     }
 }
 

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{Engage, SigningConfig, StateConfig};
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
+use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
 use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
@@ -111,7 +111,7 @@ struct Rig {
 
 impl Rig {
     /// `options` are those of the two ground links.
-    fn new(options: [&str; 2], gate: Gate) -> Self {
+    fn new(options: [&str; 2], gate: SigningGate) -> Self {
         let (vehicle, stations) = (Far::new(), [Far::new(), Far::new()]);
         let ground = [0, 1].map(|i| format!("{}{}", stations[i].url(), options[i]).parse().unwrap());
         let links = RoutedLinks::open(&vehicle.url().parse().unwrap(), &ground, gate).unwrap();
@@ -130,7 +130,7 @@ impl Rig {
     }
 
     fn unsigned() -> Self {
-        Self::new(["", ""], Gate::new(None, AllowUnsigned::Loopback))
+        Self::new(["", ""], SigningGate::new(None, AllowUnsigned::Loopback))
     }
 
     /// One step in which the guidance computer says nothing; what it gets, with the link.
@@ -484,7 +484,7 @@ fn a_ground_stations_serial_line_that_disappears_and_returns_is_served_again_and
     let mut line = PseudoTerminal::open();
     symlink(&line.device, &device).unwrap();
     let ground = format!("serial://{}:57600,unsigned=always", device.display());
-    let gate = Gate::new(None, AllowUnsigned::Loopback);
+    let gate = SigningGate::new(None, AllowUnsigned::Loopback);
     let mut links = RoutedLinks::open(&vehicle.url().parse().unwrap(), &[ground.parse().unwrap()], gate).unwrap();
     let mut sent = Datagrams::default();
     sent.push(0, &heartbeat(ME));
@@ -517,7 +517,7 @@ fn a_ground_stations_serial_line_that_disappears_and_returns_is_served_again_and
 
 #[test]
 fn a_signing_key_is_passed_on_to_nobody_and_is_not_in_the_log() {
-    let gate = Gate::new(None, AllowUnsigned::Loopback).accepting_first_key(true);
+    let gate = SigningGate::new(None, AllowUnsigned::Loopback).accepting_first_key(true);
     let mut rig = Rig::new(["", ""], gate);
     rig.introduce();
     for target in [VEHICLE, (0, 0), (254, 190)] {
@@ -600,7 +600,7 @@ fn on_a_slow_line_to_the_vehicle_the_setpoints_go_first() {
     let vehicle = format!("serial://{}:57600,unsigned=always", line.device)
         .parse()
         .unwrap();
-    let gate = Gate::new(None, AllowUnsigned::Loopback);
+    let gate = SigningGate::new(None, AllowUnsigned::Loopback);
     let mut links = RoutedLinks::open(&vehicle, &[station.url().parse().unwrap()], gate).unwrap();
     let mut sent = Datagrams::default();
     sent.push(0, &heartbeat(ME));
@@ -637,7 +637,7 @@ fn on_a_slow_line_to_the_vehicle_the_setpoints_go_first() {
 
 #[test]
 fn a_ground_link_carries_no_more_than_its_rate() {
-    let mut rig = Rig::new([",rate=2000", ""], Gate::new(None, AllowUnsigned::Loopback));
+    let mut rig = Rig::new([",rate=2000", ""], SigningGate::new(None, AllowUnsigned::Loopback));
     let mut heard = [0, 0];
     for _ in 0..200 {
         for _ in 0..40 {
@@ -695,7 +695,7 @@ fn a_ground_link_on_which_nobody_would_be_heard_is_not_opened_and_there_are_four
     let open = |links: &[&str]| {
         let ground: Vec<_> = links.iter().map(|link| link.parse().unwrap()).collect();
         let vehicle = "udpout://127.0.0.1:14999".parse().unwrap();
-        RoutedLinks::open(&vehicle, &ground, Gate::new(None, AllowUnsigned::Loopback))
+        RoutedLinks::open(&vehicle, &ground, SigningGate::new(None, AllowUnsigned::Loopback))
             .err()
             .map(|e| e.to_string())
             .unwrap_or_default()

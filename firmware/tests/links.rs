@@ -9,7 +9,7 @@ use std::os::unix::fs::symlink;
 use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
+use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{LinkError, LiveLink, PeerRule, SerialLink, TcpLink};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavMessage};
@@ -66,7 +66,7 @@ fn say(link: &mut impl Link, packets: &[Vec<u8>]) {
 }
 
 fn server() -> TcpLink {
-    TcpLink::open(&LinkUrl::TcpIn(loopback()), VEHICLE, Gate::open()).unwrap()
+    TcpLink::open(&LinkUrl::TcpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
 }
 
 fn caller(link: &TcpLink) -> TcpStream {
@@ -110,7 +110,7 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
         // A port that is free at this moment.
         TcpListener::bind(loopback()).unwrap().local_addr().unwrap()
     };
-    let mut link = TcpLink::open(&LinkUrl::TcpOut(address), VEHICLE, Gate::open()).unwrap();
+    let mut link = TcpLink::open(&LinkUrl::TcpOut(address), VEHICLE, SigningGate::open()).unwrap();
     for second in 1..4 {
         assert!(heard(&mut link, second * SECOND).is_empty());
         say(&mut link, &[packet(0)]);
@@ -140,7 +140,12 @@ fn a_client_waits_for_its_peer_and_finds_it_again() {
 #[test]
 fn a_client_calls_anew_when_the_network_lost_its_peer_without_a_word() {
     let listener = TcpListener::bind(loopback()).unwrap();
-    let mut link = TcpLink::open(&LinkUrl::TcpOut(listener.local_addr().unwrap()), VEHICLE, Gate::open()).unwrap();
+    let mut link = TcpLink::open(
+        &LinkUrl::TcpOut(listener.local_addr().unwrap()),
+        VEHICLE,
+        SigningGate::open(),
+    )
+    .unwrap();
     heard(&mut link, SECOND);
     let (_silent, _) = listener.accept().unwrap();
     for second in 2..20 {
@@ -179,7 +184,7 @@ fn a_peer_that_does_not_read_costs_packets_and_neither_time_nor_the_framing() {
 fn a_port_in_use_is_named() {
     let link = server();
     let url = LinkUrl::TcpIn(link.local_address().unwrap());
-    let error = TcpLink::open(&url, VEHICLE, Gate::open()).err().unwrap();
+    let error = TcpLink::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
     assert!(matches!(error, LinkError::InUse { .. }));
     assert!(error.to_string().contains(&url.to_string()), "{error}");
 }
@@ -194,7 +199,7 @@ fn a_serial_device_that_disappears_and_returns_is_found_again() {
         device: device.to_str().unwrap().to_owned(),
         baud: 921_600,
     };
-    let mut link = SerialLink::open(&url, Gate::open()).unwrap();
+    let mut link = SerialLink::open(&url, SigningGate::open()).unwrap();
     line.master.write_all(&packet(1)).unwrap();
     assert_eq!(heard_soon(&mut link, SECOND), [packet(1)]);
 
@@ -241,7 +246,7 @@ fn a_device_that_is_not_there_or_no_line_is_named() {
             device: device.to_owned(),
             baud: 57_600,
         };
-        let error = SerialLink::open(&url, Gate::open()).err().unwrap().to_string();
+        let error = SerialLink::open(&url, SigningGate::open()).err().unwrap().to_string();
         assert!(error.contains(device), "{error}");
     }
 }
@@ -258,7 +263,7 @@ fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
         ("tcpout://127.0.0.1:14995", AllowUnsigned::Loopback, true),
         ("serial:///dev/null:57600", AllowUnsigned::Loopback, false),
     ] {
-        let opened = LiveLink::open(&url.parse().unwrap(), VEHICLE, Gate::new(None, policy));
+        let opened = LiveLink::open(&url.parse().unwrap(), VEHICLE, SigningGate::new(None, policy));
         match opened {
             Ok(_) => assert!(opens, "{url}"),
             Err(error) => {

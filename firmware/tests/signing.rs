@@ -7,7 +7,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use vigil_firmware::config::{FirmwareConfig, SigningConfig};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
+use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::links::{PeerRule, UdpLink};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage};
@@ -172,7 +172,9 @@ fn a_key_file_that_others_can_read_keeps_the_link_closed() {
     let folder = tempfile::tempdir().unwrap();
     let path = key_file(folder.path());
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o644)).unwrap();
-    let error = Gate::with_key_file(&path, "0", AllowUnsigned::Never).err().unwrap();
+    let error = SigningGate::with_key_file(&path, "0", AllowUnsigned::Never)
+        .err()
+        .unwrap();
     assert!(error.to_string().contains("chmod 600"), "{error}");
     assert!(!folder.path().join("vigil.key.0.state").exists(), "nothing was begun");
 }

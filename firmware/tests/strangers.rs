@@ -9,7 +9,7 @@ use common::{SENSOR_ID, TestVehicle, config};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::ports::gate::{AllowUnsigned, Gate};
+use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
 use vigil_firmware::ports::router::RoutedLinks;
 use vigil_firmware::step::Firmware;
@@ -214,7 +214,7 @@ impl<N: Network> Flight<N> {
         };
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let vehicle = format!("{scheme}://127.0.0.1:{port},system=1").parse().unwrap();
-        let gate = Gate::new(None, AllowUnsigned::Loopback);
+        let gate = SigningGate::new(None, AllowUnsigned::Loopback);
         let links = RoutedLinks::open(&vehicle, &[], gate).unwrap();
         Self {
             links,

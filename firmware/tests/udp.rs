@@ -3,7 +3,7 @@
 use std::net::{SocketAddr, UdpSocket};
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
-use vigil_firmware::ports::gate::Gate;
+use vigil_firmware::ports::gate::SigningGate;
 use vigil_firmware::ports::links::{LinkError, PeerRule, UdpLink};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavMessage, MavType};
@@ -19,7 +19,7 @@ fn loopback() -> SocketAddr {
 const VEHICLE: PeerRule = PeerRule::Vehicle { system: None };
 
 fn listening() -> UdpLink {
-    UdpLink::open(&LinkUrl::UdpIn(loopback()), VEHICLE, Gate::open()).unwrap()
+    UdpLink::open(&LinkUrl::UdpIn(loopback()), VEHICLE, SigningGate::open()).unwrap()
 }
 
 fn packet((system_id, component_id): (u8, u8), sequence: u8, message: &MavMessage) -> Vec<u8> {
@@ -108,7 +108,7 @@ fn who_is_no_vehicle_does_not_become_the_peer_whatever_he_sends() {
         [&vehicle(0)[..20], b"x"].concat(),
     ];
     for (rule, system) in &mut rules {
-        let mut link = UdpLink::open(&LinkUrl::UdpIn(loopback()), rule, Gate::open()).unwrap();
+        let mut link = UdpLink::open(&LinkUrl::UdpIn(loopback()), rule, SigningGate::open()).unwrap();
         let (stranger, vehicle_end) = (caller(&link), caller(&link));
         for (second, datagram) in (1..).zip(&no_vehicles) {
             stranger.send(datagram).unwrap();
@@ -182,7 +182,7 @@ fn a_vehicle_that_was_silent_goes_on_with_any_packet_and_a_peer_that_talks_garba
 fn a_calling_link_hears_only_whom_it_calls() {
     let vehicle = UdpSocket::bind(loopback()).unwrap();
     let url = LinkUrl::UdpOut(vehicle.local_addr().unwrap());
-    let mut link = UdpLink::open(&url, VEHICLE, Gate::open()).unwrap();
+    let mut link = UdpLink::open(&url, VEHICLE, SigningGate::open()).unwrap();
     say(&mut link, b"hello");
     let mut buffer = [0; 64];
     let (len, from) = vehicle.recv_from(&mut buffer).unwrap();
@@ -198,7 +198,7 @@ fn a_calling_link_hears_only_whom_it_calls() {
 #[test]
 fn the_same_by_ipv6() {
     let here: SocketAddr = ([0, 0, 0, 0, 0, 0, 0, 1], 0).into();
-    let Ok(mut link) = UdpLink::open(&LinkUrl::UdpIn(here), VEHICLE, Gate::open()) else {
+    let Ok(mut link) = UdpLink::open(&LinkUrl::UdpIn(here), VEHICLE, SigningGate::open()) else {
         // A machine without it.
         return;
     };
@@ -259,7 +259,7 @@ fn a_peer_that_closed_its_port_does_not_disturb_the_link() {
 fn a_port_in_use_is_named() {
     let link = listening();
     let url = LinkUrl::UdpIn(link.local_address().unwrap());
-    let error = UdpLink::open(&url, VEHICLE, Gate::open()).err().unwrap();
+    let error = UdpLink::open(&url, VEHICLE, SigningGate::open()).err().unwrap();
     assert!(matches!(error, LinkError::InUse { .. }));
     assert!(error.to_string().contains(&url.to_string()), "{error}");
 }

@@ -5,7 +5,7 @@ use crate::udp::{UdpError, onboard_api_gcs};
 use std::path::PathBuf;
 use vigil_autopilot::{LinkId, SigningSetup};
 use vigil_io::Link;
-use vigil_io::gate::{AllowUnsigned, Gate, SigningFileError};
+use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use vigil_io::link_spec::{Budget, LinkSpec};
 use vigil_io::link_url::LinkUrl;
 use vigil_io::links::{LinkError, LiveLink, PeerRule, UdpPeers};
@@ -78,7 +78,7 @@ struct VehicleLink {
 /// All links of one vehicle.
 pub struct VehicleLinks {
     links: Vec<VehicleLink>,
-    gate: Gate,
+    gate: SigningGate,
     now_ns: Nanos,
     /// Keys that the gate had refused when it was last told, and when it may be told again.
     keys_refused: u64,
@@ -107,8 +107,8 @@ impl VehicleLinks {
         let allow_unsigned = config.allow_unsigned;
         let gate = match &config.signing_key {
             // Not the name that a guidance computer with the same key has.
-            Some(path) => Gate::with_key_file(path, &format!("vehicle{}", config.instance), allow_unsigned)?,
-            None => Gate::new(None, allow_unsigned),
+            Some(path) => SigningGate::with_key_file(path, &format!("vehicle{}", config.instance), allow_unsigned)?,
+            None => SigningGate::new(None, allow_unsigned),
         }
         .accepting_first_key(config.accept_first_key);
         let mut links: Vec<VehicleLink> = onboard_api_gcs(config.instance)?
@@ -132,7 +132,7 @@ impl VehicleLinks {
                     Transport::Udp(UdpPeers::calling(peer).map_err(|e| LinkError::of(&extra.url, e))?)
                 }
                 _ => {
-                    let link = Box::new(LiveLink::open(&extra.url, PeerRule::Anyone, Gate::open())?);
+                    let link = Box::new(LiveLink::open(&extra.url, PeerRule::Anyone, SigningGate::open())?);
                     Transport::Single { link, is_local }
                 }
             };

@@ -44,7 +44,7 @@ def load(path: Path = ACTOR) -> Actor:
 
 
 def digest(metadata: dict[str, str], ours: dict[str, np.ndarray]) -> str:
-    """SHA-256 over metadata and tensors, as firmware/policy/src/actor_file.rs computes it."""
+    """SHA-256 over metadata and tensors, as firmware/policy/src/actor/file.rs computes it."""
     hash_ = hashlib.sha256()
     for key, value in sorted(metadata.items()):
         if key != "sha256":

@@ -109,7 +109,7 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     other.seed += 1;
     let refused = Flights::load(&path, &other).unwrap_err().to_string();
     assert!(
-        refused.contains("gather the data anew") && refused.contains(&other.sha256()),
+        refused.contains("collect the data anew") && refused.contains(&other.sha256()),
         "{refused}"
     );
     let foreign = Path::new(concat!(
@@ -118,7 +118,7 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     ));
     let refused = Flights::load(foreign, &actor()).unwrap_err().to_string();
     assert!(
-        refused.contains("holds no data of `vigil detector gather`"),
+        refused.contains("holds no data of `vigil detector collect`"),
         "{refused}"
     );
 }

@@ -4,7 +4,7 @@ mod files;
 
 pub use files::{SigningFileError, read_key};
 
-use files::Keeper;
+use files::SigningStateWriter;
 use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;
 use std::path::Path;
@@ -50,9 +50,9 @@ impl AllowUnsigned {
 }
 
 /// Verifies what a link receives, signs what it sends.
-pub struct Gate {
+pub struct SigningGate {
     signing: Option<Signing>,
-    keeper: Option<Keeper>,
+    keeper: Option<SigningStateWriter>,
     /// What replay protection knew when there was a key last.
     past: SigningMemory,
     /// While there is no key, SETUP_SIGNING may bring one.
@@ -68,14 +68,14 @@ pub struct Gate {
     sealed: Box<[u8; MAX_PACKET_LEN + SIGNATURE_LEN]>,
 }
 
-impl Gate {
+impl SigningGate {
     /// Everything passes, nothing is signed.
     pub fn open() -> Self {
         Self::new(None, AllowUnsigned::Always).accepting_first_key(true)
     }
 
     /// A gate without a file: with `signing` packets are verified and signed. What replay protection knows is lost with it.
-    /// Without a key it takes none either, see [`Gate::accepting_first_key`].
+    /// Without a key it takes none either, see [`SigningGate::accepting_first_key`].
     pub fn new(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Self {
         Self {
             signing,
@@ -100,7 +100,7 @@ impl Gate {
     /// [`SigningFileError`]: a key that is not one, that others can read, or a state that cannot be kept.
     pub fn with_key_file(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
         let key = read_key(key_file)?;
-        let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
+        let (keeper, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;
         let mut gate = Self::new(Some(Signing::new(key, 0, memory)), allow_unsigned);
         gate.keeper = Some(keeper);
         Ok(gate)
@@ -117,7 +117,7 @@ impl Gate {
             Err(SigningFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
             Err(other) => return Err(other),
         };
-        let (keeper, memory) = Keeper::start(key_file, name, STORE_AHEAD)?;
+        let (keeper, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;
         let signing = key.map(|key| Signing::new(key, 0, memory.clone()));
         let mut gate = Self::new(signing, allow_unsigned);
         gate.keeper = Some(keeper);
@@ -257,7 +257,7 @@ impl Gate {
     }
 }
 
-impl Drop for Gate {
+impl Drop for SigningGate {
     fn drop(&mut self) {
         if let (Some(signing), Some(keeper)) = (&self.signing, &mut self.keeper) {
             // Exact, now that nothing more is accepted.
@@ -302,8 +302,8 @@ mod tests {
         Signing::new(SigningKey([7; 32]), 0, SigningMemory::default())
     }
 
-    fn gate(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> Gate {
-        let mut gate = Gate::new(signing, allow_unsigned).with_clock(|| NOW);
+    fn gate(signing: Option<Signing>, allow_unsigned: AllowUnsigned) -> SigningGate {
+        let mut gate = SigningGate::new(signing, allow_unsigned).with_clock(|| NOW);
         gate.begin(0);
         gate
     }
@@ -316,7 +316,7 @@ mod tests {
         sender.seal(&heartbeat(sequence)).to_vec()
     }
 
-    fn admitted(gate: &mut Gate, is_local: bool, datagram: &[u8]) -> Vec<Vec<u8>> {
+    fn admitted(gate: &mut SigningGate, is_local: bool, datagram: &[u8]) -> Vec<Vec<u8>> {
         let mut received = Datagrams::default();
         let passed = gate.admit(is_local, 0, datagram, &mut received);
         assert_eq!(passed, !received.is_empty());

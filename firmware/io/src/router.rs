@@ -10,11 +10,11 @@
 //!   the flight stack and its log could see it.
 
 use crate::Link;
-use crate::gate::Gate;
+use crate::gate::SigningGate;
 use crate::link_spec::{Budget, LinkSpec};
 use crate::link_url::LinkUrl;
 use crate::links::{
-    Door, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire, Wire, somebody_is_heard,
+    LinkAdmission, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire, Wire, somebody_is_heard,
 };
 use crate::value_rate::ValueRate;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
@@ -81,16 +81,16 @@ impl AnyWire {
         }
     }
 
-    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         match self {
-            Self::Udp(wire) => wire.receive(now_ns, door, received),
-            Self::Peers(wire) => Wire::receive(wire, now_ns, door, received),
-            Self::Tcp(wire) => wire.receive(now_ns, door, received),
-            Self::Serial(wire) => wire.receive(now_ns, door, received),
+            Self::Udp(wire) => wire.receive(now_ns, admission, received),
+            Self::Peers(wire) => Wire::receive(wire, now_ns, admission, received),
+            Self::Tcp(wire) => wire.receive(now_ns, admission, received),
+            Self::Serial(wire) => wire.receive(now_ns, admission, received),
         }
     }
 
-    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
         match self {
             Self::Udp(wire) => wire.send(gate, sent),
             Self::Peers(wire) => Wire::send(wire, gate, sent),
@@ -127,7 +127,7 @@ struct Port {
 }
 
 impl Port {
-    fn open(spec: &LinkSpec, is_vehicle: bool, gate: &Gate) -> Result<Self, LinkError> {
+    fn open(spec: &LinkSpec, is_vehicle: bool, gate: &SigningGate) -> Result<Self, LinkError> {
         let policy = spec.allow_unsigned.unwrap_or(gate.allow_unsigned());
         somebody_is_heard(&spec.url, gate.has_key(), policy)?;
         Ok(Self {
@@ -276,7 +276,7 @@ fn id_of(packet: &Packet<'_>) -> ComponentId {
 /// The vehicle's link and those for ground stations, behind one port of the flight stack.
 pub struct RoutedLinks {
     switch: Switch,
-    gate: Gate,
+    gate: SigningGate,
     inboxes: Vec<Datagrams>,
     /// What is to be told to everybody in this step.
     text: Option<&'static str>,
@@ -291,7 +291,7 @@ impl RoutedLinks {
     ///
     /// # Errors
     /// [`LinkError`], each naming the link and what to do.
-    pub fn open(vehicle: &LinkSpec, ground: &[LinkSpec], gate: Gate) -> Result<Self, LinkError> {
+    pub fn open(vehicle: &LinkSpec, ground: &[LinkSpec], gate: SigningGate) -> Result<Self, LinkError> {
         if ground.len() > MAX_GROUND_LINKS {
             return Err(LinkError::TooMany { count: ground.len() });
         }
@@ -399,12 +399,12 @@ impl Link for RoutedLinks {
         for ((link, port), inbox) in (0..).zip(&mut switch.ports).zip(inboxes.iter_mut()) {
             port.given = 0;
             inbox.clear();
-            let mut door = Door {
+            let mut admission = LinkAdmission {
                 allow_unsigned: port.spec.allow_unsigned.unwrap_or_default(),
                 gate,
                 link,
             };
-            port.wire.receive(now_ns, &mut door, inbox);
+            port.wire.receive(now_ns, &mut admission, inbox);
         }
         for (_, datagram) in inboxes.first().iter().flat_map(|inbox| inbox.iter()) {
             give_of_vehicle(switch, datagram, received);

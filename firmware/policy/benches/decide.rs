@@ -5,7 +5,7 @@ mod common;
 
 use common::{Scene, block, column, input};
 use divan::Bencher;
-use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PlausibilityJudge, Surroundings};
+use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PlausibilityJudge, RangeScan};
 use vigil_types::{
     Attitude, AttitudeSample, DepthFrame, FrdVector, Heartbeat, Kinematics, NedVector, VehicleMode, VehicleTelemetry,
 };
@@ -39,7 +39,7 @@ fn frames() -> Vec<DepthFrame> {
 #[divan::bench]
 fn surroundings_of_a_frame(bencher: Bencher) {
     let frames = frames();
-    let mut surroundings = Surroundings::new();
+    let mut surroundings = RangeScan::new();
     let mut i = 0;
     bencher.bench_local(|| {
         i = (i + 1) % frames.len();

@@ -4,7 +4,7 @@
 //! Where actor, attraction and repulsion cancel out, the field has a local minimum, and a vehicle without memory would hover there
 //! for good: the field's known weakness (Koren, Borenstein 1991).
 
-use crate::{NearestObstacle, PilotInput, Scan, Surroundings, apf};
+use crate::{NearestObstacle, PilotInput, RangeScan, Scan, apf};
 use core::f32::consts::FRAC_PI_4;
 use vigil_types::{ACTION_LIMIT, Action, Nanos, NedVector};
 
@@ -36,7 +36,7 @@ impl FlightField {
     /// The actor's own action and the field's, clipped. `scan` is what the input's frame shows.
     pub fn add_to(&mut self, own: Action, input: &PilotInput<'_>, scan: &Scan) -> Action {
         let obstacle = scan.nearest_within(FIELD_HALF_ANGLE_RAD);
-        let here = input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input);
+        let here = input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input);
         let turn = Action {
             forward_m_s: 0.0,
             yaw: ESCAPE_YAW * self.escape.side(here, input.now_ns, obstacle),

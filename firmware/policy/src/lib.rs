@@ -4,27 +4,18 @@
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
 pub mod actor;
-#[cfg(feature = "actor-file")]
-mod actor_file;
 pub mod apf;
 mod field;
-mod geometric;
-mod governor;
-mod memory;
+pub mod geometric;
 pub mod plausibility;
-mod recovery;
-pub mod surroundings;
-mod way;
 
-pub use actor::{ActorPilot, FlightPilot};
 #[cfg(feature = "actor-file")]
-pub use actor_file::FrozenActor;
+pub use actor::FrozenActor;
+pub use actor::{ActorPilot, FlightPilot};
 pub use apf::NearestObstacle;
 pub use field::FlightField;
-pub use geometric::{GeometricConfig, GeometricPilot};
+pub use geometric::{GeometricConfig, GeometricPilot, RangeScan, RecoveryPilot, Scan};
 pub use plausibility::PlausibilityJudge;
-pub use recovery::RecoveryPilot;
-pub use surroundings::{Scan, Surroundings};
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
 

@@ -4,13 +4,13 @@
 mod attack;
 mod burst;
 mod config;
-mod evade;
+mod detector_evasion;
 mod intercept;
-mod lens;
 mod perturb;
 pub mod process;
 mod state;
 mod stream;
+mod surrogate;
 
 pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};

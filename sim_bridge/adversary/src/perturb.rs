@@ -1,8 +1,8 @@
 //! The iterations: from the loss's gradient to altered pixels.
 
 use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN};
-use crate::evade::Evasion;
-use crate::lens::{Ends, Lens};
+use crate::detector_evasion::DetectorEvasion;
+use crate::surrogate::{Ends, SurrogateActor};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Activation, Isa};
@@ -37,7 +37,7 @@ pub(crate) struct Perturber {
 
 /// Where the frames stand.
 pub(crate) struct Scene<'a> {
-    /// GRU state before the frames, where the lens takes one.
+    /// GRU state before the frames, where the surrogate takes one.
     pub older: &'a [f32; ACTOR_HIDDEN],
     pub position: &'a [f32; ACTOR_POSITIONAL],
     /// −1 aims left, 1 right.
@@ -75,16 +75,16 @@ impl Perturber {
         self.calls = 0;
     }
 
-    /// Alters `frames`, which `lens` looked at last and saw `before` (outputs before saturation). After each iteration
+    /// Alters `frames`, which `surrogate` looked at last and saw `before` (outputs before saturation). After each iteration
     /// `each` gets its number from 1, the outputs before saturation, and the frames; it says whether to go on. Returns
     /// the last outputs before saturation.
     pub fn run(
         &mut self,
-        lens: &mut Lens,
+        surrogate: &mut SurrogateActor,
         scene: &Scene<'_>,
         frames: &mut [f32],
         before: [f32; ACTOR_OUTPUTS],
-        mut evasion: Option<&mut Evasion>,
+        mut evasion: Option<&mut DetectorEvasion>,
         mut each: impl FnMut(u32, [f32; ACTOR_OUTPUTS], &[f32]) -> bool,
     ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed);
@@ -101,7 +101,7 @@ impl Perturber {
                     let sign = if rng.random::<bool>() { size } else { -size };
                     *x = (clean + sign).clamp(0.0, 1.0);
                 }
-                outputs = lens.look(scene.older, frames, scene.position)?;
+                outputs = surrogate.look(scene.older, frames, scene.position)?;
                 each(self.config.iterations, outputs, frames);
                 return Ok(outputs);
             }
@@ -109,20 +109,20 @@ impl Perturber {
                 for (x, clean) in frames.iter_mut().zip(&self.clean) {
                     *x = (clean + rng.random_range(-epsilon..=epsilon)).clamp(0.0, 1.0);
                 }
-                outputs = lens.look(scene.older, frames, scene.position)?;
+                outputs = surrogate.look(scene.older, frames, scene.position)?;
                 self.config.iterations
             }
             _ => self.config.iterations,
         };
         self.extra.fill(0.0);
         for iteration in 1..=iterations {
-            let d = ends(lens, scene, outputs, evasion.as_deref_mut())?;
-            lens.gradient(&d, &mut self.gradient)?;
+            let d = ends(surrogate, scene, outputs, evasion.as_deref_mut())?;
+            surrogate.gradient(&d, &mut self.gradient)?;
             if method == Method::Patch && iteration == 1 {
                 self.place_patch();
             }
             self.step(frames, epsilon, iterations);
-            outputs = lens.look(scene.older, frames, scene.position)?;
+            outputs = surrogate.look(scene.older, frames, scene.position)?;
             if !each(iteration, outputs, frames) {
                 break;
             }
@@ -220,14 +220,14 @@ impl Perturber {
 /// who evades goes down the detector's score instead whenever that is too high (Bryniarski et al., "Evading Adversarial
 /// Example Detection Defenses with Orthogonal Projected Gradient Descent", 2022: the selective variant).
 fn ends(
-    lens: &Lens,
+    surrogate: &SurrogateActor,
     scene: &Scene<'_>,
     outputs: [f32; ACTOR_OUTPUTS],
-    evasion: Option<&mut Evasion>,
+    evasion: Option<&mut DetectorEvasion>,
 ) -> Result<Ends, AttackError> {
     let mut d: Ends = [0.0; ACTOR_OUTPUTS + ACTOR_HIDDEN];
     if let Some(evasion) = evasion {
-        let state = lens.state()?;
+        let state = surrogate.state()?;
         if evasion.look(state, scene.position)? > 0.0 {
             d[ACTOR_OUTPUTS..].copy_from_slice(&evasion.gradient(state, scene.position)?);
             return Ok(d);

@@ -1,19 +1,19 @@
 //! The paper's attack: all five frames of a state.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::lens::{Ends, Lens};
 use crate::perturb::{Perturber, Scene, saturate};
+use crate::surrogate::{Ends, SurrogateActor};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
 
 /// Alters whole states. In flight nobody can: the older four frames have been delivered ([`crate::StreamAttack`]).
 #[derive(Debug, Clone)]
 pub struct StateAttack {
     isa: Isa,
-    lens: Lens,
+    surrogate: SurrogateActor,
     perturber: Perturber,
 }
 
-/// Before the first of five frames the GRU's state is zero; the lens on whole states does not read it.
+/// Before the first of five frames the GRU's state is zero; the surrogate on whole states does not read it.
 const NOTHING_OLDER: [f32; ACTOR_HIDDEN] = [0.0; ACTOR_HIDDEN];
 
 impl StateAttack {
@@ -30,11 +30,11 @@ impl StateAttack {
     /// # Errors
     /// A configuration out of range, parameters of another actor.
     pub fn on(spec: ActorSpec, isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
-        let lens = Lens::on_state(spec, isa, params)?;
+        let surrogate = SurrogateActor::on_state(spec, isa, params)?;
         Ok(Self {
             isa,
-            perturber: Perturber::new(*config, lens.pixels(), spec.rows, spec.cols)?,
-            lens,
+            perturber: Perturber::new(*config, surrogate.pixels(), spec.rows, spec.cols)?,
+            surrogate,
         })
     }
 
@@ -79,7 +79,7 @@ impl StateAttack {
         self.look(frames, &position)?;
         let mut yaw: Ends = [0.0; ACTOR_OUTPUTS + ACTOR_HIDDEN];
         yaw[1] = 1.0;
-        Ok(self.lens.gradient(&yaw, gradient)?)
+        Ok(self.surrogate.gradient(&yaw, gradient)?)
     }
 
     /// Alters `frames` in place: 5 × rows · cols normalised ranges, oldest first.
@@ -117,7 +117,7 @@ impl StateAttack {
             attacked: saturate(isa, outputs),
         };
         let last = self.perturber.run(
-            &mut self.lens,
+            &mut self.surrogate,
             &scene,
             frames,
             before,
@@ -136,16 +136,16 @@ impl StateAttack {
         position: &[f32; ACTOR_POSITIONAL],
     ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         self.check(frames)?;
-        Ok(self.lens.look(&NOTHING_OLDER, frames, position)?)
+        Ok(self.surrogate.look(&NOTHING_OLDER, frames, position)?)
     }
 
     fn check(&self, frames: &[f32]) -> Result<(), AttackError> {
-        if frames.len() == self.lens.pixels() {
+        if frames.len() == self.surrogate.pixels() {
             Ok(())
         } else {
             Err(AttackError::Shape(ShapeError::Length {
                 what: "state's frames",
-                expected: self.lens.pixels(),
+                expected: self.surrogate.pixels(),
                 got: frames.len(),
             }))
         }

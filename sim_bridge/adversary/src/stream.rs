@@ -1,9 +1,9 @@
 //! The attack in flight: the newest frame only, as it passes.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::evade::Evasion;
-use crate::lens::Lens;
+use crate::detector_evasion::DetectorEvasion;
 use crate::perturb::{Perturber, Scene};
+use crate::surrogate::SurrogateActor;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::{
     ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Graph, GraphBuilder, Isa, NodeId, Purpose,
@@ -15,7 +15,7 @@ use vigil_nnet::{
 #[derive(Debug, Clone)]
 pub struct StreamAttack {
     isa: Isa,
-    lens: Lens,
+    surrogate: SurrogateActor,
     perturber: Perturber,
     params: Vec<f32>,
     memory: Memory,
@@ -24,7 +24,7 @@ pub struct StreamAttack {
     /// Where the burst under way aims, so that it does not turn back half-way.
     direction: Option<f32>,
     /// The detector that is to see nothing.
-    evasion: Option<Box<Evasion>>,
+    evasion: Option<Box<DetectorEvasion>>,
     spec: ActorSpec,
 }
 
@@ -42,11 +42,11 @@ impl StreamAttack {
     /// # Errors
     /// A configuration out of range, parameters of another actor.
     pub fn on(spec: ActorSpec, isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
-        let lens = Lens::on_newest(spec, isa, params)?;
+        let surrogate = SurrogateActor::on_newest(spec, isa, params)?;
         Ok(Self {
             isa,
-            perturber: Perturber::new(*config, lens.pixels(), spec.rows, spec.cols)?,
-            lens,
+            perturber: Perturber::new(*config, surrogate.pixels(), spec.rows, spec.cols)?,
+            surrogate,
             params: params.to_vec(),
             memory: Memory::new(spec)?,
             delivered: Trail::new(spec),
@@ -63,7 +63,7 @@ impl StreamAttack {
     /// # Errors
     /// A detector whose background sample or parameters do not fit.
     pub fn evading(mut self, detector: &FrozenDetector) -> Result<Self, AttackError> {
-        let evasion = Evasion::new(self.spec, self.isa, &self.params, detector)?;
+        let evasion = DetectorEvasion::new(self.spec, self.isa, &self.params, detector)?;
         self.evasion = Some(Box::new(evasion));
         Ok(self)
     }
@@ -74,8 +74,8 @@ impl StreamAttack {
     /// A frame of another length; nothing is remembered of it.
     pub fn pass(&mut self, frame: &mut [f32], position: [f32; ACTOR_POSITIONAL]) -> Result<(), AttackError> {
         self.check(frame)?;
-        self.lens.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
-        let features = self.lens.features()?;
+        self.surrogate.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
+        let features = self.surrogate.features()?;
         self.delivered.push(features);
         self.clean.push(features);
         self.direction = None;
@@ -112,8 +112,8 @@ impl StreamAttack {
         if !self.delivered.started {
             // The actor takes the first frame of all for the missing older ones. What they will hold cannot be known before it
             // is altered, so they count as unaltered meanwhile.
-            self.lens.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
-            self.clean.push(self.lens.features()?);
+            self.surrogate.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
+            self.clean.push(self.surrogate.features()?);
         }
         let trail = if self.delivered.started {
             &self.delivered
@@ -121,8 +121,8 @@ impl StreamAttack {
             &self.clean
         };
         let older = self.memory.older_state(self.isa, &self.params, trail)?;
-        let before = self.lens.look(&older, frame, &position)?;
-        self.clean.push(self.lens.features()?);
+        let before = self.surrogate.look(&older, frame, &position)?;
+        self.clean.push(self.surrogate.features()?);
         let clean = self.memory.decide(self.isa, &self.params, &self.clean, &position)?;
         let towards = self.perturber.config().towards;
         let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
@@ -135,14 +135,14 @@ impl StreamAttack {
             evasion.begin_step();
         }
         self.perturber.run(
-            &mut self.lens,
+            &mut self.surrogate,
             &scene,
             frame,
             before,
             self.evasion.as_deref_mut(),
             |_, _, _| go_on(),
         )?;
-        self.delivered.push(self.lens.features()?);
+        self.delivered.push(self.surrogate.features()?);
         let attacked = self.memory.decide(self.isa, &self.params, &self.delivered, &position)?;
         self.explain_delivered(&position)?;
         Ok(AttackOutcome { clean, attacked })
@@ -170,12 +170,12 @@ impl StreamAttack {
     }
 
     fn check(&self, frame: &[f32]) -> Result<(), AttackError> {
-        if frame.len() == self.lens.pixels() {
+        if frame.len() == self.surrogate.pixels() {
             Ok(())
         } else {
             Err(AttackError::Shape(ShapeError::Length {
                 what: "frame",
-                expected: self.lens.pixels(),
+                expected: self.surrogate.pixels(),
                 got: frame.len(),
             }))
         }

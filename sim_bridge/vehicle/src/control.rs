@@ -12,7 +12,7 @@ use crate::shaping::{Limits, Shaped, advance_horizontal, square_root_law};
 const LEASH_M: f64 = 1.0;
 /// The same for the heading, radians.
 const YAW_LEASH_RAD: f64 = 0.5;
-/// A wanted climb faster than this takes off from the ground, m/s. It is above what the wander of the estimated height
+/// A wanted climb faster than this takes off from the ground, m/s. It is above what the slow error of the estimated height
 /// asks of a vehicle that holds its position on the ground.
 const TAKEOFF_CLIMB_M_S: f64 = 0.15;
 /// Largest acceleration that the velocity integral may hold against wind and drag, m/s².

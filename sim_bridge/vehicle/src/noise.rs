@@ -44,25 +44,25 @@ impl Noise {
 
 /// An Ornstein-Uhlenbeck process (first-order Gauss-Markov), sampled exactly at a fixed interval.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wander {
+pub(crate) struct OrnsteinUhlenbeck {
     pub(crate) value: Vec3,
     deviation: Vec3,
     keep: f64,
     kick: f64,
 }
 
-impl Wander {
+impl OrnsteinUhlenbeck {
     /// Starts from the stationary distribution with these standard deviations per axis.
     pub(crate) fn new(deviation: Vec3, time_s: f64, interval_s: f64, noise: &mut Noise) -> Self {
         let keep = libm::exp(-interval_s / time_s);
-        let mut wander = Self {
+        let mut process = Self {
             value: Vec3::zeros(),
             deviation,
             keep,
             kick: libm::sqrt(1.0 - keep * keep),
         };
-        wander.redraw(noise);
-        wander
+        process.redraw(noise);
+        process
     }
 
     /// A fresh draw from the stationary distribution.
@@ -107,16 +107,16 @@ mod tests {
     #[test]
     fn a_wander_keeps_its_deviation_and_forgets_in_its_correlation_time() {
         let mut noise = Noise::new(3, 0);
-        let mut wander = Wander::new(Vec3::new(2.0, 2.0, 0.0), 0.1, 0.01, &mut noise);
+        let mut process = OrnsteinUhlenbeck::new(Vec3::new(2.0, 2.0, 0.0), 0.1, 0.01, &mut noise);
         let (mut squares, mut lagged, n) = (0.0, 0.0, 50_000);
         let mut history = [0.0; 10];
         for i in 0..n {
-            wander.advance(&mut noise);
-            let x = wander.value.x;
+            process.advance(&mut noise);
+            let x = process.value.x;
             squares += x * x;
             lagged += x * history[i % 10];
             history[i % 10] = x;
-            assert_eq!(wander.value.z, 0.0);
+            assert_eq!(process.value.z, 0.0);
         }
         let variance = squares / n as f64;
         assert!((variance - 4.0).abs() < 0.4, "{variance}");

@@ -3,7 +3,7 @@
 use crate::body::Body;
 use crate::interface::Sensors;
 use crate::math::{Rotation, Vec3, frd, ned, small_rotation};
-use crate::noise::{Noise, Wander};
+use crate::noise::{Noise, OrnsteinUhlenbeck};
 use crate::params::{BatteryParams, SensorParams};
 use crate::rotors::Rotors;
 
@@ -14,7 +14,7 @@ const GPS_EVERY: u32 = 25;
 
 /// The errors between truth and belief, and the readings of the slower sensors.
 ///
-/// The estimator is modelled by its error, not by a filter: attitude error is a slow wander; velocity error is a fast
+/// The estimator is modelled by its error, not by a filter: attitude error is a slow random process; velocity error is a fast
 /// one; position error is the sum of the velocity error with a slow leak, so that estimated position and velocity fit
 /// together as they do in a filter.
 #[derive(Debug, Clone)]
@@ -23,8 +23,8 @@ pub(crate) struct Errors {
     noise: Noise,
     interval_s: f64,
     position_keep: f64,
-    velocity: Wander,
-    attitude: Wander,
+    velocity: OrnsteinUhlenbeck,
+    attitude: OrnsteinUhlenbeck,
     attitude_error: Rotation,
     position_m: Vec3,
     accelerometer: Vec3,
@@ -39,13 +39,13 @@ impl Errors {
     /// Starts at home: no position error, the others drawn from their stationary distribution.
     pub(crate) fn new(params: &SensorParams, mut noise: Noise, interval_s: f64) -> Self {
         let all = |deviation| Vec3::repeat(deviation);
-        let velocity = Wander::new(
+        let velocity = OrnsteinUhlenbeck::new(
             all(params.estimate_velocity_m_s),
             params.estimate_velocity_time_s,
             interval_s,
             &mut noise,
         );
-        let attitude = Wander::new(
+        let attitude = OrnsteinUhlenbeck::new(
             all(params.estimate_attitude_rad),
             params.estimate_attitude_time_s,
             interval_s,

@@ -5,7 +5,7 @@ use crate::control::{Belief, Controller, Stage};
 use crate::ground::Ground;
 use crate::interface::{ControlCommand, Estimate, Truth, VehicleView};
 use crate::math::{Vec3, attitude, frd, from_ned, heading, ned, yaw_of};
-use crate::noise::{Noise, Wander};
+use crate::noise::{Noise, OrnsteinUhlenbeck};
 use crate::params::{GRAVITY_M_S2, VehicleParams, Wind};
 use crate::rotors::Rotors;
 use crate::sensors::{Battery, Errors};
@@ -40,7 +40,7 @@ pub struct Vehicle {
     controller: Controller,
     errors: Errors,
     battery: Battery,
-    gusts: Wander,
+    gusts: OrnsteinUhlenbeck,
     gust_noise: Noise,
     mean_wind_ned_m_s: Vec3,
     armed: bool,
@@ -72,7 +72,7 @@ impl Vehicle {
             controller: Controller::new(&params.control, params.airframe.mass_kg, inertia),
             errors: Errors::new(&params.sensors, Noise::new(seed, 2), SLOW_S),
             battery: Battery::new(&params.battery),
-            gusts: Wander::new(gust, wind.gust_time_s, SLOW_S, &mut gust_noise),
+            gusts: OrnsteinUhlenbeck::new(gust, wind.gust_time_s, SLOW_S, &mut gust_noise),
             gust_noise,
             mean_wind_ned_m_s: Vec3::from(wind.mean_ned_m_s),
             armed: false,

@@ -226,7 +226,7 @@ fn update_cases(
             Ok(Example {
                 state: keep(state)?,
                 action: pair(),
-                guide: pair(),
+                teacher_action: pair(),
                 reward: pair()[0],
                 discount: 0.97,
                 next: keep(next)?,
@@ -248,7 +248,7 @@ fn update_cases(
         record.floats(&format!("{name}_position"), &[2], position);
     }
     record.floats("batch_action", &[2], batch.iter().flat_map(|e| &e.action));
-    record.floats("batch_guide", &[2], batch.iter().flat_map(|e| &e.guide));
+    record.floats("batch_guide", &[2], batch.iter().flat_map(|e| &e.teacher_action));
     record.floats("batch_reward", &[], batch.iter().map(|e| &e.reward));
     record.floats("batch_discount", &[], batch.iter().map(|e| &e.discount));
     record.floats("batch_weight", &[], batch.iter().map(|e| &e.weight));

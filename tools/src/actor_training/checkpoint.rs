@@ -27,7 +27,7 @@ const SIZE_LIMIT: u64 = 2 << 30;
 /// An actor that may be the one to freeze.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Candidate {
-    /// Updates after which it was judged.
+    /// Updates after which it was evaluated.
     pub updates: u64,
     /// Its completion then.
     pub completion: f64,

@@ -4,7 +4,7 @@ use crate::actor_training::config::TrainConfig;
 use crate::actor_training::decider::Decider;
 use crate::actor_training::flight::Flight;
 use crate::actor_training::networks::Networks;
-use crate::actor_training::noise::Wander;
+use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay::{Lane, Next, Record, State};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -70,7 +70,7 @@ struct Lasting {
     distance_m: f32,
     checkpoints: usize,
     report: FlightReport,
-    wander: Wander,
+    wander: OrnsteinUhlenbeck,
     /// Scales the flight's noise.
     noise_scale: f32,
 }
@@ -207,7 +207,7 @@ impl Collector {
                 with_apf: !warm_up && self.rng.random_bool(config.apf.share),
                 warm_up,
             },
-            wander: Wander::start(&mut self.rng),
+            wander: OrnsteinUhlenbeck::start(&mut self.rng),
             noise_scale: if warm_up {
                 self.rng.random_range(0.0..1.0)
             } else if self.rng.random_bool(config.noise.share) {
@@ -242,7 +242,7 @@ impl Collector {
             first_frame: c.first_frame,
             position,
             action: [0.0; 2],
-            guide: None,
+            teacher_action: None,
             reward: 0.0,
             next: Next::Nothing,
         };
@@ -260,7 +260,7 @@ impl Collector {
         c.wander.step(config.noise.theta, &mut self.rng);
         let noise = c.wander.at(policy.sigma * c.noise_scale);
         let mut flown = [0.0_f32; 2];
-        let mut guide = [0.0_f32; 2];
+        let mut teacher_action = [0.0_f32; 2];
         let guided = config.needs_pilot(own.is_none());
         let mut steps = 0.0_f32;
         let mut outcome = None;
@@ -270,8 +270,8 @@ impl Collector {
             } else {
                 Action::HOVER
             };
-            guide[0] += pilot.forward_m_s;
-            guide[1] += pilot.yaw;
+            teacher_action[0] += pilot.forward_m_s;
+            teacher_action[1] += pilot.yaw;
             let wanted = own.unwrap_or(pilot);
             let mut action = apf::add(wanted, noise);
             if c.report.with_apf {
@@ -302,7 +302,7 @@ impl Collector {
         c.report.decisions += 1;
         lane.push(Record {
             action: flown.map(|sum| sum / steps),
-            guide: guided.then(|| guide.map(|sum| sum / steps)),
+            teacher_action: guided.then(|| teacher_action.map(|sum| sum / steps)),
             reward,
             next: match outcome {
                 None => Next::Decision,
@@ -321,7 +321,7 @@ impl Collector {
                 first_frame: c.first_frame,
                 position: positional_inputs(flight.goal()),
                 action: [0.0; 2],
-                guide: None,
+                teacher_action: None,
                 reward: 0.0,
                 next: Next::Nothing,
             });

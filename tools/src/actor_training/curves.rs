@@ -25,7 +25,7 @@ pub fn png(rows: &[Row]) -> Vec<u8> {
                     "training",
                     over(&|r| ended(r, r.successes as f64 / r.flights.max(1) as f64)),
                 ),
-                ("judged, no noise, no field", over(&|r| r.completion)),
+                ("evaluated, no noise, no field", over(&|r| r.completion)),
             ],
         ),
         Panel::new(

@@ -1,6 +1,6 @@
 //! One flight over one course, stepped at 20 Hz without MAVLink and guidance.
 
-use vigil_policy::{PilotInput, Surroundings, apf};
+use vigil_policy::{PilotInput, RangeScan, apf};
 use vigil_types::{
     Action, AttitudeSample, DepthFrame, Goal, GoalRelative, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
@@ -21,7 +21,7 @@ pub struct Flight {
     referee: Referee,
     goal: Goal,
     frame: Box<DepthFrame>,
-    surroundings: Box<Surroundings>,
+    surroundings: Box<RangeScan>,
     sequence: u64,
     checkpoints: usize,
 }
@@ -57,7 +57,7 @@ impl Flight {
                 position_ned_m: course.goal_ned_m(),
             },
             frame: Box::new(DepthFrame::EMPTY),
-            surroundings: Box::new(Surroundings::new()),
+            surroundings: Box::new(RangeScan::new()),
             sequence: 0,
             checkpoints: course.checkpoints.len(),
         };

@@ -65,7 +65,7 @@ impl Case {
             leaf: 0,
             state,
             action: [0.8, -0.4],
-            guide: Some([0.2, 0.3]),
+            teacher_action: Some([0.2, 0.3]),
             reward: 1.7,
             discount: 0.0,
             next: state,
@@ -73,8 +73,8 @@ impl Case {
         }
     }
 
-    fn frozen<'a>(&'a self, weights: &'a Weights) -> Frozen<'a> {
-        Frozen {
+    fn frozen<'a>(&'a self, weights: &'a Weights) -> UpdateContext<'a> {
+        UpdateContext {
             networks: &self.networks,
             isa: Isa::detect(),
             weights,
@@ -92,12 +92,12 @@ impl Case {
 
     fn shard(&self, mirror: bool) -> Shard {
         let mut shard = Shard::new(&self.networks);
-        let draw = Draw {
+        let augmentation = Augmentation {
             mirror,
             frame_shares: [1.0; ACTOR_FRAMES],
         };
         let frozen = self.frozen(&self.weights);
-        shard.learn(&frozen, &self.transition(), draw).unwrap();
+        shard.learn(&frozen, &self.transition(), augmentation).unwrap();
         shard.finish(&frozen).unwrap();
         shard
     }
@@ -144,16 +144,16 @@ impl Case {
         let pre = n.actor_head.output(&shard.actor_head.tape).unwrap();
         let penalty: f64 = pre.iter().map(|p| f64::from((p.abs() - 1.0).max(0.0)).powi(2)).sum();
         let action = squash(pre);
-        let guide = mirrored(t.guide.unwrap(), mirror);
-        // The test's action is nearer to the guide than the width in one output and farther in the other.
+        let teacher_action = mirrored(t.teacher_action.unwrap(), mirror);
+        // The test's action is nearer to the teacher's action than the width in one output and farther in the other.
         let far = |a: f32, g: f32| (a - g).abs() > f.imitation_width;
         assert_ne!(
-            far(action[0], guide[0]),
-            far(action[1], guide[1]),
-            "{action:?} {guide:?}"
+            far(action[0], teacher_action[0]),
+            far(action[1], teacher_action[1]),
+            "{action:?} {teacher_action:?}"
         );
         let width = f64::from(f.imitation_width);
-        let distance: f64 = (action.iter().zip(guide))
+        let distance: f64 = (action.iter().zip(teacher_action))
             .map(|(&a, g)| {
                 let off = f64::from((a - g).abs());
                 if off > width {
@@ -286,9 +286,12 @@ fn drawn_frames_count_as_all_five_on_average() {
         };
         let mut sums = [0.0; ACTOR_FRAMES];
         for _ in 0..4000 {
-            let draw = Draw::new(&config, &mut rng);
-            assert_eq!(draw.frame_shares.iter().filter(|s| **s > 0.0).count(), encoder_frames);
-            add(&mut sums, &draw.frame_shares);
+            let augmentation = Augmentation::new(&config, &mut rng);
+            assert_eq!(
+                augmentation.frame_shares.iter().filter(|s| **s > 0.0).count(),
+                encoder_frames
+            );
+            add(&mut sums, &augmentation.frame_shares);
         }
         let expected = if encoder_frames == 1 { 0.0 } else { 4000.0 };
         assert!(sums[..4].iter().all(|s| (s - expected).abs() < 400.0), "{sums:?}");

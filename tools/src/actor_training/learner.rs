@@ -4,7 +4,7 @@ use crate::actor_training::adam;
 use crate::actor_training::config::{LearningConfig, TrainConfig, WarmUp};
 use crate::actor_training::networks::Networks;
 use crate::actor_training::replay::Transition;
-use crate::actor_training::shard::{Arranged, Draw, Frozen, Shard, add, scale_by};
+use crate::actor_training::shard::{Arranged, Augmentation, Shard, UpdateContext, add, scale_by};
 use crate::actor_training::weights::Weights;
 use rand::Rng;
 use rayon::prelude::*;
@@ -171,7 +171,7 @@ impl Learner {
         &self.weights.actor
     }
 
-    /// What is judged, frozen and flown.
+    /// What is evaluated, frozen and flown.
     pub fn frozen(&self) -> &[f32] {
         if self.config.freeze_target {
             &self.weights.actor_target
@@ -213,8 +213,8 @@ impl Learner {
         batch: &[Transition<'_>],
         rng: &mut impl Rng,
     ) -> Result<(UpdateReport, Vec<(usize, f32)>), UpdateError> {
-        let draws: Vec<Draw> = batch.iter().map(|_| Draw::new(&self.config, rng)).collect();
-        let frozen = Frozen {
+        let augmentations: Vec<Augmentation> = batch.iter().map(|_| Augmentation::new(&self.config, rng)).collect();
+        let frozen = UpdateContext {
             networks: &self.networks,
             isa: self.isa,
             weights: &self.weights,
@@ -238,9 +238,9 @@ impl Learner {
                 }
                 shard.sums = UpdateReport::default();
                 shard.errors.clear();
-                let own = batch.iter().zip(&draws).skip(k * per_shard).take(per_shard);
-                for (transition, draw) in own {
-                    shard.learn(&frozen, transition, *draw)?;
+                let own = batch.iter().zip(&augmentations).skip(k * per_shard).take(per_shard);
+                for (transition, augmentation) in own {
+                    shard.learn(&frozen, transition, *augmentation)?;
                 }
                 shard.finish(&frozen)
             })?;

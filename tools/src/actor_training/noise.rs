@@ -14,11 +14,11 @@ pub fn normal(rng: &mut impl Rng) -> f32 {
 
 /// An Ornstein-Uhlenbeck process for each output, with a stationary standard deviation of 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Wander {
+pub struct OrnsteinUhlenbeck {
     state: [f32; 2],
 }
 
-impl Wander {
+impl OrnsteinUhlenbeck {
     /// A draw of the stationary distribution.
     pub fn start(rng: &mut impl Rng) -> Self {
         Self {
@@ -53,7 +53,7 @@ mod tests {
     #[test]
     fn the_wander_keeps_its_deviation_and_its_memory() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut wander = Wander::start(&mut rng);
+        let mut wander = OrnsteinUhlenbeck::start(&mut rng);
         let (mut square, mut lagged, mut last) = (0.0, 0.0, 0.0);
         const N: usize = 200_000;
         for _ in 0..N {

@@ -49,7 +49,7 @@ pub struct Example {
     /// The action flown in it.
     pub action: [f32; 2],
     /// What the geometric pilot would have done.
-    pub guide: [f32; 2],
+    pub teacher_action: [f32; 2],
     /// Reward.
     pub reward: f32,
     /// What the value of `next` counts.
@@ -91,7 +91,7 @@ impl Rehearsal {
                 leaf,
                 state: e.state.view(),
                 action: e.action,
-                guide: Some(e.guide),
+                teacher_action: Some(e.teacher_action),
                 reward: e.reward,
                 discount: e.discount,
                 next: e.next.view(),
@@ -125,7 +125,7 @@ mod tests {
         let example = |i: usize| Example {
             state: kept(i),
             action: [1.0, -0.5],
-            guide: [0.2, 0.4],
+            teacher_action: [0.2, 0.4],
             reward: 1.0 + i as f32,
             discount: 0.0,
             next: kept(i),

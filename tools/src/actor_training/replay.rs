@@ -71,7 +71,7 @@ pub struct Record {
     /// The action flown, the mean over the decision's steps, in action units.
     pub action: [f32; 2],
     /// What the geometric pilot decided, if it flew: the same mean, without the noise.
-    pub guide: Option<[f32; 2]>,
+    pub teacher_action: Option<[f32; 2]>,
     /// Reward of the decision.
     pub reward: f32,
     /// What follows.
@@ -301,7 +301,7 @@ pub struct Transition<'a> {
     /// The action flown.
     pub action: [f32; 2],
     /// What the geometric pilot decided, if it flew.
-    pub guide: Option<[f32; 2]>,
+    pub teacher_action: Option<[f32; 2]>,
     /// Discounted rewards of the decisions.
     pub reward: f32,
     /// What the value of `next` counts: γⁿ, or 0 behind a terminal state.
@@ -434,7 +434,7 @@ impl Memory {
             leaf,
             state: state(record),
             action: record.action,
-            guide: record.guide,
+            teacher_action: record.teacher_action,
             reward,
             discount,
             next: state(next),
@@ -518,7 +518,7 @@ mod tests {
             first_frame,
             position: [(first + k) as f32, 0.0],
             action: [0.0; 2],
-            guide: None,
+            teacher_action: None,
             reward,
             next,
         };

@@ -1,6 +1,6 @@
 //! What a run came to: `result.json`, from which `vigil report training` makes tables and pictures.
 
-use crate::actor_training::judge::{Judgement, Verdict};
+use crate::actor_training::rollout::{EvaluationResult, EvaluationSpec};
 use crate::statistics::wilson_95;
 use serde::{Deserialize, Serialize};
 use vigil_world::Outcome;
@@ -54,17 +54,17 @@ pub struct FlightCount {
 }
 
 impl FlightCount {
-    /// Counts a verdict's flights.
-    pub fn new(what: &Judgement, verdict: &Verdict) -> Self {
-        let (flights, successes) = (verdict.flights.len(), verdict.successes());
+    /// Counts a result's flights.
+    pub fn new(what: &EvaluationSpec, result: &EvaluationResult) -> Self {
+        let (flights, successes) = (result.flights.len(), result.successes());
         Self {
             family: what.family.to_string(),
             first_seed: what.first_seed,
             flights,
             successes,
-            collisions: verdict.count(Outcome::Collision),
-            time_outs: verdict.count(Outcome::TimeOut),
-            completion: verdict.completion(),
+            collisions: result.count(Outcome::Collision),
+            time_outs: result.count(Outcome::TimeOut),
+            completion: result.completion(),
             wilson_95: wilson_95(successes, flights),
         }
     }

@@ -73,7 +73,7 @@ impl Shard {
 }
 
 /// The weights an update works with.
-pub struct Frozen<'a> {
+pub struct UpdateContext<'a> {
     pub networks: &'a Networks,
     pub isa: Isa,
     pub weights: &'a Weights,
@@ -91,14 +91,14 @@ pub struct Frozen<'a> {
 
 /// What is drawn for a transition.
 #[derive(Debug, Clone, Copy)]
-pub struct Draw {
+pub struct Augmentation {
     /// It is seen in a mirror.
     pub mirror: bool,
     /// What each frame's gradient counts for the encoder, oldest first; 1 on average over the draws.
     pub frame_shares: [f32; ACTOR_FRAMES],
 }
 
-impl Draw {
+impl Augmentation {
     /// The newest frame and `frames − 1` of the older ones, neighbours in a ring.
     pub fn new(config: &LearningConfig, rng: &mut impl Rng) -> Self {
         const OLDER: usize = ACTOR_FRAMES - 1;
@@ -168,7 +168,7 @@ impl Shard {
     /// Encodes a state with the given weights and collects the features; keeps the tapes of the frames that have a share.
     pub fn encode(
         &mut self,
-        f: &Frozen<'_>,
+        f: &UpdateContext<'_>,
         encoder_weights: &[f32],
         state: &State<'_>,
         mirror: bool,
@@ -191,7 +191,7 @@ impl Shard {
     }
 
     /// What the target networks think the next state is worth.
-    fn next_value(&mut self, f: &Frozen<'_>, t: &Transition<'_>, mirror: bool) -> Result<f32, ShapeError> {
+    fn next_value(&mut self, f: &UpdateContext<'_>, t: &Transition<'_>, mirror: bool) -> Result<f32, ShapeError> {
         let (n, w) = (f.networks, f.weights);
         self.encode(f, &f.arranged.encoder_target, &t.next, mirror, [0.0; ACTOR_FRAMES])?;
         let position = mirrored(t.next.position, mirror);
@@ -214,15 +214,20 @@ impl Shard {
     ///
     /// # Errors
     /// Weights of other networks.
-    pub fn learn(&mut self, f: &Frozen<'_>, t: &Transition<'_>, draw: Draw) -> Result<(), ShapeError> {
-        let mirror = draw.mirror;
+    pub fn learn(
+        &mut self,
+        f: &UpdateContext<'_>,
+        t: &Transition<'_>,
+        augmentation: Augmentation,
+    ) -> Result<(), ShapeError> {
+        let mirror = augmentation.mirror;
         let (n, w, isa) = (f.networks, f.weights, f.isa);
         let target = if t.discount > 0.0 {
             t.reward + t.discount * self.next_value(f, t, mirror)?
         } else {
             t.reward
         };
-        self.encode(f, &f.arranged.encoder, &t.state, mirror, draw.frame_shares)?;
+        self.encode(f, &f.arranged.encoder, &t.state, mirror, augmentation.frame_shares)?;
         let position = mirrored(t.state.position, mirror);
         let flown = mirrored(t.action, mirror);
 
@@ -262,18 +267,20 @@ impl Shard {
         let mut d_pre = [0.0; 2];
         let mut d_imitation = [0.0; 2];
         let mut distance = 0.0;
-        let guide = t.guide.map_or(action, |guide| mirrored(guide, mirror));
+        let teacher_action = t
+            .teacher_action
+            .map_or(action, |teacher_action| mirrored(teacher_action, mirror));
         for i in 0..2 {
             let excess = (pre[i].abs() - 1.0).max(0.0).copysign(pre[i]);
             let tanh_slope = ACTOR_LIMIT - action[i] * action[i] / ACTOR_LIMIT;
             d_pre[i] = (2.0 * f.saturation_penalty * excess - f.by_value * d_action[i] * tanh_slope) / f.batch;
-            let off = action[i] - guide[i];
-            d_imitation[i] = f.imitation * pull(off, f.imitation_width) * tanh_slope / f.batch;
+            let off = action[i] - teacher_action[i];
+            d_imitation[i] = f.imitation * huber_slope(off, f.imitation_width) * tanh_slope / f.batch;
             distance += off.abs();
             self.sums.imitation_loss += off * off;
             self.sums.saturated += if excess != 0.0 { 0.5 } else { 0.0 };
         }
-        let off = guide[1] - action[1];
+        let off = teacher_action[1] - action[1];
         if off.abs() > DISAGREEING {
             self.sums.agreement += (d_action[1] * off).signum();
         }
@@ -290,7 +297,7 @@ impl Shard {
 
         let len = self.d_features.len();
         // The newest first: it was encoded last and is still in the cache.
-        for (i, share) in draw.frame_shares.into_iter().enumerate().rev() {
+        for (i, share) in augmentation.frame_shares.into_iter().enumerate().rev() {
             if share <= 0.0 {
                 continue;
             }
@@ -322,7 +329,7 @@ impl Shard {
     ///
     /// # Errors
     /// Weights of other networks.
-    pub fn finish(&mut self, f: &Frozen<'_>) -> Result<(), ShapeError> {
+    pub fn finish(&mut self, f: &UpdateContext<'_>) -> Result<(), ShapeError> {
         let (n, sets) = (f.networks, f.arranged);
         let d_critic = &mut self.d_critic[n.critic_gru()];
         self.critic_recur.finish(f.isa, &sets.critic, d_critic)?;
@@ -332,7 +339,12 @@ impl Shard {
 
     /// Adds the actor's gradient for `d_pre` at its outputs before their last tanh; the gradient with respect to the
     /// features stays in the work buffer if it is wanted.
-    fn learn_actor(&mut self, f: &Frozen<'_>, d_pre: &[f32; 2], features_wanted: bool) -> Result<(), ShapeError> {
+    fn learn_actor(
+        &mut self,
+        f: &UpdateContext<'_>,
+        d_pre: &[f32; 2],
+        features_wanted: bool,
+    ) -> Result<(), ShapeError> {
         let (n, isa) = (f.networks, f.isa);
         let d_actor = &mut self.d_actor;
         let head = &mut self.actor_head;
@@ -346,7 +358,7 @@ impl Shard {
 }
 
 /// Slope of the imitation's loss: |off| from `width` on, off² / (2 width) nearer; off² without a width.
-fn pull(off: f32, width: f32) -> f32 {
+fn huber_slope(off: f32, width: f32) -> f32 {
     if width > 0.0 {
         (off / width).clamp(-1.0, 1.0)
     } else {

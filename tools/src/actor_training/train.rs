@@ -1,15 +1,15 @@
-//! The training run: collect, learn, judge, keep.
+//! The training run: collect, learn, evaluate, keep.
 
 use crate::actor_training::checkpoint::{Candidate, Checkpoint, CheckpointError, RunState};
 use crate::actor_training::collector::{CollectError, Collector, FlightReport, Policy};
 use crate::actor_training::config::TrainConfig;
 use crate::actor_training::files::{self, WriteError};
-use crate::actor_training::judge::{JudgeError, Judged, Judgement, Verdict, judge};
 use crate::actor_training::learner::{Learner, UpdateError};
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{self, FlightRow, Progress, Row, RowSum, UPDATES_PER_ROW};
 use crate::actor_training::replay::Memory;
 use crate::actor_training::result::{FlightCount, RunResult};
+use crate::actor_training::rollout::{EvaluatedActor, EvaluationResult, EvaluationSpec, RolloutError, evaluate};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -22,7 +22,7 @@ use vigil_nnet::{FRAMES_IN_A_ROW, Isa, ShapeError};
 use vigil_policy::FrozenActor;
 use vigil_world::Family;
 
-/// Actors that are judged once more at the end.
+/// Actors that are evaluated once more at the end.
 const CANDIDATES: usize = 3;
 /// Seed of the first course that tests the frozen actor, the same for every run. Nothing is chosen by these flights.
 const FIRST_TEST_SEED: u64 = 7_000_000;
@@ -40,7 +40,7 @@ pub enum TrainError {
     Update(#[from] UpdateError),
     /// A judging flight.
     #[error(transparent)]
-    Judge(#[from] JudgeError),
+    Rollout(#[from] RolloutError),
     /// Networks that do not fit.
     #[error(transparent)]
     Network(#[from] ShapeError),
@@ -317,21 +317,24 @@ impl<'a> Run<'a> {
         }
         self.row.add_update(&update);
         let updates = self.learner.updates();
-        let judged = updates.is_multiple_of(self.config.evaluation.every_updates);
-        if !judged && !updates.is_multiple_of(UPDATES_PER_ROW) {
+        let evaluated = updates.is_multiple_of(self.config.evaluation.every_updates);
+        if !evaluated && !updates.is_multiple_of(UPDATES_PER_ROW) {
             return Ok(());
         }
         let mut row = self.row.finish(updates, self.decisions, self.elapsed_s());
-        if judged {
+        if evaluated {
             let completion = self
-                .judge(self.learner.frozen(), &self.judgement(self.config.evaluation.flights))?
+                .evaluate(
+                    self.learner.frozen(),
+                    &self.evaluation_spec(self.config.evaluation.flights),
+                )?
                 .completion();
             row.completion = Some(completion);
             self.consider(updates, completion);
         }
         self.rows.push(row);
-        self.write_curves(&options.folder, judged)?;
-        if judged {
+        self.write_curves(&options.folder, evaluated)?;
+        if evaluated {
             self.save()?;
         }
         self.tell(report, self.rows.last());
@@ -375,9 +378,9 @@ impl<'a> Run<'a> {
     }
 
     /// So many judging courses without the field.
-    fn judgement(&self, flights: u64) -> Judgement {
+    fn evaluation_spec(&self, flights: u64) -> EvaluationSpec {
         let e = &self.config.evaluation;
-        Judgement {
+        EvaluationSpec {
             family: Family::Training,
             first_seed: e.first_seed,
             flights,
@@ -386,8 +389,8 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn judge(&self, actor: &[f32], what: &Judgement) -> Result<Verdict, JudgeError> {
-        judge(Judged::Actor(actor, FRAMES_IN_A_ROW), self.isa, what)
+    fn evaluate(&self, actor: &[f32], what: &EvaluationSpec) -> Result<EvaluationResult, RolloutError> {
+        evaluate(EvaluatedActor::Actor(actor, FRAMES_IN_A_ROW), self.isa, what)
     }
 
     /// Keeps the actor if it is among the best; of equals the later.
@@ -409,16 +412,16 @@ impl<'a> Run<'a> {
         if self.candidates.is_empty() {
             self.consider(self.learner.updates(), 0.0);
         }
-        let mut best: Option<(Verdict, &Candidate)> = None;
+        let mut best: Option<(EvaluationResult, &Candidate)> = None;
         let elapsed_s = self.elapsed_s();
-        let choice = self.judgement(self.config.evaluation.final_flights);
+        let choice = self.evaluation_spec(self.config.evaluation.final_flights);
         for candidate in &self.candidates {
-            let verdict = self.judge(&candidate.params, &choice)?;
-            if best.as_ref().is_none_or(|(b, _)| verdict.completion() > b.completion()) {
-                best = Some((verdict, candidate));
+            let result = self.evaluate(&candidate.params, &choice)?;
+            if best.as_ref().is_none_or(|(b, _)| result.completion() > b.completion()) {
+                best = Some((result, candidate));
             }
         }
-        let (verdict, candidate) = best.unwrap_or_else(|| unreachable!("there is always a candidate"));
+        let (result, candidate) = best.unwrap_or_else(|| unreachable!("there is always a candidate"));
         let path = options.folder.join("actor.safetensors");
         let actor = FrozenActor {
             params: candidate.params.clone(),
@@ -429,14 +432,14 @@ impl<'a> Run<'a> {
             git_commit: options.git_commit.clone(),
         };
         actor.save(&path)?;
-        let test = Judgement {
+        let test = EvaluationSpec {
             family: Family::Validation,
             first_seed: FIRST_TEST_SEED,
             flights: options.test_flights,
             time_limit_s: TEST_TIME_LIMIT_S,
             field: false,
         };
-        let tested = self.judge(&candidate.params, &test)?;
+        let tested = self.evaluate(&candidate.params, &test)?;
         let result = RunResult {
             seed: self.config.seed,
             apf_share: self.config.apf.share,
@@ -447,7 +450,7 @@ impl<'a> Run<'a> {
             elapsed_s,
             threads: self.config.threads,
             frozen_after: candidate.updates,
-            chosen_by: FlightCount::new(&choice, &verdict),
+            chosen_by: FlightCount::new(&choice, &result),
             test: FlightCount::new(&test, &tested),
         };
         // Numbers, names and plain structures always have a JSON form.

@@ -11,9 +11,9 @@ use std::time::Instant;
 use vigil_adversary::Attack;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 
-/// Arguments of `vigil attack cells`.
+/// Arguments of `vigil attack completion`.
 #[derive(Debug, Clone, clap::Args)]
-pub struct CellsArgs {
+pub struct CompletionArgs {
     /// Flights of each cell, on the same courses in all cells.
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..))]
     flights: u64,
@@ -38,9 +38,9 @@ pub struct CellsArgs {
     common: Common,
 }
 
-/// Arguments of `vigil attack worst`.
+/// Arguments of `vigil attack search`.
 #[derive(Debug, Clone, clap::Args)]
-pub struct WorstArgs {
+pub struct SearchArgs {
     /// Flights of each attack, on the same courses.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
     flights: u64,
@@ -238,7 +238,7 @@ fn fly_all(
 ///
 /// # Errors
 /// A file that is no actor, a folder that cannot be written.
-pub fn run_cells(args: &CellsArgs) -> Result<ExitCode> {
+pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
     let config = AttackConfig {
         method: args.attack,
         epsilon_255: args.epsilon,
@@ -255,14 +255,14 @@ pub fn run_cells(args: &CellsArgs) -> Result<ExitCode> {
         .into_iter()
         .flat_map(|apf| bursts.map(|setting| (apf, setting)))
         .collect();
-    fly_all(&args.common, (args.seed, args.flights), &settings, "cells.json")
+    fly_all(&args.common, (args.seed, args.flights), &settings, "completion.json")
 }
 
 /// Every method, burst and direction asked for, after a row without an attack.
 ///
 /// # Errors
 /// A file that is no actor, a folder that cannot be written.
-pub fn run_worst(args: &WorstArgs) -> Result<ExitCode> {
+pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
     let mut settings = vec![(args.apf, None)];
     for method in &args.attack {
         for towards in &args.towards {
@@ -278,5 +278,5 @@ pub fn run_worst(args: &WorstArgs) -> Result<ExitCode> {
             }
         }
     }
-    fly_all(&args.common, (args.seed, args.flights), &settings, "worst.json")
+    fly_all(&args.common, (args.seed, args.flights), &settings, "search.json")
 }

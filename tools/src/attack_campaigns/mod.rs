@@ -20,8 +20,8 @@ Examples:
   vigil attack table                     share of states deceived, by size and iterations (the paper's figure 11)
   vigil attack table --states 1000       the same on more states
   vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
-  vigil attack cells --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
-  vigil attack worst                     which streaming attack hurts most
+  vigil attack completion --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
+  vigil attack search                     which streaming attack hurts most
   vigil attack defended --flights 500 --burst continuous
                                          completion undefended, with the stop alone, with recovery, and not attacked
   vigil attack defended --flights 500 --burst continuous --resume
@@ -41,9 +41,9 @@ enum AttackCommand {
     /// Yaw deflection in front of a wall, by gap and bearing of the goal.
     Deflection(deflection::DeflectionArgs),
     /// Completion with the potential field on and off, attacked and not.
-    Cells(flights::CellsArgs),
+    Completion(flights::CompletionArgs),
     /// Completion under each streaming attack: method, burst and direction.
-    Worst(flights::WorstArgs),
+    Search(flights::SearchArgs),
     /// Completion attacked and not, undefended, with the stop alone and with recovery, on the same courses.
     Defended(defended::DefendedArgs),
 }
@@ -105,8 +105,8 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     match &args.command {
         AttackCommand::Table(args) => table::run(args),
         AttackCommand::Deflection(args) => deflection::run(args),
-        AttackCommand::Cells(args) => flights::run_cells(args),
-        AttackCommand::Worst(args) => flights::run_worst(args),
+        AttackCommand::Completion(args) => flights::run_completion(args),
+        AttackCommand::Search(args) => flights::run_search(args),
         AttackCommand::Defended(args) => defended::run(args),
     }
 }

@@ -29,7 +29,7 @@ const IMAGES_JUDGE_SEED: u64 = 7000;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
-  vigil detector gather                     fly the data, attacked and not, into runs/detector
+  vigil detector collect                     fly the data, attacked and not, into runs/detector
   vigil detector train                      train LSTM-AD on them: runs/detector/lstm_ad.safetensors
   vigil detector evaluate                   judge validation courses, attacks not trained on, controls
   vigil detector ablate                     the same network on GRU state, actions, gradients instead
@@ -37,7 +37,7 @@ Examples:
   vigil detector table                      CNN-AD, FCN-AD, PCA and LSTM-AD on the same states
   vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
   vigil detector times                      how long deciding, explaining and judging take
-  vigil detector gather --actor my.safetensors -o runs/mine
+  vigil detector collect --actor my.safetensors -o runs/mine
 
 But for figures and times, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
 pub struct DetectorArgs {
@@ -60,7 +60,7 @@ pub struct DetectorArgs {
 #[derive(Debug, Clone, clap::Subcommand)]
 enum DetectorCommand {
     /// Fly the data to learn from.
-    Gather {
+    Collect {
         /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
         #[arg(long, default_value_t = 15_000, value_parser = clap::value_parser!(u64).range(100..))]
         windows: u64,
@@ -189,11 +189,11 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         .num_threads(args.threads.map_or(0, usize::from))
         .build()
         .context("cannot start threads")?;
-    if let DetectorCommand::Gather { windows } = &args.command {
-        return pool.install(|| stage.gather(*windows as usize));
+    if let DetectorCommand::Collect { windows } = &args.command {
+        return pool.install(|| stage.collect(*windows as usize));
     }
     pool.install(|| match &args.command {
-        DetectorCommand::Gather { .. } => Ok(()),
+        DetectorCommand::Collect { .. } => Ok(()),
         DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
         DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
         DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
@@ -242,7 +242,7 @@ impl Stage<'_> {
         Ok(Some(Flights::load(&path, &self.actor)?))
     }
 
-    fn gather(&self, windows: usize) -> Result<ExitCode> {
+    fn collect(&self, windows: usize) -> Result<ExitCode> {
         let interrupt = Interrupt::on_ctrl_c()?;
         for (name, seed, count) in [
             ("learn.safetensors", LEARN_SEED, windows),
@@ -258,7 +258,7 @@ impl Stage<'_> {
                     let bar = Progress::new(count as u64, "attacked windows")?;
                     let part = format!("{name}.part");
                     let begun = self.kept(&part)?.map_or_else(Vec::new, |flights| flights.records);
-                    let (flights, complete) = crate::detector_training::gather(
+                    let (flights, complete) = crate::detector_training::collect(
                         self.isa,
                         &self.actor,
                         (Family::Training, seed),
@@ -303,7 +303,7 @@ impl Stage<'_> {
     }
 
     fn training_flights(&self) -> Result<[Flights; 2]> {
-        let load = |name| Flights::load(&self.path(name), &self.actor).context("run `vigil detector gather` first");
+        let load = |name| Flights::load(&self.path(name), &self.actor).context("run `vigil detector collect` first");
         Ok([load("learn.safetensors")?, load("choose.safetensors")?])
     }
 

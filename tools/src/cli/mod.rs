@@ -5,7 +5,6 @@ mod detector;
 mod evaluate;
 mod family;
 mod fly;
-mod judge;
 mod learn;
 pub(crate) mod output;
 mod pilot;
@@ -13,6 +12,7 @@ mod portrait;
 mod recover;
 mod replay;
 mod report;
+mod rollout;
 mod scene;
 mod train;
 
@@ -74,7 +74,7 @@ enum Command {
     /// Table I and figures 9 and 10 from the logs of training runs.
     Report(report::ReportArgs),
     /// Judge an actor alone, the potential field off and on.
-    Judge(judge::JudgeArgs),
+    Rollout(rollout::RolloutArgs),
     /// Gather data for the detector, train it, measure how well it detects.
     Detector(detector::DetectorArgs),
     /// Draw, write or check courses.
@@ -102,7 +102,7 @@ pub fn main() -> ExitCode {
         Command::Train(args) => train::run(&args),
         Command::Learn(args) => learn::run(&args),
         Command::Report(args) => report::run(&args),
-        Command::Judge(args) => judge::run(&args),
+        Command::Rollout(args) => rollout::run(&args),
         Command::Detector(args) => detector::run(&args),
         Command::Courses(args) => courses::run(&args),
     };

@@ -92,7 +92,7 @@ const BLOCK: u64 = 12;
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn gather(
+pub fn collect(
     isa: Isa,
     actor: &FrozenActor,
     (family, first_seed): (Family, u64),

@@ -37,7 +37,7 @@ pub enum DetectError {
         source: std::io::Error,
     },
     /// A file of something else, or an older version.
-    #[error("{path} holds no data of `vigil detector gather`: {message}; gather them anew")]
+    #[error("{path} holds no data of `vigil detector collect`: {message}; collect them anew")]
     Data {
         /// The file.
         path: PathBuf,
@@ -45,7 +45,7 @@ pub enum DetectError {
         message: String,
     },
     /// Data of another actor.
-    #[error("{path} was gathered with the actor {found}, this is the actor {expected}; gather the data anew")]
+    #[error("{path} was collected with the actor {found}, this is the actor {expected}; collect the data anew")]
     OtherActor {
         /// The file.
         path: PathBuf,
@@ -55,7 +55,7 @@ pub enum DetectError {
         expected: String,
     },
     /// There is nothing to learn from.
-    #[error("the data hold {attacked} attacked and {unattacked} unattacked windows for {purpose}; gather more")]
+    #[error("the data hold {attacked} attacked and {unattacked} unattacked windows for {purpose}; collect more")]
     TooFew {
         /// What for.
         purpose: &'static str,

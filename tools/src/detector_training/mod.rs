@@ -14,7 +14,7 @@ mod scenario;
 mod table;
 mod times;
 
-pub use data::{Class, Counts, Flights, WEAK_YAW, gather};
+pub use data::{Class, Counts, Flights, WEAK_YAW, collect};
 pub use error::DetectError;
 pub use evaluate::{
     AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
+use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
 
@@ -106,7 +106,7 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
     let mut geometric = helmsman
         .needs_geometric()
         .then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
-    let mut surroundings = Box::new(Surroundings::new());
+    let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();
     let mut delivered = Box::new(flight.frame().clone());
     let mut record = Record {

@@ -143,13 +143,13 @@ enum Job {
 }
 
 /// Writes states and keys to their files, from a thread of its own: the loop must not wait for a disk.
-pub(super) struct Keeper {
+pub(super) struct SigningStateWriter {
     // Dropped before the thread is joined: the writer ends when nobody can offer any more.
     ring: Option<Producer<Job>>,
     writer: Option<JoinHandle<()>>,
 }
 
-impl Keeper {
+impl SigningStateWriter {
     /// Reads what the last run left and makes sure that it can be written again, `ahead` of what was read: whatever
     /// happens before the first state is offered is covered.
     pub fn start(key_file: &Path, name: &str, ahead: u64) -> Result<(Self, SigningMemory), SigningFileError> {
@@ -229,7 +229,7 @@ impl Keeper {
     }
 }
 
-impl Drop for Keeper {
+impl Drop for SigningStateWriter {
     fn drop(&mut self) {
         self.ring = None;
         if let Some(writer) = self.writer.take() {
@@ -369,15 +369,15 @@ mod tests {
     fn the_last_state_offered_is_read_by_the_next_run_and_a_killed_run_leaves_one_ahead() {
         let folder = tempfile::tempdir().unwrap();
         let key = folder.path().join("vigil.key");
-        let (mut keeper, first) = Keeper::start(&key, "3", 50).unwrap();
+        let (mut keeper, first) = SigningStateWriter::start(&key, "3", 50).unwrap();
         assert_eq!(first, SigningMemory::default());
         keeper.offer(memory().ahead(7));
         keeper.offer(memory());
         drop(keeper);
-        let (_killed, second) = Keeper::start(&key, "3", 50).unwrap();
+        let (_killed, second) = SigningStateWriter::start(&key, "3", 50).unwrap();
         assert_eq!(second, memory());
         // While that one runs, the file is ahead of what it knows.
-        let (_, third) = Keeper::start(&key, "3", 0).unwrap();
+        let (_, third) = SigningStateWriter::start(&key, "3", 0).unwrap();
         assert_eq!(third, memory().ahead(50));
         let state = folder.path().join("vigil.key.3.state");
         assert_eq!(std::fs::metadata(state).unwrap().permissions().mode() & 0o777, 0o600);
@@ -387,12 +387,12 @@ mod tests {
     fn a_key_that_was_replaced_is_in_its_file_for_the_next_run_and_closed_to_others() {
         let folder = tempfile::tempdir().unwrap();
         let path = key_file(folder.path(), &[1; 32], 0o600);
-        let (mut keeper, _) = Keeper::start(&path, "3", 50).unwrap();
+        let (mut keeper, _) = SigningStateWriter::start(&path, "3", 50).unwrap();
         let key = SigningKey([0xA5; 32]);
         keeper.replace_key(key, memory());
         drop(keeper);
         assert_eq!(read_key(&path).unwrap(), key);
-        assert_eq!(Keeper::start(&path, "3", 50).unwrap().1, memory());
+        assert_eq!(SigningStateWriter::start(&path, "3", 50).unwrap().1, memory());
     }
 
     #[test]
@@ -405,10 +405,10 @@ mod tests {
             ("5\n1 2 3 4\n1 2 3 4 5\n", "line 3"),
         ] {
             std::fs::write(folder.path().join("vigil.key.0.state"), text).unwrap();
-            let error = Keeper::start(&key, "0", 0).err().unwrap().to_string();
+            let error = SigningStateWriter::start(&key, "0", 0).err().unwrap().to_string();
             assert!(error.contains(line) && error.contains("delete"), "{error}");
         }
-        let error = Keeper::start(&folder.path().join("no/such.key"), "0", 0)
+        let error = SigningStateWriter::start(&folder.path().join("no/such.key"), "0", 0)
             .err()
             .unwrap()
             .to_string();

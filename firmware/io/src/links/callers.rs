@@ -1,7 +1,7 @@
 //! Connections that are not the peer's: whoever calls has a moment to show that he may be.
 
 use super::stream::PacketStream;
-use super::{Door, PeerRule};
+use super::{LinkAdmission, PeerRule};
 use std::net::TcpStream;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer};
 use vigil_types::{Datagrams, Nanos};
@@ -61,7 +61,7 @@ impl Callers {
     pub fn listen(
         &mut self,
         now_ns: Nanos,
-        (rule, door): (PeerRule, &mut Door<'_>),
+        (rule, admission): (PeerRule, &mut LinkAdmission<'_>),
         stream: &mut PacketStream,
         received: &mut Datagrams,
         foreign: &mut u64,
@@ -69,7 +69,7 @@ impl Callers {
         let mut i = 0;
         while let Some(caller) = self.waiting.get_mut(i) {
             let mut socket = &caller.socket;
-            let with = (rule, &mut *door, caller.is_local);
+            let with = (rule, &mut *admission, caller.is_local);
             let heard =
                 stream.receive_introduction(&mut socket, &mut caller.framer, &mut caller.garbage, with, received);
             match heard {

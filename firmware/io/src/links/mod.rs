@@ -21,10 +21,10 @@ pub(crate) use tcp::TcpWire;
 pub use udp::UdpLink;
 pub(crate) use udp::UdpWire;
 pub use wire::Gated;
-pub(crate) use wire::{Door, Wire};
+pub(crate) use wire::{LinkAdmission, Wire};
 
 use crate::Link;
-use crate::gate::{AllowUnsigned, Gate, SigningFileError};
+use crate::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use crate::link_url::LinkUrl;
 use crate::router::MAX_GROUND_LINKS;
 use std::io::ErrorKind;
@@ -136,7 +136,7 @@ impl LiveLink {
     ///
     /// # Errors
     /// [`LinkError`], each naming the link.
-    pub fn open(url: &LinkUrl, rule: PeerRule, gate: Gate) -> Result<Self, LinkError> {
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
         somebody_is_heard(url, gate.has_key(), gate.allow_unsigned())?;
         match url {
             LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => UdpLink::open(url, rule, gate).map(Self::Udp),

@@ -6,8 +6,8 @@
 
 use super::peer_rule::PeerRule;
 use super::socket_filter::{FloodWatch, Newcomers, SocketFilter};
-use super::{Door, LinkStatistics, Wire, is_local};
-use crate::gate::{Gate, MAX_DATAGRAM_BYTES};
+use super::{LinkAdmission, LinkStatistics, Wire, is_local};
+use crate::gate::{MAX_DATAGRAM_BYTES, SigningGate};
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr, UdpSocket};
 use vigil_types::{Datagrams, Nanos};
@@ -228,14 +228,14 @@ impl UdpPeers {
 impl Wire for UdpPeers {
     const IS_STREAM: bool = false;
 
-    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         // What finds no room is dropped and counted by `received`: it is this link's own share.
         self.receive(now_ns, |sender, datagram| {
-            door.admit(sender.is_local, datagram, received)
+            admission.admit(sender.is_local, datagram, received)
         });
     }
 
-    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
         for (_, datagram) in sent.iter() {
             self.send(gate.seal(datagram));
         }

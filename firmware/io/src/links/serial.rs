@@ -1,8 +1,8 @@
 //! MAVLink over a serial line; the device may disappear and return.
 
 use super::stream::PacketStream;
-use super::{Door, Gated, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
-use crate::gate::Gate;
+use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
+use crate::gate::SigningGate;
 use crate::link_url::LinkUrl;
 use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
@@ -30,7 +30,7 @@ impl SerialLink {
     ///
     /// # Errors
     /// [`LinkError`]: the device is not there, in use, no serial device, or does not know the baud rate.
-    pub fn open(url: &LinkUrl, gate: Gate) -> Result<Self, LinkError> {
+    pub fn open(url: &LinkUrl, gate: SigningGate) -> Result<Self, LinkError> {
         let wire = SerialWire::open(url)?;
         Ok(Self { wire, gate })
     }
@@ -95,20 +95,20 @@ fn open_port(device: &CString, baud: u32) -> Result<File, Errno> {
 impl Wire for SerialWire {
     const IS_STREAM: bool = true;
 
-    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         self.reopen(now_ns);
         let Some(port) = &mut self.port else { return };
         // Whoever holds the other end of a cable is not known: never this machine.
         if self
             .stream
-            .receive(port, (PeerRule::Anyone, door, false), received)
+            .receive(port, (PeerRule::Anyone, admission, false), received)
             .is_err()
         {
             self.close();
         }
     }
 
-    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
         let Some(port) = &mut self.port else {
             self.stream.discard(sent);
             return;

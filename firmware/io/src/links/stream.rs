@@ -1,7 +1,7 @@
 //! MAVLink over a byte stream: packets are found in what is read, and never torn by what is written.
 
-use super::{Door, LinkStatistics, PeerRule};
-use crate::gate::Gate;
+use super::{LinkAdmission, LinkStatistics, PeerRule};
+use crate::gate::SigningGate;
 use std::io::{ErrorKind, Read, Write};
 use vigil_mavlink::framing::{FramingCounters, Packet, StreamFramer};
 use vigil_types::Datagrams;
@@ -76,12 +76,12 @@ impl PacketStream {
     pub fn receive(
         &mut self,
         wire: &mut impl Read,
-        (rule, door, is_local): (PeerRule, &mut Door<'_>, bool),
+        (rule, admission, is_local): (PeerRule, &mut LinkAdmission<'_>, bool),
         received: &mut Datagrams,
     ) -> Result<bool, Broken> {
         let mut heard = false;
         let mut on_packet = |packet: &Packet<'_>, received: &mut Datagrams| {
-            heard |= door.admit(is_local, packet.raw(), received) && rule.is_heard_by(packet);
+            heard |= admission.admit(is_local, packet.raw(), received) && rule.is_heard_by(packet);
         };
         let chunk = self.chunk.as_mut_slice();
         for _ in 0..MAX_READS_PER_STEP {
@@ -101,19 +101,19 @@ impl PacketStream {
         wire: &mut impl Read,
         framer: &mut StreamFramer,
         garbage: &mut FramingCounters,
-        (rule, door, is_local): (PeerRule, &mut Door<'_>, bool),
+        (rule, admission, is_local): (PeerRule, &mut LinkAdmission<'_>, bool),
         received: &mut Datagrams,
     ) -> Result<bool, Broken> {
         let mut introduced = false;
         let mut other_system = None;
-        let has_key = door.gate.has_key();
+        let has_key = admission.gate.has_key();
         for _ in 0..MAX_READS_OF_A_CALLER {
             let Some(bytes) = read(wire, self.chunk.as_mut_slice(), received)? else {
                 break;
             };
             framer.feed(bytes, garbage, |packet| {
                 if introduced || rule.introduces(packet, has_key) {
-                    introduced |= door.admit(is_local, packet.raw(), received);
+                    introduced |= admission.admit(is_local, packet.raw(), received);
                 } else {
                     other_system = rule.other_system(packet).or(other_system);
                 }
@@ -127,7 +127,7 @@ impl PacketStream {
     }
 
     /// Queues the packets, as many as fit, and writes what the stream takes.
-    pub fn send(&mut self, wire: &mut impl Write, gate: &mut Gate, sent: &Datagrams) -> Result<(), Broken> {
+    pub fn send(&mut self, wire: &mut impl Write, gate: &mut SigningGate, sent: &Datagrams) -> Result<(), Broken> {
         self.flush(wire)?;
         for (_, datagram) in sent.iter() {
             let packet = gate.seal(datagram);
@@ -239,8 +239,8 @@ mod tests {
         }
     }
 
-    fn door(gate: &mut Gate) -> Door<'_> {
-        Door {
+    fn admission(gate: &mut SigningGate) -> LinkAdmission<'_> {
+        LinkAdmission {
             allow_unsigned: gate.allow_unsigned(),
             gate,
             link: 0,
@@ -259,7 +259,7 @@ mod tests {
     #[test]
     fn a_slow_line_loses_whole_packets_and_tears_none() {
         let mut stream = PacketStream::new();
-        let (mut gate, mut line) = (Gate::open(), line());
+        let (mut gate, mut line) = (SigningGate::open(), line());
         let mut sequence = 0u8;
         for step in 0..600 {
             let mut sent = Datagrams::default();
@@ -285,7 +285,7 @@ mod tests {
     #[test]
     fn packets_that_arrive_byte_by_byte_among_garbage_are_given_whole_once_and_in_order() {
         let mut stream = PacketStream::new();
-        let (mut gate, mut line) = (Gate::open(), line());
+        let (mut gate, mut line) = (SigningGate::open(), line());
         let expected: Vec<_> = (0..40).map(packet).collect();
         line.to_read = expected
             .iter()
@@ -294,7 +294,11 @@ mod tests {
         let mut got = Vec::new();
         let mut received = Datagrams::default();
         while stream
-            .receive(&mut line, (PeerRule::Anyone, &mut door(&mut gate), true), &mut received)
+            .receive(
+                &mut line,
+                (PeerRule::Anyone, &mut admission(&mut gate), true),
+                &mut received,
+            )
             .unwrap()
             || !line.to_read.is_empty()
         {
@@ -308,7 +312,7 @@ mod tests {
     #[test]
     fn a_flood_of_the_smallest_packets_fits_step_by_step_and_none_is_lost() {
         let mut stream = PacketStream::new();
-        let (mut gate, mut line) = (Gate::open(), line());
+        let (mut gate, mut line) = (SigningGate::open(), line());
         // An empty packet of MAVLink 1, of a message that the dialect does not know: 8 bytes.
         let smallest = [0xFE, 0, 0, 1, 1, 200, 0, 0];
         line.to_read = smallest.repeat(2000);
@@ -318,7 +322,11 @@ mod tests {
         while !line.to_read.is_empty() {
             let mut received = Datagrams::default();
             stream
-                .receive(&mut line, (PeerRule::Anyone, &mut door(&mut gate), true), &mut received)
+                .receive(
+                    &mut line,
+                    (PeerRule::Anyone, &mut admission(&mut gate), true),
+                    &mut received,
+                )
                 .unwrap();
             assert_eq!(received.dropped(), 0);
             count += received.len();

@@ -2,8 +2,8 @@
 
 use super::callers::Callers;
 use super::stream::PacketStream;
-use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
-use crate::gate::Gate;
+use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
+use crate::gate::SigningGate;
 use crate::link_url::LinkUrl;
 use rustix::io::Errno;
 use rustix::net::{AddressFamily, SocketFlags, SocketType, socket_with};
@@ -54,7 +54,7 @@ impl TcpLink {
     ///
     /// # Errors
     /// [`LinkError::InUse`] and others, each naming the link.
-    pub fn open(url: &LinkUrl, rule: PeerRule, gate: Gate) -> Result<Self, LinkError> {
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
         let wire = TcpWire::open(url, rule)?;
         Ok(Self { wire, gate })
     }
@@ -146,12 +146,12 @@ impl TcpWire {
     }
 
     /// Makes the first caller the peer who shows that he may be, if the place is free.
-    fn admit_a_caller(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+    fn admit_a_caller(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         if self.is_taken(now_ns) {
             self.foreign += self.callers.dismiss();
             return;
         }
-        let with = (self.rule, &mut *door);
+        let with = (self.rule, &mut *admission);
         let admitted = self
             .callers
             .listen(now_ns, with, &mut self.stream, received, &mut self.foreign);
@@ -219,13 +219,13 @@ fn call(peer: SocketAddr, now_ns: Nanos) -> Option<Connection> {
 impl Wire for TcpWire {
     const IS_STREAM: bool = true;
 
-    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         self.connect(now_ns);
         self.watch(now_ns);
-        self.admit_a_caller(now_ns, door, received);
+        self.admit_a_caller(now_ns, admission, received);
         if let Some(connection) = self.connection.as_mut().filter(|c| c.is_up) {
             let mut socket = &connection.socket;
-            let with = (self.rule, door, connection.is_local);
+            let with = (self.rule, admission, connection.is_local);
             match self.stream.receive(&mut socket, with, received) {
                 Ok(true) => {
                     connection.heard_ns = now_ns;
@@ -237,7 +237,7 @@ impl Wire for TcpWire {
         }
     }
 
-    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
         let Some(connection) = self.connection.as_ref().filter(|c| c.is_up) else {
             self.stream.discard(sent);
             return;

@@ -1,8 +1,8 @@
 //! MAVLink over one UDP socket.
 
 use super::socket_filter::{FLOOD, FloodWatch, Newcomers, SocketFilter};
-use super::{Door, Gated, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local};
-use crate::gate::{Gate, MAX_DATAGRAM_BYTES};
+use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, Wire, is_local};
+use crate::gate::{MAX_DATAGRAM_BYTES, SigningGate};
 use crate::link_url::LinkUrl;
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};
@@ -38,7 +38,7 @@ impl UdpLink {
     ///
     /// # Errors
     /// [`LinkError::InUse`] and others, each naming the link.
-    pub fn open(url: &LinkUrl, rule: PeerRule, gate: Gate) -> Result<Self, LinkError> {
+    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
         let wire = UdpWire::open(url, rule)?;
         Ok(Self { wire, gate })
     }
@@ -107,13 +107,13 @@ impl UdpWire {
         len: usize,
         from: SocketAddr,
         now_ns: Nanos,
-        door: &mut Door<'_>,
+        admission: &mut LinkAdmission<'_>,
         received: &mut Datagrams,
     ) -> bool {
         let datagram = self.buffer.get(..len).unwrap_or_default();
-        let has_key = door.gate.has_key();
+        let has_key = admission.gate.has_key();
         let introduced = self.rule.introduces_any(datagram, has_key)
-            && door.admit(is_local(from), datagram, received)
+            && admission.admit(is_local(from), datagram, received)
             // What passed the gate, and not what came with it.
             && received.last().is_some_and(|passed| self.rule.introduces_any(passed, has_key));
         if !introduced {
@@ -131,7 +131,7 @@ impl UdpWire {
 impl Wire for UdpWire {
     const IS_STREAM: bool = false;
 
-    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams) {
+    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
         self.set_filter(now_ns);
         let (mut taken, mut introductions) = (0, 0);
         for _ in 0..MAX_READS_PER_STEP {
@@ -144,14 +144,14 @@ impl Wire for UdpWire {
                     taken += 1;
                     let datagram = self.buffer.get(..len).unwrap_or_default();
                     // Who is refused at the gate, or is no vehicle any more, does not stay the peer.
-                    let passed = door.admit(is_local(from), datagram, received);
+                    let passed = admission.admit(is_local(from), datagram, received);
                     if passed && received.last().is_some_and(|passed| self.rule.is_heard_in(passed)) {
                         self.peer_heard_ns = now_ns;
                     }
                 }
                 Ok((len, from)) if self.is_vacant(now_ns) => {
                     introductions += 1;
-                    if !self.introduce(len, from, now_ns, door, received) {
+                    if !self.introduce(len, from, now_ns, admission, received) {
                         self.foreign += 1;
                     }
                 }
@@ -164,7 +164,7 @@ impl Wire for UdpWire {
         self.flood.note(now_ns, introductions, false);
     }
 
-    fn send(&mut self, gate: &mut Gate, sent: &Datagrams) {
+    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
         for (_, datagram) in sent.iter() {
             let gone = self.peer.map(|peer| self.socket.send_to(gate.seal(datagram), peer));
             if !matches!(gone, Some(Ok(_))) {

@@ -2,20 +2,20 @@
 
 use super::{LINK, LinkStatistics};
 use crate::Link;
-use crate::gate::{AllowUnsigned, Gate};
+use crate::gate::{AllowUnsigned, SigningGate};
 use vigil_types::{Datagrams, Nanos};
 
 /// A gate as one link meets it.
-pub struct Door<'a> {
+pub struct LinkAdmission<'a> {
     /// The gate.
-    pub gate: &'a mut Gate,
+    pub gate: &'a mut SigningGate,
     /// The link's policy.
     pub allow_unsigned: AllowUnsigned,
     /// The link's number in [`Datagrams`].
     pub link: u8,
 }
 
-impl Door<'_> {
+impl LinkAdmission<'_> {
     /// Appends to `received` what may pass, and tells whether anything did. `is_local`: the sender is on this machine.
     pub fn admit(&mut self, is_local: bool, datagram: &[u8], received: &mut Datagrams) -> bool {
         let (policy, link) = (self.allow_unsigned, self.link);
@@ -29,10 +29,10 @@ pub trait Wire {
     const IS_STREAM: bool;
 
     /// Appends what arrived and may pass. Never waits; what does not fit stays for the next call.
-    fn receive(&mut self, now_ns: Nanos, door: &mut Door<'_>, received: &mut Datagrams);
+    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams);
 
     /// Sends each datagram, sealed by the gate. Never waits; what cannot be sent is lost and counted.
-    fn send(&mut self, gate: &mut Gate, sent: &Datagrams);
+    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams);
 
     /// What was not taken or could not be delivered; nothing of the gate's.
     fn statistics(&self) -> LinkStatistics;
@@ -41,7 +41,7 @@ pub trait Wire {
 /// A link with a gate of its own.
 pub struct Gated<W: Wire> {
     pub(super) wire: W,
-    pub(super) gate: Gate,
+    pub(super) gate: SigningGate,
 }
 
 impl<W: Wire> Gated<W> {
@@ -62,12 +62,12 @@ impl<W: Wire> Gated<W> {
 impl<W: Wire> Link for Gated<W> {
     fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
         self.gate.begin(now_ns);
-        let mut door = Door {
+        let mut admission = LinkAdmission {
             allow_unsigned: self.gate.allow_unsigned(),
             gate: &mut self.gate,
             link: LINK,
         };
-        self.wire.receive(now_ns, &mut door, received);
+        self.wire.receive(now_ns, &mut admission, received);
     }
 
     fn send(&mut self, sent: &Datagrams) {

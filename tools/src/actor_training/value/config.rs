@@ -40,7 +40,7 @@ pub struct ValueConfig {
     pub learning: ValueLearning,
     /// Replay memory.
     pub replay: ReplayConfig,
-    /// Flights that judge the actor.
+    /// Flights that evaluate the actor.
     pub evaluation: ValueEvaluation,
     /// What the actor's encoder learns before it is frozen; for an actor that sees pictures.
     pub encoder: EncoderConfig,
@@ -141,7 +141,7 @@ pub struct ValueLearning {
     pub freeze_target: bool,
 }
 
-/// Flights that judge the actor, always over the same courses.
+/// Flights that evaluate the actor, always over the same courses.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValueEvaluation {

@@ -8,7 +8,7 @@ use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::Networks;
-use crate::actor_training::noise::Wander;
+use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay::{pack_frame, unpack_frame};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -34,7 +34,7 @@ struct Example {
     ranges: [f32; TARGETS],
 }
 
-fn gather(config: &ValueConfig) -> Result<Vec<Example>, CollectError> {
+fn collect(config: &ValueConfig) -> Result<Vec<Example>, CollectError> {
     let share = config.encoder.frames.div_ceil(config.environments);
     let parts = (0..config.environments)
         .into_par_iter()
@@ -47,7 +47,7 @@ fn gather(config: &ValueConfig) -> Result<Vec<Example>, CollectError> {
                 let family = config.families[rng.random_range(0..config.families.len())];
                 let mut flight = TrueFlight::new(family, seed, config.time_limit_s, config.reward.along)?;
                 seed += 1;
-                let mut wander = Wander::start(&mut rng);
+                let mut wander = OrnsteinUhlenbeck::start(&mut rng);
                 loop {
                     wander.step(config.noise.theta, &mut rng);
                     let mean = Action {
@@ -110,7 +110,7 @@ pub fn teach_encoder(
         .map(|_| rng.random_range(-limit..limit))
         .collect();
     let read_shares = vec![0.0625; read.len()];
-    let examples = gather(config)?;
+    let examples = collect(config)?;
     let (mut encoder_adam, mut read_adam) = (Adam::new(encoder), Adam::new(read.len()));
     let mut shards: Vec<Shard> = (0..SHARDS)
         .map(|_| Shard {

@@ -6,7 +6,7 @@ use super::true_state::{RAYS, TRUE_STATE, TrueCourse};
 use crate::actor_training::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
 use crate::actor_training::flight::Flight;
 use crate::actor_training::networks::squash;
-use crate::actor_training::noise::Wander;
+use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay::Next;
 use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
@@ -154,7 +154,7 @@ struct Lasting {
     /// The actions flown, one for each decision: they make the flight again, bit for bit.
     actions: Vec<[f32; 2]>,
     report: FlightReport,
-    wander: Wander,
+    wander: OrnsteinUhlenbeck,
     noise_scale: f32,
 }
 
@@ -278,7 +278,7 @@ impl Flyer {
                 with_apf: !warm_up && self.rng.random_bool(config.apf_share),
                 warm_up,
             },
-            wander: Wander::start(&mut self.rng),
+            wander: OrnsteinUhlenbeck::start(&mut self.rng),
             noise_scale: if noisy { 1.0 } else { 0.0 },
         };
         self.see(&mut flight)?;

@@ -1,4 +1,4 @@
-//! A run by value: fly, learn, judge, keep. The expert's and the pictures' actor's run are the same but for what the actor sees.
+//! A run by value: fly, learn, evaluate, keep. The expert's and the pictures' actor's run are the same but for what the actor sees.
 
 use super::actors::{ActorNetwork, Row};
 use super::config::{Sees, ValueConfig};
@@ -13,8 +13,8 @@ use crate::actor_training::checkpoint::CheckpointError;
 use crate::actor_training::collector::{CollectError, FlightReport};
 use crate::actor_training::config::ConfigError;
 use crate::actor_training::files::{self, WriteError};
-use crate::actor_training::judge::{JudgeError, Judged, Judgement, judge};
 use crate::actor_training::learner::UpdateError;
+use crate::actor_training::rollout::{EvaluatedActor, EvaluationSpec, RolloutError, evaluate};
 use crate::statistics::wilson_95;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -31,7 +31,7 @@ use vigil_world::{Family, Outcome};
 
 /// Updates that a row of the curve sums up.
 const UPDATES_PER_ROW: u64 = 500;
-/// Actors that are judged once more at the end.
+/// Actors that are evaluated once more at the end.
 const CANDIDATES: usize = 3;
 /// Seeds of the flights that choose between them.
 const FIRST_CHOOSING_SEED: u64 = 300_000;
@@ -53,7 +53,7 @@ pub enum ValueError {
     Update(#[from] UpdateError),
     /// A judging flight.
     #[error(transparent)]
-    Judge(#[from] JudgeError),
+    Judge(#[from] RolloutError),
     /// Networks that do not fit.
     #[error(transparent)]
     Network(#[from] ShapeError),
@@ -556,7 +556,8 @@ impl<'a> Run<'a> {
             let e = &self.config.evaluation;
             let params = self.learner.frozen().to_vec();
             for family in &e.families {
-                row.judged.push(self.judge(&params, *family, e.first_seed, e.flights)?);
+                row.judged
+                    .push(self.evaluate(&params, *family, e.first_seed, e.flights)?);
             }
             let (config, isa, encoder) = (self.config, self.isa, self.encoder.clone());
             let make = || Chooser::new(config, isa, &params, encoder.clone());
@@ -594,7 +595,13 @@ impl<'a> Run<'a> {
         [self.encoder_params.as_slice(), params].concat()
     }
 
-    fn judge(&self, params: &[f32], family: Family, first_seed: u64, flights: u64) -> Result<FamilyCount, ValueError> {
+    fn evaluate(
+        &self,
+        params: &[f32],
+        family: Family,
+        first_seed: u64,
+        flights: u64,
+    ) -> Result<FamilyCount, ValueError> {
         let config = self.config;
         let outcomes = match config.sees {
             Sees::Truth => {
@@ -602,7 +609,7 @@ impl<'a> Run<'a> {
                 fly_chooser(config, &make, family, first_seed, flights)?
             }
             Sees::Pictures => {
-                let what = Judgement {
+                let what = EvaluationSpec {
                     family,
                     first_seed,
                     flights,
@@ -610,7 +617,7 @@ impl<'a> Run<'a> {
                     field: false,
                 };
                 let whole = self.whole(params);
-                judge(Judged::Actor(&whole, FRAMES_SPREAD), self.isa, &what)?.flights
+                evaluate(EvaluatedActor::Actor(&whole, FRAMES_SPREAD), self.isa, &what)?.flights
             }
         };
         let count = |outcome| outcomes.iter().filter(|(o, _)| *o == outcome).count();
@@ -639,7 +646,7 @@ impl<'a> Run<'a> {
             for family in &e.families {
                 let flights = 2 * e.flights;
                 successes += self
-                    .judge(&candidate.params, *family, FIRST_CHOOSING_SEED, flights)?
+                    .evaluate(&candidate.params, *family, FIRST_CHOOSING_SEED, flights)?
                     .successes;
             }
             if best.is_none_or(|(most, _)| successes > most) {
@@ -660,7 +667,7 @@ impl<'a> Run<'a> {
         let test = families
             .into_iter()
             .filter(|_| self.options.test_flights > 0)
-            .map(|family| self.judge(&chosen.params, family, FIRST_TEST_SEED, self.options.test_flights))
+            .map(|family| self.evaluate(&chosen.params, family, FIRST_TEST_SEED, self.options.test_flights))
             .collect::<Result<_, _>>()?;
         let result = ValueResult {
             sees: self.config.sees,

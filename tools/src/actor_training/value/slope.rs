@@ -11,7 +11,7 @@ use super::memory::{Moment, ValueLane};
 use super::true_state::TRUE_STATE;
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::networks::squash;
-use crate::actor_training::noise::Wander;
+use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay::Next;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -210,7 +210,7 @@ fn branch(config: &ValueConfig, chooser: &mut Chooser, i: u64) -> Result<Option<
     let mut actions = Vec::new();
     let mut flight = begin()?;
     chooser.reset();
-    let mut wander = Wander::start(&mut rng);
+    let mut wander = OrnsteinUhlenbeck::start(&mut rng);
     while actions.len() < LATEST {
         let [forward_m_s, yaw] = chooser.choose(&mut flight)?;
         wander.step(config.noise.theta, &mut rng);

@@ -93,7 +93,7 @@ impl Scan {
 
 /// Turns depth frames into [`Scan`]s; holds the direction tables. No allocation.
 #[derive(Debug, Clone)]
-pub struct Surroundings {
+pub struct RangeScan {
     cos_column: [f32; DEPTH_COLS],
     sin_column: [f32; DEPTH_COLS],
     /// Cosine and sine of each row's elevation.
@@ -101,13 +101,13 @@ pub struct Surroundings {
     scan: Scan,
 }
 
-impl Default for Surroundings {
+impl Default for RangeScan {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Surroundings {
+impl RangeScan {
     /// Computes the tables.
     pub fn new() -> Self {
         let mut s = Self {

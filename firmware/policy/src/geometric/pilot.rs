@@ -1,13 +1,13 @@
 //! The geometric pilot: goal seeking plus the paper's potential field, on what the depth frames show.
 //!
-//! `docs/pilot.md` explains the design. In short, one step: read the [`Surroundings`], enter them into the memory, search
+//! `docs/pilot.md` explains the design. In short, one step: read the [`RangeScan`], enter it into the grid of what was seen, search
 //! the way to the goal, take the farthest point of the way that can be flown to in a straight line as the waypoint, add
 //! seeking and field, and let the governor limit the speed.
 
-use crate::governor::{self, Motion};
-use crate::memory::{self, Memory};
-use crate::way::{Search, Way};
-use crate::{NearestObstacle, Pilot, PilotInput, Scan, Surroundings, apf};
+use crate::geometric::governor::{self, Motion};
+use crate::geometric::occupancy_grid::{self, OccupancyGrid};
+use crate::geometric::path_planner::{PathPlanner, Search};
+use crate::{NearestObstacle, Pilot, PilotInput, RangeScan, Scan, apf};
 use core::f32::consts::PI;
 use vigil_types::{
     ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, NedVector, YAW_RATE_PER_UNIT_RAD_S, wrap_pi,
@@ -72,7 +72,7 @@ struct Margins {
 const TIGHT: Margins = Margins {
     sight_squared_cells: 9,
     // As far as surfaces are remembered.
-    goal_sight_m: memory::MARK_RANGE_M,
+    goal_sight_m: occupancy_grid::MARK_RANGE_M,
     repulsive_half_width_m: 0.50,
     spare_m: 0.0,
 };
@@ -96,9 +96,9 @@ pub struct GeometricPilot {
     memoryless: bool,
     margins: Margins,
     config: GeometricConfig,
-    surroundings: Surroundings,
-    memory: Memory,
-    way: Way,
+    surroundings: RangeScan,
+    memory: OccupancyGrid,
+    way: PathPlanner,
     last_position_ned_m: Option<NedVector>,
     last_sequence: Option<u64>,
     /// Where the vehicle last got to, and when.
@@ -113,9 +113,9 @@ impl GeometricPilot {
             memoryless: false,
             margins: TIGHT,
             config,
-            surroundings: Surroundings::new(),
-            memory: Memory::new(),
-            way: Way::new(),
+            surroundings: RangeScan::new(),
+            memory: OccupancyGrid::new(),
+            way: PathPlanner::new(),
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
@@ -146,7 +146,7 @@ impl GeometricPilot {
     }
 
     /// The last step's scan.
-    pub fn surroundings(&self) -> &Surroundings {
+    pub fn surroundings(&self) -> &RangeScan {
         &self.surroundings
     }
 
@@ -267,7 +267,7 @@ impl GeometricPilot {
 
 /// Where the vehicle is now: where it was at capture, and how far it has come since.
 fn position_ned_m(input: &PilotInput<'_>) -> NedVector {
-    input.depth.header.position_ned_m + Surroundings::moved_since_capture_m(input)
+    input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input)
 }
 
 /// How the vehicle moves under a yaw output.
@@ -294,9 +294,12 @@ impl Pilot for GeometricPilot {
         }
 
         let (scan, hit) = if self.distrusting {
-            (self.surroundings.observe_distrusting(input), memory::DOUBTFUL_HIT)
+            (
+                self.surroundings.observe_distrusting(input),
+                occupancy_grid::DOUBTFUL_HIT,
+            )
         } else {
-            (self.surroundings.observe(input), memory::HIT)
+            (self.surroundings.observe(input), occupancy_grid::HIT)
         };
         if self.memory.follow(here) {
             self.way.abandon_search();
@@ -312,7 +315,11 @@ impl Pilot for GeometricPilot {
             self.memory.measure_clearance();
             self.way.start(&self.memory, here, goal);
         }
-        let budget = if self.memoryless { memory::CELLS } else { SEARCH_BUDGET };
+        let budget = if self.memoryless {
+            occupancy_grid::CELLS
+        } else {
+            SEARCH_BUDGET
+        };
         if self.way.advance(&self.memory, budget) == Search::NoWay {
             self.way.clear();
         }

@@ -5,7 +5,7 @@
 //! integers and the open list is an array of buckets threaded through fixed arrays: no allocation, bounded work, and the
 //! same way for the same input on any machine.
 
-use crate::memory::{CELL_M, CELLS, Cell, Memory, SIDE};
+use crate::geometric::occupancy_grid::{CELL_M, CELLS, Cell, OccupancyGrid, SIDE};
 use vigil_types::NedVector;
 
 /// Cost of one cell straight ahead; a diagonal costs 14. One unit is [`CELL_M`] / 10.
@@ -71,7 +71,7 @@ pub enum Search {
 
 /// The search and the last way found.
 #[derive(Debug, Clone)]
-pub struct Way {
+pub struct PathPlanner {
     /// Cost from the goal to each cell.
     cost: [u16; CELLS],
     /// Direction code towards the goal, and [`SETTLED`].
@@ -98,13 +98,13 @@ pub struct Way {
     nose: Option<(f32, f32)>,
 }
 
-impl Default for Way {
+impl Default for PathPlanner {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Way {
+impl PathPlanner {
     /// No way yet.
     pub fn new() -> Self {
         let mut way = Self {
@@ -193,7 +193,7 @@ impl Way {
     }
 
     /// Begins a search from the vehicle's position to the goal's.
-    pub fn start(&mut self, memory: &Memory, position_ned_m: NedVector, goal_ned_m: NedVector) {
+    pub fn start(&mut self, memory: &OccupancyGrid, position_ned_m: NedVector, goal_ned_m: NedVector) {
         self.cost.fill(UNREACHED);
         self.towards.fill(END);
         self.bucket.fill(NO_CELL);
@@ -219,7 +219,7 @@ impl Way {
     }
 
     /// Settles up to `budget` cells.
-    pub fn advance(&mut self, memory: &Memory, budget: usize) -> Search {
+    pub fn advance(&mut self, memory: &OccupancyGrid, budget: usize) -> Search {
         if !self.working {
             return Search::Idle;
         }
@@ -263,7 +263,7 @@ impl Way {
     }
 
     /// Opens the cells where a way may end, each at its straight distance from the goal.
-    fn open_ends(&mut self, memory: &Memory, cells: impl Iterator<Item = Cell> + Clone) {
+    fn open_ends(&mut self, memory: &OccupancyGrid, cells: impl Iterator<Item = Cell> + Clone) {
         // Costs count from the nearest end, so that a goal kilometres away costs no more bits.
         let (goal, vehicle) = (self.goal, self.vehicle);
         let nearest = cells.clone().map(|c| octile(c, goal)).min().unwrap_or(0);
@@ -339,7 +339,7 @@ impl Way {
 
     /// Cost factor of a cell, in quarters; 0 where the vehicle must not go.
     #[inline]
-    fn factor_of(&self, memory: &Memory, index: usize, cell: Cell) -> u32 {
+    fn factor_of(&self, memory: &OccupancyGrid, index: usize, cell: Cell) -> u32 {
         if !interior(cell) {
             return 0;
         }
@@ -360,7 +360,7 @@ impl Way {
     }
 
     /// Walks from the vehicle to the end of the way and keeps the cells' middles.
-    fn keep_way(&mut self, memory: &Memory) {
+    fn keep_way(&mut self, memory: &OccupancyGrid) {
         self.len = 0;
         let mut cell = self.vehicle;
         for point in &mut self.points {
@@ -380,7 +380,7 @@ impl Way {
     }
 
     /// Marks the cells of the last way and their neighbours, for the search to prefer.
-    fn mark_way(&mut self, memory: &Memory) {
+    fn mark_way(&mut self, memory: &OccupancyGrid) {
         self.on_way.fill(false);
         for &(north_m, east_m) in self.points.iter().take(self.len) {
             let cell = memory.cell_of(north_m, east_m);
@@ -438,8 +438,8 @@ mod tests {
     }
 
     /// A memory around home with these north-east points occupied.
-    fn memory_of(points: impl IntoIterator<Item = (f32, f32)>) -> Box<Memory> {
-        let mut memory = Box::new(Memory::new());
+    fn memory_of(points: impl IntoIterator<Item = (f32, f32)>) -> Box<OccupancyGrid> {
+        let mut memory = Box::new(OccupancyGrid::new());
         memory.follow(at(0.0, 0.0));
         for (north, east) in points {
             memory.occupy(north, east);
@@ -453,12 +453,12 @@ mod tests {
         (0..count).map(move |i| (north, east.start + CELL_M * i as f32))
     }
 
-    fn search(way: &mut Way, memory: &Memory, goal: (f32, f32)) -> Search {
+    fn search(way: &mut PathPlanner, memory: &OccupancyGrid, goal: (f32, f32)) -> Search {
         way.start(memory, at(0.0, 0.0), at(goal.0, goal.1));
         way.advance(memory, usize::MAX)
     }
 
-    fn length_m(way: &Way) -> f32 {
+    fn length_m(way: &PathPlanner) -> f32 {
         way.points()
             .windows(2)
             .map(|p| (p[0].0 - p[1].0).hypot(p[0].1 - p[1].1))
@@ -468,7 +468,7 @@ mod tests {
     #[test]
     fn without_obstacles_the_way_is_straight_and_ends_at_the_goal() {
         let memory = memory_of([]);
-        let mut way = Box::new(Way::new());
+        let mut way = Box::new(PathPlanner::new());
         assert_eq!(search(&mut way, &memory, (8.0, 0.1)), Search::Found);
         assert!((length_m(&way) - 8.0).abs() < 0.8, "{}", length_m(&way));
         let end = way.points().last().expect("a way");
@@ -478,7 +478,7 @@ mod tests {
     #[test]
     fn a_goal_beyond_the_grid_is_approached_through_its_border_however_far() {
         let memory = memory_of(wall(4.0, -6.0..2.0));
-        let mut way = Box::new(Way::new());
+        let mut way = Box::new(PathPlanner::new());
         for goal in [(20.0, 0.0), (400.0, 0.0), (90_000.0, 0.0)] {
             assert_eq!(search(&mut way, &memory, goal), Search::Found);
             let end = way.points().last().expect("a way");
@@ -490,7 +490,7 @@ mod tests {
     #[test]
     fn no_cell_of_the_way_is_too_near_to_an_obstacle() {
         let memory = memory_of(wall(4.0, -6.0..-1.0).chain(wall(4.0, 1.0..6.0)).chain([(7.0, 0.0)]));
-        let mut way = Box::new(Way::new());
+        let mut way = Box::new(PathPlanner::new());
         assert_eq!(search(&mut way, &memory, (9.0, 0.0)), Search::Found);
         for &(north, east) in way.points() {
             assert!(f32::from(memory.clearance_squared_at(north, east)).sqrt() * CELL_M >= LETHAL_CLEARANCE_M);
@@ -505,16 +505,16 @@ mod tests {
             (3.0 * libm::cosf(a), 3.0 * libm::sinf(a))
         });
         let memory = memory_of(ring);
-        let mut way = Box::new(Way::new());
+        let mut way = Box::new(PathPlanner::new());
         assert_eq!(search(&mut way, &memory, (9.0, 0.0)), Search::NoWay);
     }
 
     #[test]
     fn slices_find_the_same_way_as_one_go() {
         let memory = memory_of(wall(4.0, -6.0..2.0).chain(wall(7.0, -1.0..8.0)));
-        let mut whole = Box::new(Way::new());
+        let mut whole = Box::new(PathPlanner::new());
         assert_eq!(search(&mut whole, &memory, (20.0, -3.0)), Search::Found);
-        let mut sliced = Box::new(Way::new());
+        let mut sliced = Box::new(PathPlanner::new());
         sliced.start(&memory, at(0.0, 0.0), at(20.0, -3.0));
         let mut slices = 0;
         while sliced.advance(&memory, 100) == Search::Working {
@@ -526,19 +526,19 @@ mod tests {
 
     #[test]
     fn of_two_equal_ways_the_one_taken_before_is_kept() {
-        let mut way = Box::new(Way::new());
+        let mut way = Box::new(PathPlanner::new());
         // The wall reaches farther left at first, so the way goes right.
         assert_eq!(
             search(&mut way, &memory_of(wall(4.0, -4.0..2.5)), (9.0, 0.0)),
             Search::Found
         );
-        let right = |way: &Way| way.points().iter().any(|p| p.1 > 2.0);
+        let right = |way: &PathPlanner| way.points().iter().any(|p| p.1 > 2.0);
         assert!(right(&way));
         // Seen wholly, left would be a little shorter: not enough to turn around.
         let seen = memory_of(wall(4.0, -2.75..3.25));
         assert_eq!(search(&mut way, &seen, (9.0, 0.0)), Search::Found);
         assert!(right(&way));
-        let mut fresh = Box::new(Way::new());
+        let mut fresh = Box::new(PathPlanner::new());
         assert_eq!(search(&mut fresh, &seen, (9.0, 0.0)), Search::Found);
         assert!(!right(&fresh));
     }
@@ -551,7 +551,7 @@ mod tests {
                 .chain([(1.5, -3.0), (8.0, 3.0)]),
         );
         let goal = at(9.0, 4.0);
-        let mut way = Box::new(Way::new());
+        let mut way = Box::new(PathPlanner::new());
         way.start(&memory, at(0.0, 0.0), goal);
         assert_eq!(way.advance(&memory, usize::MAX), Search::Found);
         let found = way.cost[way.vehicle.index().expect("inside")];

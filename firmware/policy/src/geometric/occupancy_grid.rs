@@ -3,8 +3,8 @@
 //! The LiDAR sees 120°; what the vehicle passes is beside it, unseen. The grid keeps it, forgets what the vehicle has
 //! left behind by more than half the grid's side, and frees a cell again when rays are seen to pass through it.
 
+use crate::geometric::range_scan::Scan;
 use crate::smaller;
-use crate::surroundings::Scan;
 use vigil_types::NedVector;
 
 /// Edge of a cell in metres.
@@ -64,7 +64,7 @@ impl Cell {
 
 /// The grid. Fixed size, no allocation.
 #[derive(Debug, Clone)]
-pub struct Memory {
+pub struct OccupancyGrid {
     /// Cell coordinates (NED divided by [`CELL_M`]) of the grid's south-western corner; `None` before the first frame.
     corner: Option<(i32, i32)>,
     /// Evidence of an obstacle; 0 is free or never seen, [`HIT`] and more is an obstacle.
@@ -75,13 +75,13 @@ pub struct Memory {
     parity: bool,
 }
 
-impl Default for Memory {
+impl Default for OccupancyGrid {
     fn default() -> Self {
         Self::new()
     }
 }
 
-impl Memory {
+impl OccupancyGrid {
     /// An empty memory.
     pub const fn new() -> Self {
         Self {
@@ -241,7 +241,7 @@ impl Memory {
         self.clearance_squared.get(index).copied().unwrap_or(0)
     }
 
-    /// Squared clearance in cells at a NED position, as of the last [`Memory::measure_clearance`]: between the middles of
+    /// Squared clearance in cells at a NED position, as of the last [`OccupancyGrid::measure_clearance`]: between the middles of
     /// its cell and of the nearest obstacle's, at most [`CLEARANCE_LIMIT_SQUARED`], which is also the answer outside the grid.
     pub fn clearance_squared_at(&self, north_m: f32, east_m: f32) -> u8 {
         match self.cell_of(north_m, east_m).index() {
@@ -297,7 +297,7 @@ fn fixed(x: f32) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surroundings::SECTORS;
+    use crate::geometric::range_scan::SECTORS;
 
     /// A scan that sees one surface straight ahead and nothing elsewhere.
     fn ahead(range_m: f32) -> Scan {
@@ -324,14 +324,14 @@ mod tests {
         NedVector::new(north, east, -1.5)
     }
 
-    fn occupied(memory: &mut Memory, north: f32, east: f32) -> bool {
+    fn occupied(memory: &mut OccupancyGrid, north: f32, east: f32) -> bool {
         memory.measure_clearance();
         memory.clearance_squared_at(north, east) == 0
     }
 
     #[test]
     fn what_was_seen_stays_when_the_vehicle_turns_away_and_passes() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
         memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0);
         assert!(occupied(&mut memory, 4.1, 0.1));
@@ -345,7 +345,7 @@ mod tests {
 
     #[test]
     fn what_is_seen_through_is_forgotten() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
         memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0);
         for _ in 0..2 * SCORE_LIMIT {
@@ -357,7 +357,7 @@ mod tests {
 
     #[test]
     fn a_ray_proves_nothing_about_cells_nearer_than_the_view_reaches() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
         memory.observe(&ahead(0.6), HIT, at(0.0, 0.0), 0.0);
         for _ in 0..50 {
@@ -368,7 +368,7 @@ mod tests {
 
     #[test]
     fn the_grid_moves_with_the_vehicle_and_keeps_what_it_still_covers() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         memory.follow(at(100.0, -50.0));
         memory.observe(&ahead(5.0), HIT, at(100.0, -50.0), 0.0);
         for (north, east) in [(103.0, -52.5), (104.0, -46.0), (98.0, -45.0)] {
@@ -383,7 +383,7 @@ mod tests {
 
     #[test]
     fn clearance_is_the_distance_to_the_nearest_obstacle() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
         let obstacles = [(3_i32, 4_i32), (40, 50), (41, 52), (60, 20), (60, 27)];
         for (north, east) in obstacles {
@@ -405,7 +405,7 @@ mod tests {
 
     #[test]
     fn positions_and_cells_agree_on_both_sides_of_the_origin() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         memory.follow(at(-3.1, 0.2));
         for north in [-9.9_f32, -0.3, -0.01, 0.0, 0.24, 0.26, 7.0] {
             let (n, e) = memory.middle_of(memory.cell_of(north, -north));
@@ -415,7 +415,7 @@ mod tests {
 
     #[test]
     fn a_position_far_away_or_not_finite_is_survived() {
-        let mut memory = Memory::new();
+        let mut memory = OccupancyGrid::new();
         for bad in [1e30, -1e30, f32::NAN, f32::INFINITY] {
             memory.follow(at(bad, bad));
             memory.observe(&ahead(3.0), HIT, at(bad, 0.0), bad);

@@ -4,9 +4,9 @@
 //! candidate is admissible if no point of the scan and no remembered obstacle comes too near on the way (the admissible
 //! velocities of the dynamic window approach; Fox, Burgard, Thrun 1997).
 
-use crate::memory::Memory;
+use crate::geometric::occupancy_grid::OccupancyGrid;
+use crate::geometric::range_scan::{SECTORS, Scan};
 use crate::smaller;
-use crate::surroundings::{SECTORS, Scan};
 use vigil_types::{ACTION_LIMIT, HeadingVector, NedVector};
 
 /// Distance kept between the vehicle's middle and any point seen: its radius of 0.30 m and 0.15 m.
@@ -53,7 +53,7 @@ struct Margins {
 
 impl Margins {
     /// These distances, or the present ones where they are less: what is too near already must not get nearer.
-    fn new(scan: &Scan, memory: &Memory, at: NedVector, keep_m: f32, keep_squared_cells: u8) -> Self {
+    fn new(scan: &Scan, memory: &OccupancyGrid, at: NedVector, keep_m: f32, keep_squared_cells: u8) -> Self {
         let mut squared_m2 = [0.0; SECTORS];
         for (limit, range_m) in squared_m2.iter_mut().zip(&scan.range_m) {
             let keep_m = keep_m.min(range_m - CREEP_M).max(0.0);
@@ -68,7 +68,13 @@ impl Margins {
 
 /// The fastest admissible forward speed up to `wanted_m_s`; 0 if none is. `spare_m` is kept in addition, except where the vehicle
 /// squeezes through.
-pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &Memory, wanted_m_s: f32, spare_m: f32) -> f32 {
+pub fn admissible_speed_m_s(
+    motion: &Motion,
+    scan: &Scan,
+    memory: &OccupancyGrid,
+    wanted_m_s: f32,
+    spare_m: f32,
+) -> f32 {
     let wanted_m_s = wanted_m_s.clamp(0.0, ACTION_LIMIT);
     let here = motion.position_ned_m;
     let margins = Margins::new(scan, memory, here, KEEP_CLEAR_M + spare_m, KEEP_CLEAR_SQUARED_CELLS);
@@ -91,14 +97,14 @@ pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &Memory, wante
 /// Whether the vehicle, commanded this speed for [`REACTION_S`] and then to stop, would run into what is remembered.
 ///
 /// Only its own cell counts: with a cell more around it, pilots that pass half a metre beside an obstacle would be stopped for it.
-pub fn on_collision_course(motion: &Motion, memory: &Memory, speed_m_s: f32) -> bool {
+pub fn on_collision_course(motion: &Motion, memory: &OccupancyGrid, speed_m_s: f32) -> bool {
     const NOTHING_SEEN: &Scan = &Scan::EMPTY;
     let margins = Margins::new(NOTHING_SEEN, memory, motion.position_ned_m, 0.0, 1);
     !stays_clear(motion, NOTHING_SEEN, &margins, memory, speed_m_s)
 }
 
 /// Whether the vehicle stays clear if it is commanded this speed for [`REACTION_S`] and then to stop.
-fn stays_clear(motion: &Motion, scan: &Scan, margins: &Margins, memory: &Memory, speed_m_s: f32) -> bool {
+fn stays_clear(motion: &Motion, scan: &Scan, margins: &Margins, memory: &OccupancyGrid, speed_m_s: f32) -> bool {
     let turn_rad = motion.yaw_rate_rad_s * STEP_S;
     let (turn_sin, turn_cos) = (libm::sinf(turn_rad), libm::cosf(turn_rad));
     let (yaw_sin, yaw_cos) = (libm::sinf(motion.yaw_rad), libm::cosf(motion.yaw_rad));
@@ -162,7 +168,7 @@ mod tests {
             velocity_m_s: HeadingVector::new(velocity_m_s, 0.0, 0.0),
             yaw_rate_rad_s,
         };
-        admissible_speed_m_s(&motion, &scan_of(points), &Box::new(Memory::new()), 1.5, 0.0)
+        admissible_speed_m_s(&motion, &scan_of(points), &Box::new(OccupancyGrid::new()), 1.5, 0.0)
     }
 
     #[test]
@@ -214,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_collision_course_is_one_that_braking_does_not_end() {
-        let mut memory = Box::new(Memory::new());
+        let mut memory = Box::new(OccupancyGrid::new());
         memory.follow(NedVector::ZERO);
         for i in -4..=4 {
             memory.occupy(1.6, i as f32 * 0.25);
@@ -239,7 +245,7 @@ mod tests {
 
     #[test]
     fn remembered_obstacles_count_without_being_seen() {
-        let mut memory = Box::new(Memory::new());
+        let mut memory = Box::new(OccupancyGrid::new());
         memory.follow(NedVector::ZERO);
         for east in [-0.3, -0.1, 0.1, 0.3] {
             memory.occupy(0.8, east);

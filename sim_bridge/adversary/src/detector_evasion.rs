@@ -16,7 +16,7 @@ const MARGIN: f32 = 1.0;
 /// Score: LSTM-AD through its own layers, back to the newest row; from there through DeepSHAP by one-sided differences over
 /// the 48 values of the state, which the pixels' gradient then takes up. Nothing is approximated but those differences.
 #[derive(Debug, Clone)]
-pub(crate) struct Evasion {
+pub(crate) struct DetectorEvasion {
     isa: Isa,
     shap: DeepShap,
     /// LSTM-AD without its sigmoid: the score's logit.
@@ -34,7 +34,7 @@ pub(crate) struct Evasion {
     filled: usize,
 }
 
-impl Evasion {
+impl DetectorEvasion {
     pub fn new(spec: ActorSpec, isa: Isa, actor: &[f32], detector: &FrozenDetector) -> Result<Self, AttackError> {
         let graph = LstmAd::graph(ROW, LstmAd::CELL, Activation::Identity)?;
         let mut packed = vec![0.0; graph.param_len()];

@@ -1,4 +1,4 @@
-//! Flights that judge an actor: the frozen actor's own code, deciding every step, without noise.
+//! Flights that evaluate an actor: the frozen actor's own code, deciding every step, without noise.
 
 use crate::actor_training::flight::Flight;
 use rand::{RngExt, SeedableRng};
@@ -6,14 +6,14 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{ACTOR_FRAMES, Actor, ActorSpec, Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{FlightField, Surroundings};
+use vigil_policy::{FlightField, RangeScan};
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
 
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
-pub enum Judged<'a> {
+pub enum EvaluatedActor<'a> {
     /// An actor's parameters, and how many decisions ago its five frames were taken, oldest first.
     Actor(&'a [f32], [usize; ACTOR_FRAMES]),
     /// No motion at all: what the field does alone.
@@ -24,7 +24,7 @@ pub enum Judged<'a> {
 
 /// Which flights.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Judgement {
+pub struct EvaluationSpec {
     /// Family of courses.
     pub family: Family,
     /// First seed.
@@ -39,12 +39,12 @@ pub struct Judgement {
 
 /// How they ended.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Verdict {
+pub struct EvaluationResult {
     /// Outcome and time of each flight, in the order of the seeds.
     pub flights: Vec<(Outcome, f64)>,
 }
 
-impl Verdict {
+impl EvaluationResult {
     /// Number of flights with an outcome.
     pub fn count(&self, outcome: Outcome) -> usize {
         self.flights.iter().filter(|(o, _)| *o == outcome).count()
@@ -71,9 +71,9 @@ impl Verdict {
     }
 }
 
-/// Why a judgement could not be made.
+/// Why an evaluation could not be made.
 #[derive(Debug, thiserror::Error)]
-pub enum JudgeError {
+pub enum RolloutError {
     /// The vehicle.
     #[error(transparent)]
     Vehicle(#[from] ParamsError),
@@ -86,32 +86,32 @@ pub enum JudgeError {
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn judge(judged: Judged<'_>, isa: Isa, what: &Judgement) -> Result<Verdict, JudgeError> {
+pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<EvaluationResult, RolloutError> {
     let flights = (0..what.flights)
         .into_par_iter()
-        .map(|i| fly(judged, isa, what, what.first_seed.wrapping_add(i)))
+        .map(|i| fly(actor, isa, what, what.first_seed.wrapping_add(i)))
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(Verdict { flights })
+    Ok(EvaluationResult { flights })
 }
 
-fn fly(judged: Judged<'_>, isa: Isa, what: &Judgement, seed: u64) -> Result<(Outcome, f64), JudgeError> {
+fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64), RolloutError> {
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::new(&course, Wind::default(), seed)?;
-    let mut actor = match judged {
-        Judged::Actor(params, ages) => Some(Actor::with_frame_ages(ActorSpec::FULL, isa, params, ages)?),
-        Judged::Zero | Judged::Random => None,
+    let mut network = match actor {
+        EvaluatedActor::Actor(params, ages) => Some(Actor::with_frame_ages(ActorSpec::FULL, isa, params, ages)?),
+        EvaluatedActor::Zero | EvaluatedActor::Random => None,
     };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut surroundings = Box::new(Surroundings::new());
+    let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();
     loop {
-        let mut action = match (&mut actor, judged) {
+        let mut action = match (&mut network, actor) {
             (Some(actor), _) => {
                 let [forward_m_s, yaw] = actor.decide(&flight.frame().depth, positional_inputs(flight.goal()))?;
                 Action { forward_m_s, yaw }
             }
-            (None, Judged::Random) => Action {
+            (None, EvaluatedActor::Random) => Action {
                 forward_m_s: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
                 yaw: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
             },

@@ -85,7 +85,7 @@ const KIND: Kind = Kind {
 };
 
 /// The actor that comes with this program.
-const BUILT_IN: &[u8] = include_bytes!("../actor/actor.safetensors");
+const BUILT_IN: &[u8] = include_bytes!("../../actor/actor.safetensors");
 
 impl FrozenActor {
     /// The actor that comes with this program.

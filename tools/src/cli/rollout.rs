@@ -1,6 +1,6 @@
-//! `vigil judge`: how an actor flies alone, without MAVLink and guidance around it.
+//! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
 
-use crate::actor_training::{Judged, Judgement};
+use crate::actor_training::{EvaluatedActor, EvaluationSpec};
 use crate::cli::output::{or_dash, say};
 use crate::statistics::wilson_95;
 use anyhow::{Context, Result};
@@ -11,16 +11,16 @@ use vigil_policy::FrozenActor;
 use vigil_sim::family_parser;
 use vigil_world::{Family, Outcome};
 
-/// Arguments of `vigil judge`.
+/// Arguments of `vigil rollout`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
-  vigil judge --actor runs/train/actor.safetensors    100 validation courses, the field off and on
-  vigil judge --actor zero                            what the field does without any actor
-  vigil judge --actor random                          ... and with one that draws its action evenly each step
+  vigil rollout --actor runs/train/actor.safetensors    100 validation courses, the field off and on
+  vigil rollout --actor zero                            what the field does without any actor
+  vigil rollout --actor random                          ... and with one that draws its action evenly each step
 
 The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
-pub struct JudgeArgs {
+pub struct RolloutArgs {
     /// A frozen actor, or `zero` or `random`.
     #[arg(long, value_name = "FILE")]
     actor: String,
@@ -50,14 +50,14 @@ pub struct JudgeArgs {
 ///
 /// # Errors
 /// A file that is no actor.
-pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
+pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     let frozen;
-    let judged = match args.actor.as_str() {
-        "zero" => Judged::Zero,
-        "random" => Judged::Random,
+    let evaluated = match args.actor.as_str() {
+        "zero" => EvaluatedActor::Zero,
+        "random" => EvaluatedActor::Random,
         file => {
             frozen = FrozenActor::load(Path::new(file))?;
-            Judged::Actor(&frozen.params, frozen.frame_ages)
+            EvaluatedActor::Actor(&frozen.params, frozen.frame_ages)
         }
     };
     let threads = args.threads.map_or(0, usize::from);
@@ -67,25 +67,25 @@ pub fn run(args: &JudgeArgs) -> Result<ExitCode> {
         .context("cannot start threads")?;
     say!("field  completion   95 % interval      collision  out of bounds  time-out  mean time");
     for field in [false, true] {
-        let what = Judgement {
+        let what = EvaluationSpec {
             family: args.family,
             first_seed: args.seed,
             flights: args.flights,
             time_limit_s: args.time_limit,
             field,
         };
-        let verdict = pool.install(|| crate::actor_training::judge(judged, Isa::detect(), &what))?;
-        let (low, high) = wilson_95(verdict.successes(), verdict.flights.len());
+        let result = pool.install(|| crate::actor_training::evaluate(evaluated, Isa::detect(), &what))?;
+        let (low, high) = wilson_95(result.successes(), result.flights.len());
         say!(
             "{:<5} {:>9.1} %   {:>5.1} to {:>5.1} %   {:>9} {:>14} {:>9} {:>10}",
             if field { "on" } else { "off" },
-            100.0 * verdict.completion(),
+            100.0 * result.completion(),
             100.0 * low,
             100.0 * high,
-            verdict.count(Outcome::Collision),
-            verdict.count(Outcome::OutOfBounds),
-            verdict.count(Outcome::TimeOut),
-            or_dash(verdict.mean_time_s().unwrap_or(f64::NAN), 1, " s"),
+            result.count(Outcome::Collision),
+            result.count(Outcome::OutOfBounds),
+            result.count(Outcome::TimeOut),
+            or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s"),
         );
     }
     Ok(ExitCode::SUCCESS)

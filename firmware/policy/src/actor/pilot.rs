@@ -1,7 +1,7 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
 
 use crate::field::FlightField;
-use crate::surroundings::Surroundings;
+use crate::geometric::range_scan::RangeScan;
 use crate::{GeometricPilot, Pilot, PilotInput, smaller};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
 use vigil_types::{Action, GoalRelative};
@@ -28,7 +28,7 @@ pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
 #[derive(Debug, Clone)]
 pub struct ActorPilot {
     actor: Actor,
-    surroundings: Surroundings,
+    surroundings: RangeScan,
     field: Option<FlightField>,
 }
 
@@ -37,13 +37,13 @@ impl ActorPilot {
     pub fn new(actor: Actor, field: bool) -> Self {
         Self {
             actor,
-            surroundings: Surroundings::new(),
+            surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
         }
     }
 
     /// What the last frame showed.
-    pub fn surroundings(&self) -> &Surroundings {
+    pub fn surroundings(&self) -> &RangeScan {
         &self.surroundings
     }
 
@@ -91,7 +91,7 @@ pub enum FlightPilot {
 
 impl FlightPilot {
     /// What the last frame showed.
-    pub fn surroundings(&self) -> &Surroundings {
+    pub fn surroundings(&self) -> &RangeScan {
         match self {
             Self::Geometric(pilot) => pilot.surroundings(),
             Self::Actor(pilot) => pilot.surroundings(),

@@ -3,15 +3,15 @@
 mod common;
 
 use common::{Scene, Solid, block, column, frame_of, input};
-use vigil_policy::surroundings::{BAND_HALF_HEIGHT_M, SECTORS};
-use vigil_policy::{Scan, Surroundings};
+use vigil_policy::geometric::range_scan::{BAND_HALF_HEIGHT_M, SECTORS};
+use vigil_policy::{RangeScan, Scan};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, HeadingVector, NedVector};
 
 const AT: NedVector = NedVector::new(0.0, 0.0, -1.5);
 
 fn scan_of(scene: &Scene, attitude: Attitude) -> Scan {
     let frame = frame_of(scene, AT, attitude);
-    Surroundings::new().observe(&input(&frame, attitude)).clone()
+    RangeScan::new().observe(&input(&frame, attitude)).clone()
 }
 
 /// Every point seen lies on a solid's surface, within `tolerance_m` horizontally.
@@ -108,7 +108,7 @@ fn isolated_pixels_are_not_a_surface_but_three_together_are() {
         frame.depth[middle + col] = 0.02;
         frame.depth[middle - DEPTH_COLS + col + 1] = 0.02;
     }
-    let mut surroundings = Surroundings::new();
+    let mut surroundings = RangeScan::new();
     assert_eq!(
         surroundings
             .observe(&input(&frame, Attitude::LEVEL_NORTH))
@@ -132,7 +132,7 @@ fn a_wall_with_dropouts_stays_a_wall() {
             *pixel = 1.0;
         }
     }
-    let mut surroundings = Surroundings::new();
+    let mut surroundings = RangeScan::new();
     let scan = surroundings.observe(&input(&frame, Attitude::LEVEL_NORTH));
     assert_eq!(scan.points().count(), SECTORS);
     all_on_surfaces(scan, &scene, 0.0, 0.05);
@@ -147,7 +147,7 @@ fn yaw_and_motion_since_capture_are_corrected() {
     late.now_ns += 80_000_000;
     late.velocity_m_s = NedVector::new(1.5, 0.2, 0.0).to_heading(yaw);
     let moved = NedVector::new(0.12, 0.016, 0.0);
-    let mut surroundings = Surroundings::new();
+    let mut surroundings = RangeScan::new();
     let scan = surroundings.observe(&late);
     assert!(scan.points().count() > 8);
     for (x, y, range_m) in scan.points() {

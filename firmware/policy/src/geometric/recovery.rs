@@ -1,6 +1,6 @@
 //! The recovery pilot: flies on when the actor's eyes are being lied to (docs/detection.md).
 
-use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, Surroundings};
+use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::Action;
 
 /// Fastest forward speed, metres per second: slower than the actor, whose eyes were better.
@@ -25,7 +25,7 @@ impl RecoveryPilot {
     }
 
     /// What the last frame showed.
-    pub fn surroundings(&self) -> &Surroundings {
+    pub fn surroundings(&self) -> &RangeScan {
         self.pilot.surroundings()
     }
 

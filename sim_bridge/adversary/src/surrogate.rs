@@ -10,7 +10,7 @@ pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];
 
 /// Frames to outputs, with the gradient at the pixels.
 #[derive(Debug, Clone)]
-pub(crate) struct Lens {
+pub(crate) struct SurrogateActor {
     isa: Isa,
     params: Aligned,
     packed: Aligned,
@@ -27,7 +27,7 @@ pub(crate) struct Lens {
     state: NodeId,
 }
 
-impl Lens {
+impl SurrogateActor {
     /// The actor over all of its frames, from a zero state.
     pub fn on_state(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
         Self::new(spec, isa, params, ACTOR_FRAMES, false)

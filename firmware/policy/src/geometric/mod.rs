@@ -1,0 +1,13 @@
+//! The geometric pilot and its parts: what a frame shows by direction, the grid of what was seen, the way through it, the limit of
+//! the speed; and the recovery pilot, which is built from the same parts.
+
+mod governor;
+mod occupancy_grid;
+mod path_planner;
+mod pilot;
+pub mod range_scan;
+mod recovery;
+
+pub use pilot::{GeometricConfig, GeometricPilot};
+pub use range_scan::{RangeScan, Scan};
+pub use recovery::RecoveryPilot;
