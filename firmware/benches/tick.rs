@@ -69,6 +69,7 @@ impl Flight {
                 ..StepTiming::default()
             },
             frame: inputs.frame.as_deref(),
+            frame_known_altered: false,
             received: &inputs.received,
         };
         self.stack.tick(&input, &mut self.output);

@@ -14,10 +14,11 @@ use std::path::{Path, PathBuf};
 use vigil_guidance::{
     AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig, OnNoProgress,
 };
+use vigil_io::key_file::{KeyFileError, frame_keys};
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour, ObstacleReports};
 use vigil_policy::GeometricConfig;
-use vigil_types::{Goal, NedVector};
+use vigil_types::{FrameKeys, Goal, NedVector};
 
 /// Highest instance number: the ports of the next one would be the simulator's own.
 pub const MAX_INSTANCE: u32 = 99;
@@ -55,6 +56,10 @@ pub struct FirmwareConfig {
     pub obstacle_distance: ObstacleDistance,
     /// The sensor whose frames are accepted.
     pub sensor_id: u32,
+    /// Files with the secrets of the sensor's frame keys: the one in force, and while it is exchanged another; frames that were made
+    /// with neither are refused (docs/frame-authentication.md). None: frames are not authenticated.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub frame_key_files: Vec<PathBuf>,
     /// Whether frames are judged before the pilots see them.
     pub plausibility: bool,
     /// Who starts a flight.
@@ -389,6 +394,7 @@ impl Default for FirmwareConfig {
             vehicle: Vehicle::default(),
             obstacle_distance: ObstacleDistance::default(),
             sensor_id: 1,
+            frame_key_files: Vec::new(),
             plausibility: true,
             engage: Engage::default(),
             at_goal: AtGoalChoice::default(),
@@ -568,6 +574,14 @@ impl FirmwareConfig {
             (None, None) => Ok(SigningGate::new(None, *allow_unsigned)),
         };
         Ok(gate?.accepting_first_key(*accept_first_key))
+    }
+
+    /// The keys of the sensor's frames, their files read.
+    ///
+    /// # Errors
+    /// [`KeyFileError`]: a file that cannot be read, that others can read, or that is no key.
+    pub fn frame_keys(&self) -> Result<FrameKeys, KeyFileError> {
+        frame_keys(&self.frame_key_files, self.sensor_id)
     }
 
     /// Whether a detector watches the pilot.

@@ -8,7 +8,7 @@
     clippy::alloc_instead_of_core
 )]
 
-use vigil_types::{DepthFrame, FrameDefect, Nanos, STEP_NS};
+use vigil_types::{DepthFrame, FrameDefect, FrameKeys, Nanos, STEP_NS};
 
 /// A stamp may lie this far in the future: the loop reads its clock before it takes the frame.
 const FUTURE_NS: Nanos = STEP_NS;
@@ -35,6 +35,7 @@ impl Refusal {
             Self::Defect(FrameDefect::BadRange) => 4,
             Self::FromTheFuture => 5,
             Self::NotNewer => 6,
+            Self::Defect(FrameDefect::BadTag) => 7,
         }
     }
 }
@@ -49,6 +50,10 @@ impl core::fmt::Display for Refusal {
             Self::Defect(defect @ FrameDefect::WrongSensor { .. }) => {
                 write!(f, "{defect}, which is not the configured sensor_id")
             }
+            Self::Defect(defect @ FrameDefect::BadTag) => write!(
+                f,
+                "{defect}: not made with --frame-key, or altered on the way (docs/frame-authentication.md)"
+            ),
             Self::Defect(defect) => defect.fmt(f),
             Self::FromTheFuture => f.write_str("frame's stamp lies in the future of CLOCK_MONOTONIC"),
             Self::NotNewer => f.write_str("frame's stamp is not later than that of the frame before"),
@@ -57,7 +62,7 @@ impl core::fmt::Display for Refusal {
 }
 
 /// Reasons for which frames are refused.
-const REASONS: usize = 7;
+const REASONS: usize = 8;
 /// Their names, by number.
 const NAMES: [&str; REASONS] = [
     "size",
@@ -67,6 +72,7 @@ const NAMES: [&str; REASONS] = [
     "range",
     "stamp in the future",
     "stamp not newer",
+    "authentication",
 ];
 
 /// Frames refused since start, by reason.
@@ -106,6 +112,7 @@ impl FrameRefusals {
 #[derive(Debug)]
 pub struct FrameKeeper {
     sensor_id: u32,
+    keys: FrameKeys,
     frames: [DepthFrame; 2],
     /// The valid frame is the second; the other one is room.
     valid_is_second: bool,
@@ -118,6 +125,10 @@ impl FrameKeeper {
     pub const fn new(sensor_id: u32) -> Self {
         Self {
             sensor_id,
+            keys: FrameKeys {
+                current: None,
+                other: None,
+            },
             frames: [DepthFrame::EMPTY; 2],
             valid_is_second: false,
             has_valid: false,
@@ -128,17 +139,28 @@ impl FrameKeeper {
         }
     }
 
-    /// Takes a frame, or counts it as refused; the newest valid one then stays.
+    /// From now on takes only frames that were made with one of these keys, if there are any.
+    pub fn require(&mut self, keys: FrameKeys) {
+        self.keys = keys;
+    }
+
+    /// Takes a frame, or counts it as refused; the newest valid one then stays. `known_altered` is what a log says of a frame
+    /// whose key is not at hand any more.
     ///
     /// # Errors
     /// The first [`Refusal`] found.
-    pub fn take(&mut self, frame: &DepthFrame, now_ns: Nanos) -> Result<(), Refusal> {
+    pub fn take(&mut self, frame: &DepthFrame, known_altered: bool, now_ns: Nanos) -> Result<(), Refusal> {
         let newest_ns = self.newest().map(|valid| valid.header.stamp_ns);
         let [first, second] = &mut self.frames;
         let candidate = if self.valid_is_second { first } else { second };
         candidate.header = frame.header;
         candidate.depth.copy_from_slice(&frame.depth);
-        let checked = check(candidate, self.sensor_id, newest_ns, now_ns);
+        let checked = check(candidate, self.sensor_id, newest_ns, now_ns).and_then(|()| {
+            match !known_altered && self.keys.accept(candidate) {
+                true => Ok(()),
+                false => Err(Refusal::Defect(FrameDefect::BadTag)),
+            }
+        });
         match checked {
             Ok(()) => {
                 self.valid_is_second = !self.valid_is_second;
@@ -200,11 +222,11 @@ mod tests {
         let mut keeper = keeper();
         assert!(keeper.newest().is_none());
         for i in 1..5 {
-            assert_eq!(keeper.take(&sealed(i * STEP_NS, i), i * STEP_NS), Ok(()));
+            assert_eq!(keeper.take(&sealed(i * STEP_NS, i), false, i * STEP_NS), Ok(()));
             assert_eq!(keeper.newest().map(|f| f.header.sequence), Some(i));
             let mut torn = sealed(i * STEP_NS + 1, 99);
             torn.depth[7] = 0.5;
-            let refused = keeper.take(&torn, i * STEP_NS + 1);
+            let refused = keeper.take(&torn, false, i * STEP_NS + 1);
             assert_eq!(refused, Err(Refusal::Defect(FrameDefect::BadChecksum)));
             assert_eq!(keeper.newest(), Some(&*sealed(i * STEP_NS, i)));
         }
@@ -214,11 +236,11 @@ mod tests {
     #[test]
     fn a_repeated_frame_does_not_become_fresh_and_a_restarted_publisher_does() {
         let mut keeper = keeper();
-        assert_eq!(keeper.take(&sealed(100, 41), 100), Ok(()));
-        assert_eq!(keeper.take(&sealed(100, 41), 200), Err(Refusal::NotNewer));
-        assert_eq!(keeper.take(&sealed(90, 42), 200), Err(Refusal::NotNewer));
+        assert_eq!(keeper.take(&sealed(100, 41), false, 100), Ok(()));
+        assert_eq!(keeper.take(&sealed(100, 41), false, 200), Err(Refusal::NotNewer));
+        assert_eq!(keeper.take(&sealed(90, 42), false, 200), Err(Refusal::NotNewer));
         assert_eq!(
-            keeper.take(&sealed(300, 0), 300),
+            keeper.take(&sealed(300, 0), false, 300),
             Ok(()),
             "sequences start again, stamps go on"
         );
@@ -228,10 +250,13 @@ mod tests {
     fn a_stamp_from_the_future_would_stay_fresh_for_ever_and_is_refused() {
         let mut keeper = keeper();
         assert_eq!(
-            keeper.take(&sealed(100 + FUTURE_NS + 1, 0), 100),
+            keeper.take(&sealed(100 + FUTURE_NS + 1, 0), false, 100),
             Err(Refusal::FromTheFuture)
         );
-        assert_eq!(keeper.take(&sealed(u64::MAX, 0), 100), Err(Refusal::FromTheFuture));
-        assert_eq!(keeper.take(&sealed(100 + FUTURE_NS, 0), 100), Ok(()));
+        assert_eq!(
+            keeper.take(&sealed(u64::MAX, 0), false, 100),
+            Err(Refusal::FromTheFuture)
+        );
+        assert_eq!(keeper.take(&sealed(100 + FUTURE_NS, 0), false, 100), Ok(()));
     }
 }

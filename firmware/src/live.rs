@@ -14,6 +14,7 @@ use crate::saved::{ParameterKeeper, SavedError};
 use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
 use std::sync::atomic::{AtomicBool, Ordering};
+use vigil_io::key_file::KeyFileError;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, DomainError, FrameError, FrameSubscriber};
 use vigil_log::{LogPlace, Recorder, RecorderConfig, Scene, SceneError, StartError, epoch_offset_ns};
 use vigil_mavlink::LinkCounters;
@@ -33,6 +34,9 @@ pub enum LiveError {
     /// Frames cannot be received.
     #[error(transparent)]
     Frames(#[from] FrameError),
+    /// A key of the sensor's frames is refused.
+    #[error(transparent)]
+    FrameKey(#[from] KeyFileError),
     /// A link cannot be opened.
     #[error(transparent)]
     Link(#[from] LinkError),
@@ -254,8 +258,10 @@ impl LiveLoop {
             link: config.open_links()?,
             pending: Box::default(),
         };
+        let frame_keys = config.frame_keys()?;
         let recorder = start_recorder(config, clock.now_ns())?;
         let mut firmware = Firmware::of(config, recorder)?;
+        firmware.require_frame_keys(frame_keys);
         let parameters = match saved {
             Some(saved) => Some(saved.start(firmware.parameters())?),
             None => None,

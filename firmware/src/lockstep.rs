@@ -6,7 +6,7 @@ use crate::step::{Firmware, StackError};
 use std::time::Duration;
 use vigil_io::shared_memory::{Domain, LockstepError, LockstepServer, Served};
 use vigil_log::Recorder;
-use vigil_types::{Datagrams, DepthFrame, Nanos, StepReport, StepTiming};
+use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// The firmware in the simulator's own process.
 pub struct LockstepFirmware {
@@ -55,6 +55,11 @@ impl LockstepFirmware {
             &mut HandedFrame(frame),
             &mut HandedDatagrams::new(received, sent),
         )
+    }
+
+    /// From now on takes only frames that were made with one of these keys, if there are any.
+    pub fn require_frame_keys(&mut self, keys: FrameKeys) {
+        self.firmware.require_frame_keys(keys);
     }
 
     /// Steps taken.

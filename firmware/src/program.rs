@@ -67,6 +67,11 @@ pub struct FirmwareArgs {
     #[arg(long)]
     pub accept_first_key: bool,
 
+    /// File with the secret of the depth frames' key: 64 hexadecimal digits or 32 bytes, mode 0600. Frames that were not made with it are
+    /// refused. Given twice while a key is exchanged: either is accepted. Without it frames are not authenticated.
+    #[arg(long, value_name = "FILE")]
+    pub frame_key: Vec<PathBuf>,
+
     /// Which autopilot the vehicle has; a vehicle of another one is not flown [default: auto].
     #[arg(long, value_enum)]
     pub vehicle: Option<Vehicle>,
@@ -237,6 +242,9 @@ impl FirmwareArgs {
         config.signing.key_file = self.signing_key.clone().or(config.signing.key_file);
         config.signing.allow_unsigned = self.allow_unsigned.unwrap_or(config.signing.allow_unsigned);
         config.signing.accept_first_key |= self.accept_first_key;
+        if !self.frame_key.is_empty() {
+            config.frame_key_files = self.frame_key.clone();
+        }
         config.vehicle = self.vehicle.unwrap_or(config.vehicle);
         config.obstacle_distance = self.obstacle_distance.unwrap_or(config.obstacle_distance);
         config.engage = self.engage.unwrap_or(config.engage);
@@ -330,6 +338,7 @@ fn run_lockstep(config: &FirmwareConfig, timeout: Duration, stop: &AtomicBool) -
         })
         .transpose()?;
     let mut firmware = LockstepFirmware::recording(config, recorder)?;
+    firmware.require_frame_keys(config.frame_keys()?);
     let mut last = StepReport::default();
     let cancelled = || stop.load(Ordering::Relaxed);
     announce(&format!(
@@ -376,8 +385,13 @@ impl std::fmt::Display for Start<'_> {
         )?;
         writeln!(
             f,
-            "frames     of sensor {} on `{DEPTH_TOPIC}` in shared memory",
-            config.sensor_id
+            "frames     of sensor {} on `{DEPTH_TOPIC}` in shared memory, {}",
+            config.sensor_id,
+            match config.frame_key_files.len() {
+                0 => "not authenticated (no --frame-key)",
+                1 => "authenticated with one key",
+                _ => "authenticated with one of two keys",
+            }
         )?;
         writeln!(f, "pilot      {}", pilot_line(config))?;
         write!(f, "signing    {}", config.signing)

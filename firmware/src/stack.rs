@@ -10,7 +10,7 @@
 )]
 
 use crate::crew::Crew;
-use crate::frame_keeper::{FrameKeeper, FrameRefusals};
+use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
 use crate::leg::Leg;
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
@@ -19,9 +19,9 @@ use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Paramet
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
-    Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Goal, GoalRelative, GuidanceState,
-    HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons, RequestOutcome, StepReport,
-    StepTiming, VehicleTelemetry, Verdict,
+    Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, FrameDefect, FrameKeys, Goal, GoalRelative,
+    GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons, RequestOutcome,
+    StepReport, StepTiming, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -61,6 +61,8 @@ pub struct TickInput<'a> {
     pub timing: StepTiming,
     /// The frame that is new since the last step; unchecked.
     pub frame: Option<&'a DepthFrame>,
+    /// In replay: the frame was found unauthenticated when it arrived; the key is not needed any more.
+    pub frame_known_altered: bool,
     /// What the links received since the last step.
     pub received: &'a Datagrams,
 }
@@ -149,8 +151,12 @@ impl FlightStack {
         let now_ns = input.now_ns;
 
         // Acquire.
-        let taken = input.frame.map(|frame| self.frames.take(frame, now_ns).is_ok());
+        let outcome = input
+            .frame
+            .map(|frame| self.frames.take(frame, input.frame_known_altered, now_ns));
+        let taken = outcome.map(|outcome| outcome.is_ok());
         let refused = taken == Some(false);
+        let unauthenticated = outcome == Some(Err(Refusal::Defect(FrameDefect::BadTag)));
         for (link, datagram) in input.received.iter() {
             self.companion.receive(now_ns, link, datagram);
         }
@@ -197,6 +203,7 @@ impl FlightStack {
             frame: FrameStatus {
                 age_ns: frame_age_ns,
                 refused,
+                unauthenticated,
                 doubts,
             },
             action,
@@ -266,6 +273,11 @@ impl FlightStack {
     /// The parameters and their values in force.
     pub fn parameters(&mut self) -> &Parameters {
         self.companion.parameters()
+    }
+
+    /// From now on takes only frames that were made with one of these keys, if there are any.
+    pub fn require_frame_keys(&mut self, keys: FrameKeys) {
+        self.frames.require(keys);
     }
 
     /// Frames refused since start, by reason.

@@ -10,7 +10,7 @@ use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
 use vigil_mavlink::{LinkCounters, Parameters, StatusText};
 use vigil_nnet::file::FileError;
-use vigil_types::{Datagrams, Nanos, StepReport, StepTiming};
+use vigil_types::{Datagrams, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// Why a flight stack cannot be made of a configuration.
 #[derive(Debug, thiserror::Error)]
@@ -83,11 +83,13 @@ impl Firmware {
         let now_ns = clock.now_ns();
         self.received.clear();
         link.receive(now_ns, &mut self.received);
+        let frame_known_altered = frames.known_altered();
         let frame = frames.newest();
         let input = TickInput {
             now_ns,
             timing,
             frame,
+            frame_known_altered,
             received: &self.received,
         };
         self.stack.tick(&input, &mut self.output);
@@ -100,6 +102,11 @@ impl Firmware {
             });
         }
         &self.output.report
+    }
+
+    /// From now on takes only frames that were made with one of these keys, if there are any.
+    pub fn require_frame_keys(&mut self, keys: FrameKeys) {
+        self.stack.require_frame_keys(keys);
     }
 
     /// Frames refused since start, by reason.

@@ -93,6 +93,7 @@ fn whole_flight(config: &FirmwareConfig) {
             },
             // Frames stay out for a while in flight, so that the paths of a hold are walked too.
             frame: (!(500..520).contains(&step)).then_some(&*frame),
+            frame_known_altered: false,
             received: &received,
         };
         assert_eq!(counted(|| stack.tick(&input, &mut output)), 0, "step {step}");

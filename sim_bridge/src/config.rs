@@ -5,6 +5,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use vigil_autopilot::{EndpointConfig, Saved};
+use vigil_types::FrameKey;
 use vigil_vehicle::{ParamsError, VehicleParams, Wind};
 use vigil_world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
 
@@ -38,6 +39,8 @@ pub struct SimConfig {
     pub lidar: LidarConfig,
     /// What fails of the LiDAR, if anything.
     pub sensor_fault: Option<SensorFault>,
+    /// The key with which the LiDAR's driver authenticates its frames, if it does.
+    pub frame_key: Option<FrameKey>,
     /// Airframe, controllers, sensors, battery.
     pub vehicle: VehicleParams,
     /// Wind and gusts.
@@ -76,6 +79,7 @@ impl SimConfig {
             saved: Saved::default(),
             lidar,
             sensor_fault: None,
+            frame_key: None,
             vehicle,
             wind,
         }

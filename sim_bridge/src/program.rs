@@ -5,7 +5,7 @@ use crate::links::{LinksConfig, VehicleLinks};
 use crate::lockstep::{FirmwarePort, fly_lockstep};
 use crate::state::state_file;
 use crate::udp::ports_in_words;
-use crate::{CompanionView, CourseChoice, Models, STEP_MS, SensorFault, SimConfig, Simulator, Start};
+use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, STEP_MS, SensorFault, SimConfig, Simulator, Start};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -93,6 +93,11 @@ pub struct SimArgs {
     #[arg(long, value_name = "WHO", value_enum, default_value_t)]
     pub allow_unsigned: AllowUnsigned,
 
+    /// File with the secret of the depth frames' key, as the sensor's driver has it: 64 hexadecimal digits or 32 bytes, mode 0600. Without it
+    /// frames carry no tag.
+    #[arg(long, value_name = "FILE")]
+    pub frame_key: Option<PathBuf>,
+
     /// Folder that keeps the vehicle's parameters and plans over restarts. Without it they end with the process.
     #[arg(long, value_name = "DIR")]
     pub state: Option<PathBuf>,
@@ -178,6 +183,10 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     config.sensor_fault = args.sensor_fault;
+    config.frame_key = match &args.frame_key {
+        Some(path) => Some(vigil_io::key_file::frame_key(path, LIDAR_SENSOR_ID)?),
+        None => None,
+    };
     if let Some(folder) = &args.state {
         config.saved = state_file(folder, args.instance).load()?;
     }

@@ -4,7 +4,7 @@ use crate::config::{SimConfig, SimError, Start};
 use crate::sensor_fault::FailingSensor;
 use twox_hash::XxHash3_64;
 use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup};
-use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS};
+use vigil_types::{Datagrams, DepthFrame, FrameKey, Nanos, NedVector, STEP_NS};
 use vigil_vehicle::{ControlCommand, Truth, Vehicle};
 use vigil_world::{Lidar, Outcome, Referee, Shot, World};
 
@@ -34,6 +34,8 @@ pub struct Simulator {
     lidar: Lidar,
     /// Present when the LiDAR is to fail.
     failing: Option<FailingSensor>,
+    /// Present when the LiDAR's driver authenticates its frames.
+    frame_key: Option<FrameKey>,
     endpoint: Endpoint,
     goal_ned_m: NedVector,
     epoch_ns: Nanos,
@@ -68,6 +70,7 @@ impl Simulator {
             referee: Referee::new(course),
             vehicle,
             lidar: Lidar::new(config.lidar, config.seed)?,
+            frame_key: config.frame_key.clone(),
             failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
             endpoint,
             goal_ned_m: course.goal_ned_m(),
@@ -162,7 +165,7 @@ impl Simulator {
         }
     }
 
-    /// Captures a depth frame into `frame`, as the LiDAR's fault leaves it, and seals it.
+    /// Captures a depth frame into `frame`, as the LiDAR's fault leaves it, seals it, and authenticates it if there is a key.
     pub fn capture(&mut self, frame: &mut DepthFrame) {
         let truth = self.vehicle.truth();
         let estimate = self.vehicle.view().estimate;
@@ -183,6 +186,9 @@ impl Simulator {
         self.lidar.capture(&self.world, &shot, frame);
         if let Some(failing) = &mut self.failing {
             failing.spoil(elapsed_ns, frame);
+        }
+        if let Some(key) = &self.frame_key {
+            frame.authenticate(key);
         }
         self.next_sequence += 1;
     }

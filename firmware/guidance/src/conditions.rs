@@ -51,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 27] = [
+pub static CONDITIONS: [Condition; 28] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -63,7 +63,7 @@ pub static CONDITIONS: [Condition; 27] = [
         Reason::BadFrame,
         Demand::Hold,
         true,
-        "a frame was refused in this step (size, sensor, checksum, range, pose)",
+        "a frame was refused in this step (size, sensor, checksum, range, pose, stamp)",
         "a step in which no frame is refused",
     ),
     condition(
@@ -234,6 +234,13 @@ pub static CONDITIONS: [Condition; 27] = [
         false,
         "standby, ready: a person took the vehicle over, or the policy is *auto* and the vehicle is where *auto* does not take it ([below](#where-auto-engages))",
         "an operator engages; where nobody took it over also a state of the vehicle in which *auto* takes it",
+    ),
+    condition(
+        Reason::UnauthenticatedFrame,
+        Demand::Hold,
+        true,
+        "frame keys are configured, and a frame in this step was not made with one of them",
+        "a step without such a frame",
     ),
 ];
 

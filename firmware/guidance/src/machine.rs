@@ -27,6 +27,8 @@ pub struct FrameStatus {
     pub age_ns: Option<Nanos>,
     /// A frame was refused in this step.
     pub refused: bool,
+    /// It was refused because it was not made with the sensor's key.
+    pub unauthenticated: bool,
     /// What is implausible about the newest valid frame: [`Reason::BlindSensor`] and its like; no pilot was shown it then.
     pub doubts: Reasons,
 }
@@ -539,7 +541,7 @@ impl Guidance {
         let recovering = alarm.is_some_and(|alarm| alarm.response == AlarmResponse::Recovery);
         Reasons::NONE
             .with_if(stale_frame, Reason::StaleFrame)
-            .with_if(input.frame.refused, Reason::BadFrame)
+            .with_if(input.frame.refused && !input.frame.unauthenticated, Reason::BadFrame)
             .with_if(stale_telemetry, Reason::StaleTelemetry)
             .with_if(link_lost, Reason::LinkLost)
             .with_if(bad_telemetry || bad_action, Reason::NotFinite)
@@ -561,6 +563,7 @@ impl Guidance {
             .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
             .with_if(slow_telemetry, Reason::SlowTelemetry)
             .with_if(pilot_in_command, Reason::PilotInCommand)
+            .with_if(input.frame.unauthenticated, Reason::UnauthenticatedFrame)
             .union(input.frame.doubts)
     }
 

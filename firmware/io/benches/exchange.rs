@@ -4,7 +4,7 @@ use std::time::Duration;
 use vigil_io::shared_memory::{
     DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber, LockstepClient, LockstepServer, Served,
 };
-use vigil_types::{Datagrams, DepthFrame};
+use vigil_types::{Datagrams, DepthFrame, FrameKey};
 
 fn main() {
     divan::main();
@@ -28,6 +28,19 @@ fn publish_and_receive_a_frame(bencher: divan::Bencher) {
     });
     drop((publisher, subscriber, domain));
     vigil_io::shared_memory::remove_leftovers(own_instance(0)).unwrap();
+}
+
+/// What a driver and the firmware each spend on a frame, without and with a key.
+#[divan::bench]
+fn checksum_of_a_frame(bencher: divan::Bencher) {
+    let frame = Box::new(DepthFrame::EMPTY);
+    bencher.bench_local(|| divan::black_box(&*frame).compute_checksum());
+}
+
+#[divan::bench]
+fn authentication_tag_of_a_frame(bencher: divan::Bencher) {
+    let (frame, key) = (Box::new(DepthFrame::EMPTY), FrameKey::new(&[1; 32], 1, b"boot"));
+    bencher.bench_local(|| key.tag(divan::black_box(&frame)));
 }
 
 #[divan::bench(args = [false, true])]

@@ -4,6 +4,7 @@ mod files;
 
 pub use files::{SigningFileError, read_key};
 
+use crate::key_file::KeyFileError;
 use files::SigningStateWriter;
 use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;
@@ -114,8 +115,8 @@ impl SigningGate {
     pub fn with_kept_key(key_file: &Path, name: &str, allow_unsigned: AllowUnsigned) -> Result<Self, SigningFileError> {
         let key = match read_key(key_file) {
             Ok(key) => Some(key),
-            Err(SigningFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
-            Err(other) => return Err(other),
+            Err(KeyFileError::Read { source, .. }) if source.kind() == ErrorKind::NotFound => None,
+            Err(other) => return Err(other.into()),
         };
         let (keeper, memory) = SigningStateWriter::start(key_file, name, STORE_AHEAD)?;
         let signing = key.map(|key| Signing::new(key, 0, memory.clone()));

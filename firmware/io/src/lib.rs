@@ -1,5 +1,5 @@
 //! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
-//! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), files that outlive a restart ([`state`]), and
+//! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), secrets ([`key_file`]), files that outlive a restart ([`state`]), and
 //! [`shared_memory`] with depth frames and lockstep exchanges.
 #![cfg_attr(
     not(test),
@@ -8,6 +8,7 @@
 
 pub mod clock;
 pub mod gate;
+pub mod key_file;
 pub mod link_spec;
 pub mod link_url;
 pub mod links;

@@ -6,9 +6,9 @@
 use crate::wire;
 use crate::{TickRecord, wire::Tick};
 use vigil_types::{
-    Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, FrameHeader, Goal, GoalRelative,
-    GuidanceState, Heartbeat, Judgement, Kinematics, Landed, Reasons, StepReport, StepTiming, Vector, VehicleMode,
-    VehicleTelemetry, VelocitySetpoint, Verdict,
+    Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, FRAME_TAG_BYTES, FrameHeader, Goal,
+    GoalRelative, GuidanceState, Heartbeat, Judgement, Kinematics, Landed, Reasons, StepReport, StepTiming, Vector,
+    VehicleMode, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// A message that decodes as protobuf and yet is no step: which field, and what is wrong with it.
@@ -164,6 +164,7 @@ fn header_to_wire(header: &FrameHeader) -> wire::Frame {
         attitude,
         reserved,
         checksum,
+        tag,
     } = *header;
     wire::Frame {
         stamp_ns,
@@ -175,6 +176,12 @@ fn header_to_wire(header: &FrameHeader) -> wire::Frame {
         attitude: Some(attitude_to_wire(attitude)),
         reserved,
         checksum,
+        // Most frames have none.
+        tag: if tag == [0; FRAME_TAG_BYTES] {
+            Vec::new()
+        } else {
+            tag.to_vec()
+        },
     }
 }
 
@@ -189,6 +196,13 @@ fn header_from_wire(frame: &wire::Frame) -> Result<FrameHeader, RecordDefect> {
         attitude: attitude_from_wire(frame.attitude.as_ref(), "frame.attitude")?,
         reserved: frame.reserved,
         checksum: frame.checksum,
+        tag: match frame.tag.as_slice() {
+            [] => [0; FRAME_TAG_BYTES],
+            tag => tag.try_into().map_err(|_| RecordDefect::Impossible {
+                field: "frame.tag, bytes",
+                value: tag.len() as u32,
+            })?,
+        },
     })
 }
 

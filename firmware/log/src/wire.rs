@@ -77,6 +77,7 @@ messages! {
         [message, optional] attitude: Option<Wxyz> = 7 as Wxyz;
         [uint32] reserved: u32 = 8;
         [fixed64] checksum: u64 = 9;
+        [bytes] tag: Vec<u8> = 10;
     }
 
     /// One datagram and the link it belongs to.

@@ -23,6 +23,25 @@ impl FrameSource for HandedFrame<'_> {
     }
 }
 
+/// The one frame of a recorded step, and whether it was authenticated when it arrived.
+#[derive(Debug, Default)]
+pub struct RecordedFrame<'a> {
+    /// The frame.
+    pub frame: Option<&'a DepthFrame>,
+    /// The step refused it as not made with the sensor's key.
+    pub unauthenticated: bool,
+}
+
+impl FrameSource for RecordedFrame<'_> {
+    fn newest(&mut self) -> Option<&DepthFrame> {
+        self.frame.take()
+    }
+
+    fn known_altered(&self) -> bool {
+        self.unauthenticated
+    }
+}
+
 /// The datagrams of a step, on their way in and out.
 #[derive(Debug)]
 pub struct HandedDatagrams<'a> {

@@ -18,4 +18,9 @@ pub trait Clock {
 pub trait FrameSource {
     /// The newest frame that was not given before, unchecked; older ones are skipped. Never waits.
     fn newest(&mut self) -> Option<&DepthFrame>;
+
+    /// Whether that frame is known to have been refused as unauthenticated: of a log, whose reader has no key.
+    fn known_altered(&self) -> bool {
+        false
+    }
 }

@@ -1,6 +1,6 @@
 //! The depth frame: what the LiDAR saw, as the policy gets it.
 
-use crate::{Attitude, Nanos, NedVector};
+use crate::{Attitude, FRAME_TAG_BYTES, Nanos, NedVector};
 use core::f32::consts::PI;
 use twox_hash::XxHash3_64;
 
@@ -53,6 +53,8 @@ pub struct FrameHeader {
     pub reserved: u32,
     /// [`DepthFrame::compute_checksum`] over all of the above and the pixels.
     pub checksum: u64,
+    /// [`FrameKey::tag`](crate::FrameKey::tag) over the same, made by a publisher that has the key; zeros without one.
+    pub tag: [u8; FRAME_TAG_BYTES],
 }
 
 /// One depth image: range along each pixel's ray (not along the optical axis) divided by [`DEPTH_FULL_SCALE_M`],
@@ -87,6 +89,8 @@ pub enum FrameDefect {
     BadRange,
     /// The pose at capture is not finite or its quaternion is not of unit length.
     BadPose,
+    /// The authentication tag was not made with a key that the receiver has: altered, foreign, or of before the last boot.
+    BadTag,
 }
 
 impl core::fmt::Display for FrameDefect {
@@ -99,11 +103,44 @@ impl core::fmt::Display for FrameDefect {
             Self::BadChecksum => write!(f, "frame checksum does not match"),
             Self::BadRange => write!(f, "frame holds a range that is not within 0..=1"),
             Self::BadPose => write!(f, "frame's pose at capture is not valid"),
+            Self::BadTag => write!(f, "frame's authentication tag does not match"),
         }
     }
 }
 
 impl core::error::Error for FrameDefect {}
+
+/// Bytes of the header that checksum and tag cover.
+pub(crate) const COVERED_BYTES: usize = 56;
+
+// Pixels are hashed where they lie.
+const _: () = assert!(cfg!(target_endian = "little"), "frames are little-endian in memory");
+
+impl FrameHeader {
+    /// The fields that checksum and tag cover, little-endian, in order.
+    pub(crate) fn covered(&self) -> [u8; COVERED_BYTES] {
+        let mut head = [0u8; COVERED_BYTES];
+        let mut at = 0;
+        let mut put = |bytes: &[u8]| {
+            if let Some(slot) = head.get_mut(at..at + bytes.len()) {
+                slot.copy_from_slice(bytes);
+            }
+            at += bytes.len();
+        };
+        put(&self.stamp_ns.to_le_bytes());
+        put(&self.sequence.to_le_bytes());
+        put(&self.sensor_id.to_le_bytes());
+        put(&self.rows.to_le_bytes());
+        put(&self.cols.to_le_bytes());
+        for v in self.position_ned_m.to_array() {
+            put(&v.to_le_bytes());
+        }
+        for v in [self.attitude.w, self.attitude.x, self.attitude.y, self.attitude.z] {
+            put(&v.to_le_bytes());
+        }
+        head
+    }
+}
 
 impl DepthFrame {
     /// A frame of no returns, with a valid size and checksum still unset.
@@ -118,6 +155,7 @@ impl DepthFrame {
             attitude: Attitude::LEVEL_NORTH,
             reserved: 0,
             checksum: 0,
+            tag: [0; FRAME_TAG_BYTES],
         },
         depth: [1.0; DEPTH_PIXELS],
     };
@@ -125,39 +163,16 @@ impl DepthFrame {
     /// xxHash3-64 over the header (checksum excluded) and the pixels' bits. Not a defence against an adversary, who can
     /// recompute it: it catches torn, truncated and foreign memory.
     pub fn compute_checksum(&self) -> u64 {
-        let h = &self.header;
-        let mut head = [0u8; 56];
-        let mut at = 0;
-        let mut put = |bytes: &[u8]| {
-            if let Some(slot) = head.get_mut(at..at + bytes.len()) {
-                slot.copy_from_slice(bytes);
-            }
-            at += bytes.len();
-        };
-        put(&h.stamp_ns.to_le_bytes());
-        put(&h.sequence.to_le_bytes());
-        put(&h.sensor_id.to_le_bytes());
-        put(&h.rows.to_le_bytes());
-        put(&h.cols.to_le_bytes());
-        for v in h.position_ned_m.to_array() {
-            put(&v.to_le_bytes());
-        }
-        for v in [h.attitude.w, h.attitude.x, h.attitude.y, h.attitude.z] {
-            put(&v.to_le_bytes());
-        }
-        // Hash in blocks through a stack buffer: f32 has no safe view as bytes without a dependency.
+        let head = self.header.covered();
+        // Chained over blocks; the value is part of the interface.
         let mut hash = XxHash3_64::oneshot(&head);
-        let mut block = [0u8; 4096];
-        for chunk in self.depth.chunks(1024) {
-            for (b, v) in block.chunks_exact_mut(4).zip(chunk) {
-                b.copy_from_slice(&v.to_le_bytes());
-            }
-            hash = XxHash3_64::oneshot_with_seed(hash, &block);
+        for block in self.depth.chunks(1024) {
+            hash = XxHash3_64::oneshot_with_seed(hash, bytemuck::cast_slice(block));
         }
         hash
     }
 
-    /// Sets the checksum; the publisher's last act.
+    /// Sets the checksum; the publisher's last act, unless it also [authenticates](Self::authenticate).
     pub fn seal(&mut self) {
         self.header.checksum = self.compute_checksum();
     }
@@ -214,8 +229,8 @@ mod tests {
     #[test]
     fn a_sealed_frame_is_accepted_and_its_layout_has_no_padding() {
         assert_eq!(sealed().check(7), Ok(()));
-        assert_eq!(core::mem::size_of::<FrameHeader>(), 64);
-        assert_eq!(core::mem::size_of::<DepthFrame>(), 64 + 4 * DEPTH_PIXELS);
+        assert_eq!(core::mem::size_of::<FrameHeader>(), 80);
+        assert_eq!(core::mem::size_of::<DepthFrame>(), 80 + 4 * DEPTH_PIXELS);
     }
 
     #[test]

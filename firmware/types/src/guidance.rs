@@ -54,7 +54,7 @@ impl GuidanceState {
 pub enum Reason {
     /// No valid depth frame within the age limit.
     StaleFrame = 0,
-    /// A frame arrived and was refused (size, sensor, checksum, range, pose).
+    /// A frame arrived and was refused (size, sensor, checksum, range, pose, stamp).
     BadFrame = 1,
     /// Position or attitude older than the age limit, or never received.
     StaleTelemetry = 2,
@@ -106,11 +106,13 @@ pub enum Reason {
     SlowTelemetry = 26,
     /// A person has the vehicle: guidance does not take it by itself.
     PilotInCommand = 27,
+    /// A frame arrived that was not made with the sensor's key.
+    UnauthenticatedFrame = 28,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 27] = [
+    pub const ALL: [Self; 28] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -138,6 +140,7 @@ impl Reason {
         Self::NoProgress,
         Self::SlowTelemetry,
         Self::PilotInCommand,
+        Self::UnauthenticatedFrame,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -170,6 +173,7 @@ impl Reason {
             Self::NoProgress => "no progress",
             Self::SlowTelemetry => "slow telemetry",
             Self::PilotInCommand => "pilot in command",
+            Self::UnauthenticatedFrame => "unauthenticated frame",
         }
     }
 }

@@ -8,6 +8,7 @@
 
 mod action;
 mod depth;
+mod frame_key;
 mod guidance;
 mod handover;
 mod judgement;
@@ -20,6 +21,7 @@ pub use depth::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameHeader, HORIZONTAL_FOV_RAD,
     PIXEL_PITCH_RAD, VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
 };
+pub use frame_key::{FRAME_TAG_BYTES, FrameKey, FrameKeys};
 pub use guidance::{GuidanceState, Reason, Reasons};
 pub use handover::{HandoverProgress, OperatorRequest, RequestOutcome, VehicleRequest};
 pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement, Verdict};

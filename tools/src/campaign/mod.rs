@@ -9,14 +9,16 @@ pub use watch::WatchRecord;
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use serde::Serialize;
+use std::cell::Cell;
 use std::convert::Infallible;
 use std::path::Path;
-use vigil_adversary::{Attack, AttackRecord};
+use std::rc::Rc;
+use vigil_adversary::{Attack, AttackRecord, PassedStep};
 use vigil_firmware::config::PilotKind;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep::{FirmwarePort, FlightRecord, fly_lockstep_through};
 use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_types::{Datagrams, DepthFrame, Nanos};
+use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos};
 use vigil_world::{Family, Outcome, generate};
 
 /// What a flight came to.
@@ -29,6 +31,8 @@ pub struct Flown {
     pub watch: Option<WatchRecord>,
     /// What was found wrong with the sensor.
     pub sensor: SensorRecord,
+    /// Frames that were altered on their way and shown to a pilot all the same.
+    pub altered_frames_used: u64,
 }
 
 /// How a row of flights ended.
@@ -107,17 +111,27 @@ pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack
         firmware: LockstepFirmware::new(firmware)?,
         watch: WatchRecord::default(),
         sensor: SensorRecord::default(),
+        altered: Rc::default(),
+        altered_frames_used: 0,
     };
+    if let Some(key) = &config.frame_key {
+        firmware.firmware.require_frame_keys(FrameKeys {
+            current: Some(key.clone()),
+            other: None,
+        });
+    }
     let mut adversary = attack
         .map(|attack| attack.interceptor(config.seed, config.course.goal_ned_m()))
         .transpose()?;
     let mut done = attack.map(|_| AttackRecord::default());
     // Only a frame of another size is refused, and the simulator makes none.
+    let altered = Rc::clone(&firmware.altered);
     let mut between = |step: u64, frame: &mut DepthFrame| {
         if let (Some(adversary), Some(done)) = (&mut adversary, &mut done)
             && let Ok(passed) = adversary.pass(step, frame)
         {
             done.observe(step, &passed);
+            altered.set(matches!(passed, PassedStep::Attacked(_)));
         }
     };
     let time_limit_s = f64::from(config.course.time_limit_s);
@@ -127,6 +141,7 @@ pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack
         attack: done,
         watch: firmware.watch.was_watched().then_some(firmware.watch),
         sensor: firmware.sensor,
+        altered_frames_used: firmware.altered_frames_used,
     })
 }
 
@@ -134,6 +149,9 @@ struct SameProcess {
     firmware: LockstepFirmware,
     watch: WatchRecord,
     sensor: SensorRecord,
+    /// The frame of this step was altered on its way.
+    altered: Rc<Cell<bool>>,
+    altered_frames_used: u64,
 }
 
 impl FirmwarePort for SameProcess {
@@ -150,6 +168,8 @@ impl FirmwarePort for SameProcess {
         let report = self.firmware.step(now_ns, Some(frame), received, sent);
         self.watch.observe(step, report);
         self.sensor.observe(step, report);
+        let used = report.frame_sequence == Some(frame.header.sequence);
+        self.altered_frames_used += u64::from(self.altered.take() && used);
         Ok(())
     }
 }

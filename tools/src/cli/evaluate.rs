@@ -14,8 +14,8 @@ use vigil_adversary::{Attack, AttackArgs, AttackRecord};
 use vigil_adversary::{AttackConfig, Burst};
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep::FlightRecord;
-use vigil_sim::{Models, SensorFault, SimConfig, Start, family_parser};
-use vigil_types::STEP_S;
+use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, family_parser};
+use vigil_types::{FrameKey, STEP_S};
 use vigil_vehicle::Wind;
 use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
 
@@ -99,6 +99,11 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]", value_parser = FaultChoice::parse)]
     sensor_fault: Option<FaultChoice>,
 
+    /// The LiDAR's driver authenticates its frames, and the firmware refuses others; the attacker does not have the key
+    /// (docs/frame-authentication.md).
+    #[arg(long)]
+    authenticate_frames: bool,
+
     /// Where the JSON goes; `-` is standard output, the table then goes to standard error.
     #[arg(short = 'o', long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
@@ -158,6 +163,9 @@ struct Flight {
     #[serde(skip_serializing_if = "Option::is_none")]
     watch: Option<WatchRecord>,
     sensor: SensorRecord,
+    /// Altered frames that a pilot was shown; absent where nobody attacks.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    altered_frames_used: Option<u64>,
 }
 
 /// The attack as the report names it.
@@ -189,6 +197,7 @@ struct Report<'a> {
     wind_m_s: f64,
     noise_factor: f32,
     still: bool,
+    authenticated_frames: bool,
     ground_every: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     goal_distance: Option<GoalDistance>,
@@ -332,6 +341,10 @@ fn fly(
         config.sensor_fault = Some(fault);
         config.course.time_limit_s = config.course.time_limit_s.min(FAULT_TIME_LIMIT_S);
     }
+    if args.authenticate_frames {
+        // Both sides of the flight run in this process: any secret does.
+        config.frame_key = Some(FrameKey::new(&[0x5A; 32], LIDAR_SENSOR_ID, b"campaign"));
+    }
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     args.pilot.apply(&mut firmware);
     let Flown {
@@ -339,7 +352,9 @@ fn fly(
         attack,
         watch,
         sensor,
+        altered_frames_used,
     } = campaign::fly(&config, &firmware, attack)?;
+    let is_attacked = attack.is_some();
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
         draw(
             &config.course,
@@ -355,6 +370,7 @@ fn fly(
         attack,
         watch,
         sensor,
+        altered_frames_used: is_attacked.then_some(altered_frames_used),
     })
 }
 
@@ -433,6 +449,8 @@ fn report(
             flights.len(),
             100.0 * effective as f64 / steps.max(1) as f64
         );
+        let used: u64 = flights.iter().filter_map(|f| f.altered_frames_used).sum();
+        say!("altered frames   {used} of {steps} were used");
     }
     if flights.iter().any(|f| f.watch.is_some()) {
         let watched = flights.iter().filter_map(|f| f.watch.as_ref());
@@ -479,6 +497,7 @@ fn report(
         wind_m_s: args.wind,
         noise_factor: args.noise,
         still: args.still,
+        authenticated_frames: args.authenticate_frames,
         ground_every: args.ground_every,
         goal_distance: args.goal_distance,
         threads,

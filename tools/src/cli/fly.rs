@@ -70,6 +70,10 @@ pub struct FlyArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]")]
     sensor_fault: Option<SensorFault>,
 
+    /// File with the secret of the depth frames' key for simulator and firmware; the adversary does not have it.
+    #[arg(long, value_name = "FILE")]
+    frame_key: Option<PathBuf>,
+
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
     #[arg(short = 'o', long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
@@ -84,6 +88,7 @@ impl Default for FlyArgs {
             pilot: PilotArgs::default(),
             attack: AttackArgs::default(),
             sensor_fault: None,
+            frame_key: None,
             log: PathBuf::from("runs"),
         }
     }
@@ -115,6 +120,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         if let Some(fault) = args.sensor_fault {
             c.args(["--sensor-fault", &fault.to_string()]);
         }
+        if let Some(key) = &args.frame_key {
+            c.arg("--frame-key").arg(key);
+        }
     })?;
     let statuses = read_statuses(&mut simulator.child)?;
     let goal = course.goal_ned_m();
@@ -137,6 +145,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         c.args(["--engage", "auto", "--at-goal", "land"]);
         c.arg(format!("--goal={},{}", goal.x, goal.y))
             .arg(format!("--height={}", -goal.z));
+        if let Some(key) = &args.frame_key {
+            c.arg("--frame-key").arg(key);
+        }
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
         args.pilot.hand_on(c);
     })?

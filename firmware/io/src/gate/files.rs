@@ -1,15 +1,13 @@
 //! The files of signing: the key, and what replay protection needs over restarts.
 
+use crate::key_file::{KeyFileError, read_secret};
 use rtrb::{Producer, RingBuffer};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_files::Access;
 use vigil_mavlink::signing::{SigningKey, SigningMemory, StreamTime};
 
-/// A key file is longer than this only by mistake.
-const KEY_SIZE_LIMIT: u64 = 4 << 10;
 /// A line for each stream, of which there are a few dozen at most.
 const STATE_SIZE_LIMIT: u64 = 64 << 10;
 /// States that may wait to be written; the newest is offered again a second later.
@@ -22,48 +20,9 @@ const PAUSE: Duration = Duration::from_millis(100);
 /// Why signing cannot be switched on.
 #[derive(Debug, thiserror::Error)]
 pub enum SigningFileError {
-    /// The key cannot be read.
-    #[error("signing key {path}: {source}")]
-    Read {
-        /// The key file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Others can read or write the key.
-    #[error(
-        "signing key {path} has mode {mode:04o}, so others can read or change it: chmod 600 {path}, and make a new key if they may have"
-    )]
-    Permissions {
-        /// The key file.
-        path: PathBuf,
-        /// Its permission bits.
-        mode: u32,
-    },
-    /// Another user owns the key.
-    #[error("signing key {path} belongs to user {owner}: it must be yours or root's")]
-    Owner {
-        /// The key file.
-        path: PathBuf,
-        /// The owner's number.
-        owner: u32,
-    },
-    /// The file does not hold a key.
-    #[error(
-        "signing key {path} is not a key: write 64 hexadecimal digits or exactly 32 bytes, for example with: head -c 32 /dev/urandom > {path}"
-    )]
-    Content {
-        /// The key file.
-        path: PathBuf,
-    },
-    /// The file holds zeros.
-    #[error(
-        "signing key {path} is all zeros, which anybody would guess: make one with: head -c 32 /dev/urandom > {path}"
-    )]
-    Zero {
-        /// The key file.
-        path: PathBuf,
-    },
+    /// The key cannot be used.
+    #[error(transparent)]
+    Key(#[from] KeyFileError),
     /// The state cannot be read or written.
     #[error("signing state {path}: {source}; without it packets could be replayed after a restart")]
     State {
@@ -84,55 +43,12 @@ pub enum SigningFileError {
     },
 }
 
-/// Reads a key: 64 hexadecimal digits with white space around them, or 32 bytes. The file must be the user's or root's
-/// and closed to everybody else.
+/// Reads the key of signing, see [`read_secret`].
 ///
 /// # Errors
-/// [`SigningFileError`].
-pub fn read_key(path: &Path) -> Result<SigningKey, SigningFileError> {
-    let read = |source| SigningFileError::Read {
-        path: path.to_owned(),
-        source,
-    };
-    let mut file = vigil_files::open(path).map_err(read)?;
-    // Of the open file, so that nobody can exchange it in between.
-    let metadata = file.metadata().map_err(read)?;
-    let mode = metadata.permissions().mode() & 0o7777;
-    if mode & 0o077 != 0 {
-        return Err(SigningFileError::Permissions {
-            path: path.to_owned(),
-            mode,
-        });
-    }
-    let owner = metadata.uid();
-    if owner != 0 && owner != rustix::process::geteuid().as_raw() {
-        return Err(SigningFileError::Owner {
-            path: path.to_owned(),
-            owner,
-        });
-    }
-    let bytes = vigil_files::read_from(&mut file, KEY_SIZE_LIMIT).map_err(read)?;
-    let key = key_of(&bytes).ok_or_else(|| SigningFileError::Content { path: path.to_owned() })?;
-    match key.is_zero() {
-        true => Err(SigningFileError::Zero { path: path.to_owned() }),
-        false => Ok(key),
-    }
-}
-
-fn key_of(bytes: &[u8]) -> Option<SigningKey> {
-    if let Ok(raw) = <[u8; 32]>::try_from(bytes) {
-        return Some(SigningKey(raw));
-    }
-    let digits = std::str::from_utf8(bytes).ok()?.trim().as_bytes();
-    if digits.len() != 64 {
-        return None;
-    }
-    let mut key = [0; 32];
-    for (byte, pair) in key.iter_mut().zip(digits.chunks_exact(2)) {
-        let digit = |d: &u8| char::from(*d).to_digit(16);
-        *byte = pair.iter().try_fold(0, |sum, d| Some(sum << 4 | digit(d)? as u8))?;
-    }
-    Some(SigningKey(key))
+/// [`KeyFileError`].
+pub fn read_key(path: &Path) -> Result<SigningKey, KeyFileError> {
+    read_secret(path, "signing key").map(SigningKey)
 }
 
 /// What is to be written.
@@ -293,57 +209,13 @@ fn stream_of(line: &str) -> Option<StreamTime> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::PermissionsExt;
 
     fn key_file(folder: &Path, content: &[u8], mode: u32) -> PathBuf {
         let path = folder.join("vigil.key");
         std::fs::write(&path, content).unwrap();
         std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
         path
-    }
-
-    #[test]
-    fn a_key_is_32_bytes_or_64_digits() {
-        let folder = tempfile::tempdir().unwrap();
-        let key = SigningKey(std::array::from_fn(|i| i as u8 * 8));
-        let hex: String = key.0.iter().map(|b| format!("{b:02X}")).collect();
-        for content in [
-            key.0.to_vec(),
-            hex.clone().into_bytes(),
-            format!(" {hex}\n").into_bytes(),
-        ] {
-            assert_eq!(read_key(&key_file(folder.path(), &content, 0o600)).unwrap(), key);
-        }
-        for content in [&key.0[..31], &hex.as_bytes()[..63], &[b'g'; 64], b""] {
-            let error = read_key(&key_file(folder.path(), content, 0o400)).unwrap_err();
-            assert!(matches!(error, SigningFileError::Content { .. }));
-            assert!(error.to_string().contains("64 hexadecimal digits"), "{error}");
-        }
-    }
-
-    #[test]
-    fn zeros_are_no_key() {
-        let folder = tempfile::tempdir().unwrap();
-        for content in [&[0; 32][..], &[b'0'; 64]] {
-            let error = read_key(&key_file(folder.path(), content, 0o600)).unwrap_err();
-            assert!(error.to_string().contains("all zeros"), "{error}");
-        }
-    }
-
-    #[test]
-    fn a_key_that_others_can_read_is_refused_with_what_to_do() {
-        let folder = tempfile::tempdir().unwrap();
-        for mode in [0o644, 0o640, 0o604, 0o660, 0o610] {
-            let error = read_key(&key_file(folder.path(), &[1; 32], mode))
-                .unwrap_err()
-                .to_string();
-            assert!(
-                error.contains(&format!("{mode:04o}")) && error.contains("chmod 600"),
-                "{error}"
-            );
-        }
-        assert!(read_key(&key_file(folder.path(), &[1; 32], 0o400)).is_ok());
-        let error = read_key(&folder.path().join("none.key")).unwrap_err().to_string();
-        assert!(error.contains("none.key"), "{error}");
     }
 
     fn memory() -> SigningMemory {

@@ -27,7 +27,7 @@ pub(crate) struct ShmFrame(pub(crate) DepthFrame);
 // layout), so any process may read it, whatever bytes another one wrote.
 unsafe impl ZeroCopySend for ShmFrame {
     unsafe fn type_name() -> &'static str {
-        "vigil_depth_frame_v1"
+        "vigil_depth_frame_v2"
     }
 }
 

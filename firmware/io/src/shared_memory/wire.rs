@@ -86,7 +86,7 @@ pub(crate) struct WireResponse {
 // SAFETY: both are `repr(C)` plain data without pointers or invalid bit patterns (the frame: see `ShmFrame`).
 unsafe impl ZeroCopySend for WireRequest {
     unsafe fn type_name() -> &'static str {
-        "vigil_lockstep_request_v1"
+        "vigil_lockstep_request_v2"
     }
 }
 // SAFETY: as above.

@@ -87,6 +87,7 @@ impl Draw {
             attitude: self.attitude(),
             reserved: self.bits() as u32,
             checksum: self.bits(),
+            tag: std::array::from_fn(|_| self.bits() as u8),
         };
         for value in &mut frame.depth {
             *value = self.float();
@@ -202,6 +203,7 @@ pub fn bits(record: &TickRecord) -> Vec<u64> {
             all.floats(&h.position_ned_m.to_array());
             all.attitude(h.attitude);
             all.whole(&[h.reserved.into(), h.checksum]);
+            all.0.extend(h.tag.map(u64::from));
             all.floats(depth);
         }
     }

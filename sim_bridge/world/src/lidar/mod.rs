@@ -17,7 +17,9 @@ use cast::{Scene, TileCaster, cast_by_tree};
 use noise::NoiseKeys;
 use serde::{Deserialize, Serialize};
 use simd::Simd;
-use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrameHeader, FrdVector, Nanos, NedVector};
+use vigil_types::{
+    Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FRAME_TAG_BYTES, FrameHeader, FrdVector, Nanos, NedVector,
+};
 
 /// The sensor's properties. Field of view and resolution are fixed, since the policy's input depends on them (`vigil-types`).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -188,6 +190,7 @@ impl Lidar {
             attitude: shot.estimated_attitude,
             reserved: 0,
             checksum: 0,
+            tag: [0; FRAME_TAG_BYTES],
         };
         frame.seal();
     }

@@ -1,0 +1,224 @@
+//! Stories of a sensor whose frames are authenticated: whoever alters or forges one without the key stops the vehicle, by name,
+//! and never steers it.
+
+mod common;
+
+use common::{TestVehicle, config};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use vigil_firmware::{LockstepFirmware, replay};
+use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, WhenFull};
+use vigil_types::{
+    Datagrams, DepthFrame, FrameKey, FrameKeys, GuidanceState, Nanos, Reason, Reasons, STEP_NS, StepReport,
+};
+
+const SENSOR_ID: u32 = 1;
+
+fn key(secret: u8) -> FrameKey {
+    FrameKey::new(&[secret; 32], SENSOR_ID, b"this boot")
+}
+
+fn only(secret: u8) -> FrameKeys {
+    FrameKeys {
+        current: Some(key(secret)),
+        other: None,
+    }
+}
+
+/// Vehicle and firmware in step. The driver has the key of secret 1 unless a test exchanges it.
+struct Flight {
+    vehicle: TestVehicle,
+    firmware: LockstepFirmware,
+    driver: FrameKey,
+    now_ns: Nanos,
+    last: StepReport,
+    sent: Datagrams,
+}
+
+impl Flight {
+    fn of(mut firmware: LockstepFirmware) -> Self {
+        firmware.require_frame_keys(only(1));
+        let mut flight = Self {
+            vehicle: TestVehicle::hovering(2.5),
+            firmware,
+            driver: key(1),
+            now_ns: 1_000_000_000,
+            last: StepReport::default(),
+            sent: Datagrams::default(),
+        };
+        flight.run_until(GuidanceState::Guided);
+        flight
+    }
+
+    fn guided() -> Self {
+        Self::of(LockstepFirmware::new(&config()).unwrap())
+    }
+
+    /// A frame of the driver, which somebody alters on its way.
+    fn step_altered(&mut self, alter: impl FnOnce(&mut DepthFrame)) -> StepReport {
+        let mut frame = self.vehicle.frame(self.now_ns);
+        frame.authenticate(&self.driver);
+        alter(&mut frame);
+        self.step_with(&frame)
+    }
+
+    fn step_with(&mut self, frame: &DepthFrame) -> StepReport {
+        let telemetry = self.vehicle.telemetry();
+        self.last = *self.firmware.step(self.now_ns, Some(frame), &telemetry, &mut self.sent);
+        for (_, datagram) in self.sent.iter() {
+            self.vehicle.hear(datagram);
+        }
+        self.vehicle.advance();
+        self.now_ns += STEP_NS;
+        self.last
+    }
+
+    fn step(&mut self) -> StepReport {
+        self.step_altered(|_| {})
+    }
+
+    fn run_until(&mut self, state: GuidanceState) {
+        for _ in 0..200 {
+            if self.step().state == state {
+                return;
+            }
+        }
+        panic!("not {state:?} within 10 s: {:?}", self.last);
+    }
+
+    fn stopped_by(&mut self, alter: impl FnOnce(&mut DepthFrame)) {
+        let used = self.last.frame_sequence;
+        let report = self.step_altered(alter);
+        assert_eq!(report.state, GuidanceState::Hold);
+        assert_eq!(report.reasons, Reasons::of(Reason::UnauthenticatedFrame));
+        assert_eq!(
+            report.frame_sequence, used,
+            "the last frame that was taken is the driver's"
+        );
+        let setpoint = self.vehicle.setpoints.last().unwrap();
+        assert_eq!([setpoint.vx, setpoint.vy, setpoint.yaw_rate], [0.0; 3]);
+    }
+}
+
+#[test]
+fn an_altered_frame_with_a_right_checksum_stops_the_vehicle_by_name_and_true_ones_let_it_fly_on() {
+    let mut flight = Flight::guided();
+    flight.stopped_by(|frame| {
+        frame.depth[9_999] = 0.07;
+        frame.seal();
+    });
+    flight.run_until(GuidanceState::Guided);
+    assert_eq!(flight.last.frames_refused, 1);
+}
+
+#[test]
+fn a_publisher_without_the_key_or_with_another_never_gets_the_vehicle_off_its_place() {
+    let mut firmware = LockstepFirmware::new(&config()).unwrap();
+    firmware.require_frame_keys(only(1));
+    let mut vehicle = TestVehicle::hovering(2.5);
+    let mut sent = Datagrams::default();
+    for step in 0..60 {
+        let mut frame = vehicle.frame(step * STEP_NS);
+        if step % 2 == 0 {
+            frame.authenticate(&key(2));
+        }
+        let report = *firmware.step(step * STEP_NS, Some(&frame), &vehicle.telemetry(), &mut sent);
+        assert_eq!(report.state, GuidanceState::Standby);
+        assert!(
+            report.reasons.contains(Reason::UnauthenticatedFrame),
+            "{:?}",
+            report.reasons
+        );
+        vehicle.advance();
+    }
+}
+
+#[test]
+fn frames_that_were_kept_do_not_fly_the_vehicle_again() {
+    let mut flight = Flight::guided();
+    let mut kept = flight.vehicle.frame(flight.now_ns);
+    kept.authenticate(&key(1));
+    flight.step();
+    // In the same boot: its stamp is not newer.
+    let report = flight.step_with(&kept);
+    assert_eq!(
+        (report.state, report.reasons),
+        (GuidanceState::Hold, Reasons::of(Reason::BadFrame))
+    );
+    flight.run_until(GuidanceState::Guided);
+    // With its stamp set right: the tag covers the stamp.
+    let now_ns = flight.now_ns;
+    flight.stopped_by(|frame| {
+        frame.clone_from(&kept);
+        frame.header.stamp_ns = now_ns;
+        frame.seal();
+    });
+    // Of another boot, with a stamp that fits.
+    flight.run_until(GuidanceState::Guided);
+    flight.stopped_by(|frame| frame.authenticate(&FrameKey::new(&[1; 32], SENSOR_ID, b"the boot before")));
+}
+
+#[test]
+fn a_key_is_exchanged_in_flight_without_a_hold() {
+    let mut flight = Flight::guided();
+    flight.firmware.require_frame_keys(FrameKeys {
+        current: Some(key(2)),
+        other: Some(key(1)),
+    });
+    for driver in [1, 2] {
+        flight.driver = key(driver);
+        for _ in 0..20 {
+            assert_eq!(flight.step().state, GuidanceState::Guided);
+        }
+    }
+    flight.firmware.require_frame_keys(only(2));
+    assert_eq!(flight.step().state, GuidanceState::Guided);
+    flight.driver = key(1);
+    flight.stopped_by(|_| {});
+}
+
+#[test]
+fn a_flight_with_forged_frames_is_replayed_to_the_byte_by_somebody_without_the_key() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("flight.mcap");
+    let recorder = Recorder::start(RecorderConfig {
+        when_full: WhenFull::Wait,
+        ..RecorderConfig::new(LogPlace::File(path.clone()), config().flight_info())
+    })
+    .unwrap();
+    let mut flight = Flight::of(LockstepFirmware::recording(&config(), Some(recorder)).unwrap());
+    for step in 0..60 {
+        flight.step_altered(|frame| {
+            if step % 20 == 7 {
+                frame.depth[123] = 0.01;
+                frame.seal();
+            }
+        });
+    }
+    assert_eq!(flight.last.frames_refused, 3);
+    let steps = flight.firmware.steps();
+    flight.firmware.finish().unwrap();
+    let report = replay(&mut Reader::open(&path).unwrap()).unwrap();
+    assert_eq!((report.difference, report.steps), (None, steps));
+}
+
+fn refused(path: &Path) -> String {
+    let mut config = config();
+    config.frame_key_files = vec![path.to_owned()];
+    config.frame_keys().unwrap_err().to_string()
+}
+
+#[test]
+fn a_key_that_is_missing_readable_by_others_or_no_key_is_refused_before_anything_flies() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, content: &[u8], mode: u32| -> PathBuf {
+        let path = folder.path().join(name);
+        std::fs::write(&path, content).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).unwrap();
+        path
+    };
+    assert!(refused(&folder.path().join("none.key")).contains("none.key"));
+    assert!(refused(&file("open.key", &[7; 32], 0o644)).contains("chmod 600"));
+    assert!(refused(&file("short.key", &[7; 31], 0o600)).contains("is not a key"));
+    assert!(refused(&file("zero.key", &[0; 32], 0o600)).contains("all zeros"));
+}
