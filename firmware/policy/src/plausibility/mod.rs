@@ -51,6 +51,8 @@ const ANCHOR_USEFUL_NS: Nanos = 6_000_000_000;
 const NEAR_M: f32 = 0.35;
 const FAR_M: f32 = 1.2;
 const LEAST_M: f32 = 0.15;
+/// A way that is long enough to tell 5° from the error of the estimated position.
+const DIRECTED_M: f32 = 0.7;
 
 /// What is found counts for about ten frames, and for about forty where directions are told.
 const KEEP: f32 = 0.9;
@@ -77,11 +79,11 @@ const MISFIT_SAMPLES: f32 = 300.0;
 /// Cost of the motion over that of a mirrored sensor's, as a share of it too, and of a turned one's.
 const MIRRORED: f32 = 150.0;
 const MIRRORED_FIT: f32 = 0.5;
-const TURNED: f32 = 80.0;
+const TURNED: f32 = 300.0;
 /// The turn that is tested against, cosine and sine of 5°, and the turns that are told, as multiples of it.
 const TURN: (f32, f32) = (0.996_194_7, 0.087_155_74);
-const LEAST_TURN: f32 = 0.65;
-const MOST_TURN: f32 = 1.75;
+const LEAST_TURN: f32 = 0.85;
+const MOST_TURN: f32 = 2.5;
 /// Points of a part that were seen through, and how many such parts make a picture from which something vanished.
 const VANISHED: f32 = 6.0;
 const VANISHED_PARTS: usize = 6;
@@ -468,6 +470,8 @@ impl PlausibilityJudge {
     fn compare_far(&mut self, far: usize, pose: &Pose) {
         let Some(anchor) = self.anchors.get(far) else { return };
         let (map, forth) = (Map::between(pose, &anchor.pose), Map::between(&anchor.pose, pose));
+        // Over a shorter way the estimate's own error has a direction.
+        let directed = (pose.position_ned_m - anchor.pose.position_ned_m).horizontal_norm() >= DIRECTED_M;
         let (cos, sin) = TURN;
         let others = [map.turned((cos, -sin)), map.turned((cos, sin)), map.mirrored()];
         for (row, column) in samples(self.step) {
@@ -498,7 +502,7 @@ impl PlausibilityJudge {
             };
             let Some(straight) = cost(&map) else { continue };
             let [left, right, mirrored] = others.each_ref().map(cost);
-            if let (Some(left), Some(right)) = (left, right) {
+            if let (true, Some(left), Some(right)) = (directed, left, right) {
                 let [to_left, to_right] = &mut self.evidence.turned;
                 *to_left += straight - left;
                 *to_right += straight - right;
