@@ -1,4 +1,4 @@
-"""What the clients of `test_ground_services.py` do with files, logs, events, metadata, shell and telemetry rates."""
+"""Uses the vehicle's files, logs, events, metadata, shell and telemetry rates with MAVSDK-Python, version 3 or 4."""
 
 import argparse
 import asyncio
@@ -6,6 +6,8 @@ import json
 import os
 import tempfile
 from pathlib import Path
+
+from mavsdk_system import VERSION, MavsdkSystem, types
 
 SIZE = 50_000
 # Telemetry for which PX4's simulation and this vehicle have nothing to tell, or must not (the truth).
@@ -36,7 +38,7 @@ async def refused(call):
     raise AssertionError("not refused")
 
 
-async def files(ftp, download):
+async def files(ftp):
     """Uploads, compares, fetches in both ways, renames and removes a file."""
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
@@ -49,7 +51,7 @@ async def files(ftp, download):
         for burst in (False, True):
             into = folder / str(burst)
             into.mkdir()
-            await collect(download("/mine/data.bin", str(into), burst))
+            await collect(ftp.download("/mine/data.bin", str(into), burst))
             same.append((into / "data.bin").read_bytes() == local.read_bytes())
         await ftp.rename("/mine/data.bin", "/mine/other.bin")
         await ftp.remove_file("/mine/other.bin")
@@ -118,9 +120,51 @@ async def silent_telemetry(streams):
     return silent
 
 
-def main(run, doc):
-    """Runs `run(instance)` and prints what it returns as JSON."""
-    parser = argparse.ArgumentParser(description=doc)
+async def shell(system):
+    """What the shell answers to `ver`."""
+    answer = asyncio.create_task(first(system.function("shell.receive")()))
+    await asyncio.sleep(0.5)
+    if VERSION == 4:
+        await system.shell.send("ver", types("shell").Device.SHELL)
+        return (await answer).data
+    await system.shell.send("ver")
+    return await answer
+
+
+async def listed(ftp, folder):
+    """The names in a folder."""
+    found = await ftp.list_directory(folder)
+    return [entry.name for entry in found.entries] if VERSION == 4 else list(found.files)
+
+
+async def flight_number(system):
+    if VERSION == 4:
+        return (await first(system.function("info.flight_information")())).flight_uid
+    return (await system.info.get_flight_information()).flight_uid
+
+
+async def run(instance):
+    system = MavsdkSystem(instance)
+    await system.connect()
+    report = {"files": await files(system.ftp), "entries": await listed(system.ftp, "/etc/extras")}
+    report["events"] = await flight_with_events(system.action, system.function("events.events")())
+    checks = await system.events.get_health_and_arming_checks_report()
+    report["can_arm"] = checks.current_mode_intention.can_arm_or_run
+    report["logs"] = await logs(system.log_files)
+    await system.component_metadata.request_autopilot_component()
+    await asyncio.sleep(1.0)
+    kind = types("component_metadata").MetadataType.PARAMETER
+    report["metadata"] = (await system.component_metadata.get_metadata(1, kind)).json_metadata
+    report["shell"] = await shell(system)
+    report["rates"] = await rates(system.telemetry)
+    report["silent"] = await silent_telemetry({name: system.function(f"telemetry.{name}") for name in system.streams("telemetry")})
+    report["flight"] = await flight_number(system)
+    system.end()
+    return report
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--instance", type=int, default=0, help="number of the simulator (default 0)")
     args = parser.parse_args()
     print(json.dumps(asyncio.run(run(args.instance))), flush=True)

@@ -7,7 +7,6 @@ import argparse
 import asyncio
 import base64
 import concurrent.futures
-import importlib
 import inspect
 import json
 import math
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import plan
 from ground_plans import HOME, globe
+from mavsdk_system import VERSION, MavsdkSystem, types
 from plan import expect
 
 NAN = math.nan
@@ -42,85 +42,30 @@ async def until(what, condition, limit_s):
     await plan.until(what, condition, PATIENCE * limit_s)
 
 
-class KeptCallbacks(dict):
-    """Subscriptions of a plugin of version 4 whose callbacks outlive them.
-
-    MAVSDK 4.1 may still call one that it had queued when it was unsubscribed; by then its memory is another's, and the client
-    crashes. Here every stream is subscribed and left again at once, so it happens.
-    """
-
-    ended = []
-
-    def pop(self, handle, default=None):
-        entry = super().pop(handle, default)
-        KeptCallbacks.ended.append(entry)
-        return entry
-
-
-class Api:
+class Api(MavsdkSystem):
     """The plugins of one system of either version, and what became of each call."""
 
-    def __init__(self, version, instance):
-        self.version = version
-        self.url = f"udpin://127.0.0.1:{14540 + instance}"
+    def __init__(self, instance):
+        super().__init__(instance)
         self.began = time.monotonic()
         self.outcomes = {}
-        self.plugins = {}
         self.latest = {}
-        self.tasks = []
-        self.drone = None
+        # Version 3 alone has a plugin for the connection.
+        self.tried = [name for name in PLUGINS if name != "core" or VERSION == 3]
 
     async def connect(self):
         # A thread for each call that waits: those for devices that are not there all do.
         asyncio.get_running_loop().set_default_executor(concurrent.futures.ThreadPoolExecutor(64))
-        if self.version == 3:
-            from client_mavsdk3 import free_port
-            from mavsdk import System
-
-            self.drone = System(port=free_port())
-            await self.drone.connect(system_address=self.url)
-            async for state in self.drone.core.connection_state():
-                if state.is_connected:
-                    self.outcomes["core.connection_state"] = "works"
-                    break
-            self.plugins = {name: getattr(self.drone, name) for name in PLUGINS}
-        else:
-            from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
-
-            self.mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
-            await self.mavsdk.add_any_connection(self.url)
-            self.system = await self.mavsdk.first_autopilot(timeout_s=15.0)
-            for name in PLUGINS:
-                if name != "core":
-                    module = importlib.import_module(f"mavsdk.asyncio.plugins.{name}")
-                    title = "".join(part.title() for part in name.split("_"))
-                    plugin = self.plugins[name] = getattr(module, f"{title}Async")(self.system)
-                    plugin._plugin._subscriptions = KeptCallbacks()
-
-    def end(self):
-        """Ends the server that version 3 starts: it would keep the port."""
-        if self.drone is not None:
-            self.drone.__del__()
-
-    def types(self, plugin):
-        return importlib.import_module(f"mavsdk.plugins.{plugin}" if self.version == 4 else f"mavsdk.{plugin}")
-
-    def names(self, plugin):
-        """The plugin's calls; a stream without the prefix that version 4 gives it."""
-        names = {n for n, f in inspect.getmembers(type(self.plugins[plugin]), inspect.isfunction) if not n.startswith("_")}
-        return sorted({n.removeprefix("subscribe_") for n in names} - {"destroy"})
+        await super().connect()
+        if VERSION == 3:
+            self.outcomes["core.connection_state"] = "works"
 
     def all_names(self):
-        return [f"{plugin}.{name}" for plugin in self.plugins for name in self.names(plugin)]
-
-    def function(self, name):
-        plugin, call = name.split(".")
-        plugin = self.plugins[plugin]
-        return getattr(plugin, f"subscribe_{call}", None) or getattr(plugin, call)
+        return [f"{plugin}.{name}" for plugin in self.tried for name in self.calls(plugin)]
 
     def has(self, name):
         plugin, call = name.split(".")
-        return plugin in self.plugins and call in self.names(plugin)
+        return plugin in self.tried and call in self.calls(plugin)
 
     async def call(self, name, *args, **more):
         """Calls, notes the outcome, returns what came. A plugin that is still busy with what it did before is given time."""
@@ -158,14 +103,9 @@ class Api:
             values.append(value)
         return values
 
-    def keep(self, name):
+    def keep_newest(self, name):
         """Keeps the newest value of a stream in `latest`."""
-
-        async def follow():
-            async for value in self.function(name)():
-                self.latest[name] = value
-
-        self.tasks.append(asyncio.create_task(follow()))
+        self.keep(name, lambda value: self.latest.update({name: value}))
 
     @property
     def position(self):
@@ -195,25 +135,25 @@ async def near(api, place, within_m, limit_s, what):
     await until(f"{what}: at {place}", lambda: math.dist(api.position, place) < within_m, limit_s)
 
 
-def plain_arguments(api, plugin, function):
+def plain_arguments(plugin, function):
     """An argument of each parameter's kind, for devices that are not there."""
     arguments = []
-    types = api.types(plugin)
+    kinds = types(plugin)
     for name in list(inspect.signature(function).parameters):
         match name:
             case "mode":
-                arguments.append(types.Mode.PHOTO)
+                arguments.append(kinds.Mode.PHOTO)
             case "photos_range":
-                arguments.append(types.PhotosRange.ALL)
+                arguments.append(kinds.PhotosRange.ALL)
             case "gimbal_mode":
-                arguments.append(types.GimbalMode.YAW_FOLLOW)
+                arguments.append(kinds.GimbalMode.YAW_FOLLOW)
             case "send_mode":
-                arguments.append(types.SendMode.ONCE)
+                arguments.append(kinds.SendMode.ONCE)
             case "control_mode":
-                arguments.append(types.ControlMode.PRIMARY)
+                arguments.append(kinds.ControlMode.PRIMARY)
             case "setting":
-                option = types.Option("1", "on")
-                arguments.append(types.Setting("WB", "", option, False))
+                option = kinds.Option("1", "on")
+                arguments.append(kinds.Setting("WB", "", option, False))
             case "component_id":
                 arguments.append(100)
             case "instance" | "gimbal_id" | "stream_id" | "storage_id":
@@ -229,9 +169,9 @@ async def devices(api):
     async def try_all(plugin):
         async def one(name):
             function = api.function(f"{plugin}.{name}")
-            await api.call(f"{plugin}.{name}", *plain_arguments(api, plugin, function), limit_s=4.0)
+            await api.call(f"{plugin}.{name}", *plain_arguments(plugin, function), limit_s=4.0)
 
-        await asyncio.gather(*(one(name) for name in api.names(plugin)))
+        await asyncio.gather(*(one(name) for name in api.calls(plugin)))
 
     await asyncio.gather(*(try_all(plugin) for plugin in DEVICES))
 
@@ -248,23 +188,23 @@ async def telemetry(api):
         else:
             await api.call(f"telemetry.{name}", limit_s=7.0)
 
-    await asyncio.gather(*(one(name) for name in api.names("telemetry")))
+    await asyncio.gather(*(one(name) for name in api.calls("telemetry")))
 
 
 async def information(api):
-    for name in api.names("info"):
+    for name in api.calls("info"):
         if name != "flight_information":
             await api.call(f"info.{name}")
     await api.call("component_metadata.request_autopilot_component")
     await api.call("component_metadata.request_component", 1)
     await api.call("component_metadata.metadata_available")
-    await api.call("component_metadata.get_metadata", 1, api.types("component_metadata").MetadataType.PARAMETER)
+    await api.call("component_metadata.get_metadata", 1, types("component_metadata").MetadataType.PARAMETER)
     await api.call("events.health_and_arming_checks")
     await api.call("events.get_health_and_arming_checks_report")
     shell = asyncio.create_task(api.call("shell.receive"))
     await asyncio.sleep(0.3)
-    if api.version == 4:
-        await api.call("shell.send", "ver", api.types("shell").Device.SHELL)
+    if VERSION == 4:
+        await api.call("shell.send", "ver", types("shell").Device.SHELL)
     else:
         await api.call("shell.send", "ver")
     await shell
@@ -275,18 +215,18 @@ async def direct(api):
     xml = '<mavlink><messages><message id="420" name="MY_OWN"><field type="uint8_t" name="x"/></message></messages></mavlink>'
     await api.call("mavlink_direct.load_custom_xml", xml)
     await api.call("mavlink_direct.message", "HEARTBEAT")
-    Message = api.types("mavlink_direct").MavlinkMessage
+    Message = types("mavlink_direct").MavlinkMessage
     fields = {"type": 6, "autopilot": 8, "base_mode": 0, "custom_mode": 0, "system_status": 4, "mavlink_version": 3}
     await api.call("mavlink_direct.send_message", Message("HEARTBEAT", 245, 190, 0, 0, json.dumps(fields)))
     if api.has("mavlink_direct.send_command"):
-        system = await api.system.get_system_id()
+        system = api.system_id
         fields = {f"param{n}": 0.0 for n in range(2, 8)} | {"command": 512, "param1": 148.0, "confirmation": 0}
         fields |= {"target_system": system, "target_component": 1}
         await api.call("mavlink_direct.send_command", Message("COMMAND_LONG", 0, 0, system, 1, json.dumps(fields)))
 
 
 async def parameters(api):
-    await api.call("param.select_component", 1, api.types("param").ProtocolVersion.V1)
+    await api.call("param.select_component", 1, types("param").ProtocolVersion.V1)
     await api.call("param.get_all_params")
     height = await api.call("param.get_param_float", "MIS_TAKEOFF_ALT")
     expect(height == 2.5, f"MIS_TAKEOFF_ALT is {height}")
@@ -328,7 +268,7 @@ async def files(api):
 
 async def plans(api):
     """Geofence, rally points and missions, there and back."""
-    fence = api.types("geofence")
+    fence = types("geofence")
     corners = [fence.Point(*globe(*corner)) for corner in ((-80, -80), (80, -80), (80, 80), (-80, 80))]
     data = fence.GeofenceData([fence.Polygon(corners, fence.FenceType.INCLUSION)], [])
     await api.call("geofence.upload_geofence", data)
@@ -336,7 +276,7 @@ async def plans(api):
     expect(len(back.polygons[0].points) == 4, f"the fence came back as {back}")
     await api.call("geofence.clear_geofence")
 
-    raw = api.types("mission_raw")
+    raw = types("mission_raw")
     x, y = (round(degrees * 1e7) for degrees in globe(0.0, 10.0))
 
     def item(command, kind, seq=0):
@@ -396,7 +336,7 @@ async def cancel(api, plugin, long):
 
 async def sent_only(api):
     """Messages that nobody acknowledges, and what concerns parts that a simulation may lack."""
-    mocap = api.types("mocap")
+    mocap = types("mocap")
     still = mocap.Covariance([NAN])
     body, q = mocap.PositionBody(0.0, 0.0, 0.0), mocap.Quaternion(1.0, 0.0, 0.0, 0.0)
     await api.call("mocap.set_attitude_position_mocap", mocap.AttitudePositionMocap(0, q, body, still))
@@ -417,20 +357,20 @@ async def sent_only(api):
         0,
     )
     await api.call("mocap.set_odometry", odometry)
-    await api.call("rtk.send_rtcm_data", api.types("rtk").RtcmData(base64.b64encode(b"rtcm").decode()))
-    tune = api.types("tune")
+    await api.call("rtk.send_rtcm_data", types("rtk").RtcmData(base64.b64encode(b"rtcm").decode()))
+    tune = types("tune")
     song = [tune.SongElement.DURATION_4, tune.SongElement.NOTE_A]
     await api.call("tune.play_tune", tune.TuneDescription(song, 100))
-    utility = api.types("server_utility")
+    utility = types("server_utility")
     await api.call("server_utility.send_status_text", utility.StatusTextType.INFO, "a script says hello")
     await api.call("transponder.set_rate_transponder", 1.0)
     await api.call("transponder.transponder", limit_s=3.0)
-    failure = api.types("failure")
+    failure = types("failure")
     await api.call("param.set_param_int", "SYS_FAILURE_EN", 1)
     await api.call("failure.inject", failure.FailureUnit.SENSOR_BARO, failure.FailureType.OFF, 0)
     await api.call("failure.inject", failure.FailureUnit.SENSOR_BARO, failure.FailureType.OK, 0)
     await api.call("action.set_actuator", 1, 0.5)
-    await api.call("action.set_relay", 0, api.types("action").RelayCommand.ON)
+    await api.call("action.set_relay", 0, types("action").RelayCommand.ON)
     await api.call("action.transition_to_fixedwing")
     await api.call("action.transition_to_multicopter")
 
@@ -444,7 +384,7 @@ async def calibration(api):
 
 async def fly(api):
     """Everything that moves the vehicle, with a look at where it went."""
-    await api.call("core.set_mavlink_timeout", 3.0) if "core" in api.plugins else None
+    await api.call("core.set_mavlink_timeout", 3.0) if "core" in api.tried else None
     listener = asyncio.create_task(api.call("events.events", limit_s=10.0))
     await api.call("action.arm_force")
     await api.call("action.disarm")
@@ -483,7 +423,7 @@ async def go_places(api):
     else:
         await api.call("action.goto_location", *globe(6.0, 4.0), high, 90.0)
     await near(api, (6.0, 4.0, -3.0), 1.0, 15.0, "goto")
-    behaviour = api.types("action").OrbitYawBehavior.HOLD_FRONT_TO_CIRCLE_CENTER
+    behaviour = types("action").OrbitYawBehavior.HOLD_FRONT_TO_CIRCLE_CENTER
     centre = (6.0, 9.0, -3.0)
     await api.call("action.do_orbit", 5.0, 2.5, behaviour, *globe(*centre[:2]), high)
     await until("do_orbit: on the circle", lambda: abs(math.dist(api.position, centre) - 5.0) < 0.7, 12.0)
@@ -501,45 +441,45 @@ async def settles(api, wanted, what, limit_s=6.0, within=0.35):
 
 
 async def offboard(api):
-    types = api.types("offboard")
+    kinds = types("offboard")
     await asyncio.sleep(1.0)
     north, east, _ = start = api.position
-    await api.call("offboard.set_position_ned", types.PositionNedYaw(north, east, -3.0, 0.0))
+    await api.call("offboard.set_position_ned", kinds.PositionNedYaw(north, east, -3.0, 0.0))
     await api.call("offboard.start")
     await until("offboard", lambda: api.mode == "OFFBOARD", 3.0)
     expect(await api.call("offboard.is_active"), "offboard is not active")
-    await api.call("offboard.set_position_ned", types.PositionNedYaw(north + 2.0, east, -3.0, 0.0))
+    await api.call("offboard.set_position_ned", kinds.PositionNedYaw(north + 2.0, east, -3.0, 0.0))
     await near(api, (north + 2.0, east, -3.0), 0.4, 8.0, "set_position_ned")
-    await api.call("offboard.set_velocity_ned", types.VelocityNedYaw(0.0, -1.5, 0.0, 0.0))
+    await api.call("offboard.set_velocity_ned", kinds.VelocityNedYaw(0.0, -1.5, 0.0, 0.0))
     await settles(api, (0.0, -1.5, 0.0), "set_velocity_ned")
     # Heading north: forward is north.
-    await api.call("offboard.set_velocity_body", types.VelocityBodyYawspeed(1.5, 0.0, 0.0, 0.0))
+    await api.call("offboard.set_velocity_body", kinds.VelocityBodyYawspeed(1.5, 0.0, 0.0, 0.0))
     await settles(api, (1.5, 0.0, 0.0), "set_velocity_body")
     north, east, _ = start
-    place = types.PositionNedYaw(north, east, -4.0, 0.0)
-    await api.call("offboard.set_position_velocity_ned", place, types.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
+    place = kinds.PositionNedYaw(north, east, -4.0, 0.0)
+    await api.call("offboard.set_position_velocity_ned", place, kinds.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
     await near(api, (north, east, -4.0), 0.5, 10.0, "set_position_velocity_ned")
-    over_home = types.PositionGlobalYaw.AltitudeType.REL_HOME
-    await api.call("offboard.set_position_global", types.PositionGlobalYaw(*globe(north, east + 2.0), 3.0, 0.0, over_home))
+    over_home = kinds.PositionGlobalYaw.AltitudeType.REL_HOME
+    await api.call("offboard.set_position_global", kinds.PositionGlobalYaw(*globe(north, east + 2.0), 3.0, 0.0, over_home))
     await near(api, (north, east + 2.0, -3.0), 0.5, 8.0, "set_position_global")
-    await api.call("offboard.set_attitude", types.Attitude(0.0, -10.0, 0.0, 0.5))
+    await api.call("offboard.set_attitude", kinds.Attitude(0.0, -10.0, 0.0, 0.5))
     await until("set_attitude: accelerates north", lambda: api.velocity[0] > 0.8, 4.0)
-    await api.call("offboard.set_attitude_rate", types.AttitudeRate(0.0, 0.0, 45.0, 0.5))
+    await api.call("offboard.set_attitude_rate", kinds.AttitudeRate(0.0, 0.0, 45.0, 0.5))
     turning = lambda: api.latest["telemetry.attitude_angular_velocity_body"].yaw_rad_s > 0.5  # noqa: E731
     await until("set_attitude_rate: turns", turning, 3.0)
-    await api.call("offboard.set_velocity_ned", types.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
+    await api.call("offboard.set_velocity_ned", kinds.VelocityNedYaw(0.0, 0.0, 0.0, 0.0))
     await settles(api, (0.0, 0.0, 0.0), "stop")
-    acceleration = types.AccelerationNed(0.0, 1.0, 0.0)
+    acceleration = kinds.AccelerationNed(0.0, 1.0, 0.0)
     await api.call("offboard.set_acceleration_ned", acceleration)
     await asyncio.sleep(1.0)
     north, east, down = api.position
-    zero = types.VelocityNedYaw(0.0, 0.0, 0.0, 0.0)
-    still = types.AccelerationNed(0.0, 0.0, 0.0)
-    place = types.PositionNedYaw(north, east, down, 0.0)
+    zero = kinds.VelocityNedYaw(0.0, 0.0, 0.0, 0.0)
+    still = kinds.AccelerationNed(0.0, 0.0, 0.0)
+    place = kinds.PositionNedYaw(north, east, down, 0.0)
     await api.call("offboard.set_position_velocity_acceleration_ned", place, zero, still)
     await asyncio.sleep(1.0)
     await api.call("offboard.set_velocity_ned", zero)
-    controls = types.ActuatorControl([types.ActuatorControlGroup([0.0] * 8)] * 2)
+    controls = kinds.ActuatorControl([kinds.ActuatorControlGroup([0.0] * 8)] * 2)
     await api.call("offboard.set_actuator_control", controls)
     await api.call("offboard.set_velocity_ned", zero)
     await api.call("offboard.stop")
@@ -576,14 +516,14 @@ async def by_hand(api):
 
 
 async def follow(api):
-    types = api.types("follow_me")
+    kinds = types("follow_me")
     config = await api.call("follow_me.get_config")
     await api.call("follow_me.set_config", config)
     await api.call("follow_me.is_active")
     await api.call("follow_me.start")
     await until("follow mode", lambda: api.mode == "FOLLOW_ME", 3.0)
     north, east, _ = api.position
-    target = types.TargetLocation(*globe(north + 5.0, east), HOME[2], 0.0, 0.0, 0.0)
+    target = kinds.TargetLocation(*globe(north + 5.0, east), HOME[2], 0.0, 0.0, 0.0)
     await api.call("follow_me.set_target_location", target)
     await api.call("follow_me.get_last_location")
     await asyncio.sleep(1.0)
@@ -592,19 +532,19 @@ async def follow(api):
 
 
 async def missions(api):
-    types = api.types("mission")
-    stop = types.MissionItem.CameraAction.NONE
+    kinds = types("mission")
+    stop = kinds.MissionItem.CameraAction.NONE
 
     def item(north, east):
         lat, lon = globe(north, east)
-        extra = {"vehicle_action": types.MissionItem.VehicleAction.NONE} if hasattr(types.MissionItem, "VehicleAction") else {}
+        extra = {"vehicle_action": kinds.MissionItem.VehicleAction.NONE} if hasattr(kinds.MissionItem, "VehicleAction") else {}
         fields = {"gimbal_pitch_deg": NAN, "gimbal_yaw_deg": NAN, "camera_action": stop, "loiter_time_s": NAN}
         fields |= {"camera_photo_interval_s": NAN, "acceptance_radius_m": 0.5, "yaw_deg": NAN, "camera_photo_distance_m": NAN}
-        return types.MissionItem(
+        return kinds.MissionItem(
             latitude_deg=lat, longitude_deg=lon, relative_altitude_m=3.0, speed_m_s=4.0, is_fly_through=True, **fields, **extra
         )
 
-    plan = types.MissionPlan([item(0.0, 6.0), item(0.0, 0.0)])
+    plan = kinds.MissionPlan([item(0.0, 6.0), item(0.0, 0.0)])
     await api.call("mission.set_return_to_launch_after_mission", False)
     await api.call("mission.get_return_to_launch_after_mission")
     await api.call("mission.upload_mission_with_progress", plan)
@@ -669,7 +609,7 @@ async def home_again(api):
 async def main(api):
     await api.connect()
     for name in ("position_velocity_ned", "flight_mode", "armed", "health_all_ok", "attitude_angular_velocity_body"):
-        api.keep(f"telemetry.{name}")
+        api.keep_newest(f"telemetry.{name}")
     await until("ready", lambda: len(api.latest) == 5 and api.latest["telemetry.health_all_ok"], 20.0)
     aside = asyncio.gather(devices(api), telemetry(api), sent_only(api), calibration(api))
     # One after the other what shares a client inside MAVSDK: metadata comes by file transfer.
@@ -682,9 +622,9 @@ async def main(api):
     return {"calls": sorted(api.all_names()), "outcomes": api.outcomes, "not tried": missing}
 
 
-async def run(version, instance):
+async def run(instance):
     """Prints the report, or what failed, and ends: MAVSDK's threads would outlive the loop."""
-    api, code = Api(version, instance), 1
+    api, code = Api(instance), 1
     try:
         print(json.dumps(await asyncio.wait_for(main(api), LIMIT_S)), flush=True)
         code = 0
@@ -697,7 +637,6 @@ async def run(version, instance):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("version", type=int, choices=[3, 4], help="of MAVSDK, as installed")
     parser.add_argument("--instance", type=int, default=0, help="number of the simulator (default 0)")
     args = parser.parse_args()
-    asyncio.run(run(args.version, args.instance))
+    asyncio.run(run(args.instance))

@@ -19,6 +19,11 @@ def venv_python(name):
     return TOP / "target" / f"venv-{name}" / "bin" / "python"
 
 
+def script(what, client):
+    """The script of a client; MAVSDK 3 and 4 have one, each runs it with its own interpreter."""
+    return HERE / f"{what}_{client.rstrip('34')}.py"
+
+
 class Process:
     """A child with its output kept; leaving the context ends it."""
 
@@ -129,7 +134,7 @@ class Client(Process):
     """A client script in its own environment."""
 
     def __init__(self, client, what, instance, folder):
-        command = [venv_python(client), "-u", HERE / f"client_{client}.py", what, "--instance", instance]
+        command = [venv_python(client), "-u", script("client", client), what, "--instance", instance]
         super().__init__(f"{client}-{what}", command, folder)
 
     def report(self):

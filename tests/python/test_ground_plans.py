@@ -11,7 +11,7 @@ import time
 import pytest
 
 from ground_plans import MISSION, item, numbered
-from stack import HERE, Process, free_simulator, venv_python
+from stack import Process, free_simulator, script, venv_python
 
 CLIENTS = ["pymavlink", "mavsdk3", "mavsdk4"]
 LIMIT_S = 300.0
@@ -25,8 +25,7 @@ def flights(tmp_path_factory):
         running = []
         for name in CLIENTS:
             simulator = stack.enter_context(free_simulator("open_field.toml", folder))
-            script = HERE / f"ground_plans_{name}.py"
-            command = [venv_python(name), "-u", script, "--instance", simulator.instance]
+            command = [venv_python(name), "-u", script("ground_plans", name), "--instance", simulator.instance]
             running.append((name, simulator, stack.enter_context(Process(f"ground_plans_{name}", command, folder))))
         codes = [client.wait(LIMIT_S) for _, _, client in running]
         # Status lines come five times a second: the one after the last client's end.

@@ -19,7 +19,7 @@ def reports(tmp_path_factory):
         running = {}
         for name in CLIENTS:
             simulator = stack.enter_context(free_simulator("open_field.toml", folder))
-            command = [venv_python(name), "-u", HERE / f"ground_services_{name}.py", "--instance", simulator.instance]
+            command = [venv_python(name), "-u", HERE / "ground_services.py", "--instance", simulator.instance]
             running[name] = stack.enter_context(Process(f"ground_services_{name}", command, folder))
         codes = {name: client.wait(LIMIT_S) for name, client in running.items()}
         for name, client in running.items():

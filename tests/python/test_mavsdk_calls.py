@@ -51,7 +51,7 @@ def reports(tmp_path_factory):
         for version in VERSIONS:
             simulator = stack.enter_context(free_simulator("open_field.toml", folder))
             python = venv_python(f"mavsdk{version}")
-            command = [python, "-u", HERE / "mavsdk_calls.py", version, "--instance", simulator.instance]
+            command = [python, "-u", HERE / "mavsdk_calls.py", "--instance", simulator.instance]
             running[version] = stack.enter_context(Process(f"mavsdk_calls{version}", command, folder)), simulator
         codes = {version: client.wait(LIMIT_S) for version, (client, _) in running.items()}
         for version, (client, _) in running.items():
