@@ -2,13 +2,14 @@
 
 mod companion_view;
 mod config;
-pub mod links;
-pub mod lockstep;
+pub mod environment;
+pub mod lockstep_flight;
 pub mod program;
+mod saved_state;
 mod sensor_fault;
 mod simulator;
-mod state;
 mod udp;
+pub mod vehicle_links;
 
 pub use companion_view::CompanionView;
 pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, family_parser};

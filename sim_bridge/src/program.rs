@@ -1,10 +1,10 @@
 //! The simulator as a process: real time with sockets and shared memory, or lockstep with a firmware process.
 
 use crate::config::SimError;
-use crate::links::{LinksConfig, VehicleLinks};
-use crate::lockstep::{FirmwarePort, fly_lockstep};
-use crate::state::state_file;
+use crate::lockstep_flight::{FirmwarePort, fly_lockstep};
+use crate::saved_state::state_file;
 use crate::udp::ports_in_words;
+use crate::vehicle_links::{LinksConfig, VehicleLinks};
 use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, STEP_MS, SensorFault, SimConfig, Simulator, Start};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};

@@ -3,7 +3,7 @@
 use core::convert::Infallible;
 use vigil_firmware::config::PilotKind;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep::{FirmwarePort, fly_lockstep};
+use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep};
 use vigil_sim::{SimConfig, Simulator};
 use vigil_types::{AlarmResponse, Datagrams, DepthFrame, GuidanceState, Nanos, StepReport};
 use vigil_world::{Course, Outcome};

@@ -13,6 +13,7 @@ pub mod alarm;
 pub mod conditions;
 mod config;
 mod machine;
+mod setpoint;
 pub mod table;
 
 pub use alarm::{AlarmConfig, AlarmPolicy};
@@ -20,3 +21,4 @@ pub use config::{
     AtGoal, ConfigError, EngagePolicy, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig, OnNoProgress,
 };
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
+pub use setpoint::guided_setpoint;

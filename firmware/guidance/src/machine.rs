@@ -3,11 +3,12 @@
 use crate::alarm::{AlarmInput, AlarmLogic};
 use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
 use crate::config::{AtGoal, ConfigError, EngagePolicy, GREATEST_GOAL_M, GuidanceConfig, OnNoProgress};
+use crate::setpoint::guided_setpoint;
 use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
-    Action, Alarm, AlarmCause, AlarmResponse, Goal, GuidanceState, HandoverProgress, HeadingVector, Nanos, NedVector,
-    OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode, VehicleRequest, VehicleTelemetry,
-    VelocitySetpoint, Verdict,
+    Action, Alarm, AlarmCause, AlarmResponse, Goal, GuidanceState, HandoverProgress, Nanos, NedVector, OperatorRequest,
+    Reason, Reasons, RequestOutcome, StepTiming, VehicleMode, VehicleRequest, VehicleTelemetry, VelocitySetpoint,
+    Verdict,
 };
 
 /// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
@@ -750,24 +751,11 @@ impl Guidance {
         }
     }
 
-    /// The clipped action, plus a bounded vertical speed that keeps the goal's height.
     fn guided_setpoint(&self, input: &GuidanceInput<'_>, action: Option<Action>) -> VelocitySetpoint {
         let (Some(action), Some(goal), Some(kinematics)) = (action, self.goal, input.telemetry.kinematics) else {
             return VelocitySetpoint::HOLD;
         };
-        let action = action.clipped();
-        let below_m = goal.position_ned_m.z - kinematics.position_ned_m.z;
-        let limit_m_s = self.config.vertical_limit_m_s;
-        let down_m_s = (self.config.height_gain_per_s * below_m).clamp(-limit_m_s, limit_m_s);
-        let setpoint = VelocitySetpoint {
-            velocity_m_s: HeadingVector::new(action.forward_m_s, 0.0, down_m_s),
-            yaw_rate_rad_s: action.yaw_rate_rad_s(),
-        };
-        if setpoint.is_finite() {
-            setpoint
-        } else {
-            VelocitySetpoint::HOLD
-        }
+        guided_setpoint(&self.config, action, goal, kinematics.position_ned_m)
     }
 
     fn vehicle_request(&mut self, input: &GuidanceInput<'_>) -> VehicleRequest {

@@ -2,7 +2,7 @@
 
 use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
-use crate::stream::StreamAttack;
+use crate::stream_attack::StreamAttack;
 use vigil_policy::actor::positional_inputs;
 use vigil_types::{DepthFrame, FrameHeader, GoalRelative, NedVector, wrap_pi};
 

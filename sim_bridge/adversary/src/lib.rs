@@ -8,13 +8,13 @@ mod detector_evasion;
 mod intercept;
 mod perturb;
 pub mod process;
-mod state;
-mod stream;
+mod state_attack;
+mod stream_attack;
 mod surrogate;
 
 pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
 pub use config::{AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, Towards};
 pub use intercept::{Interceptor, PassedStep, goal_seen_from};
-pub use state::StateAttack;
-pub use stream::StreamAttack;
+pub use state_attack::StateAttack;
+pub use stream_attack::StreamAttack;

@@ -10,7 +10,7 @@ use crate::actor_training::collector::CollectorState;
 use crate::actor_training::files::{self, WriteError};
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{FlightRow, Row, RowSum};
-use crate::actor_training::replay::LaneState;
+use crate::actor_training::replay_buffer::LaneState;
 use crate::actor_training::weights::Weights;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};

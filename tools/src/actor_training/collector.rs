@@ -5,7 +5,8 @@ use crate::actor_training::decider::Decider;
 use crate::actor_training::flight::Flight;
 use crate::actor_training::networks::Networks;
 use crate::actor_training::noise::OrnsteinUhlenbeck;
-use crate::actor_training::replay::{Lane, Next, Record, State};
+use crate::actor_training::replay_buffer::{Lane, Next, Record, State};
+use crate::actor_training::reward::{DecisionResult, RewardWeights, reward};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -290,14 +291,16 @@ impl Collector {
             }
         }
         let distance_m = flight.goal_distance_m();
-        let mut reward = c.distance_m - distance_m;
-        c.distance_m = distance_m;
-        reward += checkpoint_reward(config, &flight, &mut c.checkpoints);
-        reward += match outcome {
-            Some(Outcome::Success) => config.reward.success,
-            Some(Outcome::Collision | Outcome::OutOfBounds) => config.reward.dead,
-            Some(Outcome::TimeOut) | None => 0.0,
+        let (checkpoints, all_checkpoints) = flight.checkpoints();
+        let result = DecisionResult {
+            progress_m: c.distance_m - distance_m,
+            checkpoints_before: c.checkpoints,
+            checkpoints,
+            all_checkpoints,
+            outcome,
         };
+        (c.distance_m, c.checkpoints) = (distance_m, checkpoints);
+        let reward = reward(&RewardWeights::from(&config.reward), &result);
         c.report.reward += reward;
         c.report.decisions += 1;
         lane.push(Record {
@@ -329,15 +332,6 @@ impl Collector {
         c.report.outcome = Some(outcome);
         Ok(Some(c.report))
     }
-}
-
-/// The bonus for checkpoints passed since `seen`.
-fn checkpoint_reward(config: &TrainConfig, flight: &Flight, seen: &mut usize) -> f32 {
-    let (passed, count) = flight.checkpoints();
-    let bonus = |number: usize| config.reward.checkpoint * (1.0 + number as f32 / count as f32);
-    let reward = (*seen + 1..=passed).map(bonus).sum();
-    *seen = passed;
-    reward
 }
 
 /// Outcomes by their name, since the simulator's type has no serial form.

@@ -1,7 +1,7 @@
 //! Decisions with weights that are still being trained.
 
 use crate::actor_training::networks::{Networks, squash};
-use crate::actor_training::replay::{State, unpack_frame};
+use crate::actor_training::replay_buffer::{State, unpack_frame};
 use crate::actor_training::shard::five;
 use vigil_nnet::{ACTOR_FRAMES, Aligned, Isa, ShapeError};
 use vigil_types::DEPTH_PIXELS;

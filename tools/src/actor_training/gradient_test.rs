@@ -3,7 +3,7 @@
 use super::*;
 use crate::actor_training::networks::squash;
 use crate::actor_training::recurrent::{Recurrent, RecurrentParams};
-use crate::actor_training::replay::State;
+use crate::actor_training::replay_buffer::State;
 use crate::actor_training::shard::{five, mirrored};
 use rand::RngExt;
 use rand::SeedableRng;

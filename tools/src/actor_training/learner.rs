@@ -3,7 +3,7 @@
 use crate::actor_training::adam;
 use crate::actor_training::config::{LearningConfig, TrainConfig, WarmUp};
 use crate::actor_training::networks::Networks;
-use crate::actor_training::replay::Transition;
+use crate::actor_training::replay_buffer::Transition;
 use crate::actor_training::shard::{Arranged, Augmentation, Shard, UpdateContext, add, scale_by};
 use crate::actor_training::weights::Weights;
 use rand::Rng;

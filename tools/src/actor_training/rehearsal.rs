@@ -3,7 +3,7 @@
 use crate::actor_training::config::TrainConfig;
 use crate::actor_training::learner::{Learner, UpdateError, UpdateReport};
 use crate::actor_training::networks::Networks;
-use crate::actor_training::replay::{State, Transition, pack_frame};
+use crate::actor_training::replay_buffer::{State, Transition, pack_frame};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;

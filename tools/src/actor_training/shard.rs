@@ -4,7 +4,7 @@ use crate::actor_training::config::LearningConfig;
 use crate::actor_training::learner::UpdateReport;
 use crate::actor_training::networks::{Networks, squash};
 use crate::actor_training::recurrent::{Recurrent, RecurrentParams};
-use crate::actor_training::replay::{State, Transition, unpack_frame};
+use crate::actor_training::replay_buffer::{State, Transition, unpack_frame};
 use crate::actor_training::weights::Weights;
 use rand::{Rng, RngExt};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_LIMIT, Aligned, Graph, Isa, ShapeError};

@@ -7,7 +7,7 @@ use crate::actor_training::files::{self, WriteError};
 use crate::actor_training::learner::{Learner, UpdateError};
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{self, FlightRow, Progress, Row, RowSum, UPDATES_PER_ROW};
-use crate::actor_training::replay::Memory;
+use crate::actor_training::replay_buffer::Memory;
 use crate::actor_training::result::{FlightCount, RunResult};
 use crate::actor_training::rollout::{EvaluatedActor, EvaluationResult, EvaluationSpec, RolloutError, evaluate};
 use rand::SeedableRng;

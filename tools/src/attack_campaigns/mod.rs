@@ -1,10 +1,10 @@
 //! `vigil attack`: how far the actor can be deceived. One command for each table of docs/adversary.md.
 
+mod completion;
 mod defended;
 mod deflection;
-mod flights;
 mod states;
-mod table;
+mod strength;
 
 use crate::cli::output::{self, say};
 use anyhow::{Context, Result};
@@ -37,13 +37,13 @@ pub struct AttackCommands {
 #[derive(Debug, Clone, clap::Subcommand)]
 enum AttackCommand {
     /// Share of states met in flight whose yaw moves by 1.0 or more, by method, ε and iterations.
-    Table(table::TableArgs),
+    Table(strength::TableArgs),
     /// Yaw deflection in front of a wall, by gap and bearing of the goal.
     Deflection(deflection::DeflectionArgs),
     /// Completion with the potential field on and off, attacked and not.
-    Completion(flights::CompletionArgs),
+    Completion(completion::CompletionArgs),
     /// Completion under each streaming attack: method, burst and direction.
-    Search(flights::SearchArgs),
+    Search(completion::SearchArgs),
     /// Completion attacked and not, undefended, with the stop alone and with recovery, on the same courses.
     Defended(defended::DefendedArgs),
 }
@@ -103,10 +103,10 @@ impl Common {
 /// A file that is no actor, a folder that cannot be written.
 pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     match &args.command {
-        AttackCommand::Table(args) => table::run(args),
+        AttackCommand::Table(args) => strength::run(args),
         AttackCommand::Deflection(args) => deflection::run(args),
-        AttackCommand::Completion(args) => flights::run_completion(args),
-        AttackCommand::Search(args) => flights::run_search(args),
+        AttackCommand::Completion(args) => completion::run_completion(args),
+        AttackCommand::Search(args) => completion::run_search(args),
         AttackCommand::Defended(args) => defended::run(args),
     }
 }

@@ -1,7 +1,7 @@
 //! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
 
 use serde::Serialize;
-use vigil_sim::lockstep::FlightRecord;
+use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::{SensorFault, SensorFaultMode};
 use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
 use vigil_world::Outcome;

@@ -208,7 +208,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
                 None => FrozenDetector::built_in()?,
             };
             let course = (*seed, *attacked);
-            crate::cli::portrait::draw(
+            crate::cli::figures::draw(
                 stage.isa,
                 &stage.actor,
                 &detector,

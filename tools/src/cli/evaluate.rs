@@ -13,7 +13,7 @@ use std::time::Instant;
 use vigil_adversary::{Attack, AttackArgs, AttackRecord};
 use vigil_adversary::{AttackConfig, Burst};
 use vigil_firmware::FirmwareConfig;
-use vigil_sim::lockstep::FlightRecord;
+use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, family_parser};
 use vigil_types::{FrameKey, STEP_S};
 use vigil_vehicle::Wind;

@@ -1,7 +1,7 @@
 //! Gathering flights and keeping them in files.
 
 use crate::detector_training::error::{DetectError, access};
-use crate::detector_training::record::{Ending, Frame, Record, Step, fly};
+use crate::detector_training::recorded_flight::{Ending, Frame, Record, Step, fly};
 use crate::detector_training::scenario::Scenario;
 use rayon::prelude::*;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};

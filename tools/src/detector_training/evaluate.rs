@@ -5,7 +5,7 @@ use crate::detector_training::error::DetectError;
 use crate::detector_training::features::Feature;
 use crate::detector_training::lstm::Judge;
 use crate::detector_training::metrics::{Proportion, Separation, roc};
-use crate::detector_training::record::{Ending, Frame, Record, fly};
+use crate::detector_training::recorded_flight::{Ending, Frame, Record, fly};
 use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -433,7 +433,7 @@ pub fn left_out(records: &[Record]) -> (usize, usize) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detector_training::record::Step;
+    use crate::detector_training::recorded_flight::Step;
 
     /// A flight in which the marked steps were altered: `a` attacked, `w` attacked to no effect, `n` noisy, `.` not.
     fn record(frames: &str) -> Record {

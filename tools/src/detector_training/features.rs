@@ -1,7 +1,7 @@
 //! What a detector looks at in each step: explanations, or, to see what these are worth, something else.
 
 use crate::detector_training::error::DetectError;
-use crate::detector_training::record::{Record, Step};
+use crate::detector_training::recorded_flight::{Record, Step};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_detector::{Background, DeepShap, ROW};

@@ -1,31 +1,31 @@
 //! Gathers data for the detectors by flying, trains them and measures how well they detect (docs/detectors.md).
 
+mod comparison;
 mod data;
 mod error;
 mod evaluate;
+mod explained_flight;
 mod features;
 mod fit;
 mod lstm;
 mod metrics;
 mod pixels;
-mod portrait;
-mod record;
+mod recorded_flight;
 mod scenario;
-mod table;
 mod times;
 
+pub use comparison::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
 pub use data::{Class, Counts, Flights, WEAK_YAW, collect};
 pub use error::DetectError;
 pub use evaluate::{
     AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
 };
+pub use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::{Extractor, Feature, Rows};
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
 pub use lstm::{Judge, LstmConfig, train, train_steps};
 pub use metrics::{Proportion, Separation, auc, roc, true_positives_at};
 pub use pixels::{State, States, gather_states};
-pub use portrait::{ExplainedFrame, ExplainedStep, Portrait, portray};
-pub use record::{Ending, Frame, Onlooker, Record, Step, fly};
+pub use recorded_flight::{Ending, Frame, Onlooker, Record, Step, fly};
 pub use scenario::{Adversary, MAX_STEPS, Plan, Scenario};
-pub use table::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
 pub use times::{Times, time};

@@ -3,7 +3,7 @@
 use crate::detector_training::data::Flights;
 use crate::detector_training::error::{DetectError, access};
 use crate::detector_training::features::YAW;
-use crate::detector_training::record::{Frame, Onlooker, Record, Step, fly};
+use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Step, fly};
 use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};

@@ -1,11 +1,11 @@
 //! The paper's table IV: how long deciding, explaining and judging take, one thread, on the states of a flight.
 
+use crate::detector_training::comparison::ImageNetwork;
 use crate::detector_training::error::DetectError;
 use crate::detector_training::features::YAW;
 use crate::detector_training::pixels::{BACKGROUNDS, Memory, explainer};
-use crate::detector_training::record::{Onlooker, Record, Step, fly};
+use crate::detector_training::recorded_flight::{Onlooker, Record, Step, fly};
 use crate::detector_training::scenario::{Plan, Scenario};
-use crate::detector_training::table::ImageNetwork;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;

@@ -1,12 +1,12 @@
 //! Actors while they are trained, over whole batches: the expert on the true state, and the pictures' actor behind its encoder.
 
 use super::config::ValueConfig;
-use super::memory::{StateView, double};
 use super::mlp::{Mlp, MlpTape};
-use super::true_state::{TRUE_STATE, mirror};
+use super::value_buffer::{StateView, double};
 use crate::actor_training::networks::{Networks, SPEC};
 use rand::Rng;
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, Aligned, Dense, Isa, ShapeError};
+use vigil_sim::environment::true_state::{TRUE_STATE, mirror};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
 pub const LAST_LAYER_LIMIT: f32 = 3e-3;
@@ -400,7 +400,7 @@ impl PicturesActor {
 
 #[cfg(test)]
 mod tests {
-    use super::super::memory::halve;
+    use super::super::value_buffer::halve;
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;

@@ -2,19 +2,19 @@
 //! but the simulator, and afterwards a frame is encoded once, not in each of the transitions that hold it.
 
 use super::config::ValueConfig;
-use super::flights::TrueFlight;
-use super::true_state::RAYS;
+use super::flyer::TrueFlight;
 use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::Networks;
 use crate::actor_training::noise::OrnsteinUhlenbeck;
-use crate::actor_training::replay::{pack_frame, unpack_frame};
+use crate::actor_training::replay_buffer::{pack_frame, unpack_frame};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Activation, Aligned, Dense, Isa, ShapeError};
 use vigil_policy::apf;
+use vigil_sim::environment::true_state::RAYS;
 use vigil_types::{Action, DEPTH_PIXELS};
 use vigil_world::Outcome;
 

@@ -2,9 +2,8 @@
 
 use super::actors::{ActorNetwork, LAST_LAYER_LIMIT, Row, push_truth};
 use super::config::{ValueConfig, ValueLearning};
-use super::memory::Step;
 use super::mlp::{Mlp, MlpTape};
-use super::true_state::TRUE_STATE;
+use super::value_buffer::Step;
 use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::squash;
@@ -13,6 +12,7 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::train::soft_update;
 use vigil_nnet::{ACTOR_LIMIT, Isa, ShapeError};
+use vigil_sim::environment::true_state::TRUE_STATE;
 
 const ACTIONS: usize = 2;
 /// Inputs of a critic: the true state, then the action.
@@ -448,7 +448,7 @@ fn mirrored([forward, yaw]: [f32; 2], mirror: bool) -> [f32; 2] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::memory::StateView;
+    use super::super::value_buffer::StateView;
     use super::*;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;

@@ -6,15 +6,13 @@
 mod actors;
 mod config;
 mod encoder;
-mod flights;
+mod flyer;
 mod learner;
-mod memory;
 mod mlp;
 mod run;
-mod shortest_way;
 mod slope;
 mod store;
-mod true_state;
+mod value_buffer;
 
 pub use config::{Along, EncoderConfig, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward};
 pub use encoder::EncoderError;

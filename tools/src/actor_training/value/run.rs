@@ -3,11 +3,11 @@
 use super::actors::{ActorNetwork, Row};
 use super::config::{Sees, ValueConfig};
 use super::encoder::{EncoderError, teach_encoder};
-use super::flights::{Encoder, Flyer, FlyerState};
+use super::flyer::{Encoder, Flyer, FlyerState};
 use super::learner::{Expert, ValueLearner, ValueReport};
-use super::memory::{Moment, ValueMemory};
 use super::slope::{Chooser, SlopeReport, fly_chooser, slope_against_truth};
 use super::store::{Stored, Values, save};
+use super::value_buffer::{Moment, ValueMemory};
 use crate::actor_training::adam::Adam;
 use crate::actor_training::checkpoint::CheckpointError;
 use crate::actor_training::collector::{CollectError, FlightReport};

@@ -5,14 +5,13 @@
 
 use super::actors::ActorNetwork;
 use super::config::ValueConfig;
-use super::flights::{Encoder, TrueFlight};
+use super::flyer::{Encoder, TrueFlight};
 use super::learner::ValueLearner;
-use super::memory::{Moment, ValueLane};
-use super::true_state::TRUE_STATE;
+use super::value_buffer::{Moment, ValueLane};
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::networks::squash;
 use crate::actor_training::noise::OrnsteinUhlenbeck;
-use crate::actor_training::replay::Next;
+use crate::actor_training::replay_buffer::Next;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -21,6 +20,7 @@ use std::sync::Arc;
 use vigil_nnet::{Aligned, Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::apf;
+use vigil_sim::environment::true_state::TRUE_STATE;
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_world::{Family, Outcome};
 

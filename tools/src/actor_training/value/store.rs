@@ -2,12 +2,12 @@
 
 use super::learner::Expert;
 use super::mlp::Mlp;
-use super::true_state::TRUE_STATE;
 use crate::actor_training::checkpoint::CheckpointError;
 use crate::actor_training::files;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Serialize, de::DeserializeOwned};
 use std::path::{Path, PathBuf};
+use vigil_sim::environment::true_state::TRUE_STATE;
 
 /// A tensor's values.
 pub enum Values<'a> {

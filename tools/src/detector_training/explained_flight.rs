@@ -3,7 +3,7 @@
 use crate::detector_training::error::DetectError;
 use crate::detector_training::features::YAW;
 use crate::detector_training::pixels::{BACKGROUNDS, Memory, explainer};
-use crate::detector_training::record::{Frame, Onlooker, Record, Step, fly};
+use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Step, fly};
 use crate::detector_training::scenario::Scenario;
 use vigil_detector::{DeepShap, FrozenDetector, Monitor};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_POSITIONAL, Isa};

@@ -1,12 +1,12 @@
 //! What the environments lived through: true states, kept features of the frames, actions, rewards.
 
 use super::config::ValueConfig;
-use super::true_state::TRUE_STATE;
-use crate::actor_training::replay::Next;
+use crate::actor_training::replay_buffer::Next;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use vigil_nnet::ACTOR_FRAMES;
 use vigil_nnet::train::SumTree;
+use vigil_sim::environment::true_state::TRUE_STATE;
 
 /// Decisions between the newest frame of a state and each of its five, oldest first: with four steps to a decision 1.6, 0.8, 0.4,
 /// 0.2 and 0 s. Motion shows over that time, and features that are kept cost nothing in flight.

@@ -1,13 +1,13 @@
 //! Environments of a run by value: training flights whose true state, and whose pictures if the actor sees them, are kept.
 
 use super::config::{Along, ValueConfig};
-use super::memory::{Moment, StateView, ValueLane, halve};
-use super::true_state::{RAYS, TRUE_STATE, TrueCourse};
+use super::value_buffer::{Moment, StateView, ValueLane, halve};
 use crate::actor_training::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
 use crate::actor_training::flight::Flight;
 use crate::actor_training::networks::squash;
 use crate::actor_training::noise::OrnsteinUhlenbeck;
-use crate::actor_training::replay::Next;
+use crate::actor_training::replay_buffer::Next;
+use crate::actor_training::reward::{DecisionResult, RewardWeights, reward};
 use core::f32::consts::{PI, TAU};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -16,6 +16,7 @@ use std::sync::Arc;
 use vigil_nnet::{ActorSpec, Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::positional_inputs;
 use vigil_policy::{NearestObstacle, apf};
+use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
 use vigil_types::{Action, GoalRelative, wrap_pi};
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Course, Family, Outcome, generate};
@@ -127,21 +128,17 @@ impl TrueFlight {
             outcome = self.flight.advance_unseen(action);
             steps += 1;
         }
-        let r = &config.reward;
         let to_go_m = self.measure_m();
-        let mut reward = self.to_go_m - to_go_m + r.decision;
-        self.to_go_m = to_go_m;
-        let (passed, count) = self.flight.checkpoints();
-        for number in self.checkpoints + 1..=passed {
-            reward += r.checkpoint * (1.0 + number as f32 / count as f32);
-        }
-        self.checkpoints = passed;
-        reward += match outcome {
-            Some(Outcome::Success) => r.success,
-            Some(Outcome::Collision | Outcome::OutOfBounds) => r.dead,
-            Some(Outcome::TimeOut) | None => 0.0,
+        let (checkpoints, all_checkpoints) = self.flight.checkpoints();
+        let result = DecisionResult {
+            progress_m: self.to_go_m - to_go_m,
+            checkpoints_before: self.checkpoints,
+            checkpoints,
+            all_checkpoints,
+            outcome,
         };
-        (reward, outcome)
+        (self.to_go_m, self.checkpoints) = (to_go_m, checkpoints);
+        (reward(&RewardWeights::from(&config.reward), &result), outcome)
     }
 }
 
@@ -370,7 +367,7 @@ fn nearest(truth: &[f32; TRUE_STATE]) -> Option<NearestObstacle> {
         .filter_map(|k| {
             let bearing_rad = wrap_pi(k as f32 * (TAU / RAYS as f32));
             (bearing_rad.abs() <= FIELD_HALF_ANGLE_RAD && truth[k] > 0.0).then(|| NearestObstacle {
-                distance_m: super::true_state::range_m(truth[k]),
+                distance_m: range_m(truth[k]),
                 bearing_rad,
             })
         })

@@ -1,0 +1,188 @@
+//! One flight over one course as a function of setpoints, without MAVLink, guidance and pilots: what training runs in.
+//!
+//! Whoever flies it makes the setpoint as he likes; the vehicle, the LiDAR and the referee are the simulator's.
+//!
+//! ```
+//! use vigil_sim::environment::Environment;
+//! use vigil_types::{HeadingVector, VelocitySetpoint};
+//! use vigil_vehicle::Wind;
+//! use vigil_world::{Family, generate};
+//!
+//! let mut environment = Environment::new(&generate(Family::Validation, 7), Wind::default(), 7)?;
+//! let ahead = VelocitySetpoint { velocity_m_s: HeadingVector::new(1.0, 0.0, 0.0), yaw_rate_rad_s: 0.0 };
+//! let before_m = environment.goal_distance_m();
+//! for _ in 0..40 {
+//!     assert_eq!(environment.advance(ahead), None, "two seconds are no flight");
+//! }
+//! assert!(environment.goal_distance_m() < before_m && environment.frame().header.sequence == 40);
+//! # Ok::<(), vigil_vehicle::ParamsError>(())
+//! ```
+
+mod shortest_way;
+pub mod true_state;
+
+pub use shortest_way::ShortestWay;
+
+use vigil_types::{AttitudeSample, DepthFrame, Goal, GoalRelative, Kinematics, NedVector, STEP_NS, VelocitySetpoint};
+use vigil_vehicle::{ControlCommand, Estimate, ParamsError, Truth, Vehicle, VehicleParams, Wind, YawCommand};
+use vigil_world::{Course, Lidar, LidarConfig, Outcome, Referee, Shot, World};
+
+/// Physics steps in one step of the loop.
+const PHYSICS_STEPS: u64 = STEP_NS / vigil_vehicle::STEP_NS;
+
+/// Vehicle, LiDAR and referee of one flight, with the newest depth frame. It advances in steps of 50 ms; the same setpoints give
+/// the same bits.
+pub struct Environment {
+    world: World,
+    vehicle: Box<Vehicle>,
+    lidar: Lidar,
+    referee: Referee,
+    goal: Goal,
+    frame: Box<DepthFrame>,
+    sequence: u64,
+    checkpoints: usize,
+}
+
+impl Environment {
+    /// Begins hovering at the course's start with the first frame taken. The seed fixes all noise.
+    ///
+    /// # Errors
+    /// Wind out of its range.
+    pub fn new(course: &Course, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
+        Self::with_lidar(course, wind, LidarConfig::default(), seed)
+    }
+
+    /// The same with another LiDAR.
+    ///
+    /// # Errors
+    /// Wind out of its range.
+    ///
+    /// # Panics
+    /// A LiDAR out of its range.
+    pub fn with_lidar(course: &Course, wind: Wind, lidar: LidarConfig, seed: u64) -> Result<Self, ParamsError> {
+        let mut vehicle = Box::new(Vehicle::new(VehicleParams::default(), wind, seed)?);
+        let start = course.start_ned_m();
+        let height = NedVector::new(start.x, start.y, -course.flight_height_m);
+        vehicle.place(height, course.start_heading_rad(), true);
+        let lidar = Lidar::new(lidar, seed).unwrap_or_else(|e| panic!("{e}"));
+        let mut environment = Self {
+            world: World::new(course),
+            vehicle,
+            lidar,
+            referee: Referee::new(course),
+            goal: Goal {
+                position_ned_m: course.goal_ned_m(),
+            },
+            frame: Box::new(DepthFrame::EMPTY),
+            sequence: 0,
+            checkpoints: course.checkpoints.len(),
+        };
+        environment.look();
+        Ok(environment)
+    }
+
+    /// Takes the next frame, where the vehicle is now.
+    pub fn look(&mut self) {
+        self.world.set_time_ns(self.vehicle.truth().at_ns);
+        let (truth, estimate) = (self.vehicle.truth(), self.vehicle.view().estimate);
+        let shot = Shot {
+            position_ned_m: truth.position_ned_m,
+            attitude: truth.attitude,
+            estimated_position_ned_m: estimate.position_ned_m,
+            estimated_attitude: estimate.attitude,
+            stamp_ns: truth.at_ns,
+            sequence: self.sequence,
+            sensor_id: 0,
+        };
+        self.lidar.capture(&self.world, &shot, &mut self.frame);
+        self.sequence += 1;
+    }
+
+    /// The newest frame.
+    pub fn frame(&self) -> &DepthFrame {
+        &self.frame
+    }
+
+    /// Where to fly.
+    pub fn goal(&self) -> Goal {
+        self.goal
+    }
+
+    /// How the vehicle believes to move: what its telemetry would tell.
+    pub fn estimate(&self) -> Estimate {
+        self.vehicle.view().estimate
+    }
+
+    /// Distance and bearing to the goal as the vehicle believes.
+    pub fn goal_relative(&self) -> GoalRelative {
+        let estimate = self.estimate();
+        let kinematics = Kinematics {
+            at_ns: estimate.at_ns,
+            position_ned_m: estimate.position_ned_m,
+            velocity_ned_m_s: estimate.velocity_ned_m_s,
+        };
+        let attitude = AttitudeSample {
+            at_ns: estimate.at_ns,
+            attitude: estimate.attitude,
+            rates_frd_rad_s: estimate.rates_frd_rad_s,
+        };
+        self.goal.relative_to(&kinematics, &attitude)
+    }
+
+    /// Horizontal distance to the goal in metres, the truth.
+    pub fn goal_distance_m(&self) -> f32 {
+        (self.goal.position_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()
+    }
+
+    /// How many checkpoints were passed, of how many.
+    pub fn checkpoints(&self) -> (usize, usize) {
+        (self.referee.checkpoints_passed(), self.checkpoints)
+    }
+
+    /// Time since the start, seconds; the whole flight's once it has ended.
+    pub fn time_s(&self) -> f64 {
+        let now_s = self.vehicle.truth().at_ns as f64 * 1e-9;
+        self.referee.duration_s().unwrap_or(now_s)
+    }
+
+    /// How the vehicle really moves, which no pilot knows.
+    pub fn truth(&self) -> Truth {
+        self.vehicle.truth()
+    }
+
+    /// Flies one step of 50 ms under a setpoint and takes the next frame. `Some` when the flight has ended.
+    pub fn advance(&mut self, setpoint: VelocitySetpoint) -> Option<Outcome> {
+        let outcome = self.advance_unseen(setpoint);
+        // The state in which a flight is cut off still counts.
+        if matches!(outcome, None | Some(Outcome::TimeOut)) {
+            self.look();
+        }
+        outcome
+    }
+
+    /// [`Self::advance`] without the next frame, whose rays are most of a step's cost.
+    pub fn advance_unseen(&mut self, setpoint: VelocitySetpoint) -> Option<Outcome> {
+        let command = ControlCommand::VelocityHeading {
+            velocity_m_s: setpoint.velocity_m_s,
+            yaw: YawCommand::Rate {
+                yaw_rate_rad_s: setpoint.yaw_rate_rad_s,
+            },
+        };
+        for _ in 0..PHYSICS_STEPS {
+            self.vehicle.step(&command);
+            let truth = self.vehicle.truth();
+            self.world.set_time_ns(truth.at_ns);
+            let outcome = self.referee.observe(
+                &self.world,
+                truth.at_ns,
+                truth.position_ned_m,
+                truth.attitude,
+                truth.velocity_ned_m_s,
+            );
+            if outcome.is_some() {
+                return outcome;
+            }
+        }
+        None
+    }
+}

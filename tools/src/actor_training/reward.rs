@@ -1,0 +1,166 @@
+//! The reward of a decision: a sum of named terms.
+//!
+//! A new term is a row of [`TERMS`], its weight in [`RewardWeights`] and in the configurations that have it, and a row of the table in
+//! docs/training.md, which a test asks for.
+
+use crate::actor_training::config::RewardConfig;
+use crate::actor_training::value::ValueReward;
+use vigil_world::Outcome;
+
+/// What a decision brought about.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DecisionResult {
+    /// Metres nearer to the goal, along the straight line or the shortest free way.
+    pub progress_m: f32,
+    /// Checkpoints passed before it.
+    pub checkpoints_before: usize,
+    /// Checkpoints passed now.
+    pub checkpoints: usize,
+    /// Checkpoints of the course.
+    pub all_checkpoints: usize,
+    /// How the flight ended, if it did.
+    pub outcome: Option<Outcome>,
+}
+
+/// What each term counts; 0 leaves it out.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RewardWeights {
+    /// At the goal.
+    pub success: f32,
+    /// For collision and out of bounds.
+    pub dead: f32,
+    /// For each decision.
+    pub decision: f32,
+    /// At checkpoint C of N: this times (1 + C/N).
+    pub checkpoint: f32,
+}
+
+impl From<&RewardConfig> for RewardWeights {
+    fn from(c: &RewardConfig) -> Self {
+        Self {
+            success: c.success,
+            dead: c.dead,
+            decision: 0.0,
+            checkpoint: c.checkpoint,
+        }
+    }
+}
+
+impl From<&ValueReward> for RewardWeights {
+    fn from(c: &ValueReward) -> Self {
+        Self {
+            success: c.success,
+            dead: c.dead,
+            decision: c.decision,
+            checkpoint: c.checkpoint,
+        }
+    }
+}
+
+/// A term of the sum.
+pub struct Term {
+    /// Its name, as in docs/training.md and, where it has a weight, the configuration's key.
+    pub name: &'static str,
+    value: fn(&RewardWeights, &DecisionResult) -> f32,
+}
+
+/// All terms, in the order in which they are added.
+pub const TERMS: [Term; 5] = [
+    Term {
+        name: "progress",
+        value: |_, d| d.progress_m,
+    },
+    Term {
+        name: "decision",
+        value: |w, _| w.decision,
+    },
+    Term {
+        name: "checkpoint",
+        value: checkpoint,
+    },
+    Term {
+        name: "success",
+        value: |w, d| {
+            if d.outcome == Some(Outcome::Success) {
+                w.success
+            } else {
+                0.0
+            }
+        },
+    },
+    Term {
+        name: "dead",
+        value: |w, d| match d.outcome {
+            Some(Outcome::Collision | Outcome::OutOfBounds) => w.dead,
+            // A flight that was cut off goes on as far as the value is concerned.
+            Some(Outcome::Success | Outcome::TimeOut) | None => 0.0,
+        },
+    },
+];
+
+fn checkpoint(w: &RewardWeights, d: &DecisionResult) -> f32 {
+    let bonus = |number: usize| w.checkpoint * (1.0 + number as f32 / d.all_checkpoints as f32);
+    (d.checkpoints_before + 1..=d.checkpoints).map(bonus).sum()
+}
+
+/// The reward of a decision.
+pub fn reward(weights: &RewardWeights, result: &DecisionResult) -> f32 {
+    TERMS.iter().map(|term| (term.value)(weights, result)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WEIGHTS: RewardWeights = RewardWeights {
+        success: 5.0,
+        dead: -2.0,
+        decision: -0.5,
+        checkpoint: 2.0,
+    };
+    const RESULT: DecisionResult = DecisionResult {
+        progress_m: 0.25,
+        checkpoints_before: 1,
+        checkpoints: 1,
+        all_checkpoints: 4,
+        outcome: None,
+    };
+
+    #[test]
+    fn what_a_decision_brought_about_is_rewarded_term_by_term() {
+        let given = |result| reward(&WEIGHTS, &result);
+        assert_eq!(given(RESULT), 0.25 - 0.5);
+        let two = DecisionResult {
+            checkpoints: 3,
+            ..RESULT
+        };
+        assert_eq!(given(two), 0.25 - 0.5 + 2.0 * 1.5 + 2.0 * 1.75);
+        for (outcome, ended) in [
+            (Outcome::Success, 5.0),
+            (Outcome::Collision, -2.0),
+            (Outcome::OutOfBounds, -2.0),
+            (Outcome::TimeOut, 0.0),
+        ] {
+            let result = DecisionResult {
+                outcome: Some(outcome),
+                ..RESULT
+            };
+            assert_eq!(given(result), 0.25 - 0.5 + ended, "{outcome}");
+        }
+    }
+
+    #[test]
+    fn every_term_has_its_row_in_the_documentation() {
+        let page = include_str!("../../../docs/training.md");
+        let (_, section) = page
+            .split_once("## Reward")
+            .expect("docs/training.md has a section on the reward");
+        let (section, _) = section.split_once("\n## ").unwrap_or((section, ""));
+        let rows: Vec<&str> = section
+            .lines()
+            .filter_map(|line| line.strip_prefix("| `")?.split_once('`'))
+            .map(|(name, _)| name)
+            .collect();
+        assert_eq!(rows, TERMS.map(|term| term.name));
+    }
+}
