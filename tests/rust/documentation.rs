@@ -82,12 +82,13 @@ fn every_link_leads_somewhere() {
 fn every_page_is_in_the_index() {
     let index = prose(&root().join("docs/README.md"));
     let named: HashSet<&str> = links(&index).collect();
-    let docs = fs::read_dir(root().join("docs")).unwrap();
-    for name in docs.map(|entry| entry.unwrap().file_name().into_string().unwrap()) {
-        let page = name.ends_with(".md") && name != "README.md";
-        assert!(
-            !page || named.contains(name.as_str()),
-            "docs/README.md does not name {name}"
-        );
+    let docs = root().join("docs");
+    for page in pages() {
+        if let Ok(name) = page.strip_prefix(&docs)
+            && name != Path::new("README.md")
+        {
+            let name = name.to_str().expect("a UTF-8 path");
+            assert!(named.contains(name), "docs/README.md does not name {name}");
+        }
     }
 }

@@ -111,7 +111,7 @@ def actor_shapes() -> list[tuple[str, tuple[int, ...]]]:
 
 
 def critic_shapes() -> list[tuple[str, tuple[int, ...]]]:
-    """Tensors of the critic behind the shared encoder, in the order of our parameters (docs/training.md)."""
+    """Tensors of the critic behind the shared encoder, in the order of our parameters (docs/learning.md)."""
     shapes = gru_shapes() + dense_shapes("positional", 2, 6)
     return shapes + dense_shapes("dense", 56, 128) + dense_shapes("dense_2", 128, 64) + dense_shapes("output", 64, 1)
 

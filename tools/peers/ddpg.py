@@ -1,4 +1,4 @@
-"""Our DDPG update (docs/training.md) in PyTorch: the same losses, gradients and steps on the same batch."""
+"""Our DDPG update (docs/learning.md) in PyTorch: the same losses, gradients and steps on the same batch."""
 
 import copy
 

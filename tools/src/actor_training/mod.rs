@@ -1,6 +1,6 @@
 //! Trains the actor in the simulator: DDPG with prioritised replay and the paper's potential field.
 //!
-//! `docs/training.md` describes the method and what was measured.
+//! `docs/learning.md` describes the method, `docs/experiments` what was measured.
 
 pub mod adam;
 mod checkpoint;

@@ -181,7 +181,7 @@ impl Networks {
 
     /// Each parameter's share of the learning rate, actor and critic: weights of a layer with many inputs move less, because
     /// all of them move at once. At one rate for all, the 1 024 features drive the GRU into saturation within a hundred
-    /// updates, and nothing that the image shows reaches the actor any more (docs/training.md).
+    /// updates, and nothing that the image shows reaches the actor any more (docs/learning.md).
     pub fn rate_shares(&self) -> (Vec<f32>, Vec<f32>) {
         let share = |fan_in: usize| (FULL_RATE_INPUTS / fan_in as f32).min(1.0);
         let mut actor = vec![1.0; self.actor_len()];

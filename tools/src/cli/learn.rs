@@ -19,7 +19,7 @@ Examples:
 
 The run leaves curves.csv, config.toml, checkpoint.safetensors, result.json and expert.safetensors or actor.safetensors in its
 folder. The curve tells at each evaluation how well the critics' slope over yaw agrees with what flights from the same state
-tell. `vigil rollout --actor` flies the actor. docs/training.md explains the method.")]
+tell. `vigil rollout --actor` flies the actor. docs/learning.md explains the method.")]
 pub struct LearnArgs {
     /// What to train.
     #[arg(value_enum)]

@@ -17,7 +17,7 @@ Examples:
 
 The run leaves actor.safetensors, result.json, curves.csv, curves.png, flights.csv, config.toml and checkpoint.safetensors in
 its folder. Ctrl-C stops it after the
-update being made; --resume goes on as if it had never stopped. docs/training.md explains the method.
+update being made; --resume goes on as if it had never stopped. docs/learning.md explains the method.
 Exit code: 0 the actor is trained, 1 error, 130 interrupted, with a checkpoint to go on from.")]
 pub struct TrainArgs {
     /// Training file (TOML); what it does not name keeps its default.

@@ -1,7 +1,7 @@
 //! Learning by value: DDPG with critics that see the true state and a reward along the shortest free way.
 //!
 //! An expert that sees the true state as well learns within minutes; the actor of the pictures learns from its own flights, by the
-//! critics' slope, behind an encoder that is taught first and then frozen. `docs/training.md` describes it and what was measured.
+//! critics' slope, behind an encoder that is taught first and then frozen. `docs/learning.md` describes it and what was measured.
 
 mod actors;
 mod config;
