@@ -203,8 +203,7 @@ fn print(mut ring: Consumer<Announcement>, start_ns: Nanos) {
                 }
                 Announcement::FramesRefused { at_ns, total, last } => {
                     tracing::warn!(
-                        "{:8.2} s  {total} depth frames refused since start; the last one: {last} (docs/firmware.md, \
-                         \"Depth frames\")",
+                        "{:8.2} s  {total} depth frames refused since start; the last one: {last} (docs/sensor-interface.md)",
                         seconds(at_ns)
                     );
                 }

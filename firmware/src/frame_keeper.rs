@@ -50,10 +50,9 @@ impl core::fmt::Display for Refusal {
             Self::Defect(defect @ FrameDefect::WrongSensor { .. }) => {
                 write!(f, "{defect}, which is not the configured sensor_id")
             }
-            Self::Defect(defect @ FrameDefect::BadTag) => write!(
-                f,
-                "{defect}: not made with --frame-key, or altered on the way (docs/frame-authentication.md)"
-            ),
+            Self::Defect(defect @ FrameDefect::BadTag) => {
+                write!(f, "{defect}: not made with --frame-key, or altered on the way")
+            }
             Self::Defect(defect) => defect.fmt(f),
             Self::FromTheFuture => f.write_str("frame's stamp lies in the future of CLOCK_MONOTONIC"),
             Self::NotNewer => f.write_str("frame's stamp is not later than that of the frame before"),

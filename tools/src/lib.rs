@@ -7,4 +7,5 @@ mod campaign;
 pub mod cli;
 pub mod detector_training;
 pub mod report;
+mod sensor_check;
 pub mod statistics;

@@ -7,9 +7,10 @@ use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
 use vigil_world::Outcome;
 
 /// Conditions that say that frames cannot be used.
-const SENSOR_REASONS: [Reason; 6] = [
+const SENSOR_REASONS: [Reason; 7] = [
     Reason::StaleFrame,
     Reason::BadFrame,
+    Reason::UnauthenticatedFrame,
     Reason::BlindSensor,
     Reason::FrozenSensor,
     Reason::ImplausiblePose,

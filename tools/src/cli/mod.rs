@@ -14,6 +14,7 @@ mod replay;
 mod report;
 mod rollout;
 mod scene;
+mod sensor;
 mod train;
 
 use crate::attack_campaigns as attack;
@@ -77,6 +78,8 @@ enum Command {
     Rollout(rollout::RolloutArgs),
     /// Gather data for the detector, train it, measure how well it detects.
     Detector(detector::DetectorArgs),
+    /// Check a publisher of depth frames.
+    Sensor(sensor::SensorArgs),
     /// Draw, write or check courses.
     Courses(courses::CoursesArgs),
 }
@@ -104,6 +107,7 @@ pub fn main() -> ExitCode {
         Command::Report(args) => report::run(&args),
         Command::Rollout(args) => rollout::run(&args),
         Command::Detector(args) => detector::run(&args),
+        Command::Sensor(args) => sensor::run(&args),
         Command::Courses(args) => courses::run(&args),
     };
     output::finish(result)

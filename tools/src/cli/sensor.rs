@@ -1,0 +1,126 @@
+//! `vigil sensor`: what a driver's author needs.
+
+use crate::cli::output::{self, EXIT_DIFFERS, Paint, say, tell};
+use crate::sensor_check::{Expected, SensorCheck, Severity};
+use anyhow::Result;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+use vigil_io::clock::monotonic_ns;
+use vigil_io::key_file::frame_keys;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber};
+use vigil_types::DepthFrame;
+
+/// How often the service is looked at; arrival is known to this.
+const LOOK: Duration = Duration::from_micros(200);
+
+/// Arguments of `vigil sensor`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(arg_required_else_help = true)]
+pub struct SensorArgs {
+    #[command(subcommand)]
+    command: SensorCommand,
+}
+
+#[derive(Debug, Clone, clap::Subcommand)]
+enum SensorCommand {
+    /// Listen to a publisher of depth frames and say whether it keeps to the interface.
+    Check(CheckArgs),
+}
+
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil sensor check                        listen for 10 s: frames taken, rate, latency, clock, order, returns, field of view
+  vigil sensor check --wall 2.5             a wall stands 2.5 m in front of the sensor
+  vigil sensor check --frame-key depth.key  frames must be authenticated
+  vigil sensor check --json -               the findings for a program
+
+Exit code: 0 all is as it should be or only warned of, 3 something fails, 1 the check could not be made.
+docs/sensor-interface.md is the interface; tools/publishers has drivers to begin with.")]
+struct CheckArgs {
+    /// Number of the set of processes.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    instance: u32,
+
+    /// The frame service.
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
+    frames: String,
+
+    /// The sensor's number.
+    #[arg(long, default_value_t = 1)]
+    sensor_id: u32,
+
+    /// File with the secret of the frames' key; may be given twice.
+    #[arg(long, value_name = "FILE")]
+    frame_key: Vec<PathBuf>,
+
+    /// Range of a wall straight ahead, metres.
+    #[arg(long, value_name = "METRES")]
+    wall: Option<f32>,
+
+    /// How long to listen, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=3600))]
+    seconds: u64,
+
+    /// Where the findings go as JSON; `-` is standard output.
+    #[arg(short = 'o', long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// Does what was asked.
+///
+/// # Errors
+/// Shared memory that cannot be used, a key that is refused.
+pub fn run(args: &SensorArgs) -> Result<ExitCode> {
+    let SensorCommand::Check(args) = &args.command;
+    if let Some(path) = &args.json {
+        output::prepare(path)?;
+    }
+    let mut check = SensorCheck::new(Expected {
+        sensor_id: args.sensor_id,
+        keys: frame_keys(&args.frame_key, args.sensor_id)?,
+        wall_m: args.wall,
+    });
+    let domain = Domain::open(args.instance, "sensor-check")?;
+    let mut frames = FrameSubscriber::create(&domain, &args.frames)?;
+    tell!(
+        "listening to `{}` on instance {} for {} s",
+        args.frames,
+        args.instance,
+        args.seconds
+    );
+    let end_ns = monotonic_ns() + args.seconds * 1_000_000_000;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    while monotonic_ns() < end_ns {
+        match frames.newest()? {
+            Some(borrowed) => {
+                let arrived_ns = monotonic_ns();
+                (*frame).clone_from(&borrowed);
+                drop(borrowed);
+                check.observe(&frame, arrived_ns);
+            }
+            None => std::thread::sleep(LOOK),
+        }
+    }
+    let findings = check.findings(args.seconds as f64);
+    let paint = Paint::stdout();
+    for finding in &findings {
+        let mark = match finding.severity {
+            Severity::Good => "good   ",
+            Severity::Warning => "warning",
+            Severity::Failure => "FAILS  ",
+        };
+        let line = format!("{mark}  {:<8} {}", finding.name, finding.text);
+        say!("{}", paint.verdict(finding.severity < Severity::Failure, &line));
+    }
+    if let Some(path) = &args.json {
+        output::write(path, serde_json::to_vec_pretty(&findings)?)?;
+    }
+    let fails = findings.iter().any(|f| f.severity == Severity::Failure);
+    Ok(if fails {
+        ExitCode::from(EXIT_DIFFERS)
+    } else {
+        ExitCode::SUCCESS
+    })
+}

@@ -1,0 +1,481 @@
+//! Whether a publisher of depth frames keeps to the interface (docs/sensor-interface.md): what a driver's author wants to know before
+//! the first flight.
+
+use crate::statistics::quantile;
+use serde::Serialize;
+use std::fmt::Write;
+use vigil_types::{
+    DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameKeys, HORIZONTAL_FOV_RAD, Nanos, STEP_NS, VERTICAL_FOV_RAD,
+};
+
+/// Frames that come more than this apart on average leave some steps without a new one.
+const LONGEST_INTERVAL_S: f64 = 1.05 * STEP_NS as f64 * 1e-9;
+/// The age at which the loop holds by default, and the share of it that is a warning.
+const AGE_LIMIT_S: f64 = 0.25;
+const OLD_S: f64 = 0.1;
+/// A part of the view in which not one pixel of any frame returned is named. Parts are 16 × 16 pixels.
+const PART: usize = 16;
+const PART_ROWS: usize = DEPTH_ROWS / PART;
+const PART_COLS: usize = DEPTH_COLS / PART;
+/// Half the side of the square in the middle of the image that is held against a wall.
+const MIDDLE: usize = 4;
+/// How far a wall may be from where it is: the LiDAR model's noise is 2 cm.
+const WALL_TOLERANCE_M: f32 = 0.1;
+
+/// How bad a finding is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Severity {
+    /// As it should be.
+    Good,
+    /// Flies, but not as well as it could.
+    Warning,
+    /// Does not fly, or must not.
+    Failure,
+}
+
+/// One line of the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// What was looked at.
+    pub name: &'static str,
+    /// How bad it is.
+    pub severity: Severity,
+    /// What was found, and what to do where that is not good.
+    pub text: String,
+}
+
+/// What is known about the sensor from outside.
+#[derive(Debug, Clone, Default)]
+pub struct Expected {
+    /// The sensor's number.
+    pub sensor_id: u32,
+    /// Keys that its frames must be made with.
+    pub keys: FrameKeys,
+    /// Range of a wall straight ahead, metres.
+    pub wall_m: Option<f32>,
+}
+
+/// Looks at one frame after the other.
+pub struct SensorCheck {
+    expected: Expected,
+    arrivals_s: Vec<f64>,
+    ages_s: Vec<f64>,
+    refused: Vec<(FrameDefect, u64)>,
+    last_stamp_ns: Option<Nanos>,
+    last_sequence: Option<u64>,
+    not_newer: u64,
+    left_out: u64,
+    restarted: u64,
+    returns: Vec<f64>,
+    zeros: u64,
+    unchanged: u64,
+    last_checksum: Option<u64>,
+    last_pixels_hash: u64,
+    seen: [[bool; PART_COLS]; PART_ROWS],
+    middle_m: Vec<f32>,
+}
+
+impl SensorCheck {
+    /// A check that has seen nothing.
+    pub fn new(expected: Expected) -> Self {
+        Self {
+            expected,
+            arrivals_s: Vec::new(),
+            ages_s: Vec::new(),
+            refused: Vec::new(),
+            last_stamp_ns: None,
+            last_sequence: None,
+            not_newer: 0,
+            left_out: 0,
+            restarted: 0,
+            returns: Vec::new(),
+            zeros: 0,
+            unchanged: 0,
+            last_checksum: None,
+            last_pixels_hash: 0,
+            seen: [[false; PART_COLS]; PART_ROWS],
+            middle_m: Vec::new(),
+        }
+    }
+
+    /// Takes a frame that arrived at `arrived_ns`.
+    pub fn observe(&mut self, frame: &DepthFrame, arrived_ns: Nanos) {
+        let header = &frame.header;
+        self.arrivals_s.push(arrived_ns as f64 * 1e-9);
+        let checked = frame
+            .check(self.expected.sensor_id)
+            .and_then(|()| match self.expected.keys.accept(frame) {
+                true => Ok(()),
+                false => Err(FrameDefect::BadTag),
+            });
+        if let Err(defect) = checked {
+            match self.refused.iter_mut().find(|(known, _)| *known == defect) {
+                Some((_, count)) => *count += 1,
+                None => self.refused.push((defect, 1)),
+            }
+            return;
+        }
+        self.ages_s
+            .push((i128::from(arrived_ns) - i128::from(header.stamp_ns)) as f64 * 1e-9);
+        if self.last_stamp_ns.is_some_and(|last| header.stamp_ns <= last) {
+            self.not_newer += 1;
+        }
+        match self.last_sequence.map(|last| header.sequence.checked_sub(last)) {
+            None | Some(Some(1)) => {}
+            Some(Some(0) | None) => self.restarted += 1,
+            Some(Some(step)) => self.left_out += step - 1,
+        }
+        self.last_stamp_ns = Some(header.stamp_ns);
+        self.last_sequence = Some(header.sequence);
+
+        let pixels_hash = frame.depth.iter().fold(0xcbf2_9ce4_8422_2325u64, |hash, v| {
+            (hash ^ u64::from(v.to_bits())).wrapping_mul(0x0000_0100_0000_01b3)
+        });
+        self.unchanged += u64::from(self.last_checksum.is_some() && pixels_hash == self.last_pixels_hash);
+        self.last_checksum = Some(header.checksum);
+        self.last_pixels_hash = pixels_hash;
+
+        let mut returned = 0u32;
+        for (row, pixels) in frame.depth.chunks_exact(DEPTH_COLS).enumerate() {
+            for (part, values) in pixels.chunks_exact(PART).enumerate() {
+                let in_part = values.iter().filter(|v| **v > 0.0 && **v < 1.0).count();
+                returned += in_part as u32;
+                self.seen[row / PART][part] |= in_part > 0;
+            }
+            self.zeros += pixels.iter().filter(|v| **v == 0.0).count() as u64;
+        }
+        self.returns
+            .push(f64::from(returned) / f64::from((DEPTH_ROWS * DEPTH_COLS) as u32));
+        if self.expected.wall_m.is_some() {
+            let (row, col) = (DEPTH_ROWS / 2, DEPTH_COLS / 2);
+            let mut middle: Vec<f32> = (row - MIDDLE..row + MIDDLE)
+                .flat_map(|r| (col - MIDDLE..col + MIDDLE).filter_map(move |c| frame.range_m(r, c)))
+                .collect();
+            middle.sort_by(f32::total_cmp);
+            self.middle_m.extend(middle.get(middle.len() / 2));
+        }
+    }
+
+    /// Frames seen.
+    pub fn frames(&self) -> usize {
+        self.arrivals_s.len()
+    }
+
+    /// What was found in `seconds`.
+    pub fn findings(&self, seconds: f64) -> Vec<Finding> {
+        let mut findings = Vec::new();
+        let mut add = |name, severity, text: String| findings.push(Finding { name, severity, text });
+        if self.frames() == 0 {
+            add(
+                "frames",
+                Severity::Failure,
+                format!(
+                    "none within {seconds:.0} s: is the publisher running, for the same user, on the same instance and service?"
+                ),
+            );
+            return findings;
+        }
+        let used = self.ages_s.len();
+        let mut text = format!("{used} of {} are taken", self.frames());
+        for (defect, count) in &self.refused {
+            let _ = write!(text, "; {count} refused: {defect}");
+        }
+        let severity = if self.refused.is_empty() {
+            Severity::Good
+        } else {
+            Severity::Failure
+        };
+        add("frames", severity, text);
+        self.rate(&mut add);
+        if used == 0 {
+            return findings;
+        }
+        self.clock(&mut add);
+        self.order(&mut add);
+        self.picture(&mut add);
+        findings
+    }
+
+    fn rate(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+        let intervals: Vec<f64> = self.arrivals_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let Some(mean) = (!intervals.is_empty()).then(|| intervals.iter().sum::<f64>() / intervals.len() as f64) else {
+            return;
+        };
+        let longest = quantile(&intervals, 1.0).unwrap_or(f64::NAN);
+        let (severity, advice) = if longest > AGE_LIMIT_S {
+            (
+                Severity::Failure,
+                ": longer than the age limit of 0.25 s, so the vehicle holds",
+            )
+        } else if mean > LONGEST_INTERVAL_S {
+            (
+                Severity::Warning,
+                ": slower than the 20 Hz loop, so some steps have no new picture",
+            )
+        } else {
+            (Severity::Good, "")
+        };
+        add(
+            "rate",
+            severity,
+            format!("{:.1} Hz, longest interval {:.0} ms{advice}", 1.0 / mean, longest * 1e3),
+        );
+    }
+
+    fn clock(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+        let at = |q| quantile(&self.ages_s, q).unwrap_or(f64::NAN);
+        let (least, middle, most) = (at(0.0), at(0.5), at(1.0));
+        let text = format!("{:.1} ms old on arrival, at most {:.1} ms", middle * 1e3, most * 1e3);
+        if least < -(STEP_NS as f64) * 1e-9 {
+            let text = format!(
+                "stamps lie up to {:.3} s in the future of CLOCK_MONOTONIC: stamp frames with that clock, at capture",
+                -least
+            );
+            add("clock", Severity::Failure, text);
+        } else if middle > 1000.0 {
+            let text = format!("stamps are {middle:.0} s old: they are of another clock than CLOCK_MONOTONIC");
+            add("clock", Severity::Failure, text);
+        } else if most > AGE_LIMIT_S {
+            add(
+                "latency",
+                Severity::Failure,
+                format!("{text}: older than the age limit of 0.25 s, so the vehicle holds"),
+            );
+        } else if middle > OLD_S {
+            add(
+                "latency",
+                Severity::Warning,
+                format!("{text}: the vehicle flies by what it saw that long ago"),
+            );
+        } else {
+            add("latency", Severity::Good, text);
+        }
+    }
+
+    fn order(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+        let problems = [
+            (
+                self.not_newer,
+                "with a stamp that is not newer than the one before: refused in flight",
+            ),
+            (
+                self.restarted,
+                "times the number did not rise: a restarted publisher, or frames sent twice",
+            ),
+        ];
+        let named: Vec<String> = problems
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, what)| format!("{count} {what}"))
+            .collect();
+        let severity = if self.not_newer > 0 {
+            Severity::Failure
+        } else {
+            Severity::Warning
+        };
+        match named.is_empty() {
+            true => add(
+                "order",
+                Severity::Good,
+                format!("stamps and numbers rise; {} numbers were left out", self.left_out),
+            ),
+            false => add("order", severity, named.join("; ")),
+        }
+    }
+
+    fn picture(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
+        let share = self.returns.iter().sum::<f64>() / self.returns.len() as f64;
+        let (severity, advice) = if share == 0.0 {
+            (Severity::Failure, ": a blind sensor")
+        } else if share < 0.05 {
+            (
+                Severity::Warning,
+                ": hardly anything returns; is the range divided by 100 m?",
+            )
+        } else {
+            (Severity::Good, "")
+        };
+        add(
+            "returns",
+            severity,
+            format!("{:.1} % of the pixels{advice}", 100.0 * share),
+        );
+        if self.zeros > 0 {
+            add(
+                "zeros",
+                Severity::Warning,
+                format!("{} pixels are 0.0, a surface at the lens: no return is 1.0", self.zeros),
+            );
+        }
+        if self.unchanged > 0 {
+            add(
+                "change",
+                Severity::Warning,
+                format!(
+                    "{} of {} pictures are the one before to the bit: a real sensor's noise changes them",
+                    self.unchanged,
+                    self.returns.len()
+                ),
+            );
+        }
+        let unseen = self.seen.as_flattened().iter().filter(|seen| !**seen).count();
+        let bearings = |col: usize| (col as f32 / PART_COLS as f32 - 0.5) * HORIZONTAL_FOV_RAD.to_degrees();
+        let elevations = |row: usize| (0.5 - row as f32 / PART_ROWS as f32) * VERTICAL_FOV_RAD.to_degrees();
+        let columns: Vec<usize> = (0..PART_COLS).filter(|c| self.seen.iter().any(|row| row[*c])).collect();
+        let rows: Vec<usize> = (0..PART_ROWS)
+            .filter(|r| self.seen[*r].iter().any(|seen| *seen))
+            .collect();
+        if let (Some(left), Some(right), Some(top), Some(bottom)) =
+            (columns.first(), columns.last(), rows.first(), rows.last())
+        {
+            let whole = columns.len() == PART_COLS;
+            add(
+                "view",
+                if whole { Severity::Good } else { Severity::Warning },
+                format!(
+                    "returns from {:.0}° to {:.0}° across and {:.0}° to {:.0}° in height, of ±60° and ±30°{}",
+                    bearings(*left),
+                    bearings(right + 1),
+                    elevations(bottom + 1),
+                    elevations(*top),
+                    if whole {
+                        String::new()
+                    } else {
+                        format!("; {unseen} of {} parts never returned anything", PART_ROWS * PART_COLS)
+                    }
+                ),
+            );
+        }
+        if let Some(wall_m) = self.expected.wall_m {
+            let mut middle = self.middle_m.clone();
+            middle.sort_by(f32::total_cmp);
+            let found_m = middle.get(middle.len() / 2).copied().unwrap_or(f32::NAN);
+            let good = (found_m - wall_m).abs() <= WALL_TOLERANCE_M;
+            add(
+                "wall",
+                if good { Severity::Good } else { Severity::Failure },
+                format!(
+                    "{found_m:.2} m in the middle of the image, {wall_m:.2} m expected{}",
+                    if good {
+                        ""
+                    } else {
+                        ": ranges are along the ray, divided by 100 m"
+                    }
+                ),
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: Nanos = 1_000_000_000;
+
+    /// A frame of a wall 3 m away, a little different each time.
+    fn frame(number: u64) -> Box<DepthFrame> {
+        let mut frame = Box::new(DepthFrame::EMPTY);
+        frame.header.sensor_id = 1;
+        frame.header.sequence = number;
+        frame.header.stamp_ns = SECOND + number * STEP_NS;
+        frame.depth.fill(0.03);
+        frame.depth[number as usize % 7] = 0.031;
+        frame.seal();
+        frame
+    }
+
+    fn expected() -> Expected {
+        Expected {
+            sensor_id: 1,
+            wall_m: Some(3.0),
+            ..Expected::default()
+        }
+    }
+
+    /// What is not good of a hundred frames that `alter` had a hand in: name and text. A frame arrives 4 ms after its capture.
+    fn found(
+        expected: Expected,
+        mut alter: impl FnMut(u64, &mut DepthFrame, &mut Nanos),
+    ) -> Vec<(&'static str, String)> {
+        let mut check = SensorCheck::new(expected);
+        for number in 0..100 {
+            let mut frame = frame(number);
+            let mut arrived_ns = frame.header.stamp_ns + 4_000_000;
+            alter(number, &mut frame, &mut arrived_ns);
+            check.observe(&frame, arrived_ns);
+        }
+        let findings = check.findings(5.0);
+        findings
+            .into_iter()
+            .filter(|f| f.severity > Severity::Good)
+            .map(|f| (f.name, f.text))
+            .collect()
+    }
+
+    #[test]
+    fn a_driver_that_keeps_to_the_interface_passes() {
+        assert_eq!(found(expected(), |_, _, _| {}), []);
+    }
+
+    #[test]
+    fn silence_is_a_failure_that_says_where_to_look() {
+        let findings = SensorCheck::new(expected()).findings(5.0);
+        assert_eq!(findings.len(), 1);
+        assert!(findings[0].severity == Severity::Failure && findings[0].text.contains("instance"));
+    }
+
+    #[test]
+    fn each_mistake_of_a_driver_is_named_with_what_to_do() {
+        type Alter = fn(u64, &mut DepthFrame, &mut Nanos);
+        let cases: [(&str, &str, Alter); 11] = [
+            ("frames", "checksum", |_, f, _| f.depth[5] = 0.5),
+            ("frames", "128 x 128", |_, f, _| {
+                f.header.cols = 128;
+                f.seal();
+            }),
+            ("frames", "sensor 9", |_, f, _| {
+                f.header.sensor_id = 9;
+                f.seal();
+            }),
+            ("rate", "slower than the 20 Hz loop", |n, _, at| *at += n * 40_000_000),
+            ("clock", "future", |_, _, at| *at -= SECOND),
+            ("clock", "another clock", |_, _, at| *at += 1_000_000 * SECOND),
+            ("latency", "age limit", |_, _, at| *at += SECOND),
+            ("order", "not newer", |n, f, _| {
+                f.header.stamp_ns -= n % 2 * STEP_NS;
+                f.seal();
+            }),
+            ("returns", "blind", |_, f, _| {
+                f.depth.fill(1.0);
+                f.seal();
+            }),
+            ("change", "to the bit", |_, f, _| {
+                f.depth[..7].fill(0.03);
+                f.seal();
+            }),
+            ("wall", "2.60 m", |_, f, _| {
+                f.depth.iter_mut().for_each(|v| *v -= 0.004);
+                f.seal();
+            }),
+        ];
+        for (name, words, alter) in cases {
+            let found = found(expected(), alter);
+            assert!(
+                found.iter().any(|(n, text)| *n == name && text.contains(words)),
+                "{name}, {words}: {found:?}"
+            );
+        }
+        let narrow = found(expected(), |_, f, _| {
+            for row in f.depth.chunks_exact_mut(DEPTH_COLS) {
+                row[..64].fill(1.0);
+            }
+            f.seal();
+        });
+        assert!(
+            narrow.iter().any(|(n, text)| *n == "view" && text.contains("-30°")),
+            "{narrow:?}"
+        );
+    }
+}
