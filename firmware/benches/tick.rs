@@ -7,9 +7,9 @@ use common::{TestVehicle, config, watched_config};
 use divan::Bencher;
 use std::cell::RefCell;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::PilotKind;
 use vigil_firmware::crew::Crew;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
+use vigil_types::PilotKind;
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_NS, StepTiming};
 
 fn main() {

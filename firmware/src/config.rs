@@ -6,22 +6,20 @@ use crate::ports::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use crate::ports::links::LinkError;
 use crate::ports::router::{MAX_GROUND_LINKS, RoutedLinks};
 use crate::stack::StackConfig;
-use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use vigil_guidance::{
-    AlarmConfig, AlarmPolicy, AtGoal, EngagePolicy, FenceShape, Geofence, GuidanceConfig, OnNoProgress,
-};
+use vigil_guidance::{AlarmConfig, FenceShape, Geofence, GuidanceConfig};
 use vigil_io::key_file::{KeyFileError, frame_keys};
 use vigil_log::FlightInfo;
-use vigil_mavlink::{CompanionConfig, Flavour, ObstacleReports};
+use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
-use vigil_types::{FrameKeys, Goal, NedVector};
+use vigil_types::parameters::{self, MAX_INSTANCE};
+use vigil_types::{
+    AlarmPolicy, AtGoal, AutopilotChoice, EngagePolicy, FrameKeys, Goal, NedVector, ObstacleReports, OnNoProgress,
+    ParameterSpec, PilotKind,
+};
 
-/// Highest instance number: the ports of the next one would be the simulator's own.
-pub const MAX_INSTANCE: u32 = 99;
 /// A configuration file has a page or two.
 const SIZE_LIMIT: u64 = 1 << 20;
 /// The port on which instance 0 meets the simulator, as PX4's SITL has it for an onboard computer.
@@ -32,7 +30,7 @@ const COMPANION_PORT: u16 = 14030;
 #[serde(default, deny_unknown_fields)]
 pub struct FirmwareConfig {
     /// Number of this set of processes; 0 to [`MAX_INSTANCE`].
-    #[serde(deserialize_with = "instance")]
+    #[serde(deserialize_with = "number::instance")]
     pub instance: u32,
     /// Where the vehicle's MAVLink is; absent means the simulator of this instance.
     #[serde(
@@ -51,9 +49,11 @@ pub struct FirmwareConfig {
     /// Who may speak on the links.
     pub signing: SigningConfig,
     /// Which autopilot the vehicle has.
-    pub vehicle: Vehicle,
+    #[serde(with = "choice")]
+    pub vehicle: AutopilotChoice,
     /// When OBSTACLE_DISTANCE is sent.
-    pub obstacle_distance: ObstacleDistance,
+    #[serde(with = "choice")]
+    pub obstacle_distance: ObstacleReports,
     /// The sensor whose frames are accepted.
     pub sensor_id: u32,
     /// Files with the secrets of the sensor's frame keys: the one in force, and while it is exchanged another; frames that were made
@@ -63,11 +63,13 @@ pub struct FirmwareConfig {
     /// Whether frames are judged before the pilots see them.
     pub plausibility: bool,
     /// Who starts a flight.
-    pub engage: Engage,
+    #[serde(with = "choice")]
+    pub engage: EngagePolicy,
     /// What to do at the goal.
-    pub at_goal: AtGoalChoice,
+    #[serde(with = "choice")]
+    pub at_goal: AtGoal,
     /// Height of goals that do not tell theirs, metres above home.
-    #[serde(deserialize_with = "height")]
+    #[serde(deserialize_with = "number::height")]
     pub height_m: f32,
     /// Where to fly; absent means that an operator sets it.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -99,79 +101,22 @@ pub struct SigningConfig {
     pub accept_first_key: bool,
 }
 
-/// Which autopilot the vehicle has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum Vehicle {
-    /// What its heartbeat names.
-    #[default]
-    Auto,
-    /// PX4, and the simulator.
-    Px4,
-    /// ArduPilot (Copter).
-    #[value(name = "ardupilot")]
-    ArduPilot,
-}
-
-/// When OBSTACLE_DISTANCE, what the pilot sees, is sent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "kebab-case")]
-pub enum ObstacleDistance {
-    /// Never.
-    Off,
-    /// While the pilot looks and the vehicle is in the air.
-    #[default]
-    Flight,
-    /// The same; at any other time messages without a distance, for an ArduPilot that listens (PRX1_TYPE 2) and would not
-    /// arm without.
-    KeepAlive,
-}
-
-/// Who starts a flight.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum Engage {
-    /// Guidance itself, as soon as it is ready.
-    Auto,
-    /// An operator, by MAVLink.
-    #[default]
-    Command,
-}
-
-/// What to do at the goal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum AtGoalChoice {
-    /// Hover.
-    #[default]
-    Hold,
-    /// Hover for a moment, then land.
-    Land,
-}
-
-/// What to do about a vehicle that does not get nearer to its goal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum NoProgressChoice {
-    /// Hover.
-    Hold,
-    /// Hover for 10 s, in which an operator may give another goal, then land.
-    #[default]
-    Land,
-}
-
 /// The goal in the local frame.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GoalConfig {
     /// Metres north of home.
-    #[serde(deserialize_with = "coordinate")]
+    #[serde(deserialize_with = "number::goal_north")]
     pub north_m: f32,
     /// Metres east of home.
-    #[serde(deserialize_with = "coordinate")]
+    #[serde(deserialize_with = "number::goal_east")]
     pub east_m: f32,
     /// Metres above home at which to fly there; absent means [`FirmwareConfig::height_m`].
-    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "some_height")]
+    #[serde(
+        default,
+        skip_serializing_if = "Option::is_none",
+        deserialize_with = "number::goal_height"
+    )]
     pub height_m: Option<f32>,
 }
 
@@ -180,40 +125,41 @@ pub struct GoalConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct Limits {
     /// Greatest age of the newest valid depth frame.
-    #[serde(deserialize_with = "age")]
+    #[serde(deserialize_with = "number::frame_age")]
     pub frame_age_s: f64,
     /// Greatest age of position and attitude.
-    #[serde(deserialize_with = "age")]
+    #[serde(deserialize_with = "number::telemetry_age")]
     pub telemetry_age_s: f64,
     /// Greatest age of the vehicle's heartbeat.
-    #[serde(deserialize_with = "age")]
+    #[serde(deserialize_with = "number::heartbeat_age")]
     pub heartbeat_age_s: f64,
     /// Longest time that the vehicle may keep to its last setpoint; a longer one is set in its parameters when it is taken
     /// over. 0 leaves them alone.
-    #[serde(deserialize_with = "setpoint_timeout")]
+    #[serde(deserialize_with = "number::setpoint_timeout")]
     pub setpoint_timeout_s: f32,
     /// Missed steps within a second that are too many.
-    #[serde(deserialize_with = "slips")]
+    #[serde(deserialize_with = "number::slips")]
     pub slips: u8,
     /// Horizontal distance at which the goal is reached.
-    #[serde(deserialize_with = "goal_radius")]
+    #[serde(deserialize_with = "number::goal_radius")]
     pub goal_radius_m: f32,
     /// Farthest goal from home.
-    #[serde(deserialize_with = "goal_limit")]
+    #[serde(deserialize_with = "number::goal_limit")]
     pub goal_m: f32,
     /// Flown so long without getting nearer to the goal, the vehicle holds; 0 never.
-    #[serde(deserialize_with = "no_progress")]
+    #[serde(deserialize_with = "number::no_progress")]
     pub no_progress_s: f64,
     /// What to do then.
-    pub no_progress: NoProgressChoice,
+    #[serde(with = "choice")]
+    pub no_progress: OnNoProgress,
     /// Greatest forward speed, whatever the pilot wants.
-    #[serde(deserialize_with = "cruise")]
+    #[serde(deserialize_with = "number::speed_limit")]
     pub speed_m_s: f32,
     /// Battery charge, 0 to 1, below which to land.
-    #[serde(deserialize_with = "fraction")]
+    #[serde(deserialize_with = "number::battery")]
     pub battery: f32,
     /// Longest flight in seconds; absent means no limit.
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "flight_time")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "number::flight_time")]
     pub flight_time_s: Option<f64>,
     /// Permitted region; absent means none.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -225,13 +171,13 @@ pub struct Limits {
 #[serde(deny_unknown_fields)]
 pub struct GeofenceConfig {
     /// Horizontal distance from home.
-    #[serde(deserialize_with = "positive_length")]
+    #[serde(deserialize_with = "number::fence_radius")]
     pub radius_m: f32,
     /// Lowest height in flight, metres above home.
-    #[serde(default, deserialize_with = "coordinate")]
+    #[serde(default, deserialize_with = "number::fence_min_height")]
     pub min_height_m: f32,
     /// Greatest height, metres above home.
-    #[serde(deserialize_with = "positive_length")]
+    #[serde(deserialize_with = "number::fence_max_height")]
     pub max_height_m: f32,
 }
 
@@ -240,6 +186,7 @@ pub struct GeofenceConfig {
 #[serde(default, deny_unknown_fields)]
 pub struct PilotConfig {
     /// Which pilot.
+    #[serde(with = "choice")]
     pub kind: PilotKind,
     /// Whether the potential field is added to the actor's action.
     pub apf: bool,
@@ -247,10 +194,10 @@ pub struct PilotConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actor_file: Option<PathBuf>,
     /// Fastest forward speed of the geometric pilot.
-    #[serde(deserialize_with = "cruise")]
+    #[serde(deserialize_with = "number::cruise")]
     pub cruise_m_s: f32,
     /// Range of the geometric pilot's repulsive field.
-    #[serde(deserialize_with = "repulsive_range")]
+    #[serde(deserialize_with = "number::repulsive_range")]
     pub repulsive_range_m: f32,
 }
 
@@ -265,47 +212,27 @@ pub struct DetectorConfig {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub file: Option<PathBuf>,
     /// Score above which the verdict is attack; absent means the detector's own.
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "threshold")]
+    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "number::threshold")]
     pub threshold: Option<f32>,
     /// What an alarm brings about.
-    pub alarm: AlarmChoice,
+    #[serde(with = "choice")]
+    pub alarm: AlarmPolicy,
     /// This many of the last [`DetectorConfig::raise_window`] verdicts raise the alarm.
-    #[serde(deserialize_with = "verdicts")]
+    #[serde(deserialize_with = "number::raise_count")]
     pub raise_count: u8,
     /// Verdicts that are looked back on.
-    #[serde(deserialize_with = "verdicts")]
+    #[serde(deserialize_with = "number::raise_window")]
     pub raise_window: u8,
     /// Consecutive steps without a verdict that the actor may fly.
-    #[serde(deserialize_with = "alarm_steps")]
+    #[serde(deserialize_with = "number::unknown_steps")]
     pub unknown_steps: u16,
-    /// Whether the recovery pilot raises the alarm, whatever the verdict, when the actor is about to fly into something.
-    pub guard: bool,
+    /// Whether the recovery pilot raises the alarm, whatever the verdict, when the actor is about to fly into something; absent
+    /// means that it does where the detector is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub guard: Option<bool>,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
-    #[serde(deserialize_with = "alarm_steps")]
+    #[serde(deserialize_with = "number::clear_steps")]
     pub clear_steps: u16,
-}
-
-/// What an alarm brings about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum AlarmChoice {
-    /// It is told; the flight is not touched.
-    Ignore,
-    /// Stop, and stay until the verdict is clean.
-    Stop,
-    /// Stop, then fly on with the recovery pilot until the verdict is clean.
-    Recover,
-}
-
-impl AlarmChoice {
-    /// The name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ignore => "ignore",
-            Self::Stop => "stop",
-            Self::Recover => "recover",
-        }
-    }
 }
 
 impl Default for DetectorConfig {
@@ -315,33 +242,12 @@ impl Default for DetectorConfig {
             enabled: None,
             file: None,
             threshold: None,
-            alarm: AlarmChoice::Recover,
+            alarm: d.policy,
             raise_count: d.raise_count,
             raise_window: d.raise_window,
             unknown_steps: d.unknown_limit,
-            guard: true,
+            guard: None,
             clear_steps: d.clear_steps,
-        }
-    }
-}
-
-/// The pilots there are.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum PilotKind {
-    /// Goal seeking and potential field on the depth frame.
-    Geometric,
-    /// The frozen actor.
-    #[default]
-    Actor,
-}
-
-impl PilotKind {
-    /// The name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Geometric => "geometric",
-            Self::Actor => "actor",
         }
     }
 }
@@ -351,11 +257,11 @@ impl PilotKind {
 #[serde(default, deny_unknown_fields)]
 pub struct RateConfig {
     /// FIFO priority of the loop's thread; 0 asks for neither FIFO scheduling nor locked memory.
-    #[serde(deserialize_with = "priority")]
+    #[serde(deserialize_with = "number::priority")]
     pub priority: u8,
     /// How long after each multiple of 50 ms on the monotonic clock a step is due. The simulator publishes at the
     /// multiples, so this is what a frame ages before it is used.
-    #[serde(deserialize_with = "offset")]
+    #[serde(deserialize_with = "number::offset")]
     pub offset_ms: u8,
 }
 
@@ -387,18 +293,18 @@ pub struct StateConfig {
 impl Default for FirmwareConfig {
     fn default() -> Self {
         Self {
-            instance: 0,
+            instance: parameters::INSTANCE.number() as u32,
             link: None,
             links: Vec::new(),
             signing: SigningConfig::default(),
-            vehicle: Vehicle::default(),
-            obstacle_distance: ObstacleDistance::default(),
-            sensor_id: 1,
+            vehicle: AutopilotChoice::default(),
+            obstacle_distance: ObstacleReports::default(),
+            sensor_id: parameters::SENSOR_ID.number() as u32,
             frame_key_files: Vec::new(),
-            plausibility: true,
-            engage: Engage::default(),
-            at_goal: AtGoalChoice::default(),
-            height_m: GuidanceConfig::default().default_height_m,
+            plausibility: parameters::PLAUSIBILITY.is_on(),
+            engage: EngagePolicy::default(),
+            at_goal: AtGoal::default(),
+            height_m: parameters::HEIGHT.number_f32(),
             goal: None,
             limits: Limits::default(),
             pilot: PilotConfig::default(),
@@ -422,8 +328,8 @@ impl Default for Limits {
             goal_radius_m: d.goal_radius_m,
             goal_m: d.goal_limit_m,
             no_progress_s: d.no_progress_limit_ns.map_or(0.0, seconds),
-            no_progress: NoProgressChoice::default(),
-            speed_m_s: vigil_types::ACTION_LIMIT,
+            no_progress: d.on_no_progress,
+            speed_m_s: parameters::SPEED_LIMIT.number_f32(),
             battery: d.battery_limit,
             flight_time_s: None,
             geofence: None,
@@ -436,7 +342,7 @@ impl Default for PilotConfig {
         let d = GeometricConfig::default();
         Self {
             kind: PilotKind::default(),
-            apf: true,
+            apf: parameters::APF.is_on(),
             actor_file: None,
             cruise_m_s: d.cruise_m_s,
             repulsive_range_m: d.repulsive_range_m,
@@ -447,8 +353,8 @@ impl Default for PilotConfig {
 impl Default for RateConfig {
     fn default() -> Self {
         Self {
-            priority: 50,
-            offset_ms: 5,
+            priority: parameters::PRIORITY.number() as u8,
+            offset_ms: parameters::OFFSET.number() as u8,
         }
     }
 }
@@ -478,7 +384,7 @@ impl FirmwareConfig {
     /// The default configuration that engages by itself and flies to `goal_ned_m`, at its height.
     pub fn to_goal(goal_ned_m: NedVector) -> Self {
         Self {
-            engage: Engage::Auto,
+            engage: EngagePolicy::Auto,
             height_m: -goal_ned_m.z,
             goal: Some(GoalConfig {
                 north_m: goal_ned_m.x,
@@ -584,24 +490,44 @@ impl FirmwareConfig {
         frame_keys(&self.frame_key_files, self.sensor_id)
     }
 
-    /// Whether a detector watches the pilot.
-    pub fn is_watched(&self) -> bool {
+    /// Whether a detector judges the actor.
+    pub fn has_detector(&self) -> bool {
         self.detector.enabled.unwrap_or(true) && self.pilot.kind == PilotKind::Actor
+    }
+
+    /// Whether the guard raises the alarm when the actor is about to fly into something.
+    pub fn has_guard(&self) -> bool {
+        self.detector.guard.unwrap_or_else(|| self.has_detector()) && self.pilot.kind == PilotKind::Actor
+    }
+
+    /// Whether anything watches the pilot.
+    pub fn is_watched(&self) -> bool {
+        self.has_detector() || self.has_guard()
+    }
+
+    /// The same with one value set, as the configuration file would.
+    ///
+    /// # Errors
+    /// A value that the parameter does not accept, with what is allowed.
+    pub fn with(&self, parameter: &ParameterSpec, value: toml::Value) -> Result<Self, String> {
+        let mut whole = toml::Table::try_from(self).map_err(|e| e.to_string())?;
+        let (sections, name) = parameter.key.rsplit_once('.').unwrap_or(("", parameter.key));
+        let mut table = &mut whole;
+        for section in sections.split('.').filter(|section| !section.is_empty()) {
+            let entry = table.entry(section).or_insert_with(|| toml::Table::new().into());
+            table = entry.as_table_mut().ok_or_else(|| format!("{section} is no section"))?;
+        }
+        table.insert(name.to_owned(), value);
+        whole.try_into().map_err(|e: toml::de::Error| e.message().to_owned())
     }
 
     /// What the flight stack needs of this.
     pub fn stack(&self) -> StackConfig {
         let (limits, alarm) = (&self.limits, AlarmConfig::default());
         let guidance = GuidanceConfig {
-            engage: match self.engage {
-                Engage::Auto => EngagePolicy::Auto,
-                Engage::Command => EngagePolicy::Command,
-            },
+            engage: self.engage,
             taken_over: self.state.taken_over,
-            at_goal: match self.at_goal {
-                AtGoalChoice::Hold => AtGoal::Hold,
-                AtGoalChoice::Land => AtGoal::Land,
-            },
+            at_goal: self.at_goal,
             frame_age_limit_ns: nanos(limits.frame_age_s),
             telemetry_age_limit_ns: nanos(limits.telemetry_age_s),
             heartbeat_age_limit_ns: nanos(limits.heartbeat_age_s),
@@ -609,10 +535,7 @@ impl FirmwareConfig {
             goal_radius_m: limits.goal_radius_m,
             goal_limit_m: limits.goal_m,
             no_progress_limit_ns: Some(nanos(limits.no_progress_s)).filter(|limit_ns| *limit_ns > 0),
-            on_no_progress: match limits.no_progress {
-                NoProgressChoice::Hold => OnNoProgress::Hold,
-                NoProgressChoice::Land => OnNoProgress::Land,
-            },
+            on_no_progress: limits.no_progress,
             battery_limit: limits.battery,
             default_height_m: self.height_m,
             time_limit_ns: limits.flight_time_s.map(nanos),
@@ -625,16 +548,12 @@ impl FirmwareConfig {
                 max_height_m: fence.max_height_m,
             }),
             alarm: AlarmConfig {
-                policy: match self.detector.alarm {
-                    AlarmChoice::Ignore => AlarmPolicy::Ignore,
-                    AlarmChoice::Stop => AlarmPolicy::Stop,
-                    AlarmChoice::Recover => AlarmPolicy::Recover,
-                },
+                policy: self.detector.alarm,
                 raise_count: self.detector.raise_count,
                 raise_window: self.detector.raise_window,
                 unknown_limit: self.detector.unknown_steps,
                 clear_steps: self.detector.clear_steps,
-                guard_steps: if self.detector.guard { alarm.guard_steps } else { 0 },
+                guard_steps: if self.has_guard() { alarm.guard_steps } else { 0 },
                 ..alarm
             },
             ..GuidanceConfig::default()
@@ -645,15 +564,11 @@ impl FirmwareConfig {
             guidance,
             companion: CompanionConfig {
                 flavour: match self.vehicle {
-                    Vehicle::Auto => None,
-                    Vehicle::Px4 => Some(Flavour::Px4),
-                    Vehicle::ArduPilot => Some(Flavour::ArduPilot),
+                    AutopilotChoice::Auto => None,
+                    AutopilotChoice::Px4 => Some(Flavour::Px4),
+                    AutopilotChoice::ArduPilot => Some(Flavour::ArduPilot),
                 },
-                obstacles: match self.obstacle_distance {
-                    ObstacleDistance::Off => ObstacleReports::Off,
-                    ObstacleDistance::Flight => ObstacleReports::Flight,
-                    ObstacleDistance::KeepAlive => ObstacleReports::KeepAlive,
-                },
+                obstacles: self.obstacle_distance,
                 setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
                 system_id: self.link.as_ref().and_then(|link| link.system),
                 ..CompanionConfig::default()
@@ -683,105 +598,99 @@ fn nanos(s: f64) -> u64 {
     (s * 1e9).round() as u64
 }
 
-/// Accepts numbers within a range and tells the range otherwise; the parser adds line and field.
-fn within<'de, D, T>(deserializer: D, low: f64, high: f64, unit: &str) -> Result<T, D::Error>
-where
-    D: Deserializer<'de>,
-    T: Deserialize<'de> + Copy + TryInto<f64>,
-{
-    let value = T::deserialize(deserializer)?;
-    // NaN is in no range.
-    match value.try_into() {
-        Ok(v) if v >= low && v <= high => Ok(value),
-        Ok(v) => Err(D::Error::custom(format_args!(
-            "{v} is not allowed: {low} to {high}{unit}"
-        ))),
-        Err(_) => Err(D::Error::custom(format_args!("allowed: {low} to {high}{unit}"))),
+/// Choices by their names.
+mod choice {
+    use serde::de::Error as _;
+    use serde::{Deserialize, Deserializer, Serializer};
+    use vigil_types::Choice;
+
+    pub fn serialize<T: Choice, S: Serializer>(value: &T, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_str(value.name())
+    }
+
+    pub fn deserialize<'de, T: Choice, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
+        let name = String::deserialize(d)?;
+        T::from_name(&name).ok_or_else(|| {
+            let names: Vec<_> = T::WORDS.iter().map(|(name, _)| *name).collect();
+            D::Error::custom(format_args!("there is no {name:?}, only {}", names.join(", ")))
+        })
     }
 }
 
-fn instance<'de, D: Deserializer<'de>>(d: D) -> Result<u32, D::Error> {
-    within(d, 0.0, MAX_INSTANCE.into(), "")
-}
+/// Numbers within the range of their row in the table of parameters; the parser adds line and field to what is told.
+mod number {
+    use serde::de::Error as _;
+    use serde::{Deserialize, Deserializer};
+    use vigil_types::parameters::{self, ParameterSpec};
 
-fn coordinate<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, -10_000.0, 10_000.0, " m")
-}
-
-fn height<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.1, 1000.0, " m")
-}
-
-fn some_height<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f32>, D::Error> {
-    height(d).map(Some)
-}
-
-fn positive_length<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.1, 100_000.0, " m")
-}
-
-fn age<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    within(d, 0.05, 10.0, " s")
-}
-
-fn setpoint_timeout<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.0, 10.0, " s")
-}
-
-fn slips<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
-    within(d, 1.0, 8.0, " steps")
-}
-
-fn goal_radius<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.1, 100.0, " m")
-}
-
-fn goal_limit<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 1.0, vigil_guidance::GREATEST_GOAL_M.into(), " m")
-}
-
-fn no_progress<'de, D: Deserializer<'de>>(d: D) -> Result<f64, D::Error> {
-    let value_s: f64 = within(d, 0.0, 86_400.0, " s")?;
-    if value_s > 0.0 && value_s < 1.0 {
-        return Err(D::Error::custom("allowed: 1 to 86400 s, or 0"));
+    /// A field's type.
+    trait Number: Copy {
+        /// `None` where nothing is set.
+        fn value(self) -> Option<f64>;
     }
-    Ok(value_s)
-}
 
-fn fraction<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.0, 1.0, "")
-}
+    macro_rules! numbers {
+        ($($type:ty)+) => {$(
+            impl Number for $type {
+                fn value(self) -> Option<f64> {
+                    Some(self.into())
+                }
+            }
+        )+};
+    }
+    numbers! { u8 u16 u32 f32 f64 }
 
-fn threshold<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f32>, D::Error> {
-    within(d, LEAST_THRESHOLD.into(), GREATEST_THRESHOLD.into(), "").map(Some)
-}
+    impl<T: Number> Number for Option<T> {
+        fn value(self) -> Option<f64> {
+            self.and_then(Number::value)
+        }
+    }
 
-fn verdicts<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
-    within(d, 1.0, 32.0, " verdicts")
-}
+    fn read<'de, D: Deserializer<'de>, T: Number + Deserialize<'de>>(d: D, of: &ParameterSpec) -> Result<T, D::Error> {
+        let value = T::deserialize(d)?;
+        let checked = value.value().map_or(Ok(()), |value| of.check(value));
+        checked
+            .map(|()| value)
+            .map_err(|refused| D::Error::custom(format_args!("{} is not allowed: {}", refused.value, refused.range)))
+    }
 
-fn alarm_steps<'de, D: Deserializer<'de>>(d: D) -> Result<u16, D::Error> {
-    within(d, 1.0, 1200.0, " steps")
-}
-
-fn flight_time<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
-    within(d, 1.0, 86_400.0, " s").map(Some)
-}
-
-fn cruise<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.1, vigil_types::ACTION_LIMIT.into(), " m/s")
-}
-
-fn repulsive_range<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
-    within(d, 0.0, 20.0, " m")
-}
-
-fn priority<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
-    within(d, 0.0, 99.0, "")
-}
-
-fn offset<'de, D: Deserializer<'de>>(d: D) -> Result<u8, D::Error> {
-    within(d, 0.0, 49.0, " ms")
+    macro_rules! fields {
+        ($($name:ident: $type:ty = $row:ident;)+) => {$(
+            pub fn $name<'de, D: Deserializer<'de>>(d: D) -> Result<$type, D::Error> {
+                read(d, &parameters::$row)
+            }
+        )+};
+    }
+    fields! {
+        instance: u32 = INSTANCE;
+        height: f32 = HEIGHT;
+        goal_north: f32 = GOAL_NORTH;
+        goal_east: f32 = GOAL_EAST;
+        goal_height: Option<f32> = GOAL_HEIGHT;
+        frame_age: f64 = FRAME_AGE;
+        telemetry_age: f64 = TELEMETRY_AGE;
+        heartbeat_age: f64 = HEARTBEAT_AGE;
+        setpoint_timeout: f32 = SETPOINT_TIMEOUT;
+        slips: u8 = SLIPS;
+        goal_radius: f32 = GOAL_RADIUS;
+        goal_limit: f32 = GOAL_LIMIT;
+        no_progress: f64 = NO_PROGRESS;
+        speed_limit: f32 = SPEED_LIMIT;
+        battery: f32 = BATTERY;
+        flight_time: Option<f64> = FLIGHT_TIME;
+        fence_radius: f32 = FENCE_RADIUS;
+        fence_min_height: f32 = FENCE_MIN_HEIGHT;
+        fence_max_height: f32 = FENCE_MAX_HEIGHT;
+        cruise: f32 = CRUISE;
+        repulsive_range: f32 = REPULSIVE_RANGE;
+        threshold: Option<f32> = THRESHOLD;
+        raise_count: u8 = RAISE_COUNT;
+        raise_window: u8 = RAISE_WINDOW;
+        unknown_steps: u16 = UNKNOWN_STEPS;
+        clear_steps: u16 = CLEAR_STEPS;
+        priority: u8 = PRIORITY;
+        offset: u8 = OFFSET;
+    }
 }
 
 /// Links as strings, as on the command line.
@@ -838,8 +747,8 @@ mod tests {
                 allow_unsigned: AllowUnsigned::Never,
                 accept_first_key: true,
             },
-            vehicle: Vehicle::ArduPilot,
-            engage: Engage::Auto,
+            vehicle: AutopilotChoice::ArduPilot,
+            engage: EngagePolicy::Auto,
             goal: Some(GoalConfig {
                 north_m: 19.97,
                 east_m: -5.013,

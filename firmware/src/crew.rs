@@ -1,50 +1,55 @@
 //! Who flies, and what watches it: made and verified before anything flies.
 
-use crate::config::{FirmwareConfig, PilotKind};
+use crate::config::FirmwareConfig;
 use crate::step::StackError;
 use std::path::Path;
 use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::Isa;
 use vigil_nnet::file::FileError;
 use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
+use vigil_types::PilotKind;
 
-/// Who flies, and what watches it.
+/// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
 pub struct Crew {
     /// Who flies.
     pub pilot: FlightPilot,
-    /// What watches it, if it is an actor. Boxed at start: it is large, and most flights have none.
-    pub watch: Option<Box<Watch>>,
-}
-
-/// What watches an actor. It sees what the actor decided from, and acts on the flight through guidance only.
-pub struct Watch {
-    /// Judges each decision.
-    pub monitor: Monitor,
-    /// Takes the actor's place. It is asked in every step, so that it remembers what it saw before an alarm.
-    pub recovery: RecoveryPilot,
+    /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
+    pub monitor: Option<Box<Monitor>>,
+    /// Takes the actor's place while an alarm is raised, and is the guard's eyes. It is asked in every step, so that it remembers
+    /// what it saw before an alarm.
+    pub recovery: Option<Box<RecoveryPilot>>,
 }
 
 impl Crew {
     /// A pilot that nothing watches.
     pub fn unwatched(pilot: FlightPilot) -> Self {
-        Self { pilot, watch: None }
+        Self {
+            pilot,
+            monitor: None,
+            recovery: None,
+        }
     }
 
     /// The crew of a configuration.
     ///
     /// # Errors
     /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name. A
-    /// detector that was asked for where no actor flies.
+    /// detector or a guard that was asked for where no actor flies.
     pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
-        if config.detector.enabled == Some(true) && !config.is_watched() {
-            return Err(StackError::NothingToWatch);
+        for (asked_for, is_there, what) in [
+            (config.detector.enabled, config.has_detector(), "detector"),
+            (config.detector.guard, config.has_guard(), "guard"),
+        ] {
+            if asked_for == Some(true) && !is_there {
+                return Err(StackError::NothingToWatch(what));
+            }
         }
         let Some(frozen) = config.frozen_actor()? else {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
         };
         let isa = Isa::detect();
-        let watch = match config.frozen_detector()? {
+        let monitor = match config.frozen_detector()? {
             None => None,
             Some(detector) => {
                 let monitor = Monitor::new(isa, &frozen.params, &frozen.sha256(), &detector);
@@ -53,15 +58,13 @@ impl Crew {
                     source,
                 })?;
                 monitor.set_threshold(config.detector.threshold.unwrap_or(detector.threshold));
-                Some(Box::new(Watch {
-                    monitor,
-                    recovery: RecoveryPilot::new(),
-                }))
+                Some(Box::new(monitor))
             }
         };
         Ok(Self {
             pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
-            watch,
+            monitor,
+            recovery: config.is_watched().then(|| Box::new(RecoveryPilot::new())),
         })
     }
 }
@@ -91,7 +94,7 @@ impl FirmwareConfig {
     /// # Errors
     /// [`FileError`]: a detector that is truncated, altered or of another architecture, by name.
     pub fn frozen_detector(&self) -> Result<Option<FrozenDetector>, FileError> {
-        match (self.is_watched(), &self.detector.file) {
+        match (self.has_detector(), &self.detector.file) {
             (false, _) => Ok(None),
             (true, Some(path)) => Ok(Some(FrozenDetector::load(path)?)),
             (true, None) => Ok(Some(FrozenDetector::built_in()?)),

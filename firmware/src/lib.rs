@@ -8,6 +8,7 @@
 )]
 
 mod alarms;
+pub mod arguments;
 pub mod config;
 mod console;
 pub mod crew;
@@ -19,6 +20,7 @@ pub mod ports;
 pub mod program;
 pub mod rate;
 pub mod realtime;
+pub mod reference;
 pub mod replay;
 pub mod saved;
 pub mod stack;

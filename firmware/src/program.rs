@@ -1,14 +1,12 @@
 //! The `firmware` program, which is also `vigil firmware`.
 
-use crate::config::{
-    AlarmChoice, AtGoalChoice, Engage, FirmwareConfig, GoalConfig, MAX_INSTANCE, ObstacleDistance, PilotKind,
-    SigningConfig, Vehicle,
-};
+use crate::arguments::{PilotArgs, choice, help, number};
+use crate::config::{FirmwareConfig, GoalConfig, SigningConfig};
 use crate::link_spec::LinkSpec;
 use crate::live::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
-use crate::tunables::{GREATEST_THRESHOLD, LEAST_THRESHOLD};
+use crate::reference;
 use anyhow::{Context, Result, ensure};
 use std::io::Write;
 use std::path::PathBuf;
@@ -18,7 +16,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
-use vigil_types::StepReport;
+use vigil_types::parameters;
+use vigil_types::{AtGoal, AutopilotChoice, Choice, EngagePolicy, ObstacleReports, PilotKind, StepReport};
 
 /// Arguments of `vigil firmware` and of the `firmware` program.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -40,11 +39,10 @@ Exit code: 0 ended on request, 1 error, 2 wrong arguments.")]
 pub struct FirmwareArgs {
     /// Configuration file (TOML).
     #[arg(long, value_name = "FILE")]
-    pub config: Option<PathBuf>,
+    config: Option<PathBuf>,
 
-    /// Number of this set of processes; port and shared memory follow from it.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_INSTANCE)))]
-    pub instance: Option<u32>,
+    #[arg(long, value_name = "N", value_parser = number::<u32>(&parameters::INSTANCE), help = help(&parameters::INSTANCE))]
+    instance: Option<u32>,
 
     /// Where the vehicle's MAVLink is: udpin://ADDRESS:PORT, udpout://HOST:PORT, tcpin://ADDRESS:PORT, tcpout://HOST:PORT
     /// or serial:///dev/DEVICE:BAUD [default: udpin://127.0.0.1:14030, the port plus the instance]. May be repeated: the
@@ -52,118 +50,68 @@ pub struct FirmwareArgs {
     /// unsigned=loopback|never|always, rate=BYTES_PER_SECOND, values=PER_SECOND (how often the guidance computer's values are
     /// sent, at most 4; fewer by default where the link leaves this machine), and of the vehicle's link system=ID.
     #[arg(long, value_name = "URL[,OPTION]")]
-    pub link: Vec<LinkSpec>,
+    link: Vec<LinkSpec>,
 
-    /// File with the key of MAVLink signing: 64 hexadecimal digits or 32 bytes, mode 0600. Without it nothing is signed.
-    #[arg(long, value_name = "FILE")]
-    pub signing_key: Option<PathBuf>,
+    #[arg(long, value_name = "FILE", help = help(&parameters::KEY_FILE))]
+    signing_key: Option<PathBuf>,
 
     /// From whom packets without a signature are accepted: from this machine, nobody, everybody [default: loopback].
     #[arg(long, value_enum, value_name = "WHO")]
-    pub allow_unsigned: Option<AllowUnsigned>,
+    allow_unsigned: Option<AllowUnsigned>,
 
-    /// While there is no signing key, take one by SETUP_SIGNING from whoever may speak without a signature. Without this,
-    /// and once there is a key, only a packet signed with it brings another.
-    #[arg(long)]
-    pub accept_first_key: bool,
+    #[arg(long, help = help(&parameters::ACCEPT_FIRST_KEY))]
+    accept_first_key: bool,
 
-    /// File with the secret of the depth frames' key: 64 hexadecimal digits or 32 bytes, mode 0600. Frames that were not made with it are
-    /// refused. Given twice while a key is exchanged: either is accepted. Without it frames are not authenticated.
-    #[arg(long, value_name = "FILE")]
-    pub frame_key: Vec<PathBuf>,
+    #[arg(long, value_name = "FILE", help = help(&parameters::FRAME_KEY_FILES))]
+    frame_key: Vec<PathBuf>,
 
-    /// Which autopilot the vehicle has; a vehicle of another one is not flown [default: auto].
-    #[arg(long, value_enum)]
-    pub vehicle: Option<Vehicle>,
+    #[arg(long, value_parser = choice::<AutopilotChoice>(), help = help(&parameters::VEHICLE))]
+    vehicle: Option<AutopilotChoice>,
 
-    /// When OBSTACLE_DISTANCE is sent (docs/firmware.md, "Obstacles for the autopilot") [default: flight].
-    #[arg(long, value_enum, value_name = "WHEN")]
-    pub obstacle_distance: Option<ObstacleDistance>,
+    #[arg(long, value_name = "WHEN", value_parser = choice::<ObstacleReports>(), help = help(&parameters::OBSTACLE_DISTANCE))]
+    obstacle_distance: Option<ObstacleReports>,
 
-    /// Who starts a flight: guidance itself as soon as it is ready and no person has the vehicle (docs/guidance.md, "Where
-    /// auto engages"), or an operator's command [default: command].
-    #[arg(long, value_enum)]
-    pub engage: Option<Engage>,
+    #[arg(long, value_parser = choice::<EngagePolicy>(), help = help(&parameters::ENGAGE))]
+    engage: Option<EngagePolicy>,
 
     /// Where to fly: metres north and east of home.
     #[arg(long, value_name = "N,E", value_parser = parse_goal, allow_hyphen_values = true)]
-    pub goal: Option<[f32; 2]>,
+    goal: Option<[f32; 2]>,
 
-    /// Height to fly at, metres above home [default: 2.5].
-    #[arg(long, value_name = "METRES", value_parser = parse_height, allow_hyphen_values = true)]
-    pub height: Option<f32>,
+    #[arg(long, value_name = "METRES", value_parser = number::<f32>(&parameters::HEIGHT), allow_hyphen_values = true,
+        help = help(&parameters::HEIGHT))]
+    height: Option<f32>,
 
-    /// What to do at the goal [default: hold].
-    #[arg(long, value_enum)]
-    pub at_goal: Option<AtGoalChoice>,
+    #[arg(long, value_parser = choice::<AtGoal>(), help = help(&parameters::AT_GOAL))]
+    at_goal: Option<AtGoal>,
 
-    /// Who decides [default: actor].
-    #[arg(long, value_enum)]
-    pub pilot: Option<PilotKind>,
+    #[command(flatten)]
+    pilot: PilotArgs,
 
-    /// The frozen actor to fly [default: the one built in].
-    #[arg(long, value_name = "FILE")]
-    pub actor: Option<PathBuf>,
+    #[arg(long, value_name = "PRIORITY", value_parser = number::<u8>(&parameters::PRIORITY), help = help(&parameters::PRIORITY))]
+    priority: Option<u8>,
 
-    /// Whether the potential field is added to the actor's action [default: on].
-    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
-    pub apf: Option<bool>,
+    #[arg(long, value_name = "DIR", help = help(&parameters::LOG))]
+    log: Option<PathBuf>,
 
-    /// Whether a detector watches the actor [default: on, where the actor flies].
-    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
-    pub detector: Option<bool>,
+    #[arg(long, value_name = "DIR", conflicts_with = "lockstep", help = help(&parameters::STATE))]
+    state: Option<PathBuf>,
 
-    /// The frozen detector [default: the one built in].
-    #[arg(long, value_name = "FILE")]
-    pub detector_file: Option<PathBuf>,
-
-    /// Score above which a verdict is attack, 0.01 to 0.999 [default: the detector's own].
-    #[arg(long, value_name = "SCORE", value_parser = parse_threshold)]
-    pub threshold: Option<f32>,
-
-    /// Raise the alarm when COUNT of the last WINDOW verdicts are attack [default: as in docs/guidance.md].
-    #[arg(long, value_name = "COUNT/WINDOW", value_parser = parse_raise)]
-    pub raise: Option<(u8, u8)>,
-
-    /// Whether the recovery pilot raises the alarm as well when the actor is about to fly into something [default: on, with the
-    /// detector].
-    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
-    pub guard: Option<bool>,
-
-    /// What an alarm brings about [default: recover].
-    #[arg(long, value_enum)]
-    pub alarm: Option<AlarmChoice>,
-
-    /// Whether frames are judged before the pilots see them, so that a sensor that is dead, frozen or wrong holds the flight
-    /// [default: on].
-    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
-    pub plausibility: Option<bool>,
-
-    /// FIFO priority of the loop, 1 to 99; 0 for ordinary scheduling [default: 50].
-    #[arg(long, value_name = "PRIORITY", value_parser = clap::value_parser!(u8).range(0..=99))]
-    pub priority: Option<u8>,
-
-    /// Folder for the flight log; without it there is none.
-    #[arg(long, value_name = "DIR")]
-    pub log: Option<PathBuf>,
-
-    /// Folder that keeps over restarts a signing key that came by SETUP_SIGNING, parameters that were set, and that a person
-    /// took the vehicle over. Without it they end with the process.
-    #[arg(long, value_name = "DIR", conflicts_with = "lockstep")]
-    pub state: Option<PathBuf>,
-
-    /// File with the course's obstacles, for display in the log only.
-    #[arg(long, value_name = "FILE", requires = "log")]
-    pub scene: Option<PathBuf>,
+    #[arg(long, value_name = "FILE", requires = "log", help = help(&parameters::SCENE))]
+    scene: Option<PathBuf>,
 
     /// Answer a simulator in lockstep instead of running in real time; ends with its flight.
     #[arg(long)]
-    pub lockstep: bool,
+    lockstep: bool,
 
     /// How long lockstep waits for the simulator before it names it as missing.
     #[arg(long, value_name = "SECONDS", default_value_t = DEFAULT_LOCKSTEP_TIMEOUT_S, requires = "lockstep",
         value_parser = clap::value_parser!(u64).range(1..=3600))]
-    pub lockstep_timeout: u64,
+    lockstep_timeout: u64,
+
+    /// Print a configuration file with every key, its default and what it accepts, and end.
+    #[arg(long)]
+    print_config: bool,
 }
 
 const DEFAULT_LOCKSTEP_TIMEOUT_S: u64 = 10;
@@ -176,50 +124,6 @@ fn parse_goal(text: &str) -> Result<[f32; 2], String> {
         _ => Err(allowed.to_owned()),
     };
     Ok([number(north)?, number(east)?])
-}
-
-/// `on` or `off`.
-///
-/// # Errors
-/// Anything else, with what is allowed.
-pub fn parse_switch(text: &str) -> Result<bool, String> {
-    match text {
-        "on" => Ok(true),
-        "off" => Ok(false),
-        _ => Err("give on or off".to_owned()),
-    }
-}
-
-/// A detector's threshold.
-///
-/// # Errors
-/// Anything that is not a number in the parameter's range, with what is allowed.
-pub fn parse_threshold(text: &str) -> Result<f32, String> {
-    match text.parse::<f32>() {
-        Ok(v) if (LEAST_THRESHOLD..=GREATEST_THRESHOLD).contains(&v) => Ok(v),
-        _ => Err(format!("give a score, {LEAST_THRESHOLD} to {GREATEST_THRESHOLD}")),
-    }
-}
-
-/// `COUNT/WINDOW`: so many attack verdicts of so many.
-///
-/// # Errors
-/// Anything else, with what is allowed.
-pub fn parse_raise(text: &str) -> Result<(u8, u8), String> {
-    let parsed = text
-        .split_once('/')
-        .and_then(|(count, window)| Some((count.parse().ok()?, window.parse().ok()?)));
-    match parsed {
-        Some((count, window)) if (1..=32).contains(&window) && (1..=window).contains(&count) => Ok((count, window)),
-        _ => Err("give COUNT/WINDOW, 1 to 32 each and the count not above the window, for example 5/6".to_owned()),
-    }
-}
-
-fn parse_height(text: &str) -> Result<f32, String> {
-    match text.parse::<f32>() {
-        Ok(v) if (0.1..=1000.0).contains(&v) => Ok(v),
-        _ => Err("give metres above home, 0.1 to 1000".to_owned()),
-    }
 }
 
 impl FirmwareArgs {
@@ -249,18 +153,7 @@ impl FirmwareArgs {
         config.obstacle_distance = self.obstacle_distance.unwrap_or(config.obstacle_distance);
         config.engage = self.engage.unwrap_or(config.engage);
         config.at_goal = self.at_goal.unwrap_or(config.at_goal);
-        config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
-        config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file);
-        config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
-        config.detector.enabled = self.detector.or(config.detector.enabled);
-        config.detector.file = self.detector_file.clone().or(config.detector.file);
-        config.detector.threshold = self.threshold.or(config.detector.threshold);
-        config.detector.guard = self.guard.unwrap_or(config.detector.guard);
-        if let Some((count, window)) = self.raise {
-            (config.detector.raise_count, config.detector.raise_window) = (count, window);
-        }
-        config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
-        config.plausibility = self.plausibility.unwrap_or(config.plausibility);
+        self.pilot.apply(&mut config);
         config.rate.priority = self.priority.unwrap_or(config.rate.priority);
         if let Some([north_m, east_m]) = self.goal {
             config.goal = Some(GoalConfig {
@@ -305,6 +198,10 @@ pub fn told(error: &anyhow::Error) -> String {
 /// # Errors
 /// Whatever keeps the flight from beginning, each telling what to do; in lockstep also a simulator that fell silent.
 pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
+    if args.print_config {
+        vigil_files::print_line(reference::configuration().trim_end())?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let config = args.resolve()?;
     let stop = Arc::new(AtomicBool::new(false));
     let flag = Arc::clone(&stop);
@@ -378,10 +275,17 @@ impl std::fmt::Display for Start<'_> {
             f,
             "firmware   instance {}: {} on {}{}; engages {}",
             config.instance,
-            config.vehicle.name(),
+            match config.vehicle {
+                AutopilotChoice::Auto => "any vehicle",
+                AutopilotChoice::Px4 => "PX4",
+                AutopilotChoice::ArduPilot => "ArduPilot",
+            },
             config.vehicle_link(),
             ground_links(&config.links),
-            config.engage.name(),
+            match config.engage {
+                EngagePolicy::Auto => "by itself",
+                EngagePolicy::Command => "on command",
+            },
         )?;
         writeln!(
             f,
@@ -412,29 +316,19 @@ fn pilot_line(config: &FirmwareConfig) -> String {
         "the actor ({}), {field} the potential field",
         named(&config.pilot.actor_file)
     );
-    if !config.is_watched() {
-        return format!("{actor}; nothing watches it");
-    }
+    let detector = config
+        .has_detector()
+        .then(|| format!("the detector ({})", named(&config.detector.file)));
+    let watching = match (detector, config.has_guard()) {
+        (None, false) => return format!("{actor}; nothing watches it"),
+        (Some(detector), false) => format!("{detector} watches it"),
+        (None, true) => "the guard watches it".to_owned(),
+        (Some(detector), true) => format!("{detector} and the guard watch it"),
+    };
     format!(
-        "{actor}; the detector ({}) {}, an alarm brings about: {}",
-        named(&config.detector.file),
-        if config.detector.guard {
-            "and the guard watch it"
-        } else {
-            "watches it"
-        },
+        "{actor}; {watching}, an alarm brings about: {}",
         config.detector.alarm.name()
     )
-}
-
-impl Vehicle {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "any vehicle",
-            Self::Px4 => "PX4",
-            Self::ArduPilot => "ArduPilot",
-        }
-    }
 }
 
 /// Those links as the terminal is told of them.
@@ -457,14 +351,5 @@ impl std::fmt::Display for SigningConfig {
             AllowUnsigned::Never => ", no unsigned packets",
             AllowUnsigned::Always => ", unsigned packets from everybody",
         })
-    }
-}
-
-impl Engage {
-    fn name(self) -> &'static str {
-        match self {
-            Self::Auto => "by itself",
-            Self::Command => "on command",
-        }
     }
 }

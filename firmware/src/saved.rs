@@ -1,7 +1,7 @@
 //! What the guidance computer keeps over restarts: parameters that were set over MAVLink, and that a person took the
 //! vehicle over (docs/firmware.md, "State").
 
-use crate::config::{AlarmChoice, AtGoalChoice, FirmwareConfig};
+use crate::config::FirmwareConfig;
 use crate::tunables::Tunables;
 use rtrb::{Producer, RingBuffer};
 use serde::{Deserialize, Serialize};
@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::thread::JoinHandle;
 use std::time::Duration;
-use vigil_guidance::{AlarmPolicy, AtGoal};
 use vigil_io::state::{StateError, StateFile, exact};
 use vigil_mavlink::{ParameterValue, Parameters};
+use vigil_types::parameters::{self, Kind};
 
 /// Tables that may wait to be stored; the newest is offered again in the next step.
 const CAPACITY: usize = 8;
@@ -73,10 +73,11 @@ impl ParameterKeeper {
         let saved = file.load()?;
         let table = Tunables::full_table(&config.stack());
         for (name, value) in &saved.parameters {
-            let checked = table
+            table
                 .check(name, *value)
+                .map_err(|e| e.to_string())
+                .and_then(|checked| put(config, name, checked))
                 .map_err(|e| file.refused_at(name, &format!("{name} = {value}: {e}")))?;
-            put(config, name, checked);
         }
         config.state.taken_over |= saved.taken_over;
         if saved.taken_over {
@@ -173,35 +174,26 @@ fn note(saved: &mut Saved, begun_with: &Parameters, table: &Parameters) {
     }
 }
 
-/// Puts a value that was checked where the configuration has it. docs/firmware.md has the same table.
-fn put(config: &mut FirmwareConfig, name: &str, value: ParameterValue) {
-    match (name, value) {
-        ("PLT_CRUISE", ParameterValue::Real(v)) => config.pilot.cruise_m_s = v,
-        ("PLT_APF_RANGE", ParameterValue::Real(v)) => config.pilot.repulsive_range_m = v,
-        ("GD_SPEED_LIM", ParameterValue::Real(v)) => config.limits.speed_m_s = v,
-        ("GD_GOAL_RAD", ParameterValue::Real(v)) => config.limits.goal_radius_m = v,
-        ("GD_AT_GOAL", ParameterValue::Integer(v)) => {
-            config.at_goal = match v == AtGoal::Land as i32 {
-                true => AtGoalChoice::Land,
-                false => AtGoalChoice::Hold,
-            }
+/// Puts a value of a MAVLink parameter where the configuration has it.
+fn put(config: &mut FirmwareConfig, name: &str, value: ParameterValue) -> Result<(), String> {
+    let parameter = parameters::of_mavlink_name(name).ok_or("there is no parameter of that name")?;
+    let value = match (parameter.kind, value) {
+        (Kind::Choice(words), ParameterValue::Integer(code)) => {
+            let word = usize::try_from(code).ok().and_then(|code| words.get(code));
+            let (word, _) = word.ok_or_else(|| format!("there is no choice {code}"))?;
+            toml::Value::from(*word)
         }
-        ("DT_THRESH", ParameterValue::Real(v)) => config.detector.threshold = Some(v),
-        ("DT_ALARM", ParameterValue::Integer(v)) => {
-            config.detector.alarm = match v {
-                v if v == AlarmPolicy::Ignore as i32 => AlarmChoice::Ignore,
-                v if v == AlarmPolicy::Stop as i32 => AlarmChoice::Stop,
-                _ => AlarmChoice::Recover,
-            }
-        }
-        // `check` knows the names of the table only, and the tests put each of them here.
-        _ => {}
-    }
+        (_, ParameterValue::Real(v)) => v.into(),
+        (_, ParameterValue::Integer(v)) => v.into(),
+    };
+    *config = config.with(parameter, value)?;
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use vigil_types::AtGoal;
 
     /// Starts with a state; why it is refused, or the configuration that flies.
     fn start(text: &[u8]) -> Result<FirmwareConfig, String> {
@@ -221,7 +213,7 @@ mod tests {
         for parameter in table.all() {
             let mut with = |value: f32| {
                 let checked = table.check(parameter.name, value.into()).unwrap();
-                put(&mut config, parameter.name, checked);
+                put(&mut config, parameter.name, checked).unwrap();
                 config.clone()
             };
             assert_ne!(with(parameter.least), with(parameter.greatest), "{}", parameter.name);
@@ -235,11 +227,11 @@ mod tests {
         let mut config = FirmwareConfig::default();
         let loaded = ParameterKeeper::load(&state, &mut config).unwrap();
         assert_eq!(config, FirmwareConfig::default(), "there is none yet");
-        let begun_with = Tunables::of(&config.stack(), None).parameters();
+        let begun_with = Tunables::of(&config.stack(), None, false).parameters();
         let mut keeper = loaded.start(&begun_with).unwrap();
         config.limits.speed_m_s = 0.7;
-        config.at_goal = AtGoalChoice::Land;
-        keeper.observe(&Tunables::of(&config.stack(), None).parameters(), false);
+        config.at_goal = AtGoal::Land;
+        keeper.observe(&Tunables::of(&config.stack(), None, false).parameters(), false);
         drop(keeper);
 
         let path = state.join("firmware0.toml");
@@ -248,13 +240,15 @@ mod tests {
         let mut again = FirmwareConfig::default();
         again.pilot.cruise_m_s = 1.1;
         let loaded = ParameterKeeper::load(&state, &mut again).unwrap();
-        assert_eq!((again.limits.speed_m_s, again.at_goal), (0.7, AtGoalChoice::Land));
+        assert_eq!((again.limits.speed_m_s, again.at_goal), (0.7, AtGoal::Land));
         assert_eq!(again.pilot.cruise_m_s, 1.1);
 
         // Set back, it stays set: the configuration may say something else tomorrow.
-        let mut keeper = loaded.start(&Tunables::of(&again.stack(), None).parameters()).unwrap();
-        again.at_goal = AtGoalChoice::Hold;
-        keeper.observe(&Tunables::of(&again.stack(), None).parameters(), false);
+        let mut keeper = loaded
+            .start(&Tunables::of(&again.stack(), None, false).parameters())
+            .unwrap();
+        again.at_goal = AtGoal::Hold;
+        keeper.observe(&Tunables::of(&again.stack(), None, false).parameters(), false);
         drop(keeper);
         let text = "[parameters]\nGD_AT_GOAL = 0.0\nGD_SPEED_LIM = 0.7\n";
         assert_eq!(std::fs::read_to_string(&path).unwrap(), text);
@@ -267,7 +261,7 @@ mod tests {
         let run = |taken_over: bool| {
             let mut config = FirmwareConfig::default();
             let loaded = ParameterKeeper::load(folder.path(), &mut config).unwrap();
-            let table = Tunables::of(&config.stack(), None).parameters();
+            let table = Tunables::of(&config.stack(), None, false).parameters();
             let mut keeper = loaded.start(&table).unwrap();
             keeper.observe(&table, taken_over);
             drop(keeper);
@@ -289,9 +283,11 @@ mod tests {
         let mut config = FirmwareConfig::default();
         let loaded = ParameterKeeper::load(folder.path(), &mut config).unwrap();
         assert_eq!(config.detector.threshold, Some(0.4));
-        let mut keeper = loaded.start(&Tunables::of(&config.stack(), None).parameters()).unwrap();
+        let mut keeper = loaded
+            .start(&Tunables::of(&config.stack(), None, false).parameters())
+            .unwrap();
         config.limits.goal_radius_m = 2.5;
-        keeper.observe(&Tunables::of(&config.stack(), None).parameters(), false);
+        keeper.observe(&Tunables::of(&config.stack(), None, false).parameters(), false);
         drop(keeper);
         let text = std::fs::read_to_string(folder.path().join("firmware0.toml")).unwrap();
         assert_eq!(text, "[parameters]\nDT_THRESH = 0.4\nGD_GOAL_RAD = 2.5\n");

@@ -115,7 +115,11 @@ impl FlightStack {
     /// A guidance configuration that must not fly, or a goal that it does not permit.
     pub fn with_crew(config: &StackConfig, crew: Crew) -> Result<Self, ConfigError> {
         let mut guidance = Guidance::new(config.guidance)?;
-        let tunables = Tunables::of(config, crew.watch.as_ref().map(|watch| watch.monitor.threshold()));
+        let tunables = Tunables::of(
+            config,
+            crew.monitor.as_ref().map(|monitor| monitor.threshold()),
+            crew.recovery.is_some(),
+        );
         if let Some(Goal { position_ned_m }) = config.goal {
             let outcome = guidance.request(OperatorRequest::Goal {
                 north_m: position_ned_m.x,
@@ -208,7 +212,7 @@ impl FlightStack {
             },
             action,
             recovery,
-            verdict: self.crew.watch.as_ref().map(|_| verdict),
+            verdict: self.crew.monitor.as_ref().map(|_| verdict),
             collision_course,
             timing: input.timing,
             handover: self.companion.handover(),
@@ -259,8 +263,8 @@ impl FlightStack {
         let _ = self
             .guidance
             .reconfigure(self.tunables.guidance(self.guidance.config()));
-        if let (Some(watch), Some(threshold)) = (&mut self.crew.watch, self.tunables.threshold) {
-            watch.monitor.set_threshold(threshold);
+        if let (Some(monitor), Some(threshold)) = (&mut self.crew.monitor, self.tunables.threshold) {
+            monitor.set_threshold(threshold);
         }
         if let FlightPilot::Geometric(pilot) = &mut self.crew.pilot
             && self.tunables.pilot != before.pilot
@@ -354,22 +358,26 @@ impl FlightStack {
 
     /// Asks the pilots, or tells them once that what they remember is out of date.
     fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Decision {
-        let Crew { pilot, watch } = &mut self.crew;
+        let Crew {
+            pilot,
+            monitor,
+            recovery,
+        } = &mut self.crew;
         let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
         if before_flight {
             self.leg.reset();
         }
-        if let (true, Some(watch)) = (before_flight && !self.recovery_is_new, &mut *watch) {
-            watch.recovery.reset();
+        if let (true, Some(recovery)) = (before_flight && !self.recovery_is_new, &mut *recovery) {
+            recovery.reset();
             self.recovery_is_new = true;
         }
         let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
             if self.pilot_asked {
                 pilot.reset();
-                if let Some(watch) = watch {
-                    // The recovery pilot keeps its memory through the whole flight: whoever can hold back frames must not be able
-                    // to erase it.
-                    watch.monitor.reset();
+                // The recovery pilot keeps its memory through the whole flight: whoever can hold back frames must not be able to
+                // erase it.
+                if let Some(monitor) = monitor {
+                    monitor.reset();
                 }
                 self.pilot_asked = false;
             }
@@ -403,11 +411,13 @@ impl FlightStack {
             action: Some(action),
             ..Decision::default()
         };
-        if let (Some(watch), Some(state)) = (watch, pilot.state()) {
-            decision.judgement = Some(watch.monitor.judge(state, positional_inputs(led.goal)));
+        if let (Some(monitor), Some(state)) = (monitor, pilot.state()) {
+            decision.judgement = Some(monitor.judge(state, positional_inputs(led.goal)));
+        }
+        if let Some(recovery) = recovery {
             self.recovery_is_new = false;
-            decision.recovery = Some(limited(watch.recovery.decide(&input, self.recovering)));
-            decision.collision_course = watch.recovery.foresees_collision(&input, action);
+            decision.recovery = Some(limited(recovery.decide(&input, self.recovering)));
+            decision.collision_course = Some(recovery.foresees_collision(&input, action));
         }
         decision
     }
@@ -419,8 +429,8 @@ struct Decision {
     action: Option<Action>,
     recovery: Option<Action>,
     judgement: Option<Judgement>,
-    /// The recovery pilot sees the action lead into something.
-    collision_course: bool,
+    /// Whether the recovery pilot sees the action lead into something; `None` when it was not asked.
+    collision_course: Option<bool>,
 }
 
 /// What the pilot may see of the vehicle and the goal.

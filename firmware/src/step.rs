@@ -21,11 +21,11 @@ pub enum StackError {
     /// The actor's or the detector's file is refused.
     #[error(transparent)]
     Frozen(#[from] FileError),
-    /// A detector was asked for, and there is nothing for it to watch.
+    /// A detector or a guard was asked for, and there is nothing for it to watch.
     #[error(
-        "the detector is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
+        "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
     )]
-    NothingToWatch,
+    NothingToWatch(&'static str),
     /// The detector is not this actor's, or cannot explain it.
     #[error("detector {file}: {source}")]
     Monitor {

@@ -9,23 +9,10 @@
 )]
 
 use crate::stack::StackConfig;
-use vigil_guidance::{AlarmConfig, AlarmPolicy, AtGoal, GuidanceConfig};
+use vigil_guidance::{AlarmConfig, GuidanceConfig};
 use vigil_mavlink::{Parameter, ParameterValue, Parameters};
 use vigil_policy::GeometricConfig;
-use vigil_types::ACTION_LIMIT;
-
-/// Places in the table.
-const CRUISE: usize = 0;
-const APF_RANGE: usize = 1;
-const SPEED_LIMIT: usize = 2;
-const GOAL_RADIUS: usize = 3;
-const AT_GOAL: usize = 4;
-const THRESHOLD: usize = 5;
-const ALARM: usize = 6;
-
-/// Thresholds of the detector that can be set; the configuration file's are the same.
-pub(crate) const LEAST_THRESHOLD: f32 = 0.01;
-pub(crate) const GREATEST_THRESHOLD: f32 = 0.999;
+use vigil_types::{AlarmPolicy, AtGoal, Choice, ParameterSpec, parameters};
 
 /// The values in force.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,13 +21,62 @@ pub(crate) struct Tunables {
     pub speed_limit_m_s: f32,
     goal_radius_m: f32,
     at_goal: AtGoal,
-    /// The detector's; `None` without one, and then the table has neither it nor the policy.
+    /// The detector's; `None` without one.
     pub threshold: Option<f32>,
-    alarm: AlarmPolicy,
+    /// `None` when nothing raises an alarm.
+    alarm: Option<AlarmPolicy>,
 }
 
+/// A parameter of the table that may be set while the firmware runs.
+struct Tunable {
+    spec: ParameterSpec,
+    /// The value in force; `None` when this firmware has none.
+    get: fn(&Tunables) -> Option<ParameterValue>,
+    set: fn(&mut Tunables, ParameterValue),
+}
+
+/// In the order in which they are listed to a ground station.
+const TUNABLES: [Tunable; 7] = [
+    Tunable {
+        spec: parameters::CRUISE,
+        get: |all| Some(ParameterValue::Real(all.pilot.cruise_m_s)),
+        set: |all, value| all.pilot.cruise_m_s = value.as_f32(),
+    },
+    Tunable {
+        spec: parameters::REPULSIVE_RANGE,
+        get: |all| Some(ParameterValue::Real(all.pilot.repulsive_range_m)),
+        set: |all, value| all.pilot.repulsive_range_m = value.as_f32(),
+    },
+    Tunable {
+        spec: parameters::SPEED_LIMIT,
+        get: |all| Some(ParameterValue::Real(all.speed_limit_m_s)),
+        set: |all, value| all.speed_limit_m_s = value.as_f32(),
+    },
+    Tunable {
+        spec: parameters::GOAL_RADIUS,
+        get: |all| Some(ParameterValue::Real(all.goal_radius_m)),
+        set: |all, value| all.goal_radius_m = value.as_f32(),
+    },
+    Tunable {
+        spec: parameters::AT_GOAL,
+        get: |all| Some(ParameterValue::Integer(all.at_goal.code())),
+        set: |all, value| all.at_goal = value.as_choice().unwrap_or(all.at_goal),
+    },
+    Tunable {
+        spec: parameters::THRESHOLD,
+        get: |all| all.threshold.map(ParameterValue::Real),
+        set: |all, value| all.threshold = all.threshold.map(|_| value.as_f32()),
+    },
+    Tunable {
+        spec: parameters::ALARM,
+        get: |all| all.alarm.map(|policy| ParameterValue::Integer(policy.code())),
+        set: |all, value| all.alarm = all.alarm.map(|policy| value.as_choice().unwrap_or(policy)),
+    },
+];
+
 impl Tunables {
-    pub fn of(config: &StackConfig, threshold: Option<f32>) -> Self {
+    /// `threshold` is the detector's, `is_watched` tells whether anything raises an alarm.
+    pub fn of(config: &StackConfig, threshold: Option<f32>, is_watched: bool) -> Self {
         Self {
             pilot: config.pilot,
             // NaN or a negative number would be no limit that can be kept.
@@ -48,77 +84,31 @@ impl Tunables {
             goal_radius_m: config.guidance.goal_radius_m,
             at_goal: config.guidance.at_goal,
             threshold,
-            alarm: config.guidance.alarm.policy,
+            alarm: is_watched.then_some(config.guidance.alarm.policy),
         }
     }
 
-    /// The table, in the order of the places above. The ranges are those of the configuration file.
+    /// The table of what this firmware has.
     pub fn parameters(&self) -> Parameters {
-        let real = |name, value, least, greatest, in_flight| Parameter {
-            name,
-            value: ParameterValue::Real(value),
-            least,
-            greatest,
-            in_flight,
-        };
-        let integer = |name, value, greatest| Parameter {
-            name,
-            value: ParameterValue::Integer(value),
-            least: 0.0,
-            greatest,
-            in_flight: true,
-        };
-        let all = [
-            real("PLT_CRUISE", self.pilot.cruise_m_s, 0.1, ACTION_LIMIT, false),
-            real("PLT_APF_RANGE", self.pilot.repulsive_range_m, 0.0, 20.0, false),
-            real("GD_SPEED_LIM", self.speed_limit_m_s, 0.1, ACTION_LIMIT, true),
-            real("GD_GOAL_RAD", self.goal_radius_m, 0.1, 100.0, true),
-            integer("GD_AT_GOAL", self.at_goal as i32, 1.0),
-            real(
-                "DT_THRESH",
-                self.threshold.unwrap_or_default(),
-                LEAST_THRESHOLD,
-                GREATEST_THRESHOLD,
-                true,
-            ),
-            integer("DT_ALARM", self.alarm as i32, 2.0),
-        ];
-        let own = if self.threshold.is_some() { all.len() } else { THRESHOLD };
-        Parameters::new(all.get(..own).unwrap_or(&all))
+        Parameters::new(
+            TUNABLES
+                .iter()
+                .filter_map(|row| Parameter::of(&row.spec, (row.get)(self)?)),
+        )
     }
 
     /// The table of a firmware with everything that can be set.
     pub fn full_table(config: &StackConfig) -> Parameters {
-        Self::of(config, Some(LEAST_THRESHOLD)).parameters()
+        Self::of(config, Some(0.0), true).parameters()
     }
 
     /// Takes the table's values over.
-    pub fn take(&mut self, parameters: &Parameters) {
-        let real = |index, value: &mut f32| {
-            if let Some(ParameterValue::Real(set)) = parameters.value(index) {
-                *value = set;
+    pub fn take(&mut self, table: &Parameters) {
+        for row in &TUNABLES {
+            let name = row.spec.mavlink.map_or("", |mavlink| mavlink.name);
+            if let Some(value) = table.value_of(name) {
+                (row.set)(self, value);
             }
-        };
-        real(CRUISE, &mut self.pilot.cruise_m_s);
-        real(APF_RANGE, &mut self.pilot.repulsive_range_m);
-        real(SPEED_LIMIT, &mut self.speed_limit_m_s);
-        real(GOAL_RADIUS, &mut self.goal_radius_m);
-        if let Some(ParameterValue::Integer(set)) = parameters.value(AT_GOAL) {
-            self.at_goal = if set == AtGoal::Land as i32 {
-                AtGoal::Land
-            } else {
-                AtGoal::Hold
-            };
-        }
-        if let Some(threshold) = &mut self.threshold {
-            real(THRESHOLD, threshold);
-        }
-        if let Some(ParameterValue::Integer(set)) = parameters.value(ALARM) {
-            self.alarm = match set {
-                0 => AlarmPolicy::Ignore,
-                1 => AlarmPolicy::Stop,
-                _ => AlarmPolicy::Recover,
-            };
         }
     }
 
@@ -128,7 +118,7 @@ impl Tunables {
             goal_radius_m: self.goal_radius_m,
             at_goal: self.at_goal,
             alarm: AlarmConfig {
-                policy: self.alarm,
+                policy: self.alarm.unwrap_or(config.alarm.policy),
                 ..config.alarm
             },
             ..*config

@@ -8,7 +8,7 @@ use std::net::UdpSocket;
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{Engage, SigningConfig, StateConfig};
+use vigil_firmware::config::{SigningConfig, StateConfig};
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
 use vigil_firmware::ports::handed::{HandedClock, HandedFrame};
@@ -20,7 +20,7 @@ use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, pack
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
-use vigil_types::{Datagrams, Nanos, STEP_NS, StepTiming};
+use vigil_types::{Datagrams, EngagePolicy, Nanos, STEP_NS, StepTiming};
 
 const VEHICLE: (u8, u8) = (1, 1);
 const ME: (u8, u8) = (1, 191);
@@ -717,7 +717,7 @@ struct Flight {
 impl Flight {
     fn new() -> Self {
         let config = FirmwareConfig {
-            engage: Engage::Command,
+            engage: EngagePolicy::Command,
             sensor_id: SENSOR_ID,
             ..config()
         };

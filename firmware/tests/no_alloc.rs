@@ -8,7 +8,7 @@ use std::cell::Cell;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{LogConfig, PilotKind, RateConfig, SigningConfig, StateConfig};
+use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig, StateConfig};
 use vigil_firmware::crew::Crew;
 use vigil_firmware::live::LiveLoop;
 use vigil_firmware::ports::Clock;
@@ -18,7 +18,7 @@ use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
-use vigil_types::{GuidanceState, Reason, STEP_NS, StepTiming};
+use vigil_types::{GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 thread_local! {
     /// Allocations of this thread; other threads may allocate as they like.

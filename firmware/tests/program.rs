@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
-use vigil_firmware::{LockstepFirmware, replay};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware, replay};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameError, FramePublisher, LockstepClient, remove_leftovers};
 use vigil_log::{LogEnd, Reader, TickRecord};
 use vigil_mavlink::common::MavMessage;
@@ -293,6 +293,30 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
 }
 
 #[test]
+fn the_configuration_that_it_prints_is_one_it_takes_and_its_help_tells_ranges_and_defaults() {
+    let printed = firmware(&["--print-config"]).output().unwrap();
+    assert_eq!(printed.status.code(), Some(0));
+    let text = String::from_utf8(printed.stdout).unwrap();
+    assert_eq!(FirmwareConfig::from_toml(&text), Ok(FirmwareConfig::default()));
+    assert!(
+        text.contains("goal_radius_m = 1.0") && text.contains("0.1 to 100 m"),
+        "{text}"
+    );
+
+    let help = firmware(&["--help"]).output().unwrap();
+    let help = String::from_utf8(help.stdout).unwrap();
+    for told in [
+        "0.1 to 1000 m) [default: 2.5]",
+        "[default: recover]",
+        "with or without the detector",
+        "(0.01 to 0.999)",
+    ] {
+        let flowing: String = help.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(flowing.contains(told), "{told}: {help}");
+    }
+}
+
+#[test]
 fn what_is_wrong_is_told_in_one_place_with_what_to_do() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("wrong.toml");
@@ -310,7 +334,7 @@ fn what_is_wrong_is_told_in_one_place_with_what_to_do() {
     for (arguments, expected) in [
         (["--goal", "here"], "NORTH,EAST"),
         (["--height", "-3"], "0.1 to 1000"),
-        (["--instance", "100"], "0..=99"),
+        (["--instance", "100"], "0 to 99"),
         (["--link", "14030"], "udpin://"),
         (["--vehicle", "px5"], "ardupilot"),
     ] {

@@ -3,12 +3,15 @@
 mod common;
 
 use common::{LOITER, OFFBOARD, TestVehicle, config, undecided_detector, watched_config};
-use vigil_firmware::config::{AtGoalChoice, Engage, GoalConfig};
+use vigil_firmware::config::GoalConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, Reasons, STEP_NS, StepReport, Verdict};
+use vigil_types::{
+    AlarmCause, AtGoal, Datagrams, DepthFrame, EngagePolicy, GuidanceState, Nanos, NedVector, Reason, Reasons, STEP_NS,
+    STEP_S, StepReport, Verdict,
+};
 
 /// Vehicle and firmware in step; either side's contribution can be left out of a step.
 struct Flight {
@@ -110,7 +113,7 @@ impl Flight {
 #[test]
 fn from_the_ground_to_the_goal_and_down_again() {
     let config = FirmwareConfig {
-        at_goal: AtGoalChoice::Land,
+        at_goal: AtGoal::Land,
         ..config()
     };
     let mut flight = Flight::new(TestVehicle::on_ground(), &config);
@@ -138,7 +141,7 @@ fn from_the_ground_to_the_goal_and_down_again() {
 #[test]
 fn without_an_operator_nothing_moves_unless_it_was_told_to_engage_by_itself() {
     let config = FirmwareConfig {
-        engage: Engage::Command,
+        engage: EngagePolicy::Command,
         ..config()
     };
     let mut flight = Flight::new(TestVehicle::hovering(2.5), &config);
@@ -500,4 +503,67 @@ fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_fli
 
     config.detector.enabled = Some(false);
     assert!(LockstepFirmware::new(&config).is_ok());
+}
+
+/// What raises the alarm in the second in which a gust carries a vehicle in full flight towards a wall, whatever it is told.
+fn alarm_before_a_wall(config: &FirmwareConfig) -> Option<AlarmCause> {
+    let mut flight = Flight::guided_by(config);
+    for _ in 0..60 {
+        flight.step();
+    }
+    assert!(flight.velocity()[0] > 1.2, "{:?}", flight.velocity());
+    let carried_m_s = NedVector::new(1.5, 0.0, 0.0);
+    let wall_north_m = flight.vehicle.position_ned_m.x + 2.2;
+    (0..20).find_map(|_| {
+        flight.vehicle.velocity_ned_m_s = carried_m_s;
+        let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
+        let frame = flight.vehicle.frame_with_wall(flight.now_ns, wall_north_m);
+        let telemetry = flight.vehicle.telemetry();
+        let alarm = flight.step_with(Some(&frame), &telemetry).alarm;
+        (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad) = (from + carried_m_s * STEP_S, yaw_rad);
+        alarm.map(|alarm| alarm.cause)
+    })
+}
+
+#[test]
+fn the_guard_stops_an_actor_before_a_wall_with_and_without_the_detector_and_either_can_be_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    // A wall that was not there a moment ago is no plausible picture.
+    config.plausibility = false;
+    for (detector, guard, raised) in [
+        (false, Some(true), Some(AlarmCause::CollisionCourse)),
+        (true, Some(true), Some(AlarmCause::CollisionCourse)),
+        (true, None, Some(AlarmCause::CollisionCourse)),
+        (true, Some(false), None),
+        (false, Some(false), None),
+        (false, None, None),
+    ] {
+        config.detector.enabled = Some(detector);
+        config.detector.guard = guard;
+        assert_eq!(
+            alarm_before_a_wall(&config),
+            raised,
+            "detector {detector}, guard {guard:?}"
+        );
+    }
+
+    // The detector alone: its verdict raises the alarm without any wall.
+    config.detector.enabled = Some(true);
+    config.detector.guard = Some(false);
+    config.detector.threshold = Some(0.4);
+    let mut flight = Flight::guided_by(&config);
+    let cause = (0..40).find_map(|_| flight.step().alarm.map(|alarm| alarm.cause));
+    assert_eq!(cause, Some(AlarmCause::Attack));
+}
+
+#[test]
+fn a_guard_without_an_actor_to_watch_is_refused_by_name() {
+    let mut config = config();
+    config.detector.guard = Some(true);
+    let error = LockstepFirmware::new(&config).err().unwrap().to_string();
+    assert!(
+        error.contains("the guard is on") && error.contains("geometric pilot"),
+        "{error}"
+    );
 }

@@ -1,11 +1,11 @@
 //! Goals farther away than any that the actor has learned.
 
 use core::convert::Infallible;
-use vigil_firmware::config::PilotKind;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tests::{run, said};
+use vigil_types::PilotKind;
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, StepReport};
 use vigil_world::{Course, Outcome};
 

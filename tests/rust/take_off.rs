@@ -1,10 +1,10 @@
 //! What the pilots make of a take-off: nothing. Frames taken on the ground show the ground at the vehicle's own height.
 
 use core::convert::Infallible;
-use vigil_firmware::config::PilotKind;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep};
 use vigil_sim::{SimConfig, Simulator};
+use vigil_types::PilotKind;
 use vigil_types::{AlarmResponse, Datagrams, DepthFrame, GuidanceState, Nanos, StepReport};
 use vigil_world::{Course, Outcome};
 

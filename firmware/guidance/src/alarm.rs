@@ -4,20 +4,14 @@
 //! verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one. So does, whatever the
 //! verdict, an action that leads into something.
 
-use vigil_types::{Alarm, AlarmCause, AlarmResponse, Nanos, Verdict};
+use crate::config::own;
+use vigil_types::parameters::{self, OutOfRange, Range};
+use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, Verdict};
 
-/// What a raised alarm brings about.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[repr(u8)]
-pub enum AlarmPolicy {
-    /// It is told; the flight is not touched.
-    Ignore = 0,
-    /// The vehicle stops, and stays until the verdict has been clean for long enough.
-    Stop = 1,
-    /// The vehicle stops, then the recovery pilot flies on until the verdict has been clean for long enough.
-    #[default]
-    Recover = 2,
-}
+// What only programs set, stated as the table states the rest.
+const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 2.0);
+const STOPPED: ParameterSpec = own("stopped", (0.05, 1.0), "m/s", 0.2);
+const STOP_LIMIT: ParameterSpec = own("stop_limit", (0.05, 60.0), "s", 3.0);
 
 /// Thresholds of the alarm; [`AlarmConfig::default`] is what `docs/guidance.md` states.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,14 +38,44 @@ impl Default for AlarmConfig {
     fn default() -> Self {
         Self {
             policy: AlarmPolicy::default(),
-            raise_count: 5,
-            raise_window: 6,
-            unknown_limit: 10,
-            guard_steps: 2,
-            clear_steps: 40,
-            stopped_m_s: 0.2,
-            stop_limit_ns: 3_000_000_000,
+            raise_count: parameters::RAISE_COUNT.number() as u8,
+            raise_window: parameters::RAISE_WINDOW.number() as u8,
+            unknown_limit: parameters::UNKNOWN_STEPS.number() as u16,
+            guard_steps: GUARD_STEPS.number() as u16,
+            clear_steps: parameters::CLEAR_STEPS.number() as u16,
+            stopped_m_s: STOPPED.number_f32(),
+            stop_limit_ns: STOP_LIMIT.nanos(),
         }
+    }
+}
+
+impl AlarmConfig {
+    /// Whether guidance may fly with these thresholds.
+    pub(crate) fn check(&self) -> Result<(), OutOfRange> {
+        for (parameter, value) in [
+            (&parameters::RAISE_WINDOW, f64::from(self.raise_window)),
+            (&parameters::RAISE_COUNT, self.raise_count.into()),
+            (&parameters::UNKNOWN_STEPS, self.unknown_limit.into()),
+            (&GUARD_STEPS, self.guard_steps.into()),
+            (&parameters::CLEAR_STEPS, self.clear_steps.into()),
+            (&STOPPED, self.stopped_m_s.into()),
+            (&STOP_LIMIT, self.stop_limit_ns as f64 / 1e9),
+        ] {
+            parameter.check(value)?;
+        }
+        if self.raise_count > self.raise_window {
+            return Err(OutOfRange {
+                key: parameters::RAISE_COUNT.key,
+                value: self.raise_count.into(),
+                range: Range {
+                    unit: "verdicts, at most raise_window",
+                    least: 1.0,
+                    greatest: self.raise_window.into(),
+                    or_zero: false,
+                },
+            });
+        }
+        Ok(())
     }
 }
 
@@ -61,8 +85,8 @@ pub(crate) struct AlarmInput {
     pub now_ns: Nanos,
     /// `None` without a detector.
     pub verdict: Option<Verdict>,
-    /// The actor's action leads into something.
-    pub collision_course: bool,
+    /// Whether the actor's action leads into something; `None` when the guard did not look.
+    pub collision_course: Option<bool>,
     /// Guidance is in a flight.
     pub in_flight: bool,
     /// The pilot's actions reach the vehicle.
@@ -85,7 +109,7 @@ pub(crate) struct AlarmLogic {
     raised: Option<Raised>,
     /// The last verdicts, newest in the lowest bit; set where it was attack.
     attacks: u32,
-    /// Consecutive steps without a verdict, and with a clean one.
+    /// Consecutive steps without a verdict, and clean ones.
     unknown_steps: u16,
     clean_steps: u16,
     /// Consecutive steps on a collision course.
@@ -105,18 +129,21 @@ impl AlarmLogic {
 
     /// One step; says what is raised after it.
     pub fn step(&mut self, config: &AlarmConfig, input: &AlarmInput) -> Option<Alarm> {
-        let Some(verdict) = input.verdict.filter(|_| input.in_flight) else {
+        if !input.in_flight {
             *self = Self::default();
             return None;
-        };
+        }
         let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
-        self.attacks = self.attacks << 1 | u32::from(verdict == Verdict::Attack);
-        count(&mut self.unknown_steps, verdict == Verdict::Unknown);
-        count(
-            &mut self.clean_steps,
-            verdict == Verdict::Clean && !input.collision_course,
-        );
-        count(&mut self.course_steps, input.collision_course);
+        let on_collision_course = input.collision_course == Some(true);
+        // Without a detector a step is clean when the guard looked and saw nothing; when nobody looked it is not.
+        let looks_clean = match input.verdict {
+            Some(verdict) => verdict == Verdict::Clean,
+            None => input.collision_course.is_some(),
+        };
+        self.attacks = self.attacks << 1 | u32::from(input.verdict == Some(Verdict::Attack));
+        count(&mut self.unknown_steps, input.verdict == Some(Verdict::Unknown));
+        count(&mut self.clean_steps, looks_clean && !on_collision_course);
+        count(&mut self.course_steps, on_collision_course);
         if self.raised.is_none() && !input.guided {
             // What is judged while the vehicle holds moves nothing.
             (self.attacks, self.unknown_steps, self.course_steps) = (0, 0, 0);
@@ -176,7 +203,7 @@ mod tests {
     const FLYING: AlarmInput = AlarmInput {
         now_ns: 0,
         verdict: Some(Clean),
-        collision_course: false,
+        collision_course: Some(false),
         in_flight: true,
         guided: true,
         speed_m_s: Some(1.5),
@@ -231,16 +258,17 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_counted_on_the_ground_or_without_a_detector() {
+    fn nothing_is_counted_on_the_ground_or_while_the_vehicle_holds_or_when_nothing_watches() {
         let mut logic = AlarmLogic::default();
         let config = AlarmConfig::default();
-        for (verdict, in_flight, guided) in [
-            (Some(Attack), false, false),
-            (None, true, true),
-            (Some(Attack), true, false),
+        for (verdict, collision_course, in_flight, guided) in [
+            (Some(Attack), Some(true), false, false),
+            (None, None, true, true),
+            (Some(Attack), Some(true), true, false),
         ] {
             let input = AlarmInput {
                 verdict,
+                collision_course,
                 in_flight,
                 guided,
                 ..FLYING
@@ -249,5 +277,32 @@ mod tests {
                 assert_eq!(logic.step(&config, &input), None);
             }
         }
+    }
+
+    #[test]
+    fn without_a_detector_the_guard_raises_the_alarm_and_steps_that_it_saw_to_be_free_end_it() {
+        let mut logic = AlarmLogic::default();
+        let config = AlarmConfig::default();
+        let mut now_ns = 0;
+        let mut step = |collision_course: Option<bool>| {
+            now_ns += 50_000_000;
+            let input = AlarmInput {
+                now_ns,
+                verdict: None,
+                collision_course,
+                ..FLYING
+            };
+            logic.step(&config, &input).map(|alarm| alarm.cause)
+        };
+        assert_eq!(step(Some(true)), None, "a single step raises nothing");
+        assert_eq!(step(Some(true)), Some(AlarmCause::CollisionCourse));
+        for _ in 0..39 {
+            assert!(step(Some(false)).is_some());
+        }
+        assert!(step(None).is_some(), "nobody looked: the count begins anew");
+        for _ in 0..39 {
+            assert!(step(Some(false)).is_some());
+        }
+        assert_eq!(step(Some(false)), None);
     }
 }

@@ -1,42 +1,23 @@
 //! Thresholds and policies of guidance.
 
 use crate::alarm::AlarmConfig;
-use vigil_types::{Nanos, NedVector};
+use vigil_types::parameters::{self, OutOfRange};
+use vigil_types::{AtGoal, EngagePolicy, Nanos, NedVector, OnNoProgress, ParameterSpec};
 
-const MS: Nanos = 1_000_000;
+/// Farthest goal from the local origin, metres north or east.
+pub const GREATEST_GOAL_M: f32 = parameters::GREATEST_COORDINATE_M;
 
-/// Farthest goal from the local origin, metres north or east: beyond it f32 no longer holds centimetres well.
-pub const GREATEST_GOAL_M: f32 = 10_000.0;
+// What only programs set, stated as the table states the rest.
+const SLIP_WINDOW: ParameterSpec = own("slip_window", (0.05, 10.0), "s", 1.0);
+const NO_PROGRESS_GAIN: ParameterSpec = own("no_progress_gain", (0.1, 100.0), "m", 1.0);
+const CLEAR_STEPS: ParameterSpec = own("clear_steps", (1.0, 1200.0), "steps", 10.0);
+const RELEASE_STEPS: ParameterSpec = own("release_steps", (1.0, 1200.0), "steps", 10.0);
+const HEIGHT_GAIN: ParameterSpec = own("height_gain", (0.0, 5.0), "1/s", 0.8);
+const VERTICAL_LIMIT: ParameterSpec = own("vertical_limit", (0.0, 1.0), "m/s", 0.5);
 
-/// Who starts a flight.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum EngagePolicy {
-    /// Guidance engages by itself as soon as it is ready, where no person has the vehicle, once per start of its own, and
-    /// takes the vehicle back after a failsafe hold.
-    Auto,
-    /// An operator engages.
-    #[default]
-    Command,
-}
-
-/// What to do at the goal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum AtGoal {
-    /// Hover until there is another goal.
-    #[default]
-    Hold,
-    /// Hover for [`GuidanceConfig::goal_dwell_ns`], then land.
-    Land,
-}
-
-/// What to do about a vehicle that does not get nearer to its goal.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum OnNoProgress {
-    /// Hover until there is another goal, or an operator engages.
-    Hold,
-    /// Hover for [`GuidanceConfig::no_progress_dwell_ns`], then land.
-    #[default]
-    Land,
+/// A row for a field of guidance's own configuration.
+pub(crate) const fn own(key: &'static str, range: (f64, f64), unit: &'static str, default: f64) -> ParameterSpec {
+    ParameterSpec::real(key, range, unit, default, "")
 }
 
 /// Horizontal outline of the permitted region.
@@ -153,32 +134,33 @@ pub struct GuidanceConfig {
 
 impl Default for GuidanceConfig {
     fn default() -> Self {
+        const S: Nanos = 1_000_000_000;
         Self {
-            engage: EngagePolicy::Command,
+            engage: EngagePolicy::default(),
             taken_over: false,
-            at_goal: AtGoal::Hold,
-            frame_age_limit_ns: 250 * MS,
-            telemetry_age_limit_ns: 300 * MS,
-            heartbeat_age_limit_ns: 1_500 * MS,
-            slip_limit: 3,
-            slip_window_ns: 1_000 * MS,
-            goal_radius_m: 1.0,
-            goal_dwell_ns: 2_000 * MS,
-            goal_limit_m: 500.0,
-            no_progress_limit_ns: Some(120_000 * MS),
-            no_progress_gain_m: 1.0,
-            on_no_progress: OnNoProgress::Land,
-            no_progress_dwell_ns: 10_000 * MS,
-            clear_steps: 10,
-            release_steps: 10,
-            handover_limit_ns: 60_000 * MS,
-            handover_pause_ns: 5_000 * MS,
+            at_goal: AtGoal::default(),
+            frame_age_limit_ns: parameters::FRAME_AGE.nanos(),
+            telemetry_age_limit_ns: parameters::TELEMETRY_AGE.nanos(),
+            heartbeat_age_limit_ns: parameters::HEARTBEAT_AGE.nanos(),
+            slip_limit: parameters::SLIPS.number() as u8,
+            slip_window_ns: SLIP_WINDOW.nanos(),
+            goal_radius_m: parameters::GOAL_RADIUS.number_f32(),
+            goal_dwell_ns: 2 * S,
+            goal_limit_m: parameters::GOAL_LIMIT.number_f32(),
+            no_progress_limit_ns: Some(parameters::NO_PROGRESS.nanos()),
+            no_progress_gain_m: NO_PROGRESS_GAIN.number_f32(),
+            on_no_progress: OnNoProgress::default(),
+            no_progress_dwell_ns: 10 * S,
+            clear_steps: CLEAR_STEPS.number() as u16,
+            release_steps: RELEASE_STEPS.number() as u16,
+            handover_limit_ns: 60 * S,
+            handover_pause_ns: 5 * S,
             geofence: None,
-            battery_limit: 0.15,
+            battery_limit: parameters::BATTERY.number_f32(),
             time_limit_ns: None,
-            default_height_m: 2.5,
-            height_gain_per_s: 0.8,
-            vertical_limit_m_s: 0.5,
+            default_height_m: parameters::HEIGHT.number_f32(),
+            height_gain_per_s: HEIGHT_GAIN.number_f32(),
+            vertical_limit_m_s: VERTICAL_LIMIT.number_f32(),
             alarm: AlarmConfig::default(),
         }
     }
@@ -188,15 +170,8 @@ impl Default for GuidanceConfig {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ConfigError {
     /// A number is out of its range.
-    #[error("guidance: {field} is {value}, allowed is {allowed}")]
-    OutOfRange {
-        /// Field of [`GuidanceConfig`].
-        field: &'static str,
-        /// The value given.
-        value: f64,
-        /// What is allowed.
-        allowed: &'static str,
-    },
+    #[error("guidance: {0}")]
+    OutOfRange(#[from] OutOfRange),
     /// The goal given at the start is not permitted.
     #[error(
         "the goal is {distance_m} m from home, and {limit_m} m are allowed: take a nearer one, or set goal_m under [limits] in the configuration"
@@ -221,130 +196,27 @@ impl GuidanceConfig {
     /// # Errors
     /// [`ConfigError`] names the first field that is out of range.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let range = |field, value: f64, low: f64, high: f64, allowed| {
-            // Written so that NaN is out of range.
-            if value >= low && value <= high {
-                Ok(())
-            } else {
-                Err(ConfigError::OutOfRange { field, value, allowed })
-            }
-        };
-        let age = |field, ns: Nanos| range(field, ns as f64 * 1e-9, 0.05, 10.0, "0.05 to 10 seconds");
-        age("frame_age_limit", self.frame_age_limit_ns)?;
-        age("telemetry_age_limit", self.telemetry_age_limit_ns)?;
-        age("heartbeat_age_limit", self.heartbeat_age_limit_ns)?;
-        age("slip_window", self.slip_window_ns)?;
-        range("slip_limit", self.slip_limit.into(), 1.0, 8.0, "1 to 8 steps")?;
-        range(
-            "goal_radius_m",
-            self.goal_radius_m.into(),
-            0.1,
-            100.0,
-            "0.1 to 100 metres",
-        )?;
-        range(
-            "goal_limit_m",
-            self.goal_limit_m.into(),
-            1.0,
-            GREATEST_GOAL_M.into(),
-            "1 to 10000 metres",
-        )?;
-        if let Some(limit_ns) = self.no_progress_limit_ns {
-            range(
-                "no_progress_limit",
-                limit_ns as f64 * 1e-9,
-                1.0,
-                86_400.0,
-                "1 to 86400 seconds",
-            )?;
+        let seconds = |ns: Nanos| ns as f64 / 1e9;
+        for (parameter, value) in [
+            (&parameters::FRAME_AGE, seconds(self.frame_age_limit_ns)),
+            (&parameters::TELEMETRY_AGE, seconds(self.telemetry_age_limit_ns)),
+            (&parameters::HEARTBEAT_AGE, seconds(self.heartbeat_age_limit_ns)),
+            (&SLIP_WINDOW, seconds(self.slip_window_ns)),
+            (&parameters::SLIPS, self.slip_limit.into()),
+            (&parameters::GOAL_RADIUS, self.goal_radius_m.into()),
+            (&parameters::GOAL_LIMIT, self.goal_limit_m.into()),
+            (&parameters::NO_PROGRESS, self.no_progress_limit_ns.map_or(0.0, seconds)),
+            (&NO_PROGRESS_GAIN, self.no_progress_gain_m.into()),
+            (&CLEAR_STEPS, self.clear_steps.into()),
+            (&RELEASE_STEPS, self.release_steps.into()),
+            (&parameters::BATTERY, self.battery_limit.into()),
+            (&parameters::HEIGHT, self.default_height_m.into()),
+            (&HEIGHT_GAIN, self.height_gain_per_s.into()),
+            (&VERTICAL_LIMIT, self.vertical_limit_m_s.into()),
+        ] {
+            parameter.check(value)?;
         }
-        range(
-            "no_progress_gain_m",
-            self.no_progress_gain_m.into(),
-            0.1,
-            100.0,
-            "0.1 to 100 metres",
-        )?;
-        range("clear_steps", self.clear_steps.into(), 1.0, 1200.0, "1 to 1200 steps")?;
-        range(
-            "release_steps",
-            self.release_steps.into(),
-            1.0,
-            1200.0,
-            "1 to 1200 steps",
-        )?;
-        range("battery_limit", self.battery_limit.into(), 0.0, 1.0, "0 to 1")?;
-        range(
-            "default_height_m",
-            self.default_height_m.into(),
-            0.1,
-            1000.0,
-            "0.1 to 1000 metres",
-        )?;
-        range(
-            "height_gain_per_s",
-            self.height_gain_per_s.into(),
-            0.0,
-            5.0,
-            "0 to 5 per second",
-        )?;
-        range(
-            "vertical_limit_m_s",
-            self.vertical_limit_m_s.into(),
-            0.0,
-            1.0,
-            "0 to 1 metres per second",
-        )?;
-        let alarm = &self.alarm;
-        range(
-            "alarm.raise_window",
-            alarm.raise_window.into(),
-            1.0,
-            32.0,
-            "1 to 32 steps",
-        )?;
-        range(
-            "alarm.raise_count",
-            alarm.raise_count.into(),
-            1.0,
-            alarm.raise_window.into(),
-            "1 to alarm.raise_window steps",
-        )?;
-        range(
-            "alarm.unknown_limit",
-            alarm.unknown_limit.into(),
-            1.0,
-            1200.0,
-            "1 to 1200 steps",
-        )?;
-        range(
-            "alarm.guard_steps",
-            alarm.guard_steps.into(),
-            0.0,
-            1200.0,
-            "0 to 1200 steps",
-        )?;
-        range(
-            "alarm.clear_steps",
-            alarm.clear_steps.into(),
-            1.0,
-            1200.0,
-            "1 to 1200 steps",
-        )?;
-        range(
-            "alarm.stopped_m_s",
-            alarm.stopped_m_s.into(),
-            0.05,
-            1.0,
-            "0.05 to 1 metres per second",
-        )?;
-        range(
-            "alarm.stop_limit",
-            alarm.stop_limit_ns as f64 * 1e-9,
-            0.05,
-            60.0,
-            "0.05 to 60 seconds",
-        )?;
+        self.alarm.check()?;
         match self.geofence {
             Some(fence) if !fence.is_valid() => Err(ConfigError::Fence),
             _ => Ok(()),
@@ -353,19 +225,19 @@ impl GuidanceConfig {
 }
 
 impl Geofence {
+    /// Whether the outline is finite and holds something.
     fn is_valid(&self) -> bool {
+        let spans = |low: f32, high: f32| low.is_finite() && high.is_finite() && low < high;
         let outline = match self.shape {
             FenceShape::Box {
                 min_m: [min_n, min_e],
                 max_m: [max_n, max_e],
-            } => (max_n - min_n).min(max_e - min_e),
+            } => spans(min_n, max_n) && spans(min_e, max_e),
             FenceShape::Cylinder {
                 center_m: [north, east],
                 radius_m,
-            } => (north + east).abs() * 0.0 + radius_m,
+            } => north.is_finite() && east.is_finite() && spans(0.0, radius_m),
         };
-        // NaN and infinities fail the comparisons.
-        let height = self.max_height_m - self.min_height_m;
-        outline > 0.0 && outline < f32::INFINITY && height > 0.0 && height < f32::INFINITY
+        outline && spans(self.min_height_m, self.max_height_m)
     }
 }

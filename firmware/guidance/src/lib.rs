@@ -16,9 +16,9 @@ mod machine;
 mod setpoint;
 pub mod table;
 
-pub use alarm::{AlarmConfig, AlarmPolicy};
-pub use config::{
-    AtGoal, ConfigError, EngagePolicy, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig, OnNoProgress,
-};
+pub use alarm::AlarmConfig;
+pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
 pub use setpoint::guided_setpoint;
+// The policies that its configuration is made of.
+pub use vigil_types::{AlarmPolicy, AtGoal, EngagePolicy, OnNoProgress};

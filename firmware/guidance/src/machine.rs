@@ -2,13 +2,13 @@
 
 use crate::alarm::{AlarmInput, AlarmLogic};
 use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
-use crate::config::{AtGoal, ConfigError, EngagePolicy, GREATEST_GOAL_M, GuidanceConfig, OnNoProgress};
+use crate::config::{ConfigError, GREATEST_GOAL_M, GuidanceConfig};
 use crate::setpoint::guided_setpoint;
 use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
-    Action, Alarm, AlarmCause, AlarmResponse, Goal, GuidanceState, HandoverProgress, Nanos, NedVector, OperatorRequest,
-    Reason, Reasons, RequestOutcome, StepTiming, VehicleMode, VehicleRequest, VehicleTelemetry, VelocitySetpoint,
-    Verdict,
+    Action, Alarm, AlarmCause, AlarmResponse, AtGoal, EngagePolicy, Goal, GuidanceState, HandoverProgress, Nanos,
+    NedVector, OnNoProgress, OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode, VehicleRequest,
+    VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
@@ -50,8 +50,8 @@ pub struct GuidanceInput<'a> {
     pub recovery: Option<Action>,
     /// What the detector says of the pilot's action; `None` without a detector.
     pub verdict: Option<Verdict>,
-    /// The recovery pilot sees the pilot's action lead into something.
-    pub collision_course: bool,
+    /// Whether the recovery pilot sees the pilot's action lead into something; `None` when it did not look, or there is none.
+    pub collision_course: Option<bool>,
     /// Steps missed.
     pub timing: StepTiming,
     /// How far the vehicle is with the hand-over.

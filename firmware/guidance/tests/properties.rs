@@ -147,7 +147,7 @@ fn good(s: &mut Story) {
     });
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = false;
+    s.collision_course = Some(false);
     s.velocity_ned_m_s = NedVector::ZERO;
 }
 
@@ -175,7 +175,7 @@ fn apply(s: &mut Story, event: &Event) -> usize {
             s.recovery = action.map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
         }
         Event::Verdict(verdict) => s.verdict = verdict,
-        Event::CollisionCourse(course) => s.collision_course = course,
+        Event::CollisionCourse(course) => s.collision_course = Some(course),
         Event::Velocity([x, y, z]) => s.velocity_ned_m_s = NedVector::new(x, y, z),
         Event::Handover(handover) => s.handover = handover,
         Event::Slips(slips) => s.slips += slips,

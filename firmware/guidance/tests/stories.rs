@@ -951,16 +951,16 @@ fn a_configuration_that_must_not_fly_is_refused_by_field() {
         ..d
     });
     assert!(
-        radius.contains("goal_radius_m is NaN") && radius.contains("0.1 to 100"),
+        radius.contains("limits.goal_radius_m is NaN") && radius.contains("0.1 to 100"),
         "{radius}"
     );
-    assert!(refused(GuidanceConfig { slip_limit: 9, ..d }).contains("slip_limit is 9"));
+    assert!(refused(GuidanceConfig { slip_limit: 9, ..d }).contains("limits.slips is 9"));
     assert!(
         refused(GuidanceConfig {
             frame_age_limit_ns: 0,
             ..d
         })
-        .contains("frame_age_limit is 0")
+        .contains("limits.frame_age_s is 0")
     );
     let shape = FenceShape::Box {
         min_m: [5.0, 0.0],
@@ -1089,7 +1089,7 @@ fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
 fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_clean() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = true;
+    s.collision_course = Some(true);
     assert_eq!(s.step().alarm, None, "one step may be noise");
     let alarm = s.step();
     assert_eq!(
@@ -1102,18 +1102,39 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
 
     // Clean verdicts are worth nothing while the actor would fly into it again.
     assert_eq!(s.run(seconds(20.0)).setpoint.unwrap().velocity_m_s.x, 0.6);
-    s.collision_course = false;
+    s.collision_course = Some(false);
     s.run(39);
     assert!(s.last.unwrap().alarm.is_some());
     assert_eq!(s.step().alarm, None);
 
     // The second time in a flight it takes twice as many, for the verdicts were clean the first time too.
-    s.collision_course = true;
+    s.collision_course = Some(true);
     assert_eq!(s.run(2).alarm.unwrap().cause, AlarmCause::CollisionCourse);
-    s.collision_course = false;
+    s.collision_course = Some(false);
     s.run(79);
     assert!(s.last.unwrap().alarm.is_some());
     assert_eq!(s.step().alarm, None);
+}
+
+#[test]
+fn without_a_detector_the_guard_stops_the_actor_and_lets_it_fly_on_when_its_way_is_free() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = None;
+    assert_eq!(s.run(seconds(1.0)).alarm, None, "nothing to raise it for");
+    s.collision_course = Some(true);
+    assert_eq!(s.step().alarm, None, "one step may be noise");
+    let alarm = s.step();
+    assert_eq!(
+        (alarm.state, alarm.reasons, alarm.setpoint),
+        (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().action, Some(RECOVERY));
+    s.collision_course = Some(false);
+    s.run(39);
+    assert!(s.last.unwrap().alarm.is_some());
+    assert_eq!(s.step().alarm, None, "forty steps in a row whose way was free");
 }
 
 #[test]
@@ -1122,7 +1143,7 @@ fn without_the_guard_a_collision_course_raises_nothing() {
     config.alarm.guard_steps = 0;
     let mut s = Story::guided(config);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = true;
+    s.collision_course = Some(true);
     assert_eq!(s.run(seconds(5.0)).alarm, None);
 }
 

@@ -17,8 +17,9 @@ use crate::vehicle::Vehicle;
 use heapless::{Deque, Vec};
 use mavlink::dialects::common::{MavMessage, MavState};
 use vigil_types::{
-    Alarm, Datagrams, GuidanceState, HandoverProgress, Nanos, NedVector, OperatorRequest, Reason, Reasons,
-    RequestOutcome, STEP_NS, StepReport, VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
+    Alarm, Datagrams, GuidanceState, HandoverProgress, Nanos, NedVector, ObstacleReports, OperatorRequest, Reason,
+    Reasons, RequestOutcome, STEP_NS, StepReport, VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
+    parameters,
 };
 
 /// The autopilot's component.
@@ -40,23 +41,6 @@ const KEPT: usize = 8;
 const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
 /// Home is told of when it is this much elsewhere than last told, metres.
 const HOME_MOVED_M: f32 = 0.5;
-
-/// When OBSTACLE_DISTANCE is sent. Frames from the ground see the ground: told as obstacles they keep an autopilot that
-/// listens from arming.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum ObstacleReports {
-    /// Never.
-    Off,
-    /// While the pilot looks and the vehicle is in the air.
-    #[default]
-    Flight,
-    /// The same; at any other time messages without a distance, for an autopilot that wants to hear the sensor before it
-    /// arms.
-    KeepAlive,
-}
-
-/// Ten setpoints.
-const DEFAULT_SETPOINT_TIMEOUT_S: f32 = 0.5;
 
 /// Identity and vehicle of the guidance computer.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -85,7 +69,7 @@ impl Default for CompanionConfig {
             component_id: 191,
             flavour: None,
             obstacles: ObstacleReports::default(),
-            setpoint_timeout_s: Some(DEFAULT_SETPOINT_TIMEOUT_S),
+            setpoint_timeout_s: Some(parameters::SETPOINT_TIMEOUT.number_f32()),
             link: 0,
         }
     }

@@ -28,7 +28,7 @@ mod tracker;
 mod vehicle;
 
 pub use autopilot::Flavour;
-pub use companion::{Companion, CompanionConfig, LinkCounters, ObstacleReports};
+pub use companion::{Companion, CompanionConfig, LinkCounters};
 pub use mavlink;
 pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};

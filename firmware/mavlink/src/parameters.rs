@@ -8,6 +8,7 @@ use crate::framing::Zeroed;
 use heapless::Vec;
 use mavlink::MessageData;
 use mavlink::dialects::common::{PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA};
+use vigil_types::{Choice, ParameterSpec};
 
 /// Parameters that a table holds.
 pub const MAX_PARAMETERS: usize = 16;
@@ -34,6 +35,22 @@ impl ParameterValue {
             Self::Integer(v) => v.into(),
         }
     }
+
+    /// The value as an f32.
+    pub fn as_f32(self) -> f32 {
+        match self {
+            Self::Real(v) => v,
+            Self::Integer(v) => v as f32,
+        }
+    }
+
+    /// The choice that the value is the number of; `None` when it is none.
+    pub fn as_choice<T: Choice>(self) -> Option<T> {
+        match self {
+            Self::Integer(v) => T::from_code(v),
+            Self::Real(_) => None,
+        }
+    }
 }
 
 /// One parameter.
@@ -49,6 +66,20 @@ pub struct Parameter {
     pub greatest: f32,
     /// May be changed while guidance flies.
     pub in_flight: bool,
+}
+
+impl Parameter {
+    /// A row of the table of parameters with its value in force; `None` when it has no MAVLink name or no numbers.
+    pub fn of(spec: &ParameterSpec, value: ParameterValue) -> Option<Self> {
+        let (mavlink, range) = (spec.mavlink?, spec.range()?);
+        Some(Self {
+            name: mavlink.name,
+            value,
+            least: range.least as f32,
+            greatest: range.greatest as f32,
+            in_flight: mavlink.in_flight,
+        })
+    }
 }
 
 /// Why a value from a file is no value of a parameter.
@@ -140,9 +171,9 @@ pub struct Parameters {
 
 impl Parameters {
     /// A table of `parameters`; those beyond [`MAX_PARAMETERS`] are left out.
-    pub fn new(parameters: &[Parameter]) -> Self {
+    pub fn new(parameters: impl IntoIterator<Item = Parameter>) -> Self {
         Self {
-            all: parameters.iter().take(MAX_PARAMETERS).copied().collect(),
+            all: parameters.into_iter().take(MAX_PARAMETERS).collect(),
             changed: false,
         }
     }
@@ -155,6 +186,11 @@ impl Parameters {
     /// A parameter's value, by its place in the table.
     pub fn value(&self, index: usize) -> Option<ParameterValue> {
         self.all.get(index).map(|p| p.value)
+    }
+
+    /// The value of the parameter of that name.
+    pub fn value_of(&self, name: &str) -> Option<ParameterValue> {
+        self.all.iter().find(|p| p.name == name).map(|p| p.value)
     }
 
     /// All parameters, in the table's order.

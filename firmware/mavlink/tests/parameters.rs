@@ -24,7 +24,7 @@ struct Computer {
 
 impl Computer {
     fn new(flavour: Flavour) -> Self {
-        let parameters = Parameters::new(&[
+        let parameters = Parameters::new([
             Parameter {
                 name: "PLT_CRUISE",
                 value: ParameterValue::Real(1.5),

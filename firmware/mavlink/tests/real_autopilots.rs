@@ -9,8 +9,9 @@ use common::{
 use vigil_guidance::{EngagePolicy, GuidanceConfig};
 use vigil_mavlink::Flavour::{self, ArduPilot, Px4};
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavCmd, MavFrame, MavMessage, MavResult, MavType};
-use vigil_mavlink::{Companion, CompanionConfig, MavHeader, ObstacleReports};
+use vigil_mavlink::{Companion, CompanionConfig, MavHeader};
 use vigil_types::GuidanceState::{Engaging, Guided, Hold, Ready, Standby};
+use vigil_types::ObstacleReports;
 use vigil_types::{
     Datagrams, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, STEP_NS, StepReport, VehicleMode,
     VehicleRequest,

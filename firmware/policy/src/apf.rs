@@ -7,7 +7,7 @@ use core::f32::consts::{FRAC_PI_2, PI};
 use vigil_types::{Action, GoalRelative};
 
 /// Distance below which an obstacle repels: the paper's equation says 3 m, its text 5 m (docs/paper.md, "contradicts itself", 2).
-pub const REPULSIVE_RANGE_M: f32 = 3.0;
+pub const REPULSIVE_RANGE_M: f32 = vigil_types::parameters::REPULSIVE_RANGE.number_f32();
 
 /// Distance below which the attractive field pulls harder and turns at any bearing.
 const NEAR_GOAL_M: f32 = 5.0;

@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::Duration;
 use vigil_detector::{FrozenDetector, LstmAd};
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::{DetectorConfig, Engage, GoalConfig, PilotConfig, PilotKind};
+use vigil_firmware::config::{DetectorConfig, GoalConfig, PilotConfig};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{
     ATTITUDE_QUATERNION_DATA, COMMAND_ACK_DATA, COMMAND_LONG_DATA, EXTENDED_SYS_STATE_DATA, HEARTBEAT_DATA,
@@ -16,8 +16,8 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::{self, FramingCounters};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S,
-    row_elevation_rad,
+    Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, Nanos, NedVector, PilotKind,
+    STEP_NS, STEP_S, column_bearing_rad, row_elevation_rad,
 };
 
 /// Bounds every wait; far above what any of them takes.
@@ -69,7 +69,7 @@ impl PseudoTerminal {
 /// A configuration that engages by itself and flies to a goal 20 m ahead and 5 m to the right.
 pub fn config() -> FirmwareConfig {
     FirmwareConfig {
-        engage: Engage::Auto,
+        engage: EngagePolicy::Auto,
         goal: Some(GoalConfig {
             north_m: 20.0,
             east_m: 5.0,
@@ -330,6 +330,11 @@ impl TestVehicle {
 
     /// What it sees: level ground that is never nearer than half a metre below it, and open space.
     pub fn frame(&mut self, now_ns: Nanos) -> Box<DepthFrame> {
+        self.frame_with_wall(now_ns, f32::INFINITY)
+    }
+
+    /// The same with a wall that stands across the whole field of view, this far north of the local origin.
+    pub fn frame_with_wall(&mut self, now_ns: Nanos, wall_north_m: f32) -> Box<DepthFrame> {
         let mut frame = Box::new(DepthFrame::EMPTY);
         frame.header.stamp_ns = now_ns;
         frame.header.sequence = self.frames;
@@ -341,6 +346,14 @@ impl TestVehicle {
             let range_m = height_m / (-row_elevation_rad(row as f32)).sin();
             if (0.0..60.0).contains(&range_m) {
                 pixels.fill(range_m / DEPTH_FULL_SCALE_M);
+            }
+            for (col, pixel) in pixels.iter_mut().enumerate() {
+                let bearing_rad = self.yaw_rad + column_bearing_rad(col as f32);
+                let north = row_elevation_rad(row as f32).cos() * bearing_rad.cos();
+                let wall_m = (wall_north_m - self.position_ned_m.x) / north;
+                if (0.1..60.0).contains(&wall_m) {
+                    *pixel = pixel.min(wall_m / DEPTH_FULL_SCALE_M);
+                }
             }
         }
         frame.seal();

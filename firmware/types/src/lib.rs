@@ -7,16 +7,21 @@
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
 mod action;
+mod choice;
 mod depth;
 mod frame_key;
 mod guidance;
 mod handover;
 mod judgement;
+pub mod parameters;
 mod step;
 mod telemetry;
 mod vector;
 
 pub use action::{ACTION_LIMIT, Action, Goal, GoalRelative, VelocitySetpoint, YAW_RATE_PER_UNIT_RAD_S};
+pub use choice::{
+    AlarmPolicy, AtGoal, AutopilotChoice, Choice, EngagePolicy, ObstacleReports, OnNoProgress, PilotKind,
+};
 pub use depth::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameHeader, HORIZONTAL_FOV_RAD,
     PIXEL_PITCH_RAD, VERTICAL_FOV_RAD, column_bearing_rad, row_elevation_rad,
@@ -25,6 +30,7 @@ pub use frame_key::{FRAME_TAG_BYTES, FrameKey, FrameKeys};
 pub use guidance::{GuidanceState, Reason, Reasons};
 pub use handover::{HandoverProgress, OperatorRequest, RequestOutcome, VehicleRequest};
 pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement, Verdict};
+pub use parameters::ParameterSpec;
 pub use step::{Datagrams, StepReport, StepTiming};
 pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};

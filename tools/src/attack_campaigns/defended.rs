@@ -19,8 +19,8 @@ use vigil_adversary::{Attack, AttackArgs};
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::config::AlarmChoice;
-use vigil_firmware::program::parse_switch;
+use vigil_firmware::arguments::parse_switch;
+use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
 use vigil_world::Outcome;
 
@@ -123,11 +123,11 @@ impl Arm {
         !matches!(self, Self::None | Self::NoneWatched)
     }
 
-    fn alarm(self) -> Option<AlarmChoice> {
+    fn alarm(self) -> Option<AlarmPolicy> {
         match self {
             Self::None | Self::Undefended => None,
-            Self::Stop => Some(AlarmChoice::Stop),
-            Self::NoneWatched | Self::Recover => Some(AlarmChoice::Recover),
+            Self::Stop => Some(AlarmPolicy::Stop),
+            Self::NoneWatched | Self::Recover => Some(AlarmPolicy::Recover),
         }
     }
 }
@@ -514,7 +514,7 @@ fn fly_missing(
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
     let (config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = Some(arm.alarm().is_some());
-    firmware.detector.guard = args.guard;
+    firmware.detector.guard = (!args.guard).then_some(false);
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
 }

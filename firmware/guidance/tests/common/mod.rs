@@ -22,7 +22,7 @@ pub struct Story {
     pub action: Option<Action>,
     pub recovery: Option<Action>,
     pub verdict: Option<Verdict>,
-    pub collision_course: bool,
+    pub collision_course: Option<bool>,
     pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
     pub slips: u64,
@@ -65,7 +65,7 @@ impl Story {
             }),
             recovery: None,
             verdict: None,
-            collision_course: false,
+            collision_course: Some(false),
             velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
             slips: 0,
@@ -104,10 +104,10 @@ impl Story {
     }
 
     pub fn telemetry(&self) -> VehicleTelemetry {
-        let at_ns = self.now_ns - self.telemetry_age_ns;
+        let at_ns = self.now_ns.saturating_sub(self.telemetry_age_ns);
         VehicleTelemetry {
             heartbeat: self.heartbeat_age_ns.map(|age_ns| Heartbeat {
-                at_ns: self.now_ns - age_ns,
+                at_ns: self.now_ns.saturating_sub(age_ns),
                 armed: self.armed,
                 mode: self.mode,
                 failsafe: self.failsafe,

@@ -199,7 +199,7 @@ impl Flight {
             action,
             recovery: None,
             verdict: None,
-            collision_course: false,
+            collision_course: Some(false),
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),

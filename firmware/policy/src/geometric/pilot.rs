@@ -10,7 +10,7 @@ use crate::geometric::path_planner::{PathPlanner, Search};
 use crate::{NearestObstacle, Pilot, PilotInput, RangeScan, Scan, apf};
 use core::f32::consts::PI;
 use vigil_types::{
-    ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, NedVector, YAW_RATE_PER_UNIT_RAD_S, wrap_pi,
+    ACTION_LIMIT, Action, GoalRelative, HeadingVector, Nanos, NedVector, YAW_RATE_PER_UNIT_RAD_S, parameters, wrap_pi,
 };
 
 /// What can be set of the geometric pilot.
@@ -25,8 +25,8 @@ pub struct GeometricConfig {
 impl Default for GeometricConfig {
     fn default() -> Self {
         Self {
-            cruise_m_s: ACTION_LIMIT,
-            repulsive_range_m: apf::REPULSIVE_RANGE_M,
+            cruise_m_s: parameters::CRUISE.number_f32(),
+            repulsive_range_m: parameters::REPULSIVE_RANGE.number_f32(),
         }
     }
 }
