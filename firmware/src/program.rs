@@ -173,12 +173,12 @@ impl FirmwareArgs {
     }
 }
 
-/// An error and its causes in one line, each thing told once: a message that ends with its cause holds it already, and so does a
+/// An error and its causes in one line, each thing told once: a message that holds its cause tells it already, and so does a
 /// cause that begins with what names it.
 pub fn told(error: &anyhow::Error) -> String {
     let mut text = String::new();
     for cause in error.chain().map(ToString::to_string) {
-        if text.ends_with(&cause) {
+        if text.contains(&cause) {
             continue;
         }
         // A name that the cause begins with is in it already.

@@ -162,6 +162,17 @@ fn a_silent_firmware_is_noticed_by_the_vehicle_within_half_a_second() {
 }
 
 #[test]
+fn a_flight_leaves_the_vehicle_s_patience_with_scripts_as_it_was() {
+    let mut pair = Pair::new(Family::Training, 11);
+    pair.fly_guided(100);
+    let changed = pair.simulator.saved().parameters;
+    assert!(
+        changed.is_empty(),
+        "COM_OF_LOSS_T holds for whoever comes next: {changed:?}"
+    );
+}
+
+#[test]
 fn a_blind_firmware_stops_asking_for_motion_in_the_step_that_finds_out() {
     let mut pair = Pair::new(Family::Training, 12);
     pair.fly_guided(40);

@@ -1,5 +1,6 @@
 //! What the end-to-end tests share: the `vigil` program as child processes that never outlive their test.
 
+pub mod ground;
 mod pair;
 
 pub use pair::Pair;
@@ -60,11 +61,16 @@ pub struct Running {
 impl Running {
     /// Starts `vigil` with `arguments`; its standard output is read line by line.
     pub fn start(arguments: &[&str]) -> Self {
+        Self::start_saying(arguments, Stdio::inherit())
+    }
+
+    /// The same with its diagnostics elsewhere.
+    pub fn start_saying(arguments: &[&str], diagnostics: Stdio) -> Self {
         let mut child = Command::new(vigil())
             .args(arguments)
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
-            .stderr(Stdio::inherit())
+            .stderr(diagnostics)
             .spawn()
             .expect("vigil starts");
         let pipe = child.stdout.take().expect("standard output is piped");
@@ -102,6 +108,31 @@ impl Running {
     /// Waits for a status line of a simulator that `wanted` accepts.
     pub fn wait_for_status(&self, what: &str, mut wanted: impl FnMut(&Status) -> bool) -> Status {
         self.wait_for(what, |line| serde_json::from_str(line).ok().filter(|s| wanted(s)))
+    }
+
+    /// The next line, or `None` when none comes in time or the program closed its output.
+    pub fn line(&self, patience: Duration) -> Option<String> {
+        self.lines.recv_timeout(patience).ok()
+    }
+
+    /// The next status line of a simulator; `None` as in [`Self::line`].
+    pub fn status(&self, patience: Duration) -> Option<Status> {
+        serde_json::from_str(&self.line(patience)?).ok()
+    }
+
+    /// The lines up to the end of its output.
+    pub fn rest(&self) -> Vec<String> {
+        std::iter::from_fn(|| self.line(PATIENCE)).collect()
+    }
+
+    /// The process's number.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it has not ended.
+    pub fn is_running(&mut self) -> bool {
+        matches!(self.child.try_wait(), Ok(None))
     }
 
     /// SIGKILL: the program gets no chance to say good-bye.

@@ -3,8 +3,10 @@
 //!
 //! An ArduPilot's Copter flies on for `GUID_TIMEOUT`, 3 s unless somebody changed it
 //! (<https://ardupilot.org/copter/docs/parameters.html#guid-timeout>); a PX4 leaves OFFBOARD after `COM_OF_LOSS_T`, 1 s
-//! (<https://docs.px4.io/main/en/advanced_config/parameter_reference#COM_OF_LOSS_T>). Nothing waits for this: a vehicle that
-//! does not answer is flown all the same, and people are told.
+//! (<https://docs.px4.io/main/en/advanced_config/parameter_reference#COM_OF_LOSS_T>). Either holds for whoever sends setpoints
+//! after us too. So a vehicle that has a limit for the guidance computer alone, `VGL_OF_LOSS_T` as the simulated one, is
+//! asked for that first, and the other is then left alone. Nothing waits for this: a vehicle that does not answer is flown
+//! all the same, and people are told.
 
 use crate::autopilot::Flavour;
 use crate::framing::{Packet, Zeroed};
@@ -16,6 +18,8 @@ use vigil_types::Nanos;
 
 /// Questions before a vehicle counts as not answering, and attempts to set the value.
 const ATTEMPTS: u8 = 4;
+/// Questions for a parameter that few vehicles have.
+const OWN_ATTEMPTS: u8 = 2;
 /// Pause between two of them.
 const RETRY_NS: Nanos = 500_000_000;
 /// A value counts as set when it is as near as this: what an autopilot may round.
@@ -60,6 +64,8 @@ enum Stage {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct SetpointTimeout {
     flavour: Flavour,
+    /// The vehicle may have the parameter of the guidance computer alone.
+    own: bool,
     /// The longest wanted, seconds; `None` leaves the parameter alone.
     longest_s: Option<f32>,
     stage: Stage,
@@ -73,6 +79,7 @@ impl SetpointTimeout {
     pub fn new(longest_s: Option<f32>) -> Self {
         Self {
             flavour: Flavour::default(),
+            own: true,
             longest_s,
             stage: Stage::Idle,
             attempts: 0,
@@ -84,9 +91,20 @@ impl SetpointTimeout {
     /// The parameter's name.
     pub fn name(&self) -> &'static str {
         match self.flavour {
+            Flavour::Px4 if self.own => "VGL_OF_LOSS_T",
             Flavour::Px4 => "COM_OF_LOSS_T",
             Flavour::ArduPilot => "GUID_TIMEOUT",
         }
+    }
+
+    /// Whether there is another parameter to ask for; then that one is meant from now on.
+    fn takes_the_other(&mut self) -> bool {
+        let has_other = self.flavour == Flavour::Px4 && self.own;
+        if has_other {
+            self.own = false;
+            self.attempts = 0;
+        }
+        has_other
     }
 
     fn is_named(&self, id: &[u8; 16]) -> bool {
@@ -118,7 +136,11 @@ impl SetpointTimeout {
                 }
             }
             PARAM_ERROR_DATA::ID if self.is_named(&payload.bytes(4)) => match self.stage {
-                Stage::Reading => self.stage = Stage::Found(Finding::NotTold),
+                Stage::Reading => {
+                    if !self.takes_the_other() {
+                        self.stage = Stage::Found(Finding::NotTold);
+                    }
+                }
                 Stage::Setting(value_s) => self.stage = Stage::Found(Finding::Stays(value_s, longest_s)),
                 Stage::Idle | Stage::Found(_) => {}
             },
@@ -135,6 +157,7 @@ impl SetpointTimeout {
         if taking && !core::mem::replace(&mut self.taking, taking) {
             self.stage = Stage::Reading;
             self.attempts = 0;
+            self.own = true;
         }
         self.taking = taking;
         let gives_up = match self.stage {
@@ -149,7 +172,10 @@ impl SetpointTimeout {
         if self.attempts > 0 && now_ns.saturating_sub(self.sent_ns) < RETRY_NS {
             return Next::Nothing;
         }
-        if self.attempts >= ATTEMPTS {
+        let own = self.flavour == Flavour::Px4 && self.own;
+        if own && self.stage == Stage::Reading && self.attempts >= OWN_ATTEMPTS {
+            self.takes_the_other();
+        } else if self.attempts >= ATTEMPTS {
             self.stage = Stage::Idle;
             return Next::Tell(gives_up);
         }

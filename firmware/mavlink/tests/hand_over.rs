@@ -410,6 +410,29 @@ fn a_short_setpoint_timeout_is_left_as_it_is() {
 }
 
 #[test]
+fn a_vehicle_with_a_timeout_for_the_guidance_computer_alone_keeps_the_one_for_everybody() {
+    for (own_s, told_of_it) in [
+        (0.4, "VGL_OF_LOSS_T is 0.4 s"),
+        (2.0, "VGL_OF_LOSS_T was 2 s, set to 0.5 s"),
+    ] {
+        let peer = Peer {
+            own_timeout_s: Some(own_s),
+            ..Peer::in_the_air(Px4)
+        };
+        let mut f = Flight::new(Px4, peer);
+        f.engage_and_fly();
+        f.run(60);
+        assert_eq!(told(&f, "VGL_OF_LOSS_T"), [told_of_it]);
+        assert_eq!(f.peer.own_timeout_s, Some(own_s.min(0.5)));
+        assert_eq!(
+            (f.peer.setpoint_timeout_s, f.peer.parameters_read),
+            (1.0, 0),
+            "not even asked for"
+        );
+    }
+}
+
+#[test]
 fn a_vehicle_that_does_not_tell_or_not_set_its_timeout_is_flown_and_people_are_told() {
     for flavour in [ArduPilot, Px4] {
         let silent = Peer {

@@ -2,7 +2,7 @@
 
 use super::{Common, write_json};
 use crate::campaign::{self, Flown, Tally};
-use crate::cli::output::{Progress, say};
+use crate::cli::output::{Interrupt, Progress, say};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -115,6 +115,8 @@ struct Report<'a> {
     actor_sha256: &'a str,
     first_seed: u64,
     wall_s: f64,
+    /// Ctrl-C came: rows are missing, and the last is of fewer flights.
+    interrupted: bool,
     rows: &'a [Row],
 }
 
@@ -150,6 +152,7 @@ struct Campaign<'a> {
     flights: u64,
     pool: rayon::ThreadPool,
     bar: Progress,
+    interrupt: Interrupt,
 }
 
 impl Campaign<'_> {
@@ -163,6 +166,7 @@ impl Campaign<'_> {
         let flown: Vec<(u64, Flown)> = self.pool.install(|| {
             (0..self.flights)
                 .into_par_iter()
+                .filter(|_| !self.interrupt.came())
                 .map(|i| {
                     let seed = self.seed.wrapping_add(i);
                     // Undefended; with a detector: `vigil attack defended`.
@@ -208,17 +212,26 @@ fn fly_all(
         flights,
         pool: common.pool()?,
         bar: Progress::new(flights.saturating_mul(settings.len() as u64), "flights")?,
+        interrupt: Interrupt::on_ctrl_c()?,
     };
     let begun = Instant::now();
     say!("{flights} validation courses from seed {seed}, the same for every row");
     Row::print_heading();
     let mut rows = Vec::new();
-    for (apf, setting) in settings {
+    for (apf, setting) in settings.iter().take_while(|_| !campaign.interrupt.came()) {
         let row = campaign.row(*apf, *setting)?;
         campaign.bar.suspend(|| row.print());
         rows.push(row);
     }
     campaign.bar.finish();
+    let interrupted = campaign.interrupt.came();
+    if interrupted {
+        let flown: usize = rows.iter().map(|row: &Row| row.tally.flights).sum();
+        say!(
+            "interrupted: {flown} of {} flights were flown",
+            flights * settings.len() as u64
+        );
+    }
     let wall_s = begun.elapsed().as_secs_f64();
     say!("{wall_s:.0} s");
     write_json(
@@ -228,10 +241,11 @@ fn fly_all(
             actor_sha256: &victim.sha256,
             first_seed: seed,
             wall_s,
+            interrupted,
             rows: &rows,
         },
     )?;
-    Ok(ExitCode::SUCCESS)
+    Ok(campaign.interrupt.exit_code())
 }
 
 /// Field on and off, times no attack, 5 and 50 steps.

@@ -1,7 +1,7 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
 use super::{Common, write_json};
-use crate::cli::output::{put, say};
+use crate::cli::output::{Interrupt, put, say};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -66,6 +66,8 @@ struct Report<'a> {
     iterations: u32,
     goal_distance_m: f32,
     wall_width_m: f32,
+    /// Ctrl-C came: cells are missing.
+    interrupted: bool,
     cells: &'a [Cell],
 }
 
@@ -83,13 +85,21 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
                 .flat_map(move |(gap, _)| BEARINGS_DEG.map(|b| (method, gap, b)))
         })
         .collect();
+    let interrupt = Interrupt::on_ctrl_c()?;
     let cells: Vec<Cell> = args.common.pool()?.install(|| {
         places
             .par_iter()
+            .filter(|_| !interrupt.came())
             .map(|(method, gap_m, bearing_deg)| cell(args, &victim.params, *method, *gap_m, *bearing_deg))
             .collect::<Result<_>>()
     })?;
-    for block in cells.chunks(GAPS.len() * BEARINGS_DEG.len()) {
+    let interrupted = cells.len() < places.len();
+    if interrupted {
+        say!("interrupted: {} of {} cells were tried", cells.len(), places.len());
+    }
+    // What is missing would stand in the wrong place.
+    let shown = if interrupted { &[] } else { &cells[..] };
+    for block in shown.chunks(GAPS.len() * BEARINGS_DEG.len()) {
         let method = block[0].method.name();
         say!(
             "yaw deflection, °/s: {method}, ε = {}/255, {} iterations",
@@ -118,10 +128,11 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
             iterations: args.iterations,
             goal_distance_m: args.goal_distance,
             wall_width_m: WALL_WIDTH_M,
+            interrupted,
             cells: &cells,
         },
     )?;
-    Ok(ExitCode::SUCCESS)
+    Ok(interrupt.exit_code())
 }
 
 fn cell(args: &DeflectionArgs, params: &[f32], method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {

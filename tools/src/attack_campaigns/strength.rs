@@ -2,7 +2,7 @@
 
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, write_json};
-use crate::cli::output::{self, Progress, put, range_grey, say};
+use crate::cli::output::{self, Interrupt, Progress, put, range_grey, say};
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use rayon::prelude::*;
@@ -54,6 +54,8 @@ struct Report<'a> {
     first_seed: u64,
     states: usize,
     wall_s: f64,
+    /// Ctrl-C came: it is of fewer states.
+    interrupted: bool,
     cells: &'a [Cell],
 }
 
@@ -65,11 +67,13 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
     let flights = args.states.div_ceil(STATES_PER_FLIGHT as u64);
+    let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(args.states, "states")?;
     let begun = Instant::now();
     let mut attacked: Vec<Vec<f32>> = args.common.pool()?.install(|| {
         (0..flights)
             .into_par_iter()
+            .filter(|_| !interrupt.came())
             .map(|i| {
                 let mut rows = Vec::new();
                 for state in met_in_flight(&victim.params, args.seed.wrapping_add(i))? {
@@ -84,6 +88,16 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     attacked.truncate(args.states as usize);
     bar.finish();
     let wall_s = begun.elapsed().as_secs_f64();
+    if interrupt.came() {
+        say!(
+            "interrupted: {} of {} states were attacked",
+            attacked.len(),
+            args.states
+        );
+    }
+    if attacked.is_empty() {
+        return Ok(interrupt.exit_code());
+    }
 
     let cells: Vec<Cell> = settings()
         .enumerate()
@@ -118,10 +132,11 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
             first_seed: args.seed,
             states: attacked.len(),
             wall_s,
+            interrupted: interrupt.came(),
             cells: &cells,
         },
     )?;
-    Ok(ExitCode::SUCCESS)
+    Ok(interrupt.exit_code())
 }
 
 /// Method, ε, iterations of every cell, in the order of the report.

@@ -189,11 +189,18 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         .num_threads(args.threads.map_or(0, usize::from))
         .build()
         .context("cannot start threads")?;
-    if let DetectorCommand::Collect { windows } = &args.command {
-        return pool.install(|| stage.collect(*windows as usize));
+    // What can be interrupted tells by its exit code whether it was.
+    match &args.command {
+        DetectorCommand::Collect { windows } => return pool.install(|| stage.collect(*windows as usize)),
+        DetectorCommand::Images {
+            states,
+            judged,
+            backgrounds,
+        } => return pool.install(|| stage.images(*states as usize, *judged as usize, *backgrounds as usize)),
+        _ => {}
     }
     pool.install(|| match &args.command {
-        DetectorCommand::Collect { .. } => Ok(()),
+        DetectorCommand::Collect { .. } | DetectorCommand::Images { .. } => Ok(()),
         DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
         DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
         DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
@@ -218,11 +225,6 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
             )
         }
         DetectorCommand::Times { seed, pictures } => stage.times(*seed, *pictures as usize),
-        DetectorCommand::Images {
-            states,
-            judged,
-            backgrounds,
-        } => stage.images(*states as usize, *judged as usize, *backgrounds as usize),
         DetectorCommand::Table { epochs, seed, detector } => stage.table(*epochs, *seed, detector.as_deref()),
     })?;
     Ok(ExitCode::SUCCESS)
@@ -456,7 +458,8 @@ impl Stage<'_> {
         Ok(())
     }
 
-    fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<()> {
+    fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<ExitCode> {
+        let interrupt = Interrupt::on_ctrl_c()?;
         for (name, family, seed, count) in [
             (
                 "images-learn.safetensors",
@@ -485,18 +488,41 @@ impl Stage<'_> {
             }
             let bar = Progress::new(count as u64, "states of each class")?;
             let (place, size) = ((family, seed), (count, backgrounds));
-            let states = crate::detector_training::gather_states(self.isa, &self.actor, place, size, &mut |count| {
+            let part = self.path(&format!("{name}.part"));
+            let begun = match part.exists() {
+                true => Some(States::load(&part, &self.actor)?),
+                false => None,
+            };
+            let mut progress = |count| {
                 bar.set_position(count as u64);
-            })?;
+                match interrupt.came() {
+                    true => ControlFlow::Break(()),
+                    false => ControlFlow::Continue(()),
+                }
+            };
+            let (states, complete) =
+                crate::detector_training::gather_states(self.isa, &self.actor, place, size, begun, &mut progress)?;
             bar.finish();
+            if !complete {
+                states.save(&part)?;
+                say!(
+                    "interrupted: {} states are kept in {}; the same command goes on with them",
+                    states.states.len(),
+                    part.display()
+                );
+                return Ok(ExitCode::from(EXIT_INTERRUPTED));
+            }
             states.save(&path)?;
+            // What they held is in the files just written.
+            let _ = std::fs::remove_file(&part);
+            let _ = std::fs::remove_file(part.with_extension("flights"));
             say!(
                 "{name:<26} {} states of {} flights from seed {seed}",
                 states.states.len(),
                 states.flights.records.len()
             );
         }
-        Ok(())
+        Ok(ExitCode::SUCCESS)
     }
 
     fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {

@@ -3,13 +3,14 @@
 use crate::detector_training::data::Flights;
 use crate::detector_training::error::{DetectError, access};
 use crate::detector_training::features::YAW;
-use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Step, fly};
+use crate::detector_training::recorded_flight::{Frame, Onlooker, Step, fly};
 use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use std::collections::{HashMap, VecDeque};
+use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Towards};
 use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
@@ -195,7 +196,8 @@ fn scenario(family: Family, seed: u64) -> Scenario {
     }
 }
 
-/// Flies and explains until there are `count` states of each class.
+/// Flies and explains until there are `count` states of each class, or `progress` breaks it off after a flight; goes on with what was
+/// `begun` by an earlier call with the same arguments. Also tells whether it is complete: what is not is to be begun with.
 ///
 /// # Errors
 /// Parameters of another architecture.
@@ -204,15 +206,17 @@ pub fn gather_states(
     actor: &FrozenActor,
     (family, first_seed): (Family, u64),
     (count, backgrounds): (usize, usize),
-    progress: &mut dyn FnMut(usize),
-) -> Result<States, DetectError> {
+    begun: Option<States>,
+    progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
+) -> Result<(States, bool), DetectError> {
     let mut shap = explainer(isa, &actor.params, backgrounds)?;
-    let mut records: Vec<Record> = Vec::new();
-    let mut states: Vec<State> = Vec::new();
+    let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.flights.records, begun.states));
     let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
     let fewer = |states: &[State]| of_class(states, true).min(of_class(states, false));
-    let mut seed = first_seed;
-    while fewer(&states) < count {
+    // A flight for each seed.
+    let mut seed = first_seed + records.len() as u64;
+    let mut flow = ControlFlow::Continue(());
+    while fewer(&states) < count && flow.is_continue() {
         let mut onlooker = Explaining {
             phi: vec![0.0; shap.phi_len()],
             shap: &mut shap,
@@ -226,21 +230,22 @@ pub fn gather_states(
         };
         records.push(fly(isa, &actor.params, &scenario(family, seed), &mut onlooker)?);
         seed += 1;
-        progress(fewer(&states).min(count));
+        flow = progress(fewer(&states).min(count));
     }
-    let mut left = [count; 2];
-    states.retain(|s| {
-        let left = &mut left[usize::from(s.attacked)];
-        *left = left.wrapping_sub(1);
-        *left < count
-    });
-    Ok(States {
-        flights: Flights {
-            actor_sha256: actor.sha256(),
-            records,
-        },
-        states,
-    })
+    let complete = fewer(&states) >= count;
+    if complete {
+        let mut left = [count; 2];
+        states.retain(|s| {
+            let left = &mut left[usize::from(s.attacked)];
+            *left = left.wrapping_sub(1);
+            *left < count
+        });
+    }
+    let flights = Flights {
+        actor_sha256: actor.sha256(),
+        records,
+    };
+    Ok((States { flights, states }, complete))
 }
 
 /// Value of the metadata entry `format`.

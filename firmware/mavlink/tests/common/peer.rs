@@ -57,6 +57,8 @@ pub struct Peer {
     pub height_m: f32,
     /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
     pub setpoint_timeout_s: f32,
+    /// VGL_OF_LOSS_T, seconds, of a vehicle that has it.
+    pub own_timeout_s: Option<f32>,
     /// It tells that parameter, and lets it be set.
     pub tells_parameters: bool,
     pub sets_parameters: bool,
@@ -108,6 +110,7 @@ impl Peer {
                 Flavour::Px4 => 1.0,
                 Flavour::ArduPilot => 3.0,
             },
+            own_timeout_s: None,
             tells_parameters: true,
             sets_parameters: true,
             parameters_read: 0,
@@ -338,6 +341,16 @@ impl Peer {
                     }
                     self.setpoints.push((now_ns, [s.vx, s.vy, s.vz, s.yaw_rate]));
                 }
+                MavMessage::PARAM_REQUEST_READ(p) if p.param_id.to_str() == Ok(OWN_TIMEOUT) => {
+                    // An autopilot that has no such parameter says nothing.
+                    self.replies
+                        .extend(self.own_timeout_s.map(|s| value_of(OWN_TIMEOUT, s)));
+                }
+                MavMessage::PARAM_SET(p) if p.param_id.to_str() == Ok(OWN_TIMEOUT) => {
+                    self.own_timeout_s = self.own_timeout_s.map(|_| p.param_value);
+                    self.replies
+                        .extend(self.own_timeout_s.map(|s| value_of(OWN_TIMEOUT, s)));
+                }
                 MavMessage::PARAM_REQUEST_READ(p) if p.target_system == self.system && p.target_component == 1 => {
                     assert_eq!((p.param_index, p.param_id.to_str()), (-1, Ok(self.timeout_name())));
                     self.parameters_read += 1;
@@ -399,13 +412,7 @@ impl Peer {
     }
 
     fn timeout_value(&self) -> MavMessage {
-        MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
-            param_value: self.setpoint_timeout_s,
-            param_count: 900,
-            param_index: u16::MAX,
-            param_id: self.timeout_name().into(),
-            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
-        })
+        value_of(self.timeout_name(), self.setpoint_timeout_s)
     }
 
     fn obey(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) -> MavResult {
@@ -492,4 +499,17 @@ impl Peer {
 pub fn longest_gap_ns(setpoints: &[(Nanos, [f32; 4])], from_ns: Nanos) -> Nanos {
     let at: Vec<Nanos> = setpoints.iter().map(|s| s.0).filter(|at| *at >= from_ns).collect();
     at.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(STEP_NS)
+}
+
+/// The limit for the guidance computer alone.
+const OWN_TIMEOUT: &str = "VGL_OF_LOSS_T";
+
+fn value_of(name: &str, value: f32) -> MavMessage {
+    MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+        param_value: value,
+        param_count: 900,
+        param_index: u16::MAX,
+        param_id: name.into(),
+        param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+    })
 }

@@ -9,7 +9,7 @@ mod motion;
 mod picture;
 
 use self::motion::{MOST_COST, Map, Pose, cost, look, samples};
-use self::picture::{COLS, Directions, Picture, ROWS, Seen};
+use self::picture::{COLS, Directions, Oddities, Picture, ROWS, Seen};
 use vigil_types::{Attitude, DepthFrame, FrdVector, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
 
 /// The ground must be seen where its range is below this, metres; and it is at the height of home.
@@ -21,9 +21,10 @@ const HIGH_M: f32 = 0.4 * GROUND_M;
 /// Columns of cells that are judged together: 7.5°.
 const STRIP: usize = 4;
 const STRIPS: usize = COLS / STRIP;
-/// Strips without a ground that make a sensor blind, and cells of zeros that do.
+/// Strips without a ground that make a sensor blind, and cells of zeros and of ranges of anywhere that do.
 const BLIND_STRIPS: usize = 2;
 const BLIND_ZEROS: usize = ROWS * COLS / 50;
+const BLIND_WILD: usize = ROWS * COLS / 4;
 /// Cells of a strip that must show the ground before its absence says anything.
 const LEAST_GROUND: u16 = 8;
 /// Frames in a row that make a sensor blind, and that make it see again.
@@ -247,7 +248,7 @@ impl PlausibilityJudge {
     pub fn judge(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
         self.step = self.step.wrapping_add(1);
         core::mem::swap(&mut self.picture, &mut self.before);
-        let zeros = self.picture.take(frame);
+        let odd = self.picture.take(frame);
         let armed = telemetry.heartbeat.is_some_and(|h| h.armed);
         let known = if telemetry.is_finite() {
             telemetry.kinematics.zip(telemetry.attitude)
@@ -256,7 +257,7 @@ impl PlausibilityJudge {
         };
         let height_m = known.map(|(kinematics, _)| -kinematics.position_ned_m.z);
 
-        self.note_blindness(zeros, frame.header.attitude, height_m);
+        self.note_blindness(odd, frame.header.attitude, height_m);
         let pose = Pose {
             position_ned_m: frame.header.position_ned_m,
             attitude: frame.header.attitude,
@@ -307,8 +308,8 @@ impl PlausibilityJudge {
         self.fits = 0;
     }
 
-    /// Zeros, no return at all, or strips of the view without the ground.
-    fn note_blindness(&mut self, zeros: usize, attitude: Attitude, height_m: Option<f32>) {
+    /// Zeros, ranges of anywhere, no return at all, or strips of the view without the ground.
+    fn note_blindness(&mut self, odd: Oddities, attitude: Attitude, height_m: Option<f32>) {
         let down = |x, y, z| attitude.to_ned(FrdVector::new(x, y, z)).z;
         let (dx, dy, dz) = (down(1.0, 0.0, 0.0), down(0.0, 1.0, 0.0), down(0.0, 0.0, 1.0));
         let low = height_m.is_none_or(|height_m| height_m < HIGH_M);
@@ -336,7 +337,7 @@ impl PlausibilityJudge {
         let dead = strips
             .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
             .count();
-        let blind = zeros >= BLIND_ZEROS || (low && !returns) || dead >= BLIND_STRIPS;
+        let blind = odd.zeros >= BLIND_ZEROS || odd.wild >= BLIND_WILD || (low && !returns) || dead >= BLIND_STRIPS;
         count(&mut self.blind_frames, blind);
         count(&mut self.seeing_frames, !blind);
         self.blind = if self.blind {

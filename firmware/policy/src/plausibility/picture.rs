@@ -21,6 +21,9 @@ const PITCH_RAD: f32 = SIDE as f32 * PIXEL_PITCH_RAD;
 /// a grazing angle makes, and metres, which noise makes.
 const SMOOTH_PART: f32 = 0.2;
 const SMOOTH_M: f32 = 0.16;
+/// Ranges of a cell that lie farther apart, with a return in each pixel, are of an edge, or of no picture at all. What an adversary
+/// adds, within 20 / 255 of the image's range, is less.
+const WILD_M: f32 = 40.0;
 /// What lies between four cells is interpolated if the farthest of them is no more than this times as far as the nearest.
 const BETWEEN_RATIO: f32 = 1.3;
 
@@ -92,6 +95,15 @@ fn arc_tangent(t: f32) -> f32 {
     }
 }
 
+/// Cells of a frame that no sensor shows in number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Oddities {
+    /// Nothing but zeros, which are no ranges.
+    pub zeros: usize,
+    /// Ranges of anywhere.
+    pub wild: usize,
+}
+
 /// A reduced frame.
 #[derive(Debug, Clone)]
 pub(super) struct Picture {
@@ -102,9 +114,9 @@ pub(super) struct Picture {
 impl Picture {
     pub(super) const EMPTY: Self = Self { inverse: [-1.0; CELLS] };
 
-    /// Takes a frame; gives the number of cells that hold nothing but zeros, which are no ranges.
-    pub(super) fn take(&mut self, frame: &DepthFrame) -> usize {
-        let mut zeros = 0;
+    /// Takes a frame; counts what is odd.
+    pub(super) fn take(&mut self, frame: &DepthFrame) -> Oddities {
+        let mut odd = Oddities::default();
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
         for (band, cells) in bands.iter().zip(self.inverse.as_chunks_mut::<COLS>().0) {
             let (mut sum, mut low, mut high) = ([0.0_f32; DEPTH_COLS], [1.0_f32; DEPTH_COLS], [0.0_f32; DEPTH_COLS]);
@@ -122,7 +134,8 @@ impl Picture {
                 let low = low.iter().fold(1.0, |a, b| smaller(a, *b));
                 let high = high.iter().fold(0.0, |a, b| larger(a, *b));
                 let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
-                zeros += usize::from(high <= 0.0);
+                odd.zeros += usize::from(high <= 0.0);
+                odd.wild += usize::from(high < 1.0 && spread_m > WILD_M);
                 *cell = if low >= 1.0 {
                     0.0
                 } else if low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M {
@@ -132,7 +145,7 @@ impl Picture {
                 };
             }
         }
-        zeros
+        odd
     }
 
     /// Reciprocal ranges row by row, as they are kept: 0 without a return, negative if mixed.
@@ -229,11 +242,11 @@ mod tests {
             frame.depth[row * DEPTH_COLS + 16..][..SIDE].fill(0.0);
         }
         let mut picture = Picture::EMPTY;
-        assert_eq!(
-            picture.take(&frame),
-            1,
-            "a single zero is noise, a cell of them is none"
-        );
+        // An edge before something far away.
+        frame.depth[24] = 0.6;
+        let odd = picture.take(&frame);
+        assert_eq!(odd.zeros, 1, "a single zero is noise, a cell of them is none");
+        assert_eq!(odd.wild, 1, "and a hole is not far away");
         assert_eq!(picture.at(0), Seen::Mixed, "a zero");
         assert_eq!(picture.at(2), Seen::Mixed, "a hole");
         assert_eq!(picture.at(31), Seen::Mixed, "an edge");
@@ -242,7 +255,7 @@ mod tests {
         }
         assert!(matches!(picture.between(3.4, 10.7), Seen::Surface(m) if (m - 3.0).abs() < 1e-4));
         assert_eq!(picture.between(3.4, 30.5), Seen::Mixed);
-        assert_eq!(picture.take(&DepthFrame::EMPTY), 0);
+        assert_eq!(picture.take(&DepthFrame::EMPTY), Oddities::default());
         assert_eq!(picture.between(3.4, 30.5), Seen::Nothing);
     }
 }

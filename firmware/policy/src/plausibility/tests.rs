@@ -197,6 +197,13 @@ fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_th
     found("left half dead", Reason::BlindSensor, 2, half(0..128, 1.0));
     found("right half dead", Reason::BlindSensor, 2, half(128..256, 1.0));
     found("columns of zeros", Reason::BlindSensor, 2, half(100..108, 0.0));
+    let mut state = 1_u32;
+    found("ranges of anywhere", Reason::BlindSensor, 2, move |f| {
+        for depth in &mut f.depth {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            *depth = (state >> 8) as f32 / (1 << 24) as f32;
+        }
+    });
     found("lower half dead", Reason::BlindSensor, 2, |f| {
         f.depth[DEPTH_PIXELS / 2..].fill(1.0)
     });

@@ -36,6 +36,36 @@ fn telemetry_streams_unasked_at_the_rates_of_each_link() {
 }
 
 #[test]
+fn system_time_is_the_clock_it_was_given_once_a_second_on_every_link() {
+    const AT_ZERO_US: u64 = 1_800_000_000_000_000;
+    let mut b = Bench::with(EndpointConfig {
+        unix_time_at_zero_us: AT_ZERO_US,
+        ..EndpointConfig::default()
+    });
+    b.run_ms(1_500);
+    b.sent.clear();
+    b.run_ms(10_000);
+    for link in [ONBOARD, API, GCS] {
+        let times: Vec<_> = b
+            .messages(link)
+            .filter_map(|m| match m {
+                MavMessage::SYSTEM_TIME(time) => Some((time.time_unix_usec, time.time_boot_ms)),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(times.len(), 10, "{times:?}");
+        for pair in times.windows(2) {
+            assert_eq!(pair[1].0 - pair[0].0, 1_000_000, "both clocks run alike");
+            assert_eq!(pair[1].1 - pair[0].1, 1_000);
+        }
+        let (unix_us, boot_ms) = times[0];
+        assert!((2_000..=3_000).contains(&boot_ms), "{boot_ms} ms since boot");
+        // The first step of a test's vehicle is 1.001 s after the clock's zero.
+        assert_eq!(unix_us, AT_ZERO_US + 1_001_000 + u64::from(boot_ms) * 1000);
+    }
+}
+
+#[test]
 fn intervals_are_set_told_and_reset_per_link() {
     let mut b = Bench::new();
     let id = ATTITUDE_DATA::ID;

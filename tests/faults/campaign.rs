@@ -1,0 +1,312 @@
+//! What all parts of the campaign share: the table, the folder of results, random draws.
+
+use anyhow::{Context, Result};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Tells a person something at once; where nobody listens nothing can be told.
+pub fn tell(text: &str) {
+    let _ = writeln!(std::io::stderr(), "{}", text.trim_end());
+}
+
+/// Where results go.
+pub struct Folder(PathBuf);
+
+impl Folder {
+    /// The folder, made if it is not there.
+    ///
+    /// # Errors
+    /// It cannot be made.
+    pub fn make(path: &Path) -> Result<Self> {
+        std::fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
+        Ok(Self(path.to_owned()))
+    }
+
+    /// Writes a file whole; its path.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn write(&self, name: &str, content: &str) -> Result<PathBuf> {
+        let path = self.0.join(name);
+        vigil_files::replace(&path, content.as_bytes(), vigil_files::Access::Shared)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(path)
+    }
+
+    /// A file's path, written or not.
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+}
+
+/// How a trial ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ending {
+    /// The goal was reached.
+    Arrived,
+    /// The vehicle held to the end, and said why.
+    Held,
+    /// A program ended, or a command was refused, and said why.
+    Named,
+    /// The time was up.
+    TimeOut,
+    /// Something was touched, or the course left.
+    Collided,
+    /// A program of ours ended that should not have.
+    Crashed,
+}
+
+/// A trial's ending and, if there was one, what was not as it must be.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    /// How it ended.
+    pub ending: Ending,
+    /// What was wrong besides, in words.
+    pub wrong: Option<String>,
+}
+
+impl Trial {
+    /// A trial in which nothing was wrong.
+    pub fn right(ending: Ending) -> Self {
+        Self { ending, wrong: None }
+    }
+
+    /// A trial in which something was wrong.
+    pub fn wrong(ending: Ending, what: impl Into<String>) -> Self {
+        Self {
+            ending,
+            wrong: Some(what.into()),
+        }
+    }
+}
+
+/// A row of the table.
+#[derive(Debug, Serialize)]
+pub struct Row {
+    /// The fault.
+    pub fault: String,
+    /// How often it was tried.
+    pub trials: usize,
+    arrived: usize,
+    held: usize,
+    named: usize,
+    time_out: usize,
+    collided: usize,
+    crashed: usize,
+    /// Trials in which something was not as it must be, and the first of these.
+    wrong: usize,
+    first_wrong: Option<String>,
+    /// What was measured.
+    pub measured: String,
+}
+
+impl Row {
+    /// Counts.
+    pub fn of(fault: impl Into<String>, trials: &[Trial], measured: impl Into<String>) -> Self {
+        let count = |ending| trials.iter().filter(|trial| trial.ending == ending).count();
+        Self {
+            fault: fault.into(),
+            trials: trials.len(),
+            arrived: count(Ending::Arrived),
+            held: count(Ending::Held),
+            named: count(Ending::Named),
+            time_out: count(Ending::TimeOut),
+            collided: count(Ending::Collided),
+            crashed: count(Ending::Crashed),
+            wrong: trials.iter().filter(|trial| trial.wrong.is_some()).count(),
+            first_wrong: trials.iter().find_map(|trial| trial.wrong.clone()),
+            measured: measured.into(),
+        }
+    }
+
+    /// Whether the row shows nothing bad.
+    pub fn is_good(&self) -> bool {
+        self.collided + self.crashed + self.wrong == 0
+    }
+}
+
+/// The table so far; kept on the disk after each row.
+#[derive(Serialize)]
+pub struct Table {
+    seed: u64,
+    quick: bool,
+    rows: Vec<Row>,
+    interrupted: bool,
+}
+
+impl Table {
+    /// A table without rows.
+    pub fn new(seed: u64, quick: bool) -> Self {
+        Self {
+            seed,
+            quick,
+            rows: Vec::new(),
+            interrupted: false,
+        }
+    }
+
+    /// Adds rows, tells them and keeps them.
+    ///
+    /// # Errors
+    /// The folder cannot be written.
+    pub fn add(&mut self, rows: Vec<Row>, folder: &Folder) -> Result<()> {
+        for row in rows {
+            let wrong = row
+                .first_wrong
+                .as_ref()
+                .map_or(String::new(), |wrong| format!("; WRONG: {wrong}"));
+            tell(&format!(
+                "{:<46} {:>4} trials: {} arrived, {} held, {} ended by name, {} time-outs, {} collided, {} crashed, {} wrong{}{wrong}",
+                row.fault,
+                row.trials,
+                row.arrived,
+                row.held,
+                row.named,
+                row.time_out,
+                row.collided,
+                row.crashed,
+                row.wrong,
+                if row.measured.is_empty() {
+                    String::new()
+                } else {
+                    format!("; {}", row.measured)
+                }
+            ));
+            self.rows.push(row);
+        }
+        folder.write("faults.json", &serde_json::to_string_pretty(self)?)?;
+        folder.write("faults.md", &self.markdown())?;
+        Ok(())
+    }
+
+    /// Notes that Ctrl-C ended it.
+    pub fn interrupt(&mut self) {
+        self.interrupted = true;
+    }
+
+    /// Whether all rows are good.
+    pub fn is_good(&self) -> bool {
+        !self.interrupted && self.rows.iter().all(Row::is_good)
+    }
+
+    /// The table for a page.
+    pub fn markdown(&self) -> String {
+        let mut text = String::from(
+            "| Fault | Trials | Arrived | Held | Ended by name | Time-out | Collided | Crashed | Wrong | Measured |\n\
+             | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n",
+        );
+        for row in &self.rows {
+            let _ = writeln!(
+                text,
+                "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+                row.fault,
+                row.trials,
+                row.arrived,
+                row.held,
+                row.named,
+                row.time_out,
+                row.collided,
+                row.crashed,
+                row.wrong,
+                row.measured
+            );
+        }
+        text
+    }
+}
+
+/// Random draws whose stream never changes (xorshift64*).
+#[derive(Debug, Clone)]
+pub struct Draw(u64);
+
+impl Draw {
+    /// A stream of its own for each seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1)
+    }
+
+    /// 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        self.0.wrapping_mul(0x2545_F491_4F6C_DD1D)
+    }
+
+    /// From 0 to below `end`.
+    pub fn below(&mut self, end: usize) -> usize {
+        ((self.bits() >> 11) % end as u64) as usize
+    }
+
+    /// Within a range.
+    pub fn between(&mut self, from: f64, to: f64) -> f64 {
+        from + (self.bits() >> 11) as f64 / (1_u64 << 53) as f64 * (to - from)
+    }
+}
+
+/// Largest and median of what was measured, in words; nothing where nothing was.
+pub fn spread(what: &str, unit: &str, mut values: Vec<f64>) -> String {
+    values.sort_by(f64::total_cmp);
+    match (values.get(values.len() / 2), values.last()) {
+        (Some(median), Some(most)) => format!("{what} median {median:.2} {unit}, at most {most:.2} {unit}"),
+        _ => String::new(),
+    }
+}
+
+/// Runs trials `0..count` on as many threads as there are instances; each thread has an instance of its own. In order of the trials.
+pub fn side_by_side<T: Send>(
+    count: usize,
+    instances: &[u32],
+    trial: impl Fn(usize, u32) -> Option<T> + Sync,
+) -> Vec<T> {
+    let next = std::sync::atomic::AtomicUsize::new(0);
+    let done = std::sync::Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for instance in instances {
+            scope.spawn(|| {
+                loop {
+                    let number = next.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                    if number >= count {
+                        return;
+                    }
+                    let Some(result) = trial(number, *instance) else { return };
+                    // Nobody panics while holding it.
+                    if let Ok(mut done) = done.lock() {
+                        done.push((number, result));
+                    }
+                }
+            });
+        }
+    });
+    let mut done = done.into_inner().unwrap_or_default();
+    done.sort_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, result)| result).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_counts_each_ending_once_and_tells_the_first_wrong() {
+        let trials = [
+            Trial::right(Ending::Arrived),
+            Trial::wrong(Ending::Held, "late"),
+            Trial::wrong(Ending::Held, "later"),
+        ];
+        let row = Row::of("a fault", &trials, "");
+        assert_eq!((row.trials, row.arrived, row.held, row.wrong), (3, 1, 2, 2));
+        assert!(!row.is_good());
+        assert_eq!(row.first_wrong.as_deref(), Some("late"));
+        assert!(Row::of("another", &trials[..1], "").is_good());
+    }
+
+    #[test]
+    fn trials_side_by_side_are_each_flown_once_and_told_in_order() {
+        let flown = side_by_side(50, &[3, 4, 5], |number, instance| Some((number, instance)));
+        assert!(flown.iter().map(|(number, _)| *number).eq(0..50));
+        assert!(flown.iter().all(|(_, instance)| (3..6).contains(instance)));
+    }
+}

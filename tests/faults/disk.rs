@@ -1,0 +1,165 @@
+//! Disks without room: what flies flies on and says so, what only writes ends by name.
+
+use crate::campaign::{Ending, Folder, Row, Trial};
+use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
+use anyhow::Result;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// A file system of a few megabytes in memory; unmounted at its end.
+struct SmallDisk {
+    folder: tempfile::TempDir,
+}
+
+impl SmallDisk {
+    /// `None` where mounting is not permitted.
+    fn mount(size: &str) -> Option<Self> {
+        let folder = tempfile::tempdir().ok()?;
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs"])
+            .arg(folder.path())
+            .stderr(Stdio::null())
+            .status();
+        mounted.is_ok_and(|status| status.success()).then_some(Self { folder })
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn fill(&self) {
+        // Ends when nothing more fits, which is what it is for.
+        let _ = std::fs::write(self.path().join("filler"), vec![0_u8; 64 << 20]);
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg(self.path()).status();
+    }
+}
+
+/// The rows of full disks.
+///
+/// # Errors
+/// A folder that cannot be made.
+pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
+    let mut rows = vec![refusals()];
+    if !site.quick {
+        rows.push(no_state(site));
+        rows.push(flights(site)?);
+    }
+    Ok(rows)
+}
+
+/// A firmware that cannot keep its state must not begin: its counters against replayed packets would be lost.
+fn no_state(site: &Site<'_>) -> Row {
+    const NAME: &str = "no room for the state at the start";
+    let Some(disk) = SmallDisk::mount("64k") else {
+        return Row::of(NAME, &[], "left out: needs the right to mount");
+    };
+    disk.fill();
+    let output = Command::new(vigil_tests::vigil())
+        .args(["firmware", "--instance", &site.instances[0].to_string(), "--state"])
+        .arg(disk.path())
+        .stdin(Stdio::null())
+        .output();
+    let trial = match output {
+        Ok(output) if output.status.code() == Some(1) && vigil_tests::said(&output).contains("No space left") => {
+            Trial::right(Ending::Named)
+        }
+        Ok(output) => Trial::wrong(Ending::Crashed, vigil_tests::said(&output)),
+        Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
+    };
+    Row::of(NAME, &[trial], "refused by name")
+}
+
+/// Reports and files that cannot be written.
+fn refusals() -> Row {
+    let vigil = vigil_tests::vigil();
+    let shell = |command: &str| {
+        let command = format!("{} {command}", vigil.display());
+        Command::new("bash")
+            .args(["-c", &command])
+            .stdin(Stdio::null())
+            .output()
+    };
+    let commands = [
+        "evaluate --flights 1 --pilot geometric --json /dev/full",
+        "evaluate --flights 1 --pilot geometric --json /dev/null > /dev/full",
+        "courses write --seed 7 > /dev/full",
+        "courses draw --seed 7 -o /dev/full/course.png",
+        "detector images --seed 7 -o /dev/full/images",
+        "fly --instance 0 -o /dev/full/runs",
+        "attack deflection --states 1 -o /dev/full",
+    ];
+    let trials: Vec<Trial> = commands
+        .into_iter()
+        .map(|command| match shell(command) {
+            Ok(output) => {
+                let said = vigil_tests::said(&output);
+                match output.status.code() {
+                    Some(0) => Trial::wrong(Ending::Named, format!("`vigil {command}` is a success")),
+                    Some(101) | None => Trial::wrong(Ending::Crashed, format!("`vigil {command}`: {said}")),
+                    Some(_) if said.trim().is_empty() => {
+                        Trial::wrong(Ending::Named, format!("`vigil {command}` says nothing"))
+                    }
+                    Some(_) => Trial::right(Ending::Named),
+                }
+            }
+            Err(error) => Trial::wrong(Ending::Crashed, error.to_string()),
+        })
+        .collect();
+    Row::of("nothing can be written", &trials, "exit code and words of each command")
+}
+
+/// Flights whose log and state go to a disk that fills up.
+fn flights(site: &Site<'_>) -> Result<Row> {
+    const NAME: &str = "disk full in flight";
+    let text = |path: PathBuf| path.display().to_string();
+    let mut trials = Vec::new();
+    for number in 0..4 {
+        let (Some(logs), Some(state)) = (SmallDisk::mount("8m"), SmallDisk::mount("256k")) else {
+            return Ok(Row::of(NAME, &[], "left out: needs the right to mount"));
+        };
+        let extras = Extras {
+            firmware: [
+                "--log",
+                &text(logs.path().join(number.to_string())),
+                "--state",
+                &text(state.path().to_owned()),
+            ]
+            .map(str::to_owned)
+            .into(),
+            simulator: ["--state", &text(state.path().to_owned())].map(str::to_owned).into(),
+            ..Extras::default()
+        };
+        let work = tempfile::tempdir()?;
+        let mut flight = Flight::start(site.instances[0], site.seed + number, work.path(), extras)?;
+        let flown = flight.take_off(site.stop).and_then(|()| {
+            state.fill();
+            flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some())
+        });
+        let fallen = flight.fallen();
+        let arrived = flight.last().and_then(|s| s.outcome.as_deref()) == Some("success");
+        trials.push(match (flown, flight.end_firmware()) {
+            _ if !fallen.is_empty() => Trial::wrong(Ending::Crashed, format!("{} ended", fallen.join(", "))),
+            (Err(error), _) | (_, Err(error)) => Trial::wrong(Ending::TimeOut, format!("{error:#}")),
+            (Ok(_), Ok(said)) => {
+                let ending = if arrived { Ending::Arrived } else { Ending::TimeOut };
+                let named = said
+                    .iter()
+                    .any(|line| line.starts_with("log") && line.contains("space"));
+                match named {
+                    true => Trial::right(ending),
+                    false => Trial::wrong(ending, format!("the full disk is not named: {}", said.join(" | "))),
+                }
+            }
+        });
+    }
+    Ok(Row::of(
+        NAME,
+        &trials,
+        "room for 8 MB of log, none for state after take-off; the summary names the disk",
+    ))
+}

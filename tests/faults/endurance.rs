@@ -1,0 +1,471 @@
+//! Hours of flight, goal after goal on a ring of eight, in one process of the firmware: does it fly on, and does memory stay flat?
+//!
+//! An operator goes with it who does what a person would: the next goal when one is reached, another one when a goal is not
+//! reached in time, a landing and a new take-off where a sensor stays in doubt.
+
+use crate::campaign::{Folder, tell};
+use anyhow::{Context, Result, bail, ensure};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::net::UdpSocket;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::program::Status;
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_tests::Running;
+use vigil_tests::ground::{Request, STATION, packet};
+use vigil_types::{Datagrams, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_S};
+use vigil_world::{Course, World};
+
+/// The ring's course.
+pub const ORBIT: &str = include_str!("orbit.toml");
+/// The ring: north and east of home, metres.
+const GOALS: [[f32; 2]; 8] = [
+    [5.86, -14.14],
+    [20.0, -20.0],
+    [34.14, -14.14],
+    [40.0, 0.0],
+    [34.14, 14.14],
+    [20.0, 20.0],
+    [5.86, 14.14],
+    [0.0, 0.0],
+];
+const HEIGHT_M: f32 = 1.5;
+/// A battery for a day: what is tried is not how long a battery lasts.
+const CAPACITY_AH: f64 = 1000.0;
+/// A goal that is not reached in this time is given up.
+const LEG_LIMIT_S: f64 = 90.0;
+/// A doubt that lasts longer is answered by a landing.
+const DOUBT_LIMIT_S: f64 = 10.0;
+/// An operator says nothing twice within this time.
+const PATIENCE_S: f64 = 2.0;
+/// The vehicle's radius: nearer to an obstacle it has touched it.
+const RADIUS_M: f32 = 0.30;
+/// What is measured before this counts as the start: buffers have then been touched.
+const WARM_S: f64 = 60.0;
+
+/// Reasons of the sensor that do not end while the vehicle hovers.
+const DOUBTS: [Reason; 2] = [Reason::FrozenSensor, Reason::InconsistentPicture];
+
+/// The operator: what he saw, and what he did.
+#[derive(Debug, Default, Serialize)]
+pub struct Operator {
+    /// Goals reached.
+    pub goals: u64,
+    /// Goals given up.
+    pub given_up: u64,
+    /// Landings because a sensor stayed in doubt.
+    pub landings: u64,
+    /// Alarms that stopped the actor.
+    pub alarms: u64,
+    /// Holds by reason, the goal's and the operator's own left out.
+    pub holds: std::collections::BTreeMap<&'static str, u64>,
+    #[serde(skip)]
+    leg_since_s: f64,
+    #[serde(skip)]
+    doubt_since_s: Option<f64>,
+    #[serde(skip)]
+    said_s: f64,
+    #[serde(skip)]
+    held: Reasons,
+    #[serde(skip)]
+    alarmed: bool,
+}
+
+impl Operator {
+    /// The goal that is flown to.
+    pub fn goal(&self) -> [f32; 2] {
+        GOALS[((self.goals + self.given_up) % GOALS.len() as u64) as usize]
+    }
+
+    /// Looks, and says what he asks for.
+    pub fn look(&mut self, now_s: f64, state: GuidanceState, reasons: Reasons) -> Option<Request> {
+        let own = [Reason::GoalReached, Reason::Operator];
+        let held = reasons
+            .iter()
+            .filter(|reason| state == GuidanceState::Hold && !own.contains(reason));
+        let held = held.fold(Reasons::NONE, |all, reason| all.with_if(true, reason));
+        for reason in held.iter().filter(|reason| !self.held.contains(*reason)) {
+            *self.holds.entry(reason.name()).or_default() += 1;
+        }
+        self.held = held;
+        let alarmed = reasons.contains(Reason::Recovering);
+        self.alarms += u64::from(alarmed && !self.alarmed);
+        self.alarmed = alarmed;
+
+        let doubted = DOUBTS.iter().any(|doubt| held.contains(*doubt));
+        let doubt_since_s = *self.doubt_since_s.get_or_insert(now_s);
+        if !doubted {
+            self.doubt_since_s = None;
+        }
+        if now_s - self.said_s < PATIENCE_S {
+            return None;
+        }
+        let request = match state {
+            GuidanceState::Guided | GuidanceState::Hold if doubted && now_s - doubt_since_s > DOUBT_LIMIT_S => {
+                self.landings += 1;
+                Request::Land
+            }
+            GuidanceState::Guided | GuidanceState::Hold if reasons.contains(Reason::GoalReached) => {
+                self.goals += 1;
+                Request::Goal(self.goal())
+            }
+            GuidanceState::Guided | GuidanceState::Hold if now_s - self.leg_since_s > LEG_LIMIT_S => {
+                self.given_up += 1;
+                Request::Goal(self.goal())
+            }
+            GuidanceState::Ready => Request::Engage,
+            _ => return None,
+        };
+        self.said_s = now_s;
+        if matches!(request, Request::Goal(_) | Request::Engage) {
+            self.leg_since_s = now_s;
+        }
+        Some(request)
+    }
+}
+
+/// Resident memory of a process, KiB.
+///
+/// # Errors
+/// There is no such process.
+pub fn resident_kib(process: u32) -> Result<u64> {
+    let path = format!("/proc/{process}/status");
+    let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {path}"))?;
+    let line = text
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .context("no VmRSS")?;
+    Ok(line.trim().trim_end_matches(" kB").parse()?)
+}
+
+/// Memory of a process over the flight, KiB.
+#[derive(Debug, Serialize)]
+pub struct Memory {
+    /// Whose.
+    pub of: &'static str,
+    /// A minute after the start.
+    pub start_kib: u64,
+    /// At the end.
+    pub end_kib: u64,
+    /// The largest.
+    pub most_kib: u64,
+    /// Time, seconds, and size.
+    pub samples: Vec<(f64, u64)>,
+}
+
+impl Memory {
+    fn new(of: &'static str) -> Self {
+        Self {
+            of,
+            start_kib: 0,
+            end_kib: 0,
+            most_kib: 0,
+            samples: Vec::new(),
+        }
+    }
+
+    fn sample(&mut self, now_s: f64, process: u32) -> Result<()> {
+        let kib = resident_kib(process)?;
+        if now_s <= WARM_S || self.samples.is_empty() {
+            self.start_kib = kib;
+        }
+        self.end_kib = kib;
+        self.most_kib = self.most_kib.max(kib);
+        self.samples.push((now_s, kib));
+        Ok(())
+    }
+
+    /// Grown by no more than 1 MiB from the first minute on.
+    fn is_flat(&self) -> bool {
+        self.end_kib <= self.start_kib + 1024
+    }
+}
+
+/// What an endurance flight came to.
+#[derive(Debug, Serialize)]
+pub struct Record {
+    mode: &'static str,
+    asked_for_s: f64,
+    flown_s: f64,
+    wall_s: f64,
+    steps: u64,
+    operator: Operator,
+    /// Obstacles touched.
+    collisions: u64,
+    /// Digest of everything that happened; lockstep only.
+    state_hash: Option<String>,
+    /// What the firmware said at its end; real time only.
+    firmware_said: Vec<String>,
+    memory: Vec<Memory>,
+    interrupted: bool,
+}
+
+impl Record {
+    fn text(&self) -> String {
+        let mut text = format!(
+            "{:.2} h of flight ({}) in {:.2} h: {} steps, {} goals reached, {} given up, {} landings for a doubted sensor, \
+             {} alarms, {} collisions\n",
+            self.flown_s / 3600.0,
+            self.mode,
+            self.wall_s / 3600.0,
+            self.steps,
+            self.operator.goals,
+            self.operator.given_up,
+            self.operator.landings,
+            self.operator.alarms,
+            self.collisions
+        );
+        for (reason, count) in &self.operator.holds {
+            let _ = writeln!(text, "held      {reason} {count}");
+        }
+        for memory in &self.memory {
+            let _ = writeln!(
+                text,
+                "memory    {}: {} KiB after a minute, {} KiB at the end, most {} KiB{}",
+                memory.of,
+                memory.start_kib,
+                memory.end_kib,
+                memory.most_kib,
+                if memory.is_flat() { "" } else { ": it grew" }
+            );
+        }
+        for line in &self.firmware_said {
+            let _ = writeln!(text, "{line}");
+        }
+        if let Some(hash) = &self.state_hash {
+            let _ = writeln!(text, "hash      {hash}");
+        }
+        if self.interrupted {
+            text += "interrupted\n";
+        }
+        text
+    }
+
+    fn finish(&self, folder: &Folder) -> Result<bool> {
+        folder.write("endurance.json", &serde_json::to_string_pretty(self)?)?;
+        tell(&self.text());
+        Ok(self.collisions == 0 && self.memory.iter().all(Memory::is_flat) && !self.interrupted)
+    }
+}
+
+fn course() -> Result<Course> {
+    Ok(Course::from_toml_str(ORBIT, "orbit.toml")?)
+}
+
+/// Firmware and simulator in this process, as fast as it goes. `true`: nothing touched, memory flat.
+///
+/// # Errors
+/// A configuration that is refused, a folder that cannot be written.
+pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) -> Result<bool> {
+    let begun = Instant::now();
+    let mut config = SimConfig::new(course()?, seed);
+    config.start = Start::Ground;
+    config.vehicle.battery.capacity_ah = CAPACITY_AH;
+    let mut operator = Operator::default();
+    let first = operator.goal();
+    let firmware_config = FirmwareConfig::to_goal(NedVector::new(first[0], first[1], -HEIGHT_M));
+    let mut simulator = Simulator::new(&config, 0)?;
+    let mut firmware = LockstepFirmware::new(&firmware_config)?;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut memory = Memory::new("all of it");
+    let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
+    let steps = (duration_s / f64::from(STEP_S)).round() as u64;
+    let per_hour = (3600.0 / f64::from(STEP_S)) as u64;
+    let mut request = None;
+    let mut step = 0;
+    while step < steps && !stop.load(Ordering::Relaxed) {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        if let Some(request) = Option::<Request>::take(&mut request) {
+            sequence = sequence.wrapping_add(1);
+            to_firmware.push(0, &packet(STATION, sequence, &request.message(1)));
+        }
+        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        let now_s = step as f64 * f64::from(STEP_S);
+        request = operator.look(now_s, report.state, report.reasons);
+        let touches = simulator.obstacle_distance_m() < RADIUS_M;
+        collisions += u64::from(touches && !touching);
+        touching = touches;
+        step += 1;
+        if step.is_multiple_of(per_hour / 60) {
+            memory.sample(now_s, std::process::id())?;
+        }
+        if step.is_multiple_of(per_hour) {
+            tell(&format!(
+                "{:>3} h flown in {:.0} s: {} goals, hash {:016x}, {} KiB",
+                step / per_hour,
+                begun.elapsed().as_secs_f64(),
+                operator.goals,
+                simulator.state_hash(),
+                memory.end_kib
+            ));
+        }
+    }
+    let record = Record {
+        mode: "lockstep",
+        asked_for_s: duration_s,
+        flown_s: step as f64 * f64::from(STEP_S),
+        wall_s: begun.elapsed().as_secs_f64(),
+        steps: step,
+        operator,
+        collisions,
+        state_hash: Some(format!("{:016x}", simulator.state_hash())),
+        firmware_said: Vec::new(),
+        memory: vec![memory],
+        interrupted: step < steps,
+    };
+    record.finish(folder)
+}
+
+/// The programs in real time, with the privileges that they get. `true`: no step missed, nothing touched, memory flat.
+///
+/// # Errors
+/// A program that does not start or ends early.
+pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, stop: &AtomicBool) -> Result<bool> {
+    let begun = Instant::now();
+    let course_file = folder.write("orbit.toml", ORBIT)?;
+    let models_file = folder.write(
+        "simulation.toml",
+        &format!("[vehicle.battery]\ncapacity_ah = {CAPACITY_AH:?}\n"),
+    )?;
+    let text = |path: &Path| path.display().to_string();
+    let (number, seed_text) = (instance.to_string(), seed.to_string());
+    let simulator = Running::start(&[
+        "sim",
+        "--status",
+        "--instance",
+        &number,
+        "--seed",
+        &seed_text,
+        "--course",
+        &text(&course_file),
+        "--config",
+        &text(&models_file),
+    ]);
+    let mut operator = Operator::default();
+    let [north_m, east_m] = operator.goal();
+    let mut firmware = Running::start(&[
+        "firmware",
+        "--instance",
+        &number,
+        "--engage",
+        "auto",
+        &format!("--goal={north_m},{east_m}"),
+        "--height",
+        &HEIGHT_M.to_string(),
+    ]);
+    // The ground stations' port of the simulator's vehicle.
+    let station = UdpSocket::bind(("127.0.0.1", 0))?;
+    station.connect(("127.0.0.1", u16::try_from(18570 + instance)?))?;
+    let system = u8::try_from(instance + 1)?;
+    let world = World::new(&course()?);
+    let mut memory = [Memory::new("firmware"), Memory::new("simulator")];
+    let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
+    let (mut since_s, mut flown_s, mut sampled_s, mut told_s) = (None::<f64>, 0.0, f64::NEG_INFINITY, 0.0);
+    let mut missed = 0;
+    while flown_s < duration_s && !stop.load(Ordering::Relaxed) {
+        let Status {
+            time_s,
+            position_ned_m: [x, y, z],
+            guidance,
+            reasons,
+            slips,
+            ..
+        } = simulator.wait_for_status("the simulator's next status", |_| true);
+        ensure!(firmware.is_running(), "the firmware ended in flight");
+        missed = slips;
+        let named = |name: &String| Reason::ALL.into_iter().find(|reason| reason.name() == name);
+        let reasons = reasons
+            .iter()
+            .filter_map(named)
+            .fold(Reasons::NONE, |all, r| all.with_if(true, r));
+        let state = guidance.and_then(|name| GuidanceState::ALL.into_iter().find(|state| state.name() == name));
+        let Some(state) = state else {
+            if begun.elapsed() > Duration::from_secs(60) {
+                bail!("the firmware does not speak");
+            }
+            continue;
+        };
+        if state == GuidanceState::Guided {
+            since_s.get_or_insert(time_s);
+        }
+        flown_s = since_s.map_or(0.0, |since_s| time_s - since_s);
+        if let Some(request) = operator.look(time_s, state, reasons) {
+            sequence = sequence.wrapping_add(1);
+            station.send(&packet(STATION, sequence, &request.message(system)))?;
+        }
+        let touches = world.clearance_m(NedVector::new(x, y, z)) < RADIUS_M;
+        collisions += u64::from(touches && !touching);
+        touching = touches;
+        if time_s - sampled_s >= 20.0 {
+            sampled_s = time_s;
+            let [of_firmware, of_simulator] = &mut memory;
+            of_firmware.sample(flown_s, firmware.id())?;
+            of_simulator.sample(flown_s, simulator.id())?;
+        }
+        if flown_s - told_s >= 300.0 {
+            told_s = flown_s;
+            tell(&format!(
+                "{:>5.0} s flown: {} goals, {missed} steps missed, firmware {} KiB",
+                flown_s, operator.goals, memory[0].end_kib
+            ));
+        }
+    }
+    let interrupted = flown_s < duration_s;
+    firmware.signal(rustix::process::Signal::TERM);
+    let firmware_said = firmware.rest();
+    ensure!(firmware.wait() == Some(0), "the firmware did not end well");
+    let record = Record {
+        mode: "real time",
+        asked_for_s: duration_s,
+        flown_s,
+        wall_s: begun.elapsed().as_secs_f64(),
+        steps: (flown_s / f64::from(STEP_S)) as u64,
+        operator,
+        collisions,
+        state_hash: None,
+        firmware_said,
+        memory: memory.into(),
+        interrupted,
+    };
+    Ok(record.finish(folder)? && missed == 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_operator_gives_the_next_goal_once_and_lands_where_a_doubt_lasts() {
+        let mut operator = Operator::default();
+        let reached = Reasons::of(Reason::GoalReached);
+        assert_eq!(operator.look(5.0, GuidanceState::Guided, Reasons::NONE), None);
+        assert_eq!(
+            operator.look(20.0, GuidanceState::Hold, reached),
+            Some(Request::Goal(GOALS[1]))
+        );
+        assert_eq!(
+            operator.look(20.2, GuidanceState::Hold, reached),
+            None,
+            "it was just said"
+        );
+        let doubt = Reasons::of(Reason::InconsistentPicture);
+        assert_eq!(operator.look(30.0, GuidanceState::Hold, doubt), None);
+        assert_eq!(operator.look(39.0, GuidanceState::Hold, doubt), None);
+        assert_eq!(operator.look(40.5, GuidanceState::Hold, doubt), Some(Request::Land));
+        assert_eq!(
+            operator.look(50.0, GuidanceState::Ready, Reasons::NONE),
+            Some(Request::Engage)
+        );
+        assert_eq!(operator.look(100.0, GuidanceState::Guided, Reasons::NONE), None);
+        assert_eq!(
+            operator.look(141.0, GuidanceState::Guided, Reasons::NONE),
+            Some(Request::Goal(GOALS[2]))
+        );
+        assert_eq!((operator.goals, operator.given_up, operator.landings), (1, 1, 1));
+        assert_eq!(operator.holds["inconsistent picture"], 1);
+    }
+}

@@ -1,0 +1,401 @@
+//! Strangers who flood the firmware's link to its vehicle, and when each setpoint arrives at the vehicle's side.
+
+use crate::campaign::{Ending, Folder, Row, Trial};
+use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use std::io::{ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use vigil_io::clock::{monotonic_ns, sleep_until};
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{FramingCounters, StreamFramer, packets};
+use vigil_mavlink::mavlink::MessageData;
+use vigil_tests::ground::packet;
+use vigil_types::{Nanos, STEP_NS};
+
+/// Ends of strangers that send in turn.
+const STRANGERS: usize = 12;
+/// A burst of datagrams comes each millisecond.
+const BURST_NS: Nanos = 1_000_000;
+/// Setpoints come each step; one that comes half a step later than it ought to is late.
+const LATE_NS: Nanos = STEP_NS + STEP_NS / 2;
+/// Datagrams a second in the campaign.
+const RATE: u32 = 20_000;
+/// Strangers come this long before the vehicle.
+const BEFORE: Duration = Duration::from_secs(2);
+/// Port of the firmware's link at instance 0; far from the default ports.
+const PORT: u16 = 24_000;
+
+/// What strangers send.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Content {
+    /// One byte, the first of a packet.
+    OneByte,
+    /// Random bytes with a packet's first byte before them.
+    Garbage,
+    /// MAVLink of a ground station and of other components.
+    Station,
+    /// Heartbeats of other vehicles.
+    Vehicles,
+    /// All of it in turn.
+    Mixed,
+}
+
+impl Content {
+    const EACH: [Self; 5] = [Self::OneByte, Self::Garbage, Self::Station, Self::Vehicles, Self::Mixed];
+
+    fn datagrams(self) -> Vec<Vec<u8>> {
+        let heartbeat = |autopilot| {
+            MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+                autopilot,
+                mavlink_version: 3,
+                ..HEARTBEAT_DATA::DEFAULT
+            })
+        };
+        match self {
+            Self::OneByte => vec![vec![0xFD]],
+            Self::Garbage => {
+                let mut draw = crate::campaign::Draw::new(1);
+                let mut some = |len: usize| (0..len).map(|_| draw.bits() as u8).collect::<Vec<u8>>();
+                (0..64).map(|i| [vec![0xFD], some(20 + 4 * i)].concat()).collect()
+            }
+            Self::Station => {
+                let land = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+                    command: MavCmd::MAV_CMD_NAV_LAND,
+                    target_system: 1,
+                    target_component: 191,
+                    ..COMMAND_LONG_DATA::DEFAULT
+                });
+                vec![
+                    packet((255, 190), 0, &heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID)),
+                    packet((255, 190), 1, &land),
+                    packet((1, 50), 2, &MavMessage::STATUSTEXT(STATUSTEXT_DATA::DEFAULT)),
+                    packet((1, 1), 3, &MavMessage::STATUSTEXT(STATUSTEXT_DATA::DEFAULT)),
+                ]
+            }
+            // Above all instances' own.
+            Self::Vehicles => (110..200)
+                .map(|system| packet((system, 1), 0, &heartbeat(MavAutopilot::MAV_AUTOPILOT_PX4)))
+                .collect(),
+            Self::Mixed => Self::EACH[..4].iter().flat_map(|content| content.datagrams()).collect(),
+        }
+    }
+}
+
+/// A flood.
+pub struct Flood {
+    /// Over connections instead of datagrams.
+    pub tcp: bool,
+    /// The link.
+    pub address: SocketAddr,
+    /// What is sent.
+    pub content: Content,
+    /// Datagrams a second.
+    pub rate: u32,
+}
+
+impl Flood {
+    /// Floods for a time; how many were sent.
+    pub fn send_for(&self, seconds: f64, stop: &AtomicBool) -> u64 {
+        let begun = Instant::now();
+        let sent = AtomicU64::new(0);
+        self.send(
+            &|| begun.elapsed().as_secs_f64() >= seconds || stop.load(Ordering::Relaxed),
+            &sent,
+        );
+        sent.load(Ordering::Relaxed)
+    }
+
+    /// Floods until `done`; counts.
+    fn send(&self, done: &dyn Fn() -> bool, sent: &AtomicU64) {
+        let content = self.content.datagrams();
+        let sockets: Vec<UdpSocket> = (0..STRANGERS)
+            .filter_map(|_| UdpSocket::bind("127.0.0.1:0").ok())
+            .collect();
+        let mut calls: Vec<Option<TcpStream>> = (0..STRANGERS).map(|_| None).collect();
+        let mut due_ns = monotonic_ns();
+        let (mut owed, mut number) = (0.0, 0_usize);
+        while !done() {
+            due_ns += BURST_NS;
+            sleep_until(due_ns);
+            owed += f64::from(self.rate) * BURST_NS as f64 * 1e-9;
+            while owed >= 1.0 {
+                owed -= 1.0;
+                number += 1;
+                let bytes = &content[number % content.len()];
+                let stranger = number % STRANGERS;
+                let taken = if self.tcp {
+                    call(&mut calls[stranger], self.address, bytes)
+                } else {
+                    sockets
+                        .get(stranger)
+                        .is_some_and(|socket| socket.send_to(bytes, self.address).is_ok())
+                };
+                sent.fetch_add(u64::from(taken), Ordering::Relaxed);
+            }
+        }
+    }
+}
+
+/// Who was hung up on calls again.
+fn call(socket: &mut Option<TcpStream>, address: SocketAddr, bytes: &[u8]) -> bool {
+    if let Some(open) = socket {
+        match open.write(bytes) {
+            Ok(_) => return true,
+            Err(error) if error.kind() == ErrorKind::WouldBlock => return false,
+            Err(_) => *socket = None,
+        }
+    }
+    if let Ok(open) = TcpStream::connect_timeout(&address, Duration::from_millis(50))
+        && open.set_nonblocking(true).is_ok()
+    {
+        *socket = Some(open);
+    }
+    false
+}
+
+/// Passes everything on between the firmware's link and the simulator's vehicle, and notes when setpoints come out of the firmware's.
+struct Tap {
+    vehicle: UdpSocket,
+    link: SocketAddr,
+    tcp: bool,
+    setpoints_ns: Mutex<Vec<Nanos>>,
+}
+
+impl Tap {
+    fn open(instance: u32, link: SocketAddr, tcp: bool) -> Result<Self> {
+        let port = u16::try_from(14030 + instance)?;
+        let vehicle = UdpSocket::bind(("127.0.0.1", port)).with_context(|| format!("UDP port {port}"))?;
+        vehicle.connect(("127.0.0.1", u16::try_from(14280 + instance)?))?;
+        vehicle.set_read_timeout(Some(Duration::from_millis(100)))?;
+        Ok(Self {
+            vehicle,
+            link,
+            tcp,
+            setpoints_ns: Mutex::default(),
+        })
+    }
+
+    /// Passes on until told to end. What a socket refuses, a link may lose too.
+    fn run(&self, done: &AtomicBool) {
+        // Where it is permitted this thread comes before the flood's, as a vehicle's own computer does.
+        let _ = vigil_firmware::realtime::request(40);
+        if self.tcp {
+            self.run_tcp(done)
+        } else {
+            self.run_udp(done)
+        }
+    }
+
+    fn note(&self, datagram: &[u8]) {
+        let at_ns = monotonic_ns();
+        let is_setpoint = |id| id == SET_POSITION_TARGET_LOCAL_NED_DATA::ID;
+        if packets(datagram, &mut FramingCounters::default()).any(|packet| is_setpoint(packet.message_id()))
+            && let Ok(mut setpoints_ns) = self.setpoints_ns.lock()
+        {
+            setpoints_ns.push(at_ns);
+        }
+        let _ = self.vehicle.send(datagram);
+    }
+
+    fn run_udp(&self, done: &AtomicBool) {
+        let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
+            return;
+        };
+        let _ = (
+            socket.connect(self.link),
+            socket.set_read_timeout(Some(Duration::from_millis(100))),
+        );
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                let _ = vigil_firmware::realtime::request(40);
+                let mut buffer = [0; 2048];
+                while !done.load(Ordering::Relaxed) {
+                    if let Ok(len) = socket.recv(&mut buffer) {
+                        self.note(&buffer[..len]);
+                    }
+                }
+            });
+            self.to_firmware(done, |bytes| {
+                let _ = socket.send(bytes);
+            });
+        });
+    }
+
+    fn run_tcp(&self, done: &AtomicBool) {
+        while !done.load(Ordering::Relaxed) {
+            let Ok(socket) = TcpStream::connect_timeout(&self.link, Duration::from_secs(1)) else {
+                std::thread::sleep(Duration::from_millis(100));
+                continue;
+            };
+            let _ = (
+                socket.set_nodelay(true),
+                socket.set_read_timeout(Some(Duration::from_millis(100))),
+            );
+            let hung_up = AtomicBool::new(false);
+            std::thread::scope(|scope| {
+                scope.spawn(|| {
+                    let _ = vigil_firmware::realtime::request(40);
+                    let (mut framer, mut counters) = (StreamFramer::default(), FramingCounters::default());
+                    let mut buffer = [0; 4096];
+                    while !done.load(Ordering::Relaxed) {
+                        match (&socket).read(&mut buffer) {
+                            Ok(0) => break,
+                            Ok(len) => framer.feed(&buffer[..len], &mut counters, |packet| self.note(packet.raw())),
+                            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+                            Err(_) => break,
+                        }
+                    }
+                    hung_up.store(true, Ordering::Relaxed);
+                });
+                let over = || done.load(Ordering::Relaxed) || hung_up.load(Ordering::Relaxed);
+                let mut buffer = [0; 2048];
+                while !over() {
+                    if let Ok(len) = self.vehicle.recv(&mut buffer)
+                        && (&socket).write_all(&buffer[..len]).is_err()
+                    {
+                        hung_up.store(true, Ordering::Relaxed);
+                    }
+                }
+            });
+        }
+    }
+
+    fn to_firmware(&self, done: &AtomicBool, send: impl Fn(&[u8])) {
+        let mut buffer = [0; 2048];
+        while !done.load(Ordering::Relaxed) {
+            if let Ok(len) = self.vehicle.recv(&mut buffer) {
+                send(&buffer[..len]);
+            }
+        }
+    }
+}
+
+/// The rows of floods.
+///
+/// # Errors
+/// A port is in use.
+pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
+    let cases: Vec<(bool, Option<Content>)> = if site.quick {
+        vec![(false, Some(Content::Mixed))]
+    } else {
+        let floods = [false, true]
+            .into_iter()
+            .flat_map(|tcp| std::iter::once((tcp, None)).chain(Content::EACH.map(|content| (tcp, Some(content)))));
+        floods.collect()
+    };
+    let mut rows = Vec::new();
+    for (number, (tcp, content)) in cases.into_iter().enumerate() {
+        if !site.stop.load(Ordering::Relaxed) {
+            rows.push(fly(site, site.seed + number as u64, tcp, content)?);
+        }
+    }
+    Ok(rows)
+}
+
+fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Result<Row> {
+    let instance = site.instances[0];
+    let link = SocketAddr::from(([127, 0, 0, 1], PORT + u16::try_from(instance)?));
+    // A link that is still there would be somebody else's.
+    drop(TcpListener::bind(link).with_context(|| format!("port {link}"))?);
+    let scheme = if tcp { "tcpin" } else { "udpin" };
+    let extras = Extras {
+        firmware: vec![
+            "--link".to_owned(),
+            format!("{scheme}://{link},system={}", instance + 1),
+        ],
+        ..Extras::default()
+    };
+    let work = tempfile::tempdir()?;
+    let (done, sent) = (AtomicBool::new(false), AtomicU64::new(0));
+    let flood = content.map(|content| Flood {
+        tcp,
+        address: link,
+        content,
+        rate: RATE,
+    });
+    let begun = Instant::now();
+    let mut flight = Flight::start(instance, seed, work.path(), extras)?;
+    let tap = Tap::open(instance, link, tcp)?;
+    let (flown, said) = std::thread::scope(|scope| {
+        if let Some(flood) = &flood {
+            let (done, sent) = (&done, &sent);
+            scope.spawn(move || flood.send(&|| done.load(Ordering::Relaxed), sent));
+        }
+        let (tap, over) = (&tap, &done);
+        scope.spawn(move || {
+            // The strangers come first.
+            std::thread::sleep(BEFORE);
+            tap.run(over);
+        });
+        let flown = flight
+            .take_off(site.stop)
+            .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));
+        let said = flight.end_firmware();
+        done.store(true, Ordering::Relaxed);
+        (flown, said)
+    });
+    let setpoints_ns = tap.setpoints_ns.into_inner().unwrap_or_default();
+    let mut gaps_ns: Vec<Nanos> = setpoints_ns.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    gaps_ns.sort_unstable();
+    let late = gaps_ns.iter().filter(|gap| **gap > LATE_NS).count();
+    let at = |share: f64| {
+        gaps_ns
+            .get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize)
+            .map_or(0.0, |gap| *gap as f64 * 1e-6)
+    };
+    let outcome = flight.last().and_then(|s| s.outcome.clone());
+    let ending = match outcome.as_deref() {
+        Some("success") => Ending::Arrived,
+        Some("collision" | "out of bounds") => Ending::Collided,
+        _ if flight.simulator.is_running() => Ending::TimeOut,
+        _ => Ending::Crashed,
+    };
+    let said = said?;
+    let missed = said.iter().find_map(|line| {
+        line.strip_prefix("loop")?
+            .split(',')
+            .nth(1)?
+            .trim()
+            .strip_suffix(" missed")?
+            .parse::<u64>()
+            .ok()
+    });
+    let wrong = match (&flown, late, missed) {
+        (Err(error), ..) => Some(format!("{error:#}")),
+        (_, 1.., _) => Some(format!(
+            "{late} setpoints late, at most {:.1} ms after the one before",
+            at(1.0)
+        )),
+        (_, _, Some(1..)) => Some(format!("{} steps missed", missed.unwrap_or(0))),
+        _ => None,
+    };
+    let transport = if tcp { "TCP" } else { "UDP" };
+    let name = match content {
+        None => format!("no strangers, {transport}"),
+        Some(content) => format!(
+            "strangers, {transport}: {}",
+            content
+                .to_possible_value()
+                .map_or(String::new(), |v| v.get_name().to_owned())
+        ),
+    };
+    let rate = sent.load(Ordering::Relaxed) as f64 / begun.elapsed().as_secs_f64();
+    let flooded = if content.is_some() {
+        format!("{rate:.0} a second; ")
+    } else {
+        String::new()
+    };
+    let measured = format!(
+        "{flooded}{} setpoints, {:.1} / {:.1} / {:.1} ms apart (p50 / p99 / most), {late} late, {} steps missed",
+        setpoints_ns.len(),
+        at(0.5),
+        at(0.99),
+        at(1.0),
+        missed.map_or("unknown".to_owned(), |missed| missed.to_string())
+    );
+    Ok(Row::of(name, &[Trial { ending, wrong }], measured))
+}

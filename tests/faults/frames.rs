@@ -1,0 +1,328 @@
+//! Frames that no sensor sends, for three seconds of a flight in lockstep; then the sensor is itself again.
+
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, side_by_side, spread, tell};
+use crate::flight::{Site, collided_anyway};
+use anyhow::Result;
+use std::sync::atomic::Ordering;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::{
+    Attitude, DEPTH_COLS, DEPTH_PIXELS, Datagrams, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_NS,
+    STEP_S,
+};
+use vigil_world::{Family, Outcome, generate};
+
+/// Steps of hostile frames.
+const HOSTILE_STEPS: u64 = 60;
+/// A vehicle that sees nothing usable must be told to hold within this many steps: half a second.
+const MOST_STEPS: u64 = 10;
+/// A flight that has not ended after this has not arrived: two minutes.
+const FLIGHT_STEPS: u64 = 2400;
+/// Trials of each kind.
+const TRIALS: usize = 4;
+/// Of the quick part, each so many-th kind.
+const QUICK_STRIDE: usize = 6;
+
+/// What must come of a kind.
+#[derive(Debug, Clone, Copy)]
+enum Must {
+    /// Hold in the same step.
+    Refuse,
+    /// Hold, by one of these names, within half a second.
+    Hold(&'static [Reason]),
+    /// Nothing: it means no harm.
+    Pass,
+}
+
+/// What a kind may look at.
+struct Seen<'a> {
+    /// The good frame before.
+    before: &'a DepthFrame,
+    /// The good frame at the first hostile step.
+    first: &'a DepthFrame,
+    now_ns: u64,
+    draw: &'a mut Draw,
+}
+
+/// Makes a good frame a hostile one; `false`: nothing arrives.
+type Make = fn(&mut DepthFrame, &mut Seen<'_>) -> bool;
+
+struct Kind {
+    name: &'static str,
+    must: Must,
+    make: Make,
+}
+
+/// A change of the header under a right checksum.
+macro_rules! sealed {
+    ($name:literal, $must:expr, |$frame:ident, $seen:ident| $change:expr) => {
+        Kind {
+            name: $name,
+            must: $must,
+            make: |$frame, $seen| {
+                let _ = &$seen;
+                $change;
+                $frame.seal();
+                true
+            },
+        }
+    };
+}
+
+/// A change after the checksum was made.
+macro_rules! unsealed {
+    ($name:literal, |$frame:ident, $seen:ident| $change:expr) => {
+        Kind {
+            name: $name,
+            must: Must::Refuse,
+            make: |$frame, $seen| {
+                let _ = &$seen;
+                $change;
+                true
+            },
+        }
+    };
+}
+
+const POSE: Must = Must::Hold(&[Reason::ImplausiblePose]);
+const BLIND: Must = Must::Hold(&[Reason::BlindSensor]);
+// What is nearer than it was may be taken for an obstacle first.
+const PICTURE: Must = Must::Hold(&[
+    Reason::BlindSensor,
+    Reason::FrozenSensor,
+    Reason::InconsistentPicture,
+    Reason::CollisionCourse,
+]);
+const STALE: Must = Must::Hold(&[Reason::StaleFrame]);
+
+fn one_pixel(frame: &mut DepthFrame, seen: &mut Seen<'_>, value: f32) {
+    frame.depth[seen.draw.below(DEPTH_PIXELS)] = value;
+}
+
+#[rustfmt::skip]
+fn kinds() -> Vec<Kind> {
+    use Must::{Pass, Refuse};
+    vec![
+        // Size.
+        sealed!("0 rows", Refuse, |f, s| f.header.rows = 0),
+        sealed!("64 rows", Refuse, |f, s| f.header.rows = 64),
+        sealed!("65 535 rows", Refuse, |f, s| f.header.rows = u16::MAX),
+        sealed!("0 columns", Refuse, |f, s| f.header.cols = 0),
+        sealed!("512 columns", Refuse, |f, s| f.header.cols = 512),
+        sealed!("rows and columns exchanged", Refuse, |f, s| core::mem::swap(&mut f.header.rows, &mut f.header.cols)),
+        // Sensor.
+        sealed!("sensor 0", Refuse, |f, s| f.header.sensor_id = 0),
+        sealed!("another sensor", Refuse, |f, s| f.header.sensor_id = 2),
+        sealed!("sensor 4 294 967 295", Refuse, |f, s| f.header.sensor_id = u32::MAX),
+        // Checksum.
+        unsealed!("checksum 0", |f, s| f.header.checksum = 0),
+        unsealed!("a flipped bit of the checksum", |f, s| f.header.checksum ^= 1 << s.draw.below(64)),
+        unsealed!("a pixel changed after the checksum", |f, s| one_pixel(f, s, 0.123)),
+        unsealed!("a flipped bit of a pixel", |f, s| {
+            let pixel = &mut f.depth[s.draw.below(DEPTH_PIXELS)];
+            *pixel = f32::from_bits(pixel.to_bits() ^ 1 << s.draw.below(32));
+        }),
+        unsealed!("a later stamp after the checksum", |f, s| f.header.stamp_ns += 1),
+        unsealed!("another sequence after the checksum", |f, s| f.header.sequence += 1),
+        unsealed!("another position after the checksum", |f, s| f.header.position_ned_m.x += 1.0),
+        unsealed!("another attitude after the checksum", |f, s| f.header.attitude = Attitude::from_euler_rad(0.0, 0.0, 2.0)),
+        unsealed!("the checksum of the frame before", |f, s| f.header.checksum = s.before.header.checksum),
+        unsealed!("torn: the upper half of the frame before", |f, s| f.depth[..DEPTH_PIXELS / 2].copy_from_slice(&s.before.depth[..DEPTH_PIXELS / 2])),
+        unsealed!("torn: the header of the frame before", |f, s| { let stamp_ns = f.header.stamp_ns; f.header = s.before.header; f.header.stamp_ns = stamp_ns; }),
+        // Ranges.
+        sealed!("a pixel NaN", Refuse, |f, s| one_pixel(f, s, f32::NAN)),
+        sealed!("the first pixel NaN", Refuse, |f, s| f.depth[0] = f32::NAN),
+        sealed!("the last pixel NaN", Refuse, |f, s| f.depth[DEPTH_PIXELS - 1] = f32::NAN),
+        sealed!("all pixels NaN", Refuse, |f, s| f.depth.fill(f32::NAN)),
+        sealed!("a pixel +inf", Refuse, |f, s| one_pixel(f, s, f32::INFINITY)),
+        sealed!("a pixel -inf", Refuse, |f, s| one_pixel(f, s, f32::NEG_INFINITY)),
+        sealed!("all pixels +inf", Refuse, |f, s| f.depth.fill(f32::INFINITY)),
+        sealed!("a pixel slightly negative", Refuse, |f, s| one_pixel(f, s, -1e-6)),
+        sealed!("all pixels -1", Refuse, |f, s| f.depth.fill(-1.0)),
+        sealed!("a pixel slightly above 1", Refuse, |f, s| one_pixel(f, s, 1.0 + f32::EPSILON)),
+        sealed!("ranges in metres", Refuse, |f, s| f.depth.iter_mut().for_each(|d| *d *= 100.0)),
+        sealed!("a pixel 1e30", Refuse, |f, s| one_pixel(f, s, 1e30)),
+        // Pose.
+        sealed!("position NaN", Refuse, |f, s| f.header.position_ned_m.y = f32::NAN),
+        sealed!("position infinite", Refuse, |f, s| f.header.position_ned_m.z = f32::INFINITY),
+        sealed!("attitude NaN", Refuse, |f, s| f.header.attitude.x = f32::NAN),
+        sealed!("attitude infinite", Refuse, |f, s| f.header.attitude.w = f32::INFINITY),
+        sealed!("a quaternion of zeros", Refuse, |f, s| f.header.attitude = Attitude { w: 0.0, x: 0.0, y: 0.0, z: 0.0 }),
+        sealed!("a quaternion of length 2", Refuse, |f, s| { let a = &mut f.header.attitude; *a = Attitude { w: 2.0 * a.w, x: 2.0 * a.x, y: 2.0 * a.y, z: 2.0 * a.z }; }),
+        sealed!("position 1e30", POSE, |f, s| f.header.position_ned_m = NedVector::new(1e30, 1e30, 1e30)),
+        sealed!("position 25 m off", POSE, |f, s| f.header.position_ned_m.x += 25.0),
+        sealed!("turned by 90 degrees", POSE, |f, s| f.header.attitude = Attitude::from_euler_rad(0.0, 0.0, f.header.attitude.yaw_rad() + core::f32::consts::FRAC_PI_2)),
+        sealed!("upside down", POSE, |f, s| f.header.attitude = Attitude::from_euler_rad(core::f32::consts::PI, 0.0, f.header.attitude.yaw_rad())),
+        // Stamps.
+        sealed!("stamp 0", Refuse, |f, s| f.header.stamp_ns = 0),
+        sealed!("the stamp of the frame before", Refuse, |f, s| f.header.stamp_ns = s.before.header.stamp_ns),
+        sealed!("a stamp that stays", Refuse, |f, s| f.header.stamp_ns = s.first.header.stamp_ns - STEP_NS),
+        sealed!("a second old", Refuse, |f, s| f.header.stamp_ns -= 20 * STEP_NS),
+        sealed!("a second ahead", Refuse, |f, s| f.header.stamp_ns = s.now_ns + 20 * STEP_NS),
+        sealed!("an hour ahead", Refuse, |f, s| f.header.stamp_ns = s.now_ns + 72_000 * STEP_NS),
+        sealed!("the largest stamp", Refuse, |f, s| f.header.stamp_ns = u64::MAX),
+        sealed!("the largest signed stamp", Refuse, |f, s| f.header.stamp_ns = i64::MAX as u64),
+        // Sequence and what nobody reads.
+        sealed!("the sequence of the frame before", Pass, |f, s| f.header.sequence = s.before.header.sequence),
+        sealed!("sequence 0", Pass, |f, s| f.header.sequence = 0),
+        sealed!("the largest sequence", Pass, |f, s| f.header.sequence = u64::MAX),
+        sealed!("the reserved field set", Pass, |f, s| f.header.reserved = u32::MAX),
+        sealed!("a tag where no key is set", Pass, |f, s| f.header.tag.fill(0xA5)),
+        // Pictures.
+        sealed!("all pixels 0", BLIND, |f, s| f.depth.fill(0.0)),
+        sealed!("all pixels -0", BLIND, |f, s| f.depth.fill(-0.0)),
+        sealed!("all pixels 1", BLIND, |f, s| f.depth.fill(1.0)),
+        sealed!("all pixels subnormal", PICTURE, |f, s| f.depth.fill(1e-40)),
+        sealed!("all pixels 0.02", PICTURE, |f, s| f.depth.fill(0.02)),
+        sealed!("random ranges", PICTURE, |f, s| f.depth.iter_mut().for_each(|d| *d = s.draw.between(0.0, 1.0) as f32)),
+        sealed!("a chessboard", PICTURE, |f, s| f.depth.iter_mut().enumerate().for_each(|(i, d)| *d = if (i + i / DEPTH_COLS).is_multiple_of(2) { 0.01 } else { 1.0 })),
+        sealed!("the picture of the first again", PICTURE, |f, s| f.depth = s.first.depth),
+        sealed!("upside down picture", PICTURE, |f, s| f.depth.reverse()),
+        // Delivery.
+        Kind { name: "no frame at all", must: STALE, make: |_, _| false },
+        Kind { name: "the frame before once more", must: Refuse, make: |f, s| { f.clone_from(s.before); true } },
+    ]
+}
+
+/// What came of a trial.
+struct Flown {
+    trial: Trial,
+    hold_s: Option<f64>,
+    seed: u64,
+}
+
+fn fly(kind: &Kind, seed: u64) -> Result<Flown> {
+    let mut draw = Draw::new(seed);
+    let onset = draw.below(160) as u64 + 10;
+    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
+    config.start = Start::Airborne;
+    let mut simulator = Simulator::new(&config, 0)?;
+    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m()))?;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut good, mut before, mut first) = (frame.clone(), frame.clone(), frame.clone());
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let (mut guided, mut hostile) = (0, 0);
+    let mut held_after = None;
+    let mut reasons = Reasons::NONE;
+    let mut wrong = None;
+    let mut last = GuidanceState::Standby;
+    for _ in 0..FLIGHT_STEPS {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        let now_ns = simulator.now_ns();
+        good.clone_from(&frame);
+        let is_hostile = guided >= onset && hostile < HOSTILE_STEPS;
+        let mut arrives = true;
+        if is_hostile {
+            if hostile == 0 {
+                first.clone_from(&frame);
+            }
+            hostile += 1;
+            let mut seen = Seen {
+                before: &before,
+                first: &first,
+                now_ns,
+                draw: &mut draw,
+            };
+            arrives = (kind.make)(&mut frame, &mut seen);
+        }
+        let report = *firmware.step(now_ns, arrives.then_some(&*frame), &to_firmware, &mut from_firmware);
+        core::mem::swap(&mut before, &mut good);
+        guided += u64::from(report.state == GuidanceState::Guided);
+        last = report.state;
+        if is_hostile {
+            let holds = report.state == GuidanceState::Hold && !report.reasons.contains(Reason::GoalReached);
+            if holds {
+                held_after.get_or_insert(hostile - 1);
+                reasons = reasons.union(report.reasons);
+                let forward_m_s = report.setpoint.map_or(0.0, |setpoint| setpoint.velocity_m_s.x);
+                if forward_m_s != 0.0 {
+                    wrong = Some(format!("{}: {forward_m_s} m/s asked for while it holds", kind.name));
+                }
+            }
+        }
+        if simulator.ending().is_some() {
+            break;
+        }
+    }
+    let named = || reasons.iter().map(Reason::name).collect::<Vec<_>>().join(", ");
+    let right = hostile == 0
+        || match (kind.must, held_after) {
+            (Must::Refuse, Some(0)) => reasons.contains(Reason::BadFrame),
+            (Must::Hold(names), Some(steps)) => steps <= MOST_STEPS && names.iter().any(|name| reasons.contains(*name)),
+            (Must::Pass, None) => true,
+            _ => false,
+        };
+    if !right {
+        wrong.get_or_insert_with(|| {
+            let when = held_after.map_or("never".to_owned(), |steps| format!("after {steps} steps"));
+            format!("{}, seed {seed}: held {when} ({})", kind.name, named())
+        });
+    }
+    let ending = match simulator.ending().map(|ending| ending.outcome) {
+        Some(Outcome::Success) => Ending::Arrived,
+        Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
+        _ if last == GuidanceState::Hold => Ending::Held,
+        _ => Ending::TimeOut,
+    };
+    Ok(Flown {
+        trial: Trial { ending, wrong },
+        hold_s: held_after.map(|steps| steps as f64 * f64::from(STEP_S)),
+        seed,
+    })
+}
+
+/// The rows of all kinds.
+///
+/// # Errors
+/// A configuration that is refused.
+pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
+    let mut kinds = kinds();
+    let mut trials = TRIALS;
+    if site.quick {
+        let mut number = 0;
+        kinds.retain(|_| {
+            number += 1;
+            number % QUICK_STRIDE == 1
+        });
+        trials = 1;
+    } else {
+        tell(&format!(
+            "{} kinds of hostile frames, {trials} flights each",
+            kinds.len()
+        ));
+    }
+    let group = |must: &Must| match must {
+        Must::Refuse => "hostile frames that are refused",
+        Must::Hold(_) => "hostile frames that are doubted, or none",
+        Must::Pass => "odd frames that do no harm",
+    };
+    let mut rows = Vec::new();
+    for name in [group(&Must::Refuse), group(&Must::Hold(&[])), group(&Must::Pass)] {
+        let chosen: Vec<&Kind> = kinds.iter().filter(|kind| group(&kind.must) == name).collect();
+        if chosen.is_empty() {
+            continue;
+        }
+        // One flight at a time for each two of the instances: it takes a core.
+        let threads = std::thread::available_parallelism()
+            .map_or(1, usize::from)
+            .min(site.instances.len());
+        let flown = side_by_side(chosen.len() * trials, &site.instances[..threads], |number, _| {
+            let stopped = site.stop.load(Ordering::Relaxed);
+            let seed = site.seed + number as u64;
+            (!stopped).then(|| fly(chosen[number / trials], seed))
+        });
+        let flown: Vec<Flown> = flown.into_iter().collect::<Result<_>>()?;
+        let trials: Vec<Trial> = flown.iter().map(|flown| flown.trial.clone()).collect();
+        let holds = flown.iter().filter_map(|flown| flown.hold_s).collect();
+        let mut measured = format!("{} kinds", chosen.len());
+        let seeds = flown.iter().map(|flown| (&flown.trial, flown.seed));
+        let again = collided_anyway(seeds)?;
+        for text in [spread("hold after", "s", holds), again] {
+            if !text.is_empty() {
+                measured += &format!("; {text}");
+            }
+        }
+        rows.push(Row::of(name, &trials, measured));
+    }
+    Ok(rows)
+}

@@ -1,0 +1,343 @@
+//! Those who speak in another's name: setpoints of a second guidance computer, and attacks on MAVLink signing.
+
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, side_by_side};
+use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
+use anyhow::{Context, Result};
+use std::net::UdpSocket;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use vigil_autopilot::{EndpointConfig, LinkId};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::MAX_PACKET_LEN;
+use vigil_mavlink::signing::{
+    SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
+};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_tests::ground::packet;
+use vigil_types::{Datagrams, DepthFrame, NedVector};
+use vigil_world::{Family, Outcome, generate};
+
+/// A flight that has not ended after this has not arrived: two minutes.
+const FLIGHT_STEPS: u64 = 2400;
+/// Claimants of a setpoint stream in each step: (component, link, end of the link).
+const CLAIMANTS: [(u8, LinkId, u64); 4] = [
+    (191, LinkId::ONBOARD, 7),
+    (191, LinkId::API, 1),
+    (191, LinkId::GCS, 3),
+    (196, LinkId::API, 2),
+];
+
+/// Full speed into whatever is there.
+#[expect(deprecated, reason = "the frame that the guidance computer sends")]
+fn setpoint(number: u64) -> MavMessage {
+    MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+        time_boot_ms: number as u32,
+        vx: 1.5,
+        vy: -1.5,
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
+        type_mask: PositionTargetTypemask::from_bits_truncate(0x5C7),
+        ..SET_POSITION_TARGET_LOCAL_NED_DATA::DEFAULT
+    })
+}
+
+/// How a flight in lockstep ended, where, and the foreign setpoints refused.
+fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> Result<(Option<Outcome>, NedVector, u64)> {
+    let mut config = SimConfig::new(generate(Family::Validation, seed), seed);
+    config.start = Start::Airborne;
+    config.endpoint = EndpointConfig::default();
+    let mut simulator = Simulator::new(&config, 0)?;
+    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m()))?;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    for step in 0..FLIGHT_STEPS {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        // From the second second on: whoever is first would be somebody's guidance computer.
+        for (component, link, end) in by.iter().filter(|_| step > 40) {
+            let bytes = packet((1, *component), step as u8, &setpoint(step));
+            simulator.receive_from(link.0, *end, &bytes);
+        }
+        if simulator.ending().is_some() {
+            break;
+        }
+    }
+    let refused = simulator.status().refusals.setpoint_foreign;
+    Ok((
+        simulator.ending().map(|e| e.outcome),
+        simulator.truth().position_ned_m,
+        refused,
+    ))
+}
+
+/// The row of spoofed setpoints: the same flights, bit for bit, as without them.
+///
+/// # Errors
+/// A configuration that is refused.
+pub fn spoofing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
+    let flights = if site.quick { 1 } else { 20 };
+    let threads = std::thread::available_parallelism()
+        .map_or(1, usize::from)
+        .min(site.instances.len());
+    let flown = side_by_side(flights, &site.instances[..threads], |number, _| {
+        let seed = site.seed + number as u64;
+        let stopped = site.stop.load(Ordering::Relaxed);
+        (!stopped).then(|| Ok::<_, anyhow::Error>((spoofed(seed, &[])?, spoofed(seed, &CLAIMANTS)?)))
+    });
+    let mut refused = 0;
+    let mut trials = Vec::new();
+    for (number, pair) in flown.into_iter().enumerate() {
+        let (alone, (outcome, position, count)) = pair?;
+        refused += count;
+        let ending = match outcome {
+            Some(Outcome::Success) => Ending::Arrived,
+            Some(Outcome::Collision | Outcome::OutOfBounds) => Ending::Collided,
+            _ => Ending::TimeOut,
+        };
+        trials.push(match (alone.0, alone.1) == (outcome, position) && count > 0 {
+            true => Trial::right(ending),
+            false => Trial::wrong(
+                ending,
+                format!("seed {}: another flight than without them", site.seed + number as u64),
+            ),
+        });
+    }
+    Ok(vec![Row::of(
+        "setpoints of four others, each step",
+        &trials,
+        format!("{refused} setpoints refused; each flight ends to the bit where it ends without them"),
+    )])
+}
+
+const KEY: [u8; 32] = [0x5A; 32];
+const OTHER_KEY: [u8; 32] = [0xA5; 32];
+/// Packets of an attack a second.
+const ATTACK_RATE: u64 = 200;
+
+/// An attack on signing.
+#[derive(Debug, Clone, Copy)]
+enum Attack {
+    UnsignedSetup,
+    SetupOfAnotherKey,
+    Replay,
+    ZeroKeyOfAHolder,
+    RatchetOfAHolder,
+    RandomPackets,
+}
+
+const ATTACKS: [(Attack, &str); 6] = [
+    (Attack::UnsignedSetup, "unsigned SETUP_SIGNING"),
+    (Attack::SetupOfAnotherKey, "SETUP_SIGNING signed with another key"),
+    (Attack::Replay, "a signed landing, captured and sent again"),
+    (Attack::ZeroKeyOfAHolder, "a key of zeros from one who has the key"),
+    (
+        Attack::RatchetOfAHolder,
+        "stamps ever 55 s ahead from one who has the key",
+    ),
+    (
+        Attack::RandomPackets,
+        "random commands and keys, where nobody may speak unsigned",
+    ),
+];
+
+/// The attack's packets, one after the other.
+struct Attacker {
+    attack: Attack,
+    holder: Signing,
+    stranger: Signing,
+    draw: Draw,
+    captured: Vec<u8>,
+    number: u64,
+}
+
+impl Attacker {
+    fn new(attack: Attack) -> Self {
+        let signing = |key| Signing::new(SigningKey(key), 7, SigningMemory::default());
+        let mut attacker = Self {
+            attack,
+            holder: signing(KEY),
+            stranger: signing(OTHER_KEY),
+            draw: Draw::new(7),
+            captured: Vec::new(),
+            number: 0,
+        };
+        // As it was captured: an hour ago.
+        let land = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            command: MavCmd::MAV_CMD_NAV_LAND,
+            target_system: 0,
+            target_component: 0,
+            ..COMMAND_LONG_DATA::DEFAULT
+        });
+        attacker.captured = sign(&mut signing(KEY), -3600, &packet((255, 190), 0, &land));
+        attacker
+    }
+
+    fn next(&mut self) -> Vec<u8> {
+        self.number += 1;
+        let setup = |key| {
+            MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+                target_system: 0,
+                target_component: 0,
+                secret_key: key,
+                ..SETUP_SIGNING_DATA::DEFAULT
+            })
+        };
+        let say = |message: &MavMessage| packet((255, 190), self.number as u8, message);
+        let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+            autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+            mavlink_version: 3,
+            ..HEARTBEAT_DATA::DEFAULT
+        });
+        match self.attack {
+            Attack::UnsignedSetup => say(&setup(OTHER_KEY)),
+            Attack::SetupOfAnotherKey => sign(&mut self.stranger, 0, &say(&setup(OTHER_KEY))),
+            Attack::Replay => self.captured.clone(),
+            Attack::ZeroKeyOfAHolder => sign(&mut self.holder, 0, &say(&setup([0; 32]))),
+            // Twenty of them a second apart.
+            Attack::RatchetOfAHolder => {
+                let ahead = (self.number / ATTACK_RATE).min(20) as i64;
+                sign(&mut self.holder, 55 * ahead, &say(&heartbeat))
+            }
+            Attack::RandomPackets => {
+                let mut key = [0; 32];
+                key.iter_mut().for_each(|byte| *byte = self.draw.bits() as u8);
+                let sender = (self.draw.below(255) as u8 + 1, self.draw.below(255) as u8 + 1);
+                match self.number.is_multiple_of(10) {
+                    true => packet(sender, self.number as u8, &setup(key)),
+                    false => packet(
+                        sender,
+                        self.number as u8,
+                        &MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+                            command: MavCmd::MAV_CMD_NAV_LAND,
+                            target_system: self.draw.below(3) as u8,
+                            target_component: self.draw.below(256) as u8,
+                            ..COMMAND_LONG_DATA::DEFAULT
+                        }),
+                    ),
+                }
+            }
+        }
+    }
+}
+
+fn sign(signing: &mut Signing, ahead_s: i64, bytes: &[u8]) -> Vec<u8> {
+    let unix_ns = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| since.as_nanos() as u64);
+    let at = timestamp_of_unix_ns(unix_ns).saturating_add_signed(ahead_s * UNITS_PER_SECOND as i64);
+    let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
+    signing
+        .sign(at, bytes, &mut out)
+        .map_or_else(|_| Vec::new(), |len| out[..len].to_vec())
+}
+
+/// A key file of its own for each end.
+fn key_file(folder: &Path, name: &str) -> Result<PathBuf> {
+    let path = folder.join(name);
+    std::fs::write(&path, KEY)?;
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600))?;
+    Ok(path)
+}
+
+/// The rows of attacks on signing: a flight each, attacked on all links of both ends.
+///
+/// # Errors
+/// A folder that cannot be made.
+pub fn signing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
+    let attacks = if site.quick { &ATTACKS[..1] } else { &ATTACKS[..] };
+    let rows = side_by_side(attacks.len(), &site.instances, |number, instance| {
+        let (attack, name) = attacks[number];
+        let stopped = site.stop.load(Ordering::Relaxed);
+        (!stopped).then(|| attacked(site, attack, name, instance, site.seed + number as u64))
+    });
+    rows.into_iter().collect()
+}
+
+fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u64) -> Result<Row> {
+    let work = tempfile::tempdir()?;
+    let files = [
+        key_file(work.path(), "firmware.key")?,
+        key_file(work.path(), "vehicle.key")?,
+    ];
+    let [firmware_key, vehicle_key] = files.each_ref().map(|path| path.display().to_string());
+    let port = |base: u32| u16::try_from(base + instance);
+    let (main, ground) = (port(14030)?, port(25_000)?);
+    // Who may speak unsigned may land the vehicle: that is no attack.
+    let unsigned = match attack {
+        Attack::RandomPackets => "never",
+        _ => "loopback",
+    };
+    let unsigned = ["--allow-unsigned", unsigned].map(str::to_owned);
+    let mut extras = Extras {
+        firmware: vec![
+            "--signing-key".to_owned(),
+            firmware_key,
+            "--link".to_owned(),
+            format!("udpin://127.0.0.1:{main},system={}", instance + 1),
+            "--link".to_owned(),
+            format!("udpin://127.0.0.1:{ground}"),
+        ],
+        simulator: vec!["--signing-key".to_owned(), vehicle_key],
+        ..Extras::default()
+    };
+    extras.firmware.extend(unsigned.clone());
+    extras.simulator.extend(unsigned);
+    let ends = [main, ground, port(14280)?, port(14580)?, port(18570)?];
+    let mut flight = Flight::start(instance, seed, work.path(), extras)?;
+    let (done, sent) = (AtomicBool::new(false), AtomicU64::new(0));
+    let flown = std::thread::scope(|scope| {
+        let (over, sent) = (&done, &sent);
+        scope.spawn(move || {
+            let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
+                return;
+            };
+            let mut attacker = Attacker::new(attack);
+            while !over.load(Ordering::Relaxed) {
+                std::thread::sleep(Duration::from_micros(1_000_000 / ATTACK_RATE));
+                for end in ends {
+                    let bytes = attacker.next();
+                    sent.fetch_add(
+                        u64::from(socket.send_to(&bytes, ("127.0.0.1", end)).is_ok()),
+                        Ordering::Relaxed,
+                    );
+                }
+            }
+        });
+        let flown = flight
+            .take_off(site.stop)
+            .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));
+        done.store(true, Ordering::Relaxed);
+        flown
+    });
+    let fallen = flight.fallen();
+    let outcome = flight.last().and_then(|s| s.outcome.clone());
+    let said = flight.end_firmware();
+    let mut changed = Vec::new();
+    for file in &files {
+        let kept = std::fs::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+        if kept != KEY {
+            changed.push(file.file_name().unwrap_or_default().to_string_lossy().into_owned());
+        }
+    }
+    let ending = match outcome.as_deref() {
+        _ if !fallen.is_empty() => Ending::Crashed,
+        Some("success") => Ending::Arrived,
+        Some("collision" | "out of bounds") => Ending::Collided,
+        _ => Ending::TimeOut,
+    };
+    let wrong = match (flown, said) {
+        (Err(error), _) | (_, Err(error)) => Some(format!("{error:#}")),
+        _ if !changed.is_empty() => Some(format!("changed: {}", changed.join(", "))),
+        _ if ending != Ending::Arrived => Some(format!("{outcome:?}")),
+        _ => None,
+    };
+    Ok(Row::of(
+        format!("signing: {name}"),
+        &[Trial { ending, wrong }],
+        format!("{} packets; no key changed", sent.load(Ordering::Relaxed)),
+    ))
+}

@@ -1,0 +1,66 @@
+//! What a ground station says to the guidance computer.
+
+use vigil_mavlink::MavHeader;
+use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame, MavMessage};
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+
+/// A request of an operator to component 191.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Request {
+    /// Fly to this place, metres north and east of home; the height stays.
+    Goal([f32; 2]),
+    /// Land here.
+    Land,
+    /// Take the vehicle and fly.
+    Engage,
+}
+
+/// System and component that ground stations have.
+pub const STATION: (u8, u8) = (255, 190);
+
+/// A packet of MAVLink 2 from `(system, component)`.
+///
+/// # Panics
+/// When the message cannot be written, which no message of the dialect is.
+pub fn packet((system, component): (u8, u8), sequence: u8, message: &MavMessage) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: system.into(),
+        component_id: component,
+        sequence,
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, message, &mut out).expect("a message of the dialect");
+    out[..len].to_vec()
+}
+
+impl Request {
+    /// The message to the guidance computer of a system.
+    pub fn message(self, system: u8) -> MavMessage {
+        const GUIDANCE: u8 = 191;
+        let long = |command, param1| {
+            MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+                param1,
+                command,
+                target_system: system,
+                target_component: GUIDANCE,
+                ..COMMAND_LONG_DATA::DEFAULT
+            })
+        };
+        match self {
+            Self::Goal([north_m, east_m]) => MavMessage::COMMAND_INT(COMMAND_INT_DATA {
+                param1: -1.0,
+                param4: f32::NAN,
+                x: (north_m * 1e4) as i32,
+                y: (east_m * 1e4) as i32,
+                z: f32::NAN,
+                command: MavCmd::MAV_CMD_DO_REPOSITION,
+                target_system: system,
+                target_component: GUIDANCE,
+                frame: MavFrame::MAV_FRAME_LOCAL_NED,
+                ..COMMAND_INT_DATA::DEFAULT
+            }),
+            Self::Land => long(MavCmd::MAV_CMD_NAV_LAND, 0.0),
+            Self::Engage => long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 1.0),
+        }
+    }
+}
