@@ -32,7 +32,7 @@ const FREE_FROM_M: f32 = 1.0;
 /// A ray proves cells free up to this far before its surface.
 const FREE_SHORT_OF_SURFACE_M: f32 = 0.4;
 /// The grid is moved when the vehicle is this many cells off its middle.
-const RECENTRE_CELLS: i32 = 8;
+const RECENTRE_CELLS: u32 = 8;
 
 /// A cell by its column (north) and row (east) within the grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -124,7 +124,7 @@ impl OccupancyGrid {
         let vehicle = self.cell_of(position_ned_m.x, position_ned_m.y);
         let (north, east) = (vehicle.north.saturating_sub(half), vehicle.east.saturating_sub(half));
         match self.corner {
-            Some(_) if north.abs() <= RECENTRE_CELLS && east.abs() <= RECENTRE_CELLS => false,
+            Some(_) if north.unsigned_abs() <= RECENTRE_CELLS && east.unsigned_abs() <= RECENTRE_CELLS => false,
             Some((n0, e0)) => {
                 shift(&mut self.score, north, east);
                 self.corner = Some((n0.saturating_add(north), e0.saturating_add(east)));
