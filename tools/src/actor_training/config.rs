@@ -63,7 +63,7 @@ impl Teacher {
     pub(crate) fn pilot(self) -> GeometricPilot {
         let config = GeometricConfig::default();
         match self {
-            Self::Memoryless => GeometricPilot::memoryless(config),
+            Self::Memoryless => GeometricPilot::teacher(config),
             Self::Mapping => GeometricPilot::new(config),
         }
     }

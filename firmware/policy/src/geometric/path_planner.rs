@@ -29,9 +29,11 @@ const FACTOR_SHIFT: u32 = 2;
 const FACTORS: usize = 64;
 
 /// Cosine of the angle off the nose beyond which a cell counts as unseen: 53°, the field of view less some cells.
+#[cfg(feature = "teacher")]
 const SEEN_COSINE: f32 = 0.6;
 
 /// What a cell out there costs in addition to its length, and what one in view costs at a right angle.
+#[cfg(feature = "teacher")]
 const TURN_COST: f32 = 1.0;
 
 const BUCKETS: usize = 8192;
@@ -95,6 +97,7 @@ pub struct PathPlanner {
     points: [(f32, f32); WAY_POINTS],
     len: usize,
     /// North and east part of the nose's direction when cells off it cost more.
+    #[cfg(feature = "teacher")]
     nose: Option<(f32, f32)>,
 }
 
@@ -123,6 +126,7 @@ impl PathPlanner {
             on_way: [false; CELLS],
             points: [(0.0, 0.0); WAY_POINTS],
             len: 0,
+            #[cfg(feature = "teacher")]
             nose: None,
         };
         for (squared, factor) in way.factor.iter_mut().enumerate() {
@@ -155,11 +159,13 @@ impl PathPlanner {
 
     /// From the next search on, cells off a nose that points to this yaw cost more, up to twice their length where it does not
     /// look: a way once turned to is kept.
+    #[cfg(feature = "teacher")]
     pub fn prefer_ahead(&mut self, yaw_rad: f32) {
         self.nose = Some((libm::cosf(yaw_rad), libm::sinf(yaw_rad)));
     }
 
     /// What a cell off the nose costs in addition, for a step of this length.
+    #[cfg(feature = "teacher")]
     fn turn_cost(&self, cell: Cell, length: u32) -> u32 {
         let Some((nose_north, nose_east)) = self.nose else {
             return 0;
@@ -175,6 +181,12 @@ impl PathPlanner {
             aside / distance.max(1.0)
         };
         (TURN_COST * share * length as f32) as u32
+    }
+
+    /// Of the pilots that fly, none prefers what is ahead.
+    #[cfg(not(feature = "teacher"))]
+    fn turn_cost(&self, _cell: Cell, _length: u32) -> u32 {
+        0
     }
 
     /// Whether a search is under way.

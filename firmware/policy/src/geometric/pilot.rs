@@ -76,29 +76,65 @@ const TIGHT: Margins = Margins {
     repulsive_half_width_m: 0.50,
     spare_m: 0.0,
 };
-/// What a teacher keeps, so that a pupil's error of 0.2 m is no collision.
+/// What the teacher keeps, so that a pupil's error of 0.2 m is no collision.
+#[cfg(feature = "teacher")]
 const GENEROUS: Margins = Margins {
     sight_squared_cells: 14,
     goal_sight_m: LOOKAHEAD_M,
     repulsive_half_width_m: 0.80,
     spare_m: 0.30,
 };
-/// Clearance from which on more is no better for a teacher's way, and what the narrowest passage costs it more, per metre.
+/// Clearance from which on more is no better for the teacher's way, and what the narrowest passage costs it more, per metre.
+#[cfg(feature = "teacher")]
 const GENEROUS_CLEARANCE_M: f32 = 1.5;
+#[cfg(feature = "teacher")]
 const GENEROUS_NARROW_FACTOR: f32 = 10.0;
+
+/// The geometric pilots there are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Strategy {
+    /// Flies by the newest frame and by what earlier ones have shown.
+    Mapping,
+    /// Flies when an attack on the depth frames is detected: every frame may have been altered, so what only one of them shows
+    /// neither enters the grid nor moves the vehicle.
+    Recovery,
+    /// Teaches the actor: decides by the newest frame alone, and keeps farther from obstacles than a pilot that flies itself.
+    #[cfg(feature = "teacher")]
+    Teacher,
+}
+
+impl Strategy {
+    fn margins(self) -> &'static Margins {
+        match self {
+            Self::Mapping | Self::Recovery => &TIGHT,
+            #[cfg(feature = "teacher")]
+            Self::Teacher => &GENEROUS,
+        }
+    }
+
+    /// Whether the grid holds more than the newest frame.
+    fn remembers(self) -> bool {
+        matches!(self, Self::Mapping | Self::Recovery)
+    }
+
+    /// Cells that the search settles in one step.
+    fn search_budget(self) -> usize {
+        match self {
+            Self::Mapping | Self::Recovery => SEARCH_BUDGET,
+            #[cfg(feature = "teacher")]
+            Self::Teacher => occupancy_grid::CELLS,
+        }
+    }
+}
 
 /// The pilot. A large value (about 120 kB) without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub struct GeometricPilot {
-    /// Every frame may have been altered.
-    distrusting: bool,
-    /// The newest frame is all it knows.
-    memoryless: bool,
-    margins: Margins,
+    strategy: Strategy,
     config: GeometricConfig,
     surroundings: RangeScan,
-    memory: OccupancyGrid,
-    way: PathPlanner,
+    grid: OccupancyGrid,
+    planner: PathPlanner,
     last_position_ned_m: Option<NedVector>,
     last_sequence: Option<u64>,
     /// Where the vehicle last got to, and when.
@@ -108,41 +144,38 @@ pub struct GeometricPilot {
 impl GeometricPilot {
     /// A pilot that remembers nothing.
     pub fn new(config: GeometricConfig) -> Self {
+        Self::of(Strategy::Mapping, config)
+    }
+
+    /// The pilot that takes the actor's place, and believes what it sees only when several frames say it (docs/detection.md).
+    pub(crate) fn recovery(config: GeometricConfig) -> Self {
+        Self::of(Strategy::Recovery, config)
+    }
+
+    /// The actor's teacher: decides by the newest frame alone, as one has to that is imitated by an actor without a map. Ways off
+    /// its nose count as longer, up to twice as long out of sight: a side once turned to is kept without a memory of it.
+    ///
+    /// Its search is not cut into slices: it is for training, not for a step of 50 ms.
+    #[cfg(feature = "teacher")]
+    pub fn teacher(config: GeometricConfig) -> Self {
+        let mut pilot = Self::of(Strategy::Teacher, config);
+        pilot
+            .planner
+            .set_clearance(GENEROUS_CLEARANCE_M, GENEROUS_NARROW_FACTOR);
+        pilot
+    }
+
+    fn of(strategy: Strategy, config: GeometricConfig) -> Self {
         Self {
-            distrusting: false,
-            memoryless: false,
-            margins: TIGHT,
+            strategy,
             config,
             surroundings: RangeScan::new(),
-            memory: OccupancyGrid::new(),
-            way: PathPlanner::new(),
+            grid: OccupancyGrid::new(),
+            planner: PathPlanner::new(),
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
         }
-    }
-
-    /// A pilot that remembers nothing and believes what it sees only when several frames say it (docs/detection.md).
-    pub(crate) fn distrusting(config: GeometricConfig) -> Self {
-        Self {
-            distrusting: true,
-            ..Self::new(config)
-        }
-    }
-
-    /// A pilot that decides by the newest frame alone, as one has to that is imitated by an actor without a map, and that keeps
-    /// farther from obstacles than one that flies itself. Ways off its nose count as longer, up to twice as long out of sight: a
-    /// side once turned to is kept without a memory of it.
-    ///
-    /// Its search is not cut into slices: it is for the simulator, not for a step of 50 ms.
-    pub fn memoryless(config: GeometricConfig) -> Self {
-        let mut pilot = Self {
-            memoryless: true,
-            margins: GENEROUS,
-            ..Self::new(config)
-        };
-        pilot.way.set_clearance(GENEROUS_CLEARANCE_M, GENEROUS_NARROW_FACTOR);
-        pilot
     }
 
     /// The last step's scan.
@@ -150,23 +183,18 @@ impl GeometricPilot {
         &self.surroundings
     }
 
-    /// The last way found, from the vehicle towards the goal, as NED (north, east) metres.
-    pub fn way_points_m(&self) -> &[(f32, f32)] {
-        self.way.points()
-    }
-
     /// The farthest point of the way that can be flown to in a straight line; `None` without a way.
     fn waypoint(&self, here: NedVector, goal: NedVector) -> Option<NedVector> {
         let at = |&(north, east): &(f32, f32)| NedVector::new(north, east, here.z);
         let from_here = |p: NedVector| (p - here).horizontal_norm();
-        let points = self.way.points();
+        let points = self.planner.points();
         let end = at(points.last()?);
         // The way is made of eighths of a turn: on open ground it is up to 8 % longer than the straight line, and as much as
         // 31° off it.
         let goal_m = from_here(goal);
         let towards_goal = |distance_m: f32| here + (goal - here) * (distance_m / goal_m.max(distance_m));
-        let known = goal_m < self.margins.goal_sight_m || !self.memoryless;
-        if known && self.in_sight(here, towards_goal(self.margins.goal_sight_m)) {
+        let known = goal_m < self.strategy.margins().goal_sight_m || self.strategy.remembers();
+        if known && self.in_sight(here, towards_goal(self.strategy.margins().goal_sight_m)) {
             return Some(towards_goal(LOOKAHEAD_M));
         }
         // The way began where the vehicle was when the search began: drop what lies behind.
@@ -206,13 +234,13 @@ impl GeometricPilot {
             let along_m = i as f32 * SAMPLE_M;
             let point = from + line * (along_m / length_m);
             along_m < SIGHT_FROM_M
-                || self.memory.clearance_squared_at(point.x, point.y) >= self.margins.sight_squared_cells
+                || self.grid.clearance_squared_at(point.x, point.y) >= self.strategy.margins().sight_squared_cells
         })
     }
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
     fn repulsion(&self, seen: &Scan, bearing_of_waypoint_rad: f32) -> Action {
-        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < self.margins.repulsive_half_width_m && y.abs() <= x;
+        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < self.strategy.margins().repulsive_half_width_m && y.abs() <= x;
         let points = seen.points().filter(in_the_way);
         let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
             return Action::HOVER;
@@ -239,7 +267,7 @@ impl GeometricPilot {
     pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
         governor::on_collision_course(
             &motion_of(input, position_ned_m(input), action.yaw),
-            &self.memory,
+            &self.grid,
             action.forward_m_s,
         )
     }
@@ -255,8 +283,8 @@ impl GeometricPilot {
         match self.progress {
             Some((at, since_ns)) if moved_m(at) < STUCK_M => {
                 if now_ns.saturating_sub(since_ns) > STUCK_NS {
-                    self.memory.clear();
-                    self.way.clear();
+                    self.grid.clear();
+                    self.planner.clear();
                     self.progress = Some((here, now_ns));
                 }
             }
@@ -286,14 +314,15 @@ impl Pilot for GeometricPilot {
         let header = &input.depth.header;
         let here = position_ned_m(input);
         self.doubt(here, input.now_ns);
-        if self.memoryless {
-            self.memory.clear();
-            self.way.clear();
-            self.way.prefer_ahead(yaw_rad);
+        #[cfg(feature = "teacher")]
+        if self.strategy == Strategy::Teacher {
+            self.grid.clear();
+            self.planner.clear();
+            self.planner.prefer_ahead(yaw_rad);
             self.last_sequence = None;
         }
 
-        let (scan, hit) = if self.distrusting {
+        let (scan, hit) = if self.strategy == Strategy::Recovery {
             (
                 self.surroundings.observe_distrusting(input),
                 occupancy_grid::DOUBTFUL_HIT,
@@ -301,27 +330,23 @@ impl Pilot for GeometricPilot {
         } else {
             (self.surroundings.observe(input), occupancy_grid::HIT)
         };
-        if self.memory.follow(here) {
-            self.way.abandon_search();
+        if self.grid.follow(here) {
+            self.planner.abandon_search();
         }
         if self.last_sequence != Some(header.sequence) {
             self.last_sequence = Some(header.sequence);
-            self.memory.observe(scan, hit, here, yaw_rad);
+            self.grid.observe(scan, hit, here, yaw_rad);
         }
 
         let (sin, cos) = (libm::sinf(input.goal.bearing_rad), libm::cosf(input.goal.bearing_rad));
         let goal = here + (HeadingVector::new(cos, sin, 0.0) * input.goal.distance_m).to_ned(yaw_rad);
-        if !self.way.is_searching() {
-            self.memory.measure_clearance();
-            self.way.start(&self.memory, here, goal);
+        if !self.planner.is_searching() {
+            self.grid.measure_clearance();
+            self.planner.start(&self.grid, here, goal);
         }
-        let budget = if self.memoryless {
-            occupancy_grid::CELLS
-        } else {
-            SEARCH_BUDGET
-        };
-        if self.way.advance(&self.memory, budget) == Search::NoWay {
-            self.way.clear();
+        let budget = self.strategy.search_budget();
+        if self.planner.advance(&self.grid, budget) == Search::NoWay {
+            self.planner.clear();
         }
 
         let Some(waypoint) = self.waypoint(here, goal) else {
@@ -343,8 +368,8 @@ impl Pilot for GeometricPilot {
             forward_m_s: self.config.cruise_m_s,
             yaw: YAW_GAIN * target.bearing_rad,
         };
-        // One frame alone moves a distrusting pilot neither aside nor to a stop: it goes by its memory.
-        let seen = if self.distrusting {
+        // One frame alone moves the recovery pilot neither aside nor to a stop: it goes by its grid.
+        let seen = if self.strategy == Strategy::Recovery {
             &Scan::EMPTY
         } else {
             self.surroundings.scan()
@@ -360,14 +385,14 @@ impl Pilot for GeometricPilot {
             .min(near_goal_m_s);
         let motion = motion_of(input, here, wanted.yaw);
         Action {
-            forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.memory, wanted_m_s, self.margins.spare_m),
+            forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.grid, wanted_m_s, self.strategy.margins().spare_m),
             yaw: wanted.yaw,
         }
     }
 
     fn reset(&mut self) {
-        self.memory.clear();
-        self.way.clear();
+        self.grid.clear();
+        self.planner.clear();
         self.last_position_ned_m = None;
         self.last_sequence = None;
         self.progress = None;

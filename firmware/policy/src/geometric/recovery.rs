@@ -1,9 +1,10 @@
-//! The recovery pilot: flies on when the actor's eyes are being lied to (docs/detection.md).
+//! The recovery pilot: flies on when an attack on the depth frames is detected, or the actor is about to fly into something
+//! (docs/detection.md).
 
-use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::Action;
 
-/// Fastest forward speed, metres per second: slower than the actor, whose eyes were better.
+/// Fastest forward speed, metres per second: slower than the actor, which believes each frame.
 const CRUISE_M_S: f32 = 0.8;
 
 /// The pilot. It is asked in every step, also while another one flies, so that it remembers what trusted frames showed.
@@ -17,16 +18,11 @@ impl RecoveryPilot {
     /// A pilot that remembers nothing.
     pub fn new() -> Self {
         Self {
-            pilot: GeometricPilot::distrusting(GeometricConfig {
+            pilot: GeometricPilot::recovery(GeometricConfig {
                 cruise_m_s: CRUISE_M_S,
                 ..GeometricConfig::default()
             }),
         }
-    }
-
-    /// What the last frame showed.
-    pub fn surroundings(&self) -> &RangeScan {
-        self.pilot.surroundings()
     }
 
     /// Decides. `flying` says whether this pilot's last action reached the vehicle.
