@@ -1,6 +1,9 @@
 //! Element-wise functions: value, gradient and DeepLIFT multipliers (rescale rule).
 
 use crate::error::{ShapeError, expect};
+use crate::graph::operation::Operation;
+use crate::graph::run::{Backward, Forward, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 use crate::math::{exp_m1_negative, sigmoid, tanh};
@@ -226,5 +229,38 @@ impl Task for Multipliers<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
         with_slope(self.act, self);
+    }
+}
+
+impl GraphBuilder {
+    /// An element-wise function.
+    ///
+    /// # Errors
+    /// An unknown node.
+    pub fn activation(&mut self, x: NodeId, activation: Activation) -> Result<NodeId, ShapeError> {
+        let len = self.len_of(x)?;
+        self.add(activation, &[x], len, Params::default())
+    }
+}
+
+impl Operation for Activation {
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        self.apply(node.isa, node.source(0)?, node.value)
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        // The curve's input is the source's value, so it is not kept twice.
+        let (x, y) = (node.source(0, node.tape)?, node.kept(node.tape)?.value);
+        match pass.reference() {
+            None => self.gradient(node.isa, y, d)?,
+            Some(reference) => {
+                let (x_ref, y_ref) = (node.source(0, reference)?, node.kept(reference)?.value);
+                self.multipliers(node.isa, (x, y), (x_ref, y_ref), d)?;
+            }
+        }
+        node.write_source(0, |dx, _| {
+            dx.copy_from_slice(d);
+            Ok(())
+        })
     }
 }

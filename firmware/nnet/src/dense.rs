@@ -2,6 +2,11 @@
 
 use crate::activation::Activation;
 use crate::error::{ShapeError, expect, part, part_mut};
+#[cfg(feature = "train")]
+use crate::graph::operation::draw_for;
+use crate::graph::operation::{Operation, kept_before};
+use crate::graph::run::{Backward, Forward, Pass, unless_empty};
+use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 
@@ -165,5 +170,62 @@ pub(crate) fn transpose(rows: usize, cols: usize, from: &[f32], to: &mut [f32]) 
                 }
             }
         }
+    }
+}
+
+impl GraphBuilder {
+    /// A fully connected layer with its activation, applied to each row of `inputs` values.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn dense(
+        &mut self,
+        x: NodeId,
+        layer: Dense,
+        activation: Activation,
+        params: Params,
+    ) -> Result<NodeId, ShapeError> {
+        let rows = self.len_of(x)? / layer.inputs.max(1);
+        self.check("dense input", x, rows * layer.inputs)?;
+        Self::check_params("dense parameters", params, layer.param_len())?;
+        self.add((layer, activation), &[x], rows * layer.outputs, params)
+    }
+}
+
+impl Operation for (Dense, Activation) {
+    fn aux_len(&self, len: usize, purpose: Purpose) -> usize {
+        kept_before(self.1, len, purpose)
+    }
+
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        let (layer, activation) = self;
+        let x = node.source(0)?;
+        layer.forward(
+            node.isa,
+            node.params,
+            *activation,
+            x,
+            unless_empty(node.aux),
+            node.value,
+        )
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let (layer, activation) = self;
+        let (isa, packed) = (node.isa, node.packed);
+        node.through(*activation, d, pass)?;
+        if let Some(d_params) = node.d_params(pass)? {
+            layer.weight_gradient(isa, node.source(0, node.tape)?, d, d_params)?;
+        }
+        node.write_source(0, |dx, _| layer.input_gradient(isa, packed, d, dx))
+    }
+
+    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+        self.0.pack(params, packed)
+    }
+
+    #[cfg(feature = "train")]
+    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
+        draw_for(self.0.inputs, params, draw);
     }
 }

@@ -3,6 +3,11 @@
 use crate::activation::{Activation, rescale};
 use crate::dense::{column_sums, transpose};
 use crate::error::{ShapeError, expect, part, part_mut};
+use crate::graph::operation::Operation;
+#[cfg(feature = "train")]
+use crate::graph::operation::draw_for;
+use crate::graph::run::{Backward, Forward, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 
@@ -302,4 +307,66 @@ pub(crate) fn pack_matrices(
         at += len;
     }
     Ok(())
+}
+
+impl GraphBuilder {
+    /// One step of a GRU from state `h`; the node's value is the next state.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn gru(&mut self, x: NodeId, h: NodeId, layer: Gru, params: Params) -> Result<NodeId, ShapeError> {
+        self.check("GRU input", x, layer.inputs)?;
+        self.check("GRU state", h, layer.hidden)?;
+        Self::check_params("GRU parameters", params, layer.param_len())?;
+        if x == h {
+            return description("GRU", "input and state are the same node");
+        }
+        self.add(layer, &[x, h], layer.hidden, params)
+    }
+}
+
+impl Operation for Gru {
+    fn aux_len(&self, _len: usize, _purpose: Purpose) -> usize {
+        self.gates_len() + self.projection_len()
+    }
+
+    fn scratch_len(&self) -> usize {
+        self.gate_gradient_len()
+    }
+
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        let (x, state) = (node.source(0)?, node.source(1)?);
+        let (gates, projection) = node.aux.split_at_mut_checked(self.gates_len()).unwrap_or_default();
+        self.project(node.isa, node.params, x, projection)?;
+        self.step(node.isa, node.params, projection, state, gates, node.value)
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let (isa, packed, tape) = (node.isa, node.packed, node.tape);
+        let reference_tape = pass.reference().unwrap_or(tape);
+        let (now, reference) = (node.kept(tape)?, node.kept(reference_tape)?);
+        let (x, state) = (node.source(0, tape)?, node.source(1, tape)?);
+        let gates = part("tape", now.aux, 0, self.gates_len())?;
+        let gates_ref = part("tape", reference.aux, 0, self.gates_len())?;
+        let step = (state, gates);
+        let reference = (node.source(1, reference_tape)?, gates_ref);
+        let d_params = node.d_params(pass)?;
+        node.write_both_sources(|dx, d_state, scratch| {
+            let d_gates = part_mut("work buffer", scratch, 0, self.gate_gradient_len())?;
+            self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)?;
+            match d_params {
+                Some(d_params) => self.weight_gradient(isa, x, state, d_gates, d_params),
+                None => Ok(()),
+            }
+        })
+    }
+
+    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+        self.pack(params, packed)
+    }
+
+    #[cfg(feature = "train")]
+    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
+        draw_for(self.hidden, params, draw);
+    }
 }

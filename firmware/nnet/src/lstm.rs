@@ -3,6 +3,11 @@
 use crate::activation::{Activation, rescale};
 use crate::dense::column_sums;
 use crate::error::{ShapeError, expect, part, part_mut};
+use crate::graph::operation::Operation;
+#[cfg(feature = "train")]
+use crate::graph::operation::draw_for;
+use crate::graph::run::{Backward, Forward, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
 use crate::gru::{outer_product, pack_matrices, row_times_matrix};
 use crate::isa::Isa;
 use crate::kernels::Start;
@@ -193,5 +198,63 @@ impl Lstm {
         let bias = self.input() + self.recurrent();
         let bias = part_mut("LSTM bias gradient", d_params, bias, 4 * self.hidden)?;
         column_sums(isa, 1, 4 * self.hidden, d_gates, bias, 0)
+    }
+}
+
+impl GraphBuilder {
+    /// One step of an LSTM from `state` (`h`, then `c`); the node's value is the next state.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn lstm(&mut self, x: NodeId, state: NodeId, layer: Lstm, params: Params) -> Result<NodeId, ShapeError> {
+        self.check("LSTM input", x, layer.inputs)?;
+        self.check("LSTM state", state, layer.state_len())?;
+        Self::check_params("LSTM parameters", params, layer.param_len())?;
+        if x == state {
+            return description("LSTM", "input and state are the same node");
+        }
+        self.add(layer, &[x, state], layer.state_len(), params)
+    }
+}
+
+impl Operation for Lstm {
+    fn aux_len(&self, _len: usize, _purpose: Purpose) -> usize {
+        self.gates_len()
+    }
+
+    fn scratch_len(&self) -> usize {
+        self.gate_gradient_len()
+    }
+
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        let (x, state) = (node.source(0)?, node.source(1)?);
+        self.step(node.isa, node.params, x, state, node.aux, node.value)
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let (isa, packed, tape) = (node.isa, node.packed, node.tape);
+        let reference_tape = pass.reference().unwrap_or(tape);
+        let (now, reference) = (node.kept(tape)?, node.kept(reference_tape)?);
+        let (x, state) = (node.source(0, tape)?, node.source(1, tape)?);
+        let step = (state, now.aux, now.value);
+        let reference = (node.source(1, reference_tape)?, reference.aux, reference.value);
+        let d_params = node.d_params(pass)?;
+        node.write_both_sources(|dx, d_state, scratch| {
+            let d_gates = part_mut("work buffer", scratch, 0, self.gate_gradient_len())?;
+            self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)?;
+            match d_params {
+                Some(d_params) => self.weight_gradient(isa, x, state, d_gates, d_params),
+                None => Ok(()),
+            }
+        })
+    }
+
+    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+        self.pack(params, packed)
+    }
+
+    #[cfg(feature = "train")]
+    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
+        draw_for(self.hidden, params, draw);
     }
 }

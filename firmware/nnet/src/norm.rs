@@ -1,6 +1,9 @@
 //! Batch normalisation.
 
 use crate::error::{ShapeError, expect, part, part_mut};
+use crate::graph::operation::Operation;
+use crate::graph::run::{Backward, Forward, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 
@@ -18,7 +21,7 @@ pub struct BatchNorm {
 
 /// The four rows of parameters.
 #[derive(Clone, Copy)]
-struct Params<'a> {
+struct Parts<'a> {
     scale: &'a [f32],
     shift: &'a [f32],
     mean: &'a [f32],
@@ -31,10 +34,10 @@ impl BatchNorm {
         4 * self.channels
     }
 
-    fn split<'a>(&self, params: &'a [f32]) -> Result<Params<'a>, ShapeError> {
+    fn split<'a>(&self, params: &'a [f32]) -> Result<Parts<'a>, ShapeError> {
         expect("batch norm parameters", params, self.param_len())?;
         let row = |i: usize| part("batch norm parameters", params, i * self.channels, self.channels);
-        Ok(Params {
+        Ok(Parts {
             scale: row(0)?,
             shift: row(1)?,
             mean: row(2)?,
@@ -200,7 +203,7 @@ impl BatchNorm {
 
 /// [`BatchNorm::forward`].
 struct Affine<'a> {
-    p: Params<'a>,
+    p: Parts<'a>,
     epsilon: f32,
     x: &'a [f32],
     y: &'a mut [f32],
@@ -222,7 +225,7 @@ impl Task for Affine<'_> {
 
 /// [`BatchNorm::input_gradient`].
 struct Slopes<'a> {
-    p: Params<'a>,
+    p: Parts<'a>,
     epsilon: f32,
     dy: &'a [f32],
     dx: &'a mut [f32],
@@ -237,6 +240,41 @@ impl Task for Slopes<'_> {
             for ((dy, dx), (scale, variance)) in dy.iter().zip(dx).zip(p.scale.iter().zip(p.variance)) {
                 *dx = dy * scale / libm::sqrtf(variance + epsilon);
             }
+        }
+    }
+}
+
+impl GraphBuilder {
+    /// Batch normalisation with running statistics.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn batch_norm(&mut self, x: NodeId, layer: BatchNorm, params: Params) -> Result<NodeId, ShapeError> {
+        let len = self.len_of(x)?;
+        self.check("batch norm input", x, len / layer.channels.max(1) * layer.channels)?;
+        Self::check_params("batch norm parameters", params, layer.param_len())?;
+        self.add(layer, &[x], len, params)
+    }
+}
+
+impl Operation for BatchNorm {
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        self.forward(node.isa, node.params, node.source(0)?, node.value)
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let (isa, packed) = (node.isa, node.packed);
+        if let Some(d_params) = node.d_params(pass)? {
+            self.weight_gradient(packed, node.source(0, node.tape)?, d, d_params)?;
+        }
+        node.write_source(0, |dx, _| self.input_gradient(isa, packed, d, dx))
+    }
+
+    /// The identity.
+    #[cfg(feature = "train")]
+    fn initialize_node(&self, params: &mut [f32], _draw: &mut dyn FnMut(f32) -> f32) {
+        for (row, value) in params.chunks_exact_mut(self.channels).zip([1.0, 0.0, 0.0, 1.0]) {
+            row.fill(value);
         }
     }
 }

@@ -1,6 +1,9 @@
 //! Max pooling.
 
 use crate::error::{ShapeError, expect, part, part_mut};
+use crate::graph::operation::Operation;
+use crate::graph::run::{Backward, Forward, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 
@@ -175,5 +178,33 @@ impl Task for Larger<'_> {
             // A value that is not a number wins, so that it is not hidden.
             *best = if *x > *best || x.is_nan() { *x } else { *best };
         }
+    }
+}
+
+impl GraphBuilder {
+    /// Max pooling.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn max_pool2d(&mut self, x: NodeId, layer: MaxPool2d) -> Result<NodeId, ShapeError> {
+        layer.validate()?;
+        self.check("max pool input", x, layer.input_len())?;
+        self.add(layer, &[x], layer.output_len(), Params::default())
+    }
+}
+
+impl Operation for MaxPool2d {
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        self.forward(node.isa, node.source(0)?, node.value)
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let on = |tape| Ok::<_, ShapeError>((node.source(0, tape)?, node.kept(tape)?.value));
+        let (x, y) = on(node.tape)?;
+        let reference = pass.reference().map(on).transpose()?;
+        node.write_source(0, |dx, _| match reference {
+            None => self.input_gradient(x, y, d, dx),
+            Some(reference) => self.multipliers((x, y), reference, d, dx),
+        })
     }
 }

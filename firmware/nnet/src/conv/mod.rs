@@ -7,6 +7,11 @@ mod reorder;
 use crate::activation::Activation;
 use crate::dense::column_sums;
 use crate::error::{ShapeError, expect, part, part_mut};
+#[cfg(feature = "train")]
+use crate::graph::operation::draw_for;
+use crate::graph::operation::{Operation, kept_before};
+use crate::graph::run::{Backward, Forward, Pass, unless_empty};
+use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
 
@@ -303,5 +308,69 @@ impl Conv2d {
         }
         let pixels = vertical.out * horizontal.out;
         column_sums(isa, pixels, self.filters, dy, d_params, self.weight_len())
+    }
+}
+
+impl GraphBuilder {
+    /// A convolution with its activation.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn conv2d(
+        &mut self,
+        x: NodeId,
+        layer: Conv2d,
+        activation: Activation,
+        params: Params,
+    ) -> Result<NodeId, ShapeError> {
+        layer.validate()?;
+        self.check("conv2d input", x, layer.input_len())?;
+        Self::check_params("conv2d parameters", params, layer.param_len())?;
+        self.add((layer, activation), &[x], layer.output_len(), params)
+    }
+}
+
+impl Operation for (Conv2d, Activation) {
+    fn aux_len(&self, len: usize, purpose: Purpose) -> usize {
+        kept_before(self.1, len, purpose)
+    }
+
+    fn scratch_len(&self) -> usize {
+        self.0.input_gradient_scratch_len()
+    }
+
+    fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
+        let (layer, activation) = self;
+        let x = node.source(0)?;
+        layer.forward(
+            node.isa,
+            node.params,
+            *activation,
+            x,
+            unless_empty(node.aux),
+            node.value,
+        )
+    }
+
+    fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let (layer, activation) = self;
+        let (isa, packed) = (node.isa, node.packed);
+        node.through(*activation, d, pass)?;
+        if let Some(d_params) = node.d_params(pass)? {
+            layer.weight_gradient(isa, node.source(0, node.tape)?, d, d_params)?;
+        }
+        let scratch_len = self.scratch_len();
+        node.write_source(0, |dx, scratch| {
+            layer.input_gradient(isa, packed, d, dx, part_mut("work buffer", scratch, 0, scratch_len)?)
+        })
+    }
+
+    fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {
+        self.0.pack(params, packed)
+    }
+
+    #[cfg(feature = "train")]
+    fn initialize_node(&self, params: &mut [f32], draw: &mut dyn FnMut(f32) -> f32) {
+        draw_for(self.0.kernel * self.0.kernel * self.0.channels, params, draw);
     }
 }

@@ -1,9 +1,10 @@
 //! Describing a network.
 
-use super::{Edge, Graph, Layer, Node, NodeId, Params, Purpose};
+use super::operation::AnyOperation;
+use super::structure::Input;
+use super::{Edge, Graph, Node, NodeId, Params, Purpose};
 use crate::aligned::LINE;
 use crate::error::ShapeError;
-use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -11,11 +12,11 @@ use alloc::vec::Vec;
 /// [`GraphBuilder::finish`] does.
 #[derive(Debug, Clone, Default)]
 pub struct GraphBuilder {
-    layers: Vec<(Layer, Vec<usize>, usize, Params)>,
+    layers: Vec<(AnyOperation, Vec<usize>, usize, Params)>,
     param_len: usize,
 }
 
-fn description<T>(what: &'static str, why: &'static str) -> Result<T, ShapeError> {
+pub(crate) fn description<T>(what: &'static str, why: &'static str) -> Result<T, ShapeError> {
     Err(ShapeError::Description { what, why })
 }
 
@@ -32,14 +33,22 @@ impl GraphBuilder {
         Params { at, len }
     }
 
-    fn len_of(&self, node: NodeId) -> Result<usize, ShapeError> {
+    /// Values of a node.
+    pub(crate) fn len_of(&self, node: NodeId) -> Result<usize, ShapeError> {
         match self.layers.get(node.0) {
             Some((_, _, len, _)) => Ok(*len),
             None => description("graph", "a node belongs to another graph"),
         }
     }
 
-    fn add(&mut self, layer: Layer, sources: &[NodeId], len: usize, params: Params) -> Result<NodeId, ShapeError> {
+    /// Adds a node of `len` values.
+    pub(crate) fn add(
+        &mut self,
+        operation: impl Into<AnyOperation>,
+        sources: &[NodeId],
+        len: usize,
+        params: Params,
+    ) -> Result<NodeId, ShapeError> {
         if len == 0 {
             return description("graph", "a node has no values");
         }
@@ -50,11 +59,12 @@ impl GraphBuilder {
             self.len_of(*source)?;
         }
         self.layers
-            .push((layer, sources.iter().map(|s| s.0).collect(), len, params));
+            .push((operation.into(), sources.iter().map(|s| s.0).collect(), len, params));
         Ok(NodeId(self.layers.len() - 1))
     }
 
-    fn check(&self, what: &'static str, source: NodeId, expected: usize) -> Result<(), ShapeError> {
+    /// Refuses a source of another length.
+    pub(crate) fn check(&self, what: &'static str, source: NodeId, expected: usize) -> Result<(), ShapeError> {
         let got = self.len_of(source)?;
         if got == expected {
             Ok(())
@@ -63,7 +73,8 @@ impl GraphBuilder {
         }
     }
 
-    fn check_params(what: &'static str, params: Params, expected: usize) -> Result<(), ShapeError> {
+    /// Refuses parameters of another length.
+    pub(crate) fn check_params(what: &'static str, params: Params, expected: usize) -> Result<(), ShapeError> {
         if params.len == expected {
             Ok(())
         } else {
@@ -73,143 +84,6 @@ impl GraphBuilder {
                 got: params.len,
             })
         }
-    }
-
-    /// An input of the network. Inputs are numbered from 0 in the order they are added. `explained` says whether the
-    /// backward passes shall reach it; leaving out what nobody asks for saves the first layers' work.
-    ///
-    /// # Errors
-    /// A zero length.
-    pub fn input(&mut self, len: usize, explained: bool) -> Result<NodeId, ShapeError> {
-        self.add(Layer::Input { explained }, &[], len, Params::default())
-    }
-
-    /// Constant zeros: a recurrent layer's first state.
-    ///
-    /// # Errors
-    /// A zero length.
-    pub fn zeros(&mut self, len: usize) -> Result<NodeId, ShapeError> {
-        self.add(Layer::Zeros, &[], len, Params::default())
-    }
-
-    /// A convolution with its activation.
-    ///
-    /// # Errors
-    /// Lengths that do not fit.
-    pub fn conv2d(
-        &mut self,
-        x: NodeId,
-        layer: Conv2d,
-        activation: Activation,
-        params: Params,
-    ) -> Result<NodeId, ShapeError> {
-        layer.validate()?;
-        self.check("conv2d input", x, layer.input_len())?;
-        Self::check_params("conv2d parameters", params, layer.param_len())?;
-        self.add(Layer::Conv2d(layer, activation), &[x], layer.output_len(), params)
-    }
-
-    /// A fully connected layer with its activation, applied to each row of `inputs` values.
-    ///
-    /// # Errors
-    /// Lengths that do not fit.
-    pub fn dense(
-        &mut self,
-        x: NodeId,
-        layer: Dense,
-        activation: Activation,
-        params: Params,
-    ) -> Result<NodeId, ShapeError> {
-        let rows = self.len_of(x)? / layer.inputs.max(1);
-        self.check("dense input", x, rows * layer.inputs)?;
-        Self::check_params("dense parameters", params, layer.param_len())?;
-        self.add(Layer::Dense(layer, activation), &[x], rows * layer.outputs, params)
-    }
-
-    /// An element-wise function.
-    ///
-    /// # Errors
-    /// An unknown node.
-    pub fn activation(&mut self, x: NodeId, activation: Activation) -> Result<NodeId, ShapeError> {
-        let len = self.len_of(x)?;
-        self.add(Layer::Activation(activation), &[x], len, Params::default())
-    }
-
-    /// Batch normalisation with running statistics.
-    ///
-    /// # Errors
-    /// Lengths that do not fit.
-    pub fn batch_norm(&mut self, x: NodeId, layer: BatchNorm, params: Params) -> Result<NodeId, ShapeError> {
-        let len = self.len_of(x)?;
-        self.check("batch norm input", x, len / layer.channels.max(1) * layer.channels)?;
-        Self::check_params("batch norm parameters", params, layer.param_len())?;
-        self.add(Layer::BatchNorm(layer), &[x], len, params)
-    }
-
-    /// Max pooling.
-    ///
-    /// # Errors
-    /// Lengths that do not fit.
-    pub fn max_pool2d(&mut self, x: NodeId, layer: MaxPool2d) -> Result<NodeId, ShapeError> {
-        layer.validate()?;
-        self.check("max pool input", x, layer.input_len())?;
-        self.add(Layer::MaxPool2d(layer), &[x], layer.output_len(), Params::default())
-    }
-
-    /// One step of a GRU from state `h`; the node's value is the next state.
-    ///
-    /// # Errors
-    /// Lengths that do not fit.
-    pub fn gru(&mut self, x: NodeId, h: NodeId, layer: Gru, params: Params) -> Result<NodeId, ShapeError> {
-        self.check("GRU input", x, layer.inputs)?;
-        self.check("GRU state", h, layer.hidden)?;
-        Self::check_params("GRU parameters", params, layer.param_len())?;
-        if x == h {
-            return description("GRU", "input and state are the same node");
-        }
-        self.add(Layer::Gru(layer), &[x, h], layer.hidden, params)
-    }
-
-    /// One step of an LSTM from `state` (`h`, then `c`); the node's value is the next state.
-    ///
-    /// # Errors
-    /// Lengths that do not fit.
-    pub fn lstm(&mut self, x: NodeId, state: NodeId, layer: Lstm, params: Params) -> Result<NodeId, ShapeError> {
-        self.check("LSTM input", x, layer.inputs)?;
-        self.check("LSTM state", state, layer.state_len())?;
-        Self::check_params("LSTM parameters", params, layer.param_len())?;
-        if x == state {
-            return description("LSTM", "input and state are the same node");
-        }
-        self.add(Layer::Lstm(layer), &[x, state], layer.state_len(), params)
-    }
-
-    /// Values of several nodes, one after the other.
-    ///
-    /// # Errors
-    /// An unknown node.
-    pub fn concat(&mut self, parts: &[NodeId]) -> Result<NodeId, ShapeError> {
-        let mut len = 0;
-        for part in parts {
-            len += self.len_of(*part)?;
-        }
-        self.add(Layer::Concat, parts, len, Params::default())
-    }
-
-    /// Values `from..from + len` of a node.
-    ///
-    /// # Errors
-    /// A range outside the node.
-    pub fn slice(&mut self, x: NodeId, from: usize, len: usize) -> Result<NodeId, ShapeError> {
-        let got = self.len_of(x)?;
-        if from + len > got {
-            return Err(ShapeError::Length {
-                what: "sliced node",
-                expected: from + len,
-                got,
-            });
-        }
-        self.add(Layer::Slice { from }, &[x], len, Params::default())
     }
 
     /// The finished network with `output` as its output. Nodes that the output does not depend on are not computed.
@@ -234,14 +108,15 @@ impl GraphBuilder {
         let mut nodes: Vec<Node> = Vec::with_capacity(self.layers.len());
         let mut inputs = Vec::new();
         let (mut tape_len, mut gradient_len, mut spill_len, mut scratch_len) = (0, 0, 0, 0);
-        for ((layer, sources, len, params), live) in self.layers.into_iter().zip(live) {
-            let aux_len = layer.aux_len(len, purpose);
-            if let Layer::Input { .. } = layer {
+        for ((operation, sources, len, params), live) in self.layers.into_iter().zip(live) {
+            let aux_len = operation.get().aux_len(len, purpose);
+            if let AnyOperation::Input(_) = operation {
                 inputs.push(nodes.len());
             }
             let of = |flag: fn(&Node) -> bool| sources.iter().any(|s| nodes.get(*s).is_some_and(flag));
             let node = Node {
-                reaches_input: matches!(layer, Layer::Input { explained: true }) || of(|n| n.reaches_input),
+                reaches_input: matches!(operation, AnyOperation::Input(Input { explained: true }))
+                    || of(|n| n.reaches_input),
                 reaches_params: params.len > 0 || of(|n| n.reaches_params),
                 sources: sources
                     .iter()
@@ -254,11 +129,11 @@ impl GraphBuilder {
                 len,
                 aux_len,
                 gradient_at: gradient_len,
-                layer,
+                operation,
                 params,
                 live,
             };
-            scratch_len = scratch_len.max(node.layer.scratch_len());
+            scratch_len = scratch_len.max(node.operation.get().scratch_len());
             for source in &sources {
                 spill_len = spill_len.max(nodes.get(*source).map_or(0, |n| n.len));
             }

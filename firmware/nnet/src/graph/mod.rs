@@ -5,13 +5,16 @@
 //! evaluation allocates nothing.
 
 mod build;
-mod run;
+pub(crate) mod operation;
+pub(crate) mod run;
+mod structure;
 
 pub use build::GraphBuilder;
+pub(crate) use build::description;
 
 use crate::error::{ShapeError, part};
-use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
 use alloc::vec::Vec;
+use operation::AnyOperation;
 
 /// A node of one graph.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,48 +38,6 @@ pub enum Purpose {
     Multipliers,
 }
 
-/// What a node computes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Layer {
-    Input { explained: bool },
-    Zeros,
-    Conv2d(Conv2d, Activation),
-    Dense(Dense, Activation),
-    Activation(Activation),
-    BatchNorm(BatchNorm),
-    MaxPool2d(MaxPool2d),
-    Gru(Gru),
-    Lstm(Lstm),
-    Concat,
-    Slice { from: usize },
-}
-
-impl Layer {
-    /// Values a node keeps besides its output.
-    fn aux_len(&self, len: usize, purpose: Purpose) -> usize {
-        match self {
-            Self::Conv2d(_, act) | Self::Dense(_, act)
-                if purpose == Purpose::Multipliers && *act != Activation::Identity =>
-            {
-                len
-            }
-            Self::Gru(layer) => layer.gates_len() + layer.projection_len(),
-            Self::Lstm(layer) => layer.gates_len(),
-            _ => 0,
-        }
-    }
-
-    /// Values a node's backward pass needs besides the gradients.
-    fn scratch_len(&self) -> usize {
-        match self {
-            Self::Conv2d(layer, _) => layer.input_gradient_scratch_len(),
-            Self::Gru(layer) => layer.gate_gradient_len(),
-            Self::Lstm(layer) => layer.gate_gradient_len(),
-            _ => 0,
-        }
-    }
-}
-
 /// A node's use of an earlier node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Edge {
@@ -87,7 +48,7 @@ pub(crate) struct Edge {
 
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Node {
-    layer: Layer,
+    operation: AnyOperation,
     sources: Vec<Edge>,
     params: Params,
     /// Offset of the value on the tape; what the node keeps besides follows it.
@@ -221,8 +182,8 @@ impl Graph {
 
 #[cfg(feature = "train")]
 impl Graph {
-    /// Layers and where their parameters lie, in order of computation.
-    pub(crate) fn layers(&self) -> impl Iterator<Item = (Layer, Params)> {
-        self.nodes.iter().map(|node| (node.layer, node.params))
+    /// Operations and where their parameters lie, in order of computation.
+    pub(crate) fn operations(&self) -> impl Iterator<Item = (&dyn operation::Operation, Params)> {
+        self.nodes.iter().map(|node| (node.operation.get(), node.params))
     }
 }

@@ -1,22 +1,33 @@
 //! Evaluating a network forwards and backwards.
 
-use super::{Graph, Layer, Node, Params, Purpose};
+use super::structure::Input;
+use super::{AnyOperation, Graph, Node, Params, Purpose};
 use crate::Activation;
 use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 
 /// What a backward pass is for.
-enum Pass<'a> {
+pub(crate) enum Pass<'a> {
     /// Gradients at a tape; adds to the parameters' gradient if it is wanted.
     Gradient(Option<&'a mut [f32]>),
     /// Multipliers against this reference tape.
     Multipliers(&'a [f32]),
 }
 
+impl<'a> Pass<'a> {
+    /// The reference tape of multipliers.
+    pub fn reference(&self) -> Option<&'a [f32]> {
+        match self {
+            Self::Gradient(_) => None,
+            Self::Multipliers(reference) => Some(reference),
+        }
+    }
+}
+
 /// A node's value and what it keeps besides, on one tape.
-struct Kept<'a> {
-    value: &'a [f32],
-    aux: &'a [f32],
+pub(crate) struct Kept<'a> {
+    pub value: &'a [f32],
+    pub aux: &'a [f32],
 }
 
 impl Kept<'_> {
@@ -26,15 +37,43 @@ impl Kept<'_> {
     }
 }
 
-fn kept<'a>(node: &Node, tape: &'a [f32]) -> Result<Kept<'a>, ShapeError> {
-    Ok(Kept {
-        value: part("tape", tape, node.at, node.len)?,
-        aux: part("tape", tape, node.at + node.len, node.aux_len)?,
-    })
-}
-
 fn params_of(params: &[f32], range: Params) -> Result<&[f32], ShapeError> {
     part("network parameters", params, range.at, range.len)
+}
+
+/// One node's turn in an evaluation.
+pub(crate) struct Forward<'a> {
+    graph: &'a Graph,
+    node: &'a Node,
+    pub isa: Isa,
+    /// The node's own parameters.
+    pub params: &'a [f32],
+    /// Values of all earlier nodes.
+    before: &'a [f32],
+    /// What was given for it, if it is an input of the network.
+    pub given: &'a [f32],
+    /// The node's value, to be written.
+    pub value: &'a mut [f32],
+    /// What it keeps besides, to be written; empty where it keeps nothing.
+    pub aux: &'a mut [f32],
+}
+
+impl<'a> Forward<'a> {
+    /// How many sources the node has.
+    pub fn source_count(&self) -> usize {
+        self.node.sources.len()
+    }
+
+    /// The value of source `i`.
+    pub fn source(&self, i: usize) -> Result<&'a [f32], ShapeError> {
+        let from = self.graph.source(self.node, i)?;
+        part("tape", self.before, from.at, from.len)
+    }
+}
+
+/// `None` for nothing.
+pub(crate) fn unless_empty(values: &mut [f32]) -> Option<&mut [f32]> {
+    Some(values).filter(|values| !values.is_empty())
 }
 
 impl Graph {
@@ -54,7 +93,7 @@ impl Graph {
         }
         let mut inputs = inputs.iter();
         for node in &self.nodes {
-            let given = if let Layer::Input { .. } = node.layer {
+            let given = if let AnyOperation::Input(Input { .. }) = node.operation {
                 inputs.next()
             } else {
                 None
@@ -65,40 +104,16 @@ impl Graph {
             let (before, own) = tape.split_at_mut_checked(node.at).unwrap_or_default();
             let own = part_mut("tape", own, 0, node.len + node.aux_len)?;
             let (value, aux) = own.split_at_mut_checked(node.len).unwrap_or_default();
-            let source = |i: usize| -> Result<&[f32], ShapeError> {
-                let from = self.source(node, i)?;
-                part("tape", before, from.at, from.len)
-            };
-            let own_params = params_of(params, node.params)?;
-            let pre = |aux| if node.aux_len == 0 { None } else { Some(aux) };
-            match node.layer {
-                Layer::Input { .. } => {
-                    let given = given.copied().unwrap_or_default();
-                    expect("network input", given, node.len)?;
-                    value.copy_from_slice(given);
-                }
-                Layer::Zeros => value.fill(0.0),
-                Layer::Conv2d(layer, act) => layer.forward(isa, own_params, act, source(0)?, pre(aux), value)?,
-                Layer::Dense(layer, act) => layer.forward(isa, own_params, act, source(0)?, pre(aux), value)?,
-                Layer::Activation(act) => act.apply(isa, source(0)?, value)?,
-                Layer::BatchNorm(layer) => layer.forward(isa, own_params, source(0)?, value)?,
-                Layer::MaxPool2d(layer) => layer.forward(isa, source(0)?, value)?,
-                Layer::Gru(layer) => {
-                    let (gates, projection) = aux.split_at_mut_checked(layer.gates_len()).unwrap_or_default();
-                    layer.project(isa, own_params, source(0)?, projection)?;
-                    layer.step(isa, own_params, projection, source(1)?, gates, value)?;
-                }
-                Layer::Lstm(layer) => layer.step(isa, own_params, source(0)?, source(1)?, aux, value)?,
-                Layer::Concat => {
-                    let mut at = 0;
-                    for i in 0..node.sources.len() {
-                        let from = source(i)?;
-                        part_mut("tape", value, at, from.len())?.copy_from_slice(from);
-                        at += from.len();
-                    }
-                }
-                Layer::Slice { from } => value.copy_from_slice(part("tape", source(0)?, from, node.len)?),
-            }
+            node.operation.get().forward_node(&mut Forward {
+                graph: self,
+                node,
+                isa,
+                params: params_of(params, node.params)?,
+                before,
+                given: given.copied().unwrap_or_default(),
+                value,
+                aux,
+            })?;
         }
         Ok(())
     }
@@ -122,14 +137,7 @@ impl Graph {
         for node in &self.nodes {
             let from = params_of(params, node.params)?;
             let to = part_mut("packed parameters", packed, node.params.at, node.params.len)?;
-            match node.layer {
-                Layer::Conv2d(layer, _) => layer.pack(from, to)?,
-                Layer::Dense(layer, _) => layer.pack(from, to)?,
-                Layer::Gru(layer) => layer.pack(from, to)?,
-                Layer::Lstm(layer) => layer.pack(from, to)?,
-                // Nothing to transpose.
-                _ => to.copy_from_slice(from),
-            }
+            node.operation.get().pack_node(from, to)?;
         }
         Ok(())
     }
@@ -205,7 +213,7 @@ impl Graph {
             }
             let (before, own) = gradients.split_at_mut_checked(node.gradient_at).unwrap_or_default();
             let d = part_mut("work buffer", own, 0, node.len)?;
-            let mut step = Step {
+            let mut step = Backward {
                 graph: self,
                 isa,
                 node,
@@ -216,19 +224,20 @@ impl Graph {
                 scratch,
                 wanted: &wanted,
             };
-            step.run(d, &mut pass)?;
+            node.operation.get().backward_node(&mut step, d, &mut pass)?;
         }
         Ok(())
     }
 }
 
 /// One node's turn in a backward pass.
-struct Step<'a> {
+pub(crate) struct Backward<'a> {
     graph: &'a Graph,
-    isa: Isa,
     node: &'a Node,
-    packed: &'a [f32],
-    tape: &'a [f32],
+    pub isa: Isa,
+    /// The node's own parameters, packed.
+    pub packed: &'a [f32],
+    pub tape: &'a [f32],
     /// Gradients of all earlier nodes.
     before: &'a mut [f32],
     spill: &'a mut [f32],
@@ -236,9 +245,56 @@ struct Step<'a> {
     wanted: &'a dyn Fn(&Node) -> bool,
 }
 
-impl Step<'_> {
-    /// Hands the gradient of source `i` to `write`: in place, or beside and added afterwards if another edge was first.
-    fn write_source(
+impl Backward<'_> {
+    /// How many sources the node has.
+    pub fn source_count(&self) -> usize {
+        self.node.sources.len()
+    }
+
+    /// Length of source `i`.
+    pub fn source_len(&self, i: usize) -> Result<usize, ShapeError> {
+        Ok(self.graph.source(self.node, i)?.len)
+    }
+
+    /// The value of source `i` on a tape.
+    pub fn source<'t>(&self, i: usize, tape: &'t [f32]) -> Result<&'t [f32], ShapeError> {
+        let source = self.graph.source(self.node, i)?;
+        part("tape", tape, source.at, source.len)
+    }
+
+    /// The node's own value on a tape, and what it keeps besides.
+    pub fn kept<'t>(&self, tape: &'t [f32]) -> Result<Kept<'t>, ShapeError> {
+        let node = self.node;
+        Ok(Kept {
+            value: part("tape", tape, node.at, node.len)?,
+            aux: part("tape", tape, node.at + node.len, node.aux_len)?,
+        })
+    }
+
+    /// Where the node's parameter gradient is added, if it is wanted.
+    pub fn d_params<'p>(&self, pass: &'p mut Pass<'_>) -> Result<Option<&'p mut [f32]>, ShapeError> {
+        let Params { at, len } = self.node.params;
+        match pass {
+            Pass::Gradient(Some(d_params)) => part_mut("parameter gradient", d_params, at, len).map(Some),
+            _ => Ok(None),
+        }
+    }
+
+    /// Turns the gradient behind a curve into the one before it.
+    pub fn through(&self, act: Activation, d: &mut [f32], pass: &Pass<'_>) -> Result<(), ShapeError> {
+        let now = self.kept(self.tape)?;
+        match pass.reference() {
+            None => act.gradient(self.isa, now.value, d),
+            Some(reference) => {
+                let reference = self.kept(reference)?;
+                act.multipliers(self.isa, (now.pre(), now.value), (reference.pre(), reference.value), d)
+            }
+        }
+    }
+
+    /// Hands the gradient of source `i` and the scratch to `write`: in place, or beside and added afterwards if another edge was
+    /// first.
+    pub fn write_source(
         &mut self,
         i: usize,
         write: impl FnOnce(&mut [f32], &mut [f32]) -> Result<(), ShapeError>,
@@ -261,172 +317,24 @@ impl Step<'_> {
         }
     }
 
-    fn source_value(&self, i: usize) -> Result<&[f32], ShapeError> {
-        let source = self.graph.source(self.node, i)?;
-        part("tape", self.tape, source.at, source.len)
-    }
-
-    /// Turns the gradient behind a curve into the one before it.
-    fn through(&self, act: Activation, d: &mut [f32], pass: &Pass<'_>) -> Result<(), ShapeError> {
-        let now = kept(self.node, self.tape)?;
-        match pass {
-            Pass::Gradient(_) => act.gradient(self.isa, now.value, d),
-            Pass::Multipliers(reference) => {
-                let reference = kept(self.node, reference)?;
-                act.multipliers(self.isa, (now.pre(), now.value), (reference.pre(), reference.value), d)
-            }
-        }
-    }
-
-    fn run(&mut self, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed, range) = (self.isa, self.packed, self.node.params);
-        // Where this node's parameter gradient goes, if it is wanted.
-        fn own<'p>(pass: &'p mut Pass<'_>, range: Params) -> Result<Option<&'p mut [f32]>, ShapeError> {
-            match pass {
-                Pass::Gradient(Some(d_params)) => {
-                    part_mut("parameter gradient", d_params, range.at, range.len).map(Some)
-                }
-                _ => Ok(None),
-            }
-        }
-        match self.node.layer {
-            Layer::Input { .. } | Layer::Zeros => Ok(()),
-            Layer::Conv2d(layer, act) => {
-                self.through(act, d, pass)?;
-                if let Some(d_params) = own(pass, range)? {
-                    layer.weight_gradient(isa, self.source_value(0)?, d, d_params)?;
-                }
-                let scratch_len = layer.input_gradient_scratch_len();
-                self.write_source(0, |dx, scratch| {
-                    layer.input_gradient(isa, packed, d, dx, part_mut("work buffer", scratch, 0, scratch_len)?)
-                })
-            }
-            Layer::Dense(layer, act) => {
-                self.through(act, d, pass)?;
-                if let Some(d_params) = own(pass, range)? {
-                    layer.weight_gradient(isa, self.source_value(0)?, d, d_params)?;
-                }
-                self.write_source(0, |dx, _| layer.input_gradient(isa, packed, d, dx))
-            }
-            Layer::Activation(act) => {
-                // The curve's input is the source's value, so it is not kept twice.
-                let (x, y) = (self.source_value(0)?, kept(self.node, self.tape)?.value);
-                match pass {
-                    Pass::Gradient(_) => act.gradient(isa, y, d)?,
-                    Pass::Multipliers(reference) => {
-                        let source = self.graph.source(self.node, 0)?;
-                        let x_ref = part("tape", reference, source.at, source.len)?;
-                        let y_ref = kept(self.node, reference)?.value;
-                        act.multipliers(isa, (x, y), (x_ref, y_ref), d)?;
-                    }
-                }
-                self.write_source(0, |dx, _| {
-                    dx.copy_from_slice(d);
-                    Ok(())
-                })
-            }
-            Layer::BatchNorm(layer) => {
-                if let Some(d_params) = own(pass, range)? {
-                    layer.weight_gradient(packed, self.source_value(0)?, d, d_params)?;
-                }
-                self.write_source(0, |dx, _| layer.input_gradient(isa, packed, d, dx))
-            }
-            Layer::MaxPool2d(layer) => {
-                let source = self.graph.source(self.node, 0)?;
-                let tape = self.tape;
-                let x = part("tape", tape, source.at, source.len)?;
-                let y = kept(self.node, tape)?.value;
-                let reference = match pass {
-                    Pass::Gradient(_) => None,
-                    Pass::Multipliers(reference) => Some((
-                        part("tape", reference, source.at, source.len)?,
-                        kept(self.node, reference)?.value,
-                    )),
-                };
-                self.write_source(0, |dx, _| match reference {
-                    None => layer.input_gradient(x, y, d, dx),
-                    Some(reference) => layer.multipliers((x, y), reference, d, dx),
-                })
-            }
-            Layer::Gru(_) | Layer::Lstm(_) => self.recurrent(d, pass),
-            Layer::Concat => {
-                let mut at = 0;
-                for i in 0..self.node.sources.len() {
-                    let len = self.graph.source(self.node, i)?.len;
-                    let share = part("work buffer", d, at, len)?;
-                    self.write_source(i, |dx, _| {
-                        dx.copy_from_slice(share);
-                        Ok(())
-                    })?;
-                    at += len;
-                }
-                Ok(())
-            }
-            Layer::Slice { from } => {
-                let d = &*d;
-                self.write_source(0, |dx, _| {
-                    dx.fill(0.0);
-                    part_mut("work buffer", dx, from, d.len())?.copy_from_slice(d);
-                    Ok(())
-                })
-            }
-        }
-    }
-
-    /// Recurrent layers write the gradients of input and state at once: both beside, then to where they belong.
-    fn recurrent(&mut self, d: &[f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, node, tape) = (self.isa, self.node, self.tape);
-        let reference_tape: &[f32] = match pass {
-            Pass::Gradient(_) => tape,
-            Pass::Multipliers(reference) => reference,
-        };
-        let x_node = self.graph.source(node, 0)?;
-        let state_node = self.graph.source(node, 1)?;
-        let x = part("tape", tape, x_node.at, x_node.len)?;
-        let state = |tape| part("tape", tape, state_node.at, state_node.len);
-        let (now, reference) = (kept(node, tape)?, kept(node, reference_tape)?);
+    /// Hands the gradients of input and state of a recurrent layer, and the scratch, to `write`, which writes both at once: beside,
+    /// then to where they belong.
+    pub fn write_both_sources(
+        &mut self,
+        write: impl FnOnce(&mut [f32], &mut [f32], &mut [f32]) -> Result<(), ShapeError>,
+    ) -> Result<(), ShapeError> {
+        let (x_len, state_len) = (self.source_len(0)?, self.source_len(1)?);
         let spill = core::mem::take(&mut self.spill);
-        let (dx, rest) = spill.split_at_mut_checked(x_node.len).unwrap_or_default();
-        let d_state = part_mut("work buffer", rest, 0, state_node.len)?;
-        let d_params = match pass {
-            Pass::Gradient(Some(d_params)) => Some(part_mut(
-                "parameter gradient",
-                d_params,
-                node.params.at,
-                node.params.len,
-            )?),
-            _ => None,
-        };
-        match node.layer {
-            Layer::Gru(layer) => {
-                let d_gates = part_mut("work buffer", self.scratch, 0, layer.gate_gradient_len())?;
-                let gates = part("tape", now.aux, 0, layer.gates_len())?;
-                let gates_ref = part("tape", reference.aux, 0, layer.gates_len())?;
-                let step = (state(tape)?, gates);
-                let reference = (state(reference_tape)?, gates_ref);
-                layer.backward(isa, self.packed, step, reference, d, d_gates, dx, d_state)?;
-                if let Some(d_params) = d_params {
-                    layer.weight_gradient(isa, x, step.0, d_gates, d_params)?;
-                }
-            }
-            Layer::Lstm(layer) => {
-                let d_gates = part_mut("work buffer", self.scratch, 0, layer.gate_gradient_len())?;
-                let step = (state(tape)?, now.aux, now.value);
-                let reference = (state(reference_tape)?, reference.aux, reference.value);
-                layer.backward(isa, self.packed, step, reference, d, d_gates, dx, d_state)?;
-                if let Some(d_params) = d_params {
-                    layer.weight_gradient(isa, x, step.0, d_gates, d_params)?;
-                }
-            }
-            _ => {}
-        }
+        let (dx, rest) = spill.split_at_mut_checked(x_len).unwrap_or_default();
+        let d_state = part_mut("work buffer", rest, 0, state_len)?;
+        write(dx, d_state, self.scratch)?;
         for (i, from) in [&*dx, &*d_state].into_iter().enumerate() {
-            let source = self.graph.source(node, i)?;
+            let source = self.graph.source(self.node, i)?;
             if !(self.wanted)(source) {
                 continue;
             }
             let to = part_mut("work buffer", self.before, source.gradient_at, source.len)?;
-            if node.sources.get(i).is_some_and(|edge| edge.adds) {
+            if self.node.sources.get(i).is_some_and(|edge| edge.adds) {
                 for (to, from) in to.iter_mut().zip(from) {
                     *to += *from;
                 }

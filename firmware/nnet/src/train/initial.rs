@@ -1,7 +1,7 @@
 //! First weights.
 
 use crate::error::{ShapeError, expect, part_mut};
-use crate::graph::{Graph, Layer};
+use crate::graph::Graph;
 use alloc::vec::Vec;
 use rand::{Rng, RngExt};
 
@@ -15,29 +15,13 @@ impl Graph {
         expect("network parameters", params, self.param_len())?;
         // Shared parameters are drawn once, by their first user.
         let mut done = Vec::new();
-        for (layer, range) in self.layers() {
+        for (operation, range) in self.operations() {
             if range.len == 0 || done.contains(&range) {
                 continue;
             }
             done.push(range);
             let own = part_mut("network parameters", params, range.at, range.len)?;
-            let fan = match layer {
-                Layer::Conv2d(layer, _) => layer.kernel * layer.kernel * layer.channels,
-                Layer::Dense(layer, _) => layer.inputs,
-                Layer::Gru(layer) => layer.hidden,
-                Layer::Lstm(layer) => layer.hidden,
-                Layer::BatchNorm(layer) => {
-                    for (row, value) in own.chunks_exact_mut(layer.channels).zip([1.0, 0.0, 0.0, 1.0]) {
-                        row.fill(value);
-                    }
-                    continue;
-                }
-                _ => continue,
-            };
-            let limit = 1.0 / libm::sqrtf(fan as f32);
-            for param in own {
-                *param = rng.random_range(-limit..=limit);
-            }
+            operation.initialize_node(own, &mut |limit| rng.random_range(-limit..=limit));
         }
         Ok(())
     }

@@ -240,7 +240,8 @@ impl GeometricPilot {
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
     fn repulsion(&self, seen: &Scan, bearing_of_waypoint_rad: f32) -> Action {
-        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < self.strategy.margins().repulsive_half_width_m && y.abs() <= x;
+        let in_the_way =
+            |&(x, y, _): &(f32, f32, f32)| y.abs() < self.strategy.margins().repulsive_half_width_m && y.abs() <= x;
         let points = seen.points().filter(in_the_way);
         let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
             return Action::HOVER;
@@ -385,7 +386,13 @@ impl Pilot for GeometricPilot {
             .min(near_goal_m_s);
         let motion = motion_of(input, here, wanted.yaw);
         Action {
-            forward_m_s: governor::admissible_speed_m_s(&motion, seen, &self.grid, wanted_m_s, self.strategy.margins().spare_m),
+            forward_m_s: governor::admissible_speed_m_s(
+                &motion,
+                seen,
+                &self.grid,
+                wanted_m_s,
+                self.strategy.margins().spare_m,
+            ),
             yaw: wanted.yaw,
         }
     }
