@@ -9,21 +9,19 @@
 
 mod autopilot;
 mod companion;
+mod core;
 pub mod framing;
 mod geography;
-mod handover;
 mod inputs;
-mod obstacles;
 mod operator;
-mod parameters;
+mod parameter_table;
 mod report;
 pub mod routing;
 mod sender;
-mod setpoint_timeout;
+mod service;
+mod services;
 pub mod signing;
 mod status_text;
-mod streams;
-mod time;
 mod tracker;
 mod vehicle;
 
@@ -33,5 +31,5 @@ pub use mavlink;
 pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};
 pub use operator::PendingRequest;
-pub use parameters::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
+pub use parameter_table::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
 pub use status_text::StatusText;

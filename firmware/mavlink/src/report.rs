@@ -1,16 +1,16 @@
 //! What the guidance computer says of itself: HEARTBEAT, NAMED_VALUE_FLOAT, STATUSTEXT, and its setpoints.
 
 use crate::autopilot::{Flavour, command_number};
-use crate::handover::Trouble;
 use crate::operator::why as why_refused;
-use crate::setpoint_timeout::Finding;
+use crate::services::handover::Trouble;
+use crate::services::setpoint_timeout::Finding;
+use crate::services::streams::Slow;
 use crate::status_text::StatusText;
-use crate::streams::Slow;
 use crate::vehicle::Vehicle;
 use core::fmt::Write;
 use mavlink::dialects::common::{
-    HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavParamError, MavSeverity, MavState, MavType,
-    NAMED_VALUE_FLOAT_DATA, PARAM_ERROR_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
+    HEARTBEAT_DATA, MavAutopilot, MavFrame, MavMessage, MavModeFlag, MavSeverity, MavState, MavType,
+    NAMED_VALUE_FLOAT_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_types::{
     Alarm, AlarmResponse, GuidanceState, Nanos, NedVector, Reason, Reasons, StepReport, VelocitySetpoint,
@@ -341,17 +341,6 @@ pub(crate) enum Refusal {
 pub(crate) fn parameter_text(name: &str, why: &str) -> StatusText {
     StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
         write!(text, "{name} not set: {why}")
-    })
-}
-
-/// PARAM_ERROR to who asked for a parameter that there is not: by name, or by index where that is not -1.
-pub(crate) fn no_such_parameter((system, component): (u8, u8), name: [u8; 16], param_index: i16) -> MavMessage {
-    MavMessage::PARAM_ERROR(PARAM_ERROR_DATA {
-        param_index,
-        target_system: system,
-        target_component: component,
-        param_id: name.into(),
-        error: MavParamError::MAV_PARAM_ERROR_DOES_NOT_EXIST,
     })
 }
 

@@ -3,13 +3,18 @@
 //! <https://mavlink.io/en/services/message_intervals.html>
 
 use crate::autopilot::{Flavour, command_number};
+use crate::companion::CompanionConfig;
+use crate::core::Core;
+use crate::framing::{Command, Packet};
+use crate::report;
+use crate::service::{Service, Step};
 use crate::vehicle::Vehicle;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA,
     LOCAL_POSITION_NED_DATA, SYS_STATUS_DATA,
 };
-use vigil_types::Nanos;
+use vigil_types::{Datagrams, Nanos};
 
 /// A message that guidance needs.
 #[derive(Debug, Clone, Copy)]
@@ -319,5 +324,45 @@ impl Streams {
         let unused = self.flavour.unused();
         let params = [*id as f32, unused, unused, unused, unused, unused, 0.0];
         Some(Ask::Command(command_number::REQUEST_MESSAGE, params))
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct StreamService {
+    streams: Streams,
+}
+
+impl StreamService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self {
+            streams: Streams::new(),
+        }
+    }
+}
+
+impl Service for StreamService {
+    fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {
+        self.streams.note(now_ns, packet.message_id());
+        core.telemetry_interval_ns = self.streams.flight_interval_ns();
+    }
+
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        let Some(system) = core.system_id else { return };
+        match self.streams.step(step.report.now_ns, &core.vehicle) {
+            Some(Ask::Command(number, params)) => {
+                let command = Command::to_autopilot(system, number, params, 0);
+                core.sender.command(out, core.config.link, &command);
+            }
+            Some(Ask::DataStream { stream, rate_hz }) => {
+                let (message_id, payload) = Ask::data_stream(system, stream, rate_hz);
+                core.sender.payload(out, core.config.link, message_id, &payload);
+            }
+            None => {}
+        }
+        core.counters.slow_streams = self.streams.slow_asked;
+        core.telemetry_interval_ns = self.streams.flight_interval_ns();
+        if let Some(slow) = self.streams.take_slow() {
+            core.tell(out, &report::slow_text(&slow));
+        }
     }
 }

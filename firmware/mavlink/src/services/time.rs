@@ -1,17 +1,41 @@
 //! Answers to the questions about time: TIMESYNC and its predecessor PING.
 //! <https://mavlink.io/en/services/timesync.html>, <https://mavlink.io/en/services/ping.html>
 
+use crate::companion::CompanionConfig;
+use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
+use crate::operator::ReplyTo;
+use crate::service::Service;
 use vigil_types::Nanos;
 
 const PING: u32 = 4;
 const TIMESYNC: u32 = 111;
 
+#[derive(Debug, Clone)]
+pub(crate) struct TimeService;
+
+impl TimeService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self
+    }
+}
+
+impl Service for TimeService {
+    fn hear(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>, from: ReplyTo) -> bool {
+        let me = (core.sender.system_id, core.sender.component_id);
+        let Some((message_id, payload)) = answer(now_ns, packet, me) else {
+            return false;
+        };
+        core.reply(from.link, message_id, &payload);
+        true
+    }
+}
+
 /// Message number and payload of an answer; zeros at its end are cut when it is sent.
-pub(crate) type Answer = (u32, [u8; 18]);
+type Answer = (u32, [u8; 18]);
 
 /// The answer to a question for the component `me` (system, component); `None` when it is none.
-pub(crate) fn answer(now_ns: Nanos, packet: &Packet<'_>, me: (u8, u8)) -> Option<Answer> {
+fn answer(now_ns: Nanos, packet: &Packet<'_>, me: (u8, u8)) -> Option<Answer> {
     let p = Zeroed(packet.payload());
     let from = [packet.system_id(), packet.component_id()];
     let mut out = [0; 18];

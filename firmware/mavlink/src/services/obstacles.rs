@@ -1,7 +1,11 @@
 //! OBSTACLE_DISTANCE of what the pilot sees: <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>.
 
+use super::status::VALUES_NS;
+use crate::companion::CompanionConfig;
+use crate::core::{Core, Periodic};
+use crate::service::Service;
 use mavlink::dialects::common::{MavDistanceSensor, MavFrame, MavMessage, OBSTACLE_DISTANCE_DATA};
-use vigil_types::{HORIZONTAL_FOV_RAD, Nanos};
+use vigil_types::{Datagrams, HORIZONTAL_FOV_RAD, Nanos, ObstacleReports};
 
 /// Bins of the message; they share the sensor's field of view.
 const BINS: usize = 72;
@@ -12,14 +16,53 @@ const FARTHEST_CM: u16 = 3000;
 const FREE: u16 = FARTHEST_CM + 1;
 const UNKNOWN: u16 = u16::MAX;
 
+#[derive(Debug, Clone)]
+pub(crate) struct ObstacleService {
+    due: Periodic,
+}
+
+/// It speaks when the pilot has looked, which is no part of the step's report.
+impl Service for ObstacleService {}
+
+impl ObstacleService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self {
+            due: Periodic::new(VALUES_NS),
+        }
+    }
+
+    /// Tells what the pilot sees: see [`crate::Companion::emit_obstacles`].
+    pub fn tell(
+        &mut self,
+        core: &mut Core,
+        now_ns: Nanos,
+        sectors: Option<impl Iterator<Item = (f32, f32)>>,
+        out: &mut Datagrams,
+    ) {
+        let seen = sectors.filter(|_| core.vehicle.telemetry.is_airborne());
+        let tells = match core.config.obstacles {
+            ObstacleReports::Off => false,
+            ObstacleReports::Flight => seen.is_some(),
+            ObstacleReports::KeepAlive => core.vehicle_heard,
+        };
+        if tells && self.due.is_due(now_ns) {
+            let message = match seen {
+                Some(sectors) => message(now_ns, sectors),
+                None => blank(now_ns),
+            };
+            core.say(out, &message);
+        }
+    }
+}
+
 /// The message of a sensor that looks nowhere: no distance is known.
-pub(crate) fn blank(now_ns: Nanos) -> MavMessage {
+fn blank(now_ns: Nanos) -> MavMessage {
     message(now_ns, core::iter::empty())
 }
 
 /// The message of a scan: bearing (radians, positive to the right of the nose) and horizontal distance (metres, infinite
 /// where nothing was seen) of each of its sectors. The nearest of a bin counts; a bin without a sector is unknown.
-pub(crate) fn message(now_ns: Nanos, sectors: impl Iterator<Item = (f32, f32)>) -> MavMessage {
+fn message(now_ns: Nanos, sectors: impl Iterator<Item = (f32, f32)>) -> MavMessage {
     let bin_rad = HORIZONTAL_FOV_RAD / BINS as f32;
     let mut distances = [UNKNOWN; BINS];
     for (bearing_rad, range_m) in sectors {

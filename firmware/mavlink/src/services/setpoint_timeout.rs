@@ -9,12 +9,16 @@
 //! all the same, and people are told.
 
 use crate::autopilot::Flavour;
+use crate::companion::CompanionConfig;
+use crate::core::Core;
 use crate::framing::{Packet, Zeroed};
+use crate::report;
+use crate::service::{Service, Step};
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     MavMessage, MavParamType, PARAM_ERROR_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
-use vigil_types::Nanos;
+use vigil_types::{Datagrams, Nanos, VehicleRequest};
 
 /// Questions before a vehicle counts as not answering, and attempts to set the value.
 const ATTEMPTS: u8 = 4;
@@ -206,5 +210,35 @@ impl SetpointTimeout {
             param_id: self.name().into(),
             param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
         })
+    }
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct SetpointTimeoutService {
+    timeout: SetpointTimeout,
+}
+
+impl SetpointTimeoutService {
+    pub fn new(config: &CompanionConfig) -> Self {
+        Self {
+            timeout: SetpointTimeout::new(config.setpoint_timeout_s),
+        }
+    }
+}
+
+impl Service for SetpointTimeoutService {
+    fn hear_vehicle(&mut self, _: &mut Core, _: Nanos, packet: &Packet<'_>) {
+        self.timeout.receive(packet);
+    }
+
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        let Some(system) = core.system_id else { return };
+        let taking = matches!(step.request, VehicleRequest::FlyExternal { .. }) && !core.vehicle.is_other_autopilot();
+        match self.timeout.step(step.report.now_ns, taking, core.vehicle.flavour()) {
+            Next::Nothing => {}
+            Next::Read => core.say(out, &self.timeout.read(system)),
+            Next::Set(value_s) => core.say(out, &self.timeout.set(system, value_s)),
+            Next::Tell(finding) => core.tell(out, &report::setpoint_timeout_text(self.timeout.name(), finding)),
+        }
     }
 }

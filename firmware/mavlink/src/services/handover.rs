@@ -4,10 +4,14 @@
 //! was acknowledged. The autopilots differ in the order of stages and in when they bear setpoints ([`Flavour`]).
 
 use crate::autopilot::{Flavour, command_number};
-use crate::framing::CommandAck;
+use crate::companion::CompanionConfig;
+use crate::core::Core;
+use crate::framing::{Command, CommandAck, Packet};
+use crate::report;
+use crate::service::{Service, Step};
 use crate::tracker::{Failure, Next, Tracker, Wanted};
 use crate::vehicle::Vehicle;
-use vigil_types::{HandoverProgress, Heartbeat, Landed, Nanos, VehicleMode, VehicleRequest};
+use vigil_types::{Datagrams, HandoverProgress, Heartbeat, Landed, Nanos, Reason, VehicleMode, VehicleRequest};
 
 /// PX4 wants setpoints for this long before it changes to OFFBOARD.
 const PRE_STREAM_NS: Nanos = 1_000_000_000;
@@ -312,4 +316,53 @@ impl Handover {
 
 fn height_m(vehicle: &Vehicle) -> Option<f32> {
     vehicle.telemetry.kinematics.map(|k| -k.position_ned_m.z)
+}
+
+#[derive(Debug, Clone)]
+pub(crate) struct HandoverService {
+    handover: Handover,
+}
+
+impl HandoverService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self {
+            handover: Handover::new(),
+        }
+    }
+
+    /// How far the vehicle is with it.
+    pub fn progress(&self) -> HandoverProgress {
+        self.handover.progress()
+    }
+}
+
+impl Service for HandoverService {
+    fn hear_vehicle(&mut self, core: &mut Core, now_ns: Nanos, packet: &Packet<'_>) {
+        if let Some(ack) = packet.command_ack()
+            && core.is_for_me_or_all(ack.target_system, ack.target_component)
+        {
+            self.handover.acknowledge(now_ns, &ack);
+        }
+    }
+
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        if let (VehicleRequest::None, true, Some(unfinished)) = (
+            step.request,
+            step.report.reasons.contains(Reason::HandoverFailed),
+            self.handover.unfinished(),
+        ) {
+            core.tell(out, &report::overdue_text(unfinished));
+        }
+        let action = self
+            .handover
+            .step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
+        let Some(system) = core.system_id else { return };
+        if let Some((number, params, confirmation)) = action.send {
+            let command = Command::to_autopilot(system, number, params, confirmation);
+            core.sender.command(out, core.config.link, &command);
+        }
+        if let Some(trouble) = action.trouble {
+            core.tell(out, &report::trouble_text(trouble, core.vehicle.flavour()));
+        }
+    }
 }

@@ -1,0 +1,241 @@
+//! What every service of the guidance computer shares: who it is, what is known of the vehicle, the answers owed, the texts told.
+//! It imports no service.
+
+use crate::companion::{CompanionConfig, LinkCounters};
+use crate::framing::{CommandAck, Packet};
+use crate::operator::{ReplyTo, result};
+use crate::sender::Sender;
+use crate::status_text::StatusText;
+use crate::vehicle::Vehicle;
+use heapless::Vec;
+use mavlink::dialects::common::MavMessage;
+use vigil_types::{Datagrams, GuidanceState, Nanos, Reasons, STEP_NS};
+
+/// Answers that one step can owe: more than several links ask for in a step.
+const REPLIES: usize = 128;
+/// Bytes of the longest answer's payload.
+const REPLY_LEN: usize = 32;
+/// Texts of a step that whoever runs the program can show.
+const TOLD: usize = 16;
+/// Texts that are kept for a vehicle's link that nobody answers on yet.
+const KEPT: usize = 8;
+
+/// Something that recurs at a fixed rate, whatever the jitter of the steps.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Periodic {
+    period_ns: Nanos,
+    next_ns: Nanos,
+}
+
+impl Periodic {
+    pub const fn new(period_ns: Nanos) -> Self {
+        Self { period_ns, next_ns: 0 }
+    }
+
+    /// Whether it is due in this step: the one nearest to its time.
+    pub fn is_due(&mut self, now_ns: Nanos) -> bool {
+        if now_ns + STEP_NS / 2 < self.next_ns {
+            return false;
+        }
+        let on_grid_ns = self.next_ns + self.period_ns;
+        // The first time, or after a gap, it begins anew.
+        self.next_ns = if on_grid_ns > now_ns {
+            on_grid_ns
+        } else {
+            now_ns + self.period_ns
+        };
+        true
+    }
+}
+
+/// An answer that is sent in the next step, on the link that the question came on.
+#[derive(Debug, Clone, PartialEq)]
+enum Reply {
+    Ack {
+        link: u8,
+        ack: CommandAck,
+    },
+    Payload {
+        link: u8,
+        message_id: u32,
+        payload: Vec<u8, REPLY_LEN>,
+    },
+}
+
+/// What the services share.
+#[derive(Debug, Clone)]
+pub(crate) struct Core {
+    pub config: CompanionConfig,
+    pub sender: Sender,
+    pub vehicle: Vehicle,
+    /// The vehicle's system, once known.
+    pub system_id: Option<u8>,
+    pub counters: LinkCounters,
+    /// State and reasons of the last step.
+    pub said: Option<(GuidanceState, Reasons)>,
+    /// Setpoints go to the vehicle.
+    pub streaming: bool,
+    /// Mean time between the last positions or attitudes, whichever is longer.
+    pub telemetry_interval_ns: Option<Nanos>,
+    /// A ground station was heard for the first time: it is told the state.
+    pub newcomer: bool,
+    /// Packets came on the vehicle's link; on others, one bit each.
+    pub vehicle_heard: bool,
+    links_heard: u64,
+    replies: Vec<Reply, REPLIES>,
+    /// The texts of this step.
+    told: Vec<StatusText, TOLD>,
+    /// The newest texts from before the vehicle was heard.
+    kept: Vec<StatusText, KEPT>,
+    /// Of the last text of several chunks.
+    text_id: u16,
+}
+
+impl Core {
+    pub fn new(config: CompanionConfig) -> Self {
+        Self {
+            config,
+            // Until the vehicle is heard, 1: what a vehicle's system is unless somebody changed it.
+            sender: Sender::new(config.system_id.unwrap_or(1), config.component_id),
+            vehicle: Vehicle::new(config.flavour),
+            system_id: config.system_id,
+            counters: LinkCounters::default(),
+            said: None,
+            streaming: false,
+            telemetry_interval_ns: None,
+            newcomer: false,
+            vehicle_heard: false,
+            links_heard: 0,
+            replies: Vec::new(),
+            told: Vec::new(),
+            kept: Vec::new(),
+            text_id: 0,
+        }
+    }
+
+    /// The texts of the last step.
+    pub fn told(&self) -> &[StatusText] {
+        &self.told
+    }
+
+    /// Whether guidance flies, or is about to.
+    pub fn is_flying(&self) -> bool {
+        !matches!(
+            self.said,
+            None | Some((GuidanceState::Standby | GuidanceState::Ready, _))
+        )
+    }
+
+    /// Whether a packet for this system and component is for the guidance computer.
+    pub fn is_for_me_or_all(&self, system: u8, component: u8) -> bool {
+        (system == 0 || system == self.sender.system_id) && (component == 0 || component == self.sender.component_id)
+    }
+
+    /// Notes a link on which somebody was heard.
+    pub fn note_link(&mut self, link: u8) {
+        let bit = 1_u64.checked_shl(link.into()).unwrap_or(0);
+        self.newcomer |= self.links_heard & bit != bit;
+        self.links_heard |= bit;
+    }
+
+    /// The first autopilot whose heartbeat comes is the vehicle, unless its system is configured.
+    pub fn learn_vehicle(&mut self, packet: &Packet<'_>) {
+        if self.system_id.is_none() && packet.is_autopilots_heartbeat() {
+            self.system_id = Some(packet.system_id());
+            self.sender.system_id = packet.system_id();
+        }
+    }
+
+    /// Owes the acknowledgement of a command.
+    pub fn acknowledge(&mut self, to: ReplyTo, command: u16, mav_result: u8, reasons: Reasons) {
+        self.counters.commands_refused += u64::from(mav_result != result::ACCEPTED);
+        let ack = CommandAck {
+            command,
+            result: mav_result,
+            // Why it was refused, as the bits of `gd_reason`.
+            result_param2: reasons.0 as i32,
+            target_system: to.system,
+            target_component: to.component,
+            ..CommandAck::default()
+        };
+        self.owe(Reply::Ack { link: to.link, ack });
+    }
+
+    /// Owes a message as an answer.
+    pub fn reply(&mut self, link: u8, message_id: u32, payload: &[u8]) {
+        let mut kept = Vec::new();
+        // No answer of a service is longer.
+        let _ = kept.extend_from_slice(payload);
+        self.owe(Reply::Payload {
+            link,
+            message_id,
+            payload: kept,
+        });
+    }
+
+    fn owe(&mut self, reply: Reply) {
+        if self.replies.push(reply).is_err() {
+            self.counters.replies_dropped += 1;
+        }
+    }
+
+    /// Begins a step: forgets the texts of the one before, and sends the answers owed.
+    pub fn begin_step(&mut self, out: &mut Datagrams) {
+        self.told.clear();
+        // Once the vehicle is heard, its link has a peer: what was told before reaches it now.
+        if self.system_id.is_some() && !self.vehicle_heard && self.vehicle.telemetry.heartbeat.is_some() {
+            self.vehicle_heard = true;
+            for text in &core::mem::take(&mut self.kept) {
+                self.say_text(out, text);
+            }
+        }
+        for reply in &core::mem::take(&mut self.replies) {
+            match reply {
+                Reply::Ack { link, ack } => self.sender.ack(out, *link, ack),
+                Reply::Payload {
+                    link,
+                    message_id,
+                    payload,
+                } => self.sender.payload(out, *link, *message_id, payload),
+            }
+        }
+    }
+
+    /// Says a message to everybody.
+    pub fn say(&mut self, out: &mut Datagrams, message: &MavMessage) {
+        self.sender.message(out, self.config.link, message);
+    }
+
+    /// Says a text to everybody, and to whoever runs the program; also to a vehicle's link on which nobody answers yet, later.
+    pub fn tell(&mut self, out: &mut Datagrams, text: &StatusText) {
+        if !self.vehicle_heard {
+            if self.kept.is_full() {
+                self.kept.remove(0);
+            }
+            let _ = self.kept.push(*text);
+        }
+        self.tell_now(out, text);
+    }
+
+    /// The same for what is of no interest later.
+    pub fn tell_now(&mut self, out: &mut Datagrams, text: &StatusText) {
+        self.say_text(out, text);
+        // More than a step tells at its worst.
+        let _ = self.told.push(*text);
+    }
+
+    /// Says a text to everybody, and to nobody else.
+    pub fn say_text(&mut self, out: &mut Datagrams, text: &StatusText) {
+        // Texts of one chunk have no number, so that 0 stays free.
+        self.text_id = self.text_id % u16::MAX + 1;
+        for message in text.messages(self.text_id) {
+            self.say(out, &message);
+        }
+    }
+
+    /// The last text: nothing of the step before is told beside it.
+    pub fn farewell(&mut self, out: &mut Datagrams, text: &StatusText) {
+        self.told.clear();
+        self.tell(out, text);
+    }
+}

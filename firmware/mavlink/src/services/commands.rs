@@ -1,0 +1,114 @@
+//! The command protocol: operators' requests to guidance. <https://mavlink.io/en/services/command.html>
+
+use crate::companion::CompanionConfig;
+use crate::core::Core;
+use crate::framing::{Command, Packet};
+use crate::operator::{PendingRequest, ReplyTo, decode, request_name, result, result_of};
+use crate::report::{self, Refusal};
+use crate::service::{Service, Step};
+use heapless::{Deque, Vec};
+use vigil_types::{Datagrams, Nanos, OperatorRequest, Reasons, RequestOutcome};
+
+/// Requests that guidance can owe an answer to.
+const REQUESTS: usize = 32;
+/// Texts about refused requests in a second; a flood of requests must not become one of texts.
+const REFUSALS_PER_SECOND: usize = 4;
+const REFUSALS_NS: Nanos = 1_000_000_000;
+
+#[derive(Debug, Clone, Default)]
+pub(crate) struct CommandService {
+    requests: Deque<PendingRequest, REQUESTS>,
+    /// The last goal that was too far, to be told of: its distance and what is allowed, metres.
+    goal_refused: Option<(u32, u32)>,
+    /// Requests that were refused since the last step, by name.
+    refused: Vec<(&'static str, Refusal), REFUSALS_PER_SECOND>,
+    refusals_since_ns: Nanos,
+    refusals_told: usize,
+}
+
+impl CommandService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self::default()
+    }
+
+    /// The next request of an operator.
+    pub fn take_request(&mut self) -> Option<PendingRequest> {
+        self.requests.pop_front()
+    }
+
+    /// Acknowledges a request; one that is refused with the reasons of the last step, and with a text.
+    pub fn answer(&mut self, core: &mut Core, pending: &PendingRequest, outcome: RequestOutcome) {
+        let (state, reasons) = core.said.unwrap_or_default();
+        let told = match outcome {
+            RequestOutcome::Accepted => Reasons::NONE,
+            RequestOutcome::TooFar { .. } => Reasons::NONE,
+            RequestOutcome::TemporarilyRejected | RequestOutcome::Denied => {
+                let why = match pending.request {
+                    OperatorRequest::Goal { .. } | OperatorRequest::FixedGoal { .. } => Refusal::Goal,
+                    OperatorRequest::Land => Refusal::NotGuiding(state),
+                    OperatorRequest::Engage | OperatorRequest::Disengage => Refusal::In(state, reasons),
+                };
+                self.refuse(pending.command, why);
+                reasons
+            }
+        };
+        core.acknowledge(pending.reply, pending.command, result_of(outcome), told);
+        if let RequestOutcome::TooFar { distance_m, limit_m } = outcome {
+            self.goal_refused = Some((distance_m, limit_m));
+        }
+    }
+
+    fn command(&mut self, core: &mut Core, command: &Command, reply: ReplyTo) {
+        match decode(command, &core.vehicle) {
+            Ok(request) => {
+                let pending = PendingRequest {
+                    request,
+                    command: command.number,
+                    reply,
+                };
+                if self.requests.push_back(pending).is_err() {
+                    self.refuse(command.number, Refusal::Busy);
+                    core.acknowledge(reply, command.number, result::TEMPORARILY_REJECTED, Reasons::NONE);
+                }
+            }
+            Err(mav_result) => {
+                self.refuse(command.number, Refusal::Command(mav_result));
+                core.acknowledge(reply, command.number, mav_result, Reasons::NONE);
+            }
+        }
+    }
+
+    /// To be told in the next step, as far as there is room.
+    fn refuse(&mut self, command: u16, why: Refusal) {
+        if let Some(name) = request_name(command) {
+            let _ = self.refused.push((name, why));
+        }
+    }
+}
+
+impl Service for CommandService {
+    fn hear(&mut self, core: &mut Core, _: Nanos, packet: &Packet<'_>, from: ReplyTo) -> bool {
+        let Some(command) = packet.command() else { return false };
+        // Only what is addressed to this very component: a broadcast command is the vehicle's to answer.
+        if command.target_system == core.sender.system_id && command.target_component == core.sender.component_id {
+            self.command(core, &command, from);
+        }
+        true
+    }
+
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        if let Some((distance_m, limit_m)) = self.goal_refused.take() {
+            core.tell(out, &report::goal_text(distance_m, limit_m));
+        }
+        let now_ns = step.report.now_ns;
+        if now_ns.saturating_sub(self.refusals_since_ns) >= REFUSALS_NS {
+            (self.refusals_since_ns, self.refusals_told) = (now_ns, 0);
+        }
+        for (request, why) in &core::mem::take(&mut self.refused) {
+            if self.refusals_told < REFUSALS_PER_SECOND {
+                self.refusals_told += 1;
+                core.tell(out, &report::refused_text(request, *why));
+            }
+        }
+    }
+}

@@ -1,0 +1,36 @@
+//! Velocity setpoints to the vehicle: SET_POSITION_TARGET_LOCAL_NED.
+
+use crate::companion::CompanionConfig;
+use crate::core::Core;
+use crate::report;
+use crate::service::{Service, Step};
+use vigil_types::{Datagrams, Nanos, VelocitySetpoint};
+
+#[derive(Debug, Clone)]
+pub(crate) struct SetpointService;
+
+impl SetpointService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self
+    }
+
+    /// A zero setpoint, three times against loss, if it was streaming: an autopilot may keep the last velocity for seconds.
+    pub fn end(&mut self, core: &mut Core, now_ns: Nanos, out: &mut Datagrams) {
+        if let (true, Some(system)) = (core.streaming, core.system_id) {
+            for _ in 0..3 {
+                core.say(out, &report::setpoint(now_ns, system, &VelocitySetpoint::HOLD));
+            }
+        }
+        core.streaming = false;
+    }
+}
+
+impl Service for SetpointService {
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        let report = step.report;
+        core.streaming = report.setpoint.is_some() && core.system_id.is_some();
+        if let (Some(setpoint), Some(system)) = (&report.setpoint, core.system_id) {
+            core.say(out, &report::setpoint(report.now_ns, system, setpoint));
+        }
+    }
+}

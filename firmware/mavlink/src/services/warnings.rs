@@ -1,0 +1,61 @@
+//! What a person should know of vehicle and inputs, as STATUSTEXTs.
+
+use crate::companion::CompanionConfig;
+use crate::core::Core;
+use crate::inputs::{self, MissingInputs};
+use crate::report;
+use crate::service::{Service, Step};
+use vigil_types::{Datagrams, Nanos, NedVector};
+
+/// A vehicle of another autopilot than the configured one is told of this often.
+const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
+/// Home is told of when it is this much elsewhere than last told, metres.
+const HOME_MOVED_M: f32 = 0.5;
+
+#[derive(Debug, Clone)]
+pub(crate) struct WarningService {
+    missing: MissingInputs,
+    vehicle_named: bool,
+    wrong_vehicle_ns: Option<Nanos>,
+    home_said_m: NedVector,
+}
+
+impl WarningService {
+    pub fn new(_: &CompanionConfig) -> Self {
+        Self {
+            missing: MissingInputs::default(),
+            vehicle_named: false,
+            wrong_vehicle_ns: None,
+            home_said_m: NedVector::ZERO,
+        }
+    }
+}
+
+impl Service for WarningService {
+    fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
+        let report = step.report;
+        let now_ns = report.now_ns;
+        if let (true, false, Some(system)) = (core.vehicle_heard, self.vehicle_named, core.system_id) {
+            self.vehicle_named = true;
+            core.tell(out, &report::vehicle_text(system, &core.vehicle));
+        }
+        if let (true, Some(named)) = (core.vehicle.is_other_autopilot(), core.vehicle.named) {
+            let is_due = self
+                .wrong_vehicle_ns
+                .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
+            if is_due {
+                self.wrong_vehicle_ns = Some(now_ns);
+                core.tell(out, &report::wrong_vehicle_text(named, core.vehicle.flavour()));
+            }
+        }
+        if let Some(home_ned_m) = core.vehicle.home_ned_m()
+            && (home_ned_m - self.home_said_m).norm() > HOME_MOVED_M
+        {
+            self.home_said_m = home_ned_m;
+            core.tell(out, &report::home_text(home_ned_m));
+        }
+        for missing in self.missing.due(report).iter().flatten() {
+            core.tell_now(out, &inputs::text(missing));
+        }
+    }
+}
