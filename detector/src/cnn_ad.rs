@@ -34,8 +34,8 @@ fn dense_layers(
 }
 
 /// CNN-AD (docs/paper.md): batch norm, six convolutions of 3 × 3 over each image with the same weights, max pooling after every
-/// second, five dense layers. One input of [`IMAGES`] values in 0..=1, five images oldest first; `output` is the last
-/// layer's curve. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both
+/// second, five dense layers. One input of [`IMAGES`] values in 0..=1, `[5][64][128][2]`, oldest image first; one output, whose
+/// curve is `output`. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both
 /// channels. They are statistics of the training data and do not change while training.
 ///
 /// # Errors
@@ -94,7 +94,7 @@ pub fn cnn_ad(output: Activation) -> Result<Graph, ShapeError> {
     b.finish(x, Purpose::Gradients)
 }
 
-/// FCN-AD, the paper's fully connected baseline on the same images: three dense layers.
+/// FCN-AD, the paper's fully connected baseline on the same images, `[5][64][128][2]` to `[1]`: three dense layers.
 ///
 /// # Errors
 /// None.

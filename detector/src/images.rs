@@ -17,7 +17,7 @@ const BLOCK: usize = 2;
 const COLS: usize = IMAGE_COLS * BLOCK;
 const FRAME: usize = IMAGE_ROWS * BLOCK * COLS;
 
-/// SHAP values of the pixels of five frames (5 × 128 · 256, oldest first) as five images of two channels: sums of the negative
+/// SHAP values of the pixels of five frames (5 × 128 · 256, oldest first) as five images of two channels `[5][64][128][2]`: sums of the negative
 /// and of the positive values over blocks of 2 × 2 pixels, each channel of a state over its largest value, 0 to 1 as bytes.
 /// `None` for another length or a value that is not finite.
 pub fn images(phi: &[f32]) -> Option<Vec<u8>> {

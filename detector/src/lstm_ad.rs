@@ -15,7 +15,7 @@ pub const ROW_LIMIT: f32 = 10.0;
 const LSTM_UNITS: usize = 100;
 const DENSE_UNITS: [usize; 3] = [64, 32, 16];
 
-/// Makes a row comparable: `(phi - centre) / scale`, clipped to ±[`ROW_LIMIT`]. Not a number stays so.
+/// Makes a row `[48]` comparable: `(phi - centre) / scale`, clipped to ±[`ROW_LIMIT`]. Not a number stays so.
 pub fn normalise(phi: &[f32; ROW], centre: &[f32; ROW], scale: &[f32; ROW]) -> [f32; ROW] {
     let mut row = *phi;
     for (x, (centre, scale)) in row.iter_mut().zip(centre.iter().zip(scale)) {
@@ -34,7 +34,7 @@ pub struct LstmAd {
 }
 
 impl LstmAd {
-    /// The network's graph: inputs are the ten rows of `width` values, oldest first. `cell` is the LSTM's curve, `output`
+    /// The network's graph: ten inputs of `[width]`, the window's rows, oldest first; the output is `[1]`. `cell` is the LSTM's curve, `output`
     /// the last layer's: the sigmoid to judge, the identity to train through (its gradient does not vanish).
     ///
     /// Parameters, in this order: LSTM, then each dense layer.
@@ -110,7 +110,7 @@ impl LstmAd {
         })
     }
 
-    /// How much the window looks like an attack, 0 to 1. Rows are normalised ([`normalise`]), oldest first. Not a number
+    /// How much the window `[10][48]` looks like an attack, 0 to 1. Rows are normalised ([`normalise`]), oldest first. Not a number
     /// in a row makes the score so. No allocation.
     ///
     /// # Errors

@@ -85,7 +85,7 @@ impl Monitor {
         self.threshold = threshold;
     }
 
-    /// Judges a decision by the GRU's state and the positional inputs it was made from. Unknown until ten decisions in a row
+    /// Judges a decision by the GRU's state `[48]` and the positional inputs `[2]` it was made from. Unknown until ten decisions in a row
     /// were explained, and whenever an explanation or the score is not finite. No allocation, no panic.
     pub fn judge(&mut self, state: &[f32; ACTOR_HIDDEN], position: [f32; ACTOR_POSITIONAL]) -> Judgement {
         let Ok(phi) = self.explain(state, position) else {

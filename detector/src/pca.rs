@@ -13,7 +13,7 @@ pub struct Pca {
 const PASSES: usize = 30;
 
 impl Pca {
-    /// The first `count` components of `rows` (each `width` long) by subspace iteration from their own first rows: the same
+    /// The first `count` components of `rows` `[row][width]` by subspace iteration from their own first rows: the same
     /// rows give the same bits. Fewer, if the rows span fewer.
     pub fn fit(rows: &[f32], width: usize, count: usize) -> Self {
         let width = width.max(1);
@@ -55,7 +55,7 @@ impl Pca {
         self.components.len() / self.mean.len().max(1)
     }
 
-    /// Length of the part of an explanation that the components do not span.
+    /// Length of the part of an explanation `[width]` that the components do not span.
     pub fn score(&self, row: &[f32]) -> f32 {
         let mut rest: Vec<f32> = row.iter().zip(&self.mean).map(|(x, mean)| x - mean).collect();
         for component in self.components.chunks_exact(self.mean.len().max(1)) {

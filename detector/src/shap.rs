@@ -66,7 +66,7 @@ pub struct DeepShap {
 }
 
 impl DeepShap {
-    /// Evaluates the backgrounds: each is the list of the network's inputs. Allocates; nothing after it does.
+    /// Evaluates the backgrounds, `[background][input][values]`: each is the list of the network's inputs. Allocates; nothing after it does.
     ///
     /// # Errors
     /// An empty background sample, inputs that do not fit, outputs that are not finite, a graph that was not made for
@@ -132,7 +132,7 @@ impl DeepShap {
         self.backgrounds.len() / self.graph.tape_len()
     }
 
-    /// Mean output of the backgrounds: what φ is counted from.
+    /// Mean output of the backgrounds, `[outputs]`: what φ is counted from.
     pub fn expected(&self) -> &[f32] {
         &self.expected
     }
@@ -142,7 +142,7 @@ impl DeepShap {
         &self.graph
     }
 
-    /// Evaluates the state to be explained; returns the network's output.
+    /// Evaluates the state to be explained, `[input][values]`; returns the network's output, `[outputs]`.
     ///
     /// # Errors
     /// Inputs that do not fit.
@@ -153,7 +153,7 @@ impl DeepShap {
         Ok(self.graph.output(&self.tape)?)
     }
 
-    /// φ of one output for the evaluated state. `phi` is [`Self::phi_len`] long.
+    /// φ of one output for the evaluated state. `phi` is `[phi_len]` ([`Self::phi_len`]): the explained inputs' values, input after input.
     ///
     /// # Errors
     /// No evaluated state, no such output, a slice of another length, a result that is not finite.

@@ -15,7 +15,7 @@ pub struct Crew {
     pub pilot: FlightPilot,
     /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
     pub monitor: Option<Box<Monitor>>,
-    /// Takes the actor's place while an alarm is raised, and is the guard's eyes. It is asked in every step, so that it remembers
+    /// Takes the actor's place while an alarm is raised, and tells the guard what lies ahead. It is asked in every step, so that it remembers
     /// what it saw before an alarm.
     pub recovery: Option<Box<RecoveryPilot>>,
 }

@@ -122,7 +122,7 @@ pub(crate) struct AlarmLogic {
 const MOST_DOUBLINGS: u8 = 6;
 
 impl AlarmLogic {
-    /// Consecutive clean verdicts that end this alarm: who deceived the actor again will do it once more.
+    /// Consecutive clean steps that end this alarm: an attack that came back in a flight is likely to come back again.
     fn clear_steps(&self, config: &AlarmConfig) -> u32 {
         u32::from(config.clear_steps) << self.ended.min(MOST_DOUBLINGS)
     }

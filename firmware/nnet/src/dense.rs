@@ -38,7 +38,7 @@ impl Dense {
         ))
     }
 
-    /// `y = f(x W + b)` for `x.len() / inputs` rows at once. `pre` receives `x W + b` if given.
+    /// `y = f(x W + b)` from `x` `[rows][inputs]` to `y` `[rows][outputs]`, for `x.len() / inputs` rows at once. `pre` receives `x W + b` if given.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -174,7 +174,7 @@ pub(crate) fn transpose(rows: usize, cols: usize, from: &[f32], to: &mut [f32]) 
 }
 
 impl GraphBuilder {
-    /// A fully connected layer with its activation, applied to each row of `inputs` values.
+    /// A fully connected layer with its activation, applied to each row: `[rows][inputs]` to `[rows][outputs]`.
     ///
     /// # Errors
     /// Lengths that do not fit.

@@ -96,7 +96,7 @@ impl Gru {
         6 * self.hidden
     }
 
-    /// `projection = W x + b`: the part of a step that does not depend on the state, so it can be kept.
+    /// `projection = W x + b`, from `x` `[inputs]` to `projection` `[3][hidden]`: the part of a step that does not depend on the state, so it can be kept.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -108,7 +108,7 @@ impl Gru {
         row_times_matrix(isa, x, params, 0, 3 * self.hidden, Start::Bias(bias), projection)
     }
 
-    /// One step from a projection. `h` and `h_out` must be different slices.
+    /// One step from a projection: from `h` `[hidden]` to `h_out` `[hidden]`, which must be different slices.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -310,7 +310,7 @@ pub(crate) fn pack_matrices(
 }
 
 impl GraphBuilder {
-    /// One step of a GRU from state `h`; the node's value is the next state.
+    /// One step of a GRU from `x` `[inputs]` and state `h` `[hidden]`; the node's value is the next state `[hidden]`.
     ///
     /// # Errors
     /// Lengths that do not fit.

@@ -59,7 +59,7 @@ impl Lstm {
         4 * self.hidden
     }
 
-    /// One step. `state` and `state_out` must be different slices.
+    /// One step from `x` `[inputs]` and `state` `[2][hidden]` (`h`, then `c`) to `state_out` `[2][hidden]`, which must be another slice.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -202,7 +202,7 @@ impl Lstm {
 }
 
 impl GraphBuilder {
-    /// One step of an LSTM from `state` (`h`, then `c`); the node's value is the next state.
+    /// One step of an LSTM from `x` `[inputs]` and `state` `[2][hidden]` (`h`, then `c`); the node's value is the next state.
     ///
     /// # Errors
     /// Lengths that do not fit.

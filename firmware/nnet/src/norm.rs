@@ -51,7 +51,7 @@ impl BatchNorm {
         Ok(rows)
     }
 
-    /// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics.
+    /// `y = γ (x − mean) / √(variance + ε) + β` with the running statistics; `x` and `y` are `[rows][channels]`.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -245,7 +245,7 @@ impl Task for Slopes<'_> {
 }
 
 impl GraphBuilder {
-    /// Batch normalisation with running statistics.
+    /// Batch normalisation with running statistics of `[rows][channels]`.
     ///
     /// # Errors
     /// Lengths that do not fit.

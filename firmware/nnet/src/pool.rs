@@ -75,7 +75,7 @@ impl MaxPool2d {
         (0..window * window).map(move |t| t / window * row + t % window * channels)
     }
 
-    /// `y`: the maximum of each window.
+    /// `y` `[out_rows][out_cols][channels]`: the maximum of each window of `x` `[rows][cols][channels]`.
     ///
     /// # Errors
     /// Slices that do not fit.

@@ -171,7 +171,8 @@ impl Conv2d {
         }
     }
 
-    /// `y = f(x ∗ w + b)`. `pre` receives `x ∗ w + b` if given.
+    /// `y = f(x ∗ w + b)`, from `x` `[rows][cols][channels]` to `y` `[out_rows][out_cols][filters]`. `pre`, of `y`'s shape, receives
+    /// `x ∗ w + b` if given.
     ///
     /// # Errors
     /// Slices that do not fit.
@@ -312,7 +313,7 @@ impl Conv2d {
 }
 
 impl GraphBuilder {
-    /// A convolution with its activation.
+    /// A convolution with its activation: `[rows][cols][channels]` to `[out_rows][out_cols][filters]`.
     ///
     /// # Errors
     /// Lengths that do not fit.
