@@ -103,10 +103,18 @@ impl fmt::Display for Range {
 }
 
 impl Range {
-    /// Whether a value is accepted. NaN is in no range. The limits are decimals: the f32 next to each is accepted as well.
+    /// Whether a value is accepted. NaN is in no range. Of a limit that is no whole number the f32 next to it is accepted as well.
     pub fn contains(&self, value: f64) -> bool {
-        let least = self.least.min(f64::from(self.least as f32));
-        let greatest = self.greatest.max(f64::from(self.greatest as f32));
+        let is_whole = |limit: f64| limit == limit as i64 as f64;
+        let nearest = |limit: f64| {
+            if is_whole(limit) {
+                limit
+            } else {
+                f64::from(limit as f32)
+            }
+        };
+        let least = self.least.min(nearest(self.least));
+        let greatest = self.greatest.max(nearest(self.greatest));
         (value >= least && value <= greatest) || (self.or_zero && value == 0.0)
     }
 }
@@ -500,8 +508,9 @@ mod tests {
         for parameter in ALL {
             let Some(range) = parameter.range() else { continue };
             for limit in [range.least, range.greatest] {
+                let given_as_f32 = f64::from(limit as f32);
                 assert!(
-                    range.contains(limit) && range.contains(f64::from(limit as f32)),
+                    range.contains(limit) && (range.contains(given_as_f32) || given_as_f32 > 2f64.powi(24)),
                     "{}",
                     parameter.key
                 );
