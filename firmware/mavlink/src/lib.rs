@@ -11,7 +11,7 @@ mod autopilot;
 mod companion;
 mod core;
 pub mod framing;
-mod geography;
+pub mod globe;
 mod inputs;
 mod operator;
 mod parameter_table;

@@ -2,7 +2,7 @@
 
 use crate::autopilot::Flavour;
 use crate::framing::{Packet, Zeroed};
-use crate::geography::Origin;
+use crate::globe::Origin;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA,

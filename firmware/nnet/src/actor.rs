@@ -13,7 +13,7 @@ use alloc::vec::Vec;
 /// Frames in one state (docs/paper.md, "State").
 pub const ACTOR_FRAMES: usize = 5;
 /// Length of the split point (docs/paper.md, "Actor").
-pub const ACTOR_HIDDEN: usize = 48;
+pub const ACTOR_HIDDEN: usize = vigil_types::EXPLAINED_STATE;
 /// Positional inputs: distance and bearing of the goal, as normalised by whoever trained the actor.
 pub const ACTOR_POSITIONAL: usize = 2;
 /// Outputs: x-velocity and yaw in ±[`ACTOR_LIMIT`].
@@ -25,7 +25,7 @@ pub const FRAMES_SPREAD: [usize; ACTOR_FRAMES] = [32, 16, 8, 4, 0];
 /// No frame may be older.
 const OLDEST_FRAME: usize = 64;
 /// Limit of both outputs.
-pub const ACTOR_LIMIT: f32 = 1.5;
+pub const ACTOR_LIMIT: f32 = vigil_types::ACTION_LIMIT;
 
 /// Kernel, filters of each convolution; all have stride 2 and half the kernel as padding.
 const ENCODER: [(usize, usize); 5] = [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)];

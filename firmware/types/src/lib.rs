@@ -11,12 +11,12 @@ mod choice;
 mod depth;
 mod frame_key;
 mod guidance;
-mod handover;
 mod judgement;
 pub mod parameters;
-mod step;
+mod step_report;
 mod telemetry;
 mod vector;
+mod vehicle_requests;
 
 pub use action::{ACTION_LIMIT, Action, Goal, GoalRelative, VelocitySetpoint, YAW_RATE_PER_UNIT_RAD_S};
 pub use choice::{
@@ -28,12 +28,12 @@ pub use depth::{
 };
 pub use frame_key::{FRAME_TAG_BYTES, FrameKey, FrameKeys};
 pub use guidance::{GuidanceState, Reason, Reasons};
-pub use handover::{HandoverProgress, OperatorRequest, RequestOutcome, VehicleRequest};
 pub use judgement::{Alarm, AlarmCause, AlarmResponse, EXPLAINED_STATE, Judgement, Verdict};
 pub use parameters::ParameterSpec;
-pub use step::{Datagrams, StepReport, StepTiming};
+pub use step_report::{Datagrams, StepReport, StepTiming};
 pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};
+pub use vehicle_requests::{HandoverProgress, OperatorRequest, RequestOutcome, VehicleRequest};
 
 /// Nanoseconds since an arbitrary epoch that all processes of one flight share (the machine's monotonic clock when
 /// live, simulated time in lockstep and replay).
