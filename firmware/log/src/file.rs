@@ -54,11 +54,20 @@ pub(crate) struct Channels {
 
 impl Channels {
     pub(crate) fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
-        let own_schemas = wire::file_descriptor_set();
         Ok(Self {
             depth: standard::<RawImage, W>(writer, topic::DEPTH)?,
-            tick: protobuf(writer, topic::TICK, &wire::schema_name("Tick"), &own_schemas)?,
-            status: protobuf(writer, topic::STATUS, &wire::schema_name("Status"), &own_schemas)?,
+            tick: protobuf(
+                writer,
+                topic::TICK,
+                &wire::schema_name("Tick"),
+                wire::FILE_DESCRIPTOR_SET,
+            )?,
+            status: protobuf(
+                writer,
+                topic::STATUS,
+                &wire::schema_name("Status"),
+                wire::FILE_DESCRIPTOR_SET,
+            )?,
             transform: standard::<FrameTransform, W>(writer, topic::TRANSFORM)?,
             pose: standard::<PoseInFrame, W>(writer, topic::POSE)?,
             path: standard::<PosesInFrame, W>(writer, topic::PATH)?,
