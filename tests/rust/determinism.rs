@@ -4,18 +4,25 @@ use serde_json::Value;
 use std::path::Path;
 use vigil_tests::{Running, run, said};
 
-/// The state hashes of a small campaign, in the order of its seeds.
-fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<String> {
+/// The report of a small campaign.
+fn report(folder: &Path, name: &str, arguments: &[&str]) -> Value {
     let json = folder.join(name);
     let json = json.to_str().expect("a UTF-8 path");
     let output = run(&[&["evaluate", "--flights", "4", "--json", json], arguments].concat());
     assert!(output.status.success(), "{}", said(&output));
-    let report: Value = serde_json::from_str(&std::fs::read_to_string(json).expect("a report")).expect("JSON");
+    serde_json::from_str(&std::fs::read_to_string(json).expect("a report")).expect("JSON")
+}
+
+/// Its state hashes, in the order of its seeds.
+fn hashes(report: &Value) -> Vec<String> {
     let flights = report["flights"].as_array().expect("flights");
-    flights
-        .iter()
-        .map(|f| f["state_hash"].as_str().expect("a hash").to_owned())
-        .collect()
+    let of = |flight: &Value| flight["state_hash"].as_str().expect("a hash").to_owned();
+    flights.iter().map(of).collect()
+}
+
+/// The state hashes of a small campaign by the default stack, in the order of its seeds.
+fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<String> {
+    hashes(&report(folder, name, arguments))
 }
 
 #[test]
@@ -29,6 +36,36 @@ fn a_campaign_gives_the_same_bits_on_one_thread_and_on_two() {
     let others = campaign(folder.path(), "others.json", &["--seed", "41", "--threads", "2"]);
     assert_eq!(others[..3], one[1..], "flight i uses seed SEED + i");
     assert_ne!(one[0], one[1], "another seed is another flight");
+}
+
+#[test]
+fn attacked_flights_with_alarm_stop_and_recovery_are_the_same_bits_too() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let attacked = [
+        ["--seed", "44", "--apf", "off"],
+        ["--attack", "bim-accumulating", "--burst", "20"],
+    ]
+    .concat();
+    let one = report(
+        folder.path(),
+        "one.json",
+        &[&attacked[..], &["--threads", "1"]].concat(),
+    );
+    let two = report(
+        folder.path(),
+        "two.json",
+        &[&attacked[..], &["--threads", "2"]].concat(),
+    );
+    assert_eq!(hashes(&one), hashes(&two));
+    for flight in one["flights"].as_array().expect("flights") {
+        let watched = |what| {
+            flight["watch"][what]
+                .as_u64()
+                .unwrap_or_else(|| panic!("{what}: {flight}"))
+        };
+        assert!(watched("judged_steps") > 100, "{flight}");
+        assert!(watched("alarms") > 0 && watched("recovery_steps") > 0, "{flight}");
+    }
 }
 
 #[test]

@@ -1,12 +1,9 @@
 //! Goals farther away than any that the actor has learned.
 
-use core::convert::Infallible;
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_tests::{run, said};
-use vigil_types::PilotKind;
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reason, StepReport};
+use vigil_firmware::FirmwareConfig;
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::{fly_watched, run, said};
+use vigil_types::{GuidanceState, PilotKind, Reason, StepReport};
 use vigil_world::{Course, Outcome};
 
 /// Columns in the way, and a screen that has to be passed at its side.
@@ -36,45 +33,15 @@ thickness_m = 0.2
 height_m = 3.0
 "#;
 
-struct Watched {
-    firmware: LockstepFirmware,
-    reports: Vec<StepReport>,
-}
-
-impl FirmwarePort for Watched {
-    type Error = Infallible;
-
-    fn step(
-        &mut self,
-        _: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Infallible> {
-        self.reports
-            .push(*self.firmware.step(now_ns, Some(frame), received, sent));
-        Ok(())
-    }
-}
-
 /// How a flight of the actor alone ended, and its reports.
 fn fly(course: &str, change: impl FnOnce(&mut FirmwareConfig)) -> (Option<Outcome>, Vec<StepReport>) {
     let course = Course::from_toml_str(course, "course of a test").expect("a course");
-    let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
-    config.pilot.kind = PilotKind::Actor;
-    config.pilot.apf = false;
-    change(&mut config);
-    let limit_s = f64::from(course.time_limit_s);
     let mut simulation = SimConfig::new(course, 11);
     simulation.start = Start::Airborne;
-    let mut simulator = Simulator::new(&simulation, 0).expect("valid");
-    let mut port = Watched {
-        firmware: LockstepFirmware::new(&config).expect("valid"),
-        reports: Vec::new(),
-    };
-    let Ok(record) = fly_lockstep(&mut simulator, &mut port, limit_s, 0.0);
-    (record.outcome, port.reports)
+    fly_watched(&simulation, |config| {
+        config.pilot.apf = false;
+        change(config);
+    })
 }
 
 #[test]

@@ -1,11 +1,9 @@
 //! What the pilots make of a take-off: nothing. Frames taken on the ground show the ground at the vehicle's own height.
 
-use core::convert::Infallible;
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep};
-use vigil_sim::{SimConfig, Simulator};
-use vigil_types::PilotKind;
-use vigil_types::{AlarmResponse, Datagrams, DepthFrame, GuidanceState, Nanos, StepReport};
+use vigil_firmware::FirmwareConfig;
+use vigil_sim::SimConfig;
+use vigil_tests::fly_watched;
+use vigil_types::{AlarmResponse, GuidanceState, PilotKind, StepReport};
 use vigil_world::{Course, Outcome};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
@@ -17,40 +15,11 @@ bounds = { north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 6.0 }
 "#;
 
 /// The reports of a flight from the ground to the goal.
-struct Watched {
-    firmware: LockstepFirmware,
-    reports: Vec<StepReport>,
-}
-
-impl FirmwarePort for Watched {
-    type Error = Infallible;
-
-    fn step(
-        &mut self,
-        _: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Infallible> {
-        self.reports
-            .push(*self.firmware.step(now_ns, Some(frame), received, sent));
-        Ok(())
-    }
-}
-
 fn fly(change: impl FnOnce(&mut FirmwareConfig)) -> Vec<StepReport> {
     let course = Course::from_toml_str(FIELD, "empty field").expect("a course");
-    let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
-    change(&mut config);
-    let mut simulator = Simulator::new(&SimConfig::new(course, 7), 0).expect("valid");
-    let mut port = Watched {
-        firmware: LockstepFirmware::new(&config).expect("valid"),
-        reports: Vec::new(),
-    };
-    let Ok(record) = fly_lockstep(&mut simulator, &mut port, 60.0, 0.0);
-    assert_eq!(record.outcome, Some(Outcome::Success));
-    port.reports
+    let (outcome, reports) = fly_watched(&SimConfig::new(course, 7), change);
+    assert_eq!(outcome, Some(Outcome::Success));
+    reports
 }
 
 /// The vehicle's heading and speed ahead in the steps of a flight in which `flies`.

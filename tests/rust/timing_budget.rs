@@ -1,21 +1,37 @@
-//! The step's time budget on the machine at hand: 50 ms for everything from frame to setpoint.
+//! The step's time budget on the machine at hand: 50 ms for everything from frame to setpoint, flown by the default stack.
 
-use std::time::{Duration, Instant};
+use rustix::time::{ClockId, Timespec, clock_gettime};
+use std::time::Duration;
+use vigil_firmware::FirmwareConfig;
 use vigil_tests::Pair;
-use vigil_types::{GuidanceState, STEP_NS};
+use vigil_types::{GuidanceState, NedVector, PilotKind, STEP_NS, Verdict};
 use vigil_world::Family;
 
+/// Time that this thread has had of a processor: what others run on the machine does not count.
+fn processor_time() -> Duration {
+    let Timespec { tv_sec, tv_nsec } = clock_gettime(ClockId::ThreadCPUTime);
+    Duration::new(tv_sec.try_into().expect("a time"), tv_nsec.try_into().expect("a time"))
+}
+
 #[test]
-fn a_step_of_guided_flight_takes_a_small_part_of_its_period() {
+fn of_a_hundred_steps_of_the_default_stack_ninety_nine_take_less_than_their_period() {
+    let config = FirmwareConfig::to_goal(NedVector::new(20.0, 0.0, -1.5));
+    assert!(
+        config.pilot.kind == PilotKind::Actor && config.detector.enabled.is_none() && config.detector.guard.is_none(),
+        "unless told otherwise the actor flies, explained, judged and guarded"
+    );
     let mut pair = Pair::new(Family::Validation, 21);
-    let mut times: Vec<Duration> = Vec::new();
+    let (mut times, mut judged) = (Vec::new(), 0);
     while pair.simulator.ending().is_none() {
         pair.simulate();
-        let begun = Instant::now();
+        let begun = processor_time();
         let report = pair.decide(true);
-        let took = begun.elapsed();
+        let took = processor_time() - begun;
         if report.state == GuidanceState::Guided {
             times.push(took);
+            let explained =
+                |j: &vigil_types::Judgement| j.verdict != Verdict::Unknown && j.phi.iter().any(|p| *p != 0.0);
+            judged += usize::from(report.judgement.as_ref().is_some_and(explained));
         }
     }
     times.sort();
@@ -28,7 +44,12 @@ fn a_step_of_guided_flight_takes_a_small_part_of_its_period() {
         at(1.0)
     );
     assert!(times.len() > 100);
-    // What holds on any machine that can fly at all: the usual step fits its period with room for a slow one. Missed
-    // steps and jitter depend on the machine's scheduler and are measured, not asserted (docs/results.md).
-    assert!(at(0.5) < Duration::from_nanos(STEP_NS / 2));
+    assert!(
+        judged + 10 > times.len(),
+        "{judged} of {} steps were judged",
+        times.len()
+    );
+    // What holds on any machine that can fly at all. Missed steps and jitter depend on the machine's scheduler and are
+    // measured, not asserted (docs/results.md).
+    assert!(at(0.99) < Duration::from_nanos(STEP_NS), "{:?}", at(0.99));
 }

@@ -2,8 +2,10 @@
 
 pub mod ground;
 mod pair;
+mod watched;
 
 pub use pair::Pair;
+pub use watched::fly_watched;
 
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
