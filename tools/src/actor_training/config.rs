@@ -1,16 +1,15 @@
 //! What a training run is made of: a TOML file whose every key is optional and whose unknown keys are refused.
 
+use crate::actor_training::limits::{self, Limits};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use vigil_policy::{GeometricConfig, GeometricPilot};
 use vigil_types::DEPTH_PIXELS;
 
-/// A training file has a page or two.
-const SIZE_LIMIT: u64 = 1 << 20;
 /// Most memory that the frames of the replay memory may take.
 const LARGEST_MEMORY: u64 = 64 << 30;
 /// Most flights that an evaluation may have.
-const MOST_FLIGHTS: u64 = 1_000_000;
+const MOST_FLIGHTS: usize = 1_000_000;
 
 /// A training run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -343,7 +342,7 @@ pub enum ConfigError {
         /// Its value.
         value: f64,
         /// What is allowed.
-        allowed: &'static str,
+        allowed: String,
     },
 }
 
@@ -361,22 +360,14 @@ impl TrainConfig {
     /// # Errors
     /// [`ConfigError`].
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        let config: Self = toml::from_str(&text).map_err(|e| ConfigError::Content {
-            path: path.to_owned(),
-            message: e.to_string(),
-        })?;
+        let config: Self = limits::load(path)?;
         config.check()?;
         Ok(config)
     }
 
     /// Writes TOML that [`Self::load`] reads back unchanged.
     pub fn to_toml(&self) -> String {
-        // Plain maps and numbers; serialisation fails for other types only.
-        toml::to_string(self).unwrap_or_default()
+        limits::to_toml(self)
     }
 
     /// Whether the geometric pilot has to decide, to fly itself or to be imitated.
@@ -390,152 +381,57 @@ impl TrainConfig {
     /// # Errors
     /// The first one that is not allowed.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let (l, r, n) = (&self.learning, &self.replay, &self.noise);
-        let least_memory = self.environments as f64 * (l.n_steps as f64 + l.batch as f64 + 2.0);
+        const LEAST: &str = "environments x (batch + n_steps + 2) or more";
+        let (l, r) = (&self.learning, &self.replay);
+        let steps = l.n_steps.saturating_add(l.batch).saturating_add(2);
+        let least = self.environments.saturating_mul(steps) as u64;
         // A decision keeps one frame of a byte a pixel for each of its steps.
         let frames = (r.decisions as u64).saturating_mul(self.steps_per_decision as u64);
         let memory = frames.saturating_mul(DEPTH_PIXELS as u64);
-        let checks: [(&'static str, f64, bool, &'static str); 39] = [
-            ("decisions", self.decisions as f64, self.decisions > 0, "1 or more"),
-            (
-                "environments",
-                self.environments as f64,
-                (1..=256).contains(&self.environments),
-                "1 to 256",
-            ),
-            (
-                "threads",
-                self.threads as f64,
-                (1..=256).contains(&self.threads),
-                "1 to 256",
-            ),
-            (
-                "steps_per_decision",
-                self.steps_per_decision as f64,
-                (1..=40).contains(&self.steps_per_decision),
-                "1 to 40",
-            ),
-            number("time_limit_s", self.time_limit_s, 1.0, 3600.0, "1 to 3600"),
-            number("wind_m_s", self.wind_m_s as f32, 0.0, 20.0, "0 to 20"),
-            (
-                "learning.rates_fall_from",
-                l.rates_fall_from,
-                (0.0..=1.0).contains(&l.rates_fall_from),
-                "0 to 1",
-            ),
-            (
-                "warm_up.decisions",
-                self.warm_up.decisions as f64,
-                self.warm_up.decisions as f64 >= least_memory,
-                "environments x (batch + n_steps + 2) or more",
-            ),
-            number("noise.theta", n.theta, 0.001, 1.0, "0.001 to 1"),
-            number("noise.sigma_first", n.sigma_first, 0.0, 10.0, "0 to 10"),
-            number("noise.sigma_last", n.sigma_last, 0.0, 10.0, "0 to 10"),
-            number("noise.falls_over", n.falls_over, 0.001, 1.0, "0.001 to 1"),
-            ("noise.share", n.share, (0.0..=1.0).contains(&n.share), "0 to 1"),
-            number("apf.share", self.apf.share as f32, 0.0, 1.0, "0 to 1"),
-            number("apf.half_angle_deg", self.apf.half_angle_deg, 0.0, 180.0, "0 to 180"),
-            number("reward.success", self.reward.success, -1000.0, 1000.0, "-1000 to 1000"),
-            number("reward.dead", self.reward.dead, -1000.0, 1000.0, "-1000 to 1000"),
-            number(
-                "reward.checkpoint",
-                self.reward.checkpoint,
-                -1000.0,
-                1000.0,
-                "-1000 to 1000",
-            ),
-            number("learning.gamma", l.gamma, 0.0, 1.0, "0 to 1"),
-            (
-                "learning.n_steps",
-                l.n_steps as f64,
-                (1..=100).contains(&l.n_steps),
-                "1 to 100",
-            ),
-            (
-                "learning.batch",
-                l.batch as f64,
-                (1..=4096).contains(&l.batch),
-                "1 to 4096",
-            ),
-            (
-                "learning.decisions_per_update",
-                l.decisions_per_update as f64,
-                l.decisions_per_update > 0,
-                "1 or more",
-            ),
-            (
-                "learning.encoder_frames",
-                l.encoder_frames as f64,
-                (1..=5).contains(&l.encoder_frames),
-                "1 to 5",
-            ),
-            number("learning.actor_rate", l.actor_rate, 0.0, 1.0, "0 to 1"),
-            number("learning.critic_rate", l.critic_rate, 0.0, 1.0, "0 to 1"),
-            number("learning.tau", l.tau, 0.0, 1.0, "0 to 1"),
-            number("learning.gradient_norm", l.gradient_norm, 1e-6, 1e9, "above 0"),
-            number("warm_up.actor_rate", self.warm_up.actor_rate, 0.0, 1.0, "0 to 1"),
-            (
-                "evaluation.every_updates",
-                self.evaluation.every_updates as f64,
-                self.evaluation.every_updates > 0,
-                "1 or more",
-            ),
-            number(
-                "learning.saturation_penalty",
-                l.saturation_penalty,
-                0.0,
-                1e6,
-                "0 or more",
-            ),
-            number("learning.value_weight", l.value_weight, 0.0, 1e6, "0 or more"),
-            number("learning.imitation", l.imitation, 0.0, 1e6, "0 or more"),
-            number("learning.imitation_width", l.imitation_width, 0.0, 10.0, "0 to 10"),
-            (
-                "replay.decisions",
-                r.decisions as f64,
-                r.decisions as f64 >= least_memory,
-                "environments x (batch + n_steps + 2) or more",
-            ),
-            (
+        let e = &self.evaluation;
+        Limits::new()
+            .some("decisions", self.decisions)
+            .count("environments", self.environments, 1..=256)
+            .count("threads", self.threads, 1..=256)
+            .count("steps_per_decision", self.steps_per_decision, 1..=40)
+            .number("time_limit_s", self.time_limit_s, 1.0..=3600.0)
+            .number("wind_m_s", self.wind_m_s as f32, 0.0..=20.0)
+            .least("warm_up.decisions", self.warm_up.decisions, least, LEAST)
+            .number("warm_up.actor_rate", self.warm_up.actor_rate, 0.0..=1.0)
+            .noise(&self.noise)
+            .share("apf.share", self.apf.share)
+            .number("apf.half_angle_deg", self.apf.half_angle_deg, 0.0..=180.0)
+            .number("reward.success", self.reward.success, -1000.0..=1000.0)
+            .number("reward.dead", self.reward.dead, -1000.0..=1000.0)
+            .number("reward.checkpoint", self.reward.checkpoint, -1000.0..=1000.0)
+            .number("learning.gamma", l.gamma, 0.0..=1.0)
+            .count("learning.n_steps", l.n_steps, 1..=100)
+            .count("learning.batch", l.batch, 1..=4096)
+            .some("learning.decisions_per_update", l.decisions_per_update)
+            .number("learning.actor_rate", l.actor_rate, 0.0..=1.0)
+            .number("learning.critic_rate", l.critic_rate, 0.0..=1.0)
+            .share("learning.rates_fall_from", l.rates_fall_from)
+            .number("learning.tau", l.tau, 0.0..=1.0)
+            .number("learning.gradient_norm", l.gradient_norm, 1e-6..=1e9)
+            .number("learning.saturation_penalty", l.saturation_penalty, 0.0..=1e6)
+            .number("learning.value_weight", l.value_weight, 0.0..=1e6)
+            .number("learning.imitation", l.imitation, 0.0..=1e6)
+            .number("learning.imitation_width", l.imitation_width, 0.0..=10.0)
+            .count("learning.encoder_frames", l.encoder_frames, 1..=5)
+            .least("replay.decisions", r.decisions as u64, least, LEAST)
+            .that(
                 "replay.decisions",
                 r.decisions as f64,
                 memory <= LARGEST_MEMORY,
                 "at most as many as fit 64 GiB: decisions x steps_per_decision x 32 KiB",
-            ),
-            (
-                "evaluation.flights",
-                self.evaluation.flights as f64,
-                self.evaluation.flights <= MOST_FLIGHTS,
-                "0 to 1000000",
-            ),
-            (
-                "evaluation.final_flights",
-                self.evaluation.final_flights as f64,
-                self.evaluation.final_flights <= MOST_FLIGHTS,
-                "0 to 1000000",
-            ),
-            ("replay.alpha", r.alpha, (0.0..=1.0).contains(&r.alpha), "0 to 1"),
-            ("replay.beta", r.beta, (0.0..=1.0).contains(&r.beta), "0 to 1"),
-        ];
-        for (key, value, good, allowed) in checks {
-            if !good {
-                return Err(ConfigError::Value { key, value, allowed });
-            }
-        }
-        Ok(())
+            )
+            .share("replay.alpha", r.alpha)
+            .share("replay.beta", r.beta)
+            .some("evaluation.every_updates", e.every_updates)
+            .count("evaluation.flights", e.flights as usize, 0..=MOST_FLIGHTS)
+            .count("evaluation.final_flights", e.final_flights as usize, 0..=MOST_FLIGHTS)
+            .end()
     }
-}
-
-/// A number within limits; NaN is within none.
-fn number(
-    key: &'static str,
-    value: f32,
-    low: f32,
-    high: f32,
-    allowed: &'static str,
-) -> (&'static str, f64, bool, &'static str) {
-    (key, f64::from(value), (low..=high).contains(&value), allowed)
 }
 
 #[cfg(test)]

@@ -2,6 +2,7 @@
 
 use crate::actor_training::collector::FlightReport;
 use crate::actor_training::learner::UpdateReport;
+use crate::report::{decimals, maybe_decimals, to_csv};
 use serde::{Deserialize, Serialize};
 use vigil_world::Outcome;
 
@@ -36,7 +37,7 @@ pub struct Row {
 pub struct FlightRow {
     /// Updates made when it ended.
     pub updates: u64,
-    /// What became of it.
+    /// How it ended, and what it brought.
     pub flight: FlightReport,
 }
 
@@ -79,50 +80,99 @@ impl RowSum {
     }
 }
 
-const COLUMNS: &str = "updates,decisions,elapsed_s,flights,successes,collisions,reward,critic_loss,imitation_loss,value,\
-    saturated,agreement,critic_norm,actor_norm,completion";
+/// A line of `curves.csv`.
+#[derive(Serialize)]
+struct CurveLine {
+    updates: u64,
+    decisions: u64,
+    #[serde(serialize_with = "decimals::<1, _, _>")]
+    elapsed_s: f64,
+    flights: usize,
+    successes: usize,
+    collisions: usize,
+    #[serde(serialize_with = "decimals::<4, _, _>")]
+    reward: f32,
+    #[serde(serialize_with = "decimals::<6, _, _>")]
+    critic_loss: f32,
+    #[serde(serialize_with = "decimals::<6, _, _>")]
+    imitation_loss: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    value: f32,
+    #[serde(serialize_with = "decimals::<4, _, _>")]
+    saturated: f32,
+    #[serde(serialize_with = "decimals::<3, _, _>")]
+    agreement: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    critic_norm: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    actor_norm: f32,
+    #[serde(serialize_with = "maybe_decimals::<4, _, _>")]
+    completion: Option<f64>,
+}
+
+impl From<&Row> for CurveLine {
+    fn from(r: &Row) -> Self {
+        let u = &r.update;
+        Self {
+            updates: r.updates,
+            decisions: r.decisions,
+            elapsed_s: r.elapsed_s,
+            flights: r.flights,
+            successes: r.successes,
+            collisions: r.collisions,
+            reward: r.reward,
+            critic_loss: u.critic_loss,
+            imitation_loss: u.imitation_loss,
+            value: u.value,
+            saturated: u.saturated,
+            agreement: u.agreement,
+            critic_norm: u.critic_norm,
+            actor_norm: u.actor_norm,
+            completion: r.completion,
+        }
+    }
+}
 
 /// The learning curve as comma-separated values.
 pub fn csv(rows: &[Row]) -> String {
-    let mut text = format!("{COLUMNS}\n");
-    for r in rows {
-        let u = &r.update;
-        let completion = r.completion.map_or(String::new(), |c| format!("{c:.4}"));
-        text += &format!(
-            "{},{},{:.1},{},{},{},{:.4},{:.6},{:.6},{:.5},{:.4},{:.3},{:.5},{:.5},{completion}\n",
-            r.updates,
-            r.decisions,
-            r.elapsed_s,
-            r.flights,
-            r.successes,
-            r.collisions,
-            r.reward,
-            u.critic_loss,
-            u.imitation_loss,
-            u.value,
-            u.saturated,
-            u.agreement,
-            u.critic_norm,
-            u.actor_norm
-        );
-    }
-    text
+    to_csv(rows.iter().map(CurveLine::from))
 }
 
-/// The training flights as comma-separated values: the data of the paper's figures 9 and 10.
+/// A line of `flights.csv`: the data of the paper's figures 9 and 10.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FlightLine {
+    /// Number of the flight, from 1 on.
+    pub flight: usize,
+    /// Updates made when it ended.
+    pub updates: u64,
+    /// 1 if it was part of the warm-up.
+    pub warm_up: u8,
+    /// 1 if the field was added.
+    pub field: u8,
+    /// How it ended.
+    pub outcome: String,
+    /// Decisions.
+    pub decisions: u32,
+    /// Sum of rewards, not discounted.
+    #[serde(serialize_with = "decimals::<4, _, _>")]
+    pub reward: f64,
+}
+
+/// The training flights as comma-separated values.
 pub fn flights_csv(rows: &[FlightRow]) -> String {
-    let mut text = String::from("flight,updates,warm_up,field,outcome,decisions,reward\n");
-    for (number, FlightRow { updates, flight }) in (1..).zip(rows) {
-        let outcome = flight.outcome.map_or(String::new(), |o| o.to_string());
-        text += &format!(
-            "{number},{updates},{},{},{outcome},{},{:.4}\n",
-            u8::from(flight.warm_up),
-            u8::from(flight.with_apf),
-            flight.decisions,
-            flight.reward
-        );
-    }
-    text
+    to_csv(
+        (1..)
+            .zip(rows)
+            .map(|(number, FlightRow { updates, flight })| FlightLine {
+                flight: number,
+                updates: *updates,
+                warm_up: flight.warm_up.into(),
+                field: flight.with_apf.into(),
+                outcome: flight.outcome.map_or(String::new(), |o| o.to_string()),
+                decisions: flight.decisions,
+                reward: flight.reward.into(),
+            }),
+    )
 }
 
 /// How far a run has come.

@@ -177,7 +177,7 @@ impl Shard {
         let encoder = &f.networks.encoder;
         let len = encoder.output_len();
         for (i, (packed, own)) in state.frames.iter().zip(&mut self.encoders).enumerate() {
-            // One tape for all that nobody reads again stays in the cache.
+            // One tape for everything that is not read again stays in the cache.
             let tape = if shares[i] > 0.0 {
                 own
             } else {

@@ -90,7 +90,7 @@ pub struct RunOptions {
     pub test_flights: u64,
 }
 
-/// What became of a run.
+/// How a run ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum RunEnd {
     /// It was stopped; its checkpoint is this file.

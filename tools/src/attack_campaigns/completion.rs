@@ -3,6 +3,7 @@
 use super::{Common, write_json};
 use crate::campaign::{self, Flown, Tally};
 use crate::cli::output::{Interrupt, Progress, say};
+use crate::report::{TextTable, words};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -121,27 +122,23 @@ struct Report<'a> {
 }
 
 impl Row {
-    fn print_heading() {
-        say!(
-            "{:<6} {:<17} {:<11} {:<8} {}   yaw moved ≥ 1.0",
-            "field",
-            "attack",
-            "burst",
-            "towards",
-            Tally::HEADING
-        );
-    }
-
-    fn print(&self) {
-        let (attack, burst, towards) = self.attack.map_or(("none", "—".to_owned(), "—"), |s| {
-            (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
-        });
-        say!(
-            "{:<6} {attack:<17} {burst:<11} {towards:<8} {}   {}",
-            if self.apf { "on" } else { "off" },
-            self.tally.columns(),
-            campaign::effective_share(self.attacked_steps, self.effective_steps),
-        );
+    fn table(rows: &[Self]) -> TextTable {
+        let names = ["field", "attack", "burst", "towards"].map(words);
+        let columns = names
+            .into_iter()
+            .chain(Tally::columns())
+            .chain([words("yaw moved ≥ 1.0")]);
+        let mut table = TextTable::new(columns);
+        for row in rows {
+            let (attack, burst, towards) = row.attack.map_or(("none", "—".to_owned(), "—"), |s| {
+                (s.config.method.name(), s.burst.to_string(), s.config.towards.name())
+            });
+            let field = if row.apf { "on" } else { "off" };
+            let names = [field.to_owned(), attack.to_owned(), burst, towards.to_owned()];
+            let effective = campaign::effective_share(row.attacked_steps, row.effective_steps);
+            table.row(names.into_iter().chain(row.tally.cells()).chain([effective]));
+        }
+        table
     }
 }
 
@@ -216,14 +213,13 @@ fn fly_all(
     };
     let begun = Instant::now();
     say!("{flights} validation courses from seed {seed}, the same for every row");
-    Row::print_heading();
-    let mut rows = Vec::new();
-    for (apf, setting) in settings.iter().take_while(|_| !campaign.interrupt.came()) {
-        let row = campaign.row(*apf, *setting)?;
-        campaign.bar.suspend(|| row.print());
-        rows.push(row);
-    }
+    let rows: Vec<Row> = settings
+        .iter()
+        .take_while(|_| !campaign.interrupt.came())
+        .map(|(apf, setting)| campaign.row(*apf, *setting))
+        .collect::<Result<_>>()?;
     campaign.bar.finish();
+    say!("{}", Row::table(&rows));
     let interrupted = campaign.interrupt.came();
     if interrupted {
         let flown: usize = rows.iter().map(|row: &Row| row.tally.flights).sum();

@@ -6,11 +6,11 @@
 use super::{Common, write_json};
 use crate::campaign::{self, Flown, Tally};
 use crate::cli::output::{self, Progress, say};
+use crate::report::{TextTable, csv_line, decimals, from_csv, numbers, words};
 use anyhow::{Context, Result, bail, ensure};
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fmt;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -85,7 +85,7 @@ pub struct DefendedArgs {
 }
 
 /// Who flies against what.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Arm {
     /// Not attacked, no detector.
@@ -151,14 +151,16 @@ struct Settings {
 }
 
 /// A flight: a line of `defended.csv`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Line {
     arm: Arm,
     seed: u64,
-    /// `none` in the file when the vehicle never took off.
+    #[serde(with = "outcome_or_none")]
     outcome: Option<Outcome>,
+    #[serde(serialize_with = "decimals::<2, _, _>")]
     flight_time_s: f64,
     /// Of the vehicle's middle.
+    #[serde(serialize_with = "decimals::<2, _, _>")]
     closest_obstacle_m: f32,
     attacked_steps: u64,
     effective_steps: u64,
@@ -172,30 +174,26 @@ struct Line {
 
 /// A flight has a line of 100 bytes.
 const SIZE_LIMIT: u64 = 1 << 30;
-const NO_FLIGHT: &str = "none";
 const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,stop_steps,recovery_steps";
 
-impl fmt::Display for Line {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{},{},{},{:.2},{:.2},{},{},{},{},{},{},{}",
-            self.arm.name(),
-            self.seed,
-            self.outcome.map_or(NO_FLIGHT, Outcome::name),
-            self.flight_time_s,
-            self.closest_obstacle_m,
-            self.attacked_steps,
-            self.effective_steps,
-            self.judged_steps,
-            self.alarms,
-            self.guard_alarms,
-            self.stop_steps,
-            self.recovery_steps,
-        )
+/// An outcome by its name, and `none` for a vehicle that never took off.
+mod outcome_or_none {
+    use serde::{Deserialize, Deserializer, Serializer};
+    use vigil_world::Outcome;
+
+    const NO_FLIGHT: &str = "none";
+
+    pub fn serialize<S: Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
+        s.serialize_str(outcome.map_or(NO_FLIGHT, Outcome::name))
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Outcome>, D::Error> {
+        match String::deserialize(d)?.as_str() {
+            NO_FLIGHT => Ok(None),
+            name => name.parse().map(Some).map_err(serde::de::Error::custom),
+        }
     }
 }
-
 impl Line {
     fn of(arm: Arm, seed: u64, flown: &Flown) -> Self {
         let attack = flown.attack.unwrap_or_default();
@@ -214,29 +212,6 @@ impl Line {
             stop_steps: watch.stop_steps,
             recovery_steps: watch.recovery_steps,
         }
-    }
-
-    fn parse(text: &str) -> Option<Self> {
-        let mut fields = text.split(',');
-        let arm = fields.next()?;
-        let line = Self {
-            arm: Arm::ALL.into_iter().find(|known| known.name() == arm)?,
-            seed: fields.next()?.parse().ok()?,
-            outcome: match fields.next()? {
-                NO_FLIGHT => None,
-                name => Some(name.parse().ok()?),
-            },
-            flight_time_s: fields.next()?.parse().ok()?,
-            closest_obstacle_m: fields.next()?.parse().ok()?,
-            attacked_steps: fields.next()?.parse().ok()?,
-            effective_steps: fields.next()?.parse().ok()?,
-            judged_steps: fields.next()?.parse().ok()?,
-            alarms: fields.next()?.parse().ok()?,
-            guard_alarms: fields.next()?.parse().ok()?,
-            stop_steps: fields.next()?.parse().ok()?,
-            recovery_steps: fields.next()?.parse().ok()?,
-        };
-        fields.next().is_none().then_some(line)
     }
 
     fn is_success(&self) -> bool {
@@ -274,8 +249,10 @@ impl Log {
         };
         let whole = lines.rfind('\n').map_or("", |end| &lines[..end]);
         for (number, text) in whole.lines().enumerate() {
-            let line =
-                Line::parse(text).with_context(|| format!("{name}, line {}: not a flight: {text:?}", number + 3))?;
+            let line = from_csv::<Line>(&format!("{COLUMNS}\n{text}"))
+                .ok()
+                .and_then(|mut lines| lines.pop())
+                .with_context(|| format!("{name}, line {}: not a flight: {text:?}", number + 3))?;
             log.lines.insert((line.seed, line.arm), line);
         }
         Ok(log)
@@ -285,7 +262,7 @@ impl Log {
     fn write(&self) -> Result<std::fs::File> {
         let mut text = self.heading.clone();
         for line in self.lines.values() {
-            text += &format!("{line}\n");
+            text += &csv_line(line);
         }
         output::write(&self.path, text)?;
         std::fs::OpenOptions::new()
@@ -335,37 +312,38 @@ impl Row {
         })
     }
 
-    fn print_heading() {
-        say!(
-            "{:<13} {:>7} {}   {:<22} alarms",
-            "arm",
-            "flights",
-            Tally::HEADING,
-            "yaw moved ≥ 1.0"
+    fn table(rows: &[Self]) -> TextTable {
+        let mut table = TextTable::new(
+            [words("arm"), numbers("flights")]
+                .into_iter()
+                .chain(Tally::columns())
+                .chain([words("yaw moved ≥ 1.0"), words("alarms")]),
         );
+        for row in rows {
+            let name = [row.arm.name().to_owned(), row.tally.flights.to_string()];
+            let effective = campaign::effective_share(row.attacked_steps, row.effective_steps);
+            table.row(
+                name.into_iter()
+                    .chain(row.tally.cells())
+                    .chain([effective, row.alarms_in_words()]),
+            );
+        }
+        table
     }
 
-    fn print(&self) {
-        let effective = campaign::effective_share(self.attacked_steps, self.effective_steps);
-        let alarms = if self.arm.alarm().is_none() {
-            "—".to_owned()
-        } else {
-            format!(
-                "{} ({} by the guard) in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
-                self.alarms,
-                self.guard_alarms,
-                self.alarmed_flights,
-                self.alarms_per_hour,
-                100.0 * self.stopping_share,
-                100.0 * self.recovering_share
-            )
-        };
-        say!(
-            "{:<13} {:>7} {}   {effective:<22} {alarms}",
-            self.arm.name(),
-            self.tally.flights,
-            self.tally.columns(),
-        );
+    fn alarms_in_words(&self) -> String {
+        if self.arm.alarm().is_none() {
+            return "—".to_owned();
+        }
+        format!(
+            "{} ({} by the guard) in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
+            self.alarms,
+            self.guard_alarms,
+            self.alarmed_flights,
+            self.alarms_per_hour,
+            100.0 * self.stopping_share,
+            100.0 * self.recovering_share
+        )
     }
 }
 
@@ -461,7 +439,7 @@ fn fly_missing(
             .map(|(seed, arm)| {
                 let line = Line::of(arm, seed, &fly(args, arm, attack, seed)?);
                 let mut file = file.lock().map_err(|_| anyhow::anyhow!("another flight failed"))?;
-                writeln!(file, "{line}").with_context(|| format!("cannot write {}", log.path.display()))?;
+                write!(file, "{}", csv_line(&line)).with_context(|| format!("cannot write {}", log.path.display()))?;
                 bar.inc(1);
                 Ok(line)
             })
@@ -482,12 +460,11 @@ fn fly_missing(
         if settings.apf { "on" } else { "off" },
         settings.first_seed
     );
-    Row::print_heading();
     let rows: Vec<Row> = Arm::ALL
         .into_iter()
         .filter_map(|arm| Row::of(arm, log.lines.values()))
-        .inspect(Row::print)
         .collect();
+    say!("{}", Row::table(&rows));
     let pairs: Vec<Pair> = [
         (Arm::None, Arm::NoneWatched),
         (Arm::Undefended, Arm::Stop),
@@ -569,7 +546,7 @@ mod tests {
         ];
         let mut file = log.write().unwrap();
         for line in &flown {
-            writeln!(file, "{line}").unwrap();
+            write!(file, "{}", csv_line(line)).unwrap();
         }
         // The third was being written when the process was killed.
         write!(file, "undefended,7,coll").unwrap();

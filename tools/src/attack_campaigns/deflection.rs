@@ -1,7 +1,8 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
 use super::{Common, write_json};
-use crate::cli::output::{Interrupt, put, say};
+use crate::cli::output::{Interrupt, say};
+use crate::report::{TextTable, numbers, words};
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -106,15 +107,24 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
             args.epsilon,
             args.iterations
         );
-        put!("gap to wall ");
-        BEARINGS_DEG.iter().for_each(|b| put!("{:>8}", format!("{b}°")));
-        say!("    mean    the paper");
+        let bearings = BEARINGS_DEG.map(|b| numbers(format!("{b}°")));
+        let mut table = TextTable::new(
+            [words("gap to wall")]
+                .into_iter()
+                .chain(bearings)
+                .chain([numbers("mean"), numbers("the paper")]),
+        );
         for (row, (gap_m, paper)) in block.chunks(BEARINGS_DEG.len()).zip(GAPS) {
-            put!("{:<12}", format!("{gap_m:.1} m"));
-            row.iter().for_each(|c| put!("{:>7.0}", c.deflection_deg_s));
             let mean = row.iter().map(|c| c.deflection_deg_s).sum::<f32>() / row.len() as f32;
-            say!("  {mean:>7.0}    {paper:>9.0}");
+            let cells = row.iter().map(|c| format!("{:.0}", c.deflection_deg_s));
+            table.row(
+                [format!("{gap_m:.1} m")]
+                    .into_iter()
+                    .chain(cells)
+                    .chain([format!("{mean:.0}"), format!("{paper:.0}")]),
+            );
         }
+        say!("{table}");
         say!();
     }
     write_json(

@@ -2,12 +2,12 @@
 
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, write_json};
-use crate::cli::output::{self, Interrupt, Progress, put, range_grey, say};
+use crate::cli::output::{self, Interrupt, Progress, range_grey, say};
+use crate::report::{TextTable, numbers, to_csv, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use rayon::prelude::*;
 use serde::Serialize;
-use std::fmt::Write;
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
@@ -120,7 +120,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
         .collect();
     print(&cells, attacked.len(), args.seed, wall_s);
     let csv = folder.join("figure-11.csv");
-    output::write(&csv, to_csv(&cells))?;
+    output::write(&csv, to_csv(cells.iter().map(CellLine::from)))?;
     if let Some(state) = met_in_flight(&victim.params, args.seed)?.first() {
         picture(&victim.params, state)?.write_png(&folder.join("frames.png"))?;
     }
@@ -187,38 +187,47 @@ fn print(cells: &[Cell], states: usize, seed: u64, wall_s: f64) {
     say!(
         "share of {states} states whose yaw moves by 1.0 (30 °/s) or more, validation courses from seed {seed}, {wall_s:.0} s"
     );
-    for (method, block) in METHODS.iter().zip(cells.chunks(EPSILONS_255.len() * ITERATIONS.len())) {
-        put!("\n{:<18}", method.name());
-        for n in ITERATIONS {
-            put!("{:>22}", format!("{n} iterations"));
-        }
-        say!();
-        for row in block.chunks(ITERATIONS.len()) {
-            put!("  ε = {:<4} / 255    ", row[0].epsilon_255);
-            for c in row {
-                let (low, high) = c.wilson_95;
-                let interval = format!("({:.0} to {:.0})", 100.0 * low, 100.0 * high);
-                put!("{:>6.1} % {interval:<13}", 100.0 * c.share);
-            }
-            say!();
-        }
+    let iterations = ITERATIONS.map(|n| words(format!("{n} iterations")));
+    let mut table = TextTable::new([words("method"), numbers("ε · 255")].into_iter().chain(iterations));
+    for row in cells.chunks(ITERATIONS.len()) {
+        let shares = row.iter().map(|c| {
+            let (low, high) = c.wilson_95;
+            format!("{:.1} % ({:.0} to {:.0})", 100.0 * c.share, 100.0 * low, 100.0 * high)
+        });
+        let name = [row[0].method.name().to_owned(), row[0].epsilon_255.to_string()];
+        table.row(name.into_iter().chain(shares));
     }
-    say!();
+    say!("{table}");
 }
 
-fn to_csv(cells: &[Cell]) -> String {
-    let mut csv = String::from("method,epsilon_255,iterations,states,effective,share,low_95,high_95,mean_yaw_change\n");
-    for c in cells {
-        let (low, high) = c.wilson_95;
-        let (method, epsilon) = (c.method.name(), c.epsilon_255);
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            csv,
-            "{method},{epsilon},{},{},{},{},{low},{high},{}",
-            c.iterations, c.states, c.effective, c.share, c.mean_yaw_change
-        );
+/// A line of `figure-11.csv`.
+#[derive(Serialize)]
+struct CellLine {
+    method: &'static str,
+    epsilon_255: f32,
+    iterations: u32,
+    states: usize,
+    effective: usize,
+    share: f64,
+    low_95: f64,
+    high_95: f64,
+    mean_yaw_change: f64,
+}
+
+impl From<&Cell> for CellLine {
+    fn from(c: &Cell) -> Self {
+        Self {
+            method: c.method.name(),
+            epsilon_255: c.epsilon_255,
+            iterations: c.iterations,
+            states: c.states,
+            effective: c.effective,
+            share: c.share,
+            low_95: c.wilson_95.0,
+            high_95: c.wilson_95.1,
+            mean_yaw_change: c.mean_yaw_change,
+        }
     }
-    csv
 }
 
 /// Clean above altered, newest frame, and the difference below: near is bright, red is nearer and blue farther.

@@ -6,6 +6,7 @@ mod watch;
 pub use sensor::{FaultChoice, FaultTally, SensorRecord};
 pub use watch::WatchRecord;
 
+use crate::report::{Column, numbers, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use serde::Serialize;
@@ -62,19 +63,27 @@ impl Tally {
         }
     }
 
-    /// The heading of [`Self::columns`].
-    pub const HEADING: &str = "completion   95 % interval   collision  bounds  time-out";
+    /// The columns of [`Self::cells`].
+    pub fn columns() -> [Column; 5] {
+        [
+            numbers("completion"),
+            words("95 % interval"),
+            numbers("collision"),
+            numbers("bounds"),
+            numbers("time-out"),
+        ]
+    }
 
-    /// Share, interval and how the others ended, in columns.
-    pub fn columns(&self) -> String {
-        let interval = format!("{:.1} to {:.1} %", 100.0 * self.wilson_95.0, 100.0 * self.wilson_95.1);
-        format!(
-            "{:>8.1} %   {interval:<15} {:>9} {:>7} {:>9}",
-            100.0 * self.completion,
-            self.collisions,
-            self.out_of_bounds,
-            self.time_outs
-        )
+    /// Share, interval and how the others ended.
+    pub fn cells(&self) -> [String; 5] {
+        let (low, high) = self.wilson_95;
+        [
+            format!("{:.1} %", 100.0 * self.completion),
+            format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high),
+            self.collisions.to_string(),
+            self.out_of_bounds.to_string(),
+            self.time_outs.to_string(),
+        ]
     }
 }
 

@@ -1,5 +1,6 @@
 //! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
 
+use crate::report::{TextTable, numbers, words};
 use serde::Serialize;
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::{SensorFault, SensorFaultMode};
@@ -165,15 +166,15 @@ impl FaultTally {
         tally
     }
 
-    /// The heading of [`Self::row`].
-    pub const HEADING: &str = "sensor fault          flights  collision  safe hold  arrived  time-out";
-
-    /// A row of the table.
-    pub fn row(&self) -> String {
-        format!(
-            "{:<21} {:>7} {:>10} {:>10} {:>8} {:>9}",
-            self.fault, self.flights, self.collisions, self.held, self.arrived, self.time_outs
-        )
+    /// The table of all faults.
+    pub fn table(tallies: &[Self]) -> TextTable {
+        let counts = ["flights", "collision", "safe hold", "arrived", "time-out"].map(numbers);
+        let mut table = TextTable::new([words("sensor fault")].into_iter().chain(counts));
+        for t in tallies {
+            let counts = [t.flights, t.collisions, t.held, t.arrived, t.time_outs].map(|n| n.to_string());
+            table.row([t.fault.clone()].into_iter().chain(counts));
+        }
+        table
     }
 }
 

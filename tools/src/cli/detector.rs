@@ -5,9 +5,10 @@ use crate::detector_training::{
     Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Report,
     Separation, Set, States, fly_sets, sets,
 };
-use crate::report::{Figure, Panel};
+use crate::report::{Figure, Panel, TextTable, decimals, numbers, to_csv, words};
 use crate::statistics::quantile;
 use anyhow::{Context, Result};
+use serde::Serialize;
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -438,7 +439,6 @@ impl Stage<'_> {
             times.pixels_s.len(),
             self.isa.name()
         );
-        say!("                                             median        99 %       paper");
         let step_s: Vec<f64> = (0..times.action_s.len())
             .map(|i| times.action_s[i] + times.explanation_s[i] + times.verdict_s[i])
             .collect();
@@ -451,10 +451,12 @@ impl Stage<'_> {
             ("CNN-AD", &times.cnn_s, 0.162),
             ("FCN-AD", &times.fcn_s, 0.056),
         ];
+        let mut table = TextTable::new([words(""), numbers("median"), numbers("99 %"), numbers("paper")]);
         for (name, seconds, paper_s) in rows {
             let at = |share| or_dash(1e3 * quantile(seconds, share).unwrap_or(f64::NAN), 3, " ms");
-            say!("{name:<42} {:>10} {:>11} {:>8.0} ms", at(0.5), at(0.99), 1e3 * paper_s);
+            table.row([name.to_owned(), at(0.5), at(0.99), format!("{:.0} ms", 1e3 * paper_s)]);
         }
+        say!("{table}");
         Ok(())
     }
 
@@ -566,19 +568,26 @@ impl Stage<'_> {
         ));
         let pca = crate::detector_training::pca_scores(&learn, &choose, &judged);
         rows.push(crate::detector_training::row("PCA", 0.70, 1.0, &judged, &pca));
-        say!("detector   paper     accuracy                                  detected %   false alarms %   AUC");
+        let mut table = TextTable::new([
+            words("detector"),
+            numbers("paper"),
+            words("accuracy"),
+            numbers("detected %"),
+            numbers("false alarms %"),
+            numbers("AUC"),
+        ]);
         for row in &rows {
             let s = &row.separation;
-            say!(
-                "{:<8} {:>5.0} %     {:<40} {:>10}   {:>14}   {}",
-                row.detector,
-                100.0 * row.paper,
+            table.row([
+                row.detector.to_owned(),
+                format!("{:.0} %", 100.0 * row.paper),
                 share(&s.accuracy),
                 short(&s.detected),
                 short(&s.false_alarms),
-                or_dash(s.auc, 4, "")
-            );
+                or_dash(s.auc, 4, ""),
+            ]);
         }
+        say!("{table}");
         let json = serde_json::json!({
             "actor_sha256": frozen.actor_sha256,
             "detector_sha256": frozen.sha256(),
@@ -596,9 +605,15 @@ impl Stage<'_> {
         let (sets, records) = self.evaluation(size)?;
         let config = LstmConfig::default();
         let mut reports = Vec::new();
-        say!(
-            "rows of             accuracy       AUC   found at 1 %   at 0.1 %   false alarms   untrained attacks found"
-        );
+        let mut table = TextTable::new([
+            words("rows of"),
+            numbers("accuracy"),
+            numbers("AUC"),
+            numbers("found at 1 %"),
+            numbers("at 0.1 %"),
+            numbers("false alarms"),
+            numbers("untrained attacks found"),
+        ]);
         for feature in Feature::ALL {
             let judge = self.train_on(feature, &flights, &config)?;
             let report =
@@ -609,18 +624,18 @@ impl Stage<'_> {
                 .filter(|s| s.role == crate::detector_training::Role::Untrained);
             let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
             let s = &report.separation;
-            say!(
-                "{:<18} {:>10}   {:>7}       {:>8}   {:>8}       {:>8}                  {:>8}",
-                feature.name(),
+            table.row([
+                feature.name().to_owned(),
                 percent(&s.accuracy),
                 or_dash(s.auc, 5, ""),
                 or_dash(100.0 * s.found_at_1_percent, 2, " %"),
                 or_dash(100.0 * s.found_at_0_1_percent, 2, " %"),
                 percent(&s.false_alarms),
                 percent(&Proportion::new(count, of)),
-            );
+            ]);
             reports.push(report);
         }
+        say!("{table}");
         self.write("ablate.json", serde_json::to_string_pretty(&reports)?)?;
         self.write("ablate.png", roc_png(&reports.iter().collect::<Vec<_>>()))?;
         say!("written          {} and ablate.png", self.path("ablate.json").display());
@@ -659,13 +674,25 @@ fn short(p: &Proportion) -> String {
         .map_or_else(|| "-".to_owned(), |share| format!("{:.2}", 100.0 * share))
 }
 
+/// A line of the curves beside a detector.
+#[derive(Serialize)]
+struct EpochLine {
+    epoch: usize,
+    #[serde(serialize_with = "decimals::<6, _, _>")]
+    train_loss: f64,
+    #[serde(serialize_with = "decimals::<6, _, _>")]
+    choose_loss: f64,
+    #[serde(serialize_with = "decimals::<6, _, _>")]
+    choose_accuracy: f64,
+}
+
 fn curves_csv(epochs: &[Epoch]) -> String {
-    let mut csv = "epoch,train_loss,choose_loss,choose_accuracy\n".to_owned();
-    for e in epochs {
-        let (train, choose, accuracy) = (e.train_loss, e.choose_loss, e.choose_accuracy);
-        let _ = writeln!(csv, "{},{train:.6},{choose:.6},{accuracy:.6}", e.epoch);
-    }
-    csv
+    to_csv(epochs.iter().map(|e| EpochLine {
+        epoch: e.epoch,
+        train_loss: e.train_loss,
+        choose_loss: e.choose_loss,
+        choose_accuracy: e.choose_accuracy,
+    }))
 }
 
 fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
@@ -742,34 +769,40 @@ fn text(report: &Report) -> String {
         report.unattacked_hours,
         or_dash(report.false_stops as f64 / report.unattacked_hours, 2, "")
     ));
-    line("\nattacked rows of ten   detected %   accuracy %   windows".to_owned());
+    let mut table = TextTable::new(["attacked rows of ten", "detected %", "accuracy %", "windows"].map(numbers));
     for row in &report.rows {
-        line(format!(
-            "{:>20} {:>12} {:>12} {:>9}",
-            row.attacked_rows,
+        table.row([
+            row.attacked_rows.to_string(),
             short(&row.detected),
             or_dash(100.0 * row.accuracy, 2, ""),
-            row.detected.of
-        ));
+            row.detected.of.to_string(),
+        ]);
     }
+    line(format!("\n{table}"));
     let after: Vec<String> = report.after.iter().map(|a| short(&a.alarmed)).collect();
     line(format!(
         "\nstill alarmed 1, 2, … 20 steps after an attack, %: {}",
         after.join(" ")
     ));
-    line(
-        "\nset                         flights  at goal %  detected %  effective  ineffective  false alarms %  on noise  delay 50 / 90 %  \
-         bursts noticed %"
-            .to_owned(),
-    );
+    let shares = [
+        "flights",
+        "at goal %",
+        "detected %",
+        "effective",
+        "ineffective",
+        "false alarms %",
+        "on noise",
+        "delay 50 / 90 %",
+        "bursts noticed %",
+    ];
+    let mut table = TextTable::new([words("set")].into_iter().chain(shares.map(numbers)));
     for set in &report.sets {
         let delay = set
             .delay_steps
             .map_or_else(|| "-".to_owned(), |(m, p)| format!("{m:.0} / {p:.0}"));
-        line(format!(
-            "{:<27} {:>7} {:>10} {:>11} {:>10} {:>12} {:>15} {:>9} {:>16} {:>17}",
-            set.name,
-            set.flights,
+        table.row([
+            set.name.to_string(),
+            set.flights.to_string(),
             short(&set.at_goal),
             short(&set.detected),
             short(&set.detected_effective),
@@ -777,8 +810,9 @@ fn text(report: &Report) -> String {
             short(&set.false_alarms),
             short(&set.alarms_on_noise),
             delay,
-            short(&set.bursts_noticed)
-        ));
+            short(&set.bursts_noticed),
+        ]);
     }
+    line(format!("\n{table}"));
     out
 }

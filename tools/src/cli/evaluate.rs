@@ -3,6 +3,7 @@
 use crate::campaign::{self, FaultChoice, FaultTally, Flown, SensorRecord, WatchRecord};
 use crate::cli::output::{self, Interrupt, Paint, Progress, say};
 use crate::cli::pilot::PilotArgs;
+use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
 use anyhow::{Context, Result, ensure};
 use rayon::prelude::*;
@@ -163,7 +164,7 @@ struct Flight {
     #[serde(skip_serializing_if = "Option::is_none")]
     watch: Option<WatchRecord>,
     sensor: SensorRecord,
-    /// Altered frames that a pilot was shown; absent where nobody attacks.
+    /// Altered frames that a pilot was shown; absent without an attack.
     #[serde(skip_serializing_if = "Option::is_none")]
     altered_frames_used: Option<u64>,
 }
@@ -418,18 +419,24 @@ fn report(
     let factor = simulated_s / wall_s / threads.min(flights.len()).max(1) as f64;
 
     let paint = Paint::stdout();
-    say!("{:<16} {:>7} {:>9}   95 % interval", "outcome", "flights", "share");
-    for r in rates.iter().filter(|r| r.flights > 0 || r.outcome == "success") {
-        let row = format!(
-            "{:<16} {:>7} {:>7.2} %   {:.2} to {:.2} %",
-            r.outcome,
-            r.flights,
-            100.0 * r.share,
-            100.0 * r.wilson_95.0,
-            100.0 * r.wilson_95.1
-        );
-        say!("{}", paint.verdict(r.outcome == "success", &row));
+    let mut table = TextTable::new([
+        words("outcome"),
+        numbers("flights"),
+        numbers("share"),
+        words("95 % interval"),
+    ]);
+    let told = || rates.iter().filter(|r| r.flights > 0 || r.outcome == "success");
+    for r in told() {
+        let (low, high) = r.wilson_95;
+        table.row([
+            r.outcome.to_owned(),
+            r.flights.to_string(),
+            format!("{:.2} %", 100.0 * r.share),
+            format!("{:.2} to {:.2} %", 100.0 * low, 100.0 * high),
+        ]);
     }
+    let good: Vec<bool> = told().map(|r| r.outcome == "success").collect();
+    paint.table(&table, &good);
     let from_ground = flights.iter().filter(|f| f.from_ground).count();
     say!("from the ground  {from_ground} of {} flights", flights.len());
     let times: Vec<f64> = flights
@@ -461,10 +468,9 @@ fn report(
         SensorRecord::summary(flights.iter().map(|f| &f.sensor))
     );
     if !tallies.is_empty() {
-        say!("\n{}", FaultTally::HEADING);
-        for tally in tallies {
-            say!("{}", paint.verdict(tally.collisions == 0, &tally.row()));
-        }
+        say!();
+        let good: Vec<bool> = tallies.iter().map(|tally| tally.collisions == 0).collect();
+        paint.table(&FaultTally::table(tallies), &good);
         say!("");
     }
     say!(

@@ -2,9 +2,9 @@
 
 use crate::cli::output::{self, range_grey, say};
 use crate::detector_training::{Adversary, ExplainedFrame, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
-use crate::report::{Figure, Panel};
+use crate::report::{Figure, Panel, decimals, maybe_decimals, to_csv};
 use anyhow::{Context, Result};
-use std::fmt::Write as _;
+use serde::Serialize;
 use std::path::Path;
 use vigil_adversary::AttackConfig;
 use vigil_detector::FrozenDetector;
@@ -52,7 +52,7 @@ pub fn draw(
     let last_s = seconds(steps.len());
     write("figure-13.png", &over_time(contributions(steps), last_s))?;
     write("figure-14.png", &over_time(sum_and_action(steps), last_s))?;
-    write("explanations.csv", to_csv(&portrait).as_bytes())?;
+    write("explanations.csv", explanations_csv(&portrait).as_bytes())?;
     say!(
         "validation course {seed}, {} steps{}, flight ended: {}",
         steps.len(),
@@ -164,27 +164,42 @@ fn sum_and_action(steps: &[ExplainedStep]) -> Vec<Panel> {
     ]
 }
 
-fn to_csv(portrait: &Portrait) -> String {
-    let mut text = String::from("time_s,altered,yaw,base,image,bearing,distance,score,verdict\n");
-    for (number, ExplainedStep { step, judgement: j }) in portrait.steps.iter().enumerate() {
-        let verdict = match j.verdict {
+/// A line of `explanations.csv`.
+#[derive(Serialize)]
+struct ExplanationLine {
+    #[serde(serialize_with = "decimals::<2, _, _>")]
+    time_s: f64,
+    altered: u8,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    yaw: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    base: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    image: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    bearing: f32,
+    #[serde(serialize_with = "decimals::<5, _, _>")]
+    distance: f32,
+    #[serde(serialize_with = "maybe_decimals::<5, _, _>")]
+    score: Option<f32>,
+    verdict: &'static str,
+}
+
+fn explanations_csv(portrait: &Portrait) -> String {
+    let line = |(number, ExplainedStep { step, judgement: j }): (usize, &ExplainedStep)| ExplanationLine {
+        time_s: seconds(number),
+        altered: (step.frame == Frame::Attacked).into(),
+        yaw: step.output[1],
+        base: j.base,
+        image: j.image,
+        bearing: j.bearing,
+        distance: j.distance,
+        score: j.score,
+        verdict: match j.verdict {
             Verdict::Unknown => "unknown",
             Verdict::Clean => "clean",
             Verdict::Attack => "attack",
-        };
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{:.2},{},{:.5},{:.5},{:.5},{:.5},{:.5},{},{verdict}",
-            seconds(number),
-            u8::from(step.frame == Frame::Attacked),
-            step.output[1],
-            j.base,
-            j.image,
-            j.bearing,
-            j.distance,
-            j.score.map_or(String::new(), |s| format!("{s:.5}")),
-        );
-    }
-    text
+        },
+    };
+    to_csv(portrait.steps.iter().enumerate().map(line))
 }

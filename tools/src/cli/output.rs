@@ -1,5 +1,6 @@
 //! What all commands share in talking to people: output, progress, interruption, exit codes, colours, tracing.
 
+use crate::report::TextTable;
 use anyhow::{Context, Result};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Arguments;
@@ -59,7 +60,7 @@ pub fn put_text(text: Arguments<'_>) {
 
 #[doc(hidden)]
 pub fn tell_line(text: Arguments<'_>) {
-    // Where nobody listens, nothing can be told.
+    // Without a reader there is nothing to be told.
     let _ = io::stderr().write_fmt(format_args!("{text}\n"));
 }
 
@@ -71,7 +72,7 @@ pub fn finish(result: Result<ExitCode>) -> ExitCode {
     });
     let failure = io::stdout().flush().err();
     match OUTPUT_FAILURE.get().or(failure.as_ref()) {
-        // Whoever read it has seen enough.
+        // The reader has seen enough.
         Some(error) if error.kind() != ErrorKind::BrokenPipe => {
             tell!("vigil: cannot write standard output: {error}");
             ExitCode::from(EXIT_ERROR)
@@ -223,7 +224,7 @@ impl Progress {
         let Some(pace) = &self.pace else { return };
         let (done, length) = (self.bar.position(), self.bar.length().unwrap_or(0));
         let elapsed = self.bar.elapsed();
-        // Whoever holds it is telling.
+        // Another thread holds it and is telling.
         if let Ok(mut pace) = pace.try_lock()
             && pace.is_due(elapsed, done, length)
         {
@@ -300,6 +301,17 @@ impl Paint {
             (false, _) => text.to_owned(),
             (true, true) => format!("\x1b[32m{text}\x1b[0m"),
             (true, false) => format!("\x1b[31m{text}\x1b[0m"),
+        }
+    }
+
+    /// Prints a table, each row green when it is `good`, red otherwise.
+    pub fn table(&self, table: &TextTable, good: &[bool]) {
+        let lines = table.lines();
+        for (number, line) in lines.iter().enumerate() {
+            match number.checked_sub(1).and_then(|row| good.get(row)) {
+                Some(good) => put_line(format_args!("{}", self.verdict(*good, line))),
+                None => put_line(format_args!("{line}")),
+            }
         }
     }
 }

@@ -1,12 +1,13 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
-use crate::actor_training::RunResult;
+use crate::actor_training::{FlightLine, RunResult};
 use crate::cli::output::{self, put, say};
-use crate::report::{Figure, Panel, Series};
+use crate::report::{Figure, Panel, Series, from_csv};
 use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use vigil_world::Outcome;
 
 /// A run of a million flights has 40 MB.
 const SIZE_LIMIT: u64 = 256 << 20;
@@ -125,26 +126,19 @@ fn read(folder: &Path) -> Result<Run> {
     };
     let bad = |name: &str| format!("{} is not what `vigil train` writes", folder.join(name).display());
     let result = serde_json::from_str(&text("result.json")?).with_context(|| bad("result.json"))?;
-    let flights = text("flights.csv")?
-        .lines()
-        .skip(1)
-        .map(flight)
-        .collect::<Option<Vec<Flight>>>()
-        .with_context(|| bad("flights.csv"))?;
+    let flights = from_csv::<FlightLine>(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
+    let flights = flights.iter().map(Flight::from).collect();
     Ok(Run { result, flights })
 }
 
-/// A row `flight,updates,warm_up,field,outcome,decisions,reward`.
-fn flight(row: &str) -> Option<Flight> {
-    let columns: Vec<&str> = row.split(',').collect();
-    let &[_, _, warm_up, _, outcome, _, reward] = columns.as_slice() else {
-        return None;
-    };
-    Some(Flight {
-        warm_up: warm_up == "1",
-        success: outcome == "success",
-        reward: reward.parse().ok()?,
-    })
+impl From<&FlightLine> for Flight {
+    fn from(line: &FlightLine) -> Self {
+        Self {
+            warm_up: line.warm_up == 1,
+            success: line.outcome == Outcome::Success.name(),
+            reward: line.reward,
+        }
+    }
 }
 
 fn table(arms: &[Arm]) -> String {
@@ -322,8 +316,10 @@ mod tests {
 
     #[test]
     fn a_row_of_another_table_is_no_flight() {
-        let row = flight("3,950,0,1,success,88,24.6171").unwrap();
-        assert!(row.success && !row.warm_up && (row.reward - 24.6171).abs() < 1e-9);
-        assert!(flight("50,12000,42.2").is_none());
+        let heading = "flight,updates,warm_up,field,outcome,decisions,reward\n";
+        let lines = from_csv::<FlightLine>(&format!("{heading}3,950,0,1,success,88,24.6171\n")).unwrap();
+        let flight = Flight::from(&lines[0]);
+        assert!(flight.success && !flight.warm_up && (flight.reward - 24.6171).abs() < 1e-9);
+        assert!(from_csv::<FlightLine>(&format!("{heading}50,12000,42.2\n")).is_err());
     }
 }

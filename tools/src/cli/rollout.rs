@@ -2,6 +2,7 @@
 
 use crate::actor_training::{EvaluatedActor, EvaluationSpec};
 use crate::cli::output::{or_dash, say};
+use crate::report::{TextTable, numbers, words};
 use crate::statistics::wilson_95;
 use anyhow::{Context, Result};
 use std::path::Path;
@@ -65,7 +66,15 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         .num_threads(threads)
         .build()
         .context("cannot start threads")?;
-    say!("field  completion   95 % interval      collision  out of bounds  time-out  mean time");
+    let mut table = TextTable::new([
+        words("field"),
+        numbers("completion"),
+        words("95 % interval"),
+        numbers("collision"),
+        numbers("out of bounds"),
+        numbers("time-out"),
+        numbers("mean time"),
+    ]);
     for field in [false, true] {
         let what = EvaluationSpec {
             family: args.family,
@@ -76,17 +85,16 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         };
         let result = pool.install(|| crate::actor_training::evaluate(evaluated, Isa::detect(), &what))?;
         let (low, high) = wilson_95(result.successes(), result.flights.len());
-        say!(
-            "{:<5} {:>9.1} %   {:>5.1} to {:>5.1} %   {:>9} {:>14} {:>9} {:>10}",
-            if field { "on" } else { "off" },
-            100.0 * result.completion(),
-            100.0 * low,
-            100.0 * high,
-            result.count(Outcome::Collision),
-            result.count(Outcome::OutOfBounds),
-            result.count(Outcome::TimeOut),
+        table.row([
+            if field { "on" } else { "off" }.to_owned(),
+            format!("{:.1} %", 100.0 * result.completion()),
+            format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high),
+            result.count(Outcome::Collision).to_string(),
+            result.count(Outcome::OutOfBounds).to_string(),
+            result.count(Outcome::TimeOut).to_string(),
             or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s"),
-        );
+        ]);
     }
+    say!("{table}");
     Ok(ExitCode::SUCCESS)
 }

@@ -32,7 +32,7 @@ pub struct Set {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
-    /// Nobody alters anything: unattacked windows, false alarms.
+    /// No altered frames: unattacked windows, false alarms.
     Unattacked,
     /// The paper's attack, streaming: the headline's attacked windows.
     Paper,

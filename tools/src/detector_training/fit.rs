@@ -44,7 +44,7 @@ pub struct FitConfig {
     pub seed: u64,
 }
 
-/// What became of an epoch.
+/// Losses after an epoch.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Epoch {
     /// From 1.

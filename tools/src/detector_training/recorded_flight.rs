@@ -11,7 +11,7 @@ use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInp
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
 
-/// What became of a step's frame.
+/// Whether a step's frame was altered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Frame {
     /// Delivered as taken.
@@ -22,7 +22,7 @@ pub enum Frame {
     Noisy,
 }
 
-/// One step: the actor's decision, whoever steered.
+/// One step: the actor's decision, whichever pilot steered.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
     /// GRU state: the split point.
@@ -31,7 +31,7 @@ pub struct Step {
     pub position: [f32; ACTOR_POSITIONAL],
     /// The actor's outputs, without field.
     pub output: [f32; ACTOR_OUTPUTS],
-    /// What became of the frame.
+    /// Whether the frame was altered.
     pub frame: Frame,
     /// Change of the yaw output by the attack; 0 where the frame was not altered.
     pub yaw_change: f32,
@@ -76,7 +76,7 @@ pub trait Onlooker {
     fn step(&mut self, step: &Step, delivered: &DepthFrame, taken: &DepthFrame) -> Result<(), DetectError>;
 }
 
-/// Nobody looks on.
+/// No onlooker.
 impl Onlooker for () {
     fn step(&mut self, _: &Step, _: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
         Ok(())

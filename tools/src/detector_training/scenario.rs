@@ -8,7 +8,7 @@ use vigil_adversary::{AttackConfig, Method, Towards};
 use vigil_vehicle::Wind;
 use vigil_world::Family;
 
-/// Who steers. The actor decides in each step whoever steers, since its decision is what is explained.
+/// Who steers. The actor decides in each step, whichever pilot steers, since its decision is what is explained.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Plan {
@@ -102,7 +102,7 @@ pub struct Scenario {
 }
 
 impl Scenario {
-    /// Calm air, the usual LiDAR, nobody alters anything.
+    /// Calm air, the usual LiDAR, no altered frames.
     pub fn unattacked(family: Family, seed: u64, plan: Plan) -> Self {
         Self {
             family,

@@ -1,6 +1,7 @@
 //! What a run by value is made of: a TOML file whose every key is optional and whose unknown keys are refused.
 
 use crate::actor_training::config::{ConfigError, NoiseConfig, ReplayConfig};
+use crate::actor_training::limits::{self, Limits};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use vigil_world::Family;
@@ -315,22 +316,14 @@ impl ValueConfig {
     /// # Errors
     /// [`ConfigError`].
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        let config: Self = toml::from_str(&text).map_err(|e| ConfigError::Content {
-            path: path.to_owned(),
-            message: e.to_string(),
-        })?;
+        let config: Self = limits::load(path)?;
         config.check()?;
         Ok(config)
     }
 
     /// Writes TOML that [`Self::load`] reads back unchanged.
     pub fn to_toml(&self) -> String {
-        // Plain maps and numbers; serialisation fails for other types only.
-        toml::to_string(self).unwrap_or_default()
+        limits::to_toml(self)
     }
 
     /// Checks every value.
@@ -338,116 +331,45 @@ impl ValueConfig {
     /// # Errors
     /// The first one that is not allowed.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let (l, n, e) = (&self.learning, &self.noise, &self.evaluation);
-        let least = (self.environments * (l.n_steps + 40)) as u64;
-        let checks: [(&'static str, f64, bool, &'static str); 27] = [
-            (
-                "families",
-                self.families.len() as f64,
-                !self.families.is_empty(),
-                "one or more families",
-            ),
-            (
-                "threads",
-                self.threads as f64,
-                (1..=256).contains(&self.threads),
-                "1 to 256",
-            ),
-            (
+        const LEAST: &str = "environments x (n_steps + 40) or more";
+        let (l, e) = (&self.learning, &self.evaluation);
+        let least = self.environments.saturating_mul(l.n_steps.saturating_add(40)) as u64;
+        Limits::new()
+            .some("families", self.families.len() as u64)
+            .count("threads", self.threads, 1..=256)
+            .least(
                 "decisions",
-                self.decisions as f64,
-                self.decisions > self.warm_up,
+                self.decisions,
+                self.warm_up.saturating_add(1),
                 "more than the warm-up",
-            ),
-            (
-                "warm_up",
-                self.warm_up as f64,
-                self.warm_up >= least,
-                "environments x (n_steps + 40) or more",
-            ),
-            within("warm_up_forward", self.warm_up_forward, -1.5, 1.5, "-1.5 to 1.5"),
-            (
-                "environments",
-                self.environments as f64,
-                (1..=256).contains(&self.environments),
-                "1 to 256",
-            ),
-            (
-                "steps_per_decision",
-                self.steps_per_decision as f64,
-                (1..=40).contains(&self.steps_per_decision),
-                "1 to 40",
-            ),
-            within("time_limit_s", self.time_limit_s, 1.0, 3600.0, "1 to 3600"),
-            within("noise.theta", n.theta, 0.001, 1.0, "0.001 to 1"),
-            within("noise.sigma_first", n.sigma_first, 0.0, 10.0, "0 to 10"),
-            within("noise.sigma_last", n.sigma_last, 0.0, 10.0, "0 to 10"),
-            within("noise.falls_over", n.falls_over, 0.001, 1.0, "0.001 to 1"),
-            within("noise.share", n.share as f32, 0.0, 1.0, "0 to 1"),
-            within("apf_share", self.apf_share as f32, 0.0, 1.0, "0 to 1"),
-            within("learning.gamma", l.gamma, 0.0, 1.0, "0 to 1"),
-            (
-                "learning.n_steps",
-                l.n_steps as f64,
-                (1..=100).contains(&l.n_steps),
-                "1 to 100",
-            ),
-            (
-                "learning.batch",
-                l.batch as f64,
-                (1..=4096).contains(&l.batch),
-                "1 to 4096",
-            ),
-            (
-                "learning.decisions_per_update",
-                l.decisions_per_update as f64,
-                l.decisions_per_update > 0,
-                "1 or more",
-            ),
-            within("learning.actor_rate", l.actor_rate, 0.0, 1.0, "0 to 1"),
-            within("learning.critic_rate", l.critic_rate, 0.0, 1.0, "0 to 1"),
-            within("learning.tau", l.tau, 0.0, 1.0, "0 to 1"),
-            within("learning.gradient_norm", l.gradient_norm, 1e-6, 1e9, "above 0"),
-            within("learning.imitation", l.imitation, 0.0, 1e6, "0 or more"),
-            within(
+            )
+            .least("warm_up", self.warm_up, least, LEAST)
+            .number("warm_up_forward", self.warm_up_forward, -1.5..=1.5)
+            .count("environments", self.environments, 1..=256)
+            .count("steps_per_decision", self.steps_per_decision, 1..=40)
+            .number("time_limit_s", self.time_limit_s, 1.0..=3600.0)
+            .noise(&self.noise)
+            .share("apf_share", self.apf_share)
+            .number("learning.gamma", l.gamma, 0.0..=1.0)
+            .count("learning.n_steps", l.n_steps, 1..=100)
+            .count("learning.batch", l.batch, 1..=4096)
+            .some("learning.decisions_per_update", l.decisions_per_update)
+            .number("learning.actor_rate", l.actor_rate, 0.0..=1.0)
+            .number("learning.critic_rate", l.critic_rate, 0.0..=1.0)
+            .number("learning.tau", l.tau, 0.0..=1.0)
+            .number("learning.gradient_norm", l.gradient_norm, 1e-6..=1e9)
+            .number("learning.imitation", l.imitation, 0.0..=1e6)
+            .that(
                 "learning.imitation_falls_over",
-                l.imitation_falls_over as f32,
-                0.0,
-                0.5,
-                "0 to 0.5: the teacher's word ends at half of the run",
-            ),
-            within("replay.alpha", self.replay.alpha as f32, 0.0, 1.0, "0 to 1"),
-            (
-                "replay.decisions",
-                self.replay.decisions as f64,
-                self.replay.decisions as u64 >= least,
-                "environments x (n_steps + 40) or more",
-            ),
-            (
-                "evaluation.every_updates",
-                e.every_updates as f64,
-                e.every_updates > 0,
-                "1 or more",
-            ),
-        ];
-        for (key, value, good, allowed) in checks {
-            if !good {
-                return Err(ConfigError::Value { key, value, allowed });
-            }
-        }
-        Ok(())
+                l.imitation_falls_over,
+                (0.0..=0.5).contains(&l.imitation_falls_over),
+                "0 to 0.5: the teacher's weight ends at half of the run",
+            )
+            .share("replay.alpha", self.replay.alpha)
+            .least("replay.decisions", self.replay.decisions as u64, least, LEAST)
+            .some("evaluation.every_updates", e.every_updates)
+            .end()
     }
-}
-
-/// A number within limits; NaN is within none.
-fn within(
-    key: &'static str,
-    value: f32,
-    low: f32,
-    high: f32,
-    allowed: &'static str,
-) -> (&'static str, f64, bool, &'static str) {
-    (key, f64::from(value), (low..=high).contains(&value), allowed)
 }
 
 #[cfg(test)]

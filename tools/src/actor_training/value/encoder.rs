@@ -1,4 +1,4 @@
-//! What an encoder learns before it is frozen: the ranges in sight, of frames that noise alone has flown to. Nobody teaches here
+//! What an encoder learns before it is frozen: the ranges in sight, on frames of flights by noise alone. There is no teacher here
 //! but the simulator, and afterwards a frame is encoded once, not in each of the transitions that hold it.
 
 use super::config::ValueConfig;

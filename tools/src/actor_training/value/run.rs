@@ -215,7 +215,7 @@ pub struct ValueResult {
     pub test: Vec<FamilyCount>,
 }
 
-/// What became of a run.
+/// How a run ended.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ValueEnd {
     /// It was stopped; its checkpoint is this file.
