@@ -1,4 +1,7 @@
 //! The simulator: world, vehicle, LiDAR and MAVLink endpoint in one clock, in lockstep or in real time.
+//!
+//! It publishes depth frames and obeys MAVLink; it knows nothing of pilots, detectors and attacks. [`environment`] is the same world
+//! as a function of setpoints, for training.
 
 mod companion_view;
 mod config;

@@ -82,7 +82,7 @@ pub fn fly_lockstep<P: FirmwarePort>(
     fly_lockstep_through(simulator, &mut |_, _| {}, port, time_limit_s, linger_s)
 }
 
-/// The same with somebody between the sensor and the firmware: `between` gets each step's number and frame before the firmware does.
+/// The same with something between the sensor and the firmware, an attack for one: `between` gets each step's number and frame before the firmware does.
 ///
 /// # Errors
 /// The firmware port's error.

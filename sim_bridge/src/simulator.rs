@@ -110,7 +110,7 @@ impl Simulator {
         self.endpoint.saved()
     }
 
-    /// The signing key that SETUP_SIGNING brought since the last call: for whoever owns the links.
+    /// The signing key that SETUP_SIGNING brought since the last call: for the owner of the links.
     pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
         self.endpoint.take_signing_setup()
     }

@@ -5,6 +5,31 @@
 //! `docs/guidance.md` is generated from them.
 //!
 //! Only the state *guided* sends a velocity other than zero.
+//!
+//! ```
+//! use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
+//! use vigil_types::{Action, GuidanceState, HandoverProgress, StepTiming, VehicleTelemetry};
+//!
+//! let mut guidance = Guidance::new(GuidanceConfig::default())?;
+//! let decided = guidance.step(&GuidanceInput {
+//!     now_ns: 50_000_000,
+//!     telemetry: &VehicleTelemetry::default(), // the vehicle was never heard
+//!     frame: FrameStatus::default(),
+//!     action: Some(Action { forward_m_s: 1.5, yaw: 0.0 }),
+//!     recovery: None,
+//!     verdict: None,
+//!     collision_course: None,
+//!     timing: StepTiming::default(),
+//!     handover: HandoverProgress::default(),
+//!     vehicle_restarts: 0,
+//!     vehicle_up_ns: None,
+//!     home_ned_m: None,
+//!     telemetry_interval_ns: None,
+//! });
+//! assert_eq!(decided.state, GuidanceState::Standby);
+//! assert_eq!(decided.setpoint, None, "whatever the pilot wants, nothing is sent");
+//! # Ok::<(), vigil_guidance::ConfigError>(())
+//! ```
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]

@@ -1,6 +1,30 @@
 //! Network layers on caller-owned buffers: value, gradient with respect to input and weights, and DeepLIFT multipliers.
 //!
 //! Float32 throughout; images are `[row][column][channel]`. See docs/nnet.md for conventions and tolerances.
+//!
+//! A [`Graph`] describes a network; the caller owns parameters, tape and work buffer, so that evaluating allocates nothing.
+//!
+//! ```
+//! use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose, ShapeError};
+//!
+//! let layer = Dense { inputs: 2, outputs: 1 };
+//! let mut b = GraphBuilder::new();
+//! let (weights, x) = (b.params(layer.param_len()), b.input(2, true)?);
+//! let y = b.dense(x, layer, Activation::Relu, weights)?;
+//! let graph = b.finish(y, Purpose::Gradients)?;
+//!
+//! let params = [3.0, -1.0, 0.5]; // weights [inputs][outputs], then the bias
+//! let mut tape = vec![0.0; graph.tape_len()];
+//! graph.forward(Isa::detect(), &params, &[&[2.0, 1.0]], &mut tape)?;
+//! assert_eq!(graph.output(&tape)?, [5.5]);
+//!
+//! let mut packed = vec![0.0; graph.param_len()];
+//! graph.pack(&params, &mut packed)?;
+//! let mut work = vec![0.0; graph.work_len()];
+//! graph.backward(Isa::detect(), &packed, &tape, &[1.0], None, &mut work)?;
+//! assert_eq!(graph.input_gradient(&work, 0)?, [3.0, -1.0]);
+//! # Ok::<(), ShapeError>(())
+//! ```
 #![no_std]
 #![deny(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]

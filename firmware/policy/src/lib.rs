@@ -1,4 +1,23 @@
 //! Pilots: what turns a depth frame and a goal into an action.
+//!
+//! [`ActorPilot`] flies the frozen network, [`GeometricPilot`] needs none, [`RecoveryPilot`] takes over after an alarm;
+//! [`PlausibilityJudge`] says before all of them whether a frame can be believed. None of them moves the vehicle: guidance does.
+//!
+//! ```
+//! use vigil_policy::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
+//! use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+//!
+//! let mut pilot = GeometricPilot::new(GeometricConfig::default());
+//! let action = pilot.decide(&PilotInput {
+//!     now_ns: 0,
+//!     depth: &DepthFrame::EMPTY, // nothing in sight
+//!     goal: GoalRelative { distance_m: 20.0, bearing_rad: 0.0 },
+//!     attitude: Attitude::LEVEL_NORTH,
+//!     velocity_m_s: HeadingVector::ZERO,
+//!     height_m: 2.5,
+//! });
+//! assert!(action.forward_m_s > 0.5 && action.yaw.abs() < 0.01, "straight ahead: {action:?}");
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]

@@ -2,6 +2,21 @@
 //!
 //! Everything here is plain data: `no_std`, no allocation, no clock. Field names carry their unit; vectors carry their
 //! frame as a type, so that NED, FRD and heading-frame values cannot be mixed.
+//!
+//! ```
+//! use vigil_types::{Action, Attitude, AttitudeSample, FrdVector, Goal, Kinematics, NedVector};
+//!
+//! let at_home = Kinematics { at_ns: 0, position_ned_m: NedVector::ZERO, velocity_ned_m_s: NedVector::ZERO };
+//! let level = AttitudeSample { at_ns: 0, attitude: Attitude::LEVEL_NORTH, rates_frd_rad_s: FrdVector::ZERO };
+//! let goal = Goal { position_ned_m: NedVector::new(3.0, 4.0, -2.5) };
+//! let seen = goal.relative_to(&at_home, &level);
+//! assert_eq!(seen.distance_m, 5.0);
+//! assert!((seen.bearing_rad.to_degrees() - 53.13).abs() < 0.01, "to the right of a vehicle that looks north");
+//!
+//! let action = Action { forward_m_s: 2.0, yaw: 0.5 }.clipped();
+//! assert_eq!(action.forward_m_s, 1.5);
+//! assert!((action.yaw_rate_rad_s().to_degrees() - 15.0).abs() < 1e-4);
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]

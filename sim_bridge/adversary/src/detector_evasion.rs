@@ -68,7 +68,7 @@ impl DetectorEvasion {
     }
 
     /// Takes the state that the actor will have in the step under way; returns how far the score's logit is above what the
-    /// attacker allows itself, 0 or less while there is nothing to fear (a window that is not full is not judged).
+    /// attacker allows itself, 0 or less while the score is low enough (a window that is not full is not judged).
     pub fn look(&mut self, state: &[f32], position: &[f32; ACTOR_POSITIONAL]) -> Result<f32, AttackError> {
         let phi = self.explain(state, position)?;
         if let Some(newest) = self.rows.last_mut() {

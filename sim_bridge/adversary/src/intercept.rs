@@ -16,7 +16,7 @@ pub fn goal_seen_from(header: &FrameHeader, goal_ned_m: NedVector) -> GoalRelati
     }
 }
 
-/// What became of a frame.
+/// What was done to a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PassedStep {
     /// Delivered as it was.
@@ -51,7 +51,7 @@ impl Interceptor {
         self.pass_while(step, frame, || true)
     }
 
-    /// The same in a hurry: after each iteration `go_on` says whether there is time for another.
+    /// The same within a deadline: after each iteration `go_on` says whether there is time for another.
     ///
     /// # Errors
     /// None for frames of the actor's size; the frame is then as it was.

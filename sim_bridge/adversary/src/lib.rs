@@ -1,5 +1,8 @@
 //! The adversary: alters depth frames so that the actor turns the wrong way. White box: it knows the actor's weights, the
 //! goal and, from the frames' headers, where the vehicle is. It alters pixels only (docs/adversary.md).
+//!
+//! Shapes: a frame is `[128][256]` ranges over 100 m, row by row (32 768 values); a state five of them, oldest first (163 840);
+//! `position` the goal's distance / 20 m and bearing / 1 rad; outputs forward velocity and yaw, each in ±1.5.
 
 mod attack;
 mod burst;

@@ -5,7 +5,7 @@ use crate::perturb::{Perturber, Scene, saturate};
 use crate::surrogate::{Ends, SurrogateActor};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
 
-/// Alters whole states. In flight nobody can: the older four frames have been delivered ([`crate::StreamAttack`]).
+/// Alters whole states. Not possible in flight, where the older four frames have been delivered ([`crate::StreamAttack`]).
 #[derive(Debug, Clone)]
 pub struct StateAttack {
     isa: Isa,
@@ -17,7 +17,7 @@ pub struct StateAttack {
 const NOTHING_OLDER: [f32; ACTOR_HIDDEN] = [0.0; ACTOR_HIDDEN];
 
 impl StateAttack {
-    /// An attack on the actor with these parameters. Allocates; attacking does not.
+    /// An attack on the actor with these parameters (`[ActorSpec::FULL.param_len()]`, as in its file). Allocates; attacking does not.
     ///
     /// # Errors
     /// A configuration out of range, parameters of another actor.
@@ -52,7 +52,8 @@ impl StateAttack {
         self.perturber.reset(seed);
     }
 
-    /// Outputs (x-velocity, yaw) in ±1.5 for a state as it is.
+    /// Outputs `[forward velocity, yaw]` in ±1.5 for a state as it is: `frames` `[5][rows][cols]` ranges over 100 m, oldest first,
+    /// `position` `[distance / 20 m, bearing / 1 rad]`.
     ///
     /// # Errors
     /// Frames of another length.
@@ -65,7 +66,8 @@ impl StateAttack {
         Ok(saturate(self.isa, before))
     }
 
-    /// Gradient of the yaw output, before its saturation, at the pixels of a state; `gradient` is as long as `frames`.
+    /// Gradient of the yaw output, before its saturation, at the pixels of a state; `frames` and `gradient` are
+    /// `[5][rows][cols]`, oldest first.
     ///
     /// # Errors
     /// Frames of another length.
@@ -82,7 +84,8 @@ impl StateAttack {
         Ok(self.surrogate.gradient(&yaw, gradient)?)
     }
 
-    /// Alters `frames` in place: 5 × rows · cols normalised ranges, oldest first.
+    /// Alters `frames` in place: `[5][rows][cols]` ranges over 100 m, oldest first, which stay within 0 to 1. `position` is
+    /// `[distance / 20 m, bearing / 1 rad]`.
     ///
     /// # Errors
     /// Frames of another length; nothing is altered.
@@ -94,7 +97,7 @@ impl StateAttack {
         self.attack_each(frames, position, |_, _, _| {})
     }
 
-    /// The same, showing `each` every iteration: its number from 1, its outcome, the frames. With
+    /// The same, showing `each` every iteration: its number from 1, its outcome, the frames `[5][rows][cols]`. With
     /// [`crate::Method::BimAccumulating`] iteration k is what an attack of k iterations gives.
     ///
     /// # Errors

@@ -23,13 +23,14 @@ pub struct StreamAttack {
     clean: Trail,
     /// Where the burst under way aims, so that it does not turn back half-way.
     direction: Option<f32>,
-    /// The detector that is to see nothing.
+    /// The detector whose score is to stay low.
     evasion: Option<Box<DetectorEvasion>>,
     spec: ActorSpec,
 }
 
 impl StreamAttack {
-    /// An attack on the actor with these parameters. Allocates; attacking and passing do not.
+    /// An attack on the actor with these parameters (`[ActorSpec::FULL.param_len()]`, as in its file). Allocates; attacking and
+    /// passing do not.
     ///
     /// # Errors
     /// A configuration out of range, parameters of another actor.
@@ -68,7 +69,8 @@ impl StreamAttack {
         Ok(self)
     }
 
-    /// Lets a frame pass unaltered, but remembers it. Ends a burst.
+    /// Lets a frame (`[rows][cols]` ranges over 100 m) pass unaltered, but remembers it. Ends a burst. `position` is
+    /// `[distance / 20 m, bearing / 1 rad]`.
     ///
     /// # Errors
     /// A frame of another length; nothing is remembered of it.
@@ -85,7 +87,8 @@ impl StreamAttack {
         self.explain_delivered(&position)
     }
 
-    /// Alters a frame (rows · cols normalised ranges) in place. `clean` of the outcome is what the actor would decide
+    /// Alters a frame (`[rows][cols]` ranges over 100 m, which stay within 0 to 1) in place; `position` is
+    /// `[distance / 20 m, bearing / 1 rad]`. `clean` of the outcome is what the actor would decide
     /// had no frame been altered at all. A burst keeps the direction of its first frame.
     ///
     /// # Errors
@@ -98,7 +101,7 @@ impl StreamAttack {
         self.attack_while(frame, position, || true)
     }
 
-    /// The same for an attacker in a hurry: after each iteration `go_on` says whether there is time for another.
+    /// The same within a deadline: after each iteration `go_on` says whether there is time for another.
     ///
     /// # Errors
     /// A frame of another length; nothing is altered or remembered.

@@ -93,7 +93,7 @@ pub struct EndpointStatus {
     pub last_text: String,
 }
 
-/// What SETUP_SIGNING asks for: for whoever owns the links.
+/// What SETUP_SIGNING asks for: for the owner of the links.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct SigningSetup {
     /// The key.
@@ -112,7 +112,7 @@ pub(crate) struct Core {
     pub boot_ns: Option<Nanos>,
     pub view: VehicleView,
     pub id: ComponentId,
-    /// Where the local origin is, which is home until somebody moves that.
+    /// Where the local origin is, which is home until it is moved.
     pub home: HomePosition,
     /// Where home is: metres north and east of the local origin, at its height.
     pub home_m: (f32, f32),

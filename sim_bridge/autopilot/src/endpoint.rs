@@ -225,7 +225,7 @@ impl Endpoint {
         self.core.restore(saved)
     }
 
-    /// The signing key that SETUP_SIGNING brought since the last call, for whoever owns the links.
+    /// The signing key that SETUP_SIGNING brought since the last call, for the owner of the links.
     pub fn take_signing_setup(&mut self) -> Option<SigningSetup> {
         self.core.signing_setup.take()
     }

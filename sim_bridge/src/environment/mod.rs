@@ -1,6 +1,6 @@
 //! One flight over one course as a function of setpoints, without MAVLink, guidance and pilots: what training runs in.
 //!
-//! Whoever flies it makes the setpoint as he likes; the vehicle, the LiDAR and the referee are the simulator's.
+//! The caller makes the setpoints; the vehicle, the LiDAR and the referee are the simulator's.
 //!
 //! ```
 //! use vigil_sim::environment::Environment;

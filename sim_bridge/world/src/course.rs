@@ -157,7 +157,7 @@ impl Bounds {
     }
 }
 
-/// A line across the way; it is passed by whoever gets beyond it, wherever.
+/// A line across the way; it is passed where the vehicle gets beyond it, anywhere along it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Checkpoint {

@@ -177,7 +177,7 @@ impl Core {
         self.limited(command)
     }
 
-    /// The thrust that whoever flies asks for, where they command it themselves.
+    /// The thrust asked for, where the thrust itself is commanded.
     pub(super) fn wanted_thrust(&self) -> Option<f32> {
         match self.commander.maneuver {
             Maneuver::Offboard => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
