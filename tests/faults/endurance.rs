@@ -43,8 +43,9 @@ const DOUBT_LIMIT_S: f64 = 10.0;
 const PATIENCE_S: f64 = 2.0;
 /// The vehicle's radius: nearer to an obstacle it has touched it.
 const RADIUS_M: f32 = 0.30;
-/// What is measured before this counts as the start: buffers have then been touched.
-const WARM_S: f64 = 60.0;
+/// What is measured before this counts as the start, but no more than a third of the flight: buffers have then been touched, and the
+/// simulated vehicle's own log has its megabyte.
+const WARM_S: f64 = 1200.0;
 
 /// Reasons of the sensor that do not end while the vehicle hovers.
 const DOUBTS: [Reason; 2] = [Reason::FrozenSensor, Reason::InconsistentPicture];
@@ -146,7 +147,7 @@ pub fn resident_kib(process: u32) -> Result<u64> {
 pub struct Memory {
     /// Whose.
     pub of: &'static str,
-    /// A minute after the start.
+    /// At the end of the warm-up: after 20 minutes, but no more than a third of the flight.
     pub start_kib: u64,
     /// At the end.
     pub end_kib: u64,
@@ -154,11 +155,14 @@ pub struct Memory {
     pub most_kib: u64,
     /// Time, seconds, and size.
     pub samples: Vec<(f64, u64)>,
+    #[serde(skip)]
+    warm_s: f64,
 }
 
 impl Memory {
-    fn new(of: &'static str) -> Self {
+    fn new(of: &'static str, flight_s: f64) -> Self {
         Self {
+            warm_s: WARM_S.min(flight_s / 3.0),
             of,
             start_kib: 0,
             end_kib: 0,
@@ -169,7 +173,7 @@ impl Memory {
 
     fn sample(&mut self, now_s: f64, process: u32) -> Result<()> {
         let kib = resident_kib(process)?;
-        if now_s <= WARM_S || self.samples.is_empty() {
+        if now_s <= self.warm_s || self.samples.is_empty() {
             self.start_kib = kib;
         }
         self.end_kib = kib;
@@ -178,7 +182,7 @@ impl Memory {
         Ok(())
     }
 
-    /// Grown by no more than 1 MiB from the first minute on.
+    /// Grown by no more than 1 MiB from the warm-up on.
     fn is_flat(&self) -> bool {
         self.end_kib <= self.start_kib + 1024
     }
@@ -224,7 +228,7 @@ impl Record {
         for memory in &self.memory {
             let _ = writeln!(
                 text,
-                "memory    {}: {} KiB after a minute, {} KiB at the end, most {} KiB{}",
+                "memory    {}: {} KiB warmed up, {} KiB at the end, most {} KiB{}",
                 memory.of,
                 memory.start_kib,
                 memory.end_kib,
@@ -271,7 +275,7 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
     let mut firmware = LockstepFirmware::new(&firmware_config)?;
     let mut frame = Box::new(DepthFrame::EMPTY);
     let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
-    let mut memory = Memory::new("all of it");
+    let mut memory = Memory::new("all of it", duration_s);
     let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
     let steps = (duration_s / f64::from(STEP_S)).round() as u64;
     let per_hour = (3600.0 / f64::from(STEP_S)) as u64;
@@ -362,7 +366,7 @@ pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, sto
     station.connect(("127.0.0.1", u16::try_from(18570 + instance)?))?;
     let system = u8::try_from(instance + 1)?;
     let world = World::new(&course()?);
-    let mut memory = [Memory::new("firmware"), Memory::new("simulator")];
+    let mut memory = ["firmware", "simulator"].map(|of| Memory::new(of, duration_s));
     let (mut collisions, mut touching, mut sequence) = (0, false, 0_u8);
     let (mut since_s, mut flown_s, mut sampled_s, mut told_s) = (None::<f64>, 0.0, f64::NEG_INFINITY, 0.0);
     let mut missed = 0;

@@ -32,6 +32,8 @@ const LATEST_S: f64 = 9.0;
 const OWN_HOLD_S: f64 = 0.5 + 0.2;
 /// A wait for something that takes parts of a second.
 const SOON: Duration = Duration::from_secs(10);
+/// Flights of `vigil fly` that are killed.
+const FLIGHTS_KILLED: usize = 10;
 /// Seeds that the kinds of trials lie apart.
 const APART: u64 = 1000;
 
@@ -221,7 +223,7 @@ fn fault(flight: &mut Flight, who: Who, how: How, seed: u64, stop: &AtomicBool) 
 fn whole_flights(site: &Site<'_>, folder: &Folder) -> Result<Row> {
     let instance = site.instances[0].to_string();
     let wanted = format!("\0--instance\0{instance}\0");
-    let program = vigil_tests::vigil().display().to_string();
+    let program = format!("{}\0", vigil_tests::vigil().display());
     let left = || {
         let processes = std::fs::read_dir("/proc")
             .into_iter()
@@ -238,7 +240,7 @@ fn whole_flights(site: &Site<'_>, folder: &Folder) -> Result<Row> {
     let mut trials = Vec::new();
     let mut draw = Draw::new(site.seed);
     let mut delays = Vec::new();
-    for number in 0..site.kills.div_ceil(10) {
+    for number in 0..FLIGHTS_KILLED {
         let mut flight = Command::new(vigil_tests::vigil())
             .args([
                 "fly",
