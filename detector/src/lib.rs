@@ -3,6 +3,18 @@
 //! [`DeepShap`] explains any network made of [`vigil_nnet`]'s layers (docs/deepshap.md). [`LstmAd`] judges ten steps'
 //! explanations; [`FrozenDetector`] is its file (docs/detectors.md). [`Monitor`] does both in the
 //! tick (docs/detection.md).
+//!
+//! ```
+//! use vigil_detector::{FrozenDetector, LstmAd, WINDOW, normalise};
+//! use vigil_nnet::Isa;
+//!
+//! let detector = FrozenDetector::built_in()?;
+//! let mut lstm = LstmAd::new(Isa::detect(), &detector.params)?;
+//! // Ten explanations of 48 values like those of unattacked flights, oldest first.
+//! let usual = normalise(&detector.centre, &detector.centre, &detector.scale);
+//! assert!(lstm.score(&[usual; WINDOW])? < detector.threshold);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 

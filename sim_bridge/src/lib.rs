@@ -2,6 +2,24 @@
 //!
 //! It publishes depth frames and obeys MAVLink; it knows nothing of pilots, detectors and attacks. [`environment`] is the same world
 //! as a function of setpoints, for training.
+//!
+//! ```
+//! use vigil_sim::{SimConfig, Simulator, Start};
+//! use vigil_types::{Datagrams, DepthFrame};
+//! use vigil_world::{Family, generate};
+//!
+//! let mut config = SimConfig::new(generate(Family::Validation, 7), 7);
+//! config.start = Start::Airborne;
+//! let mut simulator = Simulator::new(&config, 0)?;
+//! let mut frame = Box::new(DepthFrame::EMPTY);
+//! let (silence, mut telemetry) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+//! for _ in 0..20 {
+//!     simulator.lockstep(&silence, &mut frame, &mut telemetry); // 50 ms
+//! }
+//! assert_eq!(simulator.now_ns(), 1_000_000_000);
+//! assert!(frame.header.stamp_ns == simulator.now_ns() && telemetry.len() > 0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod companion_view;
 mod config;

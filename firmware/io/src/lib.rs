@@ -1,6 +1,16 @@
 //! What the flight stack and the simulated vehicle share towards the machine: MAVLink over UDP, TCP and serial lines in MAVSDK's notation ([`links`],
 //! [`link_url`], [`link_spec`]), several at once ([`router`]), who may speak on a link ([`gate`]), secrets ([`key_file`]), files that outlive a restart ([`state`]), and
 //! [`shared_memory`] with depth frames and lockstep exchanges.
+//!
+//! ```
+//! use vigil_io::link_url::LinkUrl;
+//!
+//! let url: LinkUrl = "udpin://127.0.0.1:14540".parse()?;
+//! assert!(url.is_on_this_machine());
+//! let error = "udp:14540".parse::<LinkUrl>().unwrap_err();
+//! assert!(error.to_string().contains("udp:14540"), "{error}");
+//! # Ok::<(), vigil_io::link_url::LinkUrlError>(())
+//! ```
 #![cfg_attr(
     not(test),
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)

@@ -3,6 +3,26 @@
 //! The loop fills a [`TickRecord`] each step through its [`Recorder`]; a thread writes it with the standard Foxglove
 //! schemas, so that viewers open the file as it is, and with everything a replay needs. [`Reader`] gives the records
 //! back bit for bit. `docs/log.md` describes the channels and the format.
+//!
+//! ```
+//! use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig};
+//! use vigil_types::{Datagrams, StepReport, StepTiming};
+//!
+//! let folder = tempfile::tempdir()?;
+//! let place = LogPlace::Directory(folder.path().to_owned());
+//! let mut recorder = Recorder::start(RecorderConfig::new(place, FlightInfo::default()))?;
+//! let nothing = Datagrams::default();
+//! for step in 0..3 {
+//!     let timing = StepTiming { step, ..StepTiming::default() };
+//!     let report = StepReport { timing, ..StepReport::default() };
+//!     recorder.record(|slot| slot.fill(50_000_000 * step, timing, None, &nothing, &nothing, &report));
+//! }
+//! let summary = recorder.finish();
+//! assert_eq!((summary.records, summary.failure), (3, None));
+//! let steps: Vec<u64> = Reader::open(&summary.path)?.map(|r| r.map(|r| r.timing.step)).collect::<Result<_, _>>()?;
+//! assert_eq!(steps, [0, 1, 2]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![forbid(unsafe_code)]
 #![cfg_attr(
     not(test),

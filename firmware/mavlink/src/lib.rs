@@ -2,6 +2,24 @@
 //!
 //! Bytes in, bytes out; time is an argument. Both ends of Vigil's link use [`framing`]; [`Companion`] is the guidance
 //! computer's end.
+//!
+//! ```
+//! use vigil_mavlink::common::{ATTITUDE_DATA, MavMessage};
+//! use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+//! use vigil_mavlink::MavHeader;
+//!
+//! let header = MavHeader { system_id: 1, component_id: 1, sequence: 7 };
+//! let message = MavMessage::ATTITUDE(ATTITUDE_DATA { yaw: 0.5, ..Default::default() });
+//! let mut buffer = [0; MAX_PACKET_LEN];
+//! let len = serialize(header, &message, &mut buffer)?;
+//!
+//! let mut counters = FramingCounters::default();
+//! let datagram = [b"noise", &buffer[..len]].concat();
+//! let packet = packets(&datagram, &mut counters).next().expect("a packet behind the noise");
+//! assert_eq!((packet.system_id(), packet.sequence()), (1, 7));
+//! assert_eq!(packet.message()?, message);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 #![warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]

@@ -3,6 +3,22 @@
 //!
 //! Shapes: a frame is `[128][256]` ranges over 100 m, row by row (32 768 values); a state five of them, oldest first (163 840);
 //! `position` the goal's distance / 20 m and bearing / 1 rad; outputs forward velocity and yaw, each in ±1.5.
+//!
+//! ```
+//! use vigil_adversary::{AttackConfig, StreamAttack};
+//! use vigil_nnet::Isa;
+//! use vigil_policy::FrozenActor;
+//! use vigil_types::DEPTH_PIXELS;
+//!
+//! let actor = FrozenActor::built_in()?;
+//! let config = AttackConfig { iterations: 2, ..AttackConfig::PAPER };
+//! let mut adversary = StreamAttack::new(Isa::detect(), &actor.params, &config)?;
+//! let mut frame = vec![0.2; DEPTH_PIXELS]; // a wall at 20 m all around
+//! adversary.attack(&mut frame, [1.0, 0.0])?;
+//! let most = frame.iter().map(|range| (range - 0.2).abs()).fold(0.0, f32::max);
+//! assert!(most > 0.0 && most <= 2.0 / 255.0 + 1e-6, "two iterations of 1/255: {most}");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod attack;
 mod burst;

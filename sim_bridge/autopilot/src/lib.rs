@@ -5,6 +5,22 @@
 //! the same bytes and the same flight. What it speaks is described in docs/mavlink.md, from
 //! <https://mavlink.io/en/services/> and the behaviour of PX4's software in the loop.
 //!
+//! ```
+//! use vigil_autopilot::{Endpoint, EndpointConfig};
+//! use vigil_vehicle::{Vehicle, VehicleParams, Wind};
+//!
+//! let mut vehicle = Vehicle::new(VehicleParams::default(), Wind::default(), 1)?;
+//! let mut endpoint = Endpoint::new(EndpointConfig::companion_only())?;
+//! let mut datagrams = 0;
+//! for ms in 1..=1000 {
+//!     let command = endpoint.step(ms * 1_000_000, &vehicle.view());
+//!     vehicle.step(&command);
+//!     endpoint.transmit(|_link, _datagram| datagrams += 1);
+//! }
+//! assert!(datagrams > 10, "a second of telemetry: {datagrams}");
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! A protocol service is a file in `services` that implements `service::Service` and its line in `services`: `services`
 //! know the core, the core knows none of them.
 #![forbid(unsafe_code)]

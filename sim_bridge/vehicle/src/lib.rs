@@ -2,6 +2,24 @@
 //!
 //! [`Vehicle::step`] advances it by 1 ms under one [`ControlCommand`]; [`Vehicle::view`] is what its autopilot believes,
 //! [`Vehicle::truth`] what is. Model, parameters and their sources: `docs/vehicle.md`.
+//!
+//! ```
+//! use vigil_types::{HeadingVector, NedVector};
+//! use vigil_vehicle::{ControlCommand, Vehicle, VehicleParams, Wind, YawCommand};
+//!
+//! let mut vehicle = Vehicle::new(VehicleParams::default(), Wind::default(), 1)?;
+//! vehicle.place(NedVector::new(0.0, 0.0, -2.5), 0.0, true);
+//! let ahead = ControlCommand::VelocityHeading {
+//!     velocity_m_s: HeadingVector::new(1.5, 0.0, 0.0),
+//!     yaw: YawCommand::Rate { yaw_rate_rad_s: 0.0 },
+//! };
+//! for _ in 0..4000 {
+//!     vehicle.step(&ahead); // 1 ms
+//! }
+//! let truth = vehicle.truth();
+//! assert!((truth.velocity_ned_m_s.x - 1.5).abs() < 0.2, "{truth:?}");
+//! # Ok::<(), vigil_vehicle::ParamsError>(())
+//! ```
 #![forbid(unsafe_code)]
 
 mod body;
