@@ -62,7 +62,9 @@ impl Crew {
             }
         };
         Ok(Self {
-            pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
+            pilot: FlightPilot::Actor(
+                ActorPilot::new(frozen.actor(isa)?, config.pilot.apf).led_by(frozen.inputs.led_by),
+            ),
             monitor,
             recovery: config.is_watched().then(|| Box::new(RecoveryPilot::new())),
         })

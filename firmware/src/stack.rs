@@ -16,7 +16,6 @@ use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
-use vigil_policy::actor::positional_inputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, FrameDefect, FrameKeys, Goal, GoalRelative,
@@ -411,8 +410,8 @@ impl FlightStack {
             action: Some(action),
             ..Decision::default()
         };
-        if let (Some(monitor), Some(state)) = (monitor, pilot.state()) {
-            decision.judgement = Some(monitor.judge(state, positional_inputs(led.goal)));
+        if let (Some(monitor), Some(state), Some(position)) = (monitor, pilot.state(), pilot.position()) {
+            decision.judgement = Some(monitor.judge(state, position));
         }
         if let Some(recovery) = recovery {
             self.recovery_is_new = false;

@@ -18,6 +18,8 @@ use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_nnet::FRAMES_SPREAD;
+use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_types::{GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 thread_local! {
@@ -60,6 +62,25 @@ fn a_whole_flight_of_ticks_allocates_nothing() {
 fn the_actor_s_ticks_allocate_nothing() {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
+    config.detector.enabled = Some(false);
+    whole_flight(&config);
+}
+
+#[test]
+fn an_actor_led_by_the_path_over_spread_frames_allocates_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("actor.safetensors");
+    let actor = FrozenActor {
+        inputs: ActorInputs {
+            frame_ages: FRAMES_SPREAD,
+            led_by: LedBy::Path,
+        },
+        ..FrozenActor::built_in().unwrap()
+    };
+    actor.save(&file).unwrap();
+    let mut config = config();
+    config.pilot.kind = PilotKind::Actor;
+    config.pilot.actor_file = Some(file);
     config.detector.enabled = Some(false);
     whole_flight(&config);
 }

@@ -47,7 +47,7 @@ impl vigil_tools::detector_training::Onlooker for Differences {
 #[test]
 fn only_frames_that_count_as_attacked_differ_from_what_the_sensor_took() {
     let mut differences = Differences::default();
-    let record = fly(Isa::detect(), &actor().params, &attacked(Plan::Actor), &mut differences).unwrap();
+    let record = fly(Isa::detect(), &actor(), &attacked(Plan::Actor), &mut differences).unwrap();
     assert_eq!(record.steps.len(), 30);
     for (i, (step, pixels)) in record.steps.iter().zip(&differences.0).enumerate() {
         let within = (12..14).contains(&i);
@@ -59,11 +59,7 @@ fn only_frames_that_count_as_attacked_differ_from_what_the_sensor_took() {
 
 #[test]
 fn who_steers_changes_the_flight_but_not_what_is_explained_first() {
-    let flown = |plan| {
-        fly(Isa::detect(), &actor().params, &attacked(plan), &mut ())
-            .unwrap()
-            .steps
-    };
+    let flown = |plan| fly(Isa::detect(), &actor(), &attacked(plan), &mut ()).unwrap().steps;
     let (own, other) = (flown(Plan::Actor), flown(Plan::Geometric));
     assert_eq!(own[0], other[0], "the same first frame, the same decision");
     assert_ne!(own[29].state, other[29].state, "by then they are elsewhere");
@@ -85,7 +81,7 @@ fn the_same_seed_flies_the_same_flight() {
             bursts: std::iter::once(8..10).collect(),
             ..a
         });
-        fly(Isa::detect(), &actor().params, &scenario, &mut ()).unwrap()
+        fly(Isa::detect(), &actor(), &scenario, &mut ()).unwrap()
     };
     let (first, again, other) = (fly(3100, true), fly(3100, true), fly(3101, true));
     assert_eq!(first, again);
@@ -99,7 +95,7 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     let path = folder.path().join("flights.safetensors");
     let flights = Flights {
         actor_sha256: actor().sha256(),
-        records: vec![fly(Isa::detect(), &actor().params, &attacked(Plan::Switching), &mut ()).unwrap()],
+        records: vec![fly(Isa::detect(), &actor(), &attacked(Plan::Switching), &mut ()).unwrap()],
     };
     flights.save(&path).unwrap();
     let back = Flights::load(&path, &actor()).unwrap();
@@ -137,12 +133,12 @@ fn the_built_in_detector_judges_the_built_in_actor() {
         steps: 60,
         ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
     };
-    let quiet = fly(Isa::detect(), &actor.params, &scenario, &mut ()).unwrap();
+    let quiet = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
     scenario.adversary = Some(Adversary {
         config: AttackConfig::PAPER,
         bursts: std::iter::once(30..60).collect(),
     });
-    let bent = fly(Isa::detect(), &actor.params, &scenario, &mut ()).unwrap();
+    let bent = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
     let judge = vigil_tools::detector_training::Judge::from_frozen(&frozen);
     let scores = judge.scores(Isa::detect(), &actor.params, &[quiet, bent]).unwrap();
     let alarms = |flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count();

@@ -3,8 +3,10 @@
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_nnet::FRAMES_SPREAD;
-use vigil_policy::FrozenActor;
-use vigil_tools::actor_training::value::{Expert, Sees, ValueConfig, ValueEnd, ValueOptions, ValueProgress, run_value};
+use vigil_policy::{ActorInputs, FrozenActor, LedBy};
+use vigil_tools::actor_training::value::{
+    Expert, Leader, Sees, ValueConfig, ValueEnd, ValueOptions, ValueProgress, run_value,
+};
 use vigil_world::Family;
 
 /// A folder that is removed at the end.
@@ -32,6 +34,7 @@ impl Drop for Folder {
 fn small(sees: Sees) -> ValueConfig {
     let mut config = ValueConfig {
         sees,
+        led_by: Leader::Path,
         families: vec![Family::Training, Family::Hard],
         decisions: 620,
         warm_up: 120,
@@ -63,6 +66,7 @@ fn options(folder: &Folder) -> ValueOptions {
         resume: false,
         expert: None,
         encoder_of: None,
+        from: None,
         git_commit: None,
         test_flights: 0,
     }
@@ -127,13 +131,19 @@ fn resumed(config: &ValueConfig, file: &str, stop_at: u64) {
             .collect()
     };
     assert_eq!(columns(curve.as_bytes()), columns(&parts.bytes("curves.csv")));
+    let flights = String::from_utf8(whole.bytes("flights.csv")).unwrap();
+    assert!(flights.lines().count() > 3, "{flights}");
+    assert_eq!(flights.into_bytes(), parts.bytes("flights.csv"));
     if file == "actor.safetensors" {
         let (one, two) = [&whole, &parts]
             .map(|f| FrozenActor::load(&f.0.join(file)).unwrap())
             .into();
         assert!(one.params == two.params && one.params.iter().all(|p| p.is_finite()));
-        assert_eq!(one.frame_ages, FRAMES_SPREAD);
-        assert_eq!(two.frame_ages, FRAMES_SPREAD);
+        let inputs = ActorInputs {
+            frame_ages: FRAMES_SPREAD,
+            led_by: LedBy::Path,
+        };
+        assert_eq!((one.inputs, two.inputs), (inputs, inputs));
     } else {
         let (one, two) = [&whole, &parts].map(|f| Expert::load(&f.0.join(file)).unwrap()).into();
         assert!(one == two);
@@ -179,4 +189,9 @@ fn what_cannot_be_run_is_refused_by_name() {
     let good = folder.bytes("checkpoint.safetensors");
     std::fs::write(&path, &good[..good.len() / 2]).unwrap();
     refused(&config, &resume, "truncated");
+    // One bit in the middle of what was learned.
+    let mut altered = good.clone();
+    altered[good.len() / 2] ^= 1;
+    std::fs::write(&path, &altered).unwrap();
+    refused(&config, &resume, "was altered");
 }

@@ -30,7 +30,7 @@ pub mod plausibility;
 
 #[cfg(feature = "actor-file")]
 pub use actor::FrozenActor;
-pub use actor::{ActorPilot, FlightPilot};
+pub use actor::{ActorInputs, ActorPilot, FlightPilot, LedBy};
 pub use apf::NearestObstacle;
 pub use field::FlightField;
 pub use geometric::{GeometricConfig, GeometricPilot, RangeScan, RecoveryPilot, Scan};

@@ -3,7 +3,9 @@
 
 use vigil_nnet::{Actor, ActorSpec, Isa};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, apf};
+use vigil_policy::{
+    ActorInputs, ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, apf,
+};
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector};
 
 fn frozen() -> FrozenActor {
@@ -14,7 +16,7 @@ fn frozen() -> FrozenActor {
     // Some numbers of either sign, small enough not to saturate.
     let params = (0..len).map(|i| 0.05 * libm::sinf(i as f32 * 1.7)).collect();
     FrozenActor {
-        frame_ages: vigil_nnet::FRAMES_IN_A_ROW,
+        inputs: ActorInputs::default(),
         params,
         training_config: "seed = 3\n".to_owned(),
         seed: 3,
@@ -34,9 +36,11 @@ fn an_actor_survives_its_file() {
     let path = folder.join("actor.safetensors");
     actor.save(&path).unwrap();
     assert_eq!(FrozenActor::load(&path).unwrap(), actor);
-    assert_eq!(actor.clone().in_a_row().unwrap(), actor);
     let spread = FrozenActor {
-        frame_ages: vigil_nnet::FRAMES_SPREAD,
+        inputs: ActorInputs {
+            frame_ages: vigil_nnet::FRAMES_SPREAD,
+            led_by: LedBy::Path,
+        },
         ..actor.clone()
     };
     assert_ne!(spread.sha256(), actor.sha256());
@@ -48,7 +52,12 @@ fn an_actor_survives_its_file() {
         spread.actor(Isa::detect()).unwrap().frame_ages(),
         vigil_nnet::FRAMES_SPREAD
     );
-    assert!(spread.in_a_row().unwrap_err().to_string().contains("not in a row"));
+    let elsewhere = |bytes: Vec<u8>| {
+        let at = bytes.windows(6).position(|w| w == b"led_by").unwrap() + 9;
+        assert_eq!(&bytes[at..at + 4], b"path");
+        [&bytes[..at], b"moon", &bytes[at + 4..]].concat()
+    };
+    assert!(FrozenActor::from_bytes("a", &elsewhere(spread.to_bytes().unwrap())).is_err());
     let missing = FrozenActor::load(&folder.join("none.safetensors")).unwrap_err();
     assert!(missing.to_string().contains("none.safetensors"), "{missing}");
     std::fs::remove_dir_all(&folder).unwrap();
@@ -191,4 +200,50 @@ fn a_flight_s_pilot_is_the_one_it_was_made_of() {
     flown.reset();
     alone.reset();
     assert_eq!(flown.decide(&input(&frame)), alone.decide(&input(&frame)));
+}
+
+/// A wall across the way, 4 m ahead, open on the right only.
+fn wall_open_on_the_right() -> DepthFrame {
+    let mut frame = DepthFrame::EMPTY;
+    frame.header.attitude = Attitude::LEVEL_NORTH;
+    for (i, depth) in frame.depth.iter_mut().enumerate() {
+        *depth = if i % 256 < 190 { 0.04 } else { 1.0 };
+    }
+    frame
+}
+
+#[test]
+fn an_actor_led_by_the_path_is_given_the_paths_bearing_and_any_other_the_goals() {
+    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &frozen().params).unwrap();
+    let frame = wall_open_on_the_right();
+    let ahead = PilotInput {
+        goal: GoalRelative {
+            distance_m: 9.0,
+            bearing_rad: -0.1,
+        },
+        ..input(&frame)
+    };
+    let mut by_goal = ActorPilot::new(actor.clone(), false);
+    by_goal.decide(&ahead);
+    assert_eq!(by_goal.position(), positional_inputs(ahead.goal));
+
+    let mut by_path = ActorPilot::new(actor.clone(), false).led_by(LedBy::Path);
+    let mut planner = GeometricPilot::new(GeometricConfig::default());
+    for _ in 0..20 {
+        let action = by_path.decide(&ahead);
+        let led = planner.lead(&ahead);
+        assert_eq!(by_path.position(), positional_inputs(led));
+        // The network is the same, it is only told another bearing.
+        let mut told = ActorPilot::new(actor.clone(), false);
+        assert_eq!(action, told.decide(&PilotInput { goal: led, ..ahead }));
+    }
+    let [distance, bearing] = by_path.position();
+    assert_eq!(distance, positional_inputs(ahead.goal)[0]);
+    assert!(bearing > 0.3, "to the right, around the wall: {bearing}");
+
+    // Another flight: what was seen is forgotten, and an open field leads straight to the goal.
+    by_path.reset();
+    let open = DepthFrame::EMPTY;
+    by_path.decide(&PilotInput { depth: &open, ..ahead });
+    assert!((by_path.position()[1] + 0.1).abs() < 1e-3, "{:?}", by_path.position());
 }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_policy::{ActorInputs, FrozenActor};
 use vigil_types::NedVector;
 
 /// An attack on the frames as they pass.
@@ -69,7 +69,7 @@ impl AttackArgs {
     pub fn attack(&self, flown: Option<&Path>) -> Result<Option<Attack>> {
         let Some(method) = self.attack else { return Ok(None) };
         let actor = match self.attack_actor.as_deref().or(flown) {
-            Some(file) => FrozenActor::load(file)?.in_a_row()?,
+            Some(file) => FrozenActor::load(file)?,
             None => FrozenActor::built_in()?,
         };
         let evade = self.evade.as_deref().map(FrozenDetector::load).transpose()?;
@@ -81,6 +81,7 @@ impl AttackArgs {
             );
         }
         Ok(Some(Attack {
+            inputs: actor.inputs,
             params: actor.params,
             config: AttackConfig {
                 method,
@@ -115,6 +116,8 @@ impl AttackArgs {
 pub struct Attack {
     /// Weights that the attacker has.
     pub params: Vec<f32>,
+    /// What the actor with these weights decides from.
+    pub inputs: ActorInputs,
     /// How; the seed is each flight's own.
     pub config: AttackConfig,
     /// How long.
@@ -130,11 +133,13 @@ impl Attack {
     /// ε or iterations out of range, a detector that does not fit.
     pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
         let config = AttackConfig { seed, ..self.config };
-        let mut attack = StreamAttack::new(Isa::detect(), &self.params, &config)?;
+        let mut attack =
+            StreamAttack::new(Isa::detect(), &self.params, &config)?.with_frame_ages(self.inputs.frame_ages);
         if let Some(detector) = &self.evade {
             attack = attack.evading(detector)?;
         }
-        Ok(Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m))
+        let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
+        Ok(interceptor.led_by(self.inputs.led_by))
     }
 }
 

@@ -4,7 +4,8 @@ use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
 use crate::stream_attack::StreamAttack;
 use vigil_policy::actor::positional_inputs;
-use vigil_types::{DepthFrame, FrameHeader, GoalRelative, NedVector, wrap_pi};
+use vigil_policy::{GeometricConfig, GeometricPilot, LedBy, PilotInput};
+use vigil_types::{DepthFrame, FrameHeader, GoalRelative, HeadingVector, NedVector, wrap_pi};
 
 /// Distance and bearing of a goal from where the frame was taken, by the estimate in its header: what the pilot sees of
 /// it, but for the vehicle's motion since.
@@ -31,6 +32,8 @@ pub struct Interceptor {
     attack: StreamAttack,
     plan: BurstPlan,
     goal_ned_m: NedVector,
+    /// Plans the path that leads the actor, where one does, over the frames as they were taken.
+    planner: Option<Box<GeometricPilot>>,
 }
 
 impl Interceptor {
@@ -40,7 +43,31 @@ impl Interceptor {
             attack,
             plan,
             goal_ned_m,
+            planner: None,
         }
+    }
+
+    /// The same against an actor that is led so. What the frames that it altered did to the actor's grid, the adversary does not
+    /// follow.
+    #[must_use]
+    pub fn led_by(mut self, by: LedBy) -> Self {
+        self.planner = (by == LedBy::Path).then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
+        self
+    }
+
+    /// What leads the actor, as seen from the frame as it was taken.
+    fn goal(&mut self, frame: &DepthFrame) -> GoalRelative {
+        let header = &frame.header;
+        let goal = goal_seen_from(header, self.goal_ned_m);
+        let Some(planner) = &mut self.planner else { return goal };
+        planner.lead(&PilotInput {
+            now_ns: header.stamp_ns,
+            depth: frame,
+            goal,
+            attitude: header.attitude,
+            velocity_m_s: HeadingVector::ZERO,
+            height_m: -header.position_ned_m.z,
+        })
     }
 
     /// Takes the frame of step number `step`, in place.
@@ -61,7 +88,7 @@ impl Interceptor {
         frame: &mut DepthFrame,
         go_on: impl FnMut() -> bool,
     ) -> Result<PassedStep, AttackError> {
-        let position = positional_inputs(goal_seen_from(&frame.header, self.goal_ned_m));
+        let position = positional_inputs(self.goal(frame));
         if !self.plan.attacks(step) {
             self.attack.pass(&mut frame.depth, position)?;
             return Ok(PassedStep::Unaltered);

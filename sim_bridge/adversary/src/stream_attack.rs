@@ -6,8 +6,8 @@ use crate::perturb::{Perturber, Scene};
 use crate::surrogate::SurrogateActor;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Graph, GraphBuilder, Isa, NodeId, Purpose,
-    ShapeError,
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, FRAMES_IN_A_ROW, Graph, GraphBuilder, Isa,
+    NodeId, Purpose, ShapeError,
 };
 
 /// Alters frames as they pass. It remembers what it delivered, as the actor does, and what it was given, so as to know what the
@@ -50,12 +50,19 @@ impl StreamAttack {
             surrogate,
             params: params.to_vec(),
             memory: Memory::new(spec)?,
-            delivered: Trail::new(spec),
-            clean: Trail::new(spec),
+            delivered: Trail::new(spec, FRAMES_IN_A_ROW),
+            clean: Trail::new(spec, FRAMES_IN_A_ROW),
             direction: None,
             evasion: None,
             spec,
         })
+    }
+
+    /// The same attack on an actor whose five frames were taken so many decisions ago, oldest first (0 for the newest).
+    #[must_use]
+    pub fn with_frame_ages(mut self, ages: [usize; ACTOR_FRAMES]) -> Self {
+        (self.delivered, self.clean) = (Trail::new(self.spec, ages), Trail::new(self.spec, ages));
+        self
     }
 
     /// Makes the attack adaptive: it deceives this detector along with the actor. Whenever the detector's score comes near its
@@ -185,36 +192,59 @@ impl StreamAttack {
     }
 }
 
-/// Features of the last five frames, oldest first.
+/// Features of as many frames as the actor remembers, a ring.
 #[derive(Debug, Clone)]
 struct Trail {
     features: Vec<f32>,
     width: usize,
     started: bool,
+    ages: [usize; ACTOR_FRAMES],
+    /// Slot of the newest frame.
+    newest: usize,
 }
 
 impl Trail {
-    fn new(spec: ActorSpec) -> Self {
+    fn new(spec: ActorSpec, ages: [usize; ACTOR_FRAMES]) -> Self {
+        let kept = 1 + ages.iter().max().unwrap_or(&0);
         Self {
-            features: vec![0.0; ACTOR_FRAMES * spec.features()],
+            features: vec![0.0; kept * spec.features()],
             width: spec.features(),
             started: false,
+            ages,
+            newest: 0,
         }
+    }
+
+    fn kept(&self) -> usize {
+        self.features.len() / self.width
     }
 
     /// The first frame stands for the missing older ones, as in the actor.
     fn push(&mut self, newest: &[f32]) {
-        let kept = if self.started { ACTOR_FRAMES - 1 } else { 0 };
-        let width = self.width;
-        self.features.copy_within((ACTOR_FRAMES - kept) * width.., 0);
-        for slot in self.features.chunks_exact_mut(width).skip(kept) {
+        self.newest = (self.newest + 1) % self.kept();
+        let (slot, kept) = (self.newest, self.kept());
+        let slots = self.features.chunks_exact_mut(self.width);
+        let (first, count) = if self.started { (slot, 1) } else { (0, kept) };
+        for slot in slots.skip(first).take(count) {
             slot.copy_from_slice(newest);
         }
         self.started = true;
     }
 
+    fn frame(&self, age: usize) -> &[f32] {
+        let slot = (self.newest + self.kept() - age) % self.kept();
+        &self.features[slot * self.width..(slot + 1) * self.width]
+    }
+
+    /// The five frames of the last decision, oldest first.
     fn frames(&self) -> impl Iterator<Item = &[f32]> {
-        self.features.chunks_exact(self.width)
+        self.ages.iter().map(|age| self.frame(*age))
+    }
+
+    /// The four frames that the next decision will hold beside its newest.
+    fn older(&self) -> impl Iterator<Item = &[f32]> {
+        let before = self.ages.iter().filter(|age| **age > 0);
+        before.map(|age| self.frame(age - 1))
     }
 }
 
@@ -295,7 +325,7 @@ impl Memory {
     /// The GRU's state before the next frame: the oldest of the five will have dropped out.
     fn older_state(&mut self, isa: Isa, params: &[f32], trail: &Trail) -> Result<[f32; ACTOR_HIDDEN], ShapeError> {
         let mut inputs: [&[f32]; ACTOR_FRAMES - 1] = [&[]; ACTOR_FRAMES - 1];
-        for (input, features) in inputs.iter_mut().zip(trail.frames().skip(1)) {
+        for (input, features) in inputs.iter_mut().zip(trail.older()) {
             *input = features;
         }
         self.older.forward(isa, params, &inputs, &mut self.older_tape)?;

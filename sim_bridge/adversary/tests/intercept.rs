@@ -4,9 +4,9 @@ use vigil_adversary::{
     AttackConfig, Burst, BurstPlan, Interceptor, PassedStep, SINGLE_BURST_FIRST, SINGLE_BURST_LAST, StreamAttack,
     goal_seen_from,
 };
-use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
-use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, Kinematics, NedVector};
+use vigil_nnet::{Actor, ActorSpec, Isa};
+use vigil_policy::{ActorPilot, FrozenActor, LedBy, Pilot, PilotInput};
+use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector};
 
 fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
     (0..steps).filter(|step| plan.attacks(*step)).collect()
@@ -107,5 +107,51 @@ fn the_goal_is_seen_as_the_pilot_sees_it() {
     assert_eq!(
         goal_seen_from(&frame.header, goal.position_ned_m),
         goal.relative_to(&kinematics, &attitude)
+    );
+}
+
+#[test]
+fn the_adversary_knows_where_the_planned_path_leads_the_actor() {
+    let params = FrozenActor::built_in().unwrap().params;
+    let attack = StreamAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
+    let goal = NedVector::new(9.0, -1.0, -1.5);
+    let decided = |by: LedBy| {
+        let mut interceptor = Interceptor::new(attack.clone(), BurstPlan::new(Burst::Continuous, 1), goal).led_by(by);
+        let mut pilot = ActorPilot::new(Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap(), false).led_by(by);
+        let mut frame = DepthFrame::EMPTY;
+        frame.header.position_ned_m = NedVector::new(0.0, 0.0, -1.5);
+        frame.header.attitude = Attitude::LEVEL_NORTH;
+        // A wall 4 m ahead, open on the right only.
+        for (i, depth) in frame.depth.iter_mut().enumerate() {
+            *depth = if i % 256 < 190 { 0.04 } else { 1.0 };
+        }
+        for sequence in 0..8 {
+            frame.header.sequence = sequence;
+            let input = PilotInput {
+                now_ns: 0,
+                depth: &frame,
+                goal: goal_seen_from(&frame.header, goal),
+                attitude: Attitude::LEVEL_NORTH,
+                velocity_m_s: HeadingVector::ZERO,
+                height_m: 1.5,
+            };
+            let action = pilot.decide(&input);
+            let mut altered = frame.clone();
+            let PassedStep::Attacked(outcome) = interceptor.pass(sequence, &mut altered).unwrap() else {
+                panic!("not attacked");
+            };
+            // What the actor would decide had no frame been altered.
+            assert_eq!(
+                outcome.clean,
+                [action.forward_m_s, action.yaw],
+                "step {sequence}, {by:?}"
+            );
+        }
+        pilot.position()[1]
+    };
+    let (to_the_goal, along_the_path) = (decided(LedBy::Goal), decided(LedBy::Path));
+    assert!(
+        to_the_goal < 0.0 && along_the_path > 0.3,
+        "{to_the_goal} {along_the_path}"
     );
 }

@@ -20,9 +20,9 @@ use std::path::{Path, PathBuf};
 const FORMAT: &str = "vigil training checkpoint 3";
 /// Metadata entries.
 const FORMAT_ENTRY: &str = "format";
-const DIGEST: &str = "sha256";
+pub(super) const DIGEST: &str = "sha256";
 /// A run has some megabytes; its priorities have 8 bytes a decision, its flights 8 bytes a step.
-const SIZE_LIMIT: u64 = 2 << 30;
+pub(super) const SIZE_LIMIT: u64 = 2 << 30;
 
 /// An actor that may be the one to freeze.
 #[derive(Debug, Clone, PartialEq)]
@@ -202,7 +202,7 @@ impl RunState {
 }
 
 /// SHA-256 over tensors, whatever their order.
-fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
+pub(super) fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
     let mut sorted: Vec<_> = tensors.iter().map(|(name, view)| (name.as_ref(), view)).collect();
     sorted.sort_by_key(|(name, _)| *name);
     let mut hash = Sha256::new();

@@ -10,6 +10,7 @@ mod curves;
 mod decider;
 mod files;
 mod flight;
+mod lead;
 mod learner;
 mod limits;
 mod networks;
@@ -28,6 +29,7 @@ mod weights;
 
 pub use config::{ConfigError, TrainConfig};
 pub use flight::Flight;
+pub use lead::Lead;
 pub use learner::{UpdateError, UpdateReport};
 pub use progress::{FlightLine, Progress, Row};
 pub use rehearsal::{Example, KeptState, Rehearsal};

@@ -1,12 +1,13 @@
 //! Flights that evaluate an actor: the frozen actor's own code, deciding every step, without noise.
 
 use crate::actor_training::flight::Flight;
+use crate::actor_training::lead::Lead;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use vigil_nnet::{ACTOR_FRAMES, Actor, ActorSpec, Isa, ShapeError};
+use vigil_nnet::{Actor, ActorSpec, Isa, ShapeError};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{FlightField, RangeScan};
+use vigil_policy::{ActorInputs, FlightField, LedBy, PilotInput, RangeScan};
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
@@ -14,8 +15,8 @@ use vigil_world::{Family, Outcome, generate};
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
 pub enum EvaluatedActor<'a> {
-    /// An actor's parameters, and how many decisions ago its five frames were taken, oldest first.
-    Actor(&'a [f32], [usize; ACTOR_FRAMES]),
+    /// An actor's parameters, and what it decides from.
+    Actor(&'a [f32], ActorInputs),
     /// No motion at all: what the field does alone.
     Zero,
     /// Each output drawn evenly anew each step.
@@ -99,16 +100,24 @@ fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) ->
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::new(&course, Wind::default(), seed)?;
     let mut network = match actor {
-        EvaluatedActor::Actor(params, ages) => Some(Actor::with_frame_ages(ActorSpec::FULL, isa, params, ages)?),
+        EvaluatedActor::Actor(params, inputs) => {
+            let ages = inputs.frame_ages;
+            Some(Actor::with_frame_ages(ActorSpec::FULL, isa, params, ages)?)
+        }
         EvaluatedActor::Zero | EvaluatedActor::Random => None,
+    };
+    let mut lead = match actor {
+        EvaluatedActor::Actor(_, inputs) => Lead::new(inputs.led_by),
+        _ => Lead::new(LedBy::Goal),
     };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();
     loop {
+        let goal = lead.goal(&flight.input());
         let mut action = match (&mut network, actor) {
             (Some(actor), _) => {
-                let [forward_m_s, yaw] = actor.decide(&flight.frame().depth, positional_inputs(flight.goal()))?;
+                let [forward_m_s, yaw] = actor.decide(&flight.frame().depth, positional_inputs(goal))?;
                 Action { forward_m_s, yaw }
             }
             (None, EvaluatedActor::Random) => Action {
@@ -118,7 +127,7 @@ fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) ->
             (None, _) => Action::HOVER,
         };
         if what.field {
-            let input = flight.input();
+            let input = PilotInput { goal, ..flight.input() };
             action = field.add_to(action, &input, surroundings.observe(&input));
         }
         if let Some(outcome) = flight.advance(action) {

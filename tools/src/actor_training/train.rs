@@ -18,8 +18,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use vigil_nnet::file::FileError;
-use vigil_nnet::{FRAMES_IN_A_ROW, Isa, ShapeError};
-use vigil_policy::FrozenActor;
+use vigil_nnet::{Isa, ShapeError};
+use vigil_policy::{ActorInputs, FrozenActor};
 use vigil_world::Family;
 
 /// Actors that are evaluated once more at the end.
@@ -390,7 +390,7 @@ impl<'a> Run<'a> {
     }
 
     fn evaluate(&self, actor: &[f32], what: &EvaluationSpec) -> Result<EvaluationResult, RolloutError> {
-        evaluate(EvaluatedActor::Actor(actor, FRAMES_IN_A_ROW), self.isa, what)
+        evaluate(EvaluatedActor::Actor(actor, ActorInputs::default()), self.isa, what)
     }
 
     /// Keeps the actor if it is among the best; of equals the later.
@@ -425,7 +425,7 @@ impl<'a> Run<'a> {
         let path = options.folder.join("actor.safetensors");
         let actor = FrozenActor {
             params: candidate.params.clone(),
-            frame_ages: FRAMES_IN_A_ROW,
+            inputs: ActorInputs::default(),
             training_config: self.config.to_toml(),
             seed: self.config.seed,
             updates: candidate.updates,

@@ -1,6 +1,6 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
-use super::{Common, write_json};
+use super::{Common, Victim, write_json};
 use crate::campaign::{self, Flown, Tally};
 use crate::cli::output::{Interrupt, Progress, say};
 use crate::report::{TextTable, words};
@@ -144,7 +144,7 @@ impl Row {
 
 struct Campaign<'a> {
     common: &'a Common,
-    params: &'a [f32],
+    victim: &'a Victim,
     seed: u64,
     flights: u64,
     pool: rayon::ThreadPool,
@@ -155,7 +155,8 @@ struct Campaign<'a> {
 impl Campaign<'_> {
     fn row(&self, apf: bool, setting: Option<Setting>) -> Result<Row> {
         let attack = setting.map(|s| Attack {
-            params: self.params.to_vec(),
+            params: self.victim.params.clone(),
+            inputs: self.victim.inputs,
             config: s.config,
             burst: s.burst,
             evade: None,
@@ -204,7 +205,7 @@ fn fly_all(
     let folder = common.folder()?;
     let campaign = Campaign {
         common,
-        params: &victim.params,
+        victim: &victim,
         seed,
         flights,
         pool: common.pool()?,

@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_policy::FrozenActor;
+use vigil_policy::{ActorInputs, FrozenActor};
 
 /// Arguments of `vigil attack`.
 #[derive(Debug, Clone, clap::Args)]
@@ -67,17 +67,19 @@ struct Common {
 /// The actor under attack, named in every report.
 struct Victim {
     params: Vec<f32>,
+    inputs: ActorInputs,
     sha256: String,
 }
 
 impl Common {
     fn victim(&self) -> Result<Victim> {
         let actor = match &self.actor {
-            Some(file) => FrozenActor::load(file)?.in_a_row()?,
+            Some(file) => FrozenActor::load(file)?,
             None => FrozenActor::built_in()?,
         };
         Ok(Victim {
             sha256: actor.sha256(),
+            inputs: actor.inputs,
             params: actor.params,
         })
     }

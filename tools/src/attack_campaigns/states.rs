@@ -1,12 +1,14 @@
 //! States that an actor meets in flight: five frames and where the goal is.
 
-use crate::actor_training::Flight;
+use crate::actor_training::{Flight, Lead};
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{ACTOR_FRAMES, Actor, ActorSpec, Isa};
+use std::collections::VecDeque;
+use vigil_nnet::{Actor, ActorSpec, Isa};
+use vigil_policy::ActorInputs;
 use vigil_policy::actor::positional_inputs;
-use vigil_types::{Action, DEPTH_PIXELS};
+use vigil_types::Action;
 use vigil_vehicle::Wind;
 use vigil_world::{Family, generate};
 
@@ -24,25 +26,29 @@ pub struct State {
 }
 
 /// Flies a validation course with the actor alone, without the potential field, and picks [`STATES_PER_FLIGHT`] of the
-/// states it decided on, each as likely as the other (reservoir sampling), from the fifth on.
+/// states it decided on, each as likely as the other (reservoir sampling), from the first on that has five frames of its own.
 ///
 /// # Errors
 /// Parameters of another actor.
-pub fn met_in_flight(params: &[f32], seed: u64) -> Result<Vec<State>> {
+pub fn met_in_flight((params, inputs): (&[f32], ActorInputs), seed: u64) -> Result<Vec<State>> {
     let course = generate(Family::Validation, seed);
     let mut flight = Flight::new(&course, Wind::default(), seed)?;
-    let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), params)?;
+    let ages = inputs.frame_ages;
+    let mut actor = Actor::with_frame_ages(ActorSpec::FULL, Isa::detect(), params, ages)?;
+    let mut lead = Lead::new(inputs.led_by);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut frames = vec![0.0; ACTOR_FRAMES * DEPTH_PIXELS];
+    let kept = 1 + ages[0];
+    let mut frames = VecDeque::with_capacity(kept);
     let mut states: Vec<State> = Vec::with_capacity(STATES_PER_FLIGHT);
     for step in 0.. {
-        let (depth, position) = (&flight.frame().depth, positional_inputs(flight.goal()));
-        frames.copy_within(DEPTH_PIXELS.., 0);
-        frames[(ACTOR_FRAMES - 1) * DEPTH_PIXELS..].copy_from_slice(depth);
+        let position = positional_inputs(lead.goal(&flight.input()));
+        let depth = &flight.frame().depth;
+        frames.truncate(kept - 1);
+        frames.push_front(depth.to_vec());
         let [forward_m_s, yaw] = actor.decide(depth, position)?;
-        if let Some(met) = (step + 1usize).checked_sub(ACTOR_FRAMES) {
-            let state = |frames: &[f32]| State {
-                frames: frames.to_vec(),
+        if let Some(met) = (step + 1usize).checked_sub(kept) {
+            let state = |frames: &VecDeque<Vec<f32>>| State {
+                frames: ages.iter().flat_map(|age| &frames[*age]).copied().collect(),
                 position,
                 seed: seed * 100_000 + step as u64,
             };

@@ -76,7 +76,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
             .filter(|_| !interrupt.came())
             .map(|i| {
                 let mut rows = Vec::new();
-                for state in met_in_flight(&victim.params, args.seed.wrapping_add(i))? {
+                for state in met_in_flight((&victim.params, victim.inputs), args.seed.wrapping_add(i))? {
                     rows.push(yaw_changes(&victim.params, &state)?);
                     bar.inc(1);
                 }
@@ -121,7 +121,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     print(&cells, attacked.len(), args.seed, wall_s);
     let csv = folder.join("figure-11.csv");
     output::write(&csv, to_csv(cells.iter().map(CellLine::from)))?;
-    if let Some(state) = met_in_flight(&victim.params, args.seed)?.first() {
+    if let Some(state) = met_in_flight((&victim.params, victim.inputs), args.seed)?.first() {
         picture(&victim.params, state)?.write_png(&folder.join("frames.png"))?;
     }
     write_json(

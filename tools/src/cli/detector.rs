@@ -178,7 +178,7 @@ struct Stage<'a> {
 /// A file that is no actor, data of another actor, a folder that cannot be written.
 pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
     let actor = match &args.actor {
-        Some(file) => FrozenActor::load(file)?.in_a_row()?,
+        Some(file) => FrozenActor::load(file)?,
         None => FrozenActor::built_in()?,
     };
     let stage = Stage {
@@ -372,7 +372,7 @@ impl Stage<'_> {
             Some(kept) => kept.records,
             None => {
                 let bar = Progress::new(scenarios().count() as u64, "flights")?;
-                let records = fly_sets(self.isa, &self.actor.params, &sets, &mut |flights| bar.inc(flights))?;
+                let records = fly_sets(self.isa, &self.actor, &sets, &mut |flights| bar.inc(flights))?;
                 bar.finish();
                 let flights = Flights {
                     actor_sha256: self.actor.sha256(),

@@ -17,9 +17,10 @@ Examples:
   vigil learn nothing -o runs/nothing --resume       go on after an interruption, bit for bit
   vigil learn actor --print-config                   every key with the recipe's value
 
-The run leaves curves.csv, config.toml, checkpoint.safetensors, result.json and expert.safetensors or actor.safetensors in its
-folder. The curve tells at each evaluation how well the critics' slope over yaw agrees with what flights from the same state
-tell. `vigil rollout --actor` flies the actor. docs/learning.md explains the method.")]
+The run leaves curves.csv, flights.csv, config.toml, checkpoint.safetensors, result.json and expert.safetensors or
+actor.safetensors in its folder; `vigil report` reads it. The curve tells at each evaluation how well the critics' slope over
+yaw agrees with what flights from the same state tell. `vigil rollout --actor` flies the actor. docs/learning.md explains the
+method.")]
 pub struct LearnArgs {
     /// What to train.
     #[arg(value_enum)]
@@ -48,6 +49,10 @@ pub struct LearnArgs {
     /// Take the encoder of this actor instead of teaching one.
     #[arg(long, value_name = "FILE")]
     encoder_of: Option<PathBuf>,
+
+    /// Begin with this actor, one that `vigil learn` made, instead of from nothing.
+    #[arg(long, value_name = "FILE", conflicts_with = "encoder_of")]
+    from: Option<PathBuf>,
 
     /// Go on from the folder's checkpoint.
     #[arg(long)]
@@ -99,6 +104,7 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
         resume: args.resume,
         expert: args.expert.clone(),
         encoder_of: args.encoder_of.clone(),
+        from: args.from.clone(),
         git_commit: git_commit(),
         test_flights: args.test_flights,
     };

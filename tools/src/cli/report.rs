@@ -1,5 +1,6 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
+use crate::actor_training::value::ValueResult;
 use crate::actor_training::{FlightLine, RunResult};
 use crate::cli::output::{self, put, say};
 use crate::report::{Figure, Panel, Series, from_csv};
@@ -7,7 +8,7 @@ use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_world::Outcome;
+use vigil_world::{Family, Outcome};
 
 /// A run of a million flights has 40 MB.
 const SIZE_LIMIT: u64 = 256 << 20;
@@ -23,7 +24,8 @@ Examples:
   vigil report                        table I and figures 9 and 10 from the runs in docs/runs
   vigil report runs/a runs/b -o out   the same from runs of yours
 
-A run is a folder that `vigil train` left: result.json and flights.csv are read. Runs with the field in no training flight
+A run is a folder that `vigil train` or `vigil learn` left: result.json and flights.csv are read; of the latter's tests the
+validation family's counts. Runs with the field in no training flight
 are called DDPG, the others DDPG-APF.")]
 pub struct ReportArgs {
     /// Folders of runs, or folders that hold them.
@@ -42,8 +44,74 @@ struct Flight {
     reward: f64,
 }
 
+/// What a run came to, whichever command made it.
+#[derive(Debug, Clone, PartialEq)]
+struct Trained {
+    seed: u64,
+    apf_share: f64,
+    decisions: u64,
+    steps: u64,
+    flights: usize,
+    updates: u64,
+    elapsed_s: f64,
+    test: Test,
+}
+
+/// Flights without the field that nothing was chosen by.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Test {
+    flights: usize,
+    completion: f64,
+    wilson_95: (f64, f64),
+    collisions: usize,
+    time_outs: usize,
+}
+
+impl From<RunResult> for Trained {
+    fn from(r: RunResult) -> Self {
+        Self {
+            seed: r.seed,
+            apf_share: r.apf_share,
+            decisions: r.decisions,
+            steps: r.steps,
+            flights: r.flights,
+            updates: r.updates,
+            elapsed_s: r.elapsed_s,
+            test: Test {
+                flights: r.test.flights,
+                completion: r.test.completion,
+                wilson_95: r.test.wilson_95,
+                collisions: r.test.collisions,
+                time_outs: r.test.time_outs,
+            },
+        }
+    }
+}
+
+/// A run by value; its test is over the validation family.
+fn by_value(r: &ValueResult) -> Result<Trained> {
+    let test = r.test.iter().find(|count| count.family == Family::Validation);
+    let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`")?;
+    Ok(Trained {
+        seed: r.seed,
+        apf_share: r.apf_share,
+        decisions: r.decisions,
+        steps: r.steps,
+        flights: r.flights,
+        updates: r.updates,
+        elapsed_s: r.elapsed_s,
+        test: Test {
+            flights: test.flights,
+            completion: test.completion(),
+            wilson_95: test.wilson_95,
+            collisions: test.collisions,
+            time_outs: test.time_outs,
+        },
+    })
+}
+
 struct Run {
-    result: RunResult,
+    result: Trained,
     flights: Vec<Flight>,
 }
 
@@ -124,8 +192,20 @@ fn read(folder: &Path) -> Result<Run> {
         let path = folder.join(name);
         vigil_files::read_text(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
     };
-    let bad = |name: &str| format!("{} is not what `vigil train` writes", folder.join(name).display());
-    let result = serde_json::from_str(&text("result.json")?).with_context(|| bad("result.json"))?;
+    let bad = |name: &str| {
+        format!(
+            "{} is not what `vigil train` or `vigil learn` writes",
+            folder.join(name).display()
+        )
+    };
+    let json = text("result.json")?;
+    let result = match serde_json::from_str::<ValueResult>(&json) {
+        Ok(result) => by_value(&result),
+        Err(_) => serde_json::from_str::<RunResult>(&json)
+            .map(Trained::from)
+            .map_err(Into::into),
+    };
+    let result = result.with_context(|| bad("result.json"))?;
     let flights = from_csv::<FlightLine>(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
     let flights = flights.iter().map(Flight::from).collect();
     Ok(Run { result, flights })
@@ -299,6 +379,44 @@ mod tests {
         assert!((mean - 3.0).abs() < 1e-12);
         assert!((half.unwrap() - 1.9629).abs() < 1e-3);
         assert_eq!(mean_and_interval(&[0.5]), (0.5, None));
+    }
+
+    #[test]
+    fn a_run_by_value_is_read_by_its_validation_flights() {
+        let count = |family: &str, successes: usize| {
+            format!(
+                r#"{{"family": "{family}", "first_seed": 7000000, "flights": 40, "successes": {successes}, "collisions": 1, "time_outs": 0, "wilson_95": [0.8, 0.99]}}"#
+            )
+        };
+        let result = |tests: &str| {
+            format!(
+                r#"{{"sees": "pictures", "seed": 3, "apf_share": 0.25, "steps": 480, "flights": 9, "decisions": 120, "updates": 60, "frozen_after": 50, "elapsed_s": 90.0, "test": [{tests}]}}"#
+            )
+        };
+        let folder = std::env::temp_dir().join(format!("vigil-report-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let flights = "flight,updates,warm_up,field,outcome,decisions,reward\n1,0,1,0,collision,20,-3.5\n2,4,0,1,success,88,24.6\n";
+        std::fs::write(folder.join("flights.csv"), flights).unwrap();
+        let tests = [count("training", 40), count("validation", 39)].join(", ");
+        std::fs::write(folder.join("result.json"), result(&tests)).unwrap();
+        let run = read(&folder).unwrap();
+        assert_eq!(own(&run, |f| f.reward), [24.6]);
+        let arms = [Arm {
+            name: "DDPG-APF",
+            runs: vec![run],
+        }];
+        assert!(
+            table(&arms).contains("| DDPG-APF | 3 | 120 (480) | 9 | 60 | 2 | 97.50 % of 40 |"),
+            "{}",
+            table(&arms)
+        );
+        std::fs::write(folder.join("result.json"), result(&count("hard", 4))).unwrap();
+        let error = format!("{:#}", read(&folder).err().unwrap());
+        std::fs::remove_dir_all(&folder).unwrap();
+        assert!(
+            error.contains("result.json") && error.contains("--test-flights"),
+            "{error}"
+        );
     }
 
     #[test]

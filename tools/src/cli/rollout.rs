@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use std::path::Path;
 use std::process::ExitCode;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_sim::family_parser;
 use vigil_world::{Family, Outcome};
 
@@ -25,6 +25,10 @@ pub struct RolloutArgs {
     /// A frozen actor, or `zero` or `random`.
     #[arg(long, value_name = "FILE")]
     actor: String,
+
+    /// Lead the actor by the goal or by the planned path, whatever its file says.
+    #[arg(long, value_enum)]
+    led_by: Option<LedByName>,
 
     /// Number of flights; flight i uses seed SEED + i.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
@@ -47,6 +51,24 @@ pub struct RolloutArgs {
     time_limit: f32,
 }
 
+/// What leads an actor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum LedByName {
+    /// The goal.
+    Goal,
+    /// The path planned over the occupancy grid of what it has seen.
+    Path,
+}
+
+fn inputs(args: &RolloutArgs, own: ActorInputs) -> ActorInputs {
+    let led_by = match args.led_by {
+        None => own.led_by,
+        Some(LedByName::Goal) => LedBy::Goal,
+        Some(LedByName::Path) => LedBy::Path,
+    };
+    ActorInputs { led_by, ..own }
+}
+
 /// Flies the courses without and with the field and prints both.
 ///
 /// # Errors
@@ -58,7 +80,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         "random" => EvaluatedActor::Random,
         file => {
             frozen = FrozenActor::load(Path::new(file))?;
-            EvaluatedActor::Actor(&frozen.params, frozen.frame_ages)
+            EvaluatedActor::Actor(&frozen.params, inputs(args, frozen.inputs))
         }
     };
     let threads = args.threads.map_or(0, usize::from);

@@ -71,12 +71,12 @@ pub const WEAK_YAW: f32 = 0.1;
 impl Class {
     /// Of a flight's step.
     pub fn of(record: &Record, step: usize) -> Self {
-        let from = step.saturating_sub(vigil_nnet::ACTOR_FRAMES - 1);
-        let held = record.steps.get(from..=step).unwrap_or_default();
-        match held.last() {
+        let taken = |age: &usize| record.steps.get(step.saturating_sub(*age));
+        let held = || record.frame_ages.iter().filter_map(taken);
+        match record.steps.get(step) {
             Some(newest) if newest.frame == Frame::Attacked && newest.yaw_change.abs() >= WEAK_YAW => Self::Attacked,
             Some(newest) if newest.frame == Frame::Attacked => Self::Weak,
-            _ if held.iter().any(|s| s.frame == Frame::Attacked) => Self::Lingering,
+            _ if held().any(|s| s.frame == Frame::Attacked) => Self::Lingering,
             _ => Self::Unattacked,
         }
     }
@@ -110,7 +110,7 @@ pub fn collect(
             .map(|i| {
                 let seed = seed.wrapping_add(i);
                 let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
-                fly(isa, &actor.params, &scenario, &mut ())
+                fly(isa, actor, &scenario, &mut ())
             })
             .collect::<Result<Vec<_>, _>>()?;
         block.iter().for_each(|record| counts.add(record));
@@ -257,6 +257,7 @@ impl Flights {
         let records = entries
             .into_iter()
             .map(|entry| Record {
+                frame_ages: actor.inputs.frame_ages,
                 scenario: entry.scenario,
                 outcome: entry.outcome,
                 steps: steps.by_ref().take(entry.steps).collect(),

@@ -13,7 +13,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use vigil_adversary::{AttackConfig, EFFECTIVE_YAW, Method, Towards};
 use vigil_detector::WINDOW;
-use vigil_nnet::{ACTOR_FRAMES, Isa};
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
 use vigil_types::STEP_NS;
 use vigil_world::Family;
 
@@ -149,7 +150,7 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
 /// Parameters of another architecture.
 pub fn fly_sets(
     isa: Isa,
-    params: &[f32],
+    actor: &FrozenActor,
     sets: &[Set],
     progress: &mut dyn FnMut(u64),
 ) -> Result<Vec<Vec<Record>>, DetectError> {
@@ -159,7 +160,7 @@ pub fn fly_sets(
             for block in set.scenarios.chunks(8) {
                 let flown = block
                     .par_iter()
-                    .map(|scenario| fly(isa, params, scenario, &mut ()))
+                    .map(|scenario| fly(isa, actor, scenario, &mut ()))
                     .collect::<Result<Vec<_>, _>>()?;
                 records.extend(flown);
                 progress(block.len() as u64);
@@ -266,7 +267,7 @@ fn effective(record: &Record, step: usize) -> bool {
 
 /// No altered frame, attacked or noisy, is in the actor's state.
 fn untouched(record: &Record, step: usize) -> bool {
-    record.altered_of_last(step, ACTOR_FRAMES) == 0
+    record.altered_of_last(step, 1 + record.frame_ages[0]) == 0
 }
 
 /// Altered frames from each burst's beginning to its first alarm; `None` if it ended unnoticed. Bursts that begin before the
@@ -449,6 +450,7 @@ mod tests {
             yaw_change: if c == 'a' { -1.5 } else { 0.0 },
         };
         Record {
+            frame_ages: vigil_nnet::FRAMES_IN_A_ROW,
             scenario: Scenario::unattacked(Family::Validation, 1, Plan::Actor),
             outcome: Some(Ending::Goal),
             steps: frames.chars().map(step).collect(),

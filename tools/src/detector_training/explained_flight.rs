@@ -88,22 +88,22 @@ pub fn portray(
     pictures: usize,
 ) -> Result<(Record, Portrait), DetectError> {
     // Explaining changes nothing, so the same flight is flown first to know how long it takes.
-    let steps = fly(isa, &actor.params, scenario, &mut ())?.steps.len();
+    let steps = fly(isa, actor, scenario, &mut ())?.steps.len();
     let chosen: Vec<usize> = (0..pictures)
         .map(|i| (ACTOR_FRAMES + (2 * i + 1) * steps.saturating_sub(ACTOR_FRAMES) / (2 * pictures)).min(steps - 1))
         .collect();
-    let pixels = explainer(isa, &actor.params, BACKGROUNDS)?;
+    let pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut onlooker = Explaining {
         monitor: Monitor::new(isa, &actor.params, &actor.sha256(), detector)?,
         phi: vec![0.0; pixels.phi_len()],
         pixels,
-        memory: Memory::default(),
+        memory: Memory::new(actor.inputs.frame_ages),
         chosen: &chosen,
         portrait: Portrait {
             steps: Vec::new(),
             frames: Vec::new(),
         },
     };
-    let record = fly(isa, &actor.params, scenario, &mut onlooker)?;
+    let record = fly(isa, actor, scenario, &mut onlooker)?;
     Ok((record, onlooker.portrait))
 }

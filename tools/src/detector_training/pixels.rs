@@ -52,24 +52,38 @@ pub struct States {
     pub states: Vec<State>,
 }
 
-/// The last five delivered frames.
-#[derive(Default)]
+/// As many delivered frames as the actor remembers, newest first.
 pub(crate) struct Memory {
     frames: VecDeque<Vec<f32>>,
+    ages: [usize; ACTOR_FRAMES],
 }
 
 impl Memory {
-    pub(crate) fn push(&mut self, frame: &DepthFrame) {
-        if self.frames.len() == ACTOR_FRAMES {
-            self.frames.pop_front();
+    pub(crate) fn new(ages: [usize; ACTOR_FRAMES]) -> Self {
+        Self {
+            frames: VecDeque::new(),
+            ages,
         }
-        self.frames.push_back(frame.depth.to_vec());
     }
 
-    /// Frames, oldest first, then the positional values; `None` before there are five.
+    /// Steps that a decision looks back over, its own included.
+    fn span(&self) -> usize {
+        1 + self.ages[0]
+    }
+
+    pub(crate) fn push(&mut self, frame: &DepthFrame) {
+        self.frames.truncate(self.span() - 1);
+        self.frames.push_front(frame.depth.to_vec());
+    }
+
+    /// The five frames of a decision, oldest first, then the positional values; `None` before there are as many as it looks back over.
     pub(crate) fn inputs<'a>(&'a self, position: &'a [f32; ACTOR_POSITIONAL]) -> Option<Vec<&'a [f32]>> {
-        let frames = self.frames.iter().map(Vec::as_slice);
-        (self.frames.len() == ACTOR_FRAMES).then(|| frames.chain([position.as_slice()]).collect())
+        let frames = self
+            .ages
+            .iter()
+            .filter_map(|age| self.frames.get(*age))
+            .map(Vec::as_slice);
+        (self.frames.len() == self.span()).then(|| frames.chain([position.as_slice()]).collect())
     }
 }
 
@@ -94,17 +108,17 @@ impl Onlooker for Backgrounds {
 }
 
 /// The explainer of all pixels of five frames, with backgrounds of unattacked training flights.
-pub(crate) fn explainer(isa: Isa, params: &[f32], count: usize) -> Result<DeepShap, DetectError> {
+pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap, DetectError> {
     let mut inputs = Vec::new();
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
         let mut onlooker = Backgrounds {
-            memory: Memory::default(),
+            memory: Memory::new(actor.inputs.frame_ages),
             steps: 0,
             inputs: Vec::new(),
         };
         fly(
             isa,
-            params,
+            actor,
             &Scenario::unattacked(Family::Training, seed, Plan::Actor),
             &mut onlooker,
         )?;
@@ -114,7 +128,7 @@ pub(crate) fn explainer(isa: Isa, params: &[f32], count: usize) -> Result<DeepSh
     inputs.truncate(count);
     let backgrounds: Vec<Vec<&[f32]>> = inputs.iter().map(|i| i.iter().map(Vec::as_slice).collect()).collect();
     let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true)?;
-    Ok(DeepShap::new(isa, graph, params, &backgrounds)?)
+    Ok(DeepShap::new(isa, graph, &actor.params, &backgrounds)?)
 }
 
 /// Explains states as they are met.
@@ -135,7 +149,7 @@ struct Explaining<'a> {
 impl Onlooker for Explaining<'_> {
     fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
         self.memory.push(delivered);
-        if self.frames.len() == WINDOW {
+        if self.frames.len() == WINDOW.max(self.memory.span()) {
             self.frames.pop_front();
         }
         self.frames.push_back(step.frame);
@@ -143,7 +157,7 @@ impl Onlooker for Explaining<'_> {
         self.steps += 1;
         self.since = self.since.map(|s| s + 1);
         let recent = |count: usize, frame: Frame| self.frames.iter().rev().take(count).all(|f| *f == frame);
-        let attacked = recent(ACTOR_FRAMES, Frame::Attacked);
+        let attacked = recent(self.memory.span(), Frame::Attacked);
         let class = usize::from(attacked);
         if number + 1 < WINDOW
             || !(attacked || recent(WINDOW, Frame::Unaltered))
@@ -209,7 +223,7 @@ pub fn gather_states(
     begun: Option<States>,
     progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
 ) -> Result<(States, bool), DetectError> {
-    let mut shap = explainer(isa, &actor.params, backgrounds)?;
+    let mut shap = explainer(isa, actor, backgrounds)?;
     let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.flights.records, begun.states));
     let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
     let fewer = |states: &[State]| of_class(states, true).min(of_class(states, false));
@@ -220,7 +234,7 @@ pub fn gather_states(
         let mut onlooker = Explaining {
             phi: vec![0.0; shap.phi_len()],
             shap: &mut shap,
-            memory: Memory::default(),
+            memory: Memory::new(actor.inputs.frame_ages),
             frames: VecDeque::new(),
             flight: records.len(),
             steps: 0,
@@ -228,7 +242,7 @@ pub fn gather_states(
             taken: [0; 2],
             states: &mut states,
         };
-        records.push(fly(isa, &actor.params, &scenario(family, seed), &mut onlooker)?);
+        records.push(fly(isa, actor, &scenario(family, seed), &mut onlooker)?);
         seed += 1;
         flow = progress(fewer(&states).min(count));
     }

@@ -1,13 +1,13 @@
 //! A flight flown and written down.
 
-use crate::actor_training::Flight;
+use crate::actor_training::{Flight, Lead};
 use crate::detector_training::error::DetectError;
 use crate::detector_training::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_policy::{FlightField, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
 
@@ -42,6 +42,8 @@ pub struct Step {
 pub struct Record {
     /// What was flown.
     pub scenario: Scenario,
+    /// How many steps ago each frame of a decision was taken, oldest first.
+    pub frame_ages: [usize; ACTOR_FRAMES],
     /// How it ended; `None` when it was cut off.
     pub outcome: Option<Ending>,
     /// Its steps.
@@ -87,7 +89,13 @@ impl Onlooker for () {
 ///
 /// # Errors
 /// Parameters of another architecture, wind or attack out of range.
-pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl Onlooker) -> Result<Record, DetectError> {
+pub fn fly(
+    isa: Isa,
+    frozen: &FrozenActor,
+    scenario: &Scenario,
+    onlooker: &mut impl Onlooker,
+) -> Result<Record, DetectError> {
+    let (params, inputs) = (&frozen.params, frozen.inputs);
     let mut course = generate(scenario.family, scenario.seed);
     course.time_limit_s = 90.0;
     let usual = LidarConfig::default();
@@ -97,9 +105,14 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
         ..usual
     };
     let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
-    let mut actor = Actor::new(ActorSpec::FULL, isa, params)?;
+    let mut actor = Actor::with_frame_ages(ActorSpec::FULL, isa, params, inputs.frame_ages)?;
+    // What leads the actor sees what was delivered; the adversary sees what was taken.
+    let (mut lead, mut seen_through) = (Lead::new(inputs.led_by), Lead::new(inputs.led_by));
     let mut attack = match &scenario.adversary {
-        Some(adversary) => Some((adversary, StreamAttack::new(isa, params, &adversary.config)?)),
+        Some(adversary) => Some((
+            adversary,
+            StreamAttack::new(isa, params, &adversary.config)?.with_frame_ages(inputs.frame_ages),
+        )),
         None => None,
     };
     let mut helmsman = scenario.helmsman();
@@ -110,6 +123,7 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
     let mut field = FlightField::default();
     let mut delivered = Box::new(flight.frame().clone());
     let mut record = Record {
+        frame_ages: inputs.frame_ages,
         scenario: scenario.clone(),
         outcome: None,
         steps: Vec::new(),
@@ -117,9 +131,9 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
     let mut altered = 0;
     for number in 0..scenario.steps {
         (*delivered).clone_from(flight.frame());
-        let position = positional_inputs(flight.goal());
         let (mut frame, mut yaw_change) = (Frame::Unaltered, 0.0);
         if let Some((adversary, attack)) = &mut attack {
+            let position = positional_inputs(seen_through.goal(&flight.input()));
             if adversary.attacks(number) {
                 yaw_change = attack.attack(&mut delivered.depth, position)?.yaw_change();
                 frame = match adversary.config.method {
@@ -135,13 +149,17 @@ pub fn fly(isa: Isa, params: &[f32], scenario: &Scenario, onlooker: &mut impl On
             depth: &delivered,
             ..flight.input()
         };
+        let goal = lead.goal(&input);
+        let position = positional_inputs(goal);
         let output = actor.decide(&delivered.depth, position)?;
         let [forward_m_s, yaw] = output;
         let own = Action { forward_m_s, yaw };
         let geometric = geometric.as_mut().map(|pilot| pilot.decide(&input));
         let action = match helmsman.take(number, frame != Frame::Unaltered) {
             Helm::Actor { field: false } => own,
-            Helm::Actor { field: true } => field.add_to(own, &input, surroundings.observe(&input)),
+            Helm::Actor { field: true } => {
+                field.add_to(own, &PilotInput { goal, ..input }, surroundings.observe(&input))
+            }
             Helm::Geometric => geometric.unwrap_or(Action::HOVER),
             Helm::Hover => Action::HOVER,
         };

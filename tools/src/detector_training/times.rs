@@ -126,10 +126,10 @@ pub fn time(
     seed: u64,
     pictures: usize,
 ) -> Result<(Record, Times), DetectError> {
-    let pixels = explainer(isa, &actor.params, BACKGROUNDS)?;
+    let pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut timing = Timing {
         isa,
-        actor: Actor::new(ActorSpec::FULL, isa, &actor.params)?,
+        actor: Actor::with_frame_ages(ActorSpec::FULL, isa, &actor.params, actor.inputs.frame_ages)?,
         shap: detector.explainer(isa, ActorSpec::FULL, &actor.params)?,
         detector: detector.clone(),
         lstm: LstmAd::new(isa, &detector.params)?,
@@ -138,12 +138,12 @@ pub fn time(
         pixels,
         cnn: ImageDetector::new(ImageNetwork::Cnn)?,
         fcn: ImageDetector::new(ImageNetwork::Fcn)?,
-        memory: Memory::default(),
+        memory: Memory::new(actor.inputs.frame_ages),
         stride: 10,
         pictures,
         times: Times::default(),
     };
     let scenario = Scenario::unattacked(Family::Validation, seed, Plan::Actor);
-    let record = fly(isa, &actor.params, &scenario, &mut timing)?;
+    let record = fly(isa, actor, &scenario, &mut timing)?;
     Ok((record, timing.times))
 }

@@ -1,10 +1,12 @@
 //! The frozen actor's file ([`vigil_nnet::file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
-//! `seed`, `updates`, `git_commit`, `sha256`, and `frame_ages` where the five frames are not in a row; tensors in the order of [`vigil_nnet::ActorParams`].
+//! `seed`, `updates`, `git_commit`, `sha256`, `frame_ages` where the five frames are not in a row, and `led_by` where it is not the
+//! goal whose bearing it is given; tensors in the order of [`vigil_nnet::ActorParams`].
 
 extern crate std;
 
+use crate::actor::{ActorInputs, LedBy};
 use std::borrow::ToOwned;
 use std::format;
 use std::path::Path;
@@ -12,7 +14,7 @@ use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
 use vigil_nnet::file::{Contents, FileError, Kind, Verified};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, FRAMES_IN_A_ROW, GraphBuilder, Isa};
+use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, FRAMES_IN_A_ROW, GraphBuilder, Isa};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -23,13 +25,16 @@ pub const ARCHITECTURE: &str = "5 frames of 128 x 256; conv 5x5/2 16, 4 x conv 3
 pub const NORMALISATION: &str =
     "depth 0..1 of 100 m, contrast 1 / (1 + range / 3 m) inside; distance / 20 m; bearing / 1 rad";
 
+/// Value of the entry `led_by`.
+const PATH: &str = "path";
+
 /// An actor with what is known of its origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrozenActor {
     /// Parameters in the order of [`vigil_nnet::ActorParams`].
     pub params: Vec<f32>,
-    /// How many decisions ago each of its five frames was taken, oldest first.
-    pub frame_ages: [usize; ACTOR_FRAMES],
+    /// What it decides from.
+    pub inputs: ActorInputs,
     /// The training configuration, TOML.
     pub training_config: String,
     /// Seed of the training.
@@ -98,14 +103,16 @@ impl FrozenActor {
 
     fn contents(&self) -> Contents {
         let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
-        let ages = (self.frame_ages != FRAMES_IN_A_ROW)
-            .then(|| ("frame_ages", self.frame_ages.map(|a| a.to_string()).join(" ")));
+        let ActorInputs { frame_ages, led_by } = self.inputs;
+        let ages =
+            (frame_ages != FRAMES_IN_A_ROW).then(|| ("frame_ages", frame_ages.map(|age| age.to_string()).join(" ")));
+        let led_by = (led_by == LedBy::Path).then(|| ("led_by", PATH.to_owned()));
         let entries = [
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
             ("updates", self.updates.to_string()),
         ];
-        let mut contents = Contents::new(&KIND, entries.into_iter().chain(ages).chain(commit));
+        let mut contents = Contents::new(&KIND, entries.into_iter().chain(ages).chain(led_by).chain(commit));
         contents.push_all(&tensors(), &self.params);
         contents
     }
@@ -115,21 +122,8 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
-        Actor::with_frame_ages(ActorSpec::FULL, isa, &self.params, self.frame_ages)
+        Actor::with_frame_ages(ActorSpec::FULL, isa, &self.params, self.inputs.frame_ages)
             .map_err(|e| KIND.content_error("in memory", e.to_string()))
-    }
-
-    /// This actor, if its five frames are in a row: for whoever rebuilds its memory of frames, as attacks and the detector's training do.
-    ///
-    /// # Errors
-    /// [`FileError::Content`] for one whose frames are spread.
-    pub fn in_a_row(self) -> Result<Self, FileError> {
-        if self.frame_ages == FRAMES_IN_A_ROW {
-            return Ok(self);
-        }
-        let message =
-            "sees frames that are not in a row; attacks and the training of detectors take frames in a row only";
-        Err(KIND.content_error("given", message))
     }
 
     /// The digest of the actor and its metadata.
@@ -159,8 +153,16 @@ impl FrozenActor {
                 ages.ok_or_else(|| KIND.content_error(file, format!("has frames of the ages \"{text}\"")))?
             }
         };
+        let led_by = match read.optional("led_by").as_deref() {
+            None => LedBy::Goal,
+            Some(PATH) => LedBy::Path,
+            Some(other) => {
+                let message = format!("is led by \"{other}\"; this program knows \"{PATH}\"");
+                return Err(KIND.content_error(file, message));
+            }
+        };
         Ok(Self {
-            frame_ages,
+            inputs: ActorInputs { frame_ages, led_by },
             training_config: read.text("training_config")?,
             seed: read.number("seed")?,
             updates: read.number("updates")?,

@@ -6,4 +6,7 @@ mod pilot;
 
 #[cfg(feature = "actor-file")]
 pub use file::FrozenActor;
-pub use pilot::{ActorPilot, BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, FlightPilot, positional_inputs};
+pub use pilot::{
+    ActorInputs, ActorPilot, BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, FlightPilot, LedBy,
+    positional_inputs,
+};

@@ -2,8 +2,8 @@
 
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
-use crate::{GeometricPilot, Pilot, PilotInput, smaller};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor};
+use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, smaller};
+use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, FRAMES_IN_A_ROW};
 use vigil_types::{Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.
@@ -23,13 +23,56 @@ pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
     ]
 }
 
-/// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the four before it
+/// What an actor's second positional input is the bearing of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LedBy {
+    /// The goal.
+    #[default]
+    Goal,
+    /// The path planned to the goal over the occupancy grid of what the frames have shown: an actor that sees 1.6 s of frames has
+    /// no other memory of a hall (docs/architecture.md).
+    Path,
+}
+
+/// What an actor decides from, beside its weights.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ActorInputs {
+    /// How many decisions ago each of its five frames was taken, oldest first.
+    pub frame_ages: [usize; ACTOR_FRAMES],
+    /// What its second positional input is the bearing of.
+    pub led_by: LedBy,
+}
+
+impl Default for ActorInputs {
+    fn default() -> Self {
+        Self {
+            frame_ages: FRAMES_IN_A_ROW,
+            led_by: LedBy::Goal,
+        }
+    }
+}
+
+/// Where the actor is led, and what shows it.
+#[derive(Debug, Clone)]
+#[expect(
+    clippy::large_enum_variant,
+    reason = "one per process, and flight code does not allocate"
+)]
+enum Lead {
+    /// The goal as it is; what the last frame showed.
+    Goal(RangeScan),
+    /// The planned path over the occupancy grid.
+    Path(GeometricPilot),
+}
+
+/// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the frames before it
 /// gave. No allocation after it was made.
 #[derive(Debug, Clone)]
 pub struct ActorPilot {
     actor: Actor,
-    surroundings: RangeScan,
+    lead: Lead,
     field: Option<FlightField>,
+    position: [f32; ACTOR_POSITIONAL],
 }
 
 impl ActorPilot {
@@ -37,14 +80,33 @@ impl ActorPilot {
     pub fn new(actor: Actor, field: bool) -> Self {
         Self {
             actor,
-            surroundings: RangeScan::new(),
+            lead: Lead::Goal(RangeScan::new()),
             field: field.then(FlightField::default),
+            position: [0.0; ACTOR_POSITIONAL],
         }
+    }
+
+    /// The same pilot for an actor that is led so.
+    #[must_use]
+    pub fn led_by(self, by: LedBy) -> Self {
+        let lead = match by {
+            LedBy::Goal => Lead::Goal(RangeScan::new()),
+            LedBy::Path => Lead::Path(GeometricPilot::new(GeometricConfig::default())),
+        };
+        Self { lead, ..self }
+    }
+
+    /// The positional inputs of the last decision.
+    pub fn position(&self) -> [f32; ACTOR_POSITIONAL] {
+        self.position
     }
 
     /// What the last frame showed.
     pub fn surroundings(&self) -> &RangeScan {
-        &self.surroundings
+        match &self.lead {
+            Lead::Goal(surroundings) => surroundings,
+            Lead::Path(planner) => planner.surroundings(),
+        }
     }
 
     /// The 48 values at the paper's split point, of the last decision.
@@ -55,8 +117,12 @@ impl ActorPilot {
 
 impl Pilot for ActorPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        let scan = self.surroundings.observe(input);
-        let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, positional_inputs(input.goal)) else {
+        let (goal, scan) = match &mut self.lead {
+            Lead::Goal(surroundings) => (input.goal, surroundings.observe(input)),
+            Lead::Path(planner) => (planner.lead(input), planner.surroundings().scan()),
+        };
+        self.position = positional_inputs(goal);
+        let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, self.position) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action {
                 forward_m_s: f32::NAN,
@@ -65,13 +131,16 @@ impl Pilot for ActorPilot {
         };
         let own = Action { forward_m_s, yaw };
         match &mut self.field {
-            Some(field) if own.is_finite() => field.add_to(own, input, scan),
+            Some(field) if own.is_finite() => field.add_to(own, &PilotInput { goal, ..*input }, scan),
             _ => own,
         }
     }
 
     fn reset(&mut self) {
         self.actor.reset();
+        if let Lead::Path(planner) = &mut self.lead {
+            planner.reset();
+        }
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }
@@ -95,6 +164,14 @@ impl FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.surroundings(),
             Self::Actor(pilot) => pilot.surroundings(),
+        }
+    }
+
+    /// The actor's positional inputs of the last decision; `None` without an actor.
+    pub fn position(&self) -> Option<[f32; ACTOR_POSITIONAL]> {
+        match self {
+            Self::Geometric(_) => None,
+            Self::Actor(pilot) => Some(pilot.position()),
         }
     }
 

@@ -40,6 +40,8 @@ const TURN_IN_PLACE_RAD: f32 = 45.0 * PI / 180.0;
 const LOOKAHEAD_M: f32 = 4.0;
 /// Nearest waypoint: taken even where the straight line to it is tight.
 const SHORT_LOOKAHEAD_M: f32 = 0.9;
+/// A waypoint nearer than this has no bearing to speak of, metres.
+const LEAST_LEAD_M: f32 = 0.05;
 /// Around the vehicle itself the line may be as tight as it is, metres.
 const SIGHT_FROM_M: f32 = 0.5;
 /// A waypoint farther off the nose than this has chosen the side to pass on; the field does not overrule it.
@@ -309,8 +311,10 @@ fn motion_of(input: &PilotInput<'_>, position_ned_m: NedVector, yaw: f32) -> Mot
     }
 }
 
-impl Pilot for GeometricPilot {
-    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+impl GeometricPilot {
+    /// Enters the frame into the grid, searches on, and gives the farthest point of the path that can be flown to in a straight
+    /// line; `None` without a path. Bounded work: a slice of the search a step.
+    fn plan(&mut self, input: &PilotInput<'_>) -> Option<NedVector> {
         let yaw_rad = input.attitude.yaw_rad();
         let header = &input.depth.header;
         let here = position_ned_m(input);
@@ -350,7 +354,27 @@ impl Pilot for GeometricPilot {
             self.planner.clear();
         }
 
-        let Some(waypoint) = self.waypoint(here, goal) else {
+        self.waypoint(here, goal)
+    }
+
+    /// Where an actor is led: the bearing of the planned path's waypoint, at the goal's distance; without a path the goal as it
+    /// is. Instead of [`Pilot::decide`], with the same input.
+    pub fn lead(&mut self, input: &PilotInput<'_>) -> GoalRelative {
+        let to_waypoint = self.plan(input).map(|waypoint| waypoint - position_ned_m(input));
+        match to_waypoint.filter(|to| to.horizontal_norm() > LEAST_LEAD_M) {
+            None => input.goal,
+            Some(to) => GoalRelative {
+                bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - input.attitude.yaw_rad()),
+                ..input.goal
+            },
+        }
+    }
+}
+
+impl Pilot for GeometricPilot {
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        let (yaw_rad, here) = (input.attitude.yaw_rad(), position_ned_m(input));
+        let Some(waypoint) = self.plan(input) else {
             return Action {
                 forward_m_s: 0.0,
                 yaw: if input.goal.bearing_rad < 0.0 {

@@ -4,6 +4,8 @@ use crate::actor_training::config::{ConfigError, NoiseConfig, ReplayConfig};
 use crate::actor_training::limits::{self, Limits};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use vigil_nnet::FRAMES_SPREAD;
+use vigil_policy::{ActorInputs, LedBy};
 use vigil_world::Family;
 
 /// A run by value.
@@ -17,12 +19,16 @@ pub struct ValueConfig {
     pub threads: usize,
     /// What the actor sees.
     pub sees: Sees,
+    /// Whose bearing the pictures' actor is given.
+    pub led_by: Leader,
     /// Each training flight's course is of one of these, in turn by chance.
     pub families: Vec<Family>,
     /// Decisions after which training ends.
     pub decisions: u64,
     /// Decisions of noise that fill the memory before the first update (the paper: 5 000).
     pub warm_up: u64,
+    /// The warm-up is flown by the first actor with noise, not by noise alone: for a run that begins with an actor that flies.
+    pub warm_up_by_actor: bool,
     /// Mean forward output of the warm-up's noise: noise alone stays where it is.
     pub warm_up_forward: f32,
     /// Flights at the same time.
@@ -66,6 +72,25 @@ pub enum Sees {
     Truth,
     /// Depth frames and the goal: the actor that flies.
     Pictures,
+}
+
+/// Whose bearing the actor's second positional input is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Leader {
+    /// The goal's (the paper).
+    Goal,
+    /// The planned path's over the occupancy grid of what the frames have shown.
+    Path,
+}
+
+impl From<Leader> for LedBy {
+    fn from(leader: Leader) -> Self {
+        match leader {
+            Leader::Goal => Self::Goal,
+            Leader::Path => Self::Path,
+        }
+    }
 }
 
 /// Along what the reward measures progress.
@@ -132,6 +157,8 @@ pub struct ValueLearning {
     pub imitation: f32,
     /// Share of the run over which this weight falls linearly to 0, at most a half.
     pub imitation_falls_over: f64,
+    /// This weight stays as it is instead: imitation alone, for comparison. With a value weight of 0 only.
+    pub imitation_stays: bool,
     /// The critics begin as the expert's.
     pub expert_critics: bool,
     /// Updates that the critics make before the actor begins to move.
@@ -180,9 +207,11 @@ impl Default for ValueConfig {
             seed: 1,
             threads: 1,
             sees: Sees::Truth,
+            led_by: Leader::Goal,
             families: vec![Family::Training, Family::Hard],
             decisions: 200_000,
             warm_up: 5_000,
+            warm_up_by_actor: false,
             warm_up_forward: 0.7,
             environments: 8,
             steps_per_decision: 4,
@@ -240,6 +269,7 @@ impl Default for ValueLearning {
             value_weight: 1.0,
             imitation: 0.0,
             imitation_falls_over: 0.5,
+            imitation_stays: false,
             expert_critics: false,
             critics_first: 0,
             mirror: true,
@@ -295,6 +325,7 @@ impl ValueConfig {
             (config.encoder.frames, config.encoder.updates) = (2_400, 1_200);
             (e.slope_states, e.flights) = (16, 40);
         } else {
+            config.led_by = Leader::Path;
             config.decisions = 85_000;
             config.apf_share = 0.1;
             config.noise.sigma_first = 0.6;
@@ -304,6 +335,14 @@ impl ValueConfig {
             (config.encoder.frames, config.encoder.updates) = (3_200, 1_400);
         }
         config
+    }
+
+    /// What the pictures' actor decides from.
+    pub(crate) fn inputs(&self) -> ActorInputs {
+        ActorInputs {
+            frame_ages: FRAMES_SPREAD,
+            led_by: self.led_by.into(),
+        }
     }
 
     /// Updates that belong to so many decisions.
@@ -364,6 +403,12 @@ impl ValueConfig {
                 l.imitation_falls_over,
                 (0.0..=0.5).contains(&l.imitation_falls_over),
                 "0 to 0.5: the teacher's weight ends at half of the run",
+            )
+            .that(
+                "learning.imitation_stays",
+                1.0,
+                !l.imitation_stays || l.value_weight == 0.0,
+                "only with learning.value_weight = 0: the teacher's weight ends at half of a run by value",
             )
             .share("replay.alpha", self.replay.alpha)
             .least("replay.decisions", self.replay.decisions as u64, least, LEAST)

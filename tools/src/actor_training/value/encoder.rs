@@ -45,7 +45,7 @@ fn collect(config: &ValueConfig) -> Result<Vec<Example>, CollectError> {
             let mut seed = FIRST_SEED + config.seed.wrapping_mul(1 << 24) + ((part as u64) << 20);
             while examples.len() < share {
                 let family = config.families[rng.random_range(0..config.families.len())];
-                let mut flight = TrueFlight::new(family, seed, config.time_limit_s, config.reward.along)?;
+                let mut flight = TrueFlight::new(config, family, seed, config.time_limit_s)?;
                 seed += 1;
                 let mut wander = OrnsteinUhlenbeck::start(&mut rng);
                 loop {
@@ -58,7 +58,7 @@ fn collect(config: &ValueConfig) -> Result<Vec<Example>, CollectError> {
                     if matches!(outcome, Some(o) if o != Outcome::TimeOut) || examples.len() == share {
                         break;
                     }
-                    flight.flight.look();
+                    flight.look();
                     let mut frame = vec![0; DEPTH_PIXELS];
                     pack_frame(&flight.flight.frame().depth, &mut frame);
                     let state = flight.state();

@@ -1,9 +1,10 @@
 //! Environments of a run by value: training flights whose true state, and whose pictures if the actor sees them, are kept.
 
-use super::config::{Along, ValueConfig};
+use super::config::{Along, Sees, ValueConfig};
 use super::value_buffer::{Moment, StateView, ValueLane, halve};
 use crate::actor_training::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
 use crate::actor_training::flight::Flight;
+use crate::actor_training::lead::Lead;
 use crate::actor_training::networks::squash;
 use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay_buffer::Next;
@@ -15,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::{ActorSpec, Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{NearestObstacle, apf};
+use vigil_policy::{LedBy, NearestObstacle, apf};
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
 use vigil_types::{Action, GoalRelative, wrap_pi};
 use vigil_vehicle::{ParamsError, Wind};
@@ -72,6 +73,10 @@ pub struct TrueFlight {
     pub flight: Flight,
     /// Its true course.
     pub course: TrueCourse,
+    /// Looks in every step, as in flight, if it is the path that leads the actor.
+    lead: Lead,
+    /// Where it leads now.
+    led: GoalRelative,
     goal: vigil_types::NedVector,
     along: Along,
     to_go_m: f32,
@@ -83,11 +88,19 @@ impl TrueFlight {
     ///
     /// # Errors
     /// None with the default vehicle.
-    pub fn new(family: Family, seed: u64, time_limit_s: f32, along: Along) -> Result<Self, ParamsError> {
+    pub fn new(config: &ValueConfig, family: Family, seed: u64, time_limit_s: f32) -> Result<Self, ParamsError> {
+        let along = config.reward.along;
         let mut course: Course = generate(family, seed);
         course.time_limit_s = time_limit_s;
+        let simulated = Flight::new(&course, Wind::default(), seed)?;
+        let by = match config.sees {
+            Sees::Truth => LedBy::Goal,
+            Sees::Pictures => config.led_by.into(),
+        };
         let mut flight = Self {
-            flight: Flight::new(&course, Wind::default(), seed)?,
+            lead: Lead::new(by),
+            led: simulated.goal(),
+            flight: simulated,
             goal: course.goal_ned_m(),
             course: TrueCourse::new(&course),
             along,
@@ -95,7 +108,25 @@ impl TrueFlight {
             checkpoints: 0,
         };
         flight.to_go_m = flight.measure_m();
+        flight.plan();
         Ok(flight)
+    }
+
+    /// Plans on, by the newest frame.
+    fn plan(&mut self) {
+        self.led = self.lead.goal(&self.flight.input());
+    }
+
+    /// Takes a frame where the vehicle is now, if none was taken to plan by.
+    pub fn look(&mut self) {
+        if matches!(self.lead, Lead::Goal) {
+            self.flight.look();
+        }
+    }
+
+    /// Where the actor is led: the goal, or the planned path.
+    pub fn led(&self) -> GoalRelative {
+        self.led
     }
 
     fn measure_m(&self) -> f32 {
@@ -125,7 +156,13 @@ impl TrueFlight {
     pub fn decide(&mut self, config: &ValueConfig, action: Action) -> (f32, Option<Outcome>) {
         let (mut outcome, mut steps) = (None, 0);
         while outcome.is_none() && steps < config.steps_per_decision {
-            outcome = self.flight.advance_unseen(action);
+            outcome = match self.lead {
+                Lead::Path(_) => self.flight.advance(action),
+                Lead::Goal => self.flight.advance_unseen(action),
+            };
+            if matches!(outcome, None | Some(Outcome::TimeOut)) {
+                self.plan();
+            }
             steps += 1;
         }
         let to_go_m = self.measure_m();
@@ -221,7 +258,7 @@ impl Flyer {
         let Some(lasting) = &state.lasting else {
             return Ok(());
         };
-        let mut flight = TrueFlight::new(lasting.family, lasting.seed, config.time_limit_s, config.reward.along)?;
+        let mut flight = TrueFlight::new(config, lasting.family, lasting.seed, config.time_limit_s)?;
         self.see(&mut flight)?;
         for &[forward_m_s, yaw] in &lasting.actions {
             flight.decide(config, Action { forward_m_s, yaw });
@@ -233,7 +270,7 @@ impl Flyer {
     /// Takes a frame where the flight is now.
     fn see(&mut self, flight: &mut TrueFlight) -> Result<(), CollectError> {
         if let Some(encoder) = &self.encoder {
-            flight.flight.look();
+            flight.look();
             encoder.encode(&flight.flight.frame().depth, &mut self.tape, &mut self.features)?;
         }
         Ok(())
@@ -242,7 +279,7 @@ impl Flyer {
     fn arrive(&mut self, flight: TrueFlight, state: Lasting) -> Result<(), CollectError> {
         self.current = Some(Current {
             truth: flight.state(),
-            position: positional_inputs(flight.flight.goal()),
+            position: positional_inputs(flight.led()),
             flight,
             state,
         });
@@ -261,7 +298,7 @@ impl Flyer {
         let seed = FIRST_TRAINING_SEED + run + self.flights * self.environments + self.number;
         self.flights += 1;
         let family = config.families[self.rng.random_range(0..config.families.len())];
-        let mut flight = TrueFlight::new(family, seed, config.time_limit_s, config.reward.along)?;
+        let mut flight = TrueFlight::new(config, family, seed, config.time_limit_s)?;
         let noisy = warm_up || self.rng.random_bool(config.noise.share);
         let state = Lasting {
             seed,
@@ -318,7 +355,7 @@ impl Flyer {
         let [forward_m_s, yaw] = own.map_or([config.warm_up_forward, 0.0], |pre| squash(&pre));
         let mut action = apf::add(Action { forward_m_s, yaw }, noise);
         if c.report.with_apf {
-            let goal = flight.flight.goal();
+            let goal = flight.led();
             action = apf::add(action, apf::force(goal, nearest(&truth), apf::REPULSIVE_RANGE_M));
         }
         let (reward, outcome) = flight.decide(config, action);
@@ -346,7 +383,7 @@ impl Flyer {
             Some(Outcome::TimeOut) => {
                 self.see(&mut flight)?;
                 let last = Moment {
-                    position: positional_inputs(flight.flight.goal()),
+                    position: positional_inputs(flight.led()),
                     action: [0.0; 2],
                     reward: 0.0,
                     next: Next::Nothing,
@@ -372,4 +409,47 @@ fn nearest(truth: &[f32; TRUE_STATE]) -> Option<NearestObstacle> {
             })
         })
         .min_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::Leader;
+    use super::*;
+
+    /// The path that leads an actor in training is that of flight: planned on in every step, a decision lasting four.
+    #[test]
+    fn the_path_of_training_is_the_path_of_flight() {
+        let led_by = |led_by| ValueConfig {
+            sees: Sees::Pictures,
+            led_by,
+            ..ValueConfig::default()
+        };
+        let config = led_by(Leader::Path);
+        let (family, seed) = (Family::Hard, 3);
+        let mut training = TrueFlight::new(&config, family, seed, 60.0).unwrap();
+        let mut by_goal = TrueFlight::new(&led_by(Leader::Goal), family, seed, 60.0).unwrap();
+        let mut course = generate(family, seed);
+        course.time_limit_s = 60.0;
+        let mut flight = Flight::new(&course, Wind::default(), seed).unwrap();
+        let mut lead = Lead::new(LedBy::Path);
+        let mut apart: f32 = 0.0;
+        let mut led = lead.goal(&flight.input());
+        for decision in 0..40 {
+            assert_eq!(training.led(), led, "decision {decision}");
+            assert_eq!(by_goal.led(), by_goal.flight.goal());
+            apart = apart.max((led.bearing_rad - flight.goal().bearing_rad).abs());
+            // Towards where the path leads, slowly.
+            let action = Action {
+                forward_m_s: 0.5,
+                yaw: led.bearing_rad.clamp(-1.0, 1.0),
+            };
+            training.decide(&config, action);
+            by_goal.decide(&config, action);
+            for _ in 0..config.steps_per_decision {
+                assert_eq!(flight.advance(action), None);
+                led = lead.goal(&flight.input());
+            }
+        }
+        assert!(apart > 0.2, "a hall's path is not the straight line: {apart}");
+    }
 }

@@ -204,7 +204,9 @@ impl ValueLearner {
     /// What the expert's word counts in the next update.
     pub fn imitation(&self) -> f32 {
         let over = self.config.imitation_falls_over * self.all_updates as f64;
-        let left = if over > 0.0 {
+        let left = if self.config.imitation_stays {
+            1.0
+        } else if over > 0.0 {
             1.0 - self.updates as f64 / over
         } else {
             0.0

@@ -14,7 +14,9 @@ mod slope;
 mod store;
 mod value_buffer;
 
-pub use config::{Along, EncoderConfig, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward};
+pub use config::{
+    Along, EncoderConfig, Leader, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward,
+};
 pub use encoder::EncoderError;
 pub use learner::{Expert, ValueReport};
 pub use run::{FamilyCount, ValueEnd, ValueError, ValueOptions, ValueProgress, ValueResult, ValueRow, run_value};

@@ -14,6 +14,8 @@ use crate::actor_training::collector::{CollectError, FlightReport};
 use crate::actor_training::config::ConfigError;
 use crate::actor_training::files::{self, WriteError};
 use crate::actor_training::learner::UpdateError;
+use crate::actor_training::networks::Networks;
+use crate::actor_training::progress::{FlightRow, flights_csv};
 use crate::actor_training::rollout::{EvaluatedActor, EvaluationSpec, RolloutError, evaluate};
 use crate::statistics::wilson_95;
 use rand::SeedableRng;
@@ -37,7 +39,7 @@ const CANDIDATES: usize = 3;
 const FIRST_CHOOSING_SEED: u64 = 300_000;
 /// Seeds of the flights that test the chosen one. Nothing is chosen by these.
 const FIRST_TEST_SEED: u64 = 7_000_000;
-const FORMAT: &str = "vigil value checkpoint 1";
+const FORMAT: &str = "vigil value checkpoint 3";
 
 /// Why a run by value stopped early.
 #[derive(Debug, thiserror::Error)]
@@ -91,6 +93,14 @@ pub enum ValueError {
         /// The folder.
         path: PathBuf,
     },
+    /// An actor to begin with that sees other frames.
+    #[error(
+        "{path} sees five frames in a row; training by value begins with an actor that it made itself, whose frames are spread"
+    )]
+    OtherFrames {
+        /// The actor.
+        path: PathBuf,
+    },
     /// Imitation or critics of an expert, and none was given.
     #[error(
         "the configuration asks for an expert (learning.imitation, learning.expert_critics); name one with --expert"
@@ -109,6 +119,8 @@ pub struct ValueOptions {
     pub expert: Option<PathBuf>,
     /// An actor's file whose encoder is taken instead of teaching one.
     pub encoder_of: Option<PathBuf>,
+    /// An actor's file with which training begins, encoder and all.
+    pub from: Option<PathBuf>,
     /// Commit of the program, for the frozen actor's metadata.
     pub git_commit: Option<String>,
     /// Flights of each judging family, and of the validation family, that test the chosen actor.
@@ -193,6 +205,7 @@ struct RunState {
     sum: ValueReport,
     summed: u32,
     ended: Vec<FlightReport>,
+    flights: Vec<FlightRow>,
     candidates: Vec<(u64, f64)>,
 }
 
@@ -203,6 +216,12 @@ pub struct ValueResult {
     pub sees: Sees,
     /// Seed.
     pub seed: u64,
+    /// Share of the training flights with the field.
+    pub apf_share: f64,
+    /// Steps of 0.05 s that the decisions took, at most.
+    pub steps: u64,
+    /// Training flights that ended.
+    pub flights: usize,
     /// Decisions.
     pub decisions: u64,
     /// Updates.
@@ -268,6 +287,8 @@ struct Run<'a> {
     sum: ValueReport,
     summed: u32,
     ended: Vec<FlightReport>,
+    /// All training flights that ended.
+    flights: Vec<FlightRow>,
     candidates: Vec<Candidate>,
     begun: Instant,
     earlier_s: f64,
@@ -296,14 +317,17 @@ impl<'a> Run<'a> {
         }
         let (isa, begun) = (Isa::detect(), Instant::now());
         let saved = options.resume.then(|| Stored::read(&checkpoint)).transpose()?;
-        let encoder_params = match (&saved, config.sees, &options.encoder_of) {
-            (_, Sees::Truth, _) => Vec::new(),
-            (Some(saved), _, _) => saved.f32("encoder", None)?,
-            (None, _, Some(path)) => {
-                let networks = crate::actor_training::networks::Networks::new()?;
-                FrozenActor::load(path)?.params[..networks.encoder_len()].to_vec()
-            }
-            (None, _, None) => teach_encoder(config, isa, &mut |updates, loss| {
+        let encoder_len = Networks::new()?.encoder_len();
+        let first = match (&saved, config.sees, &options.from) {
+            (None, Sees::Pictures, Some(path)) => Some(first_actor(path)?),
+            _ => None,
+        };
+        let encoder_params = match (&saved, config.sees, &first, &options.encoder_of) {
+            (_, Sees::Truth, ..) => Vec::new(),
+            (Some(saved), ..) => saved.f32("encoder", None)?,
+            (None, _, Some(first), _) => first[..encoder_len].to_vec(),
+            (None, _, None, Some(path)) => FrozenActor::load(path)?.params[..encoder_len].to_vec(),
+            (None, _, None, None) => teach_encoder(config, isa, &mut |updates, loss| {
                 report(ValueProgress::Encoder(updates, loss));
             })?,
         };
@@ -312,7 +336,11 @@ impl<'a> Run<'a> {
             Sees::Pictures => Some(Arc::new(Encoder::new(isa, &encoder_params)?)),
         };
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-        let learner = ValueLearner::new(config, isa, expert.as_ref(), &mut rng)?;
+        let mut learner = ValueLearner::new(config, isa, expert.as_ref(), &mut rng)?;
+        if let Some(first) = first {
+            learner.actor_target.copy_from_slice(&first[encoder_len..]);
+            learner.actor.copy_from_slice(&first[encoder_len..]);
+        }
         let width = encoder.as_ref().map_or(0, |e| e.width());
         let mut run = Self {
             config,
@@ -332,6 +360,7 @@ impl<'a> Run<'a> {
             sum: ValueReport::default(),
             summed: 0,
             ended: Vec::new(),
+            flights: Vec::new(),
             candidates: Vec::new(),
             begun,
             earlier_s: 0.0,
@@ -407,7 +436,7 @@ impl<'a> Run<'a> {
         self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
         (self.decisions, self.earlier_s) = (state.decisions, state.elapsed_s);
         (self.rows, self.sum, self.summed) = (state.rows, state.sum, state.summed);
-        self.ended = state.ended;
+        (self.ended, self.flights) = (state.ended, state.flights);
         self.begun = Instant::now();
         Ok(())
     }
@@ -433,6 +462,7 @@ impl<'a> Run<'a> {
             sum: self.sum,
             summed: self.summed,
             ended: self.ended.clone(),
+            flights: self.flights.clone(),
             candidates: self.candidates.iter().map(|c| (c.updates, c.completion)).collect(),
         };
         let mut tensors = vec![
@@ -497,12 +527,13 @@ impl<'a> Run<'a> {
     /// One decision in every environment.
     fn collect(&mut self) -> Result<(), ValueError> {
         let (config, warm_up) = (self.config, self.decisions < self.config.warm_up);
+        let by_noise = warm_up && !config.warm_up_by_actor;
         self.flyers
             .par_iter_mut()
             .zip(&self.memory.lanes)
             .try_for_each(|(flyer, lane)| flyer.begin(config, lane, warm_up))?;
         let mut pre = vec![0.0; 2 * self.flyers.len()];
-        if !warm_up {
+        if !by_noise {
             let views: Vec<Row<'_>> = self
                 .flyers
                 .iter()
@@ -517,9 +548,13 @@ impl<'a> Run<'a> {
             .par_iter_mut()
             .zip(&mut self.memory.lanes)
             .zip(pre.par_chunks_exact(2))
-            .map(|((flyer, lane), pre)| flyer.fly(config, (!warm_up).then(|| [pre[0], pre[1]]), sigma, lane))
+            .map(|((flyer, lane), pre)| flyer.fly(config, (!by_noise).then(|| [pre[0], pre[1]]), sigma, lane))
             .collect::<Result<Vec<_>, CollectError>>()?;
-        self.ended.extend(reports.into_iter().flatten());
+        let updates = self.learner.updates;
+        for flight in reports.into_iter().flatten() {
+            self.flights.push(FlightRow { updates, flight });
+            self.ended.push(flight);
+        }
         self.memory.settle();
         self.decisions += config.environments as u64;
         Ok(())
@@ -568,6 +603,7 @@ impl<'a> Run<'a> {
         self.rows.push(row);
         let folder = &self.options.folder;
         files::replace(&folder.join("curves.csv"), csv(&self.rows).as_bytes())?;
+        files::replace(&folder.join("flights.csv"), flights_csv(&self.flights).as_bytes())?;
         if judged {
             self.save()?;
         }
@@ -617,7 +653,7 @@ impl<'a> Run<'a> {
                     field: false,
                 };
                 let whole = self.whole(params);
-                evaluate(EvaluatedActor::Actor(&whole, FRAMES_SPREAD), self.isa, &what)?.flights
+                evaluate(EvaluatedActor::Actor(&whole, config.inputs()), self.isa, &what)?.flights
             }
         };
         let count = |outcome| outcomes.iter().filter(|(o, _)| *o == outcome).count();
@@ -672,6 +708,9 @@ impl<'a> Run<'a> {
         let result = ValueResult {
             sees: self.config.sees,
             seed: self.config.seed,
+            apf_share: self.config.apf_share,
+            steps: self.decisions * self.config.steps_per_decision as u64,
+            flights: self.flights.len(),
             decisions: self.decisions,
             updates: self.learner.updates,
             frozen_after: chosen.updates,
@@ -700,7 +739,7 @@ impl<'a> Run<'a> {
                 let path = folder.join("actor.safetensors");
                 let actor = FrozenActor {
                     params: self.whole(&chosen.params),
-                    frame_ages: FRAMES_SPREAD,
+                    inputs: self.config.inputs(),
                     training_config: config,
                     seed: self.config.seed,
                     updates: chosen.updates,
@@ -711,6 +750,15 @@ impl<'a> Run<'a> {
             }
         }
     }
+}
+
+/// The parameters of an actor that training begins with.
+fn first_actor(path: &Path) -> Result<Vec<f32>, ValueError> {
+    let first = FrozenActor::load(path)?;
+    if first.inputs.frame_ages == FRAMES_SPREAD {
+        return Ok(first.params);
+    }
+    Err(ValueError::OtherFrames { path: path.to_owned() })
 }
 
 fn sigma(config: &ValueConfig, decisions: u64) -> f32 {

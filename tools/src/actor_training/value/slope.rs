@@ -77,12 +77,12 @@ impl Chooser {
     pub fn choose(&mut self, flight: &mut TrueFlight) -> Result<[f32; 2], ShapeError> {
         let truth = flight.state();
         if let Some(encoder) = &self.encoder {
-            flight.flight.look();
+            flight.look();
             encoder.encode(&flight.flight.frame().depth, &mut self.tape, &mut self.features)?;
         }
         let moment = Moment {
             first: 0,
-            position: positional_inputs(flight.flight.goal()),
+            position: positional_inputs(flight.led()),
             action: [0.0; 2],
             reward: 0.0,
             next: Next::Decision,
@@ -112,7 +112,7 @@ pub fn fly_chooser(
         .map_init(make, |chooser, i| {
             chooser.reset();
             let limit_s = config.evaluation.time_limit_s;
-            let mut flight = TrueFlight::new(family, first_seed + i, limit_s, config.reward.along)?;
+            let mut flight = TrueFlight::new(config, family, first_seed + i, limit_s)?;
             loop {
                 let [forward_m_s, yaw] = chooser.choose(&mut flight)?;
                 if let (_, Some(outcome)) = flight.decide(config, Action { forward_m_s, yaw }) {
@@ -204,7 +204,7 @@ type Last = Option<([f32; TRUE_STATE], [f32; 2], f32)>;
 fn branch(config: &ValueConfig, chooser: &mut Chooser, i: u64) -> Result<Option<(Compared, [Last; 5])>, CollectError> {
     let seed = FIRST_SEED + i;
     let family = config.families[i as usize % config.families.len()];
-    let begin = || TrueFlight::new(family, seed, config.evaluation.time_limit_s, config.reward.along);
+    let begin = || TrueFlight::new(config, family, seed, config.evaluation.time_limit_s);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     // The way to the state.
     let mut actions = Vec::new();

@@ -1,8 +1,8 @@
-//! Files of a run by value: experts, and checkpoints that hold the memory as well.
+//! Files of a run by value: experts, and checkpoints that hold the memory as well. They are sealed as `vigil train`'s checkpoints are.
 
 use super::learner::Expert;
 use super::mlp::Mlp;
-use crate::actor_training::checkpoint::CheckpointError;
+use crate::actor_training::checkpoint::{CheckpointError, DIGEST, SIZE_LIMIT, digest};
 use crate::actor_training::files;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Serialize, de::DeserializeOwned};
@@ -42,7 +42,10 @@ pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>
         .iter()
         .map(|(name, dtype, len, bytes)| Ok((name, TensorView::new(*dtype, vec![*len], bytes)?)))
         .collect::<Result<Vec<_>, safetensors::SafeTensorError>>()
-        .and_then(|views| safetensors::serialize(views, None))
+        .and_then(|views| {
+            let seal = [(DIGEST.to_owned(), digest(&views))];
+            safetensors::serialize(views, Some(seal.into()))
+        })
         .map_err(|e| container(e.to_string()))?;
     Ok(files::replace(path, &file)?)
 }
@@ -54,19 +57,32 @@ pub struct Stored {
 }
 
 impl Stored {
-    /// Reads a file.
+    /// Reads a file and verifies its seal.
     ///
     /// # Errors
-    /// [`CheckpointError::Read`].
+    /// [`CheckpointError::Read`], truncated or altered.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
-        let bytes = std::fs::read(path).map_err(|source| CheckpointError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Ok(Self {
-            path: path.to_owned(),
-            bytes,
-        })
+        let path = path.to_owned();
+        let bytes = match vigil_files::read(&path, SIZE_LIMIT) {
+            Ok(bytes) => bytes,
+            Err(source) => return Err(CheckpointError::Read { path, source }),
+        };
+        let read = Self { path, bytes };
+        let file = SafeTensors::deserialize(&read.bytes).map_err(|e| read.container(e.to_string()))?;
+        let (_, header) = SafeTensors::read_metadata(&read.bytes).map_err(|e| read.container(e.to_string()))?;
+        let expected = header
+            .metadata()
+            .as_ref()
+            .and_then(|entries| entries.get(DIGEST).cloned());
+        let (found, expected) = (digest(&file.tensors()), expected.unwrap_or_default());
+        if found != expected {
+            return Err(CheckpointError::Altered {
+                path: read.path,
+                found,
+                expected,
+            });
+        }
+        Ok(read)
     }
 
     fn container(&self, message: String) -> CheckpointError {
@@ -131,7 +147,7 @@ impl Stored {
     }
 }
 
-const EXPERT_FORMAT: &str = "vigil expert 1";
+const EXPERT_FORMAT: &str = "vigil expert 2";
 
 #[derive(Serialize, serde::Deserialize)]
 struct ExpertState {
