@@ -9,6 +9,7 @@ use crate::stack::StackConfig;
 use serde::{Deserialize, Serialize};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use vigil_detector::FrozenDetector;
 use vigil_guidance::{AlarmConfig, FenceShape, Geofence, GuidanceConfig};
 use vigil_io::key_file::{KeyFileError, frame_keys};
 use vigil_log::FlightInfo;
@@ -426,14 +427,16 @@ impl FirmwareConfig {
 
     /// What the log says about a flight with this configuration.
     pub fn flight_info(&self) -> FlightInfo {
+        // What is refused flies nothing, and whoever builds the flight stack tells of it.
+        let detector = self.frozen_detector().ok().flatten();
         FlightInfo {
             program: concat!("firmware ", env!("CARGO_PKG_VERSION")).to_owned(),
             git_commit: None,
             instance: self.instance,
             seed: None,
-            // What is refused flies nothing, and whoever builds the flight stack tells of it.
             actor_sha256: self.frozen_actor().ok().flatten().map(|actor| actor.sha256()),
-            detector_sha256: self.frozen_detector().ok().flatten().map(|detector| detector.sha256()),
+            detector_sha256: detector.as_ref().map(FrozenDetector::sha256),
+            detector_threshold: detector.map(|d| self.detector.threshold.unwrap_or(d.threshold)),
             config_toml: self.to_toml(),
         }
     }

@@ -116,8 +116,12 @@ pub struct SimArgs {
 pub struct Status {
     /// Simulated seconds since the simulator's start.
     pub time_s: f64,
+    /// The same moment on the clock that simulator and firmware share.
+    pub at_ns: Nanos,
     /// True position, metres from home.
     pub position_ned_m: [f32; 3],
+    /// True attitude, body to NED: w, x, y, z.
+    pub attitude: [f32; 4],
     /// True speed.
     pub speed_m_s: f32,
     /// Horizontal distance to the goal.
@@ -430,7 +434,9 @@ fn status(simulator: &Simulator, companion: &CompanionView, elapsed_ms: u64) -> 
     let ending = simulator.ending();
     Status {
         time_s: elapsed_ms as f64 * 1e-3,
+        at_ns: simulator.now_ns(),
         position_ned_m: truth.position_ned_m.to_array(),
+        attitude: [truth.attitude.w, truth.attitude.x, truth.attitude.y, truth.attitude.z],
         speed_m_s: truth.velocity_ned_m_s.norm(),
         goal_distance_m: simulator.goal_distance_m(),
         mode: endpoint.mode.name().to_owned(),

@@ -4,6 +4,7 @@ Without an argument the log is a made-up flight whose every number is known. VIG
 as far as its numbers need not be known.
 """
 
+import json
 import math
 import os
 import struct
@@ -27,6 +28,7 @@ TOP = Path(__file__).resolve().parents[2]
 ROWS, COLS = 128, 256
 SCHEMAS = {
     "/depth": "foxglove.RawImage",
+    "/depth/range": "foxglove.RawImage",
     "/tf": "foxglove.FrameTransform",
     "/pose": "foxglove.PoseInFrame",
     "/path": "foxglove.PosesInFrame",
@@ -36,6 +38,10 @@ SCHEMAS = {
     "/log": "foxglove.Log",
     "/status": "vigil.log.Status",
     "/vigil/tick": "vigil.log.Tick",
+    # Of simulated flights, added afterwards.
+    "/truth/pose": "foxglove.PoseInFrame",
+    "/attack": "vigil.log.Attack",
+    "/depth/clean": "foxglove.RawImage",
 }
 STEPS = 240
 EPOCH_NS = 1_767_323_045_000_000_000
@@ -125,8 +131,9 @@ def test_the_depth_images_bits_are_the_frames(sample_path):
 
 def test_poses_are_in_a_z_up_map(sample_path):
     topics = read(sample_path)[0]
-    assert len(topics["/pose"]) == len(topics["/tf"]) == STEPS
-    for step, ((_, pose), (_, tf)) in enumerate(zip(topics["/pose"], topics["/tf"])):
+    of_body = [tf for tf in topics["/tf"] if tf[1].child_frame_id == "base_link"]
+    assert len(topics["/pose"]) == len(of_body) == STEPS
+    for step, ((_, pose), (_, tf)) in enumerate(zip(topics["/pose"], of_body)):
         p, q = pose.pose.position, pose.pose.orientation
         assert (p.x, p.z) == (0.5, 1.5) and math.isclose(p.y, 0.1 * step, rel_tol=1e-6, abs_tol=1e-9)
         # Heading east with x pointing east: no turn.
@@ -137,6 +144,66 @@ def test_poses_are_in_a_z_up_map(sample_path):
     assert (goal.x, goal.y, goal.z) == (5, 20, 1.5)
     path = topics["/path"][-1][1].poses
     assert path[0].position.y == 0 and path[-1].position.y > 20 and len(path) > 50
+
+
+def test_every_frame_of_reference_leads_to_the_map(any_path):
+    topics = read(any_path)[0]
+    parents = {tf.child_frame_id: tf.parent_frame_id for _, tf in topics["/tf"]}
+    used = {m.frame_id for t in topics if t not in ("/tf", "/scene") for _, m in topics[t] if hasattr(m, "frame_id")}
+    assert {"map", "depth_sensor"} <= used
+    for frame in used:
+        seen = [frame]
+        while seen[-1] != "map":
+            assert seen[-1] in parents, f"{frame} hangs in the air: {seen}"
+            seen.append(parents[seen[-1]])
+            assert len(seen) < 10
+    # It is there from the first second on.
+    first = min(message.log_time for message, _ in topics["/vigil/tick"])
+    for child in ("base_link", "depth_sensor"):
+        times = [message.log_time for message, tf in topics["/tf"] if tf.child_frame_id == child]
+        assert min(times) <= first + 1_000_000_000
+
+
+def test_the_image_for_people_is_in_millimetres(sample_path):
+    topics = read(sample_path)[0]
+    exact = {message.sequence: image for message, image in topics["/depth"]}
+    images = topics["/depth/range"]
+    assert 50 <= len(images) <= 70, "five a second for 12 s"
+    for message, image in images:
+        assert (image.width, image.height, image.encoding, image.step) == (COLS // 2, ROWS // 2, "16UC1", COLS)
+        metres = struct.unpack(f"<{ROWS * COLS}f", exact[message.sequence].data)
+        for row, col in ((0, 0), (7, 30), (63, 127)):
+            (seen,) = struct.unpack_from("<H", image.data, row * image.step + 2 * col)
+            assert abs(seen - min(100_000 * metres[2 * row * COLS + 2 * col], 65_535)) <= 1
+
+
+def test_every_panel_of_the_layout_for_foxglove_has_its_channel_and_field(any_path):
+    layout = json.loads((TOP / "tools" / "assets" / "viewers" / "foxglove-layout.json").read_text())
+    topics = read(any_path)[0]
+    panels = layout["configById"]
+    placed = set()
+
+    def place(node):
+        if isinstance(node, str):
+            placed.add(node)
+        else:
+            place(node["first"])
+            place(node["second"])
+
+    place(layout["layout"])
+    assert placed == set(panels)
+    named = set()
+    for name, panel in panels.items():
+        named |= {t for t, shown in panel.get("topics", {}).items() if shown.get("visible", True)}
+        named |= {panel["imageMode"]["imageTopic"]} if "imageMode" in panel else set()
+        named |= {panel["topicToRender"]} if "topicToRender" in panel else set()
+        for path in panel.get("paths", []):
+            topic, field = path["value"].split(".")
+            named.add(topic)
+            assert hasattr(topics[topic][0][1], field), f"{name}: {path['value']}"
+    for topic in named:
+        assert topics[topic], f"no message on {topic}"
+    assert {"/depth/range", "/status", "/log", "/scene", "/pose", "/path"} <= named
 
 
 def test_the_scene_stands_where_the_solids_are(sample_path):

@@ -11,14 +11,16 @@ use foxglove::messages::{
 };
 use std::f64::consts::FRAC_1_SQRT_2;
 use vigil_types::{
-    Alarm, Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState, NedVector, Reasons,
-    VehicleMode,
+    Alarm, Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState,
+    NedVector, Reasons, VehicleMode,
 };
 
 /// x east, y north, z up, origin at home.
 pub(crate) const MAP_FRAME: &str = "map";
 /// x forward, y left, z up.
-const BODY_FRAME: &str = "base_link";
+pub(crate) const BODY_FRAME: &str = "base_link";
+/// The depth sensor: sits at the origin of the body and looks along its x axis.
+const SENSOR_FRAME: &str = "depth_sensor";
 /// Bytes of one image row.
 const ROW_BYTES: usize = DEPTH_COLS * 4;
 
@@ -37,6 +39,11 @@ pub(crate) fn map_point(ned: NedVector) -> Vector3 {
     }
 }
 
+/// map → NED.
+pub(crate) fn ned_point(map: Vector3) -> NedVector {
+    NedVector::new(map.y as f32, map.x as f32, -map.z as f32)
+}
+
 /// FRD-to-NED rotation → `base_link`-to-`map` rotation: q(map ← NED) ⊗ q ⊗ q(FRD ← FLU), with the half turns about
 /// (x + y)/√2 and x multiplied out.
 fn map_rotation(q: Attitude) -> Quaternion {
@@ -53,17 +60,22 @@ fn map_rotation(q: Attitude) -> Quaternion {
 pub(crate) fn vehicle_pose(record: &TickRecord) -> Option<Pose> {
     let telemetry = &record.report.telemetry;
     let (k, a) = (telemetry.kinematics.as_ref()?, telemetry.attitude.as_ref()?);
-    (k.position_ned_m.is_finite() && a.attitude.is_valid()).then(|| Pose {
-        position: Some(map_point(k.position_ned_m)),
-        orientation: Some(map_rotation(a.attitude)),
-    })
+    (k.position_ned_m.is_finite() && a.attitude.is_valid()).then(|| pose(k.position_ned_m, a.attitude))
 }
 
-pub(crate) fn transform(pose: Pose, at_ns: u64) -> FrameTransform {
+/// A pose in `map`.
+pub(crate) fn pose(position_ned_m: NedVector, attitude: Attitude) -> Pose {
+    Pose {
+        position: Some(map_point(position_ned_m)),
+        orientation: Some(map_rotation(attitude)),
+    }
+}
+
+pub(crate) fn transform(parent: &str, child: &str, pose: Pose, at_ns: u64) -> FrameTransform {
     FrameTransform {
         timestamp: Some(timestamp(at_ns)),
-        parent_frame_id: MAP_FRAME.to_owned(),
-        child_frame_id: BODY_FRAME.to_owned(),
+        parent_frame_id: parent.to_owned(),
+        child_frame_id: child.to_owned(),
         translation: pose.position,
         rotation: pose.orientation,
     }
@@ -95,13 +107,48 @@ pub(crate) fn depth_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
     }
     RawImage {
         timestamp: Some(timestamp(at_ns)),
-        frame_id: "depth_sensor".to_owned(),
+        frame_id: SENSOR_FRAME.to_owned(),
         width: DEPTH_COLS as u32,
         height: DEPTH_ROWS as u32,
         encoding: "32FC1".to_owned(),
         step: ROW_BYTES as u32,
         data: data.into(),
     }
+}
+
+/// The frame for people: ranges in millimetres, one of each 2 × 2 pixels, at most 65.5 m; no return is 0, as viewers of depth
+/// images have it. 32 kB.
+pub(crate) fn range_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
+    let mut data = Vec::with_capacity(DEPTH_PIXELS / 2);
+    for row in frame.depth.chunks_exact(DEPTH_COLS).step_by(2) {
+        for value in row.iter().step_by(2) {
+            // A cast saturates; a range that is no number gives 0.
+            let millimetres = (value * (DEPTH_FULL_SCALE_M * 1000.0)) as u16;
+            let seen = if *value >= 1.0 { 0 } else { millimetres };
+            data.extend(seen.to_le_bytes());
+        }
+    }
+    RawImage {
+        timestamp: Some(timestamp(at_ns)),
+        frame_id: SENSOR_FRAME.to_owned(),
+        width: (DEPTH_COLS / 2) as u32,
+        height: (DEPTH_ROWS / 2) as u32,
+        encoding: "16UC1".to_owned(),
+        step: DEPTH_COLS as u32,
+        data: data.into(),
+    }
+}
+
+/// Where the sensor sits on the body.
+pub(crate) fn sensor_transform(at_ns: u64) -> FrameTransform {
+    let pose = Pose {
+        position: Some(Vector3::default()),
+        orientation: Some(Quaternion {
+            w: 1.0,
+            ..Default::default()
+        }),
+    };
+    transform(BODY_FRAME, SENSOR_FRAME, pose, at_ns)
 }
 
 /// Fills pixels from an image that [`depth_image`] made; `false` for an image of another kind.
@@ -164,7 +211,7 @@ impl PathTrail {
 }
 
 /// The flat row for plots.
-pub(crate) fn status(record: &TickRecord) -> Status {
+pub(crate) fn status(record: &TickRecord, threshold: Option<f32>) -> Status {
     let report = &record.report;
     let telemetry = &report.telemetry;
     let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
@@ -217,6 +264,8 @@ pub(crate) fn status(record: &TickRecord) -> Status {
         contribution_distance: number(report.judgement.map(|j| j.distance)),
         alarm: report.alarm.map_or("", |alarm| alarm.cause.name()).to_owned(),
         alarm_response: number(report.alarm.map(|alarm| f32::from(alarm.response as u8))),
+        detector_threshold: number(threshold),
+        actor_yaw: number(report.judgement.map(|j| j.base + j.image + j.bearing + j.distance)),
     }
 }
 
@@ -413,7 +462,7 @@ mod tests {
     #[test]
     fn the_status_row_shows_what_was_never_received_as_a_gap() {
         let mut record = TickRecord::default();
-        let row = status(&record);
+        let row = status(&record, None);
         assert!(row.north_m.is_nan() && row.goal_distance_m.is_nan() && row.frame_age_ms.is_nan());
         record.now_ns = 5_000_000;
         record.report.telemetry.kinematics = Some(Kinematics {
@@ -426,7 +475,7 @@ mod tests {
             attitude: Attitude::from_euler_rad(0.0, 0.0, std::f32::consts::FRAC_PI_2),
             rates_frd_rad_s: FrdVector::ZERO,
         });
-        let row = status(&record);
+        let row = status(&record, None);
         assert_eq!((row.north_m, row.east_m, row.height_m), (1.0, 2.0, 3.0));
         assert_eq!((row.speed_m_s, row.climb_m_s, row.telemetry_age_ms), (5.0, -0.5, 3.0));
         assert!((row.heading_deg - 90.0).abs() < 1e-4);

@@ -1,6 +1,6 @@
 //! Writes records into an MCAP file: which channels there are, what goes to which, and when it is flushed.
 
-use crate::display::{self, Narrator, PathTrail};
+use crate::display::{self, MAP_FRAME, Narrator, PathTrail};
 use crate::{FlightInfo, Scene, TickRecord, convert, wire};
 use foxglove::messages::log::Level;
 use foxglove::messages::{FrameTransform, Log, PointCloud, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
@@ -17,6 +17,8 @@ pub const LOG_FORMAT: u32 = 1;
 
 /// Name of the metadata record at the start of a log.
 pub(crate) const META: &str = "vigil";
+/// Name of the metadata record that says how the flight went, written after it.
+pub(crate) const META_STORY: &str = "vigil.flight";
 /// Name of the metadata record at the end of a log that was closed.
 pub(crate) const META_END: &str = "vigil.end";
 
@@ -24,10 +26,13 @@ pub(crate) const META_END: &str = "vigil.end";
 const FLUSH_NS: Nanos = 1_000_000_000;
 /// The path and the goal are repeated this often.
 const SLOW_NS: Nanos = 1_000_000_000;
+/// A frame that people can read is shown this often.
+const RANGE_NS: Nanos = 200_000_000;
 
 /// Names of the channels.
 pub(crate) mod topic {
     pub(crate) const DEPTH: &str = "/depth";
+    pub(crate) const RANGE: &str = "/depth/range";
     pub(crate) const TICK: &str = "/vigil/tick";
     pub(crate) const STATUS: &str = "/status";
     pub(crate) const TRANSFORM: &str = "/tf";
@@ -37,11 +42,15 @@ pub(crate) mod topic {
     pub(crate) const SCENE: &str = "/scene";
     pub(crate) const SCENE_POINTS: &str = "/scene/points";
     pub(crate) const LOG: &str = "/log";
+    pub(crate) const TRUTH: &str = "/truth/pose";
+    pub(crate) const ATTACK: &str = "/attack";
+    pub(crate) const CLEAN_DEPTH: &str = "/depth/clean";
 }
 
 pub(crate) struct Channels {
     pub(crate) depth: u16,
     pub(crate) tick: u16,
+    range: u16,
     status: u16,
     transform: u16,
     pose: u16,
@@ -68,6 +77,7 @@ impl Channels {
                 &wire::schema_name("Status"),
                 wire::FILE_DESCRIPTOR_SET,
             )?,
+            range: standard::<RawImage, W>(writer, topic::RANGE)?,
             transform: standard::<FrameTransform, W>(writer, topic::TRANSFORM)?,
             pose: standard::<PoseInFrame, W>(writer, topic::POSE)?,
             path: standard::<PosesInFrame, W>(writer, topic::PATH)?,
@@ -79,12 +89,15 @@ impl Channels {
     }
 }
 
-fn standard<T: foxglove::Encode, W: Write + Seek>(writer: &mut mcap::Writer<W>, topic: &str) -> McapResult<u16> {
+pub(crate) fn standard<T: foxglove::Encode, W: Write + Seek>(
+    writer: &mut mcap::Writer<W>,
+    topic: &str,
+) -> McapResult<u16> {
     let schema = T::get_schema().ok_or_else(|| McapError::UnknownSchema(topic.to_owned(), 0))?;
     protobuf(writer, topic, &schema.name, &schema.data)
 }
 
-fn protobuf<W: Write + Seek>(
+pub(crate) fn protobuf<W: Write + Seek>(
     writer: &mut mcap::Writer<W>,
     topic: &str,
     schema_name: &str,
@@ -109,12 +122,15 @@ pub(crate) struct LogFile<W: Write + Seek> {
     channels: Channels,
     epoch_offset_ns: u64,
     scene: Option<Scene>,
+    /// Score above which the detector's verdict is attack.
+    threshold: Option<f32>,
     buffer: Vec<u8>,
     narrator: Narrator,
     trail: PathTrail,
     goal: Option<Goal>,
     last_flush_ns: Option<Nanos>,
     last_slow_ns: Option<Nanos>,
+    last_range_ns: Option<Nanos>,
 }
 
 impl<W: Write + Seek> LogFile<W> {
@@ -132,12 +148,14 @@ impl<W: Write + Seek> LogFile<W> {
             channels,
             epoch_offset_ns,
             scene,
+            threshold: info.detector_threshold,
             buffer: Vec::new(),
             narrator: Narrator::default(),
             trail: PathTrail::new(),
             goal: None,
             last_flush_ns: None,
             last_slow_ns: None,
+            last_range_ns: None,
         })
     }
 
@@ -161,12 +179,23 @@ impl<W: Write + Seek> LogFile<W> {
             messages.put(self.channels.depth, &display::depth_image(frame, at_ns))?;
         }
         messages.put(self.channels.tick, &convert::to_wire(record))?;
-        messages.put(self.channels.status, &display::status(record))?;
+        messages.put(self.channels.status, &display::status(record, self.threshold))?;
 
         let slow_due = due(&mut self.last_slow_ns, record.now_ns, SLOW_NS);
+        if let Some(frame) = record.frame()
+            && due(&mut self.last_range_ns, record.now_ns, RANGE_NS)
+        {
+            messages.put(self.channels.range, &display::range_image(frame, at_ns))?;
+        }
+        if slow_due {
+            messages.put(self.channels.transform, &display::sensor_transform(at_ns))?;
+        }
         if let Some(pose) = display::vehicle_pose(record) {
             self.trail.offer(pose);
-            messages.put(self.channels.transform, &display::transform(pose, at_ns))?;
+            messages.put(
+                self.channels.transform,
+                &display::transform(MAP_FRAME, display::BODY_FRAME, pose, at_ns),
+            )?;
             messages.put(self.channels.pose, &display::pose_in_map(pose, at_ns))?;
             if slow_due {
                 messages.put(self.channels.path, &self.trail.message(at_ns))?;
@@ -221,7 +250,7 @@ pub(crate) fn end_metadata(records: u64, dropped: u64) -> Metadata {
 }
 
 /// Whether `period_ns` passed since `last`, which is then set to `now_ns`. A clock that went back counts as passed.
-fn due(last: &mut Option<Nanos>, now_ns: Nanos, period_ns: Nanos) -> bool {
+pub(crate) fn due(last: &mut Option<Nanos>, now_ns: Nanos, period_ns: Nanos) -> bool {
     let is_due = last.is_none_or(|then| then.abs_diff(now_ns) >= period_ns);
     if is_due {
         *last = Some(now_ns);

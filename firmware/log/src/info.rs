@@ -4,7 +4,7 @@ use crate::file::LOG_FORMAT;
 use std::collections::BTreeMap;
 
 /// What a log says about its flight besides the records.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct FlightInfo {
     /// Name and version of the program that flew, for example `firmware 0.1.0`.
     pub program: String,
@@ -18,6 +18,8 @@ pub struct FlightInfo {
     pub actor_sha256: Option<String>,
     /// Digest of the detector that watched it, if one did.
     pub detector_sha256: Option<String>,
+    /// Score above which its verdict was attack.
+    pub detector_threshold: Option<f32>,
     /// The whole configuration as TOML: what a replay builds its flight stack from.
     pub config_toml: String,
 }
@@ -43,6 +45,9 @@ impl FlightInfo {
                 map.insert(key.to_owned(), value.clone());
             }
         }
+        if let Some(threshold) = self.detector_threshold {
+            map.insert("detector_threshold".to_owned(), threshold.to_string());
+        }
         if let Some(seed) = self.seed {
             map.insert("seed".to_owned(), seed.to_string());
         }
@@ -59,6 +64,7 @@ impl FlightInfo {
             seed: number(map, "seed")?,
             actor_sha256: map.get("actor_sha256").cloned(),
             detector_sha256: map.get("detector_sha256").cloned(),
+            detector_threshold: number(map, "detector_threshold")?,
             config_toml: text("config")?.clone(),
         };
         Ok((info, number(map, EPOCH_OFFSET)?.ok_or(EPOCH_OFFSET)?))

@@ -40,6 +40,8 @@ mod recorder;
 mod recover;
 mod salvage;
 mod scene;
+mod side;
+mod story;
 mod tlog;
 mod wire;
 
@@ -53,3 +55,5 @@ pub use recorder::{
 };
 pub use recover::{Gap, RecoverError, Recovery, recover};
 pub use scene::{Scene, SceneError, SceneSolid};
+pub use side::{SideError, SideLog, merge_into};
+pub use story::{AttackMark, CleanFrame, Line, Story, Weight};

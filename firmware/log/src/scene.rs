@@ -1,6 +1,6 @@
 //! The obstacles for display: a list of solids that the caller hands in; nothing in flight depends on it.
 
-use crate::display::{map_point, timestamp};
+use crate::display::{self, map_point, timestamp};
 use foxglove::messages::packed_element_field::NumericType;
 use foxglove::messages::{
     Color, CubePrimitive, CylinderPrimitive, PackedElementField, PointCloud, Pose, Quaternion, SceneEntity,
@@ -211,6 +211,39 @@ impl Scene {
             data: data.into(),
         }
     }
+}
+
+/// The solids of an update that [`Scene::to_update`] made.
+pub(crate) fn solids_of(update: &SceneUpdate) -> Vec<SceneSolid> {
+    let centre = |pose: &Pose| pose.position.map(|p| display::ned_point(p).to_array());
+    let half = |size: &Vector3| [0.5 * size.x as f32, 0.5 * size.y as f32, 0.5 * size.z as f32];
+    let cuboids = |entity: &SceneEntity| {
+        let solid = |cube: &CubePrimitive| {
+            let pose = cube.pose?;
+            let turn = pose.orientation?;
+            Some(SceneSolid::Cuboid {
+                centre_ned_m: centre(&pose)?,
+                half_extents_m: half(&cube.size?),
+                yaw_rad: (std::f64::consts::FRAC_PI_2 - 2.0 * turn.z.atan2(turn.w)) as f32,
+            })
+        };
+        entity.cubes.iter().filter_map(solid).collect::<Vec<_>>()
+    };
+    let cylinders = |entity: &SceneEntity| {
+        let solid = |cylinder: &CylinderPrimitive| {
+            let [radius_m, _, half_height_m] = half(&cylinder.size?);
+            Some(SceneSolid::Cylinder {
+                centre_ned_m: centre(&cylinder.pose?)?,
+                radius_m,
+                half_height_m,
+            })
+        };
+        entity.cylinders.iter().filter_map(solid).collect::<Vec<_>>()
+    };
+    let entities = update.entities.iter();
+    entities
+        .flat_map(|e| cuboids(e).into_iter().chain(cylinders(e)))
+        .collect()
 }
 
 impl SceneSolid {

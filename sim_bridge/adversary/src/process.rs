@@ -1,6 +1,6 @@
 //! The adversary as a process of its own, between the raw and the delivered frame service.
 
-use crate::{AttackArgs, AttackRecord};
+use crate::{AttackArgs, AttackRecord, PassedStep};
 use anyhow::{Context, Result, bail};
 use hdrhistogram::Histogram;
 use serde::Serialize;
@@ -11,6 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, FrameSubscriber};
+use vigil_log::SideLog;
 use vigil_types::{DepthFrame, NedVector};
 
 /// The service on which the simulator publishes when an adversary stands behind it.
@@ -55,6 +56,10 @@ pub struct AdversaryArgs {
     /// A frame goes on this long after its capture at the latest, whatever iterations are left.
     #[arg(long, value_name = "MS", default_value_t = 35.0)]
     pub deadline_ms: f64,
+
+    /// Note each frame in this file, and some as they were before they were altered, for the flight's log.
+    #[arg(long, value_name = "FILE", hide = true)]
+    pub record: Option<PathBuf>,
 
     /// The service that the sensor publishes on.
     #[arg(long, value_name = "TOPIC", default_value = RAW_TOPIC)]
@@ -109,7 +114,9 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
     let mut to = FramePublisher::create(&domain, &args.to)?;
     let deadline_ns = (args.deadline_ms * 1e6) as u64;
 
+    let mut notes = args.record.as_deref().map(SideLog::create).transpose()?;
     let mut frame = Box::new(DepthFrame::EMPTY);
+    let mut clean = frame.clone();
     let mut latency_us = Histogram::<u64>::new_with_bounds(1, 10_000_000, 3)?;
     let (mut frames, mut cut_short, mut under_way) = (0, 0, 0);
     let mut record = AttackRecord::default();
@@ -124,7 +131,13 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
         let (taken_ns, stamp_ns) = (monotonic_ns(), frame.header.stamp_ns);
         if under_way == 0 && frame.header.position_ned_m.z > UNDER_WAY * goal_ned_m.z {
             to.publish(&frame)?;
+            if let Some(notes) = &mut notes {
+                notes.frame(monotonic_ns(), frame.header.sequence, None)?;
+            }
         } else {
+            if notes.is_some() {
+                (*clean).clone_from(&frame);
+            }
             let mut in_time = true;
             let passed = interceptor.pass_while(under_way, &mut frame, || {
                 in_time = monotonic_ns() < stamp_ns + deadline_ns;
@@ -132,12 +145,23 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
             })?;
             to.publish(&frame)?;
             record.observe(under_way, &passed);
+            // After it was handed on: the note costs the frame no time.
+            if let Some(notes) = &mut notes {
+                let altered = match &passed {
+                    PassedStep::Unaltered => None,
+                    PassedStep::Attacked(outcome) => Some((outcome.yaw_change(), &*clean)),
+                };
+                notes.frame(monotonic_ns(), frame.header.sequence, altered)?;
+            }
             cut_short += u64::from(!in_time);
             under_way += 1;
         }
         frames += 1;
         // A value beyond the histogram's range counts as its largest.
         latency_us.saturating_record((monotonic_ns() - taken_ns) / 1000);
+    }
+    if let Some(notes) = notes {
+        notes.finish()?;
     }
     let ms = |us: u64| us as f64 * 1e-3;
     let summary = Summary {

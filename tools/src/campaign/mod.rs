@@ -1,8 +1,10 @@
 //! One flight of the whole stack in lockstep, attacked or not: what every campaign repeats.
 
+mod recording;
 mod sensor;
 mod watch;
 
+pub use recording::Recording;
 pub use sensor::{FaultChoice, FaultTally, SensorRecord};
 pub use watch::WatchRecord;
 
@@ -114,9 +116,23 @@ pub fn actor_flight(actor: Option<&Path>, apf: bool, seed: u64) -> (SimConfig, F
 /// # Errors
 /// A configuration that must not fly, an actor that is refused, an attack out of range.
 pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack>) -> Result<Flown> {
+    fly_recorded(config, firmware, attack, None)
+}
+
+/// Flies a course to its end and keeps its log, if a recording is given: the same flight, bit for bit, with or without.
+///
+/// # Errors
+/// As [`fly`], and a log that cannot be written.
+pub fn fly_recorded(
+    config: &SimConfig,
+    firmware: &FirmwareConfig,
+    attack: Option<&Attack>,
+    recording: Option<Recording>,
+) -> Result<Flown> {
+    let mut recording = recording.map(|r| r.begin(config, firmware)).transpose()?;
     let mut simulator = Simulator::new(config, 0)?;
     let mut firmware = SameProcess {
-        firmware: LockstepFirmware::new(firmware)?,
+        firmware: LockstepFirmware::recording(firmware, recording.as_mut().and_then(|r| r.recorder.take()))?,
         watch: WatchRecord::default(),
         sensor: SensorRecord::default(),
         altered: Rc::default(),
@@ -135,15 +151,23 @@ pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack
     // Only a frame of another size is refused, and the simulator makes none.
     let altered = Rc::clone(&firmware.altered);
     let mut between = |step: u64, frame: &mut DepthFrame| {
+        let clean = recording.as_ref().map(|_| Box::new(frame.clone()));
         if let (Some(adversary), Some(done)) = (&mut adversary, &mut done)
             && let Ok(passed) = adversary.pass(step, frame)
         {
             done.observe(step, &passed);
+            if let (Some(recording), Some(clean)) = (&mut recording, &clean) {
+                recording.note(&passed, clean);
+            }
             altered.set(matches!(passed, PassedStep::Attacked(_)));
         }
     };
     let time_limit_s = f64::from(config.course.time_limit_s);
     let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut firmware, time_limit_s, 0.0);
+    if let Some(recording) = recording {
+        firmware.firmware.finish();
+        recording.end(config, &record)?;
+    }
     Ok(Flown {
         record,
         attack: done,

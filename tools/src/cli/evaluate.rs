@@ -1,13 +1,15 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
-use crate::campaign::{self, FaultChoice, FaultTally, Flown, SensorRecord, WatchRecord};
+use crate::campaign::{self, FaultChoice, FaultTally, Flown, Recording, SensorRecord, WatchRecord};
 use crate::cli::output::{self, Interrupt, Paint, Progress, say};
 use crate::cli::pilot::PilotArgs;
+use crate::flight_report;
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
 use anyhow::{Context, Result, ensure};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Instant;
@@ -22,6 +24,9 @@ use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, ge
 
 /// Beyond it the report would not fit the memory.
 const MOST_FLIGHTS: u64 = 10_000_000;
+
+/// More logs than this fill most disks.
+const MOST_LOGS: u64 = 100;
 
 /// Arguments of `vigil evaluate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -40,6 +45,7 @@ Examples:
                                                         the LiDAR shows the same image from a random moment on
   vigil evaluate --flights 20 --sensor-fault all        a table of all faults of the LiDAR
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
+  vigil evaluate --flights 3 --logs runs/logs           each flight's log and its report
 
 Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
 arm and take off first. Each ends as success, collision, out of bounds or time-out (docs/courses.md).
@@ -112,6 +118,10 @@ pub struct EvaluateArgs {
     /// Draw the course and path of every flight that failed into this folder.
     #[arg(long, value_name = "DIR")]
     draw_failures: Option<PathBuf>,
+
+    /// Keep the log of every flight in this folder, SEED.mcap, with its report beside it: about 100 MB for a minute of flight.
+    #[arg(long, value_name = "DIR")]
+    logs: Option<PathBuf>,
 }
 
 /// How far away the goals are.
@@ -255,6 +265,13 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
+    if let Some(folder) = &args.logs {
+        ensure!(
+            args.flights <= MOST_LOGS,
+            "--logs keeps at most {MOST_LOGS} flights: their logs have some 100 MB each; fewer --flights, please"
+        );
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    }
     let attack = args.attack.attack(args.pilot.actor_file())?;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(args.threads.map_or(0, usize::from))
@@ -354,7 +371,7 @@ fn fly(
         watch,
         sensor,
         altered_frames_used,
-    } = campaign::fly(&config, &firmware, attack)?;
+    } = campaign::fly_recorded(&config, &firmware, attack, recording(args, fault, seed))?;
     let is_attacked = attack.is_some();
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
         draw(
@@ -372,6 +389,46 @@ fn fly(
         watch,
         sensor,
         altered_frames_used: is_attacked.then_some(altered_frames_used),
+    })
+}
+
+/// What to keep of a flight.
+fn recording(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Option<Recording> {
+    let folder = args.logs.as_ref()?;
+    let name = match fault.filter(|_| matches!(args.sensor_fault, Some(FaultChoice::All(_)))) {
+        Some(fault) => format!("{seed}-{}.mcap", fault.to_string().replace('@', "-at-")),
+        None => format!("{seed}.mcap"),
+    };
+    let command = flight_report::command_again(
+        std::env::args(),
+        "evaluate",
+        &[
+            "--flights",
+            "--seed",
+            "--logs",
+            "--threads",
+            "-o",
+            "--json",
+            "--draw-failures",
+        ],
+        &[
+            "--flights".to_owned(),
+            "1".to_owned(),
+            "--seed".to_owned(),
+            seed.to_string(),
+        ],
+    );
+    let mut about = BTreeMap::from([("command".to_owned(), command)]);
+    if let Some(commit) = output::git_commit() {
+        about.insert("git_commit".to_owned(), commit);
+    }
+    if let Some(attack) = args.attack.attack {
+        about.insert("attack".to_owned(), attack.name().to_owned());
+    }
+    Some(Recording {
+        log: folder.join(name),
+        about,
+        explained_frames: 0,
     })
 }
 

@@ -3,8 +3,10 @@
 use crate::cli::family;
 use crate::cli::output::{EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::PilotArgs;
+use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, IsTerminal, Read};
 use std::path::{Path, PathBuf};
@@ -14,11 +16,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
+use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::{CourseChoice, SensorFault};
-use vigil_types::NedVector;
+use vigil_types::{Attitude, Nanos, NedVector};
 use vigil_world::{Course, FlightPath};
 
+/// What simulator and adversary know besides the firmware's log, until it is put into it.
+const SIMULATOR_NOTES: &str = "simulator.part";
+const ADVERSARY_NOTES: &str = "adversary.part";
 /// After reaching the goal the vehicle may take this long to land.
 const LANDING_LIMIT: Duration = Duration::from_secs(30);
 /// Diagnostics of a child beyond this are not shown.
@@ -136,6 +142,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
                 c.arg("--actor").arg(file);
             }
             args.attack.hand_on(c);
+            c.arg("--record").arg(folder.join(ADVERSARY_NOTES));
         })
         .map(Process::listening)
     });
@@ -162,7 +169,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let firmware_said = firmware.end()?;
     simulator.end()?;
     let adversary_said = adversary.as_mut().map(Process::end).transpose()?;
-    let Flight { last, path } = watched?;
+    let Flight { last, path, truth } = watched?;
+    // The path ends with the flight, the truth with the watch.
+    let ended_ns = truth.get(path.len()).map(|pose| pose.at_ns);
     let outcome = last
         .as_ref()
         .and_then(|s| s.outcome.as_deref())
@@ -173,6 +182,11 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         outcome,
     };
     vigil_world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
+    let about = about(args, &course, seed, last.as_ref(), ended_ns);
+    if let Err(error) = complete_log(&folder, &truth, &about) {
+        // The flight is over and its log is as the firmware left it.
+        tell!("vigil: {}", vigil_firmware::program::told(&error));
+    }
     summarise(
         &course,
         &last,
@@ -180,6 +194,76 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         (&firmware_said, adversary_said.as_deref()),
         interrupt.came(),
     )
+}
+
+/// Puts what only the simulation knows into the flight's log, and makes the report beside it.
+fn complete_log(folder: &Path, truth: &[TruePose], about: &BTreeMap<String, String>) -> Result<()> {
+    let log = crate::cli::replay::find_log(folder)?;
+    let truth_file = folder.join(SIMULATOR_NOTES);
+    let mut notes = SideLog::create(&truth_file)?;
+    for pose in truth {
+        notes.truth(pose.at_ns, pose.position_ned_m, Some(pose.attitude))?;
+    }
+    notes.finish()?;
+    let adversary_file = folder.join(ADVERSARY_NOTES);
+    let sides: Vec<&Path> = [&truth_file, &adversary_file]
+        .into_iter()
+        .map(PathBuf::as_path)
+        .filter(|path| path.is_file())
+        .collect();
+    let merged = vigil_log::merge_into(&log, &sides, about);
+    for side in sides {
+        // Their content is in the log; one that stays behind does no harm.
+        let _ = std::fs::remove_file(side);
+    }
+    merged?;
+    let report = flight_report::beside(&log);
+    crate::cli::log::write_report(&log, &report, EXPLAINED)?;
+    Ok(())
+}
+
+/// What is known of the flight as a whole, for its log.
+fn about(
+    args: &FlyArgs,
+    course: &Course,
+    seed: u64,
+    last: Option<&Status>,
+    ended_ns: Option<Nanos>,
+) -> BTreeMap<String, String> {
+    let mut about = BTreeMap::from([
+        ("course".to_owned(), course.name.clone()),
+        ("seed".to_owned(), seed.to_string()),
+        ("command".to_owned(), command_again(args, seed)),
+    ]);
+    if let Some(commit) = crate::cli::output::git_commit() {
+        about.insert("git_commit".to_owned(), commit);
+    }
+    if let Some(attack) = args.attack.attack {
+        about.insert("attack".to_owned(), attack.name().to_owned());
+    }
+    if let Some(outcome) = last.and_then(|s| s.outcome.as_ref().map(|outcome| (outcome, s))) {
+        let (outcome, status) = outcome;
+        let text = format!(
+            "{outcome} after {:.1} s and {:.1} m",
+            status.flight_time_s, status.path_length_m
+        );
+        about.insert("outcome".to_owned(), text);
+    }
+    if let Some(ended_ns) = ended_ns {
+        about.insert("ended_ns".to_owned(), ended_ns.to_string());
+    }
+    about
+}
+
+/// The command that flies the same again, with the seed that was drawn.
+fn command_again(args: &FlyArgs, seed: u64) -> String {
+    let drawn = ["--seed".to_owned(), seed.to_string()];
+    let (dropped, added): (&[&str], &[String]) = match args.course.course {
+        // The course's file is named; the seed decides on noise and the adversary.
+        Some(_) => (&["-o", "--log"], &[]),
+        None => (&["-o", "--log", "--seed"], &drawn),
+    };
+    flight_report::command_again(std::env::args(), "fly", dropped, added)
 }
 
 fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {
@@ -327,10 +411,19 @@ fn read_statuses(simulator: &mut Child) -> Result<Receiver<Status>> {
     Ok(receiver)
 }
 
+/// A true pose.
+struct TruePose {
+    at_ns: Nanos,
+    position_ned_m: NedVector,
+    attitude: Attitude,
+}
+
 /// What was seen of a flight.
 #[derive(Default)]
 struct Flight {
     last: Option<Status>,
+    /// True poses up to the end of the watch.
+    truth: Vec<TruePose>,
     /// True positions up to the ending.
     path: Vec<NedVector>,
 }
@@ -359,10 +452,21 @@ fn watch(
                     tell!("{line}");
                     last_printed_s = status.time_s;
                 }
+                let [x, y, z] = status.position_ned_m;
                 if status.outcome.is_none() {
-                    let [x, y, z] = status.position_ned_m;
                     flight.path.push(NedVector::new(x, y, z));
                 }
+                let [qw, qx, qy, qz] = status.attitude;
+                flight.truth.push(TruePose {
+                    at_ns: status.at_ns,
+                    position_ned_m: NedVector::new(x, y, z),
+                    attitude: Attitude {
+                        w: qw,
+                        x: qx,
+                        y: qy,
+                        z: qz,
+                    },
+                });
                 flight.last = Some(status);
             }
             Err(RecvTimeoutError::Timeout) => bail!("the simulator said nothing for {} s", SILENCE_LIMIT.as_secs()),
@@ -400,6 +504,12 @@ fn progress_line(title: &str, s: &Status) -> String {
         "{title}  {:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
         s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
     )
+}
+
+/// The report of the flight, if there is one.
+fn report(folder: &Path) -> Option<PathBuf> {
+    let log = crate::cli::replay::find_log(folder).ok()?;
+    Some(flight_report::beside(&log)).filter(|path| path.is_file())
 }
 
 fn summarise(
@@ -441,6 +551,9 @@ fn summarise(
     }
     if let Some(said) = adversary_said {
         say!("adversary {}", adversary_in_words(said));
+    }
+    if let Some(report) = report(folder) {
+        say!("report    {}", report.display());
     }
     say!("files     {}", folder.display());
     Ok(ExitCode::from(match (&status.outcome, interrupted) {

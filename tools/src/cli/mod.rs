@@ -7,6 +7,7 @@ mod family;
 mod figures;
 mod fly;
 mod learn;
+mod log;
 pub(crate) mod output;
 mod pilot;
 mod recover;
@@ -16,6 +17,9 @@ mod rollout;
 mod scene;
 mod sensor;
 mod train;
+
+pub(crate) use log::write_report as write_flight_report;
+pub(crate) use scene::of as scene_of;
 
 use crate::attack_campaigns as attack;
 use clap::{Parser, Subcommand};
@@ -66,6 +70,8 @@ enum Command {
     Adversary(vigil_adversary::process::AdversaryArgs),
     /// Run the tick over a flight log's recorded inputs and compare every output byte.
     Replay(replay::ReplayArgs),
+    /// Make a report of a flight log.
+    Log(log::LogArgs),
     /// Save what is whole of a flight log that was cut off or damaged.
     Recover(recover::RecoverArgs),
     /// Train an actor from nothing.
@@ -101,6 +107,7 @@ pub fn main() -> ExitCode {
         Command::Attack(args) => attack::run(&args),
         Command::Adversary(args) => vigil_adversary::process::run(&args),
         Command::Replay(args) => replay::run(&args),
+        Command::Log(args) => log::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Learn(args) => learn::run(&args),

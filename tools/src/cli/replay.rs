@@ -36,7 +36,10 @@ pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
 }
 
 /// The path itself, or the one MCAP file in it if it is a folder.
-fn find_log(path: &Path) -> Result<PathBuf> {
+///
+/// # Errors
+/// A folder that holds no log, or several.
+pub fn find_log(path: &Path) -> Result<PathBuf> {
     if !path.is_dir() {
         return Ok(path.to_owned());
     }

@@ -8,7 +8,7 @@ use vigil_detector::{Background, DeepShap, ROW};
 use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, Graph, Isa, Purpose};
 
 /// Number of the actor's yaw output.
-pub(crate) const YAW: usize = 1;
+pub const YAW: usize = 1;
 
 /// What a row of a window holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

@@ -21,11 +21,11 @@ pub use evaluate::{
     AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
 };
 pub use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
-pub use features::{Extractor, Feature, Rows};
+pub use features::{Extractor, Feature, Rows, YAW};
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
 pub use lstm::{Judge, LstmConfig, train, train_steps};
 pub use metrics::{Proportion, Separation, auc, roc, true_positives_at};
-pub use pixels::{State, States, gather_states};
+pub use pixels::{PixelExplainer, State, States, gather_states};
 pub use recorded_flight::{Ending, Frame, Onlooker, Record, Step, fly};
 pub use scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 pub use times::{Times, time};

@@ -16,7 +16,7 @@ use vigil_adversary::{AttackConfig, Towards};
 use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
 use vigil_nnet::{ACTOR_FRAMES, ACTOR_POSITIONAL, ActorSpec, Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_types::DepthFrame;
+use vigil_types::{DEPTH_PIXELS, DepthFrame};
 use vigil_world::Family;
 
 /// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
@@ -129,6 +129,36 @@ pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<D
     let backgrounds: Vec<Vec<&[f32]>> = inputs.iter().map(|i| i.iter().map(Vec::as_slice).collect()).collect();
     let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true)?;
     Ok(DeepShap::new(isa, graph, &actor.params, &backgrounds)?)
+}
+
+/// Explains single states of an actor by their pixels.
+pub struct PixelExplainer {
+    shap: DeepShap,
+    phi: Vec<f32>,
+}
+
+impl PixelExplainer {
+    /// With the background sample of the paper's figures: states of unattacked training flights, which are flown for it.
+    ///
+    /// # Errors
+    /// Parameters of another architecture.
+    pub fn new(isa: Isa, params: &[f32]) -> Result<Self, DetectError> {
+        let shap = explainer(isa, params, BACKGROUNDS)?;
+        let phi = vec![0.0; shap.phi_len()];
+        Ok(Self { shap, phi })
+    }
+
+    /// SHAP values of the newest frame's pixels for one of the actor's outputs. `inputs` are the five frames, oldest first, and
+    /// the positional values.
+    ///
+    /// # Errors
+    /// Inputs of another size.
+    pub fn newest_frame(&mut self, inputs: &[&[f32]], output: usize) -> Result<Vec<f32>, DetectError> {
+        self.shap.evaluate(inputs)?;
+        self.shap.attribute(output, &mut self.phi)?;
+        let newest = self.phi.len() - ACTOR_POSITIONAL - DEPTH_PIXELS;
+        Ok(self.phi[newest..newest + DEPTH_PIXELS].to_vec())
+    }
 }
 
 /// Explains states as they are met.

@@ -290,6 +290,7 @@ pub fn info() -> FlightInfo {
         seed: Some(u64::MAX),
         actor_sha256: Some("89ab".to_owned()),
         detector_sha256: Some("cdef".to_owned()),
+        detector_threshold: Some(0.1 + 0.2),
         config_toml: "[pilot]\nkind = \"geometric\" # ünïcode\n".to_owned(),
     }
 }

@@ -1,0 +1,170 @@
+//! What a log tells people besides the records: obstacles, lines of the log panel, and what the simulation added.
+
+use crate::container::{Container, Next};
+use crate::display;
+use crate::file::{META_STORY, topic};
+use crate::wire;
+use crate::{ReadError, Reader, SceneSolid};
+use foxglove::messages::{Log, PoseInFrame, RawImage, SceneUpdate};
+use mcap::records::{Record, op};
+use prost::Message;
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+use vigil_types::{DEPTH_PIXELS, Nanos, NedVector};
+
+/// How serious a line of the log panel is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Weight {
+    /// Something happened.
+    Info,
+    /// Something keeps the vehicle from flying on.
+    Warning,
+    /// An alarm, or records that are missing.
+    Error,
+}
+
+/// A line of the log panel.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Line {
+    /// When, by the loop's clock.
+    pub at_ns: Nanos,
+    /// How serious.
+    pub weight: Weight,
+    /// What.
+    pub text: String,
+}
+
+/// What the adversary did to a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AttackMark {
+    /// When it was handed on, by the loop's clock.
+    pub at_ns: Nanos,
+    /// The frame.
+    pub frame_sequence: u64,
+    /// Whether it was altered.
+    pub altered: bool,
+    /// By how much that moved the actor's yaw output, action units.
+    pub yaw_change: f32,
+}
+
+/// A frame as it was before it was altered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CleanFrame {
+    /// When the altered one was handed on.
+    pub at_ns: Nanos,
+    /// The low 32 bits of the frame's number.
+    pub sequence: u32,
+    /// Its pixels.
+    pub depth: Box<[f32; DEPTH_PIXELS]>,
+}
+
+/// What a log tells besides the records.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Story {
+    /// Obstacles.
+    pub solids: Vec<SceneSolid>,
+    /// Lines of the log panel.
+    pub lines: Vec<Line>,
+    /// True positions with their times; empty outside simulation.
+    pub truth: Vec<(Nanos, NedVector)>,
+    /// What the adversary did to each frame; empty without one.
+    pub attack: Vec<AttackMark>,
+    /// Some frames as they were before they were altered.
+    pub clean: Vec<CleanFrame>,
+    /// What is known of the flight as a whole: `command`, `seed`, `course`, `outcome` and others.
+    pub about: BTreeMap<String, String>,
+}
+
+impl Story {
+    /// Reads as much as is whole; a log that was cut or is damaged gives what stands before.
+    ///
+    /// # Errors
+    /// [`ReadError`] of a file that is no log of this format, as [`Reader::open`] has it.
+    pub fn read(path: &Path) -> Result<Self, ReadError> {
+        let epoch_offset_ns = Reader::open(path)?.epoch_offset_ns();
+        let mut container = Container::open(path).map_err(|source| ReadError::Io {
+            path: path.to_owned(),
+            source,
+        })?;
+        let mut story = Self::default();
+        let mut topics: HashMap<u16, String> = HashMap::new();
+        loop {
+            let told = &topics;
+            let wanted = |opcode, data: &[u8]| match opcode {
+                op::CHANNEL | op::METADATA => true,
+                op::MESSAGE => data
+                    .split_first_chunk()
+                    .is_some_and(|(id, _)| told.contains_key(&u16::from_le_bytes(*id))),
+                _ => false,
+            };
+            match container.next(wanted) {
+                Ok(Next::Record(Record::Channel(channel))) => {
+                    const TOLD: [&str; 5] = [
+                        topic::SCENE,
+                        topic::LOG,
+                        topic::TRUTH,
+                        topic::ATTACK,
+                        topic::CLEAN_DEPTH,
+                    ];
+                    if TOLD.contains(&channel.topic.as_str()) {
+                        topics.insert(channel.id, channel.topic);
+                    }
+                }
+                Ok(Next::Record(Record::Metadata(meta))) if meta.name == META_STORY => story.about = meta.metadata,
+                Ok(Next::Record(Record::Message { header, data })) => {
+                    let at_ns = header.log_time.saturating_sub(epoch_offset_ns);
+                    if let Some(topic) = topics.get(&header.channel_id) {
+                        story.take(topic, at_ns, header.sequence, &data);
+                    }
+                }
+                Ok(Next::Record(_)) => {}
+                Ok(Next::End | Next::Cut) | Err(_) => return Ok(story),
+            }
+        }
+    }
+
+    /// A message that does not decode is left out: the records are what counts, and they are checked elsewhere.
+    fn take(&mut self, topic: &str, at_ns: Nanos, sequence: u32, data: &[u8]) {
+        match topic {
+            topic::SCENE => {
+                if let Ok(update) = SceneUpdate::decode(data) {
+                    self.solids = crate::scene::solids_of(&update);
+                }
+            }
+            topic::LOG => {
+                if let Ok(log) = Log::decode(data) {
+                    use foxglove::messages::log::Level;
+                    self.lines.push(Line {
+                        at_ns,
+                        weight: match log.level {
+                            level if level >= Level::Error as i32 => Weight::Error,
+                            level if level >= Level::Warning as i32 => Weight::Warning,
+                            _ => Weight::Info,
+                        },
+                        text: log.message,
+                    });
+                }
+            }
+            topic::TRUTH => {
+                let position = PoseInFrame::decode(data).ok().and_then(|p| p.pose?.position);
+                self.truth.extend(position.map(|p| (at_ns, display::ned_point(p))));
+            }
+            topic::ATTACK => {
+                if let Ok(mark) = wire::Attack::decode(data) {
+                    self.attack.push(AttackMark {
+                        at_ns: mark.now_ns,
+                        frame_sequence: mark.frame_sequence,
+                        altered: mark.altered > 0.5,
+                        yaw_change: mark.yaw_change as f32,
+                    });
+                }
+            }
+            _ => {
+                let mut depth = Box::new([0.0; DEPTH_PIXELS]);
+                if RawImage::decode(data).is_ok_and(|image| display::read_depth_image(&image, &mut depth)) {
+                    self.clean.push(CleanFrame { at_ns, sequence, depth });
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! The flight report holds the whole story of an attacked and recovered flight, and of a bad log what can be shown.
+
+use serde_json::Value;
+use std::path::Path;
+use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, Story, TickRecord, WhenFull};
+use vigil_tests::{run, said};
+use vigil_types::{Reason, Reasons};
+
+/// The data within a report.
+fn data(report: &Path) -> Value {
+    let page = std::fs::read_to_string(report).expect("a report");
+    let (_, rest) = page.split_once("id=\"data\">").expect("data in the page");
+    let (json, _) = rest.split_once("</script>").expect("the end of the data");
+    serde_json::from_str(json).expect("JSON")
+}
+
+/// Makes a report of a log beside it.
+fn report(log: &Path) -> Value {
+    let made = run(&["log", "report", "--shap", "0", text(log)]);
+    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    data(&log.with_extension("html"))
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a UTF-8 path")
+}
+
+fn list<'a>(value: &'a Value, key: &str) -> &'a [Value] {
+    value[key]
+        .as_array()
+        .unwrap_or_else(|| panic!("{key} is no list"))
+        .as_slice()
+}
+
+fn notes(value: &Value) -> String {
+    value["notes"].to_string()
+}
+
+/// An attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
+fn attacked_flight(folder: &Path) {
+    let flown = run(&[
+        "evaluate",
+        "--flights",
+        "1",
+        "--seed",
+        "3001",
+        "--apf",
+        "off",
+        "--attack",
+        "bim-accumulating",
+        "--burst",
+        "50",
+        "--logs",
+        text(folder),
+        "-o",
+        text(&folder.join("evaluate.json")),
+    ]);
+    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
+}
+
+#[test]
+fn an_attacked_and_recovered_flight_has_data_in_every_panel_and_its_log_replays_bit_for_bit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    attacked_flight(folder.path());
+    let log = folder.path().join("3001.mcap");
+    let flight = data(&log.with_extension("html"));
+
+    let steps = list(&flight, "t").len();
+    for panel in list(&flight, "panels") {
+        let id = panel["id"].as_str().expect("a name");
+        for series in list(panel, "series") {
+            let column = series["column"].as_str().expect("a column");
+            let values = flight["columns"][column]
+                .as_array()
+                .unwrap_or_else(|| panic!("no column {column}"));
+            assert_eq!(values.len(), steps, "{column}");
+            // A flight in lockstep has no clock of its own.
+            if id != "step-time" {
+                assert!(values.iter().any(Value::is_number), "{id}: {column} is empty");
+            }
+        }
+    }
+    let who: Vec<&str> = list(&flight, "who")
+        .iter()
+        .map(|who| {
+            flight["who_names"][who.as_u64().expect("a number") as usize]
+                .as_str()
+                .expect("a name")
+        })
+        .collect();
+    assert!(
+        ["actor", "hold", "recovery pilot"].iter().all(|w| who.contains(w)),
+        "{who:?}"
+    );
+    assert_eq!(list(&flight, "attack").iter().filter(|a| **a == 1).count(), 50);
+    assert_eq!(flight["alarms"][0]["cause"], "attack");
+    assert!(flight["phi"]["values"].as_str().is_some_and(|v| v.len() > steps * 48));
+    assert!(!list(&flight["map"], "solids").is_empty() && list(&flight["map"], "truth").len() > 50);
+    assert!(flight["map"]["goal"].is_array());
+    let frames = list(&flight, "frames");
+    assert!(
+        frames
+            .iter()
+            .any(|f| f["altered"] == true && f["clean"].is_string() && f["clean"] != f["depth"])
+    );
+    let told = |words: &str| {
+        list(&flight, "events")
+            .iter()
+            .any(|e| e["text"].as_str().is_some_and(|t| t.contains(words)))
+    };
+    for words in [
+        "alarm: attack",
+        "frames are altered",
+        "hold → guided",
+        "the flight ended: success",
+        "closest to",
+    ] {
+        assert!(told(words), "no event `{words}`");
+    }
+    assert_eq!(flight["verdict"]["good"], true);
+    let command = flight["command"].as_str().expect("a command");
+    assert!(
+        command.starts_with("vigil evaluate --apf off --attack") && command.ends_with("--flights 1 --seed 3001"),
+        "{command}"
+    );
+    assert!(
+        flight["notes"].as_array().is_some_and(Vec::is_empty),
+        "{}",
+        notes(&flight)
+    );
+
+    // From disk alone: nothing in the page names another place to load from.
+    let page = std::fs::read_to_string(log.with_extension("html")).expect("a report");
+    for address in ["src=\"http", "href=", "@import", "fetch(", "url(http"] {
+        assert!(!page.contains(address), "{address}");
+    }
+    assert!(page.len() < 4_000_000, "{} bytes", page.len());
+
+    let replayed = run(&["replay", text(&log)]);
+    assert_eq!(replayed.status.code(), Some(0), "{}", said(&replayed));
+    let story = Story::read(&log).expect("a log");
+    assert_eq!(story.attack.iter().filter(|m| m.altered).count(), 50);
+    assert!(!story.clean.is_empty() && story.truth.is_sorted_by_key(|(at_ns, _)| *at_ns));
+
+    a_log_that_was_cut_is_shown_as_far_as_it_is_whole(&log);
+    a_log_without_frames_says_so_and_shows_the_rest(&log);
+    a_log_of_another_version_is_refused_by_name(&log);
+}
+
+fn a_log_that_was_cut_is_shown_as_far_as_it_is_whole(log: &Path) {
+    let bytes = std::fs::read(log).expect("a log");
+    let cut = log.with_file_name("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("a file");
+    let flight = report(&cut);
+    assert!(notes(&flight).contains("was not closed"), "{}", notes(&flight));
+    assert!(list(&flight, "t").len() > 100 && !list(&flight, "frames").is_empty());
+}
+
+fn a_log_without_frames_says_so_and_shows_the_rest(log: &Path) {
+    let blind = log.with_file_name("blind.mcap");
+    let mut reader = Reader::open(log).expect("a log");
+    let mut recorder = recorder(&blind, reader.info().clone());
+    let mut record = Box::<TickRecord>::default();
+    while reader.read_next(&mut record).expect("a readable log") {
+        let r = &record;
+        assert!(recorder.record(|slot| slot.fill(r.now_ns, r.timing, None, &r.received, &r.sent, &r.report)));
+    }
+    assert_eq!(recorder.finish().failure, None);
+    let flight = report(&blind);
+    assert!(
+        notes(&flight).contains("No step of this log has a depth frame"),
+        "{}",
+        notes(&flight)
+    );
+    assert_eq!(flight["film_none"], "The log holds no depth frames.");
+    // In lockstep the referee ends the flight before guidance holds, and this copy does not know the outcome.
+    let verdict = flight["verdict"]["text"].as_str().expect("a verdict");
+    assert!(verdict.contains("the log ends in guided"), "{verdict}");
+    assert!(
+        flight["columns"]["detector_score"]
+            .as_array()
+            .is_some_and(|v| v.iter().any(Value::is_number))
+    );
+}
+
+fn a_log_of_another_version_is_refused_by_name(log: &Path) {
+    let mut bytes = std::fs::read(log).expect("a log");
+    // The entry `format` of the metadata: its length, its name, the length of its value, its value.
+    let entry = b"\x06\0\0\0format\x01\0\0\01";
+    let at = bytes
+        .windows(entry.len())
+        .position(|w| w == entry)
+        .expect("the version");
+    bytes[at + entry.len() - 1] = b'9';
+    let other = log.with_file_name("other.mcap");
+    std::fs::write(&other, bytes).expect("a file");
+    let refused = run(&["log", "report", text(&other)]);
+    assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+    assert!(
+        said(&refused).contains("log format 9, this program reads 1"),
+        "{}",
+        said(&refused)
+    );
+    assert!(!other.with_extension("html").exists());
+}
+
+fn recorder(path: &Path, info: FlightInfo) -> Recorder {
+    let mut config = RecorderConfig::new(LogPlace::File(path.to_owned()), info);
+    config.when_full = WhenFull::Wait;
+    Recorder::start(config).expect("a new log")
+}
+
+#[test]
+fn a_flight_that_never_took_off_says_why_and_a_log_without_a_step_that_there_is_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("grounded.mcap");
+    let mut grounded = recorder(&path, FlightInfo::default());
+    for step in 0..40 {
+        assert!(grounded.record(|slot| {
+            slot.now_ns = step * 50_000_000;
+            slot.timing.step = step;
+            slot.report.now_ns = slot.now_ns;
+            slot.report.reasons = Reasons::of(Reason::LinkLost).with_if(step < 20, Reason::NoGoal);
+        }));
+    }
+    assert_eq!(grounded.finish().failure, None);
+    let flight = report(&path);
+    assert_eq!(flight["verdict"]["text"], "The vehicle never took off.");
+    assert!(
+        notes(&flight).contains("link lost for 2.0 s, no goal for 1.0 s"),
+        "{}",
+        notes(&flight)
+    );
+
+    let empty = folder.path().join("empty.mcap");
+    assert_eq!(recorder(&empty, FlightInfo::default()).finish().failure, None);
+    let none = run(&["log", "report", text(&empty)]);
+    assert_eq!(none.status.code(), Some(1));
+    assert!(said(&none).contains("holds no step"), "{}", said(&none));
+    let missing = run(&["log", "report", text(&folder.path().join("none.mcap"))]);
+    assert_eq!(missing.status.code(), Some(1));
+    assert!(said(&missing).contains("none.mcap"), "{}", said(&missing));
+}

@@ -1,0 +1,112 @@
+//! The log of a flight in lockstep, with what only the simulation knows, and the report beside it.
+
+use crate::flight_report;
+use anyhow::{Context, Result};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use vigil_adversary::PassedStep;
+use vigil_firmware::FirmwareConfig;
+use vigil_log::{LogPlace, Recorder, RecorderConfig, SideError, SideLog, WhenFull, merge_into};
+use vigil_sim::SimConfig;
+use vigil_sim::lockstep_flight::{FlightRecord, PATH_STRIDE};
+use vigil_types::{DepthFrame, STEP_NS};
+
+/// What to keep of a flight.
+pub struct Recording {
+    /// The log; it must not exist yet.
+    pub log: PathBuf,
+    /// What is known of the flight, for its metadata: `command` and others.
+    pub about: BTreeMap<String, String>,
+    /// Frames of the report whose pixels are explained.
+    pub explained_frames: usize,
+}
+
+impl Recording {
+    pub(super) fn begin(self, config: &SimConfig, firmware: &FirmwareConfig) -> Result<Begun> {
+        let mut info = firmware.flight_info();
+        info.seed = Some(config.seed);
+        let recorder = Recorder::start(RecorderConfig {
+            when_full: WhenFull::Wait,
+            scene: Some(crate::cli::scene_of(&config.course)),
+            ..RecorderConfig::new(LogPlace::File(self.log.clone()), info)
+        })?;
+        let notes_file = self.log.with_extension("part");
+        Ok(Begun {
+            recorder: Some(recorder),
+            notes: SideLog::create(&notes_file)?,
+            notes_file,
+            failure: None,
+            recording: self,
+        })
+    }
+}
+
+/// A recording that runs.
+pub(super) struct Begun {
+    /// For the firmware.
+    pub recorder: Option<Recorder>,
+    notes: SideLog,
+    notes_file: PathBuf,
+    failure: Option<SideError>,
+    recording: Recording,
+}
+
+impl Begun {
+    /// Notes what became of a frame; a failure is told at the end.
+    pub fn note(&mut self, passed: &PassedStep, clean: &DepthFrame) {
+        let altered = match passed {
+            PassedStep::Unaltered => None,
+            PassedStep::Attacked(outcome) => Some((outcome.yaw_change(), clean)),
+        };
+        let header = &clean.header;
+        if let Err(error) = self.notes.frame(header.stamp_ns, header.sequence, altered) {
+            self.failure.get_or_insert(error);
+        }
+    }
+
+    /// Puts the notes into the log and makes the report.
+    pub fn end(self, config: &SimConfig, record: &FlightRecord) -> Result<()> {
+        let Self {
+            notes,
+            notes_file,
+            failure,
+            recording:
+                Recording {
+                    log,
+                    mut about,
+                    explained_frames,
+                },
+            ..
+        } = self;
+        if let Some(failure) = failure {
+            return Err(failure.into());
+        }
+        let truth_file = notes_file.with_extension("truth.part");
+        let mut truth = SideLog::create(&truth_file)?;
+        // The path's last point is that of the ending.
+        for (point, step) in record.path_ned_m.iter().zip((0..).step_by(PATH_STRIDE as usize)) {
+            truth.truth(step.min(record.steps) * STEP_NS, *point, None)?;
+        }
+        truth.finish()?;
+        notes.finish()?;
+        about.insert("course".to_owned(), config.course.name.clone());
+        about.insert("seed".to_owned(), config.seed.to_string());
+        let outcome = record
+            .outcome
+            .map_or_else(|| "never took off".to_owned(), |o| o.to_string());
+        let text = format!(
+            "{outcome} after {:.1} s and {:.1} m",
+            record.flight_time_s, record.path_length_m
+        );
+        about.insert("outcome".to_owned(), text);
+        let sides: [&Path; 2] = [&truth_file, &notes_file];
+        let merged = merge_into(&log, &sides, &about);
+        for side in sides {
+            // What they hold is in the log.
+            let _ = std::fs::remove_file(side);
+        }
+        merged.with_context(|| format!("cannot complete {}", log.display()))?;
+        crate::cli::write_flight_report(&log, &flight_report::beside(&log), explained_frames)?;
+        Ok(())
+    }
+}

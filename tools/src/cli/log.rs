@@ -1,0 +1,135 @@
+//! `vigil log`: what can be made of a flight log.
+
+use crate::cli::output::{self, is_stdout, say};
+use crate::cli::replay::find_log;
+use crate::flight_film::{FilmOptions, film};
+use crate::flight_report::{self, EXPLAINED, ReportOptions};
+use anyhow::{Context, Result};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use vigil_log::Story;
+
+/// Arguments of `vigil log`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct LogArgs {
+    #[command(subcommand)]
+    command: LogCommand,
+}
+
+#[derive(Debug, Clone, clap::Subcommand)]
+enum LogCommand {
+    /// One HTML file that shows the flight: map, plots, film, events. Opens from disk, without a network.
+    Report(ReportArgs),
+    /// An animated picture (GIF) of the flight: map from above, what the sensor saw, score, who flies.
+    Film(FilmArgs),
+}
+
+/// Arguments of `vigil log report`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil log report runs/fly-1760000000-7             the log in a flight's folder
+  vigil log report flight-0001.mcap -o report.html   a log file, a name of your own
+  vigil log report flight-0001.mcap --shap 0         quicker: the frames without an explanation of their pixels
+
+`vigil fly` leaves a report beside each log. A log that was cut off or is damaged is shown as far as it is whole.")]
+pub struct ReportArgs {
+    /// A flight log (MCAP), or a folder that holds one.
+    log: PathBuf,
+
+    /// Where the report goes [default: beside the log, as .html]; `-` is standard output.
+    #[arg(short = 'o', long, value_name = "FILE")]
+    output: Option<PathBuf>,
+
+    /// Frames around the first alarm whose pixels are explained by DeepSHAP, at most 60; 0 leaves it out.
+    #[arg(long, value_name = "FRAMES", default_value_t = EXPLAINED, value_parser = frames)]
+    shap: usize,
+}
+
+/// Arguments of `vigil log film`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil log film runs/fly-1760000000-7                    flight-0001.gif beside the log
+  vigil log film flight-0001.mcap -o attacked.gif --speed 3 --title \"detector off\"")]
+pub struct FilmArgs {
+    /// A flight log (MCAP), or a folder that holds one.
+    log: PathBuf,
+
+    /// Where the film goes [default: beside the log, as .gif].
+    #[arg(short = 'o', long, value_name = "FILE")]
+    output: Option<PathBuf>,
+
+    /// Seconds of flight in a second of film, 0.5 to 20; a long flight is shown faster, so that the film stays small.
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, value_parser = speed)]
+    speed: f64,
+
+    /// What stands in the banner [default: the course].
+    #[arg(long, value_name = "TEXT")]
+    title: Option<String>,
+}
+
+fn speed(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(speed) if (0.5..=20.0).contains(&speed) => Ok(speed),
+        _ => Err("give a number from 0.5 to 20".to_owned()),
+    }
+}
+
+fn frames(text: &str) -> Result<usize, String> {
+    match text.parse() {
+        Ok(count @ 0..=60) => Ok(count),
+        _ => Err("give a number of frames from 0 to 60".to_owned()),
+    }
+}
+
+/// Does what was asked.
+///
+/// # Errors
+/// A log that is missing, unreadable or of another version, a report that cannot be written.
+pub fn run(args: &LogArgs) -> Result<ExitCode> {
+    match &args.command {
+        LogCommand::Report(args) => {
+            let log = find_log(&args.log)?;
+            let to = args.output.clone().unwrap_or_else(|| flight_report::beside(&log));
+            output::prepare(&to)?;
+            let bytes = write_report(&log, &to, args.shap)?;
+            if !is_stdout(&to) {
+                say!("{} ({:.1} MB)", to.display(), bytes as f64 / 1e6);
+            }
+        }
+        LogCommand::Film(args) => {
+            let log = find_log(&args.log)?;
+            let to = args.output.clone().unwrap_or_else(|| log.with_extension("gif"));
+            output::prepare(&to)?;
+            let course = Story::read(&log)?.about.get("course").cloned();
+            let options = FilmOptions {
+                speed: args.speed,
+                title: args.title.clone().or(course).unwrap_or_default(),
+            };
+            let mut bytes = Vec::new();
+            let pictures = film(&log, &options, &mut bytes).with_context(|| format!("no film of {}", log.display()))?;
+            output::write(&to, &bytes)?;
+            if !is_stdout(&to) {
+                say!(
+                    "{} ({pictures} pictures, {:.1} MB)",
+                    to.display(),
+                    bytes.len() as f64 / 1e6
+                );
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Writes the report of `log` to `to`; returns its size.
+///
+/// # Errors
+/// A log that cannot be read, a report that cannot be written.
+pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<usize> {
+    let flight = flight_report::read(log, ReportOptions { explained_frames })
+        .with_context(|| format!("no report of {}", log.display()))?;
+    let page = flight_report::html(&flight)?;
+    output::write(to, &page)?;
+    Ok(page.len())
+}

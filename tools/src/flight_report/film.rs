@@ -1,0 +1,277 @@
+//! The frames that a report shows, and what their pixels did to the actor's decision.
+
+use crate::detector_training::{PixelExplainer, YAW};
+use crate::flight_report::data::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use serde::Serialize;
+use std::collections::{HashMap, VecDeque};
+use std::path::Path;
+use vigil_log::{Reader, TickRecord};
+use vigil_nnet::{ACTOR_FRAMES, Isa};
+use vigil_policy::actor::positional_inputs;
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
+
+/// Steps before and after the moment of interest that are shown one by one.
+const BEFORE: usize = 20;
+const AFTER: usize = 40;
+/// Besides these, a frame a second, and never more than so many.
+const OVERVIEW_STEPS: usize = 20;
+const OVERVIEW_LIMIT: usize = 120;
+/// Share of the pixels whose SHAP values are not beyond the colours' full strength.
+const STRONG: f64 = 0.99;
+/// Side of the squares over which pixels' SHAP values are summed.
+const SQUARE: usize = 4;
+
+/// The film of a flight.
+#[derive(Debug, Clone, Default)]
+pub struct Film {
+    /// The pictures in the order of their times.
+    pub pictures: Vec<Picture>,
+    /// The one to show first.
+    pub first: usize,
+    /// Why there are none.
+    pub none: String,
+    /// What is missing in them.
+    pub note: Option<String>,
+}
+
+/// A frame of the film; pictures are `data:` addresses.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Picture {
+    /// Seconds since the first step.
+    pub t: f64,
+    /// Who had the vehicle, as in [`WHO`].
+    pub who: u8,
+    /// Whether the frame was altered, where that is known.
+    pub altered: bool,
+    /// What is to be said of the step.
+    pub text: String,
+    /// The frame as delivered.
+    pub depth: String,
+    /// The frame before it was altered, if that was kept.
+    pub clean: Option<String>,
+    /// SHAP values of its pixels.
+    pub shap: Option<String>,
+}
+
+/// The step of most interest: the first alarm, else the first altered frame, else the closest approach.
+fn moment(log: &LogSeen) -> Option<usize> {
+    let altered = log.altered().unwrap_or_default();
+    let is_altered = |s: &StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
+    log.alarms()
+        .first()
+        .copied()
+        .or_else(|| log.steps.iter().position(is_altered))
+}
+
+/// The steps to show, in order.
+fn chosen(log: &LogSeen, moment: Option<usize>) -> Vec<usize> {
+    let stride = OVERVIEW_STEPS.max(log.steps.len().div_ceil(OVERVIEW_LIMIT));
+    let close = moment.map_or(0..0, |at| at.saturating_sub(BEFORE)..at + AFTER);
+    (0..log.steps.len())
+        .filter(|i| close.contains(i) || i.is_multiple_of(stride))
+        .filter(|i| log.steps[*i].has_frame)
+        .collect()
+}
+
+/// Reads the log once more and makes the pictures.
+pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, ReportError> {
+    let moment = moment(log);
+    let steps = chosen(log, moment);
+    if steps.is_empty() {
+        return Ok(Film {
+            none: "The log holds no depth frames.".to_owned(),
+            ..Film::default()
+        });
+    }
+    // Around the alarm every second frame is explained: from just before the attack shows to where recovery flies.
+    let middle = moment.map_or(0, |at| steps.partition_point(|i| *i < at));
+    let reach = options.explained_frames;
+    let from = middle.saturating_sub(reach);
+    let explained: Vec<usize> = steps
+        .iter()
+        .copied()
+        .skip(from)
+        .step_by(2)
+        .take(if moment.is_some() { reach } else { 0 })
+        .collect();
+    let mut note = None;
+    let mut explainer = match explained.is_empty() {
+        true => None,
+        false => match explainer(log) {
+            Ok(explainer) => Some(explainer),
+            Err(why) => {
+                note = Some(format!("The pixels of the frames are not explained: {why}."));
+                None
+            }
+        },
+    };
+    let altered = log.altered();
+    let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
+    let mut memory: VecDeque<Vec<f32>> = VecDeque::new();
+    let mut pictures = Vec::with_capacity(steps.len());
+    let mut explanations: Vec<(usize, Vec<f32>)> = Vec::new();
+    let mut reader = Reader::open(path)?;
+    let mut record = Box::<TickRecord>::default();
+    let last = *steps.last().unwrap_or(&0);
+    let mut wanted = steps.iter().copied().peekable();
+    for number in 0..=last {
+        // The same records were read before.
+        if !reader.read_next(&mut record)? {
+            break;
+        }
+        let Some(frame) = record.frame() else { continue };
+        if explainer.is_some() {
+            if memory.len() == ACTOR_FRAMES {
+                memory.pop_front();
+            }
+            memory.push_back(frame.depth.to_vec());
+        }
+        if wanted.peek() != Some(&number) {
+            continue;
+        }
+        wanted.next();
+        let step = &log.steps[number];
+        let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
+        let before = clean.get(&(frame.header.sequence as u32));
+        if let (Some(explainer), Some(goal), true) =
+            (&mut explainer, step.report.goal_relative, explained.contains(&number))
+            && memory.len() == ACTOR_FRAMES
+        {
+            let position = positional_inputs(goal);
+            let mut inputs: Vec<&[f32]> = memory.iter().map(Vec::as_slice).collect();
+            inputs.push(&position);
+            match explainer.newest_frame(&inputs, YAW) {
+                Ok(phi) => explanations.push((pictures.len(), squares(&phi))),
+                Err(error) => note = Some(format!("The pixels of the frames are not explained: {error}.")),
+            }
+        }
+        let change = altered
+            .as_ref()
+            .and_then(|a| a.get(&step.report.frame_sequence?).copied());
+        pictures.push(Picture {
+            t: log.seconds(step.now_ns),
+            who: log.who(&step.report),
+            altered: change.is_some(),
+            text: caption(log, step, change),
+            depth: depth_picture(&frame.depth, near)?,
+            clean: before.map(|depth| depth_picture(depth, near)).transpose()?,
+            shap: None,
+        });
+    }
+    let sizes: Vec<f64> = explanations
+        .iter()
+        .flat_map(|(_, phi)| phi.iter().map(|v| f64::from(v.abs())))
+        .collect();
+    let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
+    for (place, phi) in &explanations {
+        if let Some(picture) = pictures.get_mut(*place) {
+            picture.shap = Some(shap_picture(phi, full)?);
+        }
+    }
+    // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
+    let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() == !explanations.is_empty();
+    let first = pictures
+        .iter()
+        .skip(middle)
+        .position(telling)
+        .map_or(middle, |i| middle + i);
+    Ok(Film {
+        first: first.min(pictures.len().saturating_sub(1)),
+        pictures,
+        none: String::new(),
+        note,
+    })
+}
+
+/// The explainer of the actor that flew.
+fn explainer(log: &LogSeen) -> Result<PixelExplainer, String> {
+    let config = log
+        .config
+        .as_ref()
+        .ok_or("the configuration in the log is not understood")?;
+    let actor = config.frozen_actor().map_err(|e| e.to_string())?;
+    let actor = actor.ok_or("no actor flew")?;
+    match &log.info.actor_sha256 {
+        Some(flew) if *flew != actor.sha256() => Err(format!(
+            "the actor that flew has SHA-256 {flew}, and this program has another"
+        )),
+        _ => PixelExplainer::new(Isa::detect(), &actor.params).map_err(|e| e.to_string()),
+    }
+}
+
+fn caption(log: &LogSeen, step: &StepSeen, change: Option<f32>) -> String {
+    let who = WHO[usize::from(log.who(&step.report))];
+    let mut text = format!("{:.2} s, step {}: {who}", log.seconds(step.now_ns), step.step);
+    if let Some(judgement) = step.report.judgement {
+        match (judgement.score, log.threshold()) {
+            (Some(score), Some(threshold)) => text += &format!("; score {score:.3}, threshold {threshold:.3}"),
+            (Some(score), None) => text += &format!("; score {score:.3}"),
+            (None, _) => text += "; no score",
+        }
+        text += &format!(", verdict {}", judgement.verdict.name());
+    }
+    if let Some(alarm) = step.report.alarm {
+        text += &format!("; alarm: {}, {}", alarm.cause.name(), alarm.response.name());
+    }
+    if let Some(nearest) = step.nearest_return_m {
+        text += &format!("; nearest return {nearest:.1} m");
+    }
+    if let Some(change) = change {
+        text += &format!("; frame altered: the actor's yaw moved by {change:+.2}");
+    }
+    text
+}
+
+/// Near is bright, as in the contrast that the actor sees. 64 greys: the LiDAR's noise would only swell the file.
+fn depth_picture(depth: &[f32], full_size: bool) -> Result<String, ReportError> {
+    let step = if full_size { 1 } else { 2 };
+    let grey = |range: f32| (crate::cli::output::range_grey(range)[0] / 4).saturating_mul(4);
+    let mut pixels = Vec::with_capacity(DEPTH_PIXELS / (step * step));
+    for row in depth.chunks_exact(DEPTH_COLS).step_by(step) {
+        pixels.extend(row.iter().step_by(step).map(|range| grey(*range)));
+    }
+    picture(&pixels, step, png::ColorType::Grayscale)
+}
+
+/// The SHAP values of pixels summed over squares, which keeps their sum: single pixels are too small to see.
+fn squares(phi: &[f32]) -> Vec<f32> {
+    let mut sums = vec![0.0; DEPTH_PIXELS / (SQUARE * SQUARE)];
+    for (i, value) in phi.iter().enumerate() {
+        let (row, col) = (i / DEPTH_COLS, i % DEPTH_COLS);
+        sums[row / SQUARE * (DEPTH_COLS / SQUARE) + col / SQUARE] += value;
+    }
+    sums
+}
+
+/// Orange turns right, blue turns left, white moves nothing: safe for the colour-blind.
+fn shap_picture(sums: &[f32], full: f32) -> Result<String, ReportError> {
+    let mut pixels = Vec::with_capacity(3 * sums.len());
+    for value in sums {
+        let share = (value / full).clamp(-1.0, 1.0);
+        let end: [f32; 3] = if share < 0.0 {
+            [0.0, 90.0, 160.0]
+        } else {
+            [200.0, 80.0, 0.0]
+        };
+        // 32 shades each, the weak ones lifted.
+        let shade = (share.abs().sqrt() * 32.0).round() / 32.0;
+        pixels.extend(end.map(|end| (255.0 + (end - 255.0) * shade) as u8));
+    }
+    picture(&pixels, SQUARE, png::ColorType::Rgb)
+}
+
+fn picture(pixels: &[u8], step: usize, colour: png::ColorType) -> Result<String, ReportError> {
+    let failed = |error: png::EncodingError| ReportError::Picture(error.to_string());
+    let mut bytes = Vec::new();
+    let (width, height) = (DEPTH_COLS / step, DEPTH_ROWS / step);
+    let mut encoder = png::Encoder::new(&mut bytes, width as u32, height as u32);
+    encoder.set_color(colour);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::High);
+    let mut writer = encoder.write_header().map_err(failed)?;
+    writer.write_image_data(pixels).map_err(failed)?;
+    writer.finish().map_err(failed)?;
+    Ok(format!("data:image/png;base64,{}", BASE64.encode(bytes)))
+}

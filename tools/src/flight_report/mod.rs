@@ -1,0 +1,75 @@
+//! The report of one flight: one HTML file that needs no network, made from a flight log.
+
+mod data;
+mod film;
+mod page;
+mod words;
+
+pub use data::{Flight, LogSeen, ReportError, ReportOptions, StepSeen, WHO, outline_of, read};
+pub use page::{DATA_LIMIT, html};
+
+use std::path::{Path, PathBuf};
+
+/// Frames around the first alarm whose pixels are explained, unless told otherwise.
+pub const EXPLAINED: usize = 12;
+
+/// The command line that flies the same again: `arguments` are those of the process, with its name first, without the options
+/// `dropped` (each with a value) and with `added` behind.
+pub fn command_again(
+    arguments: impl IntoIterator<Item = String>,
+    command: &str,
+    dropped: &[&str],
+    added: &[String],
+) -> String {
+    let mut again = vec!["vigil".to_owned(), command.to_owned()];
+    let mut arguments = arguments.into_iter().skip(1).skip_while(|a| a == command);
+    while let Some(argument) = arguments.next() {
+        let (name, has_value) = argument
+            .split_once('=')
+            .map_or((argument.as_str(), false), |(n, _)| (n, true));
+        if !dropped.contains(&name) {
+            again.push(quoted(&argument));
+        } else if !has_value {
+            arguments.next();
+        }
+    }
+    again.extend(added.iter().map(|a| quoted(a)));
+    again.join(" ")
+}
+
+/// An argument as a shell reads it back.
+fn quoted(argument: &str) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=@:,+%".contains(c);
+    match !argument.is_empty() && argument.chars().all(plain) {
+        true => argument.to_owned(),
+        false => format!("'{}'", argument.replace('\'', "'\\''")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::command_again;
+
+    #[test]
+    fn the_command_that_flies_again_has_the_drawn_seed_and_not_this_flights_folder() {
+        let seed = ["--seed".to_owned(), "7".to_owned()];
+        let again = |line: &[&str]| {
+            let line = line.iter().map(|a| (*a).to_owned());
+            command_again(line, "fly", &["-o", "--log", "--seed"], &seed)
+        };
+        assert_eq!(again(&["/usr/bin/vigil"]), "vigil fly --seed 7");
+        assert_eq!(
+            again(&["vigil", "fly", "--seed=9", "--apf", "off"]),
+            "vigil fly --apf off --seed 7"
+        );
+        assert_eq!(
+            again(&["vigil", "fly", "-o", "my runs", "--log=x", "--course", "it's.toml"]),
+            "vigil fly --course 'it'\\''s.toml' --seed 7"
+        );
+    }
+}
+
+/// The name of the report beside a log: `flight-0001.mcap` → `flight-0001.html`.
+pub fn beside(log: &Path) -> PathBuf {
+    log.with_extension("html")
+}

@@ -1,0 +1,397 @@
+//! What a report says in words.
+
+use crate::flight_report::data::{Event, LogSeen, StepSeen, Verdict, WHO, rounded};
+use crate::statistics::quantile;
+use std::path::Path;
+use vigil_log::{LogEnd, Weight};
+use vigil_types::{Choice, GuidanceState, PilotKind, Reason, Reasons, STEP_S};
+
+pub fn title(path: &Path, log: &LogSeen) -> String {
+    let about = &log.story.about;
+    let course = about.get("course").map(String::as_str);
+    let log_name = path.file_stem().unwrap_or_default().to_string_lossy();
+    match course {
+        Some(course) => format!("Flight report: {course}"),
+        None => format!("Flight report: {log_name}"),
+    }
+}
+
+pub fn verdict(log: &LogSeen) -> Verdict {
+    let about = &log.story.about;
+    if let Some(outcome) = about.get("outcome") {
+        let good = outcome.starts_with("success");
+        let mut text = outcome.clone();
+        // The outcome's own words are lower case.
+        if let Some(first) = text.get_mut(..1) {
+            first.make_ascii_uppercase();
+        }
+        if let Some(alarm) = log.alarms().first().and_then(|i| log.steps[*i].report.alarm) {
+            text += &format!("; an alarm was raised ({})", alarm.cause.name());
+        }
+        return Verdict { text: text + ".", good };
+    }
+    if !log.took_off() {
+        return Verdict {
+            text: "The vehicle never took off.".to_owned(),
+            good: false,
+        };
+    }
+    if log.reached_goal() {
+        return Verdict {
+            text: "The goal was reached.".to_owned(),
+            good: true,
+        };
+    }
+    let last = log.steps.last().map(|s| (s.report.state, s.report.reasons));
+    let (state, reasons) = last.unwrap_or_default();
+    let left = log.steps.iter().rev().find_map(|s| s.report.goal_relative);
+    let left = left.map_or(String::new(), |g| format!(", {:.1} m from the goal", g.distance_m));
+    Verdict {
+        text: format!(
+            "Guidance did not hold at the goal; the log ends in {}{}{left}.",
+            state.name(),
+            why(reasons)
+        ),
+        good: false,
+    }
+}
+
+fn why(reasons: Reasons) -> String {
+    let names: Vec<&str> = reasons.iter().map(Reason::name).collect();
+    match names.is_empty() {
+        true => String::new(),
+        false => format!(" ({})", names.join(", ")),
+    }
+}
+
+pub fn notes(log: &LogSeen) -> Vec<String> {
+    let mut notes = Vec::new();
+    if let Some(damage) = &log.damage {
+        notes.push(format!("The log is shown as far as it is whole: {damage}."));
+    }
+    if let Some(end @ (LogEnd::Interrupted { .. } | LogEnd::Closed { dropped: 1.. })) = log.end {
+        let text = end.to_string();
+        notes.push(format!("Note: {text}."));
+    }
+    if !log.took_off() {
+        notes.push(format!("The vehicle never took off. {}", standby_reasons(log)));
+    }
+    if !log.steps.iter().any(|s| s.has_frame) {
+        notes.push(
+            "No step of this log has a depth frame: there is no film, and the distance to obstacles is that of the course alone."
+                .to_owned(),
+        );
+    }
+    if log.config.is_none() {
+        notes.push(
+            "The configuration in the log is not understood by this version: who flew is taken to be the actor."
+                .to_owned(),
+        );
+    }
+    notes
+}
+
+/// What kept the vehicle on the ground.
+fn standby_reasons(log: &LogSeen) -> String {
+    let mut counts = [0_usize; Reason::ALL.len()];
+    for step in &log.steps {
+        for (count, reason) in counts.iter_mut().zip(Reason::ALL) {
+            *count += usize::from(step.report.reasons.contains(reason));
+        }
+    }
+    let mut named: Vec<(usize, Reason)> = counts.into_iter().zip(Reason::ALL).filter(|(n, _)| *n > 0).collect();
+    named.sort_by_key(|(count, _)| std::cmp::Reverse(*count));
+    let last = log.steps.last().map_or(GuidanceState::Standby, |s| s.report.state);
+    let list: Vec<String> = named
+        .iter()
+        .take(4)
+        .map(|(count, reason)| format!("{} for {:.1} s", reason.name(), *count as f64 * f64::from(STEP_S)))
+        .collect();
+    match list.is_empty() {
+        true => format!(
+            "Guidance ended in {} and named no reason: it was not engaged.",
+            last.name()
+        ),
+        false => format!("Guidance ended in {} and named: {}.", last.name(), list.join(", ")),
+    }
+}
+
+/// Seconds since 1970 as a date, UTC.
+fn date(unix_s: u64) -> String {
+    let (days, second) = (unix_s / 86_400, unix_s % 86_400);
+    // Days to a civil date (H. Hinnant, "chrono-compatible low-level date algorithms"), for dates since 1970.
+    let shifted = days + 719_468;
+    let (era, day_of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted_month = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 {
+        shifted_month + 3
+    } else {
+        shifted_month - 9
+    };
+    let year = year_of_era + era * 400 + u64::from(month <= 2);
+    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02} UTC")
+}
+
+pub fn facts(path: &Path, log: &LogSeen) -> Vec<(String, String)> {
+    let mut facts: Vec<(String, String)> = Vec::new();
+    let mut put = |name: &str, value: String| facts.push((name.to_owned(), value));
+    let (first, last) = (log.steps.first(), log.steps.last());
+    let span_s = last.map_or(0.0, |s| log.seconds(s.now_ns));
+    if let Some(first) = first.filter(|_| log.epoch_offset_ns > 0) {
+        put(
+            "Began",
+            date((first.now_ns.saturating_add(log.epoch_offset_ns)) / 1_000_000_000),
+        );
+    }
+    put("Length", format!("{span_s:.1} s, {} steps", log.steps.len()));
+    let info = &log.info;
+    let commit = info.git_commit.as_ref().or_else(|| log.story.about.get("git_commit"));
+    put(
+        "Program",
+        commit.map_or(info.program.clone(), |c| format!("{} ({})", info.program, short(c))),
+    );
+    let seed = log
+        .story
+        .about
+        .get("seed")
+        .cloned()
+        .or(info.seed.map(|s| s.to_string()));
+    if let Some(seed) = seed {
+        put("Seed", seed);
+    }
+    put("Instance", info.instance.to_string());
+    if let Some(config) = &log.config {
+        put("Pilot", pilot(config));
+    }
+    if let Some(actor) = &info.actor_sha256 {
+        put("Actor", format!("SHA-256 {}…", short(actor)));
+    }
+    match (&info.detector_sha256, log.threshold()) {
+        (Some(detector), Some(threshold)) => {
+            put(
+                "Detector",
+                format!("SHA-256 {}…, threshold {threshold:.3}", short(detector)),
+            );
+        }
+        (Some(detector), None) => put("Detector", format!("SHA-256 {}…", short(detector))),
+        (None, _) => put("Detector", "none".to_owned()),
+    }
+    put("Attack", attack(log));
+    put("Alarms", alarms(log));
+    put("Who flew", who_flew(log));
+    put("Path", path_flown(log));
+    let clearance = log.steps.iter().filter(|s| in_flight(s)).filter_map(|s| s.clearance_m);
+    let closest = clearance.fold(f32::INFINITY, f32::min);
+    if closest.is_finite() {
+        put(
+            "Closest to an obstacle",
+            format!("{closest:.2} m, by the vehicle's own estimate of where it is"),
+        );
+    }
+    put("Step time", step_times(log));
+    let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+    let frames = log.steps.iter().filter(|s| s.has_frame).count();
+    let per_minute = bytes as f64 / span_s.max(1.0) * 60.0 / 1e6;
+    put(
+        "Log",
+        format!(
+            "{:.1} MB ({per_minute:.0} MB a minute), {frames} frames",
+            bytes as f64 / 1e6
+        ),
+    );
+    facts
+}
+
+fn short(digest: &str) -> &str {
+    digest.get(..12).unwrap_or(digest)
+}
+
+fn in_flight(step: &StepSeen) -> bool {
+    matches!(step.report.state, GuidanceState::Guided | GuidanceState::Hold)
+}
+
+fn pilot(config: &vigil_firmware::FirmwareConfig) -> String {
+    let apf = match (config.pilot.kind, config.pilot.apf) {
+        (PilotKind::Actor, true) => ", potential field on",
+        (PilotKind::Actor, false) => ", potential field off",
+        _ => "",
+    };
+    format!("{}{apf}", config.pilot.kind.name())
+}
+
+fn attack(log: &LogSeen) -> String {
+    let Some(altered) = log.altered() else {
+        return match log.story.about.contains_key("command") {
+            true => "none".to_owned(),
+            false => "not known: nobody noted in this log whether frames were altered".to_owned(),
+        };
+    };
+    let strength = altered.values().map(|v| f64::from(v.abs())).sum::<f64>() / altered.len().max(1) as f64;
+    let name = log.story.about.get("attack").map_or("frames altered", String::as_str);
+    format!(
+        "{name}: {} of {} frames, the yaw output moved by {strength:.2} on average",
+        altered.len(),
+        log.story.attack.len()
+    )
+}
+
+fn alarms(log: &LogSeen) -> String {
+    let raised = log.alarms();
+    let Some(first) = raised.first().and_then(|i| log.steps.get(*i)) else {
+        return "none".to_owned();
+    };
+    let cause = first.report.alarm.map_or("", |a| a.cause.name());
+    format!(
+        "{}; the first at {:.2} s ({cause}){}",
+        raised.len(),
+        log.seconds(first.now_ns),
+        delay(log).map_or(String::new(), |text| format!(", {text}"))
+    )
+}
+
+/// From the first altered frame that was used to the first alarm after it.
+fn delay(log: &LogSeen) -> Option<String> {
+    let altered = log.altered()?;
+    let is = |s: &StepSeen| s.report.frame_sequence.is_some_and(|f| altered.contains_key(&f));
+    let from = log.steps.iter().position(is)?;
+    let raised = log.alarms().into_iter().find(|i| *i >= from)?;
+    let seconds = (log.steps.get(raised)?.now_ns - log.steps.get(from)?.now_ns) as f64 * 1e-9;
+    Some(format!(
+        "{seconds:.2} s ({} steps) after the first altered frame",
+        raised - from
+    ))
+}
+
+fn who_flew(log: &LogSeen) -> String {
+    let mut steps = [0_usize; WHO.len()];
+    for step in &log.steps {
+        if let Some(count) = steps.get_mut(usize::from(log.who(&step.report))) {
+            *count += 1;
+        }
+    }
+    let listed: Vec<String> = steps
+        .iter()
+        .zip(WHO)
+        .skip(1)
+        .filter(|(count, _)| **count > 0)
+        .map(|(count, name)| format!("{name} {:.1} s", *count as f64 * f64::from(STEP_S)))
+        .collect();
+    match listed.is_empty() {
+        true => "nobody: guidance never engaged".to_owned(),
+        false => listed.join(", "),
+    }
+}
+
+fn path_flown(log: &LogSeen) -> String {
+    let kinematics = || log.steps.iter().filter_map(|s| s.report.telemetry.kinematics);
+    let positions: Vec<_> = kinematics()
+        .map(|k| k.position_ned_m)
+        .filter(|p| p.is_finite())
+        .collect();
+    let length: f32 = positions.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let fastest = kinematics().map(|k| k.velocity_ned_m_s.horizontal_norm());
+    let fastest = fastest.filter(|v| v.is_finite()).fold(0.0, f32::max);
+    format!("{length:.1} m, at most {fastest:.1} m/s")
+}
+
+fn step_times(log: &LogSeen) -> String {
+    let took = log
+        .steps
+        .iter()
+        .map(|s| s.report.timing.previous_execution_ns)
+        .filter(|ns| *ns > 0);
+    let times: Vec<f64> = took.map(|ns| ns as f64 * 1e-6).collect();
+    let (Some(p50), Some(p99)) = (quantile(&times, 0.5), quantile(&times, 0.99)) else {
+        return "not measured (lockstep)".to_owned();
+    };
+    let max = times.iter().fold(0.0, |a: f64, b| a.max(*b));
+    let slips = log.steps.last().map_or(0, |s| s.report.timing.slips);
+    format!("p50 {p50:.2} ms, p99 {p99:.2} ms, max {max:.2} ms of 50; {slips} missed")
+}
+
+pub fn events(log: &LogSeen) -> Vec<Event> {
+    let mut events: Vec<Event> = log
+        .story
+        .lines
+        .iter()
+        .map(|line| Event {
+            t: log.seconds(line.at_ns),
+            weight: match line.weight {
+                Weight::Info => "info",
+                Weight::Warning => "warning",
+                Weight::Error => "error",
+            },
+            text: line.text.clone(),
+        })
+        .collect();
+    let mut put = |at_ns: u64, weight, text: String| {
+        events.push(Event {
+            t: log.seconds(at_ns),
+            weight,
+            text,
+        });
+    };
+    // Runs of altered frames.
+    let marks = &log.story.attack;
+    for (i, mark) in marks.iter().enumerate() {
+        let before = i > 0 && marks[i - 1].altered;
+        match (before, mark.altered) {
+            (false, true) => {
+                let text = format!("adversary: frames are altered from frame {} on", mark.frame_sequence);
+                put(mark.at_ns, "warning", text);
+            }
+            (true, false) => put(
+                mark.at_ns,
+                "info",
+                "adversary: frames are as they were again".to_owned(),
+            ),
+            _ => {}
+        }
+    }
+    let closest = log
+        .steps
+        .iter()
+        .filter(|s| in_flight(s))
+        .filter(|s| s.clearance_m.is_some());
+    let closest = closest.min_by(|a, b| a.clearance_m.unwrap_or(0.0).total_cmp(&b.clearance_m.unwrap_or(0.0)));
+    if let Some((step, clearance)) = closest.and_then(|s| Some((s, s.clearance_m?))) {
+        let text = format!("closest to an obstacle: {} m", rounded(clearance.into(), 2));
+        put(step.now_ns, "info", text);
+    }
+    if let (Some(outcome), Some(last)) = (log.story.about.get("outcome"), log.steps.last()) {
+        let weight = if outcome.starts_with("success") {
+            "info"
+        } else {
+            "error"
+        };
+        let ended = log.story.about.get("ended_ns").and_then(|text| text.parse().ok());
+        put(
+            ended.unwrap_or(last.now_ns),
+            weight,
+            format!("the flight ended: {outcome}"),
+        );
+    }
+    events.sort_by(|a, b| a.t.total_cmp(&b.t));
+    events
+}
+
+#[cfg(test)]
+mod tests {
+    use super::date;
+
+    #[test]
+    fn a_date_is_that_of_the_calendar() {
+        for (unix_s, text) in [
+            (0, "1970-01-01 00:00:00 UTC"),
+            (951_782_400, "2000-02-29 00:00:00 UTC"),
+            (1_767_323_045, "2026-01-02 03:04:05 UTC"),
+            (4_107_542_399, "2100-02-28 23:59:59 UTC"),
+        ] {
+            assert_eq!(date(unix_s), text);
+        }
+    }
+}
