@@ -186,7 +186,7 @@ fn a_log_without_frames_says_so_and_shows_the_rest(log: &Path) {
 fn a_log_of_another_version_is_refused_by_name(log: &Path) {
     let mut bytes = std::fs::read(log).expect("a log");
     // The entry `format` of the metadata: its length, its name, the length of its value, its value.
-    let entry = b"\x06\0\0\0format\x01\0\0\01";
+    let entry = b"\x06\0\0\0format\x01\0\0\x001";
     let at = bytes
         .windows(entry.len())
         .position(|w| w == entry)

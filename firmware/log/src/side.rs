@@ -87,8 +87,12 @@ impl SideLog {
             let mut writer = file::write_options().create(BufWriter::new(sink))?;
             let truth = file::standard::<PoseInFrame, _>(&mut writer, topic::TRUTH)?;
             let transform = file::standard::<FrameTransform, _>(&mut writer, topic::TRANSFORM)?;
-            let schemas = wire::file_descriptor_set();
-            let attack = file::protobuf(&mut writer, topic::ATTACK, &wire::schema_name("Attack"), &schemas)?;
+            let attack = file::protobuf(
+                &mut writer,
+                topic::ATTACK,
+                &wire::schema_name("Attack"),
+                wire::FILE_DESCRIPTOR_SET,
+            )?;
             let clean = file::standard::<RawImage, _>(&mut writer, topic::CLEAN_DEPTH)?;
             Ok((writer, truth, transform, attack, clean))
         };

@@ -142,8 +142,8 @@ impl PixelExplainer {
     ///
     /// # Errors
     /// Parameters of another architecture.
-    pub fn new(isa: Isa, params: &[f32]) -> Result<Self, DetectError> {
-        let shap = explainer(isa, params, BACKGROUNDS)?;
+    pub fn new(isa: Isa, actor: &FrozenActor) -> Result<Self, DetectError> {
+        let shap = explainer(isa, actor, BACKGROUNDS)?;
         let phi = vec![0.0; shap.phi_len()];
         Ok(Self { shap, phi })
     }

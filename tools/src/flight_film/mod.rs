@@ -135,7 +135,7 @@ fn difference(before: Option<&Canvas>, now: &Canvas, delay: u16) -> Frame<'stati
         let changed = || (0..WIDTH * HEIGHT).filter(|i| before.pixels[*i] != now.pixels[*i]);
         let (top, bottom) = (
             changed().next().map_or(0, |i| i / WIDTH),
-            changed().last().map_or(0, |i| i / WIDTH),
+            changed().next_back().map_or(0, |i| i / WIDTH),
         );
         let (left, right) = changed().fold((WIDTH - 1, 0), |(l, r), i| (l.min(i % WIDTH), r.max(i % WIDTH)));
         (left.min(right), top, right + 1, bottom + 1)

@@ -448,7 +448,7 @@ fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str
     let judged = |s: &&StepSeen| s.report.judgement.and(threshold);
     table.insert("detector_threshold", steps.iter().map(|s| number(judged(s))).collect());
     // A step knows how long the one before it took.
-    let took = |s: &StepSeen| timed(s).then(|| (s.report.timing.previous_execution_ns as f64 * MS) as f32);
+    let took = |s: &StepSeen| timed(s).then_some((s.report.timing.previous_execution_ns as f64 * MS) as f32);
     let mut times: Vec<Option<f64>> = steps.iter().skip(1).map(|s| number(took(s))).collect();
     times.push(None);
     table.insert("step_time_ms", times);

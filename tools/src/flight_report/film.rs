@@ -171,7 +171,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         }
     }
     // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
-    let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() == !explanations.is_empty();
+    let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != explanations.is_empty();
     let first = pictures
         .iter()
         .skip(middle)
@@ -197,7 +197,7 @@ fn explainer(log: &LogSeen) -> Result<PixelExplainer, String> {
         Some(flew) if *flew != actor.sha256() => Err(format!(
             "the actor that flew has SHA-256 {flew}, and this program has another"
         )),
-        _ => PixelExplainer::new(Isa::detect(), &actor.params).map_err(|e| e.to_string()),
+        _ => PixelExplainer::new(Isa::detect(), &actor).map_err(|e| e.to_string()),
     }
 }
 

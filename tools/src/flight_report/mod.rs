@@ -46,6 +46,11 @@ fn quoted(argument: &str) -> String {
     }
 }
 
+/// The name of the report beside a log: `flight-0001.mcap` → `flight-0001.html`.
+pub fn beside(log: &Path) -> PathBuf {
+    log.with_extension("html")
+}
+
 #[cfg(test)]
 mod tests {
     use super::command_again;
@@ -67,9 +72,4 @@ mod tests {
             "vigil fly --course 'it'\\''s.toml' --seed 7"
         );
     }
-}
-
-/// The name of the report beside a log: `flight-0001.mcap` → `flight-0001.html`.
-pub fn beside(log: &Path) -> PathBuf {
-    log.with_extension("html")
 }
