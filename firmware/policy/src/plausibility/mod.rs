@@ -61,7 +61,8 @@ const KEEP_LONG: f32 = 0.975;
 /// Parts of the view of 4 × 4 cells.
 const PART: usize = 4;
 const PART_COLS: usize = COLS / PART;
-const PARTS: usize = (ROWS / PART) * PART_COLS;
+const PART_ROWS: usize = ROWS / PART;
+const PARTS: usize = PART_ROWS * PART_COLS;
 
 /// Cells that did not change by a bit although they should have, of a step's samples, and how many steps in a row.
 const SAME_CELLS: u16 = 10;
@@ -88,6 +89,9 @@ const MOST_TURN: f32 = 2.5;
 /// Points of a part that were seen through, and how many such parts make a picture from which something vanished.
 const VANISHED: f32 = 6.0;
 const VANISHED_PARTS: usize = 6;
+/// Points that were seen through above one row of the view, where next to nothing was found: that side of the view is dead.
+const VANISHED_ABOVE: f32 = 10.0;
+const FOUND_ABOVE: f32 = 0.1;
 
 /// A picture fits an earlier one if so many samples say something, such a share of them agrees at such a mean cost, and standing
 /// still would cost so much more.
@@ -121,6 +125,9 @@ struct Evidence {
     /// Points found and seen through.
     found_parts: [f32; PARTS],
     lost_parts: [f32; PARTS],
+    /// The same by row, for longer.
+    found_rows: [f32; PART_ROWS],
+    lost_rows: [f32; PART_ROWS],
     /// Cost of the motion over that of a mirrored, and of sensors turned to the left and to the right.
     mirrored: f32,
     turned: [f32; 2],
@@ -137,6 +144,8 @@ impl Evidence {
         cost_parts: [0.0; PARTS],
         found_parts: [0.0; PARTS],
         lost_parts: [0.0; PARTS],
+        found_rows: [0.0; PART_ROWS],
+        lost_rows: [0.0; PART_ROWS],
         mirrored: 0.0,
         turned: [0.0; 2],
         far_cost: 0.0,
@@ -149,6 +158,9 @@ impl Evidence {
         let parts = self.frozen_parts.iter_mut().chain(&mut self.cost_parts);
         for value in parts.chain(&mut self.found_parts).chain(&mut self.lost_parts) {
             *value *= KEEP;
+        }
+        for value in self.found_rows.iter_mut().chain(&mut self.lost_rows) {
+            *value *= KEEP_LONG;
         }
         self.mirrored *= KEEP_LONG;
         self.far_cost *= KEEP_LONG;
@@ -484,14 +496,17 @@ impl PlausibilityJudge {
                 &self.picture,
             );
             let part = part_of(there_row as usize, there_column as usize);
-            if found.is_seen_through() {
-                if let Some(lost) = self.evidence.lost_parts.get_mut(part) {
-                    *lost += 1.0;
-                }
-            } else if found.agrees()
-                && let Some(kept) = self.evidence.found_parts.get_mut(part)
-            {
-                *kept += 1.0;
+            let evidence = &mut self.evidence;
+            let (parts, rows) = if found.is_seen_through() {
+                (&mut evidence.lost_parts, &mut evidence.lost_rows)
+            } else if found.agrees() {
+                (&mut evidence.found_parts, &mut evidence.found_rows)
+            } else {
+                continue;
+            };
+            if let (Some(part), Some(row)) = (parts.get_mut(part), rows.get_mut(there_row as usize / PART)) {
+                *part += 1.0;
+                *row += 1.0;
             }
         }
         for (row, column) in samples(self.step).step_by(2) {
@@ -527,6 +542,8 @@ impl PlausibilityJudge {
             cost_parts,
             found_parts,
             lost_parts,
+            found_rows,
+            lost_rows,
             mirrored,
             turned,
             far_cost,
@@ -541,6 +558,13 @@ impl PlausibilityJudge {
         let lost_parts = lost
             .filter(|(found, lost)| **lost > VANISHED && **lost > 4.0 * **found)
             .count();
+        // Whatever rises above some row of the view vanishes, and nothing is ever found there.
+        let (mut found_above, mut lost_above, mut dead_above) = (0.0, 0.0, false);
+        for (found, lost) in found_rows.iter().zip(lost_rows) {
+            found_above += found;
+            lost_above += lost;
+            dead_above |= lost_above > VANISHED_ABOVE && found_above < FOUND_ABOVE * lost_above;
+        }
         // Were the error straight in the turn, tests to both sides would cost I·(2a − 1) and −I·(2a + 1) less than none, for a turn
         // of a times what is tested: that gives a and the information I. What is not such a turn gives no such a.
         let [left, right] = turned;
@@ -554,7 +578,10 @@ impl PlausibilityJudge {
             raised(Reason::InconsistentPicture, true)
         } else if is_frozen(*frozen, *cost, FROZEN_VIEW) || frozen_parts >= FROZEN_PARTS {
             raised(Reason::FrozenSensor, false)
-        } else if (*samples >= MISFIT_SAMPLES && *cost > MISFIT * *samples) || lost_parts >= VANISHED_PARTS {
+        } else if (*samples >= MISFIT_SAMPLES && *cost > MISFIT * *samples)
+            || lost_parts >= VANISHED_PARTS
+            || dead_above
+        {
             raised(Reason::InconsistentPicture, false)
         } else {
             None
