@@ -36,7 +36,6 @@ NOTES = {
     "action.shutdown": "end the simulator instead",
     "calibration.calibrate_accelerometer": "nobody turns a simulated vehicle by hand",
     "calibration.calibrate_magnetometer": "nobody turns a simulated vehicle by hand",
-    "failure.inject": "4.1 reads SYS_FAILURE_EN once, when it connects, and refuses by itself if it was 0",
     "param.select_component": "an error inside MAVSDK",
     "tune.play_tune": "4.1: an error inside MAVSDK; there is no buzzer",
 }
