@@ -70,8 +70,7 @@ pub struct SensorCheck {
     returns: Vec<f64>,
     zeros: u64,
     unchanged: u64,
-    last_checksum: Option<u64>,
-    last_pixels_hash: u64,
+    last_pixels_hash: Option<u64>,
     seen: [[bool; PART_COLS]; PART_ROWS],
     middle_m: Vec<f32>,
 }
@@ -92,8 +91,7 @@ impl SensorCheck {
             returns: Vec::new(),
             zeros: 0,
             unchanged: 0,
-            last_checksum: None,
-            last_pixels_hash: 0,
+            last_pixels_hash: None,
             seen: [[false; PART_COLS]; PART_ROWS],
             middle_m: Vec::new(),
         }
@@ -132,9 +130,8 @@ impl SensorCheck {
         let pixels_hash = frame.depth.iter().fold(0xcbf2_9ce4_8422_2325u64, |hash, v| {
             (hash ^ u64::from(v.to_bits())).wrapping_mul(0x0000_0100_0000_01b3)
         });
-        self.unchanged += u64::from(self.last_checksum.is_some() && pixels_hash == self.last_pixels_hash);
-        self.last_checksum = Some(header.checksum);
-        self.last_pixels_hash = pixels_hash;
+        let before = self.last_pixels_hash.replace(pixels_hash);
+        self.unchanged += u64::from(before == Some(pixels_hash));
 
         let mut returned = 0u32;
         for (row, pixels) in frame.depth.chunks_exact(DEPTH_COLS).enumerate() {
