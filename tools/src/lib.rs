@@ -11,3 +11,4 @@ pub mod flight_report;
 pub mod report;
 mod sensor_check;
 pub mod statistics;
+pub mod threads;

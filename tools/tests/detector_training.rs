@@ -7,6 +7,7 @@ use vigil_policy::FrozenActor;
 use vigil_tools::detector_training::{
     Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, Plan, Scenario, Step, fit, fly,
 };
+use vigil_tools::threads::thread_pool;
 use vigil_types::DepthFrame;
 use vigil_world::Family;
 
@@ -216,7 +217,7 @@ fn a_network_learns_what_no_straight_line_separates_with_the_same_bits_on_any_nu
         seed: 5,
     };
     let train = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = thread_pool(threads).unwrap();
         let first: Vec<f32> = (0..graph.param_len()).map(|i| (i as f32 * 1.7).sin() * 0.5).collect();
         pool.install(|| {
             fit(

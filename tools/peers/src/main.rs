@@ -9,6 +9,7 @@ use clap::Parser;
 use rustix::time::{ClockId, clock_gettime};
 use std::io::{BufRead, Write};
 use std::path::PathBuf;
+use vigil_tools::threads::thread_pool;
 
 /// Our side of the comparisons with other frameworks. tools/peers/run.sh starts it.
 ///
@@ -38,8 +39,7 @@ fn main() -> Result<()> {
     let arguments = Arguments::parse();
     std::fs::create_dir_all(&arguments.folder)
         .with_context(|| format!("cannot make {}", arguments.folder.display()))?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    pool.install(|| serve(&arguments))
+    thread_pool(1)?.install(|| serve(&arguments))
 }
 
 fn serve(arguments: &Arguments) -> Result<()> {

@@ -10,6 +10,7 @@ use crate::actor_training::progress::{self, FlightRow, Progress, Row, RowSum, UP
 use crate::actor_training::replay_buffer::Memory;
 use crate::actor_training::result::{FlightCount, RunResult};
 use crate::actor_training::rollout::{EvaluatedActor, EvaluationResult, EvaluationSpec, RolloutError, evaluate};
+use crate::threads::{ThreadsError, thread_pool};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -54,13 +55,8 @@ pub enum TrainError {
     #[error(transparent)]
     Actor(#[from] FileError),
     /// Threads.
-    #[error("cannot start {threads} threads: {source}")]
-    Threads {
-        /// How many.
-        threads: usize,
-        /// What the system said.
-        source: rayon::ThreadPoolBuildError,
-    },
+    #[error(transparent)]
+    Threads(#[from] ThreadsError),
     /// The folder.
     #[error("cannot make {path}: {source}")]
     Folder {
@@ -114,12 +110,7 @@ pub fn run(
     stop: &AtomicBool,
     report: &mut (dyn FnMut(&Progress<'_>) + Send),
 ) -> Result<RunEnd, TrainError> {
-    let threads = config.threads;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|source| TrainError::Threads { threads, source })?;
-    pool.install(|| Run::begin(config, options)?.complete(options, stop, report))
+    thread_pool(config.threads)?.install(|| Run::begin(config, options)?.complete(options, stop, report))
 }
 
 struct Run<'a> {

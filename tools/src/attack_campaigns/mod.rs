@@ -7,6 +7,7 @@ mod states;
 mod strength;
 
 use crate::cli::output::{self, say};
+use crate::threads::thread_pool_of;
 use anyhow::{Context, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -85,11 +86,7 @@ impl Common {
     }
 
     fn pool(&self) -> Result<rayon::ThreadPool> {
-        let threads = self.threads.map_or(0, usize::from);
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .context("cannot start threads")
+        Ok(thread_pool_of(self.threads)?)
     }
 
     /// Makes the folder before the work, so that the work is not lost.

@@ -7,6 +7,7 @@ use crate::detector_training::{
 };
 use crate::report::{Figure, Panel, TextTable, decimals, numbers, to_csv, words};
 use crate::statistics::quantile;
+use crate::threads::thread_pool_of;
 use anyhow::{Context, Result};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -186,10 +187,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         actor,
         folder: &args.output,
     };
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.threads.map_or(0, usize::from))
-        .build()
-        .context("cannot start threads")?;
+    let pool = thread_pool_of(args.threads)?;
     // What can be interrupted tells by its exit code whether it was.
     match &args.command {
         DetectorCommand::Collect { windows } => return pool.install(|| stage.collect(*windows as usize)),

@@ -6,6 +6,7 @@ use crate::cli::pilot::PilotArgs;
 use crate::flight_report;
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
+use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
 use rayon::prelude::*;
 use serde::Serialize;
@@ -273,9 +274,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let attack = args.attack.attack(args.pilot.actor_file())?;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(args.threads.map_or(0, usize::from))
-        .build()?;
+    let pool = thread_pool_of(args.threads)?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(args.flights, "flights")?;
     let begun = Instant::now();

@@ -4,7 +4,8 @@ use crate::actor_training::{EvaluatedActor, EvaluationSpec};
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::wilson_95;
-use anyhow::{Context, Result};
+use crate::threads::thread_pool_of;
+use anyhow::Result;
 use std::path::Path;
 use std::process::ExitCode;
 use vigil_nnet::Isa;
@@ -83,11 +84,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
             EvaluatedActor::Actor(&frozen.params, inputs(args, frozen.inputs))
         }
     };
-    let threads = args.threads.map_or(0, usize::from);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .context("cannot start threads")?;
+    let pool = thread_pool_of(args.threads)?;
     let mut table = TextTable::new([
         words("field"),
         numbers("completion"),

@@ -18,6 +18,7 @@ use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{FlightRow, flights_csv};
 use crate::actor_training::rollout::{EvaluatedActor, EvaluationSpec, RolloutError, evaluate};
 use crate::statistics::wilson_95;
+use crate::threads::{ThreadsError, thread_pool};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
@@ -72,13 +73,8 @@ pub enum ValueError {
     #[error(transparent)]
     Actor(#[from] FileError),
     /// Threads.
-    #[error("cannot start {threads} threads: {source}")]
-    Threads {
-        /// How many.
-        threads: usize,
-        /// What the system said.
-        source: rayon::ThreadPoolBuildError,
-    },
+    #[error(transparent)]
+    Threads(#[from] ThreadsError),
     /// The folder.
     #[error("cannot make {path}: {source}")]
     Folder {
@@ -263,12 +259,7 @@ pub fn run_value(
     report: &mut (dyn FnMut(ValueProgress<'_>) + Send),
 ) -> Result<ValueEnd, ValueError> {
     config.check()?;
-    let threads = config.threads;
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|source| ValueError::Threads { threads, source })?;
-    pool.install(|| Run::begin(config, options, report)?.complete(stop, report))
+    thread_pool(config.threads)?.install(|| Run::begin(config, options, report)?.complete(stop, report))
 }
 
 struct Run<'a> {
