@@ -12,7 +12,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::gate::SigningGate;
-use vigil_firmware::ports::links::{LiveLink, PeerRule, SerialLink, TcpLink, UdpLink};
+use vigil_firmware::ports::links::{PeerRule, SerialLink, TcpLink, UdpLink};
 use vigil_firmware::ports::live::{MonotonicClock, SharedFrames};
 use vigil_firmware::ports::{Clock, Link};
 use vigil_firmware::step::Firmware;
@@ -179,18 +179,18 @@ impl<W: Read + Write> FarEnd for StreamEnd<W> {
 }
 
 /// Shared memory and a link on this machine.
-struct Live<F> {
+struct Live<L, F> {
     firmware: Firmware,
     frames: SharedFrames,
-    link: LiveLink,
+    link: L,
     publisher: FramePublisher,
     vehicle: F,
     steps: u64,
     _instance: Instance,
 }
 
-impl<F: FarEnd> Live<F> {
-    fn new(number: u32, link: LiveLink, vehicle: F) -> Self {
+impl<L: Link, F: FarEnd> Live<L, F> {
+    fn new(number: u32, link: L, vehicle: F) -> Self {
         let instance = Instance::own(number);
         let domain = Domain::open(instance.0, "test").unwrap();
         Self {
@@ -205,7 +205,7 @@ impl<F: FarEnd> Live<F> {
     }
 }
 
-impl<F: FarEnd> Rig for Live<F> {
+impl<L: Link, F: FarEnd> Rig for Live<L, F> {
     fn now_ns(&mut self) -> Nanos {
         MonotonicClock.now_ns()
     }
@@ -423,7 +423,7 @@ fn a_udp_link_conforms() {
     let vehicle = UdpSocket::bind("127.0.0.1:0").unwrap();
     vehicle.connect(link.local_address().unwrap()).unwrap();
     vehicle.set_nonblocking(true).unwrap();
-    suite(Live::new(0, LiveLink::Udp(link), vehicle));
+    suite(Live::new(0, link, vehicle));
 }
 
 fn tcp_end(socket: TcpStream) -> StreamEnd<TcpStream> {
@@ -445,7 +445,7 @@ fn a_tcp_server_conforms() {
     )
     .unwrap();
     let vehicle = TcpStream::connect(link.local_address().unwrap()).unwrap();
-    suite(Live::new(2, LiveLink::Tcp(link), tcp_end(vehicle)));
+    suite(Live::new(2, link, tcp_end(vehicle)));
 }
 
 #[test]
@@ -456,7 +456,7 @@ fn a_tcp_client_conforms() {
     // The first step's receiving calls.
     link.receive(MonotonicClock.now_ns(), &mut Datagrams::default());
     let (socket, _) = vehicle.accept().unwrap();
-    suite(Live::new(3, LiveLink::Tcp(link), tcp_end(socket)));
+    suite(Live::new(3, link, tcp_end(socket)));
 }
 
 #[test]
@@ -473,7 +473,7 @@ fn a_serial_line_conforms() {
         framer: StreamFramer::default(),
         waiting: Some(waiting),
     };
-    suite(Live::new(4, LiveLink::Serial(link), vehicle));
+    suite(Live::new(4, link, vehicle));
 }
 
 #[test]

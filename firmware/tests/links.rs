@@ -10,7 +10,8 @@ use std::time::Duration;
 use vigil_firmware::link_url::LinkUrl;
 use vigil_firmware::ports::Link;
 use vigil_firmware::ports::gate::{AllowUnsigned, SigningGate};
-use vigil_firmware::ports::links::{LinkError, LiveLink, PeerRule, SerialLink, TcpLink};
+use vigil_firmware::ports::links::{LinkError, PeerRule, SerialLink, TcpLink};
+use vigil_firmware::ports::router::RoutedLinks;
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{HEARTBEAT_DATA, MavAutopilot, MavMessage};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, StreamFramer, serialize};
@@ -263,7 +264,7 @@ fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
         ("tcpout://127.0.0.1:14995", AllowUnsigned::Loopback, true),
         ("serial:///dev/null:57600", AllowUnsigned::Loopback, false),
     ] {
-        let opened = LiveLink::open(&url.parse().unwrap(), VEHICLE, SigningGate::new(None, policy));
+        let opened = RoutedLinks::open(&url.parse().unwrap(), &[], SigningGate::new(None, policy));
         match opened {
             Ok(_) => assert!(opens, "{url}"),
             Err(error) => {

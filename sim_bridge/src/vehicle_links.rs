@@ -4,12 +4,11 @@
 use crate::udp::{UdpError, onboard_api_gcs};
 use std::path::PathBuf;
 use vigil_autopilot::{LinkId, SigningSetup};
-use vigil_io::Link;
 use vigil_io::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use vigil_io::link_spec::{Budget, LinkSpec};
 use vigil_io::link_url::LinkUrl;
-use vigil_io::links::{LinkError, LiveLink, PeerRule, UdpPeers};
-use vigil_mavlink::signing::{SigningCounters, SigningKey};
+use vigil_io::links::{AnyWire, LinkAdmission, LinkError, PeerRule, somebody_is_heard};
+use vigil_mavlink::signing::{SIGNATURE_LEN, SigningCounters, SigningKey};
 use vigil_types::{Datagrams, Nanos};
 
 /// Refused keys are told of this often at most: an attacker must not fill the links.
@@ -58,18 +57,9 @@ pub enum LinksError {
     },
 }
 
-enum Transport {
-    Udp(UdpPeers),
-    /// One peer, whose datagrams come ungated. `is_local`: it is on this machine.
-    Single {
-        link: Box<LiveLink>,
-        is_local: bool,
-    },
-}
-
 struct VehicleLink {
     id: LinkId,
-    transport: Transport,
+    wire: AnyWire,
     allow_unsigned: AllowUnsigned,
     budget: Option<Budget>,
     over_budget: u64,
@@ -84,7 +74,6 @@ pub struct VehicleLinks {
     keys_refused: u64,
     key_refused_next_ns: Nanos,
     received: Box<Datagrams>,
-    admitted: Box<Datagrams>,
     to_send: Box<Datagrams>,
 }
 
@@ -115,7 +104,7 @@ impl VehicleLinks {
             .into_iter()
             .map(|(id, udp)| VehicleLink {
                 id,
-                transport: Transport::Udp(udp),
+                wire: udp.into(),
                 allow_unsigned,
                 budget: None,
                 over_budget: 0,
@@ -123,31 +112,10 @@ impl VehicleLinks {
             .collect();
         for extra in &config.extra {
             let policy = extra.allow_unsigned.unwrap_or(allow_unsigned);
-            let is_local = extra.url.is_on_this_machine();
-            let transport = match extra.url {
-                LinkUrl::UdpIn(local) => {
-                    Transport::Udp(UdpPeers::listening(local).map_err(|e| LinkError::of(&extra.url, e))?)
-                }
-                LinkUrl::UdpOut(peer) => {
-                    Transport::Udp(UdpPeers::calling(peer).map_err(|e| LinkError::of(&extra.url, e))?)
-                }
-                _ => {
-                    let link = Box::new(LiveLink::open(&extra.url, PeerRule::Anyone, SigningGate::open())?);
-                    Transport::Single { link, is_local }
-                }
-            };
-            // A UDP link on all addresses hears this machine as well, sender by sender.
-            let hears_this_machine = is_local || matches!(extra.url, LinkUrl::UdpIn(a) if a.ip().is_unspecified());
-            if !gate.has_key() && !policy.covers(hears_this_machine) {
-                return Err(LinkError::NobodyHeard {
-                    url: extra.url.clone(),
-                    from_whom: "",
-                }
-                .into());
-            }
+            somebody_is_heard(&extra.url, gate.has_key(), policy)?;
             links.push(VehicleLink {
                 id: LinkId(links.len() as u8),
-                transport,
+                wire: AnyWire::open(&extra.url, PeerRule::Anyone)?,
                 allow_unsigned: policy,
                 budget: Budget::of(extra, f64::INFINITY),
                 over_budget: 0,
@@ -160,7 +128,6 @@ impl VehicleLinks {
             keys_refused: 0,
             key_refused_next_ns: 0,
             received: Box::default(),
-            admitted: Box::default(),
             to_send: Box::default(),
         })
     }
@@ -200,29 +167,15 @@ impl VehicleLinks {
         self.now_ns = now_ns;
         self.gate.begin(now_ns);
         for link in &mut self.links {
-            let (gate, admitted, policy) = (&mut self.gate, &mut self.admitted, link.allow_unsigned);
-            match &mut link.transport {
-                Transport::Udp(udp) => udp.receive(now_ns, |sender, datagram| {
-                    admitted.clear();
-                    let passes = gate.admit_by(policy, sender.is_local, 0, datagram, admitted);
-                    admitted
-                        .iter()
-                        .for_each(|(_, datagram)| on_datagram(link.id, sender.number, datagram));
-                    passes
-                }),
-                Transport::Single { link: single, is_local } => {
-                    self.received.clear();
-                    single.receive(now_ns, &mut self.received);
-                    let connection = single.statistics().connections;
-                    for (_, datagram) in self.received.iter() {
-                        admitted.clear();
-                        gate.admit_by(policy, *is_local, 0, datagram, admitted);
-                        admitted
-                            .iter()
-                            .for_each(|(_, datagram)| on_datagram(link.id, connection, datagram));
-                    }
-                }
-            }
+            let mut admission = LinkAdmission {
+                gate: &mut self.gate,
+                allow_unsigned: link.allow_unsigned,
+                link: 0,
+            };
+            link.wire
+                .receive_each(now_ns, &mut admission, &mut self.received, |sender, datagram| {
+                    on_datagram(link.id, sender, datagram);
+                });
         }
     }
 
@@ -232,21 +185,16 @@ impl VehicleLinks {
         let Some(link) = self.links.iter_mut().find(|l| l.id == link) else {
             return;
         };
-        let sealed = self.gate.seal(packet);
+        let signature_len = if self.gate.has_key() { SIGNATURE_LEN } else { 0 };
         if let Some(budget) = &mut link.budget
-            && !budget.spend(self.now_ns, sealed.len(), 0.0)
+            && !budget.spend(self.now_ns, packet.len() + signature_len, 0.0)
         {
             link.over_budget += 1;
             return;
         }
-        match &mut link.transport {
-            Transport::Udp(udp) => udp.send(sealed),
-            Transport::Single { link: single, .. } => {
-                self.to_send.clear();
-                self.to_send.push(0, sealed);
-                single.send(&self.to_send);
-            }
-        }
+        self.to_send.clear();
+        self.to_send.push(0, packet);
+        link.wire.send(&mut self.gate, &self.to_send);
     }
 }
 
@@ -688,7 +636,7 @@ mod tests {
                 .unwrap_or_default()
         };
         assert!(open("udpout://10.1.2.3:14550").contains("--signing-key"));
-        assert!(open("tcpin://0.0.0.0:5799").contains("nobody would be heard"));
+        assert!(open("tcpout://10.1.2.3:5799").contains("nobody would be heard"));
         assert!(open("udpout://127.0.0.1:14999,system=3").contains("leave them out"));
         assert_eq!(open("udpout://127.0.0.1:14999"), "");
     }

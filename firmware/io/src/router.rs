@@ -12,10 +12,7 @@
 use crate::Link;
 use crate::gate::SigningGate;
 use crate::link_spec::{Budget, LinkSpec};
-use crate::link_url::LinkUrl;
-use crate::links::{
-    LinkAdmission, LinkError, LinkStatistics, PeerRule, SerialWire, TcpWire, UdpPeers, UdpWire, Wire, somebody_is_heard,
-};
+use crate::links::{AnyWire, LinkAdmission, LinkError, LinkStatistics, PeerRule, somebody_is_heard};
 use crate::value_rate::ValueRate;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
@@ -55,61 +52,6 @@ pub struct RoutingCounters {
     pub crowded_out: u64,
 }
 
-enum AnyWire {
-    /// The vehicle's: one peer.
-    Udp(UdpWire),
-    /// For ground stations: several peers.
-    Peers(UdpPeers),
-    Tcp(TcpWire),
-    Serial(SerialWire),
-}
-
-impl AnyWire {
-    fn open(spec: &LinkSpec, is_vehicle: bool) -> Result<Self, LinkError> {
-        let url = &spec.url;
-        let of = |source| LinkError::of(url, source);
-        let rule = match is_vehicle {
-            true => PeerRule::Vehicle { system: spec.system },
-            false => PeerRule::Anyone,
-        };
-        match url {
-            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) if is_vehicle => UdpWire::open(url, rule).map(Self::Udp),
-            LinkUrl::UdpIn(local) => UdpPeers::listening(*local).map(Self::Peers).map_err(of),
-            LinkUrl::UdpOut(peer) => UdpPeers::calling(*peer).map(Self::Peers).map_err(of),
-            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpWire::open(url, rule).map(Self::Tcp),
-            LinkUrl::Serial { .. } => SerialWire::open(url).map(Self::Serial),
-        }
-    }
-
-    fn receive(&mut self, now_ns: Nanos, admission: &mut LinkAdmission<'_>, received: &mut Datagrams) {
-        match self {
-            Self::Udp(wire) => wire.receive(now_ns, admission, received),
-            Self::Peers(wire) => Wire::receive(wire, now_ns, admission, received),
-            Self::Tcp(wire) => wire.receive(now_ns, admission, received),
-            Self::Serial(wire) => wire.receive(now_ns, admission, received),
-        }
-    }
-
-    fn send(&mut self, gate: &mut SigningGate, sent: &Datagrams) {
-        match self {
-            Self::Udp(wire) => wire.send(gate, sent),
-            Self::Peers(wire) => Wire::send(wire, gate, sent),
-            Self::Tcp(wire) => wire.send(gate, sent),
-            Self::Serial(wire) => wire.send(gate, sent),
-        }
-    }
-
-    /// The wire's own, and whether it finds packets itself.
-    fn statistics(&self) -> (LinkStatistics, bool) {
-        match self {
-            Self::Udp(wire) => (wire.statistics(), UdpWire::IS_STREAM),
-            Self::Peers(wire) => (wire.statistics(), UdpPeers::IS_STREAM),
-            Self::Tcp(wire) => (wire.statistics(), TcpWire::IS_STREAM),
-            Self::Serial(wire) => (wire.statistics(), SerialWire::IS_STREAM),
-        }
-    }
-}
-
 struct Port {
     wire: AnyWire,
     spec: LinkSpec,
@@ -130,8 +72,12 @@ impl Port {
     fn open(spec: &LinkSpec, is_vehicle: bool, gate: &SigningGate) -> Result<Self, LinkError> {
         let policy = spec.allow_unsigned.unwrap_or(gate.allow_unsigned());
         somebody_is_heard(&spec.url, gate.has_key(), policy)?;
+        let rule = match is_vehicle {
+            true => PeerRule::Vehicle { system: spec.system },
+            false => PeerRule::Anyone,
+        };
         Ok(Self {
-            wire: AnyWire::open(spec, is_vehicle)?,
+            wire: AnyWire::open(&spec.url, rule)?,
             budget: Budget::of(spec, BURST_BYTES),
             values: ValueRate::new(spec.values_per_s()),
             spec: LinkSpec {

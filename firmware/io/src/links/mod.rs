@@ -1,7 +1,8 @@
-//! The link to the vehicle in a real flight: MAVLink over UDP, TCP or a serial line, behind one type.
+//! MAVLink over UDP, TCP or a serial line: links, and the one type behind which each is ([`AnyWire`]).
 //!
 //! None of them waits, allocates after its opening, or ends: a peer that is gone is waited for.
 
+mod any_wire;
 mod callers;
 mod peer_rule;
 mod peers;
@@ -12,6 +13,7 @@ mod tcp;
 mod udp;
 mod wire;
 
+pub use any_wire::AnyWire;
 pub use peer_rule::PeerRule;
 pub use peers::{UdpPeers, UdpSender};
 pub use serial::SerialLink;
@@ -20,18 +22,17 @@ pub use tcp::TcpLink;
 pub(crate) use tcp::TcpWire;
 pub use udp::UdpLink;
 pub(crate) use udp::UdpWire;
-pub use wire::Gated;
-pub(crate) use wire::{LinkAdmission, Wire};
+pub(crate) use wire::Wire;
+pub use wire::{Gated, LinkAdmission};
 
-use crate::Link;
-use crate::gate::{AllowUnsigned, SigningFileError, SigningGate};
+use crate::gate::{AllowUnsigned, SigningFileError};
 use crate::link_url::LinkUrl;
 use crate::router::MAX_GROUND_LINKS;
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
 use vigil_mavlink::framing::FramingCounters;
 use vigil_mavlink::signing::SigningCounters;
-use vigil_types::{Datagrams, Nanos};
+use vigil_types::Nanos;
 
 /// The number in [`Datagrams`] of a link that is alone.
 const LINK: u8 = 0;
@@ -119,63 +120,6 @@ pub struct LinkStatistics {
     pub framing: FramingCounters,
     /// What signing accepted and refused.
     pub signing: SigningCounters,
-}
-
-/// Any link.
-pub enum LiveLink {
-    /// Datagrams.
-    Udp(UdpLink),
-    /// A connection.
-    Tcp(TcpLink),
-    /// A line.
-    Serial(SerialLink),
-}
-
-impl LiveLink {
-    /// Opens the link. A TCP peer may come later, by `rule`; a serial device must be there.
-    ///
-    /// # Errors
-    /// [`LinkError`], each naming the link.
-    pub fn open(url: &LinkUrl, rule: PeerRule, gate: SigningGate) -> Result<Self, LinkError> {
-        somebody_is_heard(url, gate.has_key(), gate.allow_unsigned())?;
-        match url {
-            LinkUrl::UdpIn(_) | LinkUrl::UdpOut(_) => UdpLink::open(url, rule, gate).map(Self::Udp),
-            LinkUrl::TcpIn(_) | LinkUrl::TcpOut(_) => TcpLink::open(url, rule, gate).map(Self::Tcp),
-            LinkUrl::Serial { .. } => SerialLink::open(url, gate).map(Self::Serial),
-        }
-    }
-
-    /// Packets that signing refused, since the link was opened.
-    pub fn signing_refused(&self) -> u64 {
-        self.statistics().signing.refused()
-    }
-
-    /// What was not taken or delivered.
-    pub fn statistics(&self) -> LinkStatistics {
-        match self {
-            Self::Udp(link) => link.statistics(),
-            Self::Tcp(link) => link.statistics(),
-            Self::Serial(link) => link.statistics(),
-        }
-    }
-}
-
-impl Link for LiveLink {
-    fn receive(&mut self, now_ns: Nanos, received: &mut Datagrams) {
-        match self {
-            Self::Udp(link) => link.receive(now_ns, received),
-            Self::Tcp(link) => link.receive(now_ns, received),
-            Self::Serial(link) => link.receive(now_ns, received),
-        }
-    }
-
-    fn send(&mut self, sent: &Datagrams) {
-        match self {
-            Self::Udp(link) => link.send(sent),
-            Self::Tcp(link) => link.send(sent),
-            Self::Serial(link) => link.send(sent),
-        }
-    }
 }
 
 /// Refuses a link on which nobody could be heard.
