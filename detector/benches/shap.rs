@@ -2,7 +2,8 @@
 
 use divan::{Bencher, black_box};
 use vigil_detector::DeepShap;
-use vigil_nnet::{ActorSpec, Graph, Isa, Purpose};
+use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::actor::ActorSpec;
 
 fn main() {
     divan::main();

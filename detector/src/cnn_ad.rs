@@ -1,9 +1,8 @@
 //! CNN-AD and FCN-AD: networks that say from a state's five SHAP images whether its frames were altered.
 
 use crate::images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES};
-use vigil_nnet::{
-    ACTOR_FRAMES, Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, MaxPool2d, NodeId, Purpose, ShapeError,
-};
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, MaxPool2d, NodeId, Purpose, ShapeError};
+use vigil_policy::actor::ACTOR_FRAMES;
 
 /// Filters of each pair of convolutions; the paper leaves them open.
 const FILTERS: [usize; 3] = [8, 16, 32];

@@ -8,7 +8,8 @@ use crate::lstm_ad::{LstmAd, ROW};
 use crate::{DeepShap, ShapError};
 use std::path::Path;
 use vigil_nnet::file::{Contents, FileError, Kind, Verified};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec, Isa, Purpose};
+use vigil_nnet::{Isa, Purpose};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil detector 1";

@@ -1,6 +1,6 @@
 //! What the image detectors look at: the five frames' pixel explanations, as images.
 
-use vigil_nnet::ACTOR_FRAMES;
+use vigil_policy::actor::ACTOR_FRAMES;
 
 /// Rows and columns of an image: a value stands for 2 × 2 pixels of the depth frame.
 pub const IMAGE_ROWS: usize = 64;

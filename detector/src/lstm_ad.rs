@@ -1,6 +1,7 @@
 //! LSTM-AD: says from ten steps' explanations whether somebody is altering the actor's frames.
 
-use vigil_nnet::{ACTOR_HIDDEN, Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError};
+use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError};
+use vigil_policy::actor::ACTOR_HIDDEN;
 
 /// Rows of a window: SHAP values of the newest ten steps.
 pub const WINDOW: usize = 10;

@@ -2,7 +2,8 @@
 
 use crate::lstm_ad::{LstmAd, ROW, WINDOW, normalise};
 use crate::{DeepShap, FrozenDetector, ShapError};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
+use vigil_nnet::{Isa, ShapeError};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.

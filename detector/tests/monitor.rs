@@ -3,7 +3,8 @@
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_detector::{Background, FrozenDetector, LstmAd, Monitor, MonitorError, WINDOW, normalise};
-use vigil_nnet::{ACTOR_HIDDEN, ActorSpec, Graph, Isa, Purpose};
+use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec};
 use vigil_types::{Judgement, Verdict};
 
 const ACTOR: &str = "0123";

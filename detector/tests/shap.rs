@@ -1,12 +1,13 @@
 //! DeepSHAP against the reference vectors: `shap`'s own values, an independent float64 implementation, exact Shapley
 //! values where they must agree, and additivity everywhere.
 
-#[path = "../../firmware/nnet/tests/common/torch.rs"]
+#[path = "../../firmware/policy/tests/common/torch.rs"]
 mod torch;
 
 use torch::{SPEC, Tensors, actor_params, features, transposed};
 use vigil_detector::{DeepShap, ShapError};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, ActorSpec, Dense, Graph, GraphBuilder, Isa, Purpose};
+use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Purpose};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
 
 /// Largest difference allowed to a reference, and of Σφ to f(x) − mean f(b).
 const TOLERANCE: f32 = 1e-5;

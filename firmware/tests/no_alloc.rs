@@ -18,7 +18,7 @@ use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
-use vigil_nnet::FRAMES_SPREAD;
+use vigil_policy::actor::FRAMES_SPREAD;
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_types::{GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use vigil_nnet::FRAMES_SPREAD;
+use vigil_policy::actor::FRAMES_SPREAD;
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_tools::actor_training::value::{
     Expert, Leader, Sees, ValueConfig, ValueEnd, ValueOptions, ValueProgress, run_value,

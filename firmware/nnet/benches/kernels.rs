@@ -1,10 +1,11 @@
-//! Layer and actor timings: `cargo bench --profile release -p vigil-nnet`.
+//! Layer timings, in the sizes of the actor's layers: `cargo bench --profile release -p vigil-nnet`. The actor's own are in
+//! `firmware/policy/benches/network.rs`.
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{Activation, Actor, ActorSpec, Aligned, Conv2d, Graph, Gru, Isa, Purpose};
+use vigil_nnet::{Activation, Aligned, Conv2d, Gru, Isa};
 
 fn main() {
     println!(
@@ -54,8 +55,26 @@ fn layers() -> Vec<Layer> {
     isas().into_iter().rev().flat_map(each).collect()
 }
 
+/// Rows, columns, channels, filters, kernel.
+const CONVOLUTIONS: [[usize; 5]; 5] = [
+    [128, 256, 1, 16, 5],
+    [64, 128, 16, 32, 3],
+    [32, 64, 32, 32, 3],
+    [16, 32, 32, 32, 3],
+    [8, 16, 32, 32, 3],
+];
+
 fn layer(i: usize) -> Conv2d {
-    ActorSpec::FULL.convolutions()[i]
+    let [rows, cols, channels, filters, kernel] = CONVOLUTIONS[i];
+    Conv2d {
+        rows,
+        cols,
+        channels,
+        filters,
+        kernel,
+        stride: 2,
+        padding: kernel / 2,
+    }
 }
 
 // Items are floating-point operations, so that the throughput column reads in FLOP/s.
@@ -108,7 +127,10 @@ fn elu_of_131072(bencher: Bencher, isa: Named) {
 
 #[divan::bench(args = sets())]
 fn gru_projection(bencher: Bencher, isa: Named) {
-    let gru = ActorSpec::FULL.gru();
+    let gru = Gru {
+        inputs: layer(4).output_len(),
+        hidden: 48,
+    };
     let (params, x) = (values(gru.param_len(), 0.1), values(gru.inputs, 1.0));
     let mut projection = vec![0.0; gru.projection_len()];
     bencher.bench_local(|| gru.project(isa.0, &params, black_box(&x), &mut projection).unwrap());
@@ -122,50 +144,6 @@ fn gru_step(bencher: Bencher, isa: Named) {
     bencher.bench_local(|| {
         gru.step(isa.0, &params, &projection, black_box(&h), &mut gates, &mut out)
             .unwrap();
-    });
-}
-
-fn initial(graph: &Graph) -> Aligned {
-    values(graph.param_len(), 0.08)
-}
-
-#[divan::bench(args = sets())]
-fn encoder_one_frame(bencher: Bencher, isa: Named) {
-    let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false).unwrap();
-    let (params, frame) = (initial(&graph), values(ActorSpec::FULL.frame_len(), 0.5));
-    let mut tape = Aligned::zeros(graph.tape_len());
-    bencher.bench_local(|| graph.forward(isa.0, &params, &[black_box(&frame)], &mut tape).unwrap());
-}
-
-#[divan::bench(args = sets())]
-fn actor_one_new_frame(bencher: Bencher, isa: Named) {
-    let graph = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
-    let frame = values(ActorSpec::FULL.frame_len(), 0.5);
-    let mut actor = Actor::new(ActorSpec::FULL, isa.0, &initial(&graph)).unwrap();
-    bencher.bench_local(|| actor.decide(black_box(&frame), [0.3, 0.1]).unwrap());
-}
-
-/// 32 states of 5 frames, forward and backward with weight gradients, on one core: the actor's part of an update.
-#[divan::bench(args = sets(), sample_count = 5, sample_size = 1)]
-fn batch_32_forward_and_backward(bencher: Bencher, isa: Named) {
-    let graph = ActorSpec::FULL.graph(Purpose::Gradients, false).unwrap();
-    let params = initial(&graph);
-    let mut packed = Aligned::zeros(graph.param_len());
-    let mut d_params = Aligned::zeros(graph.param_len());
-    let mut tape = Aligned::zeros(graph.tape_len());
-    let mut work = Aligned::zeros(graph.work_len());
-    let frames: Vec<_> = (0..5).map(|_| values(ActorSpec::FULL.frame_len(), 0.5)).collect();
-    let position = [0.3, 0.1];
-    let mut inputs: Vec<&[f32]> = frames.iter().map(|frame| &**frame).collect();
-    inputs.push(&position);
-    bencher.bench_local(|| {
-        graph.pack(&params, &mut packed).unwrap();
-        for _ in 0..32 {
-            graph.forward(isa.0, &params, black_box(&inputs), &mut tape).unwrap();
-            graph
-                .backward(isa.0, &packed, &tape, &[1.0, -1.0], Some(&mut d_params), &mut work)
-                .unwrap();
-        }
     });
 }
 

@@ -1,12 +1,12 @@
 //! Element-wise functions: value, gradient and DeepLIFT multipliers (rescale rule).
 
-use crate::error::{ShapeError, expect};
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 use crate::math::{exp_m1_negative, sigmoid, tanh};
+use crate::shape::{ShapeError, expect};
 
 /// Below this difference of inputs the rescale rule uses the derivative at the explained input, as the `shap` package
 /// does.

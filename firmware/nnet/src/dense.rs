@@ -1,7 +1,6 @@
 //! Fully connected layer.
 
 use crate::activation::Activation;
-use crate::error::{ShapeError, expect, part, part_mut};
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::operation::{Operation, kept_before};
@@ -9,6 +8,7 @@ use crate::graph::run::{Backward, Forward, Pass, unless_empty};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// `y = x W + b`: weights `[inputs][outputs]` row-major (the transpose of PyTorch's), then the bias `[outputs]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,7 +2,6 @@
 
 use crate::activation::{Activation, rescale};
 use crate::dense::{column_sums, transpose};
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::graph::operation::Operation;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
@@ -10,6 +9,7 @@ use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// One step of a GRU (PyTorch's `nn.GRU`):
 ///

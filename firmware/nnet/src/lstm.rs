@@ -2,7 +2,6 @@
 
 use crate::activation::{Activation, rescale};
 use crate::dense::column_sums;
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::graph::operation::Operation;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
@@ -11,6 +10,7 @@ use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
 use crate::gru::{outer_product, pack_matrices, row_times_matrix};
 use crate::isa::Isa;
 use crate::kernels::Start;
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// One step of an LSTM (PyTorch's `nn.LSTM` with its two biases added up, gates in the order i, f, g, o):
 ///

@@ -1,11 +1,11 @@
 //! Batch normalisation.
 
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// Normalises each channel (the fastest-running index).
 ///

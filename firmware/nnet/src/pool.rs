@@ -1,11 +1,11 @@
 //! Max pooling.
 
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// The largest value of each window of one image `[row][column][channel]`, without padding; windows do not overlap.
 /// Rows and columns left over at the end are not looked at.

@@ -4,7 +4,7 @@ mod common;
 
 use common::*;
 use vigil_nnet::train::{SumTree, soft_update};
-use vigil_nnet::{ActorSpec, Isa, Purpose};
+use vigil_nnet::{Isa, Purpose};
 
 #[test]
 fn a_target_follows_its_source_geometrically() {
@@ -46,13 +46,8 @@ fn a_share_of_the_total_falls_where_a_linear_search_says() {
 }
 
 #[test]
-fn first_weights_are_seeded_and_bounded_and_an_actor_with_them_is_not_saturated() {
-    let spec = ActorSpec {
-        rows: 32,
-        cols: 64,
-        near_contrast: true,
-    };
-    let graph = spec.graph(Purpose::Gradients, false).unwrap();
+fn first_weights_are_seeded_and_bounded_and_a_network_with_them_is_not_saturated() {
+    let graph = small_network(Purpose::Gradients, false);
     let draw = |seed| {
         let mut params = vec![f32::NAN; graph.param_len()];
         graph.initialize(&mut rng(seed), &mut params).unwrap();
@@ -65,8 +60,8 @@ fn first_weights_are_seeded_and_bounded_and_an_actor_with_them_is_not_saturated(
     // The first convolution has 25 inputs.
     assert!(params[..400].iter().all(|p| p.abs() <= 0.2));
     assert!(params[..400].iter().any(|p| p.abs() > 0.19));
-    let frame = vec![0.2; spec.frame_len()];
-    let inputs: [&[f32]; 6] = [&frame, &frame, &frame, &frame, &frame, &[0.5, 0.1]];
+    let image = vec![0.2; graph.input_len(0)];
+    let inputs: [&[f32]; 3] = [&image, &image, &[0.5, 0.1]];
     let mut tape = vec![0.0; graph.tape_len()];
     graph.forward(Isa::detect(), &params, &inputs, &mut tape).unwrap();
     assert!(graph.output(&tape).unwrap().iter().all(|y| y.abs() < 0.75));

@@ -1,6 +1,6 @@
 //! Pilots: what turns a depth frame and a goal into an action.
 //!
-//! [`ActorPilot`] flies the frozen network, [`GeometricPilot`] needs none, [`RecoveryPilot`] takes over after an alarm;
+//! [`ActorPilot`] flies the frozen network ([`actor::ActorSpec`]), [`GeometricPilot`] needs none, [`RecoveryPilot`] takes over after an alarm;
 //! [`PlausibilityJudge`] says before all of them whether a frame can be believed. None of them moves the vehicle: guidance does.
 //!
 //! ```

@@ -1,8 +1,7 @@
 //! The frozen actor's file and the pilot made of it.
-#![cfg(feature = "actor-file")]
 
-use vigil_nnet::{Actor, ActorSpec, Isa};
-use vigil_policy::actor::positional_inputs;
+use vigil_nnet::Isa;
+use vigil_policy::actor::{Actor, ActorSpec, positional_inputs};
 use vigil_policy::{
     ActorInputs, ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, apf,
 };
@@ -38,7 +37,7 @@ fn an_actor_survives_its_file() {
     assert_eq!(FrozenActor::load(&path).unwrap(), actor);
     let spread = FrozenActor {
         inputs: ActorInputs {
-            frame_ages: vigil_nnet::FRAMES_SPREAD,
+            frame_ages: vigil_policy::actor::FRAMES_SPREAD,
             led_by: LedBy::Path,
         },
         ..actor.clone()
@@ -50,7 +49,7 @@ fn an_actor_survives_its_file() {
     );
     assert_eq!(
         spread.actor(Isa::detect()).unwrap().frame_ages(),
-        vigil_nnet::FRAMES_SPREAD
+        vigil_policy::actor::FRAMES_SPREAD
     );
     let elsewhere = |bytes: Vec<u8>| {
         let at = bytes.windows(6).position(|w| w == b"led_by").unwrap() + 9;

@@ -1,9 +1,9 @@
 //! The exported actor: what ONNX Runtime makes of it (`actor.onnx.json`, written by the exporter) against our own kernels.
-#![cfg(feature = "actor-file")]
 
 use sha2::{Digest, Sha256};
-use vigil_nnet::{ACTOR_FRAMES, ActorSpec, Graph, Isa, Purpose};
+use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_FRAMES, ActorSpec};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
 
 const ONNX: &[u8] = include_bytes!("../actor/actor.onnx");

@@ -2,8 +2,9 @@
 
 use divan::Bencher;
 use vigil_adversary::{AttackConfig, StateAttack, StreamAttack};
-use vigil_nnet::{ACTOR_FRAMES, ActorSpec, Isa};
+use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_FRAMES, ActorSpec};
 
 fn main() {
     divan::main();

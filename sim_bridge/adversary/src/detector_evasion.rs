@@ -2,7 +2,8 @@
 
 use crate::config::AttackError;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, ActorSpec, Graph, Isa};
+use vigil_nnet::{Activation, Graph, Isa};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
 
 /// The actor's output that the detector explains.
 const YAW: usize = 1;

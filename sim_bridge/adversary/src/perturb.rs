@@ -5,7 +5,8 @@ use crate::detector_evasion::DetectorEvasion;
 use crate::surrogate::{Ends, SurrogateActor};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Activation, Isa};
+use vigil_nnet::{Activation, Isa};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL};
 
 /// Target of the yaw output before its saturation, times the direction: 1.5 · tanh(10) is the limit to the last bit.
 const TARGET: f32 = 10.0;

@@ -3,7 +3,8 @@
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::perturb::{Perturber, Scene, saturate};
 use crate::surrogate::{Ends, SurrogateActor};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Isa, ShapeError};
+use vigil_nnet::{Isa, ShapeError};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec};
 
 /// Alters whole states. Not possible in flight, where the older four frames have been delivered ([`crate::StreamAttack`]).
 #[derive(Debug, Clone)]

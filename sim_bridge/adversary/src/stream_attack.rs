@@ -5,10 +5,8 @@ use crate::detector_evasion::DetectorEvasion;
 use crate::perturb::{Perturber, Scene};
 use crate::surrogate::SurrogateActor;
 use vigil_detector::FrozenDetector;
-use vigil_nnet::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, FRAMES_IN_A_ROW, Graph, GraphBuilder, Isa,
-    NodeId, Purpose, ShapeError,
-};
+use vigil_nnet::{Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, FRAMES_IN_A_ROW};
 
 /// Alters frames as they pass. It remembers what it delivered, as the actor does, and what it was given, so as to know what the
 /// actor would have decided.

@@ -1,9 +1,7 @@
 //! The actor as the adversary sees it: differentiable down to the pixels, its outputs before saturation.
 
-use vigil_nnet::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, Aligned, Graph, GraphBuilder, Isa, NodeId,
-    Purpose, ShapeError,
-};
+use vigil_nnet::{Aligned, Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec};
 
 /// A weight for each output before saturation, and for each value of the GRU's last state.
 pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];

@@ -6,11 +6,9 @@ mod oracle;
 use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
 use vigil_adversary::{AttackConfig, AttackError, Method, StateAttack, StreamAttack, Towards};
 use vigil_detector::{FrozenDetector, LstmAd, ROW, WINDOW, normalise};
-use vigil_nnet::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Activation, Actor, ActorSpec, Dense, FRAMES_IN_A_ROW, GraphBuilder, Isa,
-    Purpose,
-};
+use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, FRAMES_IN_A_ROW};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
 
 const SMALL: ActorSpec = ActorSpec {

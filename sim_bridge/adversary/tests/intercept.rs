@@ -4,7 +4,8 @@ use vigil_adversary::{
     AttackConfig, Burst, BurstPlan, Interceptor, PassedStep, SINGLE_BURST_FIRST, SINGLE_BURST_LAST, StreamAttack,
     goal_seen_from,
 };
-use vigil_nnet::{Actor, ActorSpec, Isa};
+use vigil_nnet::Isa;
+use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{ActorPilot, FrozenActor, LedBy, Pilot, PilotInput};
 use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector};
 

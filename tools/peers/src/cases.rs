@@ -10,8 +10,9 @@ use std::hint::black_box;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Method, StateAttack, Towards};
 use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec, Isa, Purpose};
+use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec};
 use vigil_tools::actor_training::{Example, KeptState, Rehearsal, TrainConfig};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 

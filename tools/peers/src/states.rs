@@ -1,8 +1,7 @@
 //! States to compare on: what the actor sees on development courses.
 
 use anyhow::Result;
-use vigil_nnet::{ACTOR_FRAMES, Actor};
-use vigil_policy::actor::positional_inputs;
+use vigil_policy::actor::{ACTOR_FRAMES, Actor, positional_inputs};
 use vigil_types::{
     ACTION_LIMIT, Attitude, AttitudeSample, DEPTH_PIXELS, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics,
     NedVector, STEP_NS,

@@ -3,7 +3,8 @@
 use crate::actor_training::networks::{Networks, squash};
 use crate::actor_training::replay_buffer::{State, unpack_frame};
 use crate::actor_training::shard::five;
-use vigil_nnet::{ACTOR_FRAMES, Aligned, Isa, ShapeError};
+use vigil_nnet::{Aligned, Isa, ShapeError};
+use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::DEPTH_PIXELS;
 
 /// Decides with weights that are still being trained, from kept frames.

@@ -8,7 +8,7 @@ use crate::actor_training::shard::{five, mirrored};
 use rand::RngExt;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::ACTOR_FRAMES;
+use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::DEPTH_PIXELS;
 
 struct Case {

@@ -5,9 +5,9 @@
 
 use core::ops::Range;
 use rand::{Rng, RngExt};
-use vigil_nnet::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Activation, ActorParams, ActorSpec,
-    Dense, Graph, GraphBuilder, Gru, NodeId, Params, Purpose, ShapeError,
+use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Gru, NodeId, Params, Purpose, ShapeError};
+use vigil_policy::actor::{
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorParams, ActorSpec,
 };
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
 

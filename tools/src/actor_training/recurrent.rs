@@ -3,7 +3,8 @@
 //! Same parameters and same result as five nodes of a graph; the large input matrix is read once per state instead of five
 //! times, which is what an update's recurrent part costs.
 
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, Activation, Aligned, Dense, Gru, Isa, ShapeError};
+use vigil_nnet::{Activation, Aligned, Dense, Gru, Isa, ShapeError};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN};
 
 const GATES: usize = 3 * ACTOR_HIDDEN;
 /// The recurrent side alone: a GRU without inputs whose projection comes from outside.

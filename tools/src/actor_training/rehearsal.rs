@@ -7,7 +7,8 @@ use crate::actor_training::replay_buffer::{State, Transition, pack_frame};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::sync::Arc;
-use vigil_nnet::{ACTOR_FRAMES, Isa, ShapeError};
+use vigil_nnet::{Isa, ShapeError};
+use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::DEPTH_PIXELS;
 
 /// Five frames as the replay memory keeps them, oldest first, and the positional inputs.

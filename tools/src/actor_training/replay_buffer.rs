@@ -6,8 +6,9 @@
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
+use vigil_nnet::Activation;
 use vigil_nnet::train::SumTree;
-use vigil_nnet::{ACTOR_FRAMES, Activation};
+use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS};
 
 /// Steps of contrast in a kept frame.

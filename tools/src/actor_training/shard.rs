@@ -7,7 +7,8 @@ use crate::actor_training::recurrent::{Recurrent, RecurrentParams};
 use crate::actor_training::replay_buffer::{State, Transition, unpack_frame};
 use crate::actor_training::weights::Weights;
 use rand::{Rng, RngExt};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_LIMIT, Aligned, Graph, Isa, ShapeError};
+use vigil_nnet::{Aligned, Graph, Isa, ShapeError};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_LIMIT};
 use vigil_types::DEPTH_PIXELS;
 
 /// From this difference between two yaw outputs on, one of them is wrong.

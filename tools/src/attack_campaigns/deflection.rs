@@ -8,8 +8,8 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::process::ExitCode;
 use vigil_adversary::{AttackConfig, Method, StateAttack};
-use vigil_nnet::{ACTOR_FRAMES, Isa};
-use vigil_policy::actor::positional_inputs;
+use vigil_nnet::Isa;
+use vigil_policy::actor::{ACTOR_FRAMES, positional_inputs};
 use vigil_types::{Attitude, DepthFrame, GoalRelative, NedVector, YAW_RATE_PER_UNIT_RAD_S};
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 

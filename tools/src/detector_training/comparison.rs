@@ -9,7 +9,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
-use vigil_nnet::{ACTOR_FRAMES, Activation, Graph, Isa};
+use vigil_nnet::{Activation, Graph, Isa};
+use vigil_policy::actor::ACTOR_FRAMES;
 
 /// A detector's row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]

@@ -10,8 +10,9 @@ use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_detector::WINDOW;
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Isa};
+use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL};
 use vigil_world::Family;
 
 /// Flights of one actor.

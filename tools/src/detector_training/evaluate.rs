@@ -450,7 +450,7 @@ mod tests {
             yaw_change: if c == 'a' { -1.5 } else { 0.0 },
         };
         Record {
-            frame_ages: vigil_nnet::FRAMES_IN_A_ROW,
+            frame_ages: vigil_policy::actor::FRAMES_IN_A_ROW,
             scenario: Scenario::unattacked(Family::Validation, 1, Plan::Actor),
             outcome: Some(Ending::Goal),
             steps: frames.chars().map(step).collect(),

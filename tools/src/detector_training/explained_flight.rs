@@ -6,8 +6,9 @@ use crate::detector_training::pixels::{BACKGROUNDS, Memory, explainer};
 use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Step, fly};
 use crate::detector_training::scenario::Scenario;
 use vigil_detector::{DeepShap, FrozenDetector, Monitor};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_POSITIONAL, Isa};
+use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_POSITIONAL};
 use vigil_types::{DEPTH_PIXELS, DepthFrame, Judgement};
 
 /// A step of the flight, explained at the split point and judged.

@@ -5,7 +5,8 @@ use crate::detector_training::recorded_flight::{Record, Step};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_detector::{Background, DeepShap, ROW};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, Graph, Isa, Purpose};
+use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec};
 
 /// Number of the actor's yaw output.
 pub const YAW: usize = 1;

@@ -14,8 +14,9 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Towards};
 use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_POSITIONAL, ActorSpec, Isa, Purpose};
+use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_POSITIONAL, ActorSpec};
 use vigil_types::{DEPTH_PIXELS, DepthFrame};
 use vigil_world::Family;
 

@@ -5,8 +5,10 @@ use crate::detector_training::error::DetectError;
 use crate::detector_training::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, Isa};
-use vigil_policy::actor::positional_inputs;
+use vigil_nnet::Isa;
+use vigil_policy::actor::{
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, positional_inputs,
+};
 use vigil_policy::{FlightField, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};

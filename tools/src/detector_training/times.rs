@@ -10,8 +10,9 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, images, normalise};
-use vigil_nnet::{ACTOR_POSITIONAL, Activation, Actor, ActorSpec, Graph, Isa};
+use vigil_nnet::{Activation, Graph, Isa};
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::{ACTOR_POSITIONAL, Actor, ActorSpec};
 use vigil_types::DepthFrame;
 use vigil_world::Family;
 

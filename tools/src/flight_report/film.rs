@@ -8,8 +8,8 @@ use serde::Serialize;
 use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use vigil_log::{Reader, TickRecord};
-use vigil_nnet::{ACTOR_FRAMES, Isa};
-use vigil_policy::actor::positional_inputs;
+use vigil_nnet::Isa;
+use vigil_policy::actor::{ACTOR_FRAMES, positional_inputs};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// Steps before and after the moment of interest that are shown one by one.

@@ -2,9 +2,9 @@
 
 use super::{Axis, Conv2d};
 use crate::dense::transpose;
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// One set of taps of the transposed convolution: `first + n · stride`, of which `count` reach an output.
 #[derive(Clone, Copy)]

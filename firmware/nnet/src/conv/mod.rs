@@ -6,7 +6,6 @@ mod reorder;
 
 use crate::activation::Activation;
 use crate::dense::column_sums;
-use crate::error::{ShapeError, expect, part, part_mut};
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::operation::{Operation, kept_before};
@@ -14,6 +13,7 @@ use crate::graph::run::{Backward, Forward, Pass, unless_empty};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// Values of an output gradient that are read while they are in the nearest cache.
 const NEAR_CACHE: usize = 4096;

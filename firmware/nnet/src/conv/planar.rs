@@ -3,9 +3,9 @@
 use super::Conv2d;
 use super::reorder::{Interleave, Transpose};
 use crate::aligned::LINE;
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
 use crate::kernels::{self, Product, Start};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// Along one axis, taps `step · stride + phase` for steps `from..to`, each of which has the phases `0..phases`. With stride
 /// 2 and a kernel of 5: taps 0, 1, 2, 3, and tap 4.

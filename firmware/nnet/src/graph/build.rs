@@ -4,7 +4,7 @@ use super::operation::AnyOperation;
 use super::structure::Input;
 use super::{Edge, Graph, Node, NodeId, Params, Purpose};
 use crate::aligned::LINE;
-use crate::error::ShapeError;
+use crate::shape::ShapeError;
 use alloc::vec;
 use alloc::vec::Vec;
 

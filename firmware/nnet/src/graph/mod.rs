@@ -12,7 +12,7 @@ mod structure;
 pub use build::GraphBuilder;
 pub(crate) use build::description;
 
-use crate::error::{ShapeError, part};
+use crate::shape::{ShapeError, part};
 use alloc::vec::Vec;
 use operation::AnyOperation;
 

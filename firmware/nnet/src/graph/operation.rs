@@ -3,7 +3,7 @@
 use super::Purpose;
 use super::run::{Backward, Forward, Pass};
 use super::structure::{Concat, Input, Slice, Zeros};
-use crate::error::ShapeError;
+use crate::shape::ShapeError;
 use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
 
 /// A layer as a node of a graph.

@@ -3,8 +3,8 @@
 use super::structure::Input;
 use super::{AnyOperation, Graph, Node, Params, Purpose};
 use crate::Activation;
-use crate::error::{ShapeError, expect, part, part_mut};
 use crate::isa::Isa;
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// What a backward pass is for.
 pub(crate) enum Pass<'a> {

@@ -4,7 +4,7 @@ use super::build::GraphBuilder;
 use super::operation::Operation;
 use super::run::{Backward, Forward, Pass};
 use super::{NodeId, Params};
-use crate::error::{ShapeError, expect, part, part_mut};
+use crate::shape::{ShapeError, expect, part, part_mut};
 
 /// An input of the network.
 #[derive(Debug, Clone, Copy, PartialEq)]

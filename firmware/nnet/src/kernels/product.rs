@@ -3,8 +3,8 @@
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2Fma, Avx512};
 use super::simd::{Portable, Simd};
-use crate::error::ShapeError;
 use crate::isa::{Isa, Level};
+use crate::shape::ShapeError;
 
 /// A strided product of two slices:
 ///
@@ -91,7 +91,7 @@ impl Product {
             Start::Zero => (false, core::ptr::null()),
             Start::Output => (true, core::ptr::null()),
             Start::Bias(bias) => {
-                crate::error::expect("bias", bias, self.cols)?;
+                crate::shape::expect("bias", bias, self.cols)?;
                 (false, bias.as_ptr())
             }
         };

@@ -1,7 +1,7 @@
 //! First weights.
 
-use crate::error::{ShapeError, expect, part_mut};
 use crate::graph::Graph;
+use crate::shape::{ShapeError, expect, part_mut};
 use alloc::vec::Vec;
 use rand::{Rng, RngExt};
 

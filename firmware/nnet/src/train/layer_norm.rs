@@ -1,8 +1,8 @@
 //! Layer normalisation, for critics: it keeps their values from growing where they were never told any (Ball et al. 2023).
 
-use crate::error::{ShapeError, expect};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
+use crate::shape::{ShapeError, expect};
 
 /// Normalises each row to mean 0 and variance 1, then scales and shifts each column (Ba et al. 2016).
 ///

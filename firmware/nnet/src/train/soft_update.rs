@@ -1,6 +1,6 @@
 //! Target networks.
 
-use crate::error::{ShapeError, expect};
+use crate::shape::{ShapeError, expect};
 
 /// Target network: `target += tau · (source − target)`.
 ///

@@ -1,9 +1,9 @@
-//! What the tests share: a plain float64 implementation of every layer, and seeded values.
+//! What the tests share: a plain float64 implementation of every layer, a small network, and seeded values.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Lstm, MaxPool2d, Purpose};
 
 pub fn rng(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
@@ -11,6 +11,63 @@ pub fn rng(seed: u64) -> ChaCha8Rng {
 
 pub fn uniform(rng: &mut impl Rng, len: usize, limit: f32) -> Vec<f32> {
     (0..len).map(|_| rng.random_range(-limit..limit)).collect()
+}
+
+/// A small network of most layers: two images of 32 × 64, each through two convolutions, into a GRU of 8, then dense layers
+/// beside two more values. The first convolution has 16 filters of 5 × 5.
+pub fn small_network(purpose: Purpose, explained: bool) -> Graph {
+    let first = Conv2d {
+        rows: 32,
+        cols: 64,
+        channels: 1,
+        filters: 16,
+        kernel: 5,
+        stride: 2,
+        padding: 2,
+    };
+    let second = Conv2d {
+        rows: 16,
+        cols: 32,
+        channels: 16,
+        filters: 4,
+        kernel: 3,
+        stride: 2,
+        padding: 1,
+    };
+    let gru = Gru {
+        inputs: second.output_len(),
+        hidden: 8,
+    };
+    let (dense, output) = (
+        Dense {
+            inputs: 10,
+            outputs: 16,
+        },
+        Dense { inputs: 16, outputs: 2 },
+    );
+    let mut b = GraphBuilder::new();
+    let params = [
+        first.param_len(),
+        second.param_len(),
+        gru.param_len(),
+        dense.param_len(),
+        output.param_len(),
+    ]
+    .map(|len| b.params(len));
+    let mut state = b.zeros(gru.hidden).unwrap();
+    for _ in 0..2 {
+        let image = b.input(first.input_len(), explained).unwrap();
+        let image = b.activation(image, Activation::NEAR_CONTRAST).unwrap();
+        let x = b.conv2d(image, first, Activation::Elu, params[0]).unwrap();
+        let x = b.conv2d(x, second, Activation::Elu, params[1]).unwrap();
+        state = b.gru(x, state, gru, params[2]).unwrap();
+    }
+    let state = b.activation(state, Activation::TANH).unwrap();
+    let beside = b.input(2, explained).unwrap();
+    let x = b.concat(&[state, beside]).unwrap();
+    let x = b.dense(x, dense, Activation::Elu, params[3]).unwrap();
+    let x = b.dense(x, output, Activation::Tanh { scale: 1.5 }, params[4]).unwrap();
+    b.finish(x, purpose).unwrap()
 }
 
 pub fn wide(x: &[f32]) -> Vec<f64> {

@@ -2,11 +2,11 @@
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
 //! `seed`, `updates`, `git_commit`, `sha256`, `frame_ages` where the five frames are not in a row, and `led_by` where it is not the
-//! goal whose bearing it is given; tensors in the order of [`vigil_nnet::ActorParams`].
+//! goal whose bearing it is given; tensors in the order of [`ActorParams`](crate::actor::ActorParams).
 
 extern crate std;
 
-use crate::actor::{ActorInputs, LedBy};
+use crate::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorInputs, ActorSpec, FRAMES_IN_A_ROW, LedBy};
 use std::borrow::ToOwned;
 use std::format;
 use std::path::Path;
@@ -14,7 +14,7 @@ use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
 use vigil_nnet::file::{Contents, FileError, Kind, Verified};
-use vigil_nnet::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorSpec, FRAMES_IN_A_ROW, GraphBuilder, Isa};
+use vigil_nnet::{GraphBuilder, Isa};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -31,7 +31,7 @@ const PATH: &str = "path";
 /// An actor with what is known of its origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrozenActor {
-    /// Parameters in the order of [`vigil_nnet::ActorParams`].
+    /// Parameters in the order of [`ActorParams`](crate::actor::ActorParams).
     pub params: Vec<f32>,
     /// What it decides from.
     pub inputs: ActorInputs,

@@ -1,9 +1,9 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
 
+use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, FRAMES_IN_A_ROW};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, smaller};
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, FRAMES_IN_A_ROW};
 use vigil_types::{Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.

@@ -5,7 +5,8 @@ use super::mlp::{Mlp, MlpTape};
 use super::value_buffer::{StateView, double};
 use crate::actor_training::networks::{Networks, SPEC};
 use rand::Rng;
-use vigil_nnet::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Activation, Aligned, Dense, Isa, ShapeError};
+use vigil_nnet::{Activation, Aligned, Dense, Isa, ShapeError};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL};
 use vigil_sim::environment::true_state::{TRUE_STATE, mirror};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
@@ -146,7 +147,7 @@ pub fn push_truth(x: &mut Vec<f32>, truth: &[f32], mirrored: bool) {
     }
 }
 
-/// GRU and head of the actor that flies, over whole batches. Parameters in the order of [`vigil_nnet::ActorParams`], without the
+/// GRU and head of the actor that flies, over whole batches. Parameters in the order of [`vigil_policy::actor::ActorParams`], without the
 /// convolutions.
 pub struct PicturesActor {
     len: usize,

@@ -4,7 +4,7 @@ use crate::actor_training::config::{ConfigError, NoiseConfig, ReplayConfig};
 use crate::actor_training::limits::{self, Limits};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use vigil_nnet::FRAMES_SPREAD;
+use vigil_policy::actor::FRAMES_SPREAD;
 use vigil_policy::{ActorInputs, LedBy};
 use vigil_world::Family;
 

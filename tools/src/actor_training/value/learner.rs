@@ -11,7 +11,8 @@ use crate::actor_training::noise::normal;
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::train::soft_update;
-use vigil_nnet::{ACTOR_LIMIT, Isa, ShapeError};
+use vigil_nnet::{Isa, ShapeError};
+use vigil_policy::actor::ACTOR_LIMIT;
 use vigil_sim::environment::true_state::TRUE_STATE;
 
 const ACTIONS: usize = 2;

@@ -28,8 +28,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use vigil_nnet::file::FileError;
-use vigil_nnet::{FRAMES_SPREAD, Isa, ShapeError};
+use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::FrozenActor;
+use vigil_policy::actor::FRAMES_SPREAD;
 use vigil_world::{Family, Outcome};
 
 /// Updates that a row of the curve sums up.

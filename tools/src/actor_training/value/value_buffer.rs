@@ -4,8 +4,8 @@ use super::config::ValueConfig;
 use crate::actor_training::replay_buffer::Next;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use vigil_nnet::ACTOR_FRAMES;
 use vigil_nnet::train::SumTree;
+use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_sim::environment::true_state::TRUE_STATE;
 
 /// Decisions between the newest frame of a state and each of its five, oldest first: with four steps to a decision 1.6, 0.8, 0.4,

@@ -1,9 +1,9 @@
-//! Reference tensors in PyTorch's order, and their reordering into this crate's.
+//! Reference tensors in PyTorch's order, and their reordering into this project's.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
 use safetensors::{Dtype, SafeTensors};
 use std::path::Path;
-use vigil_nnet::ActorSpec;
+use vigil_policy::actor::ActorSpec;
 
 /// The actor of the reference vectors: raw range, no contrast layer.
 pub const SPEC: ActorSpec = ActorSpec {
@@ -18,12 +18,12 @@ pub struct Tensors(Vec<u8>);
 impl Tensors {
     pub fn load(name: &str) -> Self {
         let own = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let data = [own.join("tests/data"), own.join("../firmware/nnet/tests/data")];
+        let data = [own.join("tests/data"), own.join("../firmware/policy/tests/data")];
         let file = data
             .iter()
             .map(|dir| dir.join(format!("{name}.safetensors")))
             .find(|f| f.exists());
-        Self(std::fs::read(file.expect("reference vectors of the nnet crate")).unwrap())
+        Self(std::fs::read(file.expect("reference vectors of the policy crate")).unwrap())
     }
 
     pub fn get(&self, name: &str) -> Vec<f32> {
@@ -83,7 +83,7 @@ pub fn features(torch: &[f32]) -> Vec<f32> {
     transposed(torch, 32)
 }
 
-/// All parameters of the reference actor in this crate's order.
+/// All parameters of the reference actor in the order of `ActorParams`.
 pub fn actor_params() -> Vec<f32> {
     let t = Tensors::load("actor_weights");
     let mut all: Vec<f32> = [0, 2, 4, 6, 8]

@@ -1,4 +1,4 @@
-//! What can be wrong with a caller's buffers or a network's description.
+//! What can be wrong with a caller's buffers or a network's description, and slices that are checked for it.
 
 /// A buffer or a description that does not fit. Nothing was computed; the message says what to change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
@@ -24,7 +24,10 @@ pub enum ShapeError {
 }
 
 /// Checks a slice's length.
-pub(crate) fn expect(what: &'static str, slice: &[f32], expected: usize) -> Result<(), ShapeError> {
+///
+/// # Errors
+/// [`ShapeError::Length`], with `what` it is.
+pub fn expect(what: &'static str, slice: &[f32], expected: usize) -> Result<(), ShapeError> {
     if slice.len() == expected {
         Ok(())
     } else {
@@ -37,12 +40,10 @@ pub(crate) fn expect(what: &'static str, slice: &[f32], expected: usize) -> Resu
 }
 
 /// `slice[offset..offset + len]`, or which slice is too short.
-pub(crate) fn part<'a>(
-    what: &'static str,
-    slice: &'a [f32],
-    offset: usize,
-    len: usize,
-) -> Result<&'a [f32], ShapeError> {
+///
+/// # Errors
+/// [`ShapeError::Length`], with `what` it is.
+pub fn part<'a>(what: &'static str, slice: &'a [f32], offset: usize, len: usize) -> Result<&'a [f32], ShapeError> {
     let got = slice.len();
     slice.get(offset..offset + len).ok_or(ShapeError::Length {
         what,
@@ -52,7 +53,10 @@ pub(crate) fn part<'a>(
 }
 
 /// Like [`part`], writable.
-pub(crate) fn part_mut<'a>(
+///
+/// # Errors
+/// [`ShapeError::Length`], with `what` it is.
+pub fn part_mut<'a>(
     what: &'static str,
     slice: &'a mut [f32],
     offset: usize,

@@ -1,12 +1,14 @@
 //! The actor against PyTorch's, and in flight against itself.
 
-mod common;
+#[path = "../../nnet/tests/common/mod.rs"]
+mod plain;
 #[path = "common/torch.rs"]
 mod torch;
 
-use common::{distance, rng, uniform, wide};
+use plain::{distance, rng, uniform, wide};
 use torch::{SPEC, Tensors, actor_params};
-use vigil_nnet::{Actor, ActorSpec, FRAMES_SPREAD, ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
+use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
+use vigil_policy::actor::{Actor, ActorSpec, FRAMES_SPREAD};
 
 const FRAME: usize = 128 * 256;
 

@@ -1,14 +1,17 @@
-//! The actor: five depth frames and two positional values in, two outputs in ±1.5.
+//! The actor's network: five depth frames and two positional values in, two outputs in ±1.5.
 //!
 //! Encoder per frame: convolution 5×5 of 16 filters, then four of 3×3 and 32 filters, all with stride 2 and ELU; GRU of
 //! 48 over the five frames' features; then, behind the split point of the paper, `tanh` of the state beside a positional
 //! branch (2 → 6, tanh), 32 ELU, and `1.5 · tanh` of two outputs: x-velocity, yaw.
 
-use crate::error::{ShapeError, expect, part, part_mut};
-use crate::graph::{Graph, GraphBuilder, NodeId, Params, Purpose};
-use crate::{Activation, Aligned, Conv2d, Dense, Gru, Isa};
+extern crate alloc;
+
 use alloc::vec;
 use alloc::vec::Vec;
+use vigil_nnet::shape::{expect, part, part_mut};
+use vigil_nnet::{
+    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, NodeId, Params, Purpose, ShapeError,
+};
 
 /// Frames in one state (docs/paper.md, "State").
 pub const ACTOR_FRAMES: usize = 5;
