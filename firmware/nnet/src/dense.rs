@@ -1,6 +1,7 @@
 //! Fully connected layer.
 
 use crate::activation::Activation;
+use crate::graph::layer::weighted_backward;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::operation::{Operation, kept_before};
@@ -213,11 +214,14 @@ impl Operation for (Dense, Activation) {
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
         let (layer, activation) = self;
         let (isa, packed) = (node.isa, node.packed);
-        node.through(*activation, d, pass)?;
-        if let Some(d_params) = node.d_params(pass)? {
-            layer.weight_gradient(isa, node.source(0, node.tape)?, d, d_params)?;
-        }
-        node.write_source(0, |dx, _| layer.input_gradient(isa, packed, d, dx))
+        weighted_backward(
+            node,
+            *activation,
+            d,
+            pass,
+            |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
+            |d, dx, _| layer.input_gradient(isa, packed, d, dx),
+        )
     }
 
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

@@ -2,6 +2,7 @@
 
 use crate::activation::{Activation, rescale};
 use crate::dense::{column_sums, transpose};
+use crate::graph::layer::recurrent_backward;
 use crate::graph::operation::Operation;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
@@ -342,23 +343,18 @@ impl Operation for Gru {
     }
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed, tape) = (node.isa, node.packed, node.tape);
-        let reference_tape = pass.reference().unwrap_or(tape);
-        let (now, reference) = (node.kept(tape)?, node.kept(reference_tape)?);
-        let (x, state) = (node.source(0, tape)?, node.source(1, tape)?);
-        let gates = part("tape", now.aux, 0, self.gates_len())?;
-        let gates_ref = part("tape", reference.aux, 0, self.gates_len())?;
-        let step = (state, gates);
-        let reference = (node.source(1, reference_tape)?, gates_ref);
-        let d_params = node.d_params(pass)?;
-        node.write_both_sources(|dx, d_state, scratch| {
-            let d_gates = part_mut("work buffer", scratch, 0, self.gate_gradient_len())?;
-            self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)?;
-            match d_params {
-                Some(d_params) => self.weight_gradient(isa, x, state, d_gates, d_params),
-                None => Ok(()),
-            }
-        })
+        let (isa, packed, len) = (node.isa, node.packed, self.gates_len());
+        recurrent_backward(
+            node,
+            pass,
+            self.gate_gradient_len(),
+            |(h, kept, _), (h_ref, kept_ref, _), d_gates, dx, dh| {
+                let step = (h, part("tape", kept, 0, len)?);
+                let reference = (h_ref, part("tape", kept_ref, 0, len)?);
+                self.backward(isa, packed, step, reference, d, d_gates, dx, dh)
+            },
+            |x, h, d_gates, d_params| self.weight_gradient(isa, x, h, d_gates, d_params),
+        )
     }
 
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

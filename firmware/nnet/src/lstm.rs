@@ -2,6 +2,7 @@
 
 use crate::activation::{Activation, rescale};
 use crate::dense::column_sums;
+use crate::graph::layer::recurrent_backward;
 use crate::graph::operation::Operation;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
@@ -232,21 +233,16 @@ impl Operation for Lstm {
     }
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
-        let (isa, packed, tape) = (node.isa, node.packed, node.tape);
-        let reference_tape = pass.reference().unwrap_or(tape);
-        let (now, reference) = (node.kept(tape)?, node.kept(reference_tape)?);
-        let (x, state) = (node.source(0, tape)?, node.source(1, tape)?);
-        let step = (state, now.aux, now.value);
-        let reference = (node.source(1, reference_tape)?, reference.aux, reference.value);
-        let d_params = node.d_params(pass)?;
-        node.write_both_sources(|dx, d_state, scratch| {
-            let d_gates = part_mut("work buffer", scratch, 0, self.gate_gradient_len())?;
-            self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)?;
-            match d_params {
-                Some(d_params) => self.weight_gradient(isa, x, state, d_gates, d_params),
-                None => Ok(()),
-            }
-        })
+        let (isa, packed) = (node.isa, node.packed);
+        recurrent_backward(
+            node,
+            pass,
+            self.gate_gradient_len(),
+            |step, reference, d_gates, dx, d_state| {
+                self.backward(isa, packed, step, reference, d, d_gates, dx, d_state)
+            },
+            |x, state, d_gates, d_params| self.weight_gradient(isa, x, state, d_gates, d_params),
+        )
     }
 
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

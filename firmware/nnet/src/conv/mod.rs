@@ -6,6 +6,7 @@ mod reorder;
 
 use crate::activation::Activation;
 use crate::dense::column_sums;
+use crate::graph::layer::weighted_backward;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::operation::{Operation, kept_before};
@@ -355,15 +356,18 @@ impl Operation for (Conv2d, Activation) {
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
         let (layer, activation) = self;
-        let (isa, packed) = (node.isa, node.packed);
-        node.through(*activation, d, pass)?;
-        if let Some(d_params) = node.d_params(pass)? {
-            layer.weight_gradient(isa, node.source(0, node.tape)?, d, d_params)?;
-        }
-        let scratch_len = self.scratch_len();
-        node.write_source(0, |dx, scratch| {
-            layer.input_gradient(isa, packed, d, dx, part_mut("work buffer", scratch, 0, scratch_len)?)
-        })
+        let (isa, packed, scratch_len) = (node.isa, node.packed, self.scratch_len());
+        weighted_backward(
+            node,
+            *activation,
+            d,
+            pass,
+            |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
+            |d, dx, scratch| {
+                let scratch = part_mut("work buffer", scratch, 0, scratch_len)?;
+                layer.input_gradient(isa, packed, d, dx, scratch)
+            },
+        )
     }
 
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

@@ -5,6 +5,7 @@
 //! evaluation allocates nothing.
 
 mod build;
+pub(crate) mod layer;
 pub(crate) mod operation;
 pub(crate) mod run;
 mod structure;
