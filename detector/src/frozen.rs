@@ -1,4 +1,4 @@
-//! The frozen detector's file ([`vigil_nnet::file`]).
+//! The frozen detector's file ([`vigil_nnet::network_file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `actor_sha256`, `threshold`,
 //! `threshold_choice`, `training_config` (TOML), `seed`, `git_commit`, `sha256`; tensors: `background.state`,
@@ -7,7 +7,7 @@
 use crate::lstm_ad::{LstmAd, ROW};
 use crate::{DeepShap, ShapError};
 use std::path::Path;
-use vigil_nnet::file::{Contents, FileError, Kind, Verified};
+use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
 

@@ -7,7 +7,7 @@ use common::{dense, lstm, rng, uniform, wide};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use vigil_detector::{FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
-use vigil_nnet::file::FileError;
+use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Activation, Dense, Isa, Lstm};
 
 thread_local! {

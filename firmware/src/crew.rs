@@ -5,7 +5,7 @@ use crate::step::StackError;
 use std::path::Path;
 use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::Isa;
-use vigil_nnet::file::FileError;
+use vigil_nnet::network_file::FileError;
 use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
 use vigil_types::PilotKind;
 

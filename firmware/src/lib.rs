@@ -14,7 +14,7 @@ mod console;
 pub mod crew;
 mod frame_keeper;
 mod leg;
-pub mod live;
+pub mod live_loop;
 pub mod lockstep;
 pub mod ports;
 pub mod program;

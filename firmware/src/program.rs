@@ -3,7 +3,7 @@
 use crate::arguments::{PilotArgs, choice, help, number};
 use crate::config::{FirmwareConfig, GoalConfig, SigningConfig};
 use crate::link_spec::LinkSpec;
-use crate::live::{self, recorder_config};
+use crate::live_loop::{self, recorder_config};
 use crate::lockstep::{self, LockstepFirmware};
 use crate::ports::gate::AllowUnsigned;
 use crate::reference;
@@ -213,7 +213,7 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
         );
         run_lockstep(&config, Duration::from_secs(args.lockstep_timeout), &stop)?;
     } else {
-        let summary = live::fly(&config, &stop, |granted| {
+        let summary = live_loop::fly(&config, &stop, |granted| {
             announce(&format!("{}\nscheduling {granted}", Start(&config)));
             announce(
                 "end        Ctrl-C or SIGTERM: it brakes, sends zeros for a quarter of a second and closes the log",

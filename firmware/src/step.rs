@@ -9,7 +9,7 @@ use vigil_detector::MonitorError;
 use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
 use vigil_mavlink::{LinkCounters, Parameters, StatusText};
-use vigil_nnet::file::FileError;
+use vigil_nnet::network_file::FileError;
 use vigil_types::{Datagrams, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// Why a flight stack cannot be made of a configuration.

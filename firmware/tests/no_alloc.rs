@@ -10,7 +10,7 @@ use std::os::unix::fs::PermissionsExt;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig, StateConfig};
 use vigil_firmware::crew::Crew;
-use vigil_firmware::live::LiveLoop;
+use vigil_firmware::live_loop::LiveLoop;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};

@@ -3,8 +3,8 @@
 //! Towards disk every struct is taken apart by name, so that a field added to the loop's data fails to compile here
 //! until the log records it.
 
-use crate::wire;
-use crate::{TickRecord, wire::Tick};
+use crate::proto;
+use crate::{TickRecord, proto::Tick};
 use vigil_types::{
     Action, Alarm, AlarmCause, AlarmResponse, Attitude, AttitudeSample, Datagrams, FRAME_TAG_BYTES, FrameHeader, Goal,
     GoalRelative, GuidanceState, Heartbeat, Judgement, Kinematics, Landed, Reasons, StepReport, StepTiming, Vector,
@@ -90,11 +90,11 @@ const fn landed_code(landed: Landed) -> u32 {
 pub(crate) fn to_wire(record: &TickRecord) -> Tick {
     Tick {
         now_ns: record.now_ns,
-        timing: Some(timing_to_wire(record.timing)),
-        frame: record.frame().map(|f| header_to_wire(&f.header)),
-        received: datagrams_to_wire(&record.received),
-        sent: datagrams_to_wire(&record.sent),
-        report: Some(report_to_wire(&record.report)),
+        timing: Some(timing_to_proto(record.timing)),
+        frame: record.frame().map(|f| header_to_proto(&f.header)),
+        received: datagrams_to_proto(&record.received),
+        sent: datagrams_to_proto(&record.sent),
+        report: Some(report_to_proto(&record.report)),
         dropped_before: record.dropped_before,
     }
 }
@@ -103,12 +103,12 @@ pub(crate) fn to_wire(record: &TickRecord) -> Tick {
 /// the caller's to fill.
 pub(crate) fn from_wire(tick: &Tick, record: &mut TickRecord) -> Result<bool, RecordDefect> {
     record.now_ns = tick.now_ns;
-    record.timing = timing_from_wire(tick.timing.as_ref(), "timing")?;
+    record.timing = timing_from_proto(tick.timing.as_ref(), "timing")?;
     record.dropped_before = tick.dropped_before;
-    record.report = report_from_wire(need(tick.report.as_ref(), "report")?)?;
-    datagrams_from_wire(&tick.received, &mut record.received, "received")?;
-    datagrams_from_wire(&tick.sent, &mut record.sent, "sent")?;
-    let header = tick.frame.as_ref().map(header_from_wire).transpose()?;
+    record.report = report_from_proto(need(tick.report.as_ref(), "report")?)?;
+    datagrams_from_proto(&tick.received, &mut record.received, "received")?;
+    datagrams_from_proto(&tick.sent, &mut record.sent, "sent")?;
+    let header = tick.frame.as_ref().map(header_from_proto).transpose()?;
     record.frame_slot(header.is_some()).header = header.unwrap_or_default();
     Ok(header.is_some())
 }
@@ -128,14 +128,14 @@ fn code<T: Copy>(table: &[T], value: u32, field: &'static str) -> Result<T, Reco
         .ok_or(RecordDefect::Impossible { field, value })
 }
 
-fn timing_to_wire(timing: StepTiming) -> wire::Timing {
+fn timing_to_proto(timing: StepTiming) -> proto::Timing {
     let StepTiming {
         step,
         previous_execution_ns,
         wake_late_ns,
         slips,
     } = timing;
-    wire::Timing {
+    proto::Timing {
         step,
         previous_execution_ns,
         wake_late_ns,
@@ -143,7 +143,7 @@ fn timing_to_wire(timing: StepTiming) -> wire::Timing {
     }
 }
 
-fn timing_from_wire(timing: Option<&wire::Timing>, field: &'static str) -> Result<StepTiming, RecordDefect> {
+fn timing_from_proto(timing: Option<&proto::Timing>, field: &'static str) -> Result<StepTiming, RecordDefect> {
     let t = need(timing, field)?;
     Ok(StepTiming {
         step: t.step,
@@ -153,7 +153,7 @@ fn timing_from_wire(timing: Option<&wire::Timing>, field: &'static str) -> Resul
     })
 }
 
-fn header_to_wire(header: &FrameHeader) -> wire::Frame {
+fn header_to_proto(header: &FrameHeader) -> proto::Frame {
     let FrameHeader {
         stamp_ns,
         sequence,
@@ -166,14 +166,14 @@ fn header_to_wire(header: &FrameHeader) -> wire::Frame {
         checksum,
         tag,
     } = *header;
-    wire::Frame {
+    proto::Frame {
         stamp_ns,
         sequence,
         sensor_id,
         rows: rows.into(),
         cols: cols.into(),
-        position_ned_m: Some(xyz_to_wire(position_ned_m)),
-        attitude: Some(attitude_to_wire(attitude)),
+        position_ned_m: Some(xyz_to_proto(position_ned_m)),
+        attitude: Some(attitude_to_proto(attitude)),
         reserved,
         checksum,
         // Most frames have none.
@@ -185,15 +185,15 @@ fn header_to_wire(header: &FrameHeader) -> wire::Frame {
     }
 }
 
-fn header_from_wire(frame: &wire::Frame) -> Result<FrameHeader, RecordDefect> {
+fn header_from_proto(frame: &proto::Frame) -> Result<FrameHeader, RecordDefect> {
     Ok(FrameHeader {
         stamp_ns: frame.stamp_ns,
         sequence: frame.sequence,
         sensor_id: frame.sensor_id,
         rows: small(frame.rows, "frame.rows")?,
         cols: small(frame.cols, "frame.cols")?,
-        position_ned_m: xyz_from_wire(frame.position_ned_m.as_ref(), "frame.position_ned_m")?,
-        attitude: attitude_from_wire(frame.attitude.as_ref(), "frame.attitude")?,
+        position_ned_m: xyz_from_proto(frame.position_ned_m.as_ref(), "frame.position_ned_m")?,
+        attitude: attitude_from_proto(frame.attitude.as_ref(), "frame.attitude")?,
         reserved: frame.reserved,
         checksum: frame.checksum,
         tag: match frame.tag.as_slice() {
@@ -206,17 +206,17 @@ fn header_from_wire(frame: &wire::Frame) -> Result<FrameHeader, RecordDefect> {
     })
 }
 
-fn datagrams_to_wire(datagrams: &Datagrams) -> Vec<wire::Datagram> {
+fn datagrams_to_proto(datagrams: &Datagrams) -> Vec<proto::Datagram> {
     datagrams
         .iter()
-        .map(|(link, bytes)| wire::Datagram {
+        .map(|(link, bytes)| proto::Datagram {
             link: link.into(),
             data: bytes.to_vec(),
         })
         .collect()
 }
 
-fn datagrams_from_wire(from: &[wire::Datagram], to: &mut Datagrams, field: &'static str) -> Result<(), RecordDefect> {
+fn datagrams_from_proto(from: &[proto::Datagram], to: &mut Datagrams, field: &'static str) -> Result<(), RecordDefect> {
     to.clear();
     for datagram in from {
         if !to.push(small(datagram.link, field)?, &datagram.data) {
@@ -226,7 +226,7 @@ fn datagrams_from_wire(from: &[wire::Datagram], to: &mut Datagrams, field: &'sta
     Ok(())
 }
 
-fn report_to_wire(report: &StepReport) -> wire::Report {
+fn report_to_proto(report: &StepReport) -> proto::Report {
     let StepReport {
         now_ns,
         timing,
@@ -243,23 +243,23 @@ fn report_to_wire(report: &StepReport) -> wire::Report {
         frame_age_ns,
         frames_refused,
     } = *report;
-    wire::Report {
+    proto::Report {
         now_ns,
-        timing: Some(timing_to_wire(timing)),
+        timing: Some(timing_to_proto(timing)),
         state: state as u32,
         reasons: reasons.0,
-        telemetry: Some(telemetry_to_wire(&telemetry)),
-        goal_position_ned_m: goal.map(|Goal { position_ned_m }| xyz_to_wire(position_ned_m)),
+        telemetry: Some(telemetry_to_proto(&telemetry)),
+        goal_position_ned_m: goal.map(|Goal { position_ned_m }| xyz_to_proto(position_ned_m)),
         goal_relative: goal_relative.map(
             |GoalRelative {
                  distance_m,
                  bearing_rad,
-             }| wire::GoalRelative {
+             }| proto::GoalRelative {
                 distance_m: Some(distance_m),
                 bearing_rad: Some(bearing_rad),
             },
         ),
-        action: action.map(|Action { forward_m_s, yaw }| wire::Action {
+        action: action.map(|Action { forward_m_s, yaw }| proto::Action {
             forward_m_s: Some(forward_m_s),
             yaw: Some(yaw),
         }),
@@ -267,32 +267,32 @@ fn report_to_wire(report: &StepReport) -> wire::Report {
             |VelocitySetpoint {
                  velocity_m_s,
                  yaw_rate_rad_s,
-             }| wire::Setpoint {
-                velocity_heading_m_s: Some(xyz_to_wire(velocity_m_s)),
+             }| proto::Setpoint {
+                velocity_heading_m_s: Some(xyz_to_proto(velocity_m_s)),
                 yaw_rate_rad_s: Some(yaw_rate_rad_s),
             },
         ),
         frame_sequence,
         frame_age_ns,
         frames_refused,
-        judgement: judgement.as_ref().map(judgement_to_wire),
-        alarm: alarm.map(|Alarm { cause, response }| wire::Alarm {
+        judgement: judgement.as_ref().map(judgement_to_proto),
+        alarm: alarm.map(|Alarm { cause, response }| proto::Alarm {
             cause: cause as u32,
             response: response as u32,
         }),
     }
 }
 
-fn report_from_wire(report: &wire::Report) -> Result<StepReport, RecordDefect> {
+fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect> {
     let goal = report.goal_position_ned_m.as_ref();
     Ok(StepReport {
         now_ns: report.now_ns,
-        timing: timing_from_wire(report.timing.as_ref(), "report.timing")?,
+        timing: timing_from_proto(report.timing.as_ref(), "report.timing")?,
         state: code(&GuidanceState::ALL, report.state, "report.state")?,
         reasons: Reasons(report.reasons),
-        telemetry: telemetry_from_wire(need(report.telemetry.as_ref(), "report.telemetry")?)?,
+        telemetry: telemetry_from_proto(need(report.telemetry.as_ref(), "report.telemetry")?)?,
         goal: goal
-            .map(|_| xyz_from_wire(goal, "report.goal_position_ned_m").map(|position_ned_m| Goal { position_ned_m }))
+            .map(|_| xyz_from_proto(goal, "report.goal_position_ned_m").map(|position_ned_m| Goal { position_ned_m }))
             .transpose()?,
         goal_relative: report
             .goal_relative
@@ -319,7 +319,7 @@ fn report_from_wire(report: &wire::Report) -> Result<StepReport, RecordDefect> {
             .as_ref()
             .map(|s| {
                 Ok(VelocitySetpoint {
-                    velocity_m_s: xyz_from_wire(
+                    velocity_m_s: xyz_from_proto(
                         s.velocity_heading_m_s.as_ref(),
                         "report.setpoint.velocity_heading_m_s",
                     )?,
@@ -330,7 +330,7 @@ fn report_from_wire(report: &wire::Report) -> Result<StepReport, RecordDefect> {
         frame_sequence: report.frame_sequence,
         frame_age_ns: report.frame_age_ns,
         frames_refused: report.frames_refused,
-        judgement: report.judgement.as_ref().map(judgement_from_wire).transpose()?,
+        judgement: report.judgement.as_ref().map(judgement_from_proto).transpose()?,
         alarm: report
             .alarm
             .as_ref()
@@ -344,7 +344,7 @@ fn report_from_wire(report: &wire::Report) -> Result<StepReport, RecordDefect> {
     })
 }
 
-fn judgement_to_wire(judgement: &Judgement) -> wire::Judgement {
+fn judgement_to_proto(judgement: &Judgement) -> proto::Judgement {
     let Judgement {
         verdict,
         score,
@@ -354,7 +354,7 @@ fn judgement_to_wire(judgement: &Judgement) -> wire::Judgement {
         base,
         phi,
     } = judgement;
-    wire::Judgement {
+    proto::Judgement {
         verdict: *verdict as u32,
         score: *score,
         image: Some(*image),
@@ -365,7 +365,7 @@ fn judgement_to_wire(judgement: &Judgement) -> wire::Judgement {
     }
 }
 
-fn judgement_from_wire(judgement: &wire::Judgement) -> Result<Judgement, RecordDefect> {
+fn judgement_from_proto(judgement: &proto::Judgement) -> Result<Judgement, RecordDefect> {
     Ok(Judgement {
         verdict: code(&Verdict::ALL, judgement.verdict, "report.judgement.verdict")?,
         score: judgement.score,
@@ -381,7 +381,7 @@ fn judgement_from_wire(judgement: &wire::Judgement) -> Result<Judgement, RecordD
     })
 }
 
-fn telemetry_to_wire(telemetry: &VehicleTelemetry) -> wire::Telemetry {
+fn telemetry_to_proto(telemetry: &VehicleTelemetry) -> proto::Telemetry {
     let VehicleTelemetry {
         heartbeat,
         kinematics,
@@ -389,14 +389,14 @@ fn telemetry_to_wire(telemetry: &VehicleTelemetry) -> wire::Telemetry {
         landed,
         battery_remaining,
     } = *telemetry;
-    wire::Telemetry {
+    proto::Telemetry {
         heartbeat: heartbeat.map(
             |Heartbeat {
                  at_ns,
                  armed,
                  mode,
                  failsafe,
-             }| wire::Heartbeat {
+             }| proto::Heartbeat {
                 at_ns,
                 armed,
                 mode: mode_code(mode),
@@ -408,10 +408,10 @@ fn telemetry_to_wire(telemetry: &VehicleTelemetry) -> wire::Telemetry {
                  at_ns,
                  position_ned_m,
                  velocity_ned_m_s,
-             }| wire::Kinematics {
+             }| proto::Kinematics {
                 at_ns,
-                position_ned_m: Some(xyz_to_wire(position_ned_m)),
-                velocity_ned_m_s: Some(xyz_to_wire(velocity_ned_m_s)),
+                position_ned_m: Some(xyz_to_proto(position_ned_m)),
+                velocity_ned_m_s: Some(xyz_to_proto(velocity_ned_m_s)),
             },
         ),
         attitude: attitude.map(
@@ -419,10 +419,10 @@ fn telemetry_to_wire(telemetry: &VehicleTelemetry) -> wire::Telemetry {
                  at_ns,
                  attitude,
                  rates_frd_rad_s,
-             }| wire::AttitudeSample {
+             }| proto::AttitudeSample {
                 at_ns,
-                attitude: Some(attitude_to_wire(attitude)),
-                rates_frd_rad_s: Some(xyz_to_wire(rates_frd_rad_s)),
+                attitude: Some(attitude_to_proto(attitude)),
+                rates_frd_rad_s: Some(xyz_to_proto(rates_frd_rad_s)),
             },
         ),
         landed: landed_code(landed),
@@ -430,7 +430,7 @@ fn telemetry_to_wire(telemetry: &VehicleTelemetry) -> wire::Telemetry {
     }
 }
 
-fn telemetry_from_wire(telemetry: &wire::Telemetry) -> Result<VehicleTelemetry, RecordDefect> {
+fn telemetry_from_proto(telemetry: &proto::Telemetry) -> Result<VehicleTelemetry, RecordDefect> {
     Ok(VehicleTelemetry {
         heartbeat: telemetry
             .heartbeat
@@ -450,11 +450,11 @@ fn telemetry_from_wire(telemetry: &wire::Telemetry) -> Result<VehicleTelemetry, 
             .map(|k| {
                 Ok(Kinematics {
                     at_ns: k.at_ns,
-                    position_ned_m: xyz_from_wire(
+                    position_ned_m: xyz_from_proto(
                         k.position_ned_m.as_ref(),
                         "report.telemetry.kinematics.position_ned_m",
                     )?,
-                    velocity_ned_m_s: xyz_from_wire(
+                    velocity_ned_m_s: xyz_from_proto(
                         k.velocity_ned_m_s.as_ref(),
                         "report.telemetry.kinematics.velocity_ned_m_s",
                     )?,
@@ -467,8 +467,8 @@ fn telemetry_from_wire(telemetry: &wire::Telemetry) -> Result<VehicleTelemetry, 
             .map(|a| {
                 Ok(AttitudeSample {
                     at_ns: a.at_ns,
-                    attitude: attitude_from_wire(a.attitude.as_ref(), "report.telemetry.attitude.attitude")?,
-                    rates_frd_rad_s: xyz_from_wire(
+                    attitude: attitude_from_proto(a.attitude.as_ref(), "report.telemetry.attitude.attitude")?,
+                    rates_frd_rad_s: xyz_from_proto(
                         a.rates_frd_rad_s.as_ref(),
                         "report.telemetry.attitude.rates_frd_rad_s",
                     )?,
@@ -480,21 +480,24 @@ fn telemetry_from_wire(telemetry: &wire::Telemetry) -> Result<VehicleTelemetry, 
     })
 }
 
-fn xyz_to_wire<F: vigil_types::Frame>(v: Vector<F>) -> wire::Xyz {
-    wire::Xyz {
+fn xyz_to_proto<F: vigil_types::Frame>(v: Vector<F>) -> proto::Xyz {
+    proto::Xyz {
         x: Some(v.x),
         y: Some(v.y),
         z: Some(v.z),
     }
 }
 
-fn xyz_from_wire<F: vigil_types::Frame>(v: Option<&wire::Xyz>, field: &'static str) -> Result<Vector<F>, RecordDefect> {
+fn xyz_from_proto<F: vigil_types::Frame>(
+    v: Option<&proto::Xyz>,
+    field: &'static str,
+) -> Result<Vector<F>, RecordDefect> {
     let v = need(v, field)?;
     Ok(Vector::new(need(v.x, field)?, need(v.y, field)?, need(v.z, field)?))
 }
 
-fn attitude_to_wire(q: Attitude) -> wire::Wxyz {
-    wire::Wxyz {
+fn attitude_to_proto(q: Attitude) -> proto::Wxyz {
+    proto::Wxyz {
         w: Some(q.w),
         x: Some(q.x),
         y: Some(q.y),
@@ -502,7 +505,7 @@ fn attitude_to_wire(q: Attitude) -> wire::Wxyz {
     }
 }
 
-fn attitude_from_wire(q: Option<&wire::Wxyz>, field: &'static str) -> Result<Attitude, RecordDefect> {
+fn attitude_from_proto(q: Option<&proto::Wxyz>, field: &'static str) -> Result<Attitude, RecordDefect> {
     let q = need(q, field)?;
     Ok(Attitude {
         w: need(q.w, field)?,

@@ -5,7 +5,7 @@
 
 use crate::TickRecord;
 use crate::convert::mode_name;
-use crate::wire::Status;
+use crate::proto::Status;
 use foxglove::messages::{
     FrameTransform, Log, Pose, PoseInFrame, PosesInFrame, Quaternion, RawImage, Timestamp, Vector3,
 };

@@ -1,6 +1,6 @@
 //! Who flew with which settings: the metadata at the start of a log.
 
-use crate::file::LOG_FORMAT;
+use crate::log_file::LOG_FORMAT;
 use std::collections::BTreeMap;
 
 /// What a log says about its flight besides the records.

@@ -32,8 +32,9 @@
 mod container;
 mod convert;
 mod display;
-mod file;
 mod info;
+mod log_file;
+mod proto;
 mod reader;
 mod record;
 mod recorder;
@@ -43,11 +44,10 @@ mod scene;
 mod side;
 mod story;
 mod tlog;
-mod wire;
 
 pub use convert::RecordDefect;
-pub use file::LOG_FORMAT;
 pub use info::FlightInfo;
+pub use log_file::LOG_FORMAT;
 pub use reader::{Damage, LogEnd, ReadError, Reader};
 pub use record::TickRecord;
 pub use recorder::{

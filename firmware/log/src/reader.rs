@@ -1,8 +1,8 @@
 //! Reads a log back, record by record and bit for bit.
 
 use crate::container::{Container, Next};
-use crate::file::{LOG_FORMAT, META, META_END, topic};
-use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, wire};
+use crate::log_file::{LOG_FORMAT, META, META_END, topic};
+use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto};
 use foxglove::messages::RawImage;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
@@ -312,7 +312,7 @@ impl Reader {
     }
 
     fn take_tick(&mut self, data: &[u8], record: &mut TickRecord) -> Result<(), Damage> {
-        let tick = wire::Tick::decode(data).map_err(|source| Damage::Message {
+        let tick = proto::Tick::decode(data).map_err(|source| Damage::Message {
             topic: topic::TICK,
             source,
         })?;

@@ -1,6 +1,6 @@
 //! The loop's side of the log: a handle that never waits, and the thread behind it that writes.
 
-use crate::file::LogFile;
+use crate::log_file::LogFile;
 use crate::tlog::Tlog;
 use crate::{FlightInfo, Scene, TickRecord};
 use mcap::McapError;

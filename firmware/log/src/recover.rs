@@ -1,7 +1,7 @@
 //! Makes a closed log of one that was not closed or is damaged: everything that is whole, and what was lost in words.
 
-use crate::file::{self, META_END, topic};
-use crate::{LogEnd, ReadError, Reader, TickRecord, convert, display, salvage, tlog, wire};
+use crate::log_file::{self, META_END, topic};
+use crate::{LogEnd, ReadError, Reader, TickRecord, convert, display, proto, salvage, tlog};
 use foxglove::messages::RawImage;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record};
@@ -155,7 +155,7 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
 fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Copy, McapError> {
     let keep = to.try_clone()?;
     let mut copy = Copy {
-        writer: file::write_options().create(BufWriter::new(to))?,
+        writer: log_file::write_options().create(BufWriter::new(to))?,
         depth: None,
         tick: None,
         group: Vec::new(),
@@ -172,7 +172,7 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
     }
     if description.channels.is_empty() {
         // Those of this version, which numbers them as the one that wrote the log did: the format is the same.
-        let channels = file::Channels::register(&mut copy.writer)?;
+        let channels = log_file::Channels::register(&mut copy.writer)?;
         (copy.depth, copy.tick) = (Some(channels.depth), Some(channels.tick));
     }
     for (header, data) in description.schemas.values() {
@@ -206,7 +206,7 @@ fn copy(from: &Path, description: &salvage::Description, to: File) -> Result<Cop
     if let Some((counted, dropped)) = copy.counted {
         let lost = counted.saturating_sub(copy.records);
         copy.writer
-            .write_metadata(&file::end_metadata(copy.records, dropped + lost))?;
+            .write_metadata(&log_file::end_metadata(copy.records, dropped + lost))?;
     }
     copy.writer.finish()?;
     keep.sync_all()?;
@@ -284,9 +284,9 @@ impl Copy {
     }
 
     /// The step's message of a record that a reader accepts.
-    fn whole(&mut self, group: &[(MessageHeader, Vec<u8>)]) -> Option<wire::Tick> {
+    fn whole(&mut self, group: &[(MessageHeader, Vec<u8>)]) -> Option<proto::Tick> {
         let of = |channel: Option<u16>| group.iter().find(|(header, _)| Some(header.channel_id) == channel);
-        let tick = wire::Tick::decode(of(self.tick)?.1.as_slice()).ok()?;
+        let tick = proto::Tick::decode(of(self.tick)?.1.as_slice()).ok()?;
         let has_frame = convert::from_wire(&tick, &mut self.scratch).ok()?;
         let image_is_whole = match of(self.depth) {
             None => false,

@@ -4,7 +4,7 @@
 //! checksum. Where a length is damaged the next chunk is found by its form: behind opcode and length two times, size,
 //! checksum, and the name of the compression, whose stored size must agree with the record's length.
 
-use crate::file::META;
+use crate::log_file::META;
 use mcap::McapError;
 use mcap::read::ChunkReader;
 use mcap::records::{Channel, ChunkHeader, Metadata, Record, SchemaHeader, op};
@@ -20,7 +20,7 @@ pub(crate) const LENGTH_LIMIT: u64 = 64 << 20;
 const MAGIC: u64 = 8;
 /// Opcode and length.
 const HEAD: u64 = 9;
-/// What [`write_options`](crate::file::write_options) compresses with, as a chunk names it.
+/// What [`write_options`](crate::log_file::write_options) compresses with, as a chunk names it.
 const COMPRESSION: &[u8] = b"\x03\0\0\0lz4";
 /// Where that name stands in a chunk, from its opcode on.
 const COMPRESSION_AT: u64 = HEAD + 8 + 8 + 8 + 4;

@@ -5,8 +5,8 @@
 
 use crate::container::{Container, Next};
 use crate::display::{self, MAP_FRAME};
-use crate::file::{self, META_STORY, topic};
-use crate::wire;
+use crate::log_file::{self, META_STORY, topic};
+use crate::proto;
 use crate::{ReadError, Reader};
 use foxglove::messages::{FrameTransform, PoseInFrame, RawImage};
 use mcap::McapError;
@@ -84,16 +84,16 @@ impl SideLog {
             source,
         })?;
         let begin = || -> Result<_, McapError> {
-            let mut writer = file::write_options().create(BufWriter::new(sink))?;
-            let truth = file::standard::<PoseInFrame, _>(&mut writer, topic::TRUTH)?;
-            let transform = file::standard::<FrameTransform, _>(&mut writer, topic::TRANSFORM)?;
-            let attack = file::protobuf(
+            let mut writer = log_file::write_options().create(BufWriter::new(sink))?;
+            let truth = log_file::standard::<PoseInFrame, _>(&mut writer, topic::TRUTH)?;
+            let transform = log_file::standard::<FrameTransform, _>(&mut writer, topic::TRANSFORM)?;
+            let attack = log_file::protobuf(
                 &mut writer,
                 topic::ATTACK,
-                &wire::schema_name("Attack"),
-                wire::FILE_DESCRIPTOR_SET,
+                &proto::schema_name("Attack"),
+                proto::FILE_DESCRIPTOR_SET,
             )?;
-            let clean = file::standard::<RawImage, _>(&mut writer, topic::CLEAN_DEPTH)?;
+            let clean = log_file::standard::<RawImage, _>(&mut writer, topic::CLEAN_DEPTH)?;
             Ok((writer, truth, transform, attack, clean))
         };
         let (writer, truth, transform, attack, clean) = begin().map_err(at(path))?;
@@ -140,7 +140,7 @@ impl SideLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn frame(&mut self, at_ns: Nanos, sequence: u64, altered: Option<(f32, &DepthFrame)>) -> Result<(), SideError> {
-        let message = wire::Attack {
+        let message = proto::Attack {
             now_ns: at_ns,
             frame_sequence: sequence,
             altered: f64::from(u8::from(altered.is_some())),
@@ -148,7 +148,7 @@ impl SideLog {
         };
         self.put(self.attack, at_ns, sequence as u32, &message)?;
         if let Some((_, clean)) = altered
-            && (self.altered < Self::CLEAN_FIRST || file::due(&mut self.last_clean_ns, at_ns, Self::CLEAN_NS))
+            && (self.altered < Self::CLEAN_FIRST || log_file::due(&mut self.last_clean_ns, at_ns, Self::CLEAN_NS))
         {
             self.altered = self.altered.saturating_add(1);
             self.put(self.clean, at_ns, sequence as u32, &display::depth_image(clean, at_ns))?;
@@ -221,7 +221,7 @@ fn merge(
         path: to.to_owned(),
         source,
     })?;
-    let mut writer = file::write_options().create(BufWriter::new(sink)).map_err(at(to))?;
+    let mut writer = log_file::write_options().create(BufWriter::new(sink)).map_err(at(to))?;
     let mut main = Source::open(log, 0)?;
     let mut sides = sides
         .iter()
@@ -324,7 +324,7 @@ impl<'a> Source<'a> {
                         .map_err(at(self.path))?;
                     self.channels.insert(channel.id, id);
                 }
-                Record::Metadata(meta) if meta.name == file::META_END => self.end = Some(meta),
+                Record::Metadata(meta) if meta.name == log_file::META_END => self.end = Some(meta),
                 // A second merge says anew what there is to say.
                 Record::Metadata(meta) if meta.name == META_STORY => {}
                 Record::Metadata(meta) => writer.write_metadata(&meta).map_err(at(self.path))?,

@@ -2,8 +2,8 @@
 
 use crate::container::{Container, Next};
 use crate::display;
-use crate::file::{META_STORY, topic};
-use crate::wire;
+use crate::log_file::{META_STORY, topic};
+use crate::proto;
 use crate::{ReadError, Reader, SceneSolid};
 use foxglove::messages::{Log, PoseInFrame, RawImage, SceneUpdate};
 use mcap::records::{Record, op};
@@ -150,7 +150,7 @@ impl Story {
                 self.truth.extend(position.map(|p| (at_ns, display::ned_point(p))));
             }
             topic::ATTACK => {
-                if let Ok(mark) = wire::Attack::decode(data) {
+                if let Ok(mark) = proto::Attack::decode(data) {
                     self.attack.push(AttackMark {
                         at_ns: mark.now_ns,
                         frame_sequence: mark.frame_sequence,

@@ -38,14 +38,14 @@ mod activation;
 mod aligned;
 mod conv;
 mod dense;
-#[cfg(feature = "file")]
-pub mod file;
 mod graph;
 mod gru;
 mod isa;
 mod kernels;
 mod lstm;
 mod math;
+#[cfg(feature = "file")]
+pub mod network_file;
 mod norm;
 mod pool;
 pub mod shape;

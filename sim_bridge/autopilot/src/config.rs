@@ -1,6 +1,6 @@
 //! How an endpoint is set up.
 
-use crate::parameters::ParameterError;
+use crate::vehicle_parameters::ParameterError;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

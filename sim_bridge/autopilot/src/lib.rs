@@ -35,7 +35,6 @@ mod flight;
 mod geo;
 mod message_ids;
 mod outbox;
-mod parameters;
 mod plan;
 mod saved;
 mod service;
@@ -44,6 +43,7 @@ mod source;
 mod streams;
 mod told_parameters;
 mod used_parameters;
+mod vehicle_parameters;
 
 #[cfg(test)]
 mod testing;
@@ -54,6 +54,8 @@ pub use config::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 pub use core::{EndpointStatus, Refusals, SigningSetup};
 pub use endpoint::Endpoint;
 pub use flight::{Failsafe, FlightMode, LandedState};
-pub use parameters::{ParameterError, ParameterInfo, ParameterRole, ParameterType, ParameterValue, parameter_table};
 pub use saved::Saved;
+pub use vehicle_parameters::{
+    ParameterError, ParameterInfo, ParameterRole, ParameterType, ParameterValue, parameter_table,
+};
 pub use vigil_mavlink::routing::ComponentId;

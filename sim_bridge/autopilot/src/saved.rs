@@ -2,8 +2,8 @@
 
 use crate::ConfigError;
 use crate::core::Core;
-use crate::parameters::{ParameterValue, Parameters};
 use crate::plan::{PlanItem, PlanKind};
+use crate::vehicle_parameters::{ParameterValue, Parameters};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -1,8 +1,8 @@
 //! Parameters that clients read or set and that nothing depends on. A ground station's set-up pages read what the vehicle is
 //! made of; scripts written for PX4 set, without asking, what matters only to hardware.
 
-use crate::parameters::ParameterValue::{Int32 as I, Real32 as R};
-use crate::parameters::{ParameterInfo, ParameterRole, ParameterValue};
+use crate::vehicle_parameters::ParameterValue::{Int32 as I, Real32 as R};
+use crate::vehicle_parameters::{ParameterInfo, ParameterRole, ParameterValue};
 
 const fn fixed(name: &'static str, value: ParameterValue, description: &'static str) -> ParameterInfo {
     let limit = match value {

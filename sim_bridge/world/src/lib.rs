@@ -11,8 +11,8 @@
 mod check;
 mod corridor;
 mod course;
+mod course_file;
 mod draw;
-mod file;
 mod generate;
 mod lidar;
 mod mover;
@@ -27,8 +27,8 @@ pub use corridor::{CORRIDOR_MARGIN_M, HARD_CORRIDOR_MARGIN_M};
 pub use course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
 };
+pub use course_file::CourseError;
 pub use draw::{FlightPath, Image, ImageError, check_png_name, draw};
-pub use file::CourseError;
 pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
     LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,

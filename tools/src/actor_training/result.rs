@@ -1,6 +1,6 @@
 //! What a run came to: `result.json`, from which `vigil report training` makes tables and pictures.
 
-use crate::actor_training::rollout::{EvaluationResult, EvaluationSpec};
+use crate::actor_training::evaluation::{EvaluationResult, EvaluationSpec};
 use crate::statistics::wilson_95;
 use serde::{Deserialize, Serialize};
 use vigil_world::Outcome;

@@ -1,11 +1,11 @@
 //! One flight of the whole stack in lockstep, attacked or not: what every campaign repeats.
 
 mod recording;
-mod sensor;
+mod sensor_record;
 mod watch;
 
 pub use recording::Recording;
-pub use sensor::{FaultChoice, FaultTally, SensorRecord};
+pub use sensor_record::{FaultChoice, FaultTally, SensorRecord};
 pub use watch::WatchRecord;
 
 use crate::report::{Column, numbers, words};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use vigil_adversary::AttackError;
 use vigil_detector::{MonitorError, ShapError};
 use vigil_nnet::ShapeError;
-use vigil_nnet::file::FileError;
+use vigil_nnet::network_file::FileError;
 use vigil_vehicle::ParamsError;
 
 /// Why nothing could be gathered, trained or measured.

@@ -1,9 +1,9 @@
 //! Trains LSTM-AD on gathered flights.
 
-use crate::detector_training::data::{Class, Counts};
 use crate::detector_training::error::DetectError;
 use crate::detector_training::features::{Extractor, Feature, Rows};
 use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit};
+use crate::detector_training::flight_files::{Class, Counts};
 use crate::detector_training::recorded_flight::Record;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;

@@ -1,12 +1,12 @@
 //! Gathers data for the detectors by flying, trains them and measures how well they detect (docs/detectors.md).
 
 mod comparison;
-mod data;
 mod error;
-mod evaluate;
 mod explained_flight;
 mod features;
 mod fit;
+mod flight_files;
+mod judging;
 mod lstm;
 mod metrics;
 mod pixels;
@@ -15,14 +15,14 @@ mod scenario;
 mod times;
 
 pub use comparison::{ImageNetwork, TableRow, image_fit, lstm_scores, pca_scores, row};
-pub use data::{Class, Counts, Flights, WEAK_YAW, collect};
 pub use error::DetectError;
-pub use evaluate::{
-    AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
-};
 pub use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::{Extractor, Feature, Rows, YAW};
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
+pub use flight_files::{Class, Counts, Flights, WEAK_YAW, collect};
+pub use judging::{
+    AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
+};
 pub use lstm::{Judge, LstmConfig, train, train_steps};
 pub use metrics::{Proportion, Separation, auc, roc, true_positives_at};
 pub use pixels::{PixelExplainer, State, States, gather_states};

@@ -1,8 +1,8 @@
 //! States with the SHAP images of their five frames, for the detectors that look at images.
 
-use crate::detector_training::data::Flights;
 use crate::detector_training::error::{DetectError, access};
 use crate::detector_training::features::YAW;
+use crate::detector_training::flight_files::Flights;
 use crate::detector_training::recorded_flight::{Frame, Onlooker, Step, fly};
 use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::seq::SliceRandom;

@@ -1,11 +1,11 @@
 //! The report of one flight: one HTML file that needs no network, made from a flight log.
 
-mod data;
 mod film;
+mod flight_data;
 mod page;
 mod words;
 
-pub use data::{Flight, LogSeen, ReportError, ReportOptions, StepSeen, WHO, outline_of, read};
+pub use flight_data::{Flight, LogSeen, ReportError, ReportOptions, StepSeen, WHO, outline_of, read};
 pub use page::{DATA_LIMIT, html};
 
 use std::path::{Path, PathBuf};

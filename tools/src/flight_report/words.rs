@@ -1,6 +1,6 @@
 //! What a report says in words.
 
-use crate::flight_report::data::{Event, LogSeen, StepSeen, Verdict, WHO, rounded};
+use crate::flight_report::flight_data::{Event, LogSeen, StepSeen, Verdict, WHO, rounded};
 use crate::statistics::quantile;
 use std::path::Path;
 use vigil_log::{LogEnd, Weight};

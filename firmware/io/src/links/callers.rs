@@ -1,6 +1,6 @@
 //! Connections that are not the peer's: whoever calls has a moment to show that he may be.
 
-use super::stream::PacketStream;
+use super::packet_stream::PacketStream;
 use super::{LinkAdmission, PeerRule};
 use std::net::TcpStream;
 use vigil_mavlink::framing::{FramingCounters, StreamFramer};

@@ -4,11 +4,11 @@
 
 mod any_wire;
 mod callers;
+mod packet_stream;
 mod peer_rule;
 mod peers;
 mod serial;
 mod socket_filter;
-mod stream;
 mod tcp;
 mod udp;
 mod wire;

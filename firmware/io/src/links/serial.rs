@@ -1,6 +1,6 @@
 //! MAVLink over a serial line; the device may disappear and return.
 
-use super::stream::PacketStream;
+use super::packet_stream::PacketStream;
 use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PeerRule, RETRY_NS, Wire};
 use crate::gate::SigningGate;
 use crate::link_url::LinkUrl;

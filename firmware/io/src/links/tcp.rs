@@ -1,7 +1,7 @@
 //! MAVLink over TCP, as client or server, reconnecting.
 
 use super::callers::Callers;
-use super::stream::PacketStream;
+use super::packet_stream::PacketStream;
 use super::{Gated, LinkAdmission, LinkError, LinkStatistics, PEER_SILENCE_NS, PeerRule, RETRY_NS, Wire, is_local};
 use crate::gate::SigningGate;
 use crate::link_url::LinkUrl;

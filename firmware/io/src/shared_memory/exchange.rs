@@ -1,7 +1,7 @@
 //! Lockstep between two processes: the simulator asks (client), the firmware answers (server), one step at a time.
 
 use super::Domain;
-use super::wire::{KIND_FINISH, KIND_STEP, WireDatagrams, WireRequest, WireResponse};
+use super::layout::{KIND_FINISH, KIND_STEP, WireDatagrams, WireRequest, WireResponse};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;

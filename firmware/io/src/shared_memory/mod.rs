@@ -9,7 +9,7 @@
 mod domain;
 mod exchange;
 mod frames;
-mod wire;
+mod layout;
 
 pub use domain::{Domain, DomainError, remove_leftovers};
 pub use exchange::{LockstepClient, LockstepError, LockstepServer, Served, StepRequest};

@@ -1,4 +1,4 @@
-//! The frozen actor's file ([`vigil_nnet::file`]).
+//! The frozen actor's file ([`vigil_nnet::network_file`]).
 //!
 //! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
 //! `seed`, `updates`, `git_commit`, `sha256`, `frame_ages` where the five frames are not in a row, and `led_by` where it is not the
@@ -13,7 +13,7 @@ use std::path::Path;
 use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
-use vigil_nnet::file::{Contents, FileError, Kind, Verified};
+use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{GraphBuilder, Isa};
 
 /// Value of the entry `format`.

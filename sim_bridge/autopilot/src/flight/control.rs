@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Climb, Maneuver};
-use crate::parameters::ParamId;
+use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{
     ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
 };

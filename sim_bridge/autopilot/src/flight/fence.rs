@@ -4,8 +4,8 @@ use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::Failsafe;
 use crate::message_ids;
-use crate::parameters::ParamId;
 use crate::plan::Breach;
+use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::MavSeverity;
 
 /// GF_ACTION.

@@ -2,7 +2,7 @@
 
 use crate::core::Core;
 use crate::flight::state::{FollowTarget, Maneuver};
-use crate::parameters::ParamId;
+use crate::vehicle_parameters::ParamId;
 use vigil_types::{Nanos, NedVector, wrap_pi};
 use vigil_vehicle::{ControlCommand, YawCommand};
 

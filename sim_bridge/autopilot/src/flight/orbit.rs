@@ -3,7 +3,7 @@
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Denial, Facing, Maneuver, Orbit};
-use crate::parameters::ParamId;
+use crate::vehicle_parameters::ParamId;
 use core::f32::consts::TAU;
 use vigil_types::{NedVector, wrap_pi};
 use vigil_vehicle::{ControlCommand, YawCommand};

@@ -3,9 +3,9 @@
 
 use crate::core::Core;
 use crate::files::{FileSystem, crc32};
-use crate::parameters::{ParameterInfo, ParameterValue, parameter_table};
 use crate::service::{Build, Produced, Service};
 use crate::services::events::definitions;
+use crate::vehicle_parameters::{ParameterInfo, ParameterValue, parameter_table};
 use serde::Serialize;
 use serde_json::json;
 use vigil_mavlink::MavMessage;

@@ -2,7 +2,7 @@
 //! <https://mavlink.io/en/services/ftp.html#param-pck>, format: libraries/AP_Filesystem/README.md of ArduPilot.
 
 use crate::core::Core;
-use crate::parameters::{ParameterValue, Parameters};
+use crate::vehicle_parameters::{ParameterValue, Parameters};
 
 /// Its path, behind which options may follow: `?start=N&count=N&withdefaults=1`.
 const PATH: &str = "@PARAM/param.pck";

@@ -6,8 +6,8 @@
 use crate::LinkId;
 use crate::core::Core;
 use crate::files::crc32_on;
-use crate::parameters::{ParameterError, ParameterValue, Parameters};
 use crate::service::{Service, Source};
+use crate::vehicle_parameters::{ParameterError, ParameterValue, Parameters};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     MavParamError, MavParamType, MavSeverity, PARAM_ERROR_DATA, PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA,

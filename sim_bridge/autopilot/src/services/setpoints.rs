@@ -2,8 +2,8 @@
 
 use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
-use crate::parameters::ParamId;
 use crate::service::{Service, Source};
+use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     MavSeverity, SET_ATTITUDE_TARGET_DATA, SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,

@@ -5,11 +5,11 @@
 
 use crate::core::Core;
 use crate::flight::{Denial, FlightMode};
-use crate::parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
 use crate::plan::PlanKind;
 use crate::service::{Answer, Service, Source};
 use crate::services::arming;
 use crate::services::parameters::value_message;
+use crate::vehicle_parameters::{ParameterError, ParameterType, ParameterValue, Parameters};
 use std::fmt::Write;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{SERIAL_CONTROL_DATA, SerialControlDev, SerialControlFlag};

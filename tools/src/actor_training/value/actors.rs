@@ -1,8 +1,8 @@
 //! Actors while they are trained, over whole batches: the expert on the true state, and the pictures' actor behind its encoder.
 
-use super::config::ValueConfig;
 use super::mlp::{Mlp, MlpTape};
 use super::value_buffer::{StateView, double};
+use super::value_config::ValueConfig;
 use crate::actor_training::networks::{Networks, SPEC};
 use rand::Rng;
 use vigil_nnet::{Activation, Aligned, Dense, Isa, ShapeError};
@@ -58,7 +58,7 @@ impl ActorNetwork {
     /// The configuration's actor, for batches of up to `rows`.
     pub fn new(config: &ValueConfig, rows: usize) -> Self {
         match config.sees {
-            super::config::Sees::Truth => {
+            super::value_config::Sees::Truth => {
                 let mlp = Mlp::new(TRUE_STATE, &config.learning.actor_units, 2);
                 Self::Truth(Box::new(TruthActor {
                     tape: mlp.tape(rows),
@@ -67,7 +67,7 @@ impl ActorNetwork {
                     mlp,
                 }))
             }
-            super::config::Sees::Pictures => Self::Pictures(Box::new(PicturesActor::new(rows))),
+            super::value_config::Sees::Pictures => Self::Pictures(Box::new(PicturesActor::new(rows))),
         }
     }
 

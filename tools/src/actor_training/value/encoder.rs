@@ -1,8 +1,8 @@
 //! What an encoder learns before it is frozen: the ranges in sight, on frames of flights by noise alone. There is no teacher here
 //! but the simulator, and afterwards a frame is encoded once, not in each of the transitions that hold it.
 
-use super::config::ValueConfig;
 use super::flyer::TrueFlight;
+use super::value_config::ValueConfig;
 use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::learner::UpdateError;

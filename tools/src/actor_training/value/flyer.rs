@@ -1,7 +1,7 @@
 //! Environments of a run by value: training flights whose true state, and whose pictures if the actor sees them, are kept.
 
-use super::config::{Along, Sees, ValueConfig};
 use super::value_buffer::{Moment, StateView, ValueLane, halve};
+use super::value_config::{Along, Sees, ValueConfig};
 use crate::actor_training::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
 use crate::actor_training::flight::Flight;
 use crate::actor_training::lead::Lead;
@@ -413,7 +413,7 @@ fn nearest(truth: &[f32; TRUE_STATE]) -> Option<NearestObstacle> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::config::Leader;
+    use super::super::value_config::Leader;
     use super::*;
 
     /// The path that leads an actor in training is that of flight: planned on in every step, a decision lasting four.

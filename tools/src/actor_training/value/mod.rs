@@ -4,20 +4,20 @@
 //! critics' slope, behind an encoder that is taught first and then frozen. `docs/learning.md` describes it and what was measured.
 
 mod actors;
-mod config;
 mod encoder;
 mod flyer;
-mod learner;
 mod mlp;
 mod run;
 mod slope;
 mod store;
 mod value_buffer;
+mod value_config;
+mod value_learner;
 
-pub use config::{
-    Along, EncoderConfig, Leader, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward,
-};
 pub use encoder::EncoderError;
-pub use learner::{Expert, ValueReport};
 pub use run::{FamilyCount, ValueEnd, ValueError, ValueOptions, ValueProgress, ValueResult, ValueRow, run_value};
 pub use slope::SlopeReport;
+pub use value_config::{
+    Along, EncoderConfig, Leader, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward,
+};
+pub use value_learner::{Expert, ValueReport};

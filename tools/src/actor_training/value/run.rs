@@ -1,22 +1,22 @@
 //! A run by value: fly, learn, evaluate, keep. The expert's and the pictures' actor's run are the same but for what the actor sees.
 
 use super::actors::{ActorNetwork, Row};
-use super::config::{Sees, ValueConfig};
 use super::encoder::{EncoderError, teach_encoder};
 use super::flyer::{Encoder, Flyer, FlyerState};
-use super::learner::{Expert, ValueLearner, ValueReport};
 use super::slope::{Chooser, SlopeReport, fly_chooser, slope_against_truth};
 use super::store::{Stored, Values, save};
 use super::value_buffer::{Moment, ValueMemory};
+use super::value_config::{Sees, ValueConfig};
+use super::value_learner::{Expert, ValueLearner, ValueReport};
 use crate::actor_training::adam::Adam;
 use crate::actor_training::checkpoint::CheckpointError;
 use crate::actor_training::collector::{CollectError, FlightReport};
 use crate::actor_training::config::ConfigError;
+use crate::actor_training::evaluation::{EvaluatedActor, EvaluationSpec, RolloutError, evaluate};
 use crate::actor_training::files::{self, WriteError};
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{FlightRow, flights_csv};
-use crate::actor_training::rollout::{EvaluatedActor, EvaluationSpec, RolloutError, evaluate};
 use crate::statistics::wilson_95;
 use crate::threads::{ThreadsError, thread_pool};
 use rand::SeedableRng;
@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-use vigil_nnet::file::FileError;
+use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::FrozenActor;
 use vigil_policy::actor::FRAMES_SPREAD;

@@ -4,10 +4,10 @@
 //! noise, and the five returns are compared with what the critics say of the five.
 
 use super::actors::ActorNetwork;
-use super::config::ValueConfig;
 use super::flyer::{Encoder, TrueFlight};
-use super::learner::ValueLearner;
 use super::value_buffer::{Moment, ValueLane};
+use super::value_config::ValueConfig;
+use super::value_learner::ValueLearner;
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::networks::squash;
 use crate::actor_training::noise::OrnsteinUhlenbeck;

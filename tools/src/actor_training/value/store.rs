@@ -1,7 +1,7 @@
 //! Files of a run by value: experts, and checkpoints that hold the memory as well. They are sealed as `vigil train`'s checkpoints are.
 
-use super::learner::Expert;
 use super::mlp::Mlp;
+use super::value_learner::Expert;
 use crate::actor_training::checkpoint::{CheckpointError, DIGEST, SIZE_LIMIT, digest};
 use crate::actor_training::files;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};

@@ -1,6 +1,6 @@
 //! What the environments lived through: true states, kept features of the frames, actions, rewards.
 
-use super::config::ValueConfig;
+use super::value_config::ValueConfig;
 use crate::actor_training::replay_buffer::Next;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};

@@ -1,8 +1,8 @@
 //! Judging flights on courses that no detector was trained on, and what the verdicts were worth.
 
-use crate::detector_training::data::Class;
 use crate::detector_training::error::DetectError;
 use crate::detector_training::features::Feature;
+use crate::detector_training::flight_files::Class;
 use crate::detector_training::lstm::Judge;
 use crate::detector_training::metrics::{Proportion, Separation, roc};
 use crate::detector_training::recorded_flight::{Ending, Frame, Record, fly};

@@ -1,7 +1,7 @@
 //! Writes records into an MCAP file: which channels there are, what goes to which, and when it is flushed.
 
 use crate::display::{self, MAP_FRAME, Narrator, PathTrail};
-use crate::{FlightInfo, Scene, TickRecord, convert, wire};
+use crate::{FlightInfo, Scene, TickRecord, convert, proto};
 use foxglove::messages::log::Level;
 use foxglove::messages::{FrameTransform, Log, PointCloud, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
@@ -68,14 +68,14 @@ impl Channels {
             tick: protobuf(
                 writer,
                 topic::TICK,
-                &wire::schema_name("Tick"),
-                wire::FILE_DESCRIPTOR_SET,
+                &proto::schema_name("Tick"),
+                proto::FILE_DESCRIPTOR_SET,
             )?,
             status: protobuf(
                 writer,
                 topic::STATUS,
-                &wire::schema_name("Status"),
-                wire::FILE_DESCRIPTOR_SET,
+                &proto::schema_name("Status"),
+                proto::FILE_DESCRIPTOR_SET,
             )?,
             range: standard::<RawImage, W>(writer, topic::RANGE)?,
             transform: standard::<FrameTransform, W>(writer, topic::TRANSFORM)?,

@@ -1,9 +1,9 @@
 //! The updates: deterministic policy gradient with critics that see the true state, whatever the actor sees.
 
 use super::actors::{ActorNetwork, LAST_LAYER_LIMIT, Row, push_truth};
-use super::config::{ValueConfig, ValueLearning};
 use super::mlp::{Mlp, MlpTape};
 use super::value_buffer::Step;
+use super::value_config::{ValueConfig, ValueLearning};
 use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::squash;
