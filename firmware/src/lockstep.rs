@@ -52,7 +52,7 @@ impl LockstepFirmware {
         self.firmware.step(
             timing,
             &mut HandedClock(now_ns),
-            &mut HandedFrame(frame),
+            &mut HandedFrame::new(frame),
             &mut HandedDatagrams::new(received, sent),
         )
     }

@@ -1,7 +1,7 @@
 //! Runs the tick over a log's recorded inputs and compares every output.
 
 use crate::config::FirmwareConfig;
-use crate::ports::handed::{HandedClock, HandedDatagrams, RecordedFrame};
+use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
 use crate::step::Firmware;
 use vigil_log::{LogEnd, ReadError, Reader, TickRecord};
 use vigil_types::{Datagrams, Nanos, Reason, StepReport};
@@ -224,11 +224,11 @@ pub fn step_again<'a>(firmware: &'a mut Firmware, record: &TickRecord, sent: &mu
     firmware.step(
         record.timing,
         &mut HandedClock(record.now_ns),
-        &mut RecordedFrame {
-            frame: record.frame(),
-            // The key is not in the log: what the step found when it had it counts.
-            unauthenticated: record.report.reasons.contains(Reason::UnauthenticatedFrame),
-        },
+        // The key is not in the log: what the step found when it had it counts.
+        &mut HandedFrame::recorded(
+            record.frame(),
+            record.report.reasons.contains(Reason::UnauthenticatedFrame),
+        ),
         &mut HandedDatagrams::new(&record.received, sent),
     )
 }

@@ -746,7 +746,7 @@ impl Flight {
             self.firmware.step(
                 timing,
                 &mut HandedClock(now_ns),
-                &mut HandedFrame(Some(&frame)),
+                &mut HandedFrame::new(Some(&frame)),
                 &mut self.rig.links,
             );
             for bytes in self.rig.vehicle.raw() {

@@ -244,7 +244,7 @@ impl<N: Network> Flight<N> {
             step: self.step,
             ..StepTiming::default()
         };
-        let (clock, frames) = (&mut HandedClock(now_ns), &mut HandedFrame(Some(&frame)));
+        let (clock, frames) = (&mut HandedClock(now_ns), &mut HandedFrame::new(Some(&frame)));
         let report = *self.firmware.step(timing, clock, frames, &mut self.links);
         for packet in self.network.heard() {
             self.vehicle.hear(&packet);

@@ -1,5 +1,6 @@
 //! What all parts of the campaign share: the table, the folder of results, random draws.
 
+use crate::flight::Site;
 use anyhow::{Context, Result};
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -283,6 +284,19 @@ pub fn side_by_side<T: Send>(
     let mut done = done.into_inner().unwrap_or_default();
     done.sort_by_key(|(number, _)| *number);
     done.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Runs lockstep flights `0..count` of the site's seeds, as many at a time as there are cores and instances, until Ctrl-C: the
+/// trial gets its number and its seed.
+pub fn in_lockstep<T: Send>(site: &Site<'_>, count: usize, trial: impl Fn(usize, u64) -> T + Sync) -> Vec<T> {
+    // One flight at a time for each instance: it takes a core.
+    let threads = std::thread::available_parallelism()
+        .map_or(1, usize::from)
+        .min(site.instances.len());
+    side_by_side(count, &site.instances[..threads], |number, _| {
+        let stopped = site.stop.load(std::sync::atomic::Ordering::Relaxed);
+        (!stopped).then(|| trial(number, site.seed + number as u64))
+    })
 }
 
 #[cfg(test)]

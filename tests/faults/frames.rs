@@ -1,9 +1,8 @@
 //! Frames that no sensor sends, for three seconds of a flight in lockstep; then the sensor is itself again.
 
-use crate::campaign::{Draw, Ending, Folder, Row, Trial, side_by_side, spread, tell};
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, spread, tell};
 use crate::flight::{Site, collided_anyway};
 use anyhow::Result;
-use std::sync::atomic::Ordering;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{
@@ -302,14 +301,8 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
         if chosen.is_empty() {
             continue;
         }
-        // One flight at a time for each two of the instances: it takes a core.
-        let threads = std::thread::available_parallelism()
-            .map_or(1, usize::from)
-            .min(site.instances.len());
-        let flown = side_by_side(chosen.len() * trials, &site.instances[..threads], |number, _| {
-            let stopped = site.stop.load(Ordering::Relaxed);
-            let seed = site.seed + number as u64;
-            (!stopped).then(|| fly(chosen[number / trials], seed))
+        let flown = in_lockstep(site, chosen.len() * trials, |number, seed| {
+            fly(chosen[number / trials], seed)
         });
         let flown: Vec<Flown> = flown.into_iter().collect::<Result<_>>()?;
         let trials: Vec<Trial> = flown.iter().map(|flown| flown.trial.clone()).collect();

@@ -1,6 +1,6 @@
 //! Those who speak in another's name: setpoints of a second guidance computer, and attacks on MAVLink signing.
 
-use crate::campaign::{Draw, Ending, Folder, Row, Trial, side_by_side};
+use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, side_by_side};
 use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
 use anyhow::{Context, Result};
 use std::net::UdpSocket;
@@ -80,13 +80,8 @@ fn spoofed(seed: u64, by: &[(u8, LinkId, u64)]) -> Result<(Option<Outcome>, NedV
 /// A configuration that is refused.
 pub fn spoofing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     let flights = if site.quick { 1 } else { 20 };
-    let threads = std::thread::available_parallelism()
-        .map_or(1, usize::from)
-        .min(site.instances.len());
-    let flown = side_by_side(flights, &site.instances[..threads], |number, _| {
-        let seed = site.seed + number as u64;
-        let stopped = site.stop.load(Ordering::Relaxed);
-        (!stopped).then(|| Ok::<_, anyhow::Error>((spoofed(seed, &[])?, spoofed(seed, &CLAIMANTS)?)))
+    let flown = in_lockstep(site, flights, |_, seed| {
+        Ok::<_, anyhow::Error>((spoofed(seed, &[])?, spoofed(seed, &CLAIMANTS)?))
     });
     let mut refused = 0;
     let mut trials = Vec::new();

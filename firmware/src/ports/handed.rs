@@ -15,24 +15,27 @@ impl Clock for HandedClock {
 
 /// The one frame of a step, if it has one.
 #[derive(Debug, Default)]
-pub struct HandedFrame<'a>(pub Option<&'a DepthFrame>);
+pub struct HandedFrame<'a> {
+    frame: Option<&'a DepthFrame>,
+    unauthenticated: bool,
+}
 
-impl FrameSource for HandedFrame<'_> {
-    fn newest(&mut self) -> Option<&DepthFrame> {
-        self.0.take()
+impl<'a> HandedFrame<'a> {
+    /// A frame of which nothing is known.
+    pub fn new(frame: Option<&'a DepthFrame>) -> Self {
+        Self {
+            frame,
+            unauthenticated: false,
+        }
+    }
+
+    /// The frame of a recorded step, and whether that step refused it as not made with the sensor's key.
+    pub fn recorded(frame: Option<&'a DepthFrame>, unauthenticated: bool) -> Self {
+        Self { frame, unauthenticated }
     }
 }
 
-/// The one frame of a recorded step, and whether it was authenticated when it arrived.
-#[derive(Debug, Default)]
-pub struct RecordedFrame<'a> {
-    /// The frame.
-    pub frame: Option<&'a DepthFrame>,
-    /// The step refused it as not made with the sensor's key.
-    pub unauthenticated: bool,
-}
-
-impl FrameSource for RecordedFrame<'_> {
+impl FrameSource for HandedFrame<'_> {
     fn newest(&mut self) -> Option<&DepthFrame> {
         self.frame.take()
     }

@@ -16,6 +16,7 @@ mod learner;
 mod limits;
 mod networks;
 mod noise;
+mod priorities;
 mod progress;
 mod recurrent;
 mod rehearsal;

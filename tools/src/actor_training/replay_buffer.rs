@@ -3,11 +3,11 @@
 //! A frame is kept as `1 / (1 + range / 3 m)` in 255 steps, which is what the network's first layer makes of it: a step is
 //! 1 cm of range near the vehicle, 8 cm at 5 m.
 
+use crate::actor_training::priorities::{Priorities, Returns, newest_in_slot, normalised};
 use rand::Rng;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 use vigil_nnet::Activation;
-use vigil_nnet::train::SumTree;
 use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS};
 
@@ -15,8 +15,6 @@ use vigil_types::{DEPTH_COLS, DEPTH_PIXELS};
 const LEVELS: f32 = 255.0;
 /// Frames a lane keeps beyond those of its decisions: a window and the steps of the decision being flown.
 const SPARE_FRAMES: usize = 64;
-/// Keeps every transition possible to sample.
-const LEAST_PRIORITY: f64 = 1e-3;
 
 /// Keeps a depth image.
 pub fn pack_frame(depth: &[f32; DEPTH_PIXELS], packed: &mut [u8]) {
@@ -218,7 +216,7 @@ impl Lane {
     /// Takes over a saved state; the frames have to be written again. `false` if it does not fit this lane: it has other
     /// records than its numbers say, or a priority for one whose return is not known.
     #[must_use]
-    pub fn restore(&mut self, state: LaneState, priorities: &[f64], n_steps: u64) -> bool {
+    pub fn restore(&mut self, state: LaneState, priorities: &[f64], returns: Returns) -> bool {
         let capacity = self.capacity as u64;
         let fits = state.records.len() as u64 == state.next_record.min(capacity)
             && state.next_record - state.settled <= capacity
@@ -231,26 +229,12 @@ impl Lane {
         let slots = (oldest..self.state.next_record).map(|number| (number, (number % capacity) as usize));
         let mut known = vec![false; self.capacity];
         for (number, slot) in slots {
-            known[slot] = number < self.state.settled && self.is_known(number, n_steps);
+            known[slot] = number < self.state.settled
+                && returns.is_known(number, self.state.next_record, |n| self.record(n).next);
         }
         let is_sound =
             |(priority, known): (&f64, bool)| *priority == 0.0 || (known && *priority > 0.0 && priority.is_finite());
         priorities.iter().zip(known).all(is_sound)
-    }
-
-    /// Whether the return of a decision lies within what is kept.
-    fn is_known(&self, number: u64, n_steps: u64) -> bool {
-        for at in number..number.saturating_add(n_steps) {
-            if at >= self.state.next_record {
-                return false;
-            }
-            match self.record(at).next {
-                Next::Decision => {}
-                Next::CutOff => return at + 1 < self.state.next_record,
-                Next::Terminal | Next::Nothing => return true,
-            }
-        }
-        number.saturating_add(n_steps) < self.state.next_record
     }
 
     /// A kept frame.
@@ -317,13 +301,10 @@ pub struct Transition<'a> {
 pub struct Memory {
     /// One for each environment.
     pub lanes: Vec<Lane>,
-    tree: SumTree,
+    priorities: Priorities,
     capacity: usize,
-    n_steps: u64,
-    gamma: f32,
-    alpha: f64,
+    returns: Returns,
     beta: f64,
-    largest: f64,
 }
 
 impl Memory {
@@ -335,69 +316,52 @@ impl Memory {
             lanes: (0..lanes)
                 .map(|_| Lane::new(capacity, config.steps_per_decision))
                 .collect(),
-            tree: SumTree::new(lanes * capacity),
+            priorities: Priorities::new(lanes * capacity, config.replay.alpha),
             capacity,
-            n_steps: config.learning.n_steps as u64,
-            gamma: config.learning.gamma,
-            alpha: config.replay.alpha,
+            returns: Returns {
+                n_steps: config.learning.n_steps as u64,
+                gamma: config.learning.gamma,
+            },
             beta: config.replay.beta,
-            largest: 1.0,
         }
     }
 
     /// Gives new records whose outcome is known their place in the tree and takes overwritten ones out.
     pub fn settle(&mut self) {
         for (i, lane) in self.lanes.iter_mut().enumerate() {
+            let leaf = |number: u64| i * self.capacity + (number % lane.capacity as u64) as usize;
             while lane.state.settled < lane.state.next_record {
                 let (settled, pushed) = (lane.state.settled, lane.state.next_record);
-                let known = (settled..pushed)
-                    .take(self.n_steps as usize)
-                    .find_map(|n| match lane.record(n).next {
-                        Next::Decision => None,
-                        Next::CutOff => Some(n + 1 < pushed),
-                        Next::Terminal | Next::Nothing => Some(true),
-                    })
-                    .unwrap_or(settled + self.n_steps < pushed);
-                if !known {
+                if !self.returns.is_known(settled, pushed, |n| lane.record(n).next) {
                     break;
                 }
-                let leaf = i * self.capacity + (settled % lane.capacity as u64) as usize;
-                let priority = match lane.record(settled).next {
-                    Next::Nothing => 0.0,
-                    _ => self.largest,
-                };
-                self.tree.set(leaf, priority);
+                self.priorities.settle(leaf(settled), lane.record(settled).next);
                 lane.state.settled += 1;
             }
             // Records about to be settled still lie over old ones: those are gone.
             for n in lane.state.settled..lane.state.next_record {
-                self.tree
-                    .set(i * self.capacity + (n % lane.capacity as u64) as usize, 0.0);
+                self.priorities.take_out(leaf(n));
             }
         }
     }
 
     /// Transitions in proportion to their priorities, one from each of `count` equal parts of the sum.
     pub fn sample(&self, count: usize, rng: &mut impl Rng) -> Vec<Transition<'_>> {
-        let total = self.tree.total();
         let held: f64 = self.lanes.iter().map(|l| l.state.records.len() as f64).sum();
         let mut batch: Vec<Transition<'_>> = Vec::with_capacity(count);
-        let mut largest_weight = 0.0_f64;
         let mut weights = Vec::with_capacity(count);
         for k in 0..count {
             let u: f64 = rand::RngExt::random_range(rng, 0.0..1.0);
-            let Some(leaf) = self.tree.find((k as f64 + u) / count as f64 * total) else {
+            let Some(leaf) = self.priorities.find(k as f64 + u, count) else {
                 // Nothing can be sampled yet.
                 return Vec::new();
             };
-            let share = self.tree.get(leaf) / total;
-            let weight = (held * share).max(f64::MIN_POSITIVE).powf(-self.beta);
-            largest_weight = largest_weight.max(weight);
-            weights.push(weight);
+            let (priority, total) = self.priorities.get(leaf);
+            weights.push((held * (priority / total)).max(f64::MIN_POSITIVE).powf(-self.beta));
             batch.push(self.transition(leaf));
         }
-        for (transition, weight) in batch.iter_mut().zip(weights) {
-            transition.weight = (weight / largest_weight) as f32;
+        for (transition, weight) in batch.iter_mut().zip(normalised(&weights)) {
+            transition.weight = weight;
         }
         batch
     }
@@ -405,57 +369,36 @@ impl Memory {
     fn transition(&self, leaf: usize) -> Transition<'_> {
         let lane = &self.lanes[leaf / self.capacity];
         let slot = (leaf % self.capacity) as u64;
-        let capacity = lane.capacity as u64;
-        // The newest record number that lies in this slot.
-        let last = lane.state.next_record - 1;
-        let number = last - (last + capacity - slot) % capacity;
+        let number = newest_in_slot(slot, lane.state.next_record, lane.capacity as u64);
         let record = lane.record(number);
         let state = |r: &Record| State {
             frames: lane.window(r.newest_frame, r.first_frame),
             position: r.position,
         };
-        let (mut reward, mut discount) = (0.0, 1.0);
-        let mut at = number;
-        let next = loop {
+        let outcome = self.returns.of(number, |at| {
             let r = lane.record(at);
-            reward += discount * r.reward;
-            discount *= self.gamma;
-            at += 1;
-            match r.next {
-                Next::Terminal | Next::Nothing => {
-                    discount = 0.0;
-                    break record;
-                }
-                Next::CutOff => break lane.record(at),
-                Next::Decision if at - number == self.n_steps => break lane.record(at),
-                Next::Decision => {}
-            }
-        };
+            (r.reward, r.next)
+        });
         Transition {
             leaf,
             state: state(record),
             action: record.action,
             teacher_action: record.teacher_action,
-            reward,
-            discount,
-            next: state(next),
+            reward: outcome.reward,
+            discount: outcome.discount,
+            next: state(lane.record(outcome.next)),
             weight: 1.0,
         }
     }
 
     /// Sets the priority of a sampled transition from its temporal-difference error.
     pub fn set_error(&mut self, leaf: usize, error: f32) {
-        // An overwritten or ended slot stays out.
-        if self.tree.get(leaf) > 0.0 {
-            let priority = (f64::from(error.abs()) + LEAST_PRIORITY).powf(self.alpha);
-            self.largest = self.largest.max(priority);
-            self.tree.set(leaf, priority);
-        }
+        self.priorities.set_error(leaf, error);
     }
 
     /// All priorities and the largest that was ever set.
     pub fn priorities(&self) -> (Vec<f64>, f64) {
-        ((0..self.tree.slots()).map(|i| self.tree.get(i)).collect(), self.largest)
+        self.priorities.all()
     }
 
     /// Takes over saved lanes and priorities; the frames have to be written again. `false` if they do not fit this memory or one
@@ -466,19 +409,19 @@ impl Memory {
         let (used, spare) = priorities
             .split_at_checked(self.lanes.len() * self.capacity)
             .unwrap_or_default();
-        if self.tree.slots() != priorities.len() || lanes.len() != self.lanes.len() || spare.iter().any(|p| *p != 0.0) {
+        if self.priorities.places() != priorities.len()
+            || lanes.len() != self.lanes.len()
+            || spare.iter().any(|p| *p != 0.0)
+        {
             return false;
         }
         let each = self.lanes.iter_mut().zip(lanes).zip(used.chunks(self.capacity.max(1)));
         for ((lane, state), priorities) in each {
-            if !lane.restore(state, priorities, self.n_steps) {
+            if !lane.restore(state, priorities, self.returns) {
                 return false;
             }
         }
-        self.largest = largest;
-        for (i, p) in priorities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
-            self.tree.set(i, *p);
-        }
+        self.priorities.restore(priorities, largest);
         true
     }
 }

@@ -1,7 +1,7 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
 use crate::actor_training::value::ValueResult;
-use crate::actor_training::{FlightLine, RunResult};
+use crate::actor_training::{FlightCount, FlightLine, RunResult};
 use crate::cli::output::{self, put, say};
 use crate::report::{Figure, Panel, Series, from_csv};
 use anyhow::{Context, Result, ensure};
@@ -54,17 +54,8 @@ struct Trained {
     flights: usize,
     updates: u64,
     elapsed_s: f64,
-    test: Test,
-}
-
-/// Flights without the field that nothing was chosen by.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Test {
-    flights: usize,
-    completion: f64,
-    wilson_95: (f64, f64),
-    collisions: usize,
-    time_outs: usize,
+    /// Flights without the field that nothing was chosen by.
+    test: FlightCount,
 }
 
 impl From<RunResult> for Trained {
@@ -77,13 +68,7 @@ impl From<RunResult> for Trained {
             flights: r.flights,
             updates: r.updates,
             elapsed_s: r.elapsed_s,
-            test: Test {
-                flights: r.test.flights,
-                completion: r.test.completion,
-                wilson_95: r.test.wilson_95,
-                collisions: r.test.collisions,
-                time_outs: r.test.time_outs,
-            },
+            test: r.test,
         }
     }
 }
@@ -100,13 +85,7 @@ fn by_value(r: &ValueResult) -> Result<Trained> {
         flights: r.flights,
         updates: r.updates,
         elapsed_s: r.elapsed_s,
-        test: Test {
-            flights: test.flights,
-            completion: test.completion(),
-            wilson_95: test.wilson_95,
-            collisions: test.collisions,
-            time_outs: test.time_outs,
-        },
+        test: test.into(),
     })
 }
 

@@ -17,6 +17,7 @@ use crate::actor_training::files::{self, WriteError};
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{FlightRow, flights_csv};
+use crate::actor_training::result::FlightCount;
 use crate::statistics::wilson_95;
 use crate::threads::{ThreadsError, thread_pool};
 use rand::SeedableRng;
@@ -147,6 +148,21 @@ impl FamilyCount {
     /// Share of the flights at the goal.
     pub fn completion(&self) -> f64 {
         self.successes as f64 / self.flights.max(1) as f64
+    }
+}
+
+impl From<&FamilyCount> for FlightCount {
+    fn from(count: &FamilyCount) -> Self {
+        Self {
+            family: count.family.to_string(),
+            first_seed: count.first_seed,
+            flights: count.flights,
+            successes: count.successes,
+            collisions: count.collisions,
+            time_outs: count.time_outs,
+            completion: count.completion(),
+            wilson_95: count.wilson_95,
+        }
     }
 }
 

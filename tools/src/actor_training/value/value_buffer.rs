@@ -1,18 +1,16 @@
 //! What the environments lived through: true states, kept features of the frames, actions, rewards.
 
 use super::value_config::ValueConfig;
+use crate::actor_training::priorities::{Priorities, Returns, newest_in_slot, normalised};
 use crate::actor_training::replay_buffer::Next;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use vigil_nnet::train::SumTree;
 use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_sim::environment::true_state::TRUE_STATE;
 
 /// Decisions between the newest frame of a state and each of its five, oldest first: with four steps to a decision 1.6, 0.8, 0.4,
 /// 0.2 and 0 s. Motion shows over that time, and features that are kept cost nothing in flight.
 pub const FRAME_DECISIONS: [u64; ACTOR_FRAMES] = [8, 4, 2, 1, 0];
-/// Keeps every transition possible to sample.
-const LEAST_PRIORITY: f64 = 1e-3;
 
 /// A decision.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -159,14 +157,11 @@ pub struct Step<'a> {
 pub struct ValueMemory {
     /// One for each environment.
     pub lanes: Vec<ValueLane>,
-    tree: SumTree,
+    priorities: Priorities,
     capacity: usize,
-    n_steps: u64,
-    gamma: f32,
-    alpha: f64,
+    returns: Returns,
     beta: f64,
     mirror: bool,
-    largest: f64,
 }
 
 impl ValueMemory {
@@ -176,15 +171,15 @@ impl ValueMemory {
         let capacity = config.replay.decisions / lanes;
         Self {
             lanes: (0..lanes).map(|_| ValueLane::new(capacity, width)).collect(),
-            tree: SumTree::new(lanes * capacity),
+            priorities: Priorities::new(lanes * capacity, config.replay.alpha),
             capacity,
-            n_steps: config.learning.n_steps as u64,
-            gamma: config.learning.gamma,
-            alpha: config.replay.alpha,
+            returns: Returns {
+                n_steps: config.learning.n_steps as u64,
+                gamma: config.learning.gamma,
+            },
             beta: config.replay.beta,
             // Features are not symmetric: only a true state can be seen in a mirror.
             mirror: config.learning.mirror && width == 0,
-            largest: 1.0,
         }
     }
 
@@ -194,32 +189,21 @@ impl ValueMemory {
         for (i, lane) in self.lanes.iter_mut().enumerate() {
             let leaf = |number: u64| i * self.capacity + (number % lane.capacity) as usize;
             while lane.settled < lane.next {
-                let known = (lane.settled..lane.next)
-                    .take(self.n_steps as usize)
-                    .find_map(|n| match lane.moment(n).next {
-                        Next::Decision => None,
-                        Next::CutOff => Some(n + 1 < lane.next),
-                        Next::Terminal | Next::Nothing => Some(true),
-                    })
-                    .unwrap_or(lane.settled + self.n_steps < lane.next);
-                if !known {
+                if !self.returns.is_known(lane.settled, lane.next, |n| lane.moment(n).next) {
                     break;
                 }
-                let priority = match lane.moment(lane.settled).next {
-                    Next::Nothing => 0.0,
-                    _ => self.largest,
-                };
-                self.tree.set(leaf(lane.settled), priority);
+                self.priorities
+                    .settle(leaf(lane.settled), lane.moment(lane.settled).next);
                 lane.settled += 1;
             }
             for number in lane.settled..lane.next {
-                self.tree.set(leaf(number), 0.0);
+                self.priorities.take_out(leaf(number));
             }
             // The oldest states have lost frames of their window.
             let oldest = lane.oldest();
             if oldest > 0 {
                 for number in oldest..(oldest + FRAME_DECISIONS[0]).min(lane.settled) {
-                    self.tree.set(leaf(number), 0.0);
+                    self.priorities.take_out(leaf(number));
                 }
             }
         }
@@ -227,29 +211,24 @@ impl ValueMemory {
 
     /// Transitions in proportion to their priorities, one from each of `count` equal parts of the sum; none while there are none.
     pub fn sample(&self, count: usize, rng: &mut impl Rng) -> Vec<Step<'_>> {
-        let total = self.tree.total();
         let held: f64 = self.lanes.iter().map(|l| l.moments.len() as f64).sum();
         let mut batch = Vec::with_capacity(count);
         let mut weights = Vec::with_capacity(count);
         for k in 0..count {
             let u: f64 = rng.random_range(0.0..1.0);
-            let Some(leaf) = self.tree.find((k as f64 + u) / count as f64 * total) else {
+            let Some(leaf) = self.priorities.find(k as f64 + u, count) else {
                 return Vec::new();
             };
-            weights.push(
-                (held * self.tree.get(leaf) / total)
-                    .max(f64::MIN_POSITIVE)
-                    .powf(-self.beta),
-            );
+            let (priority, total) = self.priorities.get(leaf);
+            weights.push((held * priority / total).max(f64::MIN_POSITIVE).powf(-self.beta));
             let mirror = self.mirror && rng.random_bool(0.5);
             batch.push(Step {
                 mirror,
                 ..self.step(leaf)
             });
         }
-        let largest = weights.iter().copied().fold(0.0, f64::max);
-        for (step, weight) in batch.iter_mut().zip(weights) {
-            step.weight = (weight / largest) as f32;
+        for (step, weight) in batch.iter_mut().zip(normalised(&weights)) {
+            step.weight = weight;
         }
         batch
     }
@@ -257,31 +236,18 @@ impl ValueMemory {
     fn step(&self, leaf: usize) -> Step<'_> {
         let lane = &self.lanes[leaf / self.capacity];
         let slot = (leaf % self.capacity) as u64;
-        let last = lane.next - 1;
-        let number = last - (last + lane.capacity - slot) % lane.capacity;
-        let (mut reward, mut discount, mut at) = (0.0, 1.0, number);
-        let next = loop {
+        let number = newest_in_slot(slot, lane.next, lane.capacity);
+        let outcome = self.returns.of(number, |at| {
             let moment = lane.moment(at);
-            reward += discount * moment.reward;
-            discount *= self.gamma;
-            at += 1;
-            match moment.next {
-                Next::Terminal | Next::Nothing => {
-                    discount = 0.0;
-                    break number;
-                }
-                Next::CutOff => break at,
-                Next::Decision if at - number == self.n_steps => break at,
-                Next::Decision => {}
-            }
-        };
+            (moment.reward, moment.next)
+        });
         Step {
             leaf,
             state: lane.view(number),
             action: lane.moment(number).action,
-            reward,
-            discount,
-            next: lane.view(next),
+            reward: outcome.reward,
+            discount: outcome.discount,
+            next: lane.view(outcome.next),
             weight: 1.0,
             mirror: false,
         }
@@ -289,30 +255,23 @@ impl ValueMemory {
 
     /// Sets the priority of a sampled transition from its temporal-difference error.
     pub fn set_error(&mut self, leaf: usize, error: f32) {
-        if self.alpha > 0.0 && self.tree.get(leaf) > 0.0 {
-            let priority = (f64::from(error.abs()) + LEAST_PRIORITY).powf(self.alpha);
-            self.largest = self.largest.max(priority);
-            self.tree.set(leaf, priority);
-        }
+        self.priorities.set_error(leaf, error);
     }
 
     /// All priorities, the largest that was ever set, and of each lane how many decisions were kept and are settled.
     pub fn places(&self) -> (Vec<f64>, f64, Vec<(u64, u64)>) {
-        let priorities = (0..self.tree.slots()).map(|i| self.tree.get(i)).collect();
+        let (priorities, largest) = self.priorities.all();
         let lanes = self.lanes.iter().map(|l| (l.next, l.settled)).collect();
-        (priorities, self.largest, lanes)
+        (priorities, largest, lanes)
     }
 
     /// Takes over what [`Self::places`] gave, the lanes' content being back. `false` if it does not fit.
     #[must_use]
     pub fn restore(&mut self, priorities: &[f64], largest: f64, lanes: &[(u64, u64)]) -> bool {
-        if self.tree.slots() != priorities.len() || self.lanes.len() != lanes.len() {
+        if self.priorities.places() != priorities.len() || self.lanes.len() != lanes.len() {
             return false;
         }
-        self.largest = largest;
-        for (i, p) in priorities.iter().enumerate().filter(|(_, p)| **p > 0.0) {
-            self.tree.set(i, *p);
-        }
+        self.priorities.restore(priorities, largest);
         self.lanes.iter_mut().zip(lanes).all(|(lane, &(next, settled))| {
             (lane.next, lane.settled) = (next, settled);
             let held = next.min(lane.capacity) as usize;
