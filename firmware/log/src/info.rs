@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 /// What a log says about its flight besides the records.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FlightInfo {
-    /// Name and version of the program that flew, for example `firmware 0.1.0`.
+    /// Name and version of the program that flew, for example `firmware 0.2.0`.
     pub program: String,
     /// Source revision it was built from, if known.
     pub git_commit: Option<String>,
