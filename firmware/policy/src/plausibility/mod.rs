@@ -7,9 +7,11 @@
 
 mod motion;
 mod picture;
+mod silence;
 
 use self::motion::{MOST_COST, Map, Pose, cost, look, samples};
 use self::picture::{COLS, Directions, Oddities, Picture, ROWS, Seen};
+use self::silence::SilentSide;
 use vigil_types::{Attitude, DepthFrame, FrdVector, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
 
 /// The ground must be seen where its range is below this, metres; and it is at the height of home.
@@ -30,6 +32,9 @@ const LEAST_GROUND: u16 = 8;
 /// Frames in a row that make a sensor blind, and that make it see again.
 const BLIND_FRAMES: u8 = 2;
 const SEEING_FRAMES: u8 = 3;
+/// Pictures farther apart than this, in time or by a turn, are not a step apart: a vehicle that is carried may turn at any rate.
+const ONE_STEP_NS: Nanos = 120_000_000;
+const ONE_STEP_RAD: f32 = 0.07;
 
 /// How far the header's position and attitude may be from the telemetry's, and by how much the difference may change in 10 frames.
 const POSE_M: f32 = 2.0;
@@ -89,7 +94,8 @@ const MOST_TURN: f32 = 2.5;
 /// Points of a part that were seen through, and how many such parts make a picture from which something vanished.
 const VANISHED: f32 = 6.0;
 const VANISHED_PARTS: usize = 6;
-/// Points that were seen through above one row of the view, where next to nothing was found: that side of the view is dead.
+/// Points that were seen through above one row of the view, where next to nothing was found: that side of the view is dead, and
+/// showed too little when it died for [`SilentSide`] to tell.
 const VANISHED_ABOVE: f32 = 10.0;
 const FOUND_ABOVE: f32 = 0.1;
 
@@ -188,6 +194,9 @@ pub struct PlausibilityJudge {
     blind_frames: u8,
     seeing_frames: u8,
     blind: bool,
+    silent: SilentSide,
+    /// Stamp and attitude of the picture before.
+    taken_before: Option<(Nanos, Attitude)>,
     pose_errors: [NedVector; POSE_FRAMES],
     poses: usize,
     bad_poses: u8,
@@ -232,6 +241,8 @@ impl PlausibilityJudge {
             blind_frames: 0,
             seeing_frames: 0,
             blind: false,
+            silent: SilentSide::default(),
+            taken_before: None,
             pose_errors: [NedVector::ZERO; POSE_FRAMES],
             poses: 0,
             bad_poses: 0,
@@ -275,6 +286,12 @@ impl PlausibilityJudge {
             attitude: frame.header.attitude,
         };
         let stamp_ns = frame.header.stamp_ns;
+        let before = self.taken_before.replace((stamp_ns, pose.attitude));
+        let one_step = before.is_some_and(|(before_ns, attitude)| {
+            stamp_ns.saturating_sub(before_ns) <= ONE_STEP_NS && turn_rad(attitude, pose.attitude) <= ONE_STEP_RAD
+        });
+        self.silent.note(&self.picture, one_step.then_some(&self.before));
+        let blind = self.blind || self.silent.is_dead();
         if let Some((kinematics, attitude)) = known {
             let lead_s = |at_ns: Nanos| {
                 let lead_ns = stamp_ns as i64 - at_ns as i64;
@@ -289,7 +306,7 @@ impl PlausibilityJudge {
             // The flight is over.
             self.forget_motion();
             (self.raised, self.raises) = (None, 0);
-        } else if !in_flight || self.blind || self.bad_pose {
+        } else if !in_flight || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
             self.look_for_a_fit(&pose);
@@ -298,7 +315,7 @@ impl PlausibilityJudge {
         }
         self.pose_before = in_flight.then_some(pose);
         self.doubts = Reasons::NONE
-            .with_if(self.blind, Reason::BlindSensor)
+            .with_if(blind, Reason::BlindSensor)
             .with_if(self.bad_pose, Reason::ImplausiblePose)
             .union(self.raised.map_or(Reasons::NONE, |raised| Reasons::of(raised.reason)));
         self.doubts
@@ -673,11 +690,13 @@ fn count(steps: &mut u8, holds: bool) {
 
 /// How far two poses are apart, metres; turns count as [`METRES_PER_RADIAN`].
 fn apart_m(a: &Pose, b: &Pose) -> f32 {
-    let (p, q) = (a.attitude, b.attitude);
+    (a.position_ned_m - b.position_ned_m).norm() + METRES_PER_RADIAN * turn_rad(a.attitude, b.attitude)
+}
+
+/// The angle φ between two attitudes as 2 sin(φ/2), radians.
+fn turn_rad(p: Attitude, q: Attitude) -> f32 {
     let alike = (p.w * q.w + p.x * q.x + p.y * q.y + p.z * q.z).abs().min(1.0);
-    // For an angle φ between them this is 2 sin(φ/2).
-    let turn_rad = 2.0 * libm::sqrtf(1.0 - alike * alike);
-    (a.position_ned_m - b.position_ned_m).norm() + METRES_PER_RADIAN * turn_rad
+    2.0 * libm::sqrtf(1.0 - alike * alike)
 }
 
 /// The attitude after a small turn, radians about the body's axes.

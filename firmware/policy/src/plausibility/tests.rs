@@ -207,9 +207,35 @@ fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_th
     found("lower half dead", Reason::BlindSensor, 2, |f| {
         f.depth[DEPTH_PIXELS / 2..].fill(1.0)
     });
-    found("upper half dead", Reason::InconsistentPicture, 30, |f| {
+    let mut flight = found("upper half dead", Reason::BlindSensor, 2, |f| {
         f.depth[..DEPTH_PIXELS / 2].fill(1.0)
     });
+    let doubts = flight.fly(4, good);
+    assert!(
+        doubts[1].contains(Reason::BlindSensor) && doubts[2].is_empty(),
+        "{doubts:?}"
+    );
+}
+
+#[test]
+fn what_leaves_the_view_by_itself_is_no_dead_side() {
+    let without_wall = |f: &mut DepthFrame| {
+        for depth in &mut f.depth[..DEPTH_PIXELS / 2] {
+            if *depth * DEPTH_FULL_SCALE_M > 12.0 {
+                *depth = 1.0;
+            }
+        }
+    };
+    // The last pillar before open sky leaves over the edge.
+    let mut flight = Flight::new();
+    flight.yaw_rate_rad_s = 0.0;
+    flight.position.x = 20.0;
+    assert_eq!(flight.first_doubt(200, without_wall), None);
+    // A single frame without an upper half: a hiccup, no dead sensor.
+    let mut flight = Flight::new();
+    assert_eq!(flight.first_doubt(40, good), None);
+    flight.fly(1, |f| f.depth[..DEPTH_PIXELS / 2].fill(1.0));
+    assert_eq!(flight.first_doubt(40, good), None);
 }
 
 #[test]

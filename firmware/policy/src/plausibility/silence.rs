@@ -1,0 +1,121 @@
+//! A side of the view that goes dead: from one frame to the next nothing is seen there any more.
+//!
+//! What leaves a view leaves it over its edge, some cells in a step; what goes out of range is far away. Near surfaces that are gone
+//! within one step, and with them whatever lay between them and one edge of the view, are gone because the sensor no longer sees
+//! them: where they lay deep inside the view or, above and below, where the rest of the same surface is still there.
+
+use super::picture::{COLS, Picture, ROWS};
+use super::{BLIND_FRAMES, SEEING_FRAMES, count};
+
+/// What is farther away may go out of range, metres.
+const NEAR_M: f32 = 15.0;
+/// Rows and columns at the inner border of the dead part that do not count: by so much the view turns in a step.
+const BORDER: usize = 3;
+/// Columns at the view's edge that do not count for a dead left or right: what is passed at arm's length leaves the view by so much
+/// in a step.
+const EDGE_COLUMNS: usize = 8;
+/// The rest of a surface is this far beyond the border, and its range changes by no more than this part in a step.
+const REST: usize = 2;
+const SAME_PART: f32 = 0.15;
+/// Cells with a near surface that must have gone.
+const GONE_CELLS: usize = 6;
+
+/// A side of the view.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Side {
+    Top,
+    Bottom,
+    Left,
+    Right,
+}
+
+const SIDES: [Side; 4] = [Side::Top, Side::Bottom, Side::Left, Side::Right];
+
+impl Side {
+    /// Lines of cells, from this side's edge inwards, in which nothing is seen; all of them where nothing is seen at all.
+    fn empty_lines(self, picture: &Picture) -> usize {
+        let rows = picture.rows();
+        let row = |row: &[f32; COLS]| row.iter().all(|inverse| *inverse == 0.0);
+        let column = |column: usize| {
+            rows.iter()
+                .all(|row| row.get(column).is_none_or(|inverse| *inverse == 0.0))
+        };
+        match self {
+            Self::Top => rows.iter().take_while(|cells| row(cells)).count(),
+            Self::Bottom => rows.iter().rev().take_while(|cells| row(cells)).count(),
+            Self::Left => (0..COLS).take_while(|c| column(*c)).count(),
+            Self::Right => (0..COLS).rev().take_while(|c| column(*c)).count(),
+        }
+    }
+
+    /// The cells of so many lines from this side's edge inwards: row and column.
+    fn cells(self, lines: usize) -> impl Iterator<Item = (usize, usize)> {
+        let (rows, columns) = match self {
+            Self::Top => (0..lines.min(ROWS), 0..COLS),
+            Self::Bottom => (ROWS.saturating_sub(lines)..ROWS, 0..COLS),
+            Self::Left => (0..ROWS, 0..lines.min(COLS)),
+            Self::Right => (0..ROWS, COLS.saturating_sub(lines)..COLS),
+        };
+        rows.flat_map(move |row| columns.clone().map(move |column| (row, column)))
+    }
+
+    /// Near surfaces of the picture before in lines that are empty now, and that cannot have left by themselves.
+    fn gone(self, lines: usize, before: &Picture, now: &Picture) -> usize {
+        let near = |(row, column): (usize, usize)| before.inverse(row * COLS + column) > 1.0 / NEAR_M;
+        let cells = self.cells(lines.saturating_sub(BORDER)).filter(|cell| near(*cell));
+        let rest_row = match self {
+            Self::Top => Some(lines + REST),
+            Self::Bottom => ROWS.checked_sub(lines + REST + 1),
+            Self::Left | Self::Right => None,
+        };
+        let rest_is_there = |column: usize| {
+            let cell = rest_row.unwrap_or(ROWS) * COLS + column;
+            let (a, b) = (before.inverse(cell), now.inverse(cell));
+            a > 1.0 / NEAR_M && (b - a).abs() <= SAME_PART * a
+        };
+        match self {
+            Self::Top | Self::Bottom => cells.filter(|(_, column)| rest_is_there(*column)).count(),
+            Self::Left | Self::Right => {
+                let inside = EDGE_COLUMNS..COLS - EDGE_COLUMNS;
+                cells.filter(|(_, column)| inside.contains(column)).count()
+            }
+        }
+    }
+}
+
+/// Whether a side of the view is dead.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct SilentSide {
+    /// The side that fell silent, and how many of its lines.
+    part: Option<(Side, usize)>,
+    dead: bool,
+    silent_frames: u8,
+    seeing_frames: u8,
+}
+
+impl SilentSide {
+    /// Takes a picture, with the one before if that was taken a step earlier by a vehicle that hardly turned since.
+    pub(super) fn note(&mut self, now: &Picture, before: Option<&Picture>) {
+        if let (None, Some(before)) = (self.part, before) {
+            self.part = SIDES.into_iter().find_map(|side| {
+                let lines = side.empty_lines(now);
+                (side.gone(lines, before, now) >= GONE_CELLS).then_some((side, lines))
+            });
+        }
+        let Some((side, lines)) = self.part else { return };
+        let mut cells = side.cells(lines.saturating_sub(BORDER));
+        let silent = cells.all(|(row, column)| now.inverse(row * COLS + column) == 0.0);
+        count(&mut self.silent_frames, silent);
+        count(&mut self.seeing_frames, !silent);
+        self.dead |= self.silent_frames >= BLIND_FRAMES;
+        let enough = if self.dead { SEEING_FRAMES } else { 1 };
+        if self.seeing_frames >= enough {
+            *self = Self::default();
+        }
+    }
+
+    /// From the second silent frame until something is seen there in three frames in a row.
+    pub(super) fn is_dead(&self) -> bool {
+        self.dead
+    }
+}
