@@ -6,7 +6,7 @@ use std::path::Path;
 use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricPilot, RecoveryPilot};
+use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricPilot, LedBy, RecoveryPilot};
 use vigil_types::PilotKind;
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
@@ -15,9 +15,13 @@ pub struct Crew {
     pub pilot: FlightPilot,
     /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
     pub monitor: Option<Box<Monitor>>,
-    /// Takes the actor's place while an alarm is raised, and tells the guard what lies ahead. It is asked in every step, so that it remembers
-    /// what it saw before an alarm.
+    /// Plans in every step, so that it remembers what it saw before an alarm. In a watched crew it takes the actor's place while an
+    /// alarm is raised, and tells the guard what lies ahead; its path leads an actor that is led by one.
     pub recovery: Option<Box<RecoveryPilot>>,
+    /// Whether anything watches: without it the recovery pilot leads, but neither flies nor warns.
+    pub watched: bool,
+    /// What leads the actor.
+    pub led_by: LedBy,
 }
 
 impl Crew {
@@ -27,6 +31,8 @@ impl Crew {
             pilot,
             monitor: None,
             recovery: None,
+            watched: false,
+            led_by: LedBy::Goal,
         }
     }
 
@@ -61,12 +67,13 @@ impl Crew {
                 Some(Box::new(monitor))
             }
         };
+        let (watched, led_by) = (config.is_watched(), frozen.inputs.led_by);
         Ok(Self {
-            pilot: FlightPilot::Actor(
-                ActorPilot::new(frozen.actor(isa)?, config.pilot.apf).led_by(frozen.inputs.led_by),
-            ),
+            pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
             monitor,
-            recovery: config.is_watched().then(|| Box::new(RecoveryPilot::new())),
+            recovery: (watched || led_by == LedBy::Path).then(Box::default),
+            watched,
+            led_by,
         })
     }
 }

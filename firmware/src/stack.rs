@@ -16,7 +16,7 @@ use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
-use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, PlausibilityJudge};
+use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, FrameDefect, FrameKeys, Goal, GoalRelative,
     GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons, RequestOutcome,
@@ -83,8 +83,8 @@ pub struct FlightStack {
     companion: Companion,
     guidance: Guidance,
     crew: Crew,
-    /// The recovery pilot flew in the step before.
-    recovering: bool,
+    /// The vehicle was flown by the recovery pilot, or by the actor along its path, in the step before.
+    along_path: bool,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
     /// What the actor follows to a far goal.
@@ -117,7 +117,7 @@ impl FlightStack {
         let tunables = Tunables::of(
             config,
             crew.monitor.as_ref().map(|monitor| monitor.threshold()),
-            crew.recovery.is_some(),
+            crew.watched,
         );
         if let Some(Goal { position_ned_m }) = config.goal {
             let outcome = guidance.request(OperatorRequest::Goal {
@@ -140,7 +140,7 @@ impl FlightStack {
             tunables,
             guidance,
             crew,
-            recovering: false,
+            along_path: false,
             pilot_asked: false,
             leg: Leg::default(),
             recovery_is_new: true,
@@ -221,9 +221,10 @@ impl FlightStack {
             telemetry_interval_ns: self.companion.telemetry_interval_ns(),
         });
 
-        self.recovering = guidance
-            .alarm
-            .is_some_and(|alarm| alarm.response == AlarmResponse::Recovery);
+        self.along_path = match guidance.alarm {
+            Some(alarm) => alarm.response == AlarmResponse::Recovery,
+            None => self.crew.led_by == LedBy::Path && self.pilot_asked,
+        };
 
         // Emit.
         output.report = StepReport {
@@ -361,6 +362,8 @@ impl FlightStack {
             pilot,
             monitor,
             recovery,
+            watched,
+            led_by,
         } = &mut self.crew;
         let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
         if before_flight {
@@ -391,10 +394,18 @@ impl FlightStack {
             velocity_m_s: view.velocity_m_s,
             height_m: view.height_m,
         };
-        let led = match pilot {
+        if let Some(recovery) = recovery.as_deref_mut() {
+            self.recovery_is_new = false;
+            recovery.observe(&input, self.along_path);
+        }
+        let led = match (&*pilot, *led_by, recovery.as_deref()) {
             // It plans its own way.
-            FlightPilot::Geometric(_) => input,
-            FlightPilot::Actor(_) => {
+            (FlightPilot::Geometric(_), ..) => input,
+            (FlightPilot::Actor(_), LedBy::Path, Some(recovery)) => PilotInput {
+                goal: recovery.lead(&input),
+                ..input
+            },
+            (FlightPilot::Actor(_), ..) => {
                 let position_ned_m = self.leg.next(view.kinematics.position_ned_m, view.goal_ned_m);
                 let goal = Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample);
                 PilotInput { goal, ..input }
@@ -413,9 +424,8 @@ impl FlightStack {
         if let (Some(monitor), Some(state), Some(position)) = (monitor, pilot.state(), pilot.position()) {
             decision.judgement = Some(monitor.judge(state, position));
         }
-        if let Some(recovery) = recovery {
-            self.recovery_is_new = false;
-            decision.recovery = Some(limited(recovery.decide(&input, self.recovering)));
+        if let (true, Some(recovery)) = (*watched, recovery) {
+            decision.recovery = Some(limited(recovery.decide(&input)));
             decision.collision_course = Some(recovery.foresees_collision(&input, action));
         }
         decision

@@ -62,7 +62,8 @@ impl Pilot for Altered {
             depth: &self.frame,
             ..*input
         };
-        self.pilot.decide(&input, true)
+        self.pilot.observe(&input, true);
+        self.pilot.decide(&input)
     }
 
     fn reset(&mut self) {}

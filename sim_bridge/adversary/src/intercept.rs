@@ -4,7 +4,7 @@ use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
 use crate::stream_attack::StreamAttack;
 use vigil_policy::actor::positional_inputs;
-use vigil_policy::{GeometricConfig, GeometricPilot, LedBy, PilotInput};
+use vigil_policy::{LedBy, PilotInput, RecoveryPilot};
 use vigil_types::{DepthFrame, FrameHeader, GoalRelative, HeadingVector, NedVector, wrap_pi};
 
 /// Distance and bearing of a goal from where the frame was taken, by the estimate in its header: what the pilot sees of
@@ -33,7 +33,7 @@ pub struct Interceptor {
     plan: BurstPlan,
     goal_ned_m: NedVector,
     /// Plans the path that leads the actor, where one does, over the frames as they were taken.
-    planner: Option<Box<GeometricPilot>>,
+    planner: Option<Box<RecoveryPilot>>,
 }
 
 impl Interceptor {
@@ -51,7 +51,7 @@ impl Interceptor {
     /// follow.
     #[must_use]
     pub fn led_by(mut self, by: LedBy) -> Self {
-        self.planner = (by == LedBy::Path).then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
+        self.planner = (by == LedBy::Path).then(Box::default);
         self
     }
 
@@ -60,14 +60,16 @@ impl Interceptor {
         let header = &frame.header;
         let goal = goal_seen_from(header, self.goal_ned_m);
         let Some(planner) = &mut self.planner else { return goal };
-        planner.lead(&PilotInput {
+        let input = PilotInput {
             now_ns: header.stamp_ns,
             depth: frame,
             goal,
             attitude: header.attitude,
             velocity_m_s: HeadingVector::ZERO,
             height_m: -header.position_ned_m.z,
-        })
+        };
+        planner.observe(&input, true);
+        planner.lead(&input)
     }
 
     /// Takes the frame of step number `step`, in place.

@@ -6,7 +6,7 @@ use vigil_adversary::{
 };
 use vigil_nnet::Isa;
 use vigil_policy::actor::{Actor, ActorSpec};
-use vigil_policy::{ActorPilot, FrozenActor, LedBy, Pilot, PilotInput};
+use vigil_policy::{ActorPilot, FrozenActor, LedBy, Pilot, PilotInput, RecoveryPilot};
 use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector};
 
 fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
@@ -118,7 +118,8 @@ fn the_adversary_knows_where_the_planned_path_leads_the_actor() {
     let goal = NedVector::new(9.0, -1.0, -1.5);
     let decided = |by: LedBy| {
         let mut interceptor = Interceptor::new(attack.clone(), BurstPlan::new(Burst::Continuous, 1), goal).led_by(by);
-        let mut pilot = ActorPilot::new(Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap(), false).led_by(by);
+        let mut pilot = ActorPilot::new(Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap(), false);
+        let mut planner = Box::<RecoveryPilot>::default();
         let mut frame = DepthFrame::EMPTY;
         frame.header.position_ned_m = NedVector::new(0.0, 0.0, -1.5);
         frame.header.attitude = Attitude::LEVEL_NORTH;
@@ -136,7 +137,12 @@ fn the_adversary_knows_where_the_planned_path_leads_the_actor() {
                 velocity_m_s: HeadingVector::ZERO,
                 height_m: 1.5,
             };
-            let action = pilot.decide(&input);
+            planner.observe(&input, true);
+            let led = match by {
+                LedBy::Goal => input.goal,
+                LedBy::Path => planner.lead(&input),
+            };
+            let action = pilot.decide(&PilotInput { goal: led, ..input });
             let mut altered = frame.clone();
             let PassedStep::Attacked(outcome) = interceptor.pass(sequence, &mut altered).unwrap() else {
                 panic!("not attacked");

@@ -16,7 +16,8 @@ const MOVER_VALUES: usize = 6;
 const OWN: usize = RAYS;
 const OWN_VALUES: usize = 7;
 const WAY: usize = OWN + OWN_VALUES;
-const MOVER: usize = WAY + DIRECTIONS;
+/// Where the nearest mover's values begin.
+pub const MOVER: usize = WAY + DIRECTIONS;
 /// Values of a true state: [`RAYS`] contrasts 1 / (1 + range / 3 m); velocity forward and right / 1.5 m/s, yaw rate / 45 °/s, goal's
 /// distance / 20 m, sine and cosine of its bearing, length of the way / 20 m; what a metre in each of 8 directions adds to that
 /// length; of the two nearest movers contrast, direction times contrast (forward, right), velocity (forward, right; m/s), seconds
@@ -210,6 +211,22 @@ fn unit(angle_rad: f32) -> [f32; 2] {
     [libm::cosf(angle_rad), libm::sinf(angle_rad)]
 }
 
+/// Values of [`mover_in_sight`].
+pub const SIGHT: usize = 5;
+
+/// Of the nearest told mover that is within 60° of the nose: contrast, direction times contrast (forward, right), velocity as seen from the
+/// vehicle times contrast (forward, right; m/s). Zeros where there is none. Whether something hides it is not asked.
+pub fn mover_in_sight(state: &[f32; TRUE_STATE]) -> [f32; SIGHT] {
+    const TAN_60: f32 = 1.732_050_8;
+    let own = [state[OWN] * SPEED_M_S, state[OWN + 1] * SPEED_M_S];
+    state[MOVER..]
+        .chunks_exact(MOVER_VALUES)
+        .find(|m| m[0] > 0.0 && m[1] > 0.0 && m[2].abs() < TAN_60 * m[1])
+        .map_or([0.0; SIGHT], |m| {
+            [m[0], m[1], m[2], m[0] * (m[3] - own[0]), m[0] * (m[4] - own[1])]
+        })
+}
+
 /// A true state as it would be in a mirror: left and right change places.
 pub fn mirror(state: &[f32; TRUE_STATE]) -> [f32; TRUE_STATE] {
     let mut seen = *state;
@@ -291,6 +308,13 @@ wall = [{{ from_m = [-2.0, 3.0], to_m = [22.0, 3.0], thickness_m = 0.2, height_m
         assert!((mover[0] - contrast(2.7)).abs() < 1e-4, "{mover:?}");
         assert!((mover[4] - 0.5).abs() < 1e-3 && mover[3].abs() < 1e-3, "{mover:?}");
         assert!((mover[5] - 4.0 / 5.0).abs() < 1e-3, "{mover:?}");
+        let near = contrast(2.7);
+        let seen = mover_in_sight(&state);
+        for (value, expected) in seen.into_iter().zip([near, near, 0.0, 0.0, 0.5 * near]) {
+            assert!((value - expected).abs() < 1e-3, "{seen:?}");
+        }
+        let aside = course.state(&hovering(PI / 2.0), GOAL);
+        assert_eq!(mover_in_sight(&aside), [0.0; SIGHT], "out of sight");
         assert_eq!(
             &state[MOVER + MOVER_VALUES..],
             &[0.0; MOVER_VALUES],

@@ -1,6 +1,6 @@
 //! Where an actor is led outside of the flight stack, step by step as in it.
 
-use vigil_policy::{GeometricConfig, GeometricPilot, LedBy, PilotInput};
+use vigil_policy::{LedBy, PilotInput, RecoveryPilot};
 use vigil_types::GoalRelative;
 
 /// The goal as it is, or the path planned over what the frames have shown. To be asked once in every step.
@@ -9,7 +9,7 @@ pub enum Lead {
     /// The goal.
     Goal,
     /// The path.
-    Path(Box<GeometricPilot>),
+    Path(Box<RecoveryPilot>),
 }
 
 impl Lead {
@@ -17,7 +17,7 @@ impl Lead {
     pub fn new(by: LedBy) -> Self {
         match by {
             LedBy::Goal => Self::Goal,
-            LedBy::Path => Self::Path(Box::new(GeometricPilot::new(GeometricConfig::default()))),
+            LedBy::Path => Self::Path(Box::default()),
         }
     }
 
@@ -25,7 +25,10 @@ impl Lead {
     pub fn goal(&mut self, input: &PilotInput<'_>) -> GoalRelative {
         match self {
             Self::Goal => input.goal,
-            Self::Path(planner) => planner.lead(input),
+            Self::Path(planner) => {
+                planner.observe(input, true);
+                planner.lead(input)
+            }
         }
     }
 }

@@ -3,7 +3,7 @@
 use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, FRAMES_IN_A_ROW};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
-use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput, smaller};
+use crate::{GeometricPilot, Pilot, PilotInput, smaller};
 use vigil_types::{Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.
@@ -52,25 +52,13 @@ impl Default for ActorInputs {
     }
 }
 
-/// Where the actor is led, and what shows it.
-#[derive(Debug, Clone)]
-#[expect(
-    clippy::large_enum_variant,
-    reason = "one per process, and flight code does not allocate"
-)]
-enum Lead {
-    /// The goal as it is; what the last frame showed.
-    Goal(RangeScan),
-    /// The planned path over the occupancy grid.
-    Path(GeometricPilot),
-}
-
-/// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the frames before it
+/// Flies what a frozen actor decides. The goal of its input is what leads it: the goal, or for [`LedBy::Path`] what
+/// [`RecoveryPilot::lead`](crate::RecoveryPilot::lead) gives. Each step encodes the new frame only; the actor remembers what the frames before it
 /// gave. No allocation after it was made.
 #[derive(Debug, Clone)]
 pub struct ActorPilot {
     actor: Actor,
-    lead: Lead,
+    surroundings: RangeScan,
     field: Option<FlightField>,
     position: [f32; ACTOR_POSITIONAL],
 }
@@ -80,20 +68,10 @@ impl ActorPilot {
     pub fn new(actor: Actor, field: bool) -> Self {
         Self {
             actor,
-            lead: Lead::Goal(RangeScan::new()),
+            surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
             position: [0.0; ACTOR_POSITIONAL],
         }
-    }
-
-    /// The same pilot for an actor that is led so.
-    #[must_use]
-    pub fn led_by(self, by: LedBy) -> Self {
-        let lead = match by {
-            LedBy::Goal => Lead::Goal(RangeScan::new()),
-            LedBy::Path => Lead::Path(GeometricPilot::new(GeometricConfig::default())),
-        };
-        Self { lead, ..self }
     }
 
     /// The positional inputs of the last decision.
@@ -103,10 +81,7 @@ impl ActorPilot {
 
     /// What the last frame showed.
     pub fn surroundings(&self) -> &RangeScan {
-        match &self.lead {
-            Lead::Goal(surroundings) => surroundings,
-            Lead::Path(planner) => planner.surroundings(),
-        }
+        &self.surroundings
     }
 
     /// The 48 values at the paper's split point, of the last decision.
@@ -117,11 +92,8 @@ impl ActorPilot {
 
 impl Pilot for ActorPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        let (goal, scan) = match &mut self.lead {
-            Lead::Goal(surroundings) => (input.goal, surroundings.observe(input)),
-            Lead::Path(planner) => (planner.lead(input), planner.surroundings().scan()),
-        };
-        self.position = positional_inputs(goal);
+        let scan = self.surroundings.observe(input);
+        self.position = positional_inputs(input.goal);
         let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, self.position) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action {
@@ -131,16 +103,13 @@ impl Pilot for ActorPilot {
         };
         let own = Action { forward_m_s, yaw };
         match &mut self.field {
-            Some(field) if own.is_finite() => field.add_to(own, &PilotInput { goal, ..*input }, scan),
+            Some(field) if own.is_finite() => field.add_to(own, input, scan),
             _ => own,
         }
     }
 
     fn reset(&mut self) {
         self.actor.reset();
-        if let Lead::Path(planner) = &mut self.lead {
-            planner.reset();
-        }
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }

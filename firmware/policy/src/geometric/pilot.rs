@@ -314,7 +314,7 @@ fn motion_of(input: &PilotInput<'_>, position_ned_m: NedVector, yaw: f32) -> Mot
 impl GeometricPilot {
     /// Enters the frame into the grid, searches on, and gives the farthest point of the path that can be flown to in a straight
     /// line; `None` without a path. Bounded work: a slice of the search a step.
-    fn plan(&mut self, input: &PilotInput<'_>) -> Option<NedVector> {
+    pub(crate) fn plan(&mut self, input: &PilotInput<'_>) -> Option<NedVector> {
         let yaw_rad = input.attitude.yaw_rad();
         let header = &input.depth.header;
         let here = position_ned_m(input);
@@ -357,24 +357,10 @@ impl GeometricPilot {
         self.waypoint(here, goal)
     }
 
-    /// Where an actor is led: the bearing of the planned path's waypoint, at the goal's distance; without a path the goal as it
-    /// is. Instead of [`Pilot::decide`], with the same input.
-    pub fn lead(&mut self, input: &PilotInput<'_>) -> GoalRelative {
-        let to_waypoint = self.plan(input).map(|waypoint| waypoint - position_ned_m(input));
-        match to_waypoint.filter(|to| to.horizontal_norm() > LEAST_LEAD_M) {
-            None => input.goal,
-            Some(to) => GoalRelative {
-                bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - input.attitude.yaw_rad()),
-                ..input.goal
-            },
-        }
-    }
-}
-
-impl Pilot for GeometricPilot {
-    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+    /// Steers for what [`Self::plan`] gave for the same input.
+    pub(crate) fn steer(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> Action {
         let (yaw_rad, here) = (input.attitude.yaw_rad(), position_ned_m(input));
-        let Some(waypoint) = self.plan(input) else {
+        let Some(waypoint) = waypoint else {
             return Action {
                 forward_m_s: 0.0,
                 yaw: if input.goal.bearing_rad < 0.0 {
@@ -419,6 +405,25 @@ impl Pilot for GeometricPilot {
             ),
             yaw: wanted.yaw,
         }
+    }
+}
+
+/// Where an actor is led: the bearing of the path's waypoint, at the goal's distance; without a path the goal as it is.
+pub(crate) fn led_to(input: &PilotInput<'_>, waypoint: Option<NedVector>) -> GoalRelative {
+    let to_waypoint = waypoint.map(|waypoint| waypoint - position_ned_m(input));
+    match to_waypoint.filter(|to| to.horizontal_norm() > LEAST_LEAD_M) {
+        None => input.goal,
+        Some(to) => GoalRelative {
+            bearing_rad: wrap_pi(libm::atan2f(to.y, to.x) - input.attitude.yaw_rad()),
+            ..input.goal
+        },
+    }
+}
+
+impl Pilot for GeometricPilot {
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        let waypoint = self.plan(input);
+        self.steer(input, waypoint)
     }
 
     fn reset(&mut self) {

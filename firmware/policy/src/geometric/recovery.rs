@@ -1,17 +1,20 @@
 //! The recovery pilot: flies on when an attack on the depth frames is detected, or the actor is about to fly into something
-//! (docs/detection.md).
+//! (docs/detection.md). The path that it plans meanwhile leads an actor whose file asks for one (docs/architecture.md).
 
+use crate::geometric::pilot::led_to;
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
-use vigil_types::Action;
+use vigil_types::{Action, GoalRelative, NedVector};
 
 /// Fastest forward speed, metres per second: slower than the actor, which believes each frame.
 const CRUISE_M_S: f32 = 0.8;
 
-/// The pilot. It is asked in every step, also while another one flies, so that it remembers what trusted frames showed.
+/// The pilot. It observes in every step, also while another one flies, so that it remembers what trusted frames showed.
 /// A large value without pointers; no allocation.
 #[derive(Debug, Clone)]
 pub struct RecoveryPilot {
     pilot: GeometricPilot,
+    /// The farthest point of the path that can be flown to in a straight line, since the last observation.
+    waypoint: Option<NedVector>,
 }
 
 impl RecoveryPilot {
@@ -22,24 +25,39 @@ impl RecoveryPilot {
                 cruise_m_s: CRUISE_M_S,
                 ..GeometricConfig::default()
             }),
+            waypoint: None,
         }
     }
 
-    /// Decides. `flying` says whether this pilot's last action reached the vehicle.
-    pub fn decide(&mut self, input: &PilotInput<'_>, flying: bool) -> Action {
+    /// Enters the frame into the grid and plans on: a slice of the search. To be asked once in every step, before the others. `flying`
+    /// says whether the vehicle was flown by this pilot or along its path in the step before: only then may standing still
+    /// mean that its memory is wrong.
+    pub fn observe(&mut self, input: &PilotInput<'_>, flying: bool) {
         if !flying {
             self.pilot.excuse_standstill();
         }
-        self.pilot.decide(input)
+        self.waypoint = self.pilot.plan(input);
+    }
+
+    /// Where an actor is led: bearing of the planned path, distance of the goal; without a path the goal as it is. After [`Self::observe`], with
+    /// the same input.
+    pub fn lead(&self, input: &PilotInput<'_>) -> GoalRelative {
+        led_to(input, self.waypoint)
+    }
+
+    /// Decides. After [`Self::observe`], with the same input.
+    pub fn decide(&self, input: &PilotInput<'_>) -> Action {
+        self.pilot.steer(input, self.waypoint)
     }
 
     /// Forgets everything it remembered: a new flight.
     pub fn reset(&mut self) {
         self.pilot.reset();
+        self.waypoint = None;
     }
 
     /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.2 s
-    /// later. To be asked after [`Self::decide`], with the same input.
+    /// later. After [`Self::observe`], with the same input.
     pub fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
         self.pilot.foresees_collision(input, action)
     }

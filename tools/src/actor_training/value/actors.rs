@@ -123,18 +123,35 @@ impl ActorNetwork {
         }
     }
 
-    /// Adds the parameters' gradient of the last forward pass to `d_params`, from `d`, that at its outputs.
+    /// Adds the parameters' gradient of the last forward pass to `d_params`, from `d`, that at its outputs, and `d_state`, that at the
+    /// pictures' actor's 48 values from elsewhere, `[row][48]`.
     ///
     /// # Errors
     /// Slices of other lengths.
-    pub fn backward(&mut self, isa: Isa, params: &[f32], d: &[f32], d_params: &mut [f32]) -> Result<(), ShapeError> {
+    pub fn backward(
+        &mut self,
+        isa: Isa,
+        params: &[f32],
+        d: &[f32],
+        d_state: Option<&[f32]>,
+        d_params: &mut [f32],
+    ) -> Result<(), ShapeError> {
         match self {
             Self::Truth(actor) => {
                 let TruthActor { mlp, tape, packed, x } = &mut **actor;
                 mlp.pack(params, packed)?;
                 mlp.backward(isa, params, packed, x, tape, d, Some(d_params), None)
             }
-            Self::Pictures(actor) => actor.backward(isa, params, d, d_params),
+            Self::Pictures(actor) => actor.backward(isa, params, d, d_state, d_params),
+        }
+    }
+
+    /// Appends the 48 values of each row of the last forward pass; nothing where the actor sees the true state.
+    pub fn states(&self, to: &mut Vec<f32>) {
+        if let Self::Pictures(actor) = self {
+            for joined in actor.joined[..actor.rows * JOINED].chunks_exact(JOINED) {
+                to.extend_from_slice(&joined[..ACTOR_HIDDEN]);
+            }
         }
     }
 }
@@ -328,7 +345,14 @@ impl PicturesActor {
         OUTPUT.forward(isa, &params[at.output..at.len], Activation::Identity, hidden, None, out)
     }
 
-    fn backward(&mut self, isa: Isa, params: &[f32], d: &[f32], d_params: &mut [f32]) -> Result<(), ShapeError> {
+    fn backward(
+        &mut self,
+        isa: Isa,
+        params: &[f32],
+        d: &[f32],
+        d_state: Option<&[f32]>,
+        d_params: &mut [f32],
+    ) -> Result<(), ShapeError> {
         let (features, rows) = (self.input.inputs, self.rows);
         let at = At::new(features);
         let (dense_packed, output_packed) = self.head_packed.split_at_mut(DENSE.param_len());
@@ -342,6 +366,16 @@ impl PicturesActor {
         let (joined, d_joined) = (&self.joined[..rows * JOINED], &mut self.d_joined[..rows * JOINED]);
         DENSE.weight_gradient(isa, joined, d_hidden, &mut d_params[at.dense..at.output])?;
         DENSE.input_gradient(isa, dense_packed, d_hidden, d_joined)?;
+        if let Some(d_state) = d_state {
+            for (d_joined, d_state) in d_joined
+                .chunks_exact_mut(JOINED)
+                .zip(d_state.chunks_exact(ACTOR_HIDDEN))
+            {
+                for (to, d) in d_joined.iter_mut().zip(d_state) {
+                    *to += d;
+                }
+            }
+        }
         Activation::TANH.gradient(isa, joined, d_joined)?;
         for (row, d_joined) in d_joined.chunks_exact(JOINED).enumerate() {
             self.d_state[row * ACTOR_HIDDEN..][..ACTOR_HIDDEN].copy_from_slice(&d_joined[..ACTOR_HIDDEN]);
@@ -435,7 +469,7 @@ mod tests {
         let mut out = [0.0; 4];
         batch.forward(isa, behind, &rows, &mut out).unwrap();
         let mut d_behind = vec![0.0; behind.len()];
-        batch.backward(isa, behind, &d, &mut d_behind).unwrap();
+        batch.backward(isa, behind, &d, None, &mut d_behind).unwrap();
 
         let mut b = GraphBuilder::new();
         let layout = SPEC.reserve(&mut b);

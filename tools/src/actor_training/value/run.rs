@@ -42,7 +42,7 @@ const CANDIDATES: usize = 3;
 const FIRST_CHOOSING_SEED: u64 = 300_000;
 /// Seeds of the flights that test the chosen one. Nothing is chosen by these.
 const FIRST_TEST_SEED: u64 = 7_000_000;
-const FORMAT: &str = "vigil value checkpoint 3";
+const FORMAT: &str = "vigil value checkpoint 4";
 
 /// Why a run by value stopped early.
 #[derive(Debug, thiserror::Error)]
@@ -209,6 +209,7 @@ struct RunState {
     elapsed_s: f64,
     random_at: (u64, u64),
     actor_steps: u64,
+    readout_steps: u64,
     critic_steps: Vec<u64>,
     largest_bits: u64,
     lanes: Vec<(u64, u64)>,
@@ -424,6 +425,9 @@ impl<'a> Run<'a> {
         l.actor = saved.f32("actor", Some(len))?;
         l.actor_target = saved.f32("actor_target", Some(len))?;
         l.actor_adam = adam("actor", len, state.actor_steps)?;
+        let readout = l.readout.len();
+        l.readout = saved.f32("readout", Some(readout))?;
+        l.readout_adam = adam("readout", readout, state.readout_steps)?;
         for (i, (critic, steps)) in l.critics.iter_mut().zip(&state.critic_steps).enumerate() {
             let len = critic.params.len();
             critic.params = saved.f32(&format!("critic_{i}"), Some(len))?;
@@ -461,6 +465,7 @@ impl<'a> Run<'a> {
             elapsed_s: self.elapsed_s(),
             random_at: ((at >> 64) as u64, at as u64),
             actor_steps: l.actor_adam.steps,
+            readout_steps: l.readout_adam.steps,
             critic_steps: l.critics.iter().map(|c| c.adam.steps).collect(),
             largest_bits: largest.to_bits(),
             lanes,
@@ -480,6 +485,9 @@ impl<'a> Run<'a> {
             ("actor_target".to_owned(), Values::F32(&l.actor_target)),
             ("actor_mean".to_owned(), Values::F32(&l.actor_adam.mean)),
             ("actor_square".to_owned(), Values::F32(&l.actor_adam.square)),
+            ("readout".to_owned(), Values::F32(&l.readout)),
+            ("readout_mean".to_owned(), Values::F32(&l.readout_adam.mean)),
+            ("readout_square".to_owned(), Values::F32(&l.readout_adam.square)),
         ];
         for (i, critic) in l.critics.iter().enumerate() {
             tensors.extend([
@@ -785,7 +793,7 @@ pub fn csv(rows: &[ValueRow]) -> String {
         .map_or(&[][..], |r| &r.judged);
     let names: String = families.iter().map(|c| format!(",{}", c.family)).collect();
     let mut text = format!(
-        "updates,decisions,elapsed_s,flights,successes,reward,critic_loss,value,imitation_loss,imitation,saturated,critic_norm,\
+        "updates,decisions,elapsed_s,flights,successes,reward,critic_loss,value,imitation_loss,imitation,saturated,motion_loss,critic_norm,\
          actor_norm,value_correlation,slope_correlation,sign_agreement{names}\n"
     );
     for r in rows {
@@ -801,7 +809,7 @@ pub fn csv(rows: &[ValueRow]) -> String {
             false => r.judged.iter().map(|c| format!(",{:.4}", c.completion())).collect(),
         };
         text += &format!(
-            "{},{},{:.1},{},{},{:.4},{:.5},{:.4},{:.4},{:.4},{:.4},{:.4},{:.5},{slope}{judged}\n",
+            "{},{},{:.1},{},{},{:.4},{:.5},{:.4},{:.4},{:.4},{:.4},{:.5},{:.4},{:.5},{slope}{judged}\n",
             r.updates,
             r.decisions,
             r.elapsed_s,
@@ -813,6 +821,7 @@ pub fn csv(rows: &[ValueRow]) -> String {
             u.imitation_loss,
             r.imitation,
             u.saturated,
+            u.motion_loss,
             u.critic_norm,
             u.actor_norm,
         );

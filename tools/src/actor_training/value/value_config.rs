@@ -159,6 +159,9 @@ pub struct ValueLearning {
     pub imitation_falls_over: f64,
     /// This weight stays as it is instead: imitation alone, for comparison. With a value weight of 0 only.
     pub imitation_stays: bool,
+    /// Weight of telling the nearest mover in sight, place and velocity, from the actor's 48 values: a readout that learns beside it
+    /// and is not frozen with it. Of pictures only.
+    pub motion: f32,
     /// The critics begin as the expert's.
     pub expert_critics: bool,
     /// Updates that the critics make before the actor begins to move.
@@ -270,6 +273,7 @@ impl Default for ValueLearning {
             imitation: 0.0,
             imitation_falls_over: 0.5,
             imitation_stays: false,
+            motion: 0.0,
             expert_critics: false,
             critics_first: 0,
             mirror: true,
