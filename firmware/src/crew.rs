@@ -16,7 +16,8 @@ pub struct Crew {
     /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
     pub monitor: Option<Box<Monitor>>,
     /// Plans in every step, so that it remembers what it saw before an alarm. In a watched crew it takes the actor's place while an
-    /// alarm is raised, and tells the guard what lies ahead; its path leads an actor that is led by one.
+    /// alarm is raised, and tells the guard what lies ahead; its path leads an actor that is led by one,
+    /// and any actor to a far goal where the line to it leads nowhere.
     pub recovery: Option<Box<RecoveryPilot>>,
     /// Whether anything watches: without it the recovery pilot leads, but neither flies nor warns.
     pub watched: bool,
@@ -71,7 +72,7 @@ impl Crew {
         Ok(Self {
             pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
             monitor,
-            recovery: (watched || led_by == LedBy::Path).then(Box::default),
+            recovery: Some(Box::default()),
             watched,
             led_by,
         })

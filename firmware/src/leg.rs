@@ -1,39 +1,99 @@
 //! Intermediate goals: what the actor flies to when the goal is farther away than any that it has learned.
 //!
 //! Seen from 200 m, a goal lies straight ahead however far off the line the vehicle is: an actor that knows nothing but its
-//! bearing is led past everything, and out of the course. So it follows the line on which the goal was taken up.
+//! bearing is led past everything, and out of the course. So it follows the line on which the goal was taken up. Where that brings
+//! the vehicle no nearer, or past the goal, it is led by the path that the recovery pilot plans, until it has come nearer.
 
 use vigil_policy::actor::FARTHEST_KNOWN_M;
-use vigil_types::NedVector;
+use vigil_types::{Action, GoalRelative, Nanos, NedVector};
 
 /// How far ahead along the line the intermediate goal lies, metres. Farther ahead, a vehicle that went around something is led back
-/// to the line too late: at 15 m five of a hundred flights leave the course.
+/// to the line too late: at 15 m five of a hundred flights leave the course. Along a path it seems to lie as far away.
 const AHEAD_M: f32 = 8.0;
+/// A vehicle that has not come nearer to the goal by so much in this time follows the path ...
+const NEARER_M: f32 = 0.5;
+const STALLED_NS: Nanos = 6_000_000_000;
+/// ... as does one that is farther away again than it was, metres, or has the goal aside of what it sees, radians.
+const FARTHER_M: f32 = 1.5;
+const ASIDE_RAD: f32 = 1.2;
+/// The path is left when it has brought the vehicle nearer by this, or has not in this time.
+const PATH_NEARER_M: f32 = 3.0;
+const PATH_NS: Nanos = 30_000_000_000;
+/// A path that leads this far aside is turned to on the spot, radians: no flight that the actor learned from begins with that.
+const TURN_RAD: f32 = 1.0;
+const TURN_YAW: f32 = 1.0;
+
+/// What leads the actor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum LedTo {
+    /// A point: the goal or an intermediate one.
+    Point(NedVector),
+    /// The planned path.
+    Path,
+}
+
+/// A far goal and how near the vehicle came to it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Approach {
+    nearest_m: f32,
+    /// When it came so near, or what leads it changed.
+    since_ns: Nanos,
+    by_path: bool,
+}
 
 /// The line from where the goal was taken up to the goal.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Leg {
     /// From, to.
     line: Option<(NedVector, NedVector)>,
+    /// For a goal that was too far away to be known when it was taken up.
+    far: Option<Approach>,
 }
 
 impl Leg {
     /// Forgets the line: the next goal is taken up where the vehicle then is.
     pub fn reset(&mut self) {
-        self.line = None;
+        *self = Self::default();
     }
 
-    /// Where to fly: the goal, or the point of the line [`AHEAD_M`] farther than the vehicle has come, at the goal's height.
-    pub fn next(&mut self, here: NedVector, goal: NedVector) -> NedVector {
-        let from = match self.line {
-            Some((from, to)) if to == goal => from,
-            _ => {
-                self.line = Some((here, goal));
-                here
-            }
+    /// Whether the goal was too far away to be known when it was taken up.
+    pub fn is_far(&self) -> bool {
+        self.far.is_some()
+    }
+
+    /// Whether the planned path leads.
+    pub fn is_by_path(&self) -> bool {
+        self.far.is_some_and(|approach| approach.by_path)
+    }
+
+    /// Takes up the goal if it is another than before. To be asked first in every step.
+    pub fn take_up(&mut self, now_ns: Nanos, here: NedVector, goal: NedVector) {
+        if self.line.is_none_or(|(_, to)| to != goal) {
+            let nearest_m = (goal - here).horizontal_norm();
+            self.line = Some((here, goal));
+            self.far = (nearest_m > FARTHEST_KNOWN_M).then_some(Approach {
+                nearest_m,
+                since_ns: now_ns,
+                by_path: false,
+            });
+        }
+    }
+
+    /// Where to fly: to the goal if it is known, to the point of the line [`AHEAD_M`] farther than the vehicle has come, at the goal's
+    /// height, or along the path. `bearing_rad` is the goal's.
+    pub fn next(&mut self, now_ns: Nanos, here: NedVector, bearing_rad: f32) -> LedTo {
+        let Some((from, goal)) = self.line else {
+            return LedTo::Point(here);
         };
-        if (goal - here).horizontal_norm() <= FARTHEST_KNOWN_M {
-            return goal;
+        let distance_m = (goal - here).horizontal_norm();
+        if let Some(approach) = &mut self.far {
+            approach.note(now_ns, distance_m, bearing_rad);
+            if approach.by_path {
+                return LedTo::Path;
+            }
+        }
+        if distance_m <= FARTHEST_KNOWN_M {
+            return LedTo::Point(goal);
         }
         let way = goal - from;
         let length_m = way.horizontal_norm();
@@ -43,11 +103,62 @@ impl Leg {
         );
         let come = here - from;
         let ahead_m = (come.x * north + come.y * east).max(0.0) + AHEAD_M;
-        if ahead_m >= length_m {
+        LedTo::Point(if ahead_m >= length_m {
             goal
         } else {
             NedVector::new(from.x + north * ahead_m, from.y + east * ahead_m, goal.z)
+        })
+    }
+}
+
+impl Approach {
+    /// Changes what leads where that brings the vehicle no nearer.
+    fn note(&mut self, now_ns: Nanos, distance_m: f32, bearing_rad: f32) {
+        let waited_ns = now_ns.saturating_sub(self.since_ns);
+        let (nearer_m, changes) = if self.by_path {
+            (PATH_NEARER_M, waited_ns > PATH_NS)
+        } else {
+            let farther = distance_m > self.nearest_m + FARTHER_M;
+            (
+                NEARER_M,
+                farther || waited_ns > STALLED_NS || bearing_rad.abs() > ASIDE_RAD,
+            )
+        };
+        if distance_m < self.nearest_m - nearer_m {
+            *self = Self {
+                nearest_m: distance_m,
+                since_ns: now_ns,
+                by_path: false,
+            };
+        } else if changes {
+            // What was not reached along the path is no measure for what follows.
+            let nearest_m = if self.by_path { distance_m } else { self.nearest_m };
+            *self = Self {
+                nearest_m,
+                since_ns: now_ns,
+                by_path: !self.by_path,
+            };
         }
+    }
+}
+
+/// What a path shows the actor: its bearing, as near as a point of the line.
+pub(crate) fn along_path(way: GoalRelative) -> GoalRelative {
+    GoalRelative {
+        distance_m: way.distance_m.min(AHEAD_M),
+        ..way
+    }
+}
+
+/// What the actor decided on its way along a path, or a turn on the spot to a path that leads aside.
+pub(crate) fn turned_to_path(way: GoalRelative, action: Action) -> Action {
+    if way.bearing_rad.abs() > TURN_RAD {
+        Action {
+            forward_m_s: 0.0,
+            yaw: TURN_YAW.copysign(way.bearing_rad),
+        }
+    } else {
+        action
     }
 }
 
@@ -59,48 +170,106 @@ mod tests {
         NedVector::new(north, east, -1.5)
     }
 
+    /// Where a vehicle that has just come there is led.
+    fn led(leg: &mut Leg, here: NedVector, goal: NedVector) -> NedVector {
+        leg.take_up(0, here, goal);
+        match leg.next(0, here, 0.0) {
+            LedTo::Point(point) => point,
+            LedTo::Path => panic!("by the path at {here:?}"),
+        }
+    }
+
+    /// Where a vehicle is led that comes there from the origin at once.
+    fn led_from_origin(here: NedVector, goal: NedVector) -> NedVector {
+        let mut leg = Leg::default();
+        leg.take_up(0, at(0.0, 0.0), goal);
+        led(&mut leg, here, goal)
+    }
+
     #[test]
     fn a_goal_that_the_actor_knows_is_flown_to_as_it_is() {
         let mut leg = Leg::default();
-        assert_eq!(leg.next(at(0.0, 0.0), at(20.0, 5.0)), at(20.0, 5.0));
-        assert_eq!(leg.next(at(10.0, -7.0), at(20.0, 5.0)), at(20.0, 5.0));
+        assert_eq!(led(&mut leg, at(0.0, 0.0), at(20.0, 5.0)), at(20.0, 5.0));
+        assert_eq!(led(&mut leg, at(10.0, -7.0), at(20.0, 5.0)), at(20.0, 5.0));
+        let later = leg.next(1_000 * SECOND_NS, at(10.0, -7.0), 3.0);
+        assert_eq!(later, LedTo::Point(at(20.0, 5.0)), "however long that takes");
     }
 
     #[test]
     fn a_vehicle_off_the_line_is_led_back_to_it() {
-        let mut leg = Leg::default();
         let goal = at(200.0, 0.0);
-        assert_eq!(leg.next(at(0.0, 0.0), goal), at(AHEAD_M, 0.0));
+        assert_eq!(led_from_origin(at(0.0, 0.0), goal), at(AHEAD_M, 0.0));
         assert_eq!(
-            leg.next(at(50.0, 9.0), goal),
+            led_from_origin(at(50.0, 9.0), goal),
             at(50.0 + AHEAD_M, 0.0),
             "not straight on"
         );
         assert_eq!(
-            leg.next(at(-5.0, 2.0), goal),
+            led_from_origin(at(-1.0, 2.0), goal),
             at(AHEAD_M, 0.0),
             "blown back behind its beginning"
         );
-        assert_eq!(leg.next(at(184.0, 20.0), goal), at(184.0 + AHEAD_M, 0.0));
-        assert_eq!(leg.next(at(190.0, 3.0), goal), goal);
-        assert_eq!(leg.next(at(240.0, 3.0), goal), goal, "flown past it");
+        assert_eq!(led_from_origin(at(184.0, 20.0), goal), at(184.0 + AHEAD_M, 0.0));
+        assert_eq!(led_from_origin(at(190.0, 3.0), goal), goal);
+    }
+
+    #[test]
+    fn a_vehicle_that_comes_no_nearer_is_led_by_the_path_until_it_has() {
+        let goal = at(200.0, 0.0);
+        let mut leg = Leg::default();
+        leg.take_up(0, at(0.0, 0.0), goal);
+        let mut next = |seconds: u64, north: f32, bearing_rad: f32| {
+            let led_to = leg.next(seconds * SECOND_NS, at(north, 0.0), bearing_rad);
+            assert_eq!(led_to == LedTo::Path, leg.is_by_path());
+            led_to
+        };
+        assert_eq!(next(5, 0.0, 0.0), LedTo::Point(at(AHEAD_M, 0.0)));
+        assert_eq!(next(7, 0.3, 0.0), LedTo::Path, "it stands");
+        assert_eq!(next(12, -6.0, 0.0), LedTo::Path, "the way out leads back first");
+        assert_eq!(next(20, 2.0, 0.0), LedTo::Path);
+        assert_eq!(next(30, 3.1, 0.0), LedTo::Point(at(3.1 + AHEAD_M, 0.0)));
+        assert_eq!(next(34, 60.0, 0.0), LedTo::Point(at(60.0 + AHEAD_M, 0.0)));
+        assert_eq!(next(35, 57.0, 0.0), LedTo::Path, "it flies back");
+        assert_eq!(
+            next(70, 50.0, 0.0),
+            LedTo::Point(at(58.0, 0.0)),
+            "nor does the path help"
+        );
+        assert_eq!(next(72, 195.0, 0.0), LedTo::Point(goal));
+        assert_eq!(next(73, 195.2, 1.4), LedTo::Path, "it passes the goal");
+    }
+
+    #[test]
+    fn a_path_that_leads_aside_is_turned_to_on_the_spot() {
+        let flown = Action {
+            forward_m_s: 1.2,
+            yaw: 0.1,
+        };
+        let way = |bearing_rad| GoalRelative {
+            distance_m: 90.0,
+            bearing_rad,
+        };
+        assert_eq!(turned_to_path(way(0.6), flown), flown);
+        let turn = turned_to_path(way(-2.0), flown);
+        assert_eq!((turn.forward_m_s, turn.yaw), (0.0, -1.0));
+        assert_eq!(along_path(way(0.6)).distance_m, AHEAD_M);
     }
 
     #[test]
     fn another_goal_is_another_line_and_so_is_the_same_one_after_a_new_take_off() {
         let mut leg = Leg::default();
-        leg.next(at(0.0, 0.0), at(200.0, 0.0));
-        let turned = leg.next(at(50.0, 10.0), at(50.0, 210.0));
+        led(&mut leg, at(0.0, 0.0), at(200.0, 0.0));
+        let turned = led(&mut leg, at(50.0, 10.0), at(50.0, 210.0));
         assert_eq!(turned, at(50.0, 10.0 + AHEAD_M));
         leg.reset();
-        assert_eq!(leg.next(at(60.0, 30.0), at(60.0, 210.0)), at(60.0, 30.0 + AHEAD_M));
+        assert_eq!(led(&mut leg, at(60.0, 30.0), at(60.0, 210.0)), at(60.0, 30.0 + AHEAD_M));
     }
 
     #[test]
     fn a_goal_where_the_line_begins_is_no_line() {
         let mut leg = Leg::default();
         let goal = at(3.0, 3.0);
-        leg.next(goal, goal);
-        assert_eq!(leg.next(at(40.0, 3.0), goal), goal);
+        led(&mut leg, goal, goal);
+        assert_eq!(led(&mut leg, at(40.0, 3.0), goal), goal);
     }
 }

@@ -11,7 +11,7 @@
 
 use crate::crew::Crew;
 use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
-use crate::leg::Leg;
+use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
@@ -223,7 +223,7 @@ impl FlightStack {
 
         self.along_path = match guidance.alarm {
             Some(alarm) => alarm.response == AlarmResponse::Recovery,
-            None => self.crew.led_by == LedBy::Path && self.pilot_asked,
+            None => self.pilot_asked && (self.crew.led_by == LedBy::Path || self.leg.is_by_path()),
         };
 
         // Emit.
@@ -394,11 +394,19 @@ impl FlightStack {
             velocity_m_s: view.velocity_m_s,
             height_m: view.height_m,
         };
-        if let Some(recovery) = recovery.as_deref_mut() {
+        let here = view.kinematics.position_ned_m;
+        self.leg.take_up(now_ns, here, view.goal_ned_m);
+        // Nobody asks for a path to a near goal that nothing watches.
+        let recovery = recovery
+            .as_deref_mut()
+            .filter(|_| *watched || *led_by == LedBy::Path || self.leg.is_far());
+        let recovery = recovery.map(|recovery| {
             self.recovery_is_new = false;
             recovery.observe(&input, self.along_path);
-        }
-        let led = match (&*pilot, *led_by, recovery.as_deref()) {
+            &*recovery
+        });
+        let mut way = None;
+        let led = match (&*pilot, *led_by, recovery) {
             // It plans its own way.
             (FlightPilot::Geometric(_), ..) => input,
             (FlightPilot::Actor(_), LedBy::Path, Some(recovery)) => PilotInput {
@@ -406,8 +414,17 @@ impl FlightStack {
                 ..input
             },
             (FlightPilot::Actor(_), ..) => {
-                let position_ned_m = self.leg.next(view.kinematics.position_ned_m, view.goal_ned_m);
-                let goal = Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample);
+                let goal = match (self.leg.next(now_ns, here, view.goal.bearing_rad), recovery) {
+                    (LedTo::Path, Some(recovery)) => {
+                        let goal = along_path(recovery.lead(&input));
+                        way = Some(goal);
+                        goal
+                    }
+                    (LedTo::Path, None) => view.goal,
+                    (LedTo::Point(position_ned_m), _) => {
+                        Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample)
+                    }
+                };
                 PilotInput { goal, ..input }
             }
         };
@@ -416,7 +433,8 @@ impl FlightStack {
             forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
             ..action
         };
-        let action = limited(pilot.decide(&led));
+        let decided = pilot.decide(&led);
+        let action = limited(way.map_or(decided, |way| turned_to_path(way, decided)));
         let mut decision = Decision {
             action: Some(action),
             ..Decision::default()

@@ -498,8 +498,8 @@ fn mirrored([forward, yaw]: [f32; 2], mirror: bool) -> [f32; 2] {
 
 #[cfg(test)]
 mod tests {
-    use super::super::value_config::Sees;
     use super::super::value_buffer::{StateView, halve};
+    use super::super::value_config::Sees;
     use super::*;
     use crate::actor_training::networks::SPEC;
     use rand::{RngExt, SeedableRng};
