@@ -166,6 +166,8 @@ pub(crate) fn turned_to_path(way: GoalRelative, action: Action) -> Action {
 mod tests {
     use super::*;
 
+    const SECOND_NS: Nanos = 1_000_000_000;
+
     fn at(north: f32, east: f32) -> NedVector {
         NedVector::new(north, east, -1.5)
     }

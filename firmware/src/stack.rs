@@ -396,37 +396,34 @@ impl FlightStack {
         };
         let here = view.kinematics.position_ned_m;
         self.leg.take_up(now_ns, here, view.goal_ned_m);
-        // Nobody asks for a path to a near goal that nothing watches.
-        let recovery = recovery
-            .as_deref_mut()
-            .filter(|_| *watched || *led_by == LedBy::Path || self.leg.is_far());
-        let recovery = recovery.map(|recovery| {
-            self.recovery_is_new = false;
-            recovery.observe(&input, self.along_path);
-            &*recovery
-        });
-        let mut way = None;
-        let led = match (&*pilot, *led_by, recovery) {
-            // It plans its own way.
-            (FlightPilot::Geometric(_), ..) => input,
-            (FlightPilot::Actor(_), LedBy::Path, Some(recovery)) => PilotInput {
-                goal: recovery.lead(&input),
+        let led_to = self.leg.next(now_ns, here, view.goal.bearing_rad);
+        let towards = match (&*pilot, led_to) {
+            (FlightPilot::Actor(_), LedTo::Point(position_ned_m)) => PilotInput {
+                goal: Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample),
                 ..input
             },
-            (FlightPilot::Actor(_), ..) => {
-                let goal = match (self.leg.next(now_ns, here, view.goal.bearing_rad), recovery) {
-                    (LedTo::Path, Some(recovery)) => {
-                        let goal = along_path(recovery.lead(&input));
-                        way = Some(goal);
-                        goal
-                    }
-                    (LedTo::Path, None) => view.goal,
-                    (LedTo::Point(position_ned_m), _) => {
-                        Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample)
-                    }
-                };
-                PilotInput { goal, ..input }
-            }
+            // The geometric pilot plans its own way.
+            (FlightPilot::Geometric(_), _) | (FlightPilot::Actor(_), LedTo::Path) => input,
+        };
+        // The recovery pilot plans its own way too, unless it is to lead the actor along its leg.
+        let planned = match led_by {
+            LedBy::Goal => input,
+            LedBy::Path => towards,
+        };
+        // Nobody asks for a path to a near goal that nothing watches.
+        let is_asked = *watched || *led_by == LedBy::Path || self.leg.is_far();
+        let recovery = recovery.as_deref_mut().filter(|_| is_asked).map(|recovery| {
+            self.recovery_is_new = false;
+            recovery.observe(&planned, self.along_path);
+            &*recovery
+        });
+        let path = recovery
+            .filter(|_| led_to == LedTo::Path || *led_by == LedBy::Path)
+            .map(|recovery| recovery.lead(&planned));
+        let detour = path.filter(|_| led_to == LedTo::Path).map(along_path);
+        let led = PilotInput {
+            goal: detour.or(path).unwrap_or(towards.goal),
+            ..input
         };
         let limit_m_s = self.tunables.speed_limit_m_s;
         let limited = |action: Action| Action {
@@ -434,7 +431,7 @@ impl FlightStack {
             ..action
         };
         let decided = pilot.decide(&led);
-        let action = limited(way.map_or(decided, |way| turned_to_path(way, decided)));
+        let action = limited(detour.map_or(decided, |way| turned_to_path(way, decided)));
         let mut decision = Decision {
             action: Some(action),
             ..Decision::default()
@@ -443,8 +440,8 @@ impl FlightStack {
             decision.judgement = Some(monitor.judge(state, position));
         }
         if let (true, Some(recovery)) = (*watched, recovery) {
-            decision.recovery = Some(limited(recovery.decide(&input)));
-            decision.collision_course = Some(recovery.foresees_collision(&input, action));
+            decision.recovery = Some(limited(recovery.decide(&planned)));
+            decision.collision_course = Some(recovery.foresees_collision(&planned, action));
         }
         decision
     }
