@@ -1,7 +1,7 @@
 //! The 20 Hz rate loop, its wiring, and the firmware program.
 //!
 //! [`stack::FlightStack::tick`] is the whole of a step, pure and without allocation. [`step::Firmware`] runs it over
-//! [`ports`]: [`live`] at a fixed rate, [`lockstep`] driven by a simulator, [`mod@replay`] driven by a log.
+//! [`ports`]: [`live_loop`] at a fixed rate, [`lockstep`] driven by a simulator, [`mod@replay`] driven by a log.
 #![cfg_attr(
     not(test),
     deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)

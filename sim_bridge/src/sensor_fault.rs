@@ -5,6 +5,8 @@ use std::str::FromStr;
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, NedVector, PIXEL_PITCH_RAD, STEP_NS,
 };
+use vigil_vehicle::normal_of;
+use vigil_world::split_mix;
 
 /// Steps by which a delayed frame comes late: 0.3 s.
 const DELAY_STEPS: usize = 6;
@@ -151,11 +153,11 @@ pub(crate) struct FailingSensor {
 
 impl FailingSensor {
     pub(crate) fn new(fault: SensorFault, seed: u64) -> Self {
-        let draw = mix(seed ^ 0x5e25_0f41);
+        let draw = split_mix(seed ^ 0x5e25_0f41);
         let onset_s = match fault.onset {
             Onset::At(at_s) => at_s,
             Onset::Random => {
-                let share = (mix(draw) >> 11) as f64 / (1u64 << 53) as f64;
+                let share = (split_mix(draw) >> 11) as f64 / (1u64 << 53) as f64;
                 RANDOM_ONSET_S.0 + share * (RANDOM_ONSET_S.1 - RANDOM_ONSET_S.0)
             }
         };
@@ -215,7 +217,8 @@ impl FailingSensor {
             SensorFaultMode::FrozenNoisy => {
                 frame.depth = kept.depth;
                 for (pixel, depth) in frame.depth.iter_mut().enumerate().filter(|(_, d)| **d < 1.0) {
-                    let noise_m = NOISE_SIGMA_M * normal(draw ^ mix(number * DEPTH_PIXELS as u64 + pixel as u64));
+                    let noise_m = NOISE_SIGMA_M
+                        * normal_of(split_mix(draw ^ split_mix(number * DEPTH_PIXELS as u64 + pixel as u64))) as f32;
                     *depth = (*depth + noise_m / DEPTH_FULL_SCALE_M).clamp(1e-6, 1.0);
                 }
             }
@@ -228,11 +231,11 @@ impl FailingSensor {
             SensorFaultMode::FrozenTop => region(frame, ..DEPTH_ROWS / 2, .., |i| kept.depth[i]),
             SensorFaultMode::FrozenBottom => region(frame, DEPTH_ROWS / 2.., .., |i| kept.depth[i]),
             SensorFaultMode::StuckRows => {
-                let first = (mix(draw ^ 1) as usize) % (DEPTH_ROWS - STUCK_ROWS);
+                let first = (split_mix(draw ^ 1) as usize) % (DEPTH_ROWS - STUCK_ROWS);
                 region(frame, first..first + STUCK_ROWS, .., |i| kept.depth[i]);
             }
             SensorFaultMode::StuckColumns => {
-                let first = (mix(draw ^ 1) as usize) % (DEPTH_COLS - STUCK_COLUMNS);
+                let first = (split_mix(draw ^ 1) as usize) % (DEPTH_COLS - STUCK_COLUMNS);
                 region(frame, .., first..first + STUCK_COLUMNS, |i| kept.depth[i]);
             }
             SensorFaultMode::Mirrored => frame.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse),
@@ -287,21 +290,6 @@ fn region(
 }
 
 const _: () = assert!((SHIFT_COLUMNS as f32 * PIXEL_PITCH_RAD - TURN_RAD).abs() < PIXEL_PITCH_RAD);
-
-/// Steele, Lea and Flood 2014.
-fn mix(x: u64) -> u64 {
-    let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
-    let x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    let x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    x ^ (x >> 31)
-}
-
-/// Close to a standard normal number: the sum of four 16-bit integers.
-fn normal(seed: u64) -> f32 {
-    let bits = mix(seed);
-    let sum: u64 = (0..4).map(|k| bits >> (16 * k) & 0xFFFF).sum();
-    (sum as f32 - 2.0 * 65_535.0) / 37_837.2
-}
 
 #[cfg(test)]
 mod tests {

@@ -40,9 +40,17 @@ pub enum Access {
 /// # Errors
 /// What the system said; nothing is left beside the file then.
 pub fn replace(path: &Path, content: &[u8], access: Access) -> io::Result<()> {
+    replace_with(path, access, |file| file.write_all(content))
+}
+
+/// As [`replace`], for content that is written piece by piece. Where `write` fails the file is as it was.
+///
+/// # Errors
+/// What `write` said, or the system.
+pub fn replace_with(path: &Path, access: Access, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
     let before = match std::fs::metadata(path) {
         Ok(metadata) if metadata.is_dir() => return Err(ErrorKind::IsADirectory.into()),
-        Ok(metadata) if !metadata.is_file() => return File::options().write(true).open(path)?.write_all(content),
+        Ok(metadata) if !metadata.is_file() => return write(&mut File::options().write(true).open(path)?),
         Ok(metadata) => Some(metadata),
         Err(error) if error.kind() == ErrorKind::NotFound => None,
         Err(error) => return Err(error),
@@ -67,7 +75,7 @@ pub fn replace(path: &Path, content: &[u8], access: Access) -> io::Result<()> {
     if let (Some(before), Access::Shared) = (before, access) {
         beside.as_file().set_permissions(before.permissions())?;
     }
-    beside.write_all(content)?;
+    write(beside.as_file_mut())?;
     // Before the rename: after a power cut the name must not be on the disk without what it names.
     beside.as_file().sync_all()?;
     beside.persist(&path)?;

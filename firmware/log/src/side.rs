@@ -16,6 +16,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
+use vigil_files::Access;
 use vigil_types::{Attitude, DepthFrame, Nanos, NedVector};
 
 /// Why a side log cannot be written, or not be put into the log.
@@ -196,18 +197,16 @@ impl std::fmt::Debug for SideLog {
 /// [`SideError`]: a log that cannot be read, a file that cannot be written; the log is then as it was.
 pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
     let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
-    let partial = log.with_extension("mcap.part");
-    let merged = merge(log, sides, about, epoch_offset_ns, &partial).and_then(|()| {
-        std::fs::rename(&partial, log).map_err(|source| SideError::Io {
+    let merged = vigil_files::replace_with(log, Access::Shared, |file| {
+        merge(log, sides, about, epoch_offset_ns, file).map_err(io::Error::other)
+    });
+    merged.map_err(|source| match source.downcast::<SideError>() {
+        Ok(error) => error,
+        Err(source) => SideError::Io {
             path: log.to_owned(),
             source,
-        })
-    });
-    if merged.is_err() {
-        // Written above, and the log is whole without it.
-        let _ = std::fs::remove_file(&partial);
-    }
-    merged
+        },
+    })
 }
 
 fn merge(
@@ -215,13 +214,9 @@ fn merge(
     sides: &[&Path],
     about: &BTreeMap<String, String>,
     epoch_offset_ns: u64,
-    to: &Path,
+    to: &mut File,
 ) -> Result<(), SideError> {
-    let sink = File::create(to).map_err(|source| SideError::Io {
-        path: to.to_owned(),
-        source,
-    })?;
-    let mut writer = log_file::write_options().create(BufWriter::new(sink)).map_err(at(to))?;
+    let mut writer = log_file::write_options().create(BufWriter::new(to)).map_err(at(log))?;
     let mut main = Source::open(log, 0)?;
     let mut sides = sides
         .iter()
@@ -235,7 +230,7 @@ fn merge(
                 name: META_STORY.to_owned(),
                 metadata: about.clone(),
             })
-            .map_err(at(to))?;
+            .map_err(at(log))?;
     }
     for side in &mut sides {
         side.advance(&mut writer)?;
@@ -260,9 +255,9 @@ fn merge(
         }
     }
     if let Some(end) = main.end.take() {
-        writer.write_metadata(&end).map_err(at(to))?;
+        writer.write_metadata(&end).map_err(at(log))?;
     }
-    writer.finish().map(|_| ()).map_err(at(to))
+    writer.finish().map(|_| ()).map_err(at(log))
 }
 
 /// A file that is being read, with its next message.
@@ -300,7 +295,7 @@ impl<'a> Source<'a> {
     }
 
     /// Goes to the next message; schemas, channels and metadata before it are written.
-    fn advance(&mut self, writer: &mut mcap::Writer<BufWriter<File>>) -> Result<(), SideError> {
+    fn advance(&mut self, writer: &mut mcap::Writer<BufWriter<&mut File>>) -> Result<(), SideError> {
         self.next = None;
         while !self.over {
             let record = match self.container.next(|_, _| true).map_err(at(self.path))? {
@@ -345,7 +340,7 @@ impl<'a> Source<'a> {
         Ok(())
     }
 
-    fn write(&mut self, writer: &mut mcap::Writer<BufWriter<File>>) -> Result<(), SideError> {
+    fn write(&mut self, writer: &mut mcap::Writer<BufWriter<&mut File>>) -> Result<(), SideError> {
         match &self.next {
             Some((header, data)) => writer.write_to_known_channel(header, data).map_err(at(self.path)),
             None => Ok(()),

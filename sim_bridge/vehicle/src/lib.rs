@@ -36,6 +36,7 @@ mod validate;
 mod vehicle;
 
 pub use interface::{ControlCommand, Estimate, Sensors, Truth, VehicleView, YawCommand};
+pub use noise::normal_of;
 pub use params::{
     AirframeParams, BatteryParams, ControlParams, GRAVITY_M_S2, GroundParams, MotorParams, SensorParams, VehicleParams,
     Wind,

@@ -4,6 +4,15 @@ use crate::math::Vec3;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
+/// A number of mean 0 and standard deviation 1, within ±3.46, from 64 random bits: the sum of four uniform numbers (Irwin-Hall). It
+/// needs no logarithm or sine, so it is cheap and exact everywhere.
+pub fn normal_of(bits: u64) -> f64 {
+    /// √3 / 65536: four uniform u16 have the variance 4 · 65536² / 12.
+    const SCALE: f64 = 1.732_050_807_568_877_2 / 65_536.0;
+    let sum = (bits & 0xffff) + ((bits >> 16) & 0xffff) + ((bits >> 32) & 0xffff) + (bits >> 48);
+    (sum as f64 - 131_070.0) * SCALE
+}
+
 /// A stream of approximately normal numbers.
 #[derive(Debug, Clone)]
 pub(crate) struct Noise {
@@ -18,14 +27,9 @@ impl Noise {
         Self { rng }
     }
 
-    /// Mean 0, standard deviation 1, within ±3.46: the sum of four uniform numbers (Irwin-Hall). It needs no logarithm
-    /// or sine, so it is cheap and exact everywhere.
+    /// Mean 0, standard deviation 1.
     pub(crate) fn normal(&mut self) -> f64 {
-        /// √3 / 65536: four uniform u16 have the variance 4 · 65536² / 12.
-        const SCALE: f64 = 1.732_050_807_568_877_2 / 65_536.0;
-        let bits = self.rng.next_u64();
-        let sum = (bits & 0xffff) + ((bits >> 16) & 0xffff) + ((bits >> 32) & 0xffff) + (bits >> 48);
-        (sum as f64 - 131_070.0) * SCALE
+        normal_of(self.rng.next_u64())
     }
 
     /// Three independent ones.

@@ -32,7 +32,7 @@ pub use draw::{FlightPath, Image, ImageError, check_png_name, draw};
 pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
     LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,
-    beam_direction_frd, pixel_of, ring_row,
+    beam_direction_frd, pixel_of, ring_row, split_mix,
 };
 pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee, UnknownOutcome};

@@ -10,6 +10,7 @@ mod tiles;
 
 pub use beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, beam_direction_frd, pixel_of, ring_row};
 pub use cast::Ranges;
+pub use noise::split_mix;
 
 use crate::world::World;
 use beams::BeamTable;

@@ -39,8 +39,8 @@ impl NoiseKeys {
     }
 }
 
-/// Steele, Lea and Flood 2014.
-fn split_mix(x: u64) -> u64 {
+/// 64 bits that look random from a seed (SplitMix64; Steele, Lea and Flood 2014).
+pub fn split_mix(x: u64) -> u64 {
     let x = x.wrapping_add(0x9E37_79B9_7F4A_7C15);
     let x = (x ^ (x >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
