@@ -22,6 +22,9 @@ const STRANGERS: usize = 12;
 const BURST_NS: Nanos = 1_000_000;
 /// Setpoints come each step; one that comes half a step later than it ought to is late.
 const LATE_NS: Nanos = STEP_NS + STEP_NS / 2;
+/// The vehicle holds by itself after so long without a setpoint (`VGL_OF_LOSS_T`). More than this is wrong on any machine; one that
+/// does other work too may be late, and the quick part, which runs anywhere, only tells it.
+const LOST_NS: Nanos = 400_000_000;
 /// Datagrams a second in the campaign.
 const RATE: u32 = 20_000;
 /// Strangers come this long before the vehicle.
@@ -364,13 +367,15 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
             .parse::<u64>()
             .ok()
     });
-    let wrong = match (&flown, late, missed) {
+    let limit_ns = if site.quick { LOST_NS } else { LATE_NS };
+    let too_late = gaps_ns.iter().filter(|gap| **gap > limit_ns).count();
+    let wrong = match (&flown, too_late, missed) {
         (Err(error), ..) => Some(format!("{error:#}")),
         (_, 1.., _) => Some(format!(
-            "{late} setpoints late, at most {:.1} ms after the one before",
+            "{too_late} setpoints late, at most {:.1} ms after the one before",
             at(1.0)
         )),
-        (_, _, Some(1..)) => Some(format!("{} steps missed", missed.unwrap_or(0))),
+        (_, _, Some(1..)) if !site.quick => Some(format!("{} steps missed", missed.unwrap_or(0))),
         _ => None,
     };
     let transport = if tcp { "TCP" } else { "UDP" };

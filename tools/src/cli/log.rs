@@ -127,8 +127,7 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
 /// # Errors
 /// A log that cannot be read, a report that cannot be written.
 pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<usize> {
-    let flight = flight_report::read(log, ReportOptions { explained_frames })
-        .with_context(|| format!("no report of {}", log.display()))?;
+    let flight = flight_report::read(log, ReportOptions { explained_frames }).context("no report")?;
     let page = flight_report::html(&flight)?;
     output::write(to, &page)?;
     Ok(page.len())

@@ -25,7 +25,7 @@ pub struct ReplayArgs {
 /// A log that is missing, unreadable, or of another version.
 pub fn run(args: &ReplayArgs) -> Result<ExitCode> {
     let path = find_log(&args.log)?;
-    let mut reader = Reader::open(&path).with_context(|| path.display().to_string())?;
+    let mut reader = Reader::open(&path)?;
     let report = vigil_firmware::replay(&mut reader).with_context(|| path.display().to_string())?;
     say!("{}", Paint::stdout().verdict(report.is_equal(), &report.to_string()));
     Ok(if report.is_equal() {
