@@ -524,8 +524,8 @@ mod tests {
             let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
             let station = station();
             let mut setups = 0;
-            let mut say = |links: &mut VehicleLinks, bytes: &[u8], at_ns: Nanos| {
-                station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 89)).unwrap();
+            let say = |bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 89)).unwrap();
+            let mut hear = |links: &mut VehicleLinks, at_ns: Nanos| {
                 links.receive(at_ns, |link, peer, datagram| {
                     vehicle.receive_from(at_ns, link, peer, datagram);
                 });
@@ -533,6 +533,7 @@ mod tests {
                 let setup = vehicle.take_signing_setup();
                 setups += u32::from(setup.is_some());
                 setup.iter().for_each(|setup| links.set_key(setup));
+                setups
             };
             let mut state = 0x9E37_79B9_7F4A_7C15_u64;
             let mut random = || {
@@ -561,21 +562,30 @@ mod tests {
                 if is_signed {
                     bytes = signed_as(key, &bytes);
                 }
-                say(&mut links, &bytes, SECOND + i * 1_000_000);
+                say(&bytes);
+                hear(&mut links, SECOND + i * 1_000_000);
             }
             let told = links.refused_key().unwrap();
             assert!(told.starts_with("signing key refused"), "{told}");
             assert_eq!(links.refused_key(), None, "once");
-            say(&mut links, &setup([0; 32]), 200 * SECOND);
-            say(&mut links, &signed_as(KEY.0, &setup([0; 32])), 200 * SECOND);
-            say(&mut links, &signed_as(KEY.0, &setup([9; 32])), 200 * SECOND);
+            say(&setup([0; 32]));
+            say(&signed_as(KEY.0, &setup([0; 32])));
+            say(&signed_as(KEY.0, &setup([9; 32])));
+            // A busy machine hands a datagram over late: as long as one is missing, and a moment more for one too many.
+            let expected = u32::from(has_key);
+            let mut moments_left = 20;
+            for _ in 0..2500 {
+                std::thread::sleep(Duration::from_millis(2));
+                if hear(&mut links, 200 * SECOND) >= expected {
+                    moments_left -= 1;
+                }
+                if moments_left == 0 {
+                    break;
+                }
+            }
             let counters = links.signing();
             drop(links);
-            assert_eq!(
-                setups,
-                u32::from(has_key),
-                "the one that is signed with the present key"
-            );
+            assert_eq!(setups, expected, "the one that is signed with the present key");
             assert!(counters.unsigned_key > 5000, "{counters:?}");
             let kept = std::fs::read(&key_file).unwrap();
             match has_key {

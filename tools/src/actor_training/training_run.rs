@@ -4,7 +4,7 @@ use crate::actor_training::checkpoint::{Candidate, Checkpoint, CheckpointError, 
 use crate::actor_training::collector::{CollectError, Collector, FlightReport, Policy};
 use crate::actor_training::config::TrainConfig;
 use crate::actor_training::evaluation::{EvaluatedActor, EvaluationResult, EvaluationSpec, RolloutError, evaluate};
-use crate::actor_training::files::{self, WriteError};
+use crate::actor_training::files::{self, FolderError, WriteError};
 use crate::actor_training::learner::{Learner, UpdateError};
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{self, FlightRow, Progress, Row, RowSum, UPDATES_PER_ROW};
@@ -58,19 +58,8 @@ pub enum TrainError {
     #[error(transparent)]
     Threads(#[from] ThreadsError),
     /// The folder.
-    #[error("cannot make {path}: {source}")]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// There is a run in the folder already.
-    #[error("{path} holds a run already; resume it, or train in another folder")]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error(transparent)]
+    Folder(#[from] FolderError),
 }
 
 /// Where and how to run.
@@ -136,14 +125,7 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn begin(config: &'a TrainConfig, options: &RunOptions) -> Result<Self, TrainError> {
         let folder = &options.folder;
-        std::fs::create_dir_all(folder).map_err(|source| TrainError::Folder {
-            path: folder.clone(),
-            source,
-        })?;
-        let checkpoint = folder.join("checkpoint.safetensors");
-        if !options.resume && checkpoint.exists() {
-            return Err(TrainError::Occupied { path: folder.clone() });
-        }
+        let checkpoint = files::begin_run(folder, options.resume)?;
         let isa = Isa::detect();
         let networks = Arc::new(Networks::new()?);
         let mut rng = ChaCha8Rng::seed_from_u64(config.seed);

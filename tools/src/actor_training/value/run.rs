@@ -13,7 +13,7 @@ use crate::actor_training::checkpoint::CheckpointError;
 use crate::actor_training::collector::{CollectError, FlightReport};
 use crate::actor_training::config::ConfigError;
 use crate::actor_training::evaluation::{EvaluatedActor, EvaluationSpec, RolloutError, evaluate};
-use crate::actor_training::files::{self, WriteError};
+use crate::actor_training::files::{self, FolderError, WriteError};
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::Networks;
 use crate::actor_training::progress::{FlightRow, flights_csv};
@@ -78,19 +78,8 @@ pub enum ValueError {
     #[error(transparent)]
     Threads(#[from] ThreadsError),
     /// The folder.
-    #[error("cannot make {path}: {source}")]
-    Folder {
-        /// The folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// There is a run in the folder already.
-    #[error("{path} holds a run already; resume it, or train in another folder")]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-    },
+    #[error(transparent)]
+    Folder(#[from] FolderError),
     /// An actor to begin with that sees other frames.
     #[error(
         "{path} sees five frames in a row; training by value begins with an actor that it made itself, whose frames are spread"
@@ -311,14 +300,7 @@ impl<'a> Run<'a> {
         report: &mut (dyn FnMut(ValueProgress<'_>) + Send),
     ) -> Result<Self, ValueError> {
         let folder = &options.folder;
-        std::fs::create_dir_all(folder).map_err(|source| ValueError::Folder {
-            path: folder.clone(),
-            source,
-        })?;
-        let checkpoint = folder.join("checkpoint.safetensors");
-        if !options.resume && checkpoint.exists() {
-            return Err(ValueError::Occupied { path: folder.clone() });
-        }
+        let checkpoint = files::begin_run(folder, options.resume)?;
         let expert = options.expert.as_deref().map(Expert::load).transpose()?;
         let l = &config.learning;
         if expert.is_none() && (l.imitation > 0.0 || l.expert_critics) {
