@@ -22,11 +22,11 @@ const CREEP_M: f32 = 0.005;
 /// Time under the command before braking begins: a step, the frame's age and the estimator's delay.
 const REACTION_S: f32 = 0.2;
 /// Simulation step and number of steps: until nearly all of the speed is gone.
-const STEP_S: f32 = 0.1;
+pub(super) const STEP_S: f32 = 0.1;
 const STEPS: usize = 18;
 /// Share of the way to its setpoint that the velocity goes in one step: 1 − e^(−0.1 s / 0.7 s). A lag of 0.7 s stops from
 /// 1.5 m/s in 1.05 m; FACTS.md measured 1.07 m.
-const GAIN: f32 = 0.133_122;
+pub(super) const GAIN: f32 = 0.133_122;
 /// Speeds tried, as parts of the wanted one.
 const PARTS: [f32; 7] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1];
 

@@ -1,7 +1,9 @@
 //! The geometric pilot and its parts: what a frame shows by direction, the grid of what was seen, the way through it, the limit of
 //! the speed; and the recovery pilot, which is built from the same parts.
 
+mod evasion;
 mod governor;
+pub mod movers;
 mod occupancy_grid;
 mod path_planner;
 mod pilot;

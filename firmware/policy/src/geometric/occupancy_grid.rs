@@ -139,8 +139,15 @@ impl OccupancyGrid {
     }
 
     /// Enters what a scan shows from `position_ned_m` with heading `yaw_rad`.
-    /// A surface adds `hit` to its cell's score.
-    pub fn observe(&mut self, scan: &Scan, hit: i8, position_ned_m: NedVector, yaw_rad: f32) {
+    /// A surface adds `hit` to its cell's score, unless `passing` says of its place (north, east) that something moves there.
+    pub fn observe(
+        &mut self,
+        scan: &Scan,
+        hit: i8,
+        position_ned_m: NedVector,
+        yaw_rad: f32,
+        passing: impl Fn(f32, f32) -> bool,
+    ) {
         let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
         let to_ned = |x: f32, y: f32| (cos * x - sin * y, sin * x + cos * y);
         let (n0, e0) = self.corner.unwrap_or((0, 0));
@@ -172,8 +179,31 @@ impl OccupancyGrid {
         for (x, y, range_m) in scan.points() {
             if range_m < MARK_RANGE_M {
                 let (north, east) = to_ned(x, y);
-                if let Some(score) = self.score_at(position_ned_m.x + north, position_ned_m.y + east) {
+                let (north_m, east_m) = (position_ned_m.x + north, position_ned_m.y + east);
+                if !passing(north_m, east_m)
+                    && let Some(score) = self.score_at(north_m, east_m)
+                {
                     *score = score.saturating_add(hit).min(SCORE_LIMIT);
+                }
+            }
+        }
+    }
+
+    /// Takes what is remembered within this distance of a place for free.
+    pub fn forget_around(&mut self, north_m: f32, east_m: f32, radius_m: f32) {
+        let (from, to) = (
+            self.cell_of(north_m - radius_m, east_m - radius_m),
+            self.cell_of(north_m + radius_m, east_m + radius_m),
+        );
+        let side = |i: i32| i.clamp(0, SIDE as i32 - 1);
+        for north in side(from.north)..=side(to.north) {
+            for east in side(from.east)..=side(to.east) {
+                let cell = Cell { north, east };
+                let (n, e) = self.middle_of(cell);
+                if libm::hypotf(n - north_m, e - east_m) < radius_m
+                    && let Some(score) = cell.index().and_then(|i| self.score.get_mut(i))
+                {
+                    *score = 0;
                 }
             }
         }
@@ -297,6 +327,9 @@ fn fixed(x: f32) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Nothing moves.
+    const STILL: fn(f32, f32) -> bool = |_, _| false;
     use crate::geometric::range_scan::SECTORS;
 
     /// A scan that sees one surface straight ahead and nothing elsewhere.
@@ -333,12 +366,12 @@ mod tests {
     fn what_was_seen_stays_when_the_vehicle_turns_away_and_passes() {
         let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
-        memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0);
+        memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0, STILL);
         assert!(occupied(&mut memory, 4.1, 0.1));
         for step in 0..100_i16 {
             let here = at(0.05 * f32::from(step), 1.0);
             memory.follow(here);
-            memory.observe(&Scan::EMPTY, HIT, here, 1.0);
+            memory.observe(&Scan::EMPTY, HIT, here, 1.0, STILL);
         }
         assert!(occupied(&mut memory, 4.1, 0.1));
     }
@@ -347,9 +380,9 @@ mod tests {
     fn what_is_seen_through_is_forgotten() {
         let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
-        memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0);
+        memory.observe(&ahead(4.0), HIT, at(0.0, 0.0), 0.0, STILL);
         for _ in 0..2 * SCORE_LIMIT {
-            memory.observe(&ahead(9.0), HIT, at(0.0, 0.0), 0.0);
+            memory.observe(&ahead(9.0), HIT, at(0.0, 0.0), 0.0, STILL);
         }
         assert!(!occupied(&mut memory, 4.1, 0.1));
         assert!(occupied(&mut memory, 9.1, 0.1));
@@ -359,9 +392,9 @@ mod tests {
     fn a_ray_proves_nothing_about_cells_nearer_than_the_view_reaches() {
         let mut memory = OccupancyGrid::new();
         memory.follow(at(0.0, 0.0));
-        memory.observe(&ahead(0.6), HIT, at(0.0, 0.0), 0.0);
+        memory.observe(&ahead(0.6), HIT, at(0.0, 0.0), 0.0, STILL);
         for _ in 0..50 {
-            memory.observe(&ahead(9.0), HIT, at(0.0, 0.0), 0.0);
+            memory.observe(&ahead(9.0), HIT, at(0.0, 0.0), 0.0, STILL);
         }
         assert!(occupied(&mut memory, 0.6, 0.0));
     }
@@ -370,7 +403,7 @@ mod tests {
     fn the_grid_moves_with_the_vehicle_and_keeps_what_it_still_covers() {
         let mut memory = OccupancyGrid::new();
         memory.follow(at(100.0, -50.0));
-        memory.observe(&ahead(5.0), HIT, at(100.0, -50.0), 0.0);
+        memory.observe(&ahead(5.0), HIT, at(100.0, -50.0), 0.0, STILL);
         for (north, east) in [(103.0, -52.5), (104.0, -46.0), (98.0, -45.0)] {
             memory.follow(at(north, east));
             assert!(occupied(&mut memory, 105.1, -49.9), "at {north}, {east}");
@@ -418,7 +451,7 @@ mod tests {
         let mut memory = OccupancyGrid::new();
         for bad in [1e30, -1e30, f32::NAN, f32::INFINITY] {
             memory.follow(at(bad, bad));
-            memory.observe(&ahead(3.0), HIT, at(bad, 0.0), bad);
+            memory.observe(&ahead(3.0), HIT, at(bad, 0.0), bad, STILL);
             memory.measure_clearance();
         }
     }

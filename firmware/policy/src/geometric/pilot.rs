@@ -4,9 +4,12 @@
 //! the way to the goal, take the farthest point of the way that can be flown to in a straight line as the waypoint, add
 //! seeking and field, and let the governor limit the speed.
 
+use crate::geometric::evasion::{self, Guesses};
 use crate::geometric::governor::{self, Motion};
+use crate::geometric::movers::{self, MoverTracker};
 use crate::geometric::occupancy_grid::{self, OccupancyGrid};
 use crate::geometric::path_planner::{PathPlanner, Search};
+use crate::geometric::range_scan::FAR_M;
 use crate::{NearestObstacle, Pilot, PilotInput, RangeScan, Scan, apf};
 use core::f32::consts::PI;
 use vigil_types::{
@@ -46,6 +49,10 @@ const LEAST_LEAD_M: f32 = 0.05;
 const SIGHT_FROM_M: f32 = 0.5;
 /// A waypoint farther off the nose than this has chosen the side to pass on; the field does not overrule it.
 const SIDE_CHOSEN_RAD: f32 = 10.0 * PI / 180.0;
+/// Around a mover this much more is forgotten of what it has left in the grid, metres.
+const TRACE_M: f32 = 0.3;
+/// Movers farther away are left to later steps, metres.
+const MOVERS_WITHIN_M: f32 = 6.0;
 /// Cells that the search settles in one step.
 const SEARCH_BUDGET: usize = 1500;
 /// A position that jumps by more makes the memory worthless, metres.
@@ -137,6 +144,7 @@ pub struct GeometricPilot {
     surroundings: RangeScan,
     grid: OccupancyGrid,
     planner: PathPlanner,
+    movers: MoverTracker,
     last_position_ned_m: Option<NedVector>,
     last_sequence: Option<u64>,
     /// Where the vehicle last got to, and when.
@@ -174,6 +182,7 @@ impl GeometricPilot {
             surroundings: RangeScan::new(),
             grid: OccupancyGrid::new(),
             planner: PathPlanner::new(),
+            movers: MoverTracker::new(),
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
@@ -340,7 +349,17 @@ impl GeometricPilot {
         }
         if self.last_sequence != Some(header.sequence) {
             self.last_sequence = Some(header.sequence);
-            self.grid.observe(scan, hit, here, yaw_rad);
+            if self.strategy == Strategy::Mapping {
+                self.movers.observe(scan, here, yaw_rad, header.stamp_ns);
+            }
+            for mover in self.movers.movers().filter(|mover| mover.is_located()) {
+                self.grid
+                    .forget_around(mover.north_m, mover.east_m, mover.radius_m + TRACE_M);
+            }
+            let movers = &self.movers;
+            self.grid.observe(scan, hit, here, yaw_rad, |north_m, east_m| {
+                movers.is_of_a_mover(north_m, east_m)
+            });
         }
 
         let (sin, cos) = (libm::sinf(input.goal.bearing_rad), libm::cosf(input.goal.bearing_rad));
@@ -355,6 +374,50 @@ impl GeometricPilot {
         }
 
         self.waypoint(here, goal)
+    }
+
+    /// The scan without what moves; `None` if nothing does.
+    fn standing(&self, seen: &Scan, here: NedVector, yaw_rad: f32) -> Option<Scan> {
+        self.movers.movers().next()?;
+        let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
+        let mut standing = seen.clone();
+        let points = standing.forward_m.iter_mut().zip(&mut standing.right_m);
+        let directions = standing.direction_forward.iter().zip(&standing.direction_right);
+        for (((x, y), range_m), (dx, dy)) in points.zip(&mut standing.range_m).zip(directions) {
+            let (north_m, east_m) = (here.x + cos * *x - sin * *y, here.y + sin * *x + cos * *y);
+            if self.movers.is_of_a_mover(north_m, east_m) {
+                (*x, *y, *range_m) = (FAR_M * dx, FAR_M * dy, f32::INFINITY);
+            }
+        }
+        Some(standing)
+    }
+
+    /// The wanted action, or one that gets out of the way of what moves near the vehicle.
+    fn evade(&self, input: &PilotInput<'_>, here: NedVector, waypoint: NedVector, wanted: Action) -> Action {
+        let near = |north_m: f32, east_m: f32| libm::hypotf(north_m - here.x, east_m - here.y) < MOVERS_WITHIN_M;
+        let movers = self.movers.movers().filter(|m| {
+            near(m.north_m, m.east_m)
+                || (!m.is_located() && m.off_lane_m(here.x, here.y, evasion::HORIZON_S) < MOVERS_WITHIN_M)
+        });
+        if movers.clone().next().is_none() {
+            return wanted;
+        }
+        let age_s = input.now_ns.saturating_sub(input.depth.header.stamp_ns) as f32 * 1e-9;
+        let motion = motion_of(input, here, wanted.yaw);
+        let turn = (libm::sinf(motion.yaw_rad), libm::cosf(motion.yaw_rad));
+        let scan = self.surroundings.scan();
+        let guesses = Guesses::new(movers.clone(), age_s, |north_m, east_m, radius_m| {
+            movers::sees_past(scan, (north_m, east_m), radius_m, here, turn)
+        });
+        evasion::evade(
+            &motion,
+            wanted,
+            self.config.cruise_m_s,
+            waypoint,
+            movers,
+            &guesses,
+            &self.grid,
+        )
     }
 
     /// Steers for what [`Self::plan`] gave for the same input.
@@ -394,13 +457,22 @@ impl GeometricPilot {
             .forward_m_s
             .min(self.config.cruise_m_s * alignment.clamp(0.0, 1.0))
             .min(near_goal_m_s);
+        let wanted = Action {
+            forward_m_s: wanted_m_s,
+            yaw: wanted.yaw,
+        };
+        let wanted = self.evade(input, here, waypoint, wanted);
+        if wanted.forward_m_s < 0.0 {
+            return wanted;
+        }
         let motion = motion_of(input, here, wanted.yaw);
+        let standing = self.standing(seen, here, yaw_rad);
         Action {
             forward_m_s: governor::admissible_speed_m_s(
                 &motion,
-                seen,
+                standing.as_ref().unwrap_or(seen),
                 &self.grid,
-                wanted_m_s,
+                wanted.forward_m_s,
                 self.strategy.margins().spare_m,
             ),
             yaw: wanted.yaw,
@@ -429,6 +501,7 @@ impl Pilot for GeometricPilot {
     fn reset(&mut self) {
         self.grid.clear();
         self.planner.clear();
+        self.movers.clear();
         self.last_position_ned_m = None;
         self.last_sequence = None;
         self.progress = None;

@@ -80,9 +80,18 @@ const FROZEN_VIEW: f32 = 120.0;
 const FROZEN_FIT: f32 = 0.8;
 const FROZEN_PART: f32 = 40.0;
 const FROZEN_PARTS: usize = 6;
+/// So many parts tell it even where the view as a whole moved: more than something shows that moves beside the vehicle.
+const FROZEN_PARTS_OF_A_MOVING_VIEW: usize = 28;
+/// Something nearer than this may move beside the vehicle and fill the view: whether it fits, stays, is there or is gone tells nothing, metres.
+const MAY_MOVE_M: f32 = 2.5;
 /// Mean cost of the motion that tells a picture of another place, and samples that it needs.
 const MISFIT: f32 = 2.0;
 const MISFIT_SAMPLES: f32 = 300.0;
+/// It does not fit beside something that moves either: this is the mean cost, and these are the samples, without those columns of parts,
+/// 45° wide, that fit worst.
+const MISFIT_BESIDE: f32 = 1.4;
+const MISFIT_BESIDE_SAMPLES: f32 = 150.0;
+const MOVER_COLS: usize = 6;
 /// Cost of the motion over that of a mirrored sensor's, as a share of it too, and of a turned one's.
 const MIRRORED: f32 = 150.0;
 const MIRRORED_FIT: f32 = 0.5;
@@ -91,9 +100,10 @@ const TURNED: f32 = 300.0;
 const TURN: (f32, f32) = (0.996_194_7, 0.087_155_74);
 const LEAST_TURN: f32 = 0.85;
 const MOST_TURN: f32 = 2.5;
-/// Points of a part that were seen through, and how many such parts make a picture from which something vanished.
+/// Points of a part that were seen through, and how many such parts make a picture from which something vanished: more than something
+/// near covers that goes away by itself.
 const VANISHED: f32 = 6.0;
-const VANISHED_PARTS: usize = 6;
+const VANISHED_PARTS: usize = 16;
 /// Points that were seen through above one row of the view, where next to nothing was found: that side of the view is dead, and
 /// showed too little when it died for [`SilentSide`] to tell.
 const VANISHED_ABOVE: f32 = 10.0;
@@ -121,10 +131,11 @@ struct Anchor {
 /// Evidence on the picture's motion, fading with time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Evidence {
-    /// Samples, and what the motion cost them.
-    samples: f32,
+    /// Samples, and what the motion cost them, by columns of parts.
+    samples: [f32; PART_COLS],
+    costs: [f32; PART_COLS],
+    /// What the motion cost all samples, and that over what standing still would have.
     cost: f32,
-    /// Cost of the motion over that of standing still.
     frozen: f32,
     frozen_parts: [f32; PARTS],
     cost_parts: [f32; PARTS],
@@ -143,7 +154,8 @@ struct Evidence {
 
 impl Evidence {
     const NONE: Self = Self {
-        samples: 0.0,
+        samples: [0.0; PART_COLS],
+        costs: [0.0; PART_COLS],
         cost: 0.0,
         frozen: 0.0,
         frozen_parts: [0.0; PARTS],
@@ -158,7 +170,9 @@ impl Evidence {
     };
 
     fn fade(&mut self) {
-        for value in [&mut self.samples, &mut self.cost, &mut self.frozen] {
+        self.frozen *= KEEP;
+        self.cost *= KEEP;
+        for value in self.samples.iter_mut().chain(&mut self.costs) {
             *value *= KEEP;
         }
         let parts = self.frozen_parts.iter_mut().chain(&mut self.cost_parts);
@@ -171,6 +185,20 @@ impl Evidence {
         self.mirrored *= KEEP_LONG;
         self.far_cost *= KEEP_LONG;
         self.turned.iter_mut().for_each(|value| *value *= KEEP_LONG);
+    }
+
+    /// Whether the motion does not explain the picture, not even beside something that moves by itself.
+    fn misfits(&self) -> bool {
+        let samples: f32 = self.samples.iter().sum();
+        let cost: f32 = self.costs.iter().sum();
+        let by_columns = || self.samples.windows(MOVER_COLS).zip(self.costs.windows(MOVER_COLS));
+        samples >= MISFIT_SAMPLES
+            && cost > MISFIT * samples
+            && by_columns().all(|(samples_there, costs_there)| {
+                let beside = samples - samples_there.iter().sum::<f32>();
+                let cost_beside = cost - costs_there.iter().sum::<f32>();
+                beside >= MISFIT_BESIDE_SAMPLES && cost_beside > MISFIT_BESIDE * beside
+            })
     }
 }
 
@@ -474,7 +502,15 @@ impl PlausibilityJudge {
             let seen = self.picture.at(cell);
             let (found, _) = look(&self.directions, (row, column), seen, &back, &anchor.picture);
             if let (Some(moved), Seen::Surface(range_m)) = (found.cost(), seen) {
-                evidence.samples += 1.0;
+                let strip = column / PART;
+                if range_m > MAY_MOVE_M
+                    && found.is_beyond(MAY_MOVE_M)
+                    && let (Some(samples), Some(cost)) =
+                        (evidence.samples.get_mut(strip), evidence.costs.get_mut(strip))
+                {
+                    *samples += 1.0;
+                    *cost += moved;
+                }
                 evidence.cost += moved;
                 let stayed = match anchor.picture.at(cell) {
                     Seen::Surface(there_m) => Some(cost(there_m - range_m, range_m)),
@@ -485,8 +521,9 @@ impl PlausibilityJudge {
                     let more = moved - stayed;
                     evidence.frozen += more;
                     let part = part_of(row, column);
-                    if let (Some(frozen), Some(cost)) =
-                        (evidence.frozen_parts.get_mut(part), evidence.cost_parts.get_mut(part))
+                    if range_m > MAY_MOVE_M
+                        && let (Some(frozen), Some(cost)) =
+                            (evidence.frozen_parts.get_mut(part), evidence.cost_parts.get_mut(part))
                     {
                         *frozen += more;
                         *cost += moved;
@@ -512,6 +549,10 @@ impl PlausibilityJudge {
                 &forth,
                 &self.picture,
             );
+            let near = anchor.picture.is_near(row * COLS + column, MAY_MOVE_M);
+            if near || !found.is_beyond(MAY_MOVE_M) {
+                continue;
+            }
             let part = part_of(there_row as usize, there_column as usize);
             let evidence = &mut self.evidence;
             let (parts, rows) = if found.is_seen_through() {
@@ -552,7 +593,8 @@ impl PlausibilityJudge {
     /// What the evidence tells.
     fn verdict(&self) -> Option<Raised> {
         let Evidence {
-            samples,
+            samples: _,
+            costs: _,
             cost,
             frozen,
             frozen_parts,
@@ -593,12 +635,12 @@ impl PlausibilityJudge {
             raised(Reason::FrozenSensor, false)
         } else if (*mirrored > MIRRORED && *mirrored > MIRRORED_FIT * *far_cost) || is_turned {
             raised(Reason::InconsistentPicture, true)
-        } else if is_frozen(*frozen, *cost, FROZEN_VIEW) || frozen_parts >= FROZEN_PARTS {
-            raised(Reason::FrozenSensor, false)
-        } else if (*samples >= MISFIT_SAMPLES && *cost > MISFIT * *samples)
-            || lost_parts >= VANISHED_PARTS
-            || dead_above
+        } else if is_frozen(*frozen, *cost, FROZEN_VIEW)
+            || (frozen_parts >= FROZEN_PARTS && *frozen > 0.0)
+            || frozen_parts >= FROZEN_PARTS_OF_A_MOVING_VIEW
         {
+            raised(Reason::FrozenSensor, false)
+        } else if self.evidence.misfits() || lost_parts >= VANISHED_PARTS || dead_above {
             raised(Reason::InconsistentPicture, false)
         } else {
             None

@@ -138,6 +138,15 @@ impl Found {
         }
     }
 
+    /// What the other picture shows there is no nearer than this, metres.
+    #[inline]
+    pub(super) fn is_beyond(self, limit_m: f32) -> bool {
+        match self {
+            Self::Surface { error_m, range_m } => range_m + error_m > limit_m,
+            Self::Unknown | Self::Nothing { .. } => true,
+        }
+    }
+
     /// The other picture shows the point.
     #[inline]
     pub(super) fn agrees(self) -> bool {

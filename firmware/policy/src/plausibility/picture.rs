@@ -159,6 +159,12 @@ impl Picture {
         self.inverse.get(cell).copied().unwrap_or(-1.0)
     }
 
+    /// Whether a cell shows a surface no farther than this, metres.
+    #[inline]
+    pub(super) fn is_near(&self, cell: usize, limit_m: f32) -> bool {
+        matches!(self.at(cell), Seen::Surface(range_m) if range_m <= limit_m)
+    }
+
     /// What a cell shows.
     #[inline]
     pub(super) fn at(&self, cell: usize) -> Seen {

@@ -239,6 +239,37 @@ fn what_leaves_the_view_by_itself_is_no_dead_side() {
 }
 
 #[test]
+fn what_moves_beside_the_vehicle_and_goes_away_is_no_fault() {
+    // Somebody 0.6 m wide and 0.9 m away crosses the view from left to right, stays before it a while, and goes on.
+    for stays in [0, 40] {
+        let mut flight = Flight::new();
+        flight.speed_m_s = 0.3;
+        let mut step = 0_usize;
+        let doubts = flight.fly(200, |frame| {
+            step += 1;
+            let moving = if step < 90 {
+                step
+            } else {
+                step.saturating_sub(stays).max(90)
+            };
+            let middle = 2 * moving as i32 - 60;
+            for (pixel, depth) in frame.depth.iter_mut().enumerate() {
+                let column = (pixel % DEPTH_COLS) as i32 - middle;
+                if column.abs() < 39 {
+                    let noise_m = 0.01 * libm::sinf((pixel + 7 * step) as f32);
+                    *depth = depth.min((0.9 + noise_m) / DEPTH_FULL_SCALE_M);
+                }
+            }
+        });
+        assert!(
+            doubts.iter().all(|doubts| doubts.is_empty()),
+            "stays {stays}: {:?}",
+            doubts.iter().position(|d| !d.is_empty())
+        );
+    }
+}
+
+#[test]
 fn a_picture_or_a_part_of_it_that_stays_is_frozen() {
     let mut kept: Option<Box<[f32; DEPTH_PIXELS]>> = None;
     let mut freeze = |pixels: core::ops::Range<usize>, frame: &mut DepthFrame| {
