@@ -1,7 +1,7 @@
 //! The learning curves as a picture: reward, success, losses over the updates.
 
 use crate::actor_training::progress::Row;
-use crate::report::{Figure, Panel};
+use crate::report::{Figure, Panel, Picture};
 
 /// The picture as a PNG file's content.
 pub fn png(rows: &[Row]) -> Vec<u8> {
@@ -43,10 +43,5 @@ pub fn png(rows: &[Row]) -> Vec<u8> {
         ),
     ];
     let last = rows.last().map_or(1.0, |r| r.updates as f64).max(1.0);
-    Figure {
-        x_label: "updates".to_owned(),
-        x_last: last,
-        panels: panels.into(),
-    }
-    .png()
+    Figure::over("updates", last, panels.into()).png()
 }

@@ -6,7 +6,7 @@ use crate::cli::output::{Interrupt, Progress, say};
 use crate::report::{TextTable, words};
 use anyhow::Result;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::Attack;
@@ -90,35 +90,37 @@ pub struct SearchArgs {
 }
 
 /// Flights of one setting, all over the same courses.
-#[derive(Serialize)]
-struct Row {
-    apf: bool,
+#[derive(Serialize, Deserialize)]
+pub struct Row {
+    pub apf: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
-    attack: Option<Setting>,
+    pub attack: Option<Setting>,
     #[serde(flatten)]
-    tally: Tally,
+    pub tally: Tally,
     attacked_steps: u64,
     effective_steps: u64,
     /// Of those that failed.
     failed_seeds: Vec<u64>,
 }
 
-#[derive(Debug, Clone, Copy, Serialize)]
-struct Setting {
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub struct Setting {
     #[serde(flatten)]
-    config: AttackConfig,
-    burst: Burst,
+    pub config: AttackConfig,
+    pub burst: Burst,
 }
 
-#[derive(Serialize)]
-struct Report<'a> {
-    version: &'static str,
-    actor_sha256: &'a str,
+/// What `completion.json` and `search.json` hold.
+#[derive(Serialize, Deserialize)]
+pub struct Report {
+    version: String,
+    actor_sha256: String,
     first_seed: u64,
     wall_s: f64,
     /// Ctrl-C came: rows are missing, and the last is of fewer flights.
+    #[serde(default)]
     interrupted: bool,
-    rows: &'a [Row],
+    pub rows: Vec<Row>,
 }
 
 impl Row {
@@ -234,12 +236,12 @@ fn fly_all(
     write_json(
         &folder.join(name),
         &Report {
-            version: env!("CARGO_PKG_VERSION"),
-            actor_sha256: &victim.sha256,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            actor_sha256: victim.sha256.clone(),
             first_seed: seed,
             wall_s,
             interrupted,
-            rows: &rows,
+            rows,
         },
     )?;
     Ok(campaign.interrupt.exit_code())

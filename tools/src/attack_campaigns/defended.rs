@@ -5,7 +5,7 @@
 
 use super::{Common, write_json};
 use crate::campaign::{self, Flown, Tally};
-use crate::cli::output::{self, Progress, say};
+use crate::cli::output::{self, Interrupt, Progress, say};
 use crate::report::{TextTable, csv_line, decimals, from_csv, numbers, words};
 use anyhow::{Context, Result, bail, ensure};
 use rayon::prelude::*;
@@ -68,6 +68,10 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "FILE")]
     evade: Option<PathBuf>,
 
+    /// The detector that judges the actor [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    detector: Option<PathBuf>,
+
     /// Add the potential field to the actor.
     #[arg(long)]
     apf: bool,
@@ -76,7 +80,7 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch, default_value = "on", action = clap::ArgAction::Set)]
     guard: bool,
 
-    /// Fly only what the folder's defended.csv does not have yet.
+    /// Fly only what the folder's defended.csv does not have yet, once Ctrl-C or a kill ended an earlier run.
     #[arg(long)]
     resume: bool,
 
@@ -404,7 +408,10 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     let settings = Settings {
         version: env!("CARGO_PKG_VERSION"),
         actor_sha256: args.common.victim()?.sha256,
-        detector_sha256: FrozenDetector::built_in()?.sha256(),
+        detector_sha256: match &args.detector {
+            Some(file) => FrozenDetector::load(file)?.sha256(),
+            None => FrozenDetector::built_in()?.sha256(),
+        },
         raise: (alarm.raise_count, alarm.raise_window),
         guard: args.guard,
         first_seed: args.seed,
@@ -430,11 +437,13 @@ fn fly_missing(
         .flat_map(|seed| args.arms.iter().map(move |arm| (seed, *arm)))
         .filter(|key| !log.lines.contains_key(key))
         .collect();
+    let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(missing.len() as u64, "flights")?;
     let file = Mutex::new(log.write()?);
     let flown: Vec<Line> = args.common.pool()?.install(|| {
         missing
             .into_iter()
+            .take_while(|_| !interrupt.came())
             .par_bridge()
             .map(|(seed, arm)| {
                 let line = Line::of(arm, seed, &fly(args, arm, attack, seed)?);
@@ -449,6 +458,9 @@ fn fly_missing(
     log.lines
         .extend(flown.into_iter().map(|line| ((line.seed, line.arm), line)));
     log.write()?;
+    if interrupt.came() {
+        say!("interrupted: the same command with --resume goes on");
+    }
 
     say!(
         "{}, ε = {}/255, {} iterations, {}, burst {}, field {}; validation courses from seed {}, the same in every arm",
@@ -485,12 +497,13 @@ fn fly_missing(
     .collect();
     say!("flights   {}", log.path.display());
     write_json(&folder.join("defended.json"), &Report { settings, rows, pairs })?;
-    Ok(ExitCode::SUCCESS)
+    Ok(interrupt.exit_code())
 }
 
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
     let (config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = Some(arm.alarm().is_some());
+    firmware.detector.file.clone_from(&args.detector);
     firmware.detector.guard = (!args.guard).then_some(false);
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))

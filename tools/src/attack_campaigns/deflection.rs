@@ -5,7 +5,7 @@ use crate::cli::output::{Interrupt, say};
 use crate::report::{TextTable, numbers, words};
 use anyhow::Result;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 use vigil_adversary::{AttackConfig, Method, StateAttack};
 use vigil_nnet::Isa;
@@ -14,7 +14,7 @@ use vigil_types::{Attitude, DepthFrame, GoalRelative, NedVector, YAW_RATE_PER_UN
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 
 /// Gap to the wall, metres (the paper's rows), and the paper's deflection there, °/s.
-const GAPS: [(f32, f32); 5] = [(1.0, 0.0), (1.5, 62.0), (2.0, 53.0), (2.5, 30.0), (3.0, 25.0)];
+pub const GAPS: [(f32, f32); 5] = [(1.0, 0.0), (1.5, 62.0), (2.0, 53.0), (2.5, 30.0), (3.0, 25.0)];
 /// Bearing of the goal, degrees (the paper's columns).
 const BEARINGS_DEG: [f32; 7] = [-30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0];
 /// Width of the wall: at a gap of 1 m it fills the 120° of view, farther away its edges are seen.
@@ -47,29 +47,30 @@ pub struct DeflectionArgs {
     common: Common,
 }
 
-#[derive(Serialize)]
-struct Cell {
-    method: Method,
-    gap_m: f32,
-    bearing_deg: f32,
+#[derive(Clone, Serialize, Deserialize)]
+pub struct Cell {
+    pub method: Method,
+    pub gap_m: f32,
+    pub bearing_deg: f32,
     /// Mean yaw decision without the attack, and mean absolute change by it.
     clean_deg_s: f32,
-    deflection_deg_s: f32,
+    pub deflection_deg_s: f32,
 }
 
-#[derive(Serialize)]
-struct Report<'a> {
-    version: &'static str,
-    actor_sha256: &'a str,
+/// What `table-2.json` holds.
+#[derive(Serialize, Deserialize)]
+pub struct Report {
+    version: String,
+    actor_sha256: String,
     seed: u64,
-    states_per_cell: u64,
-    epsilon_255: f32,
-    iterations: u32,
-    goal_distance_m: f32,
-    wall_width_m: f32,
+    pub states_per_cell: u64,
+    pub epsilon_255: f32,
+    pub iterations: u32,
+    pub goal_distance_m: f32,
+    pub wall_width_m: f32,
     /// Ctrl-C came: cells are missing.
     interrupted: bool,
-    cells: &'a [Cell],
+    pub cells: Vec<Cell>,
 }
 
 /// Attacks hovering states before the wall, with both readings of the paper's attack.
@@ -130,8 +131,8 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
     write_json(
         &folder.join("table-2.json"),
         &Report {
-            version: env!("CARGO_PKG_VERSION"),
-            actor_sha256: &victim.sha256,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            actor_sha256: victim.sha256.clone(),
             seed: args.seed,
             states_per_cell: args.states,
             epsilon_255: args.epsilon,
@@ -139,7 +140,7 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
             goal_distance_m: args.goal_distance,
             wall_width_m: WALL_WIDTH_M,
             interrupted,
-            cells: &cells,
+            cells,
         },
     )?;
     Ok(interrupt.exit_code())

@@ -6,6 +6,11 @@ mod deflection;
 mod states;
 mod strength;
 
+pub use completion::Report as CompletionReport;
+pub use defended::Arm;
+pub use deflection::{GAPS as PAPER_DEFLECTION, Report as DeflectionReport};
+pub use strength::CellLine as StrengthLine;
+
 use crate::cli::output::{self, say};
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result};

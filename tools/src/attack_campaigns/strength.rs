@@ -7,7 +7,7 @@ use crate::report::{TextTable, numbers, to_csv, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
@@ -201,23 +201,23 @@ fn print(cells: &[Cell], states: usize, seed: u64, wall_s: f64) {
 }
 
 /// A line of `figure-11.csv`.
-#[derive(Serialize)]
-struct CellLine {
-    method: &'static str,
-    epsilon_255: f32,
-    iterations: u32,
-    states: usize,
-    effective: usize,
-    share: f64,
-    low_95: f64,
-    high_95: f64,
-    mean_yaw_change: f64,
+#[derive(Serialize, Deserialize)]
+pub struct CellLine {
+    pub method: String,
+    pub epsilon_255: f32,
+    pub iterations: u32,
+    pub states: usize,
+    pub effective: usize,
+    pub share: f64,
+    pub low_95: f64,
+    pub high_95: f64,
+    pub mean_yaw_change: f64,
 }
 
 impl From<&Cell> for CellLine {
     fn from(c: &Cell) -> Self {
         Self {
-            method: c.method.name(),
+            method: c.method.name().to_owned(),
             epsilon_255: c.epsilon_255,
             iterations: c.iterations,
             states: c.states,

@@ -11,7 +11,7 @@ pub use watch::WatchRecord;
 use crate::report::{Column, numbers, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::cell::Cell;
 use std::convert::Infallible;
 use std::path::Path;
@@ -38,7 +38,7 @@ pub struct Flown {
 }
 
 /// How a row of flights ended.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Tally {
     pub flights: usize,
     pub completed: usize,

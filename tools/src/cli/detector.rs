@@ -2,14 +2,14 @@
 
 use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Report,
-    Separation, Set, States, fly_sets, sets,
+    Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Record,
+    Report, Role, Separation, Set, SetReport, States, auc, fly_sets, sets,
 };
-use crate::report::{Figure, Panel, TextTable, decimals, numbers, to_csv, words};
+use crate::report::{Figure, Panel, Picture, TextTable, decimals, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -80,7 +80,7 @@ enum DetectorCommand {
     Evaluate {
         #[command(flatten)]
         size: SizeArgs,
-        /// The frozen detector [default: lstm_ad.safetensors in the folder].
+        /// The frozen detector [default: lstm_ad.safetensors in the folder, or else the one built in].
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
     },
@@ -112,6 +112,9 @@ enum DetectorCommand {
         /// Steps whose pixels are explained.
         #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..=100))]
         pictures: u64,
+        /// The frozen detector [default: lstm_ad.safetensors in the folder, or else the one built in].
+        #[arg(long, value_name = "FILE")]
+        detector: Option<PathBuf>,
     },
     /// Fly states and explain all pixels of their five frames; about 0.12 s of one core a state.
     Images {
@@ -133,7 +136,7 @@ enum DetectorCommand {
         /// Seed of their first weights and order.
         #[arg(long, default_value_t = 1)]
         seed: u64,
-        /// The frozen LSTM-AD [default: lstm_ad.safetensors in the folder].
+        /// The frozen LSTM-AD [default: lstm_ad.safetensors in the folder, or else the one built in].
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
     },
@@ -165,6 +168,32 @@ impl From<&SizeArgs> for EvaluationSize {
         }
     }
 }
+
+/// What `times.json` holds.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct TimesReport {
+    pub version: String,
+    pub actor_sha256: String,
+    pub seed: u64,
+    /// The instructions used.
+    pub isa: String,
+    pub rows: Vec<TimeRow>,
+}
+
+/// How long a part of the work took, one thread.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct TimeRow {
+    pub part: String,
+    /// How often it was measured.
+    pub measured: usize,
+    pub median_s: Option<f64>,
+    pub p99_s: Option<f64>,
+    /// The paper's.
+    pub paper_s: f64,
+}
+
+/// The sets of an evaluation, and the flights of each.
+type JudgedFlights = (Vec<Set>, Vec<Vec<Record>>);
 
 /// What every stage needs.
 struct Stage<'a> {
@@ -209,10 +238,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
             pictures,
             detector,
         } => {
-            let detector = match detector {
-                Some(file) => FrozenDetector::load(file)?,
-                None => FrozenDetector::built_in()?,
-            };
+            let detector = stage.detector(detector.as_deref())?;
             let course = (*seed, *attacked);
             crate::cli::figures::draw(
                 stage.isa,
@@ -223,10 +249,14 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
                 stage.folder,
             )
         }
-        DetectorCommand::Times { seed, pictures } => stage.times(*seed, *pictures as usize),
+        DetectorCommand::Times {
+            seed,
+            pictures,
+            detector,
+        } => stage.times(*seed, *pictures as usize, detector.as_deref()),
         DetectorCommand::Table { epochs, seed, detector } => stage.table(*epochs, *seed, detector.as_deref()),
     })?;
-    Ok(ExitCode::SUCCESS)
+    Ok(Interrupt::on_ctrl_c()?.exit_code())
 }
 
 impl Stage<'_> {
@@ -358,8 +388,8 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// The evaluation's flights, flown or kept.
-    fn evaluation(&self, size: &EvaluationSize) -> Result<(Vec<Set>, Vec<Vec<crate::detector_training::Record>>)> {
+    /// The evaluation's flights, flown or kept; none when Ctrl-C came first.
+    fn evaluation(&self, size: &EvaluationSize) -> Result<Option<JudgedFlights>> {
         const FILE: &str = "evaluate.safetensors";
         let sets = sets(size);
         let scenarios = || sets.iter().flat_map(|s| &s.scenarios);
@@ -370,8 +400,19 @@ impl Stage<'_> {
             Some(kept) => kept.records,
             None => {
                 let bar = Progress::new(scenarios().count() as u64, "flights")?;
-                let records = fly_sets(self.isa, &self.actor, &sets, &mut |flights| bar.inc(flights))?;
+                let interrupt = Interrupt::on_ctrl_c()?;
+                let records = fly_sets(self.isa, &self.actor, &sets, &mut |flights| {
+                    bar.inc(flights);
+                    match interrupt.came() {
+                        true => ControlFlow::Break(()),
+                        false => ControlFlow::Continue(()),
+                    }
+                })?;
                 bar.finish();
+                let Some(records) = records else {
+                    say!("interrupted: nothing of the evaluation is kept");
+                    return Ok(None);
+                };
                 let flights = Flights {
                     actor_sha256: self.actor.sha256(),
                     records: records.concat(),
@@ -385,12 +426,14 @@ impl Stage<'_> {
             .iter()
             .map(|set| records.by_ref().take(set.scenarios.len()).collect())
             .collect();
-        Ok((sets, flown))
+        Ok(Some((sets, flown)))
     }
 
     fn evaluate(&self, size: &EvaluationSize, detector: Option<&Path>) -> Result<()> {
         let frozen = self.detector(detector)?;
-        let (sets, records) = self.evaluation(size)?;
+        let Some((sets, records)) = self.evaluation(size)? else {
+            return Ok(());
+        };
         let judge = Judge::from_frozen(&frozen);
         let at = |threshold| {
             let judged = (sets.as_slice(), records.as_slice());
@@ -412,15 +455,21 @@ impl Stage<'_> {
             "at_threshold": in_flight,
         });
         self.write("evaluate.json", serde_json::to_string_pretty(&json)?)?;
-        self.write("roc.png", roc_png(&[&report]))?;
-        say!("written          {} and roc.png", self.path("evaluate.json").display());
+        self.write_figure("roc", &roc(&report))?;
+        say!(
+            "written          {}, roc.png and roc.svg",
+            self.path("evaluate.json").display()
+        );
         Ok(())
     }
 
-    /// The frozen LSTM-AD of this actor.
+    /// The frozen LSTM-AD of this actor: of the file, of the folder, or the one built in.
     fn detector(&self, file: Option<&Path>) -> Result<FrozenDetector> {
         let path = file.map_or_else(|| self.path("lstm_ad.safetensors"), Path::to_owned);
-        let frozen = FrozenDetector::load(&path).context("run `vigil detector train` first")?;
+        let frozen = match file.is_some() || path.exists() {
+            true => FrozenDetector::load(&path)?,
+            false => FrozenDetector::built_in()?,
+        };
         let (found, expected) = (frozen.actor_sha256.clone(), self.actor.sha256());
         if found != expected {
             return Err(DetectError::OtherActor { path, found, expected }.into());
@@ -428,8 +477,8 @@ impl Stage<'_> {
         Ok(frozen)
     }
 
-    fn times(&self, seed: u64, pictures: usize) -> Result<()> {
-        let detector = FrozenDetector::built_in()?;
+    fn times(&self, seed: u64, pictures: usize, detector: Option<&Path>) -> Result<()> {
+        let detector = self.detector(detector)?;
         let (record, times) = crate::detector_training::time(self.isa, &self.actor, &detector, seed, pictures)?;
         say!(
             "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
@@ -455,6 +504,22 @@ impl Stage<'_> {
             table.row([name.to_owned(), at(0.5), at(0.99), format!("{:.0} ms", 1e3 * paper_s)]);
         }
         say!("{table}");
+        let rows = rows.map(|(name, seconds, paper_s)| TimeRow {
+            part: name.to_owned(),
+            measured: seconds.len(),
+            median_s: quantile(seconds, 0.5),
+            p99_s: quantile(seconds, 0.99),
+            paper_s,
+        });
+        let report = TimesReport {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            actor_sha256: self.actor.sha256(),
+            seed,
+            isa: self.isa.name().to_owned(),
+            rows: rows.into(),
+        };
+        self.write("times.json", serde_json::to_string_pretty(&report)?)?;
+        say!("written          {}", self.path("times.json").display());
         Ok(())
     }
 
@@ -600,7 +665,9 @@ impl Stage<'_> {
 
     fn ablate(&self, size: &EvaluationSize) -> Result<()> {
         let flights = self.training_flights()?;
-        let (sets, records) = self.evaluation(size)?;
+        let Some((sets, records)) = self.evaluation(size)? else {
+            return Ok(());
+        };
         let config = LstmConfig::default();
         let mut reports = Vec::new();
         let mut table = TextTable::new([
@@ -616,10 +683,7 @@ impl Stage<'_> {
             let judge = self.train_on(feature, &flights, &config)?;
             let report =
                 crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, 0.5, (&sets, &records))?;
-            let untrained = report
-                .sets
-                .iter()
-                .filter(|s| s.role == crate::detector_training::Role::Untrained);
+            let untrained = report.sets.iter().filter(|s| s.role == Role::Untrained);
             let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
             let s = &report.separation;
             table.row([
@@ -635,9 +699,17 @@ impl Stage<'_> {
         }
         say!("{table}");
         self.write("ablate.json", serde_json::to_string_pretty(&reports)?)?;
-        self.write("ablate.png", roc_png(&reports.iter().collect::<Vec<_>>()))?;
-        say!("written          {} and ablate.png", self.path("ablate.json").display());
+        self.write_figure("ablate", &roc_of_features(&reports))?;
+        say!(
+            "written          {}, ablate.png and ablate.svg",
+            self.path("ablate.json").display()
+        );
         Ok(())
+    }
+
+    fn write_figure(&self, name: &str, figure: &Figure) -> Result<()> {
+        self.write(&format!("{name}.png"), figure.png())?;
+        self.write(&format!("{name}.svg"), figure.svg())
     }
 
     fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<()> {
@@ -710,29 +782,57 @@ fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
             [("accuracy", over(|e| 100.0 * e.choose_accuracy))],
         ),
     ];
-    Figure {
-        x_label: "epoch".to_owned(),
-        x_last: epochs.len() as f64,
-        panels: panels.into(),
-    }
-    .png()
+    Figure::over("epoch", epochs.len() as f64, panels.into()).png()
 }
 
-fn roc_png(reports: &[&Report]) -> Vec<u8> {
-    let curves = |limit: f64| {
-        reports.iter().map(move |r| {
-            let inside = r.roc.iter().copied().filter(move |(x, _)| *x <= limit);
-            (r.feature.name(), inside.collect::<Vec<_>>())
-        })
-    };
-    // The corner that counts; the rest of the square is flat.
-    const LIMIT: f64 = 0.05;
-    Figure {
-        x_label: "false alarms, share of the clean windows (the rest of the axis is flat)".to_owned(),
-        x_last: LIMIT,
-        panels: vec![Panel::new("ROC", "attacked windows found, share", curves(LIMIT))],
+/// ROC of the paper's attack and of each other one that was flown, over the corner that counts.
+pub(crate) fn roc(report: &Report) -> Figure {
+    let others = report
+        .sets
+        .iter()
+        .filter(|s| s.role != Role::Paper && !s.roc.is_empty());
+    let name = |s: &SetReport| s.name.split(' ').next().unwrap_or_default().to_owned();
+    // The hardest of each method: the others lie above it.
+    let mut hardest: Vec<(String, &SetReport)> = Vec::new();
+    for set in others {
+        match hardest.iter_mut().find(|(method, _)| *method == name(set)) {
+            Some((_, kept)) if auc(&set.roc) < auc(&kept.roc) => *kept = set,
+            Some(_) => {}
+            None => hardest.push((name(set), set)),
+        }
     }
-    .png()
+    hardest.sort_by(|a, b| auc(&a.1.roc).total_cmp(&auc(&b.1.roc)));
+    // More lines than these would hide each other along the upper edge.
+    let shown = hardest
+        .iter()
+        .take(4)
+        .rev()
+        .map(|(method, set)| (method.as_str(), set.roc.clone()));
+    roc_figure([("the paper's", report.roc.clone())].into_iter().chain(shown))
+}
+
+fn roc_of_features(reports: &[Report]) -> Figure {
+    roc_figure(reports.iter().map(|r| (r.feature.name(), r.roc.clone())))
+}
+
+fn roc_figure<'a>(curves: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Figure {
+    /// The corner that counts: the rest of the axis is flat.
+    const LIMIT: f64 = 0.05;
+    let corner = |points: Vec<(f64, f64)>| {
+        let mut shown: Vec<(f64, f64)> = points.iter().copied().take_while(|(x, _)| *x <= LIMIT).collect();
+        // Up to the edge, between the points on both of its sides.
+        if let (Some(a), Some(b)) = (shown.last().copied(), points.get(shown.len())) {
+            shown.push((LIMIT, a.1 + (b.1 - a.1) * (LIMIT - a.0) / (b.0 - a.0)));
+        }
+        shown
+    };
+    let curves = curves.into_iter().map(|(name, points)| (name, corner(points)));
+    let panel = Panel::new("Found over false alarms", "attacked windows found (share)", curves);
+    Figure::over(
+        "false alarms (share of the unattacked windows; beyond 0.05 the curves are flat)",
+        LIMIT,
+        vec![panel],
+    )
 }
 
 fn text(report: &Report) -> String {

@@ -1,24 +1,93 @@
-//! `vigil detector figures`: the paper's figures 12 to 14 of one flight.
+//! `vigil detector figures`: the paper's figures 12 to 14 of one flight. What they are drawn from is left beside them, so that
+//! `vigil reproduce` draws the same.
 
 use crate::cli::output::{self, range_grey, say};
-use crate::detector_training::{Adversary, ExplainedFrame, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
-use crate::report::{Figure, Panel, decimals, maybe_decimals, to_csv};
-use anyhow::{Context, Result};
-use serde::Serialize;
+use crate::detector_training::{Adversary, ExplainedStep, Frame, Plan, Portrait, Scenario, portray};
+use crate::report::{ColourScale, Figure, Panel, Picture, Plate, decimals, maybe_decimals, png_bytes, to_csv};
+use anyhow::{Context, Result, ensure};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use vigil_adversary::AttackConfig;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
-use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Judgement, STEP_S, Verdict};
-use vigil_world::{Family, Image};
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, STEP_S, Verdict};
+use vigil_world::Family;
 
 /// Steps that `--attacked` alters.
 const BURST: core::ops::Range<u64> = 100..150;
-/// White between the pictures of figure 12, pixels.
-const GAP: usize = 4;
 /// Share of the pixels whose SHAP values are not beyond the colours' full strength.
 const STRONG: f64 = 0.998;
+/// A SHAP value of nothing, and a byte's steps on either side of it.
+const NOTHING: u8 = 128;
+const LEVELS: f32 = 127.0;
+/// Colours of pixels that turn right and left, distinguishable with every kind of colour vision.
+const RIGHT: [f32; 3] = [213.0, 94.0, 0.0];
+const LEFT: [f32; 3] = [0.0, 114.0, 178.0];
+
+/// The flight that figures 12 to 14 show, as `pixels.json` has it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct Pixels {
+    pub version: String,
+    pub actor_sha256: String,
+    pub detector_sha256: String,
+    /// Validation course.
+    pub seed: u64,
+    /// Steps of the flight, and those attacked.
+    pub steps: usize,
+    pub attacked: Option<(u64, u64)>,
+    pub outcome: String,
+    /// A score above it is an attack.
+    pub threshold: f32,
+    /// SHAP value of the colours' full strength, action units.
+    pub full_strength: f64,
+    pub frames: Vec<PixelFrame>,
+}
+
+/// A frame and what its pixels contributed: grey PNGs of 256 × 128, in base64.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct PixelFrame {
+    pub step: usize,
+    pub altered: bool,
+    /// As it is shown: near is bright.
+    depth_png: String,
+    /// 128 is nothing, 255 turns right and 1 left at full strength.
+    shap_png: String,
+}
+
+fn packed(pixels: &[u8]) -> String {
+    let size = (DEPTH_COLS as u32, DEPTH_ROWS as u32);
+    BASE64.encode(png_bytes(size, png::ColorType::Grayscale, pixels, false))
+}
+
+fn unpacked(text: &str) -> Result<Vec<u8>> {
+    let mut reader = png::Decoder::new(std::io::Cursor::new(BASE64.decode(text)?)).read_info()?;
+    let mut pixels = vec![0; DEPTH_PIXELS];
+    ensure!(
+        reader.output_buffer_size() == Some(DEPTH_PIXELS),
+        "a picture of another size"
+    );
+    reader.next_frame(&mut pixels)?;
+    Ok(pixels)
+}
+
+impl Pixels {
+    fn of(portrait: &Portrait) -> (f64, Vec<PixelFrame>) {
+        let frames = &portrait.frames;
+        let sizes: Vec<f64> = frames.iter().flat_map(|f| &f.phi).map(|v| f64::from(v.abs())).collect();
+        let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9);
+        let level = |value: f32| (LEVELS * (value / full as f32).clamp(-1.0, 1.0)).round() as i16 + i16::from(NOTHING);
+        let frame = |f: &crate::detector_training::ExplainedFrame| PixelFrame {
+            step: f.number,
+            altered: f.frame == Frame::Attacked,
+            depth_png: packed(&f.depth.iter().map(|range| range_grey(*range)[0]).collect::<Vec<_>>()),
+            shap_png: packed(&f.phi.iter().map(|value| level(*value) as u8).collect::<Vec<_>>()),
+        };
+        (full, frames.iter().map(frame).collect())
+    }
+}
 
 /// Flies validation course `seed`, attacked or not, and draws into the folder.
 ///
@@ -46,13 +115,35 @@ pub fn draw(
         say!("{}", path.display());
         output::write(&path, content)
     };
-    figure_12(&portrait.frames).write_png(&folder.join("figure-12.png"))?;
-    say!("{}", folder.join("figure-12.png").display());
     let steps = &portrait.steps;
-    let last_s = seconds(steps.len());
-    write("figure-13.png", &over_time(contributions(steps), last_s))?;
-    write("figure-14.png", &over_time(sum_and_action(steps), last_s))?;
-    write("explanations.csv", explanations_csv(&portrait).as_bytes())?;
+    let (full_strength, frames) = Pixels::of(&portrait);
+    let pixels = Pixels {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        actor_sha256: actor.sha256(),
+        detector_sha256: detector.sha256(),
+        seed,
+        steps: steps.len(),
+        attacked: attacked.then_some((BURST.start, BURST.end)),
+        outcome: record
+            .outcome
+            .map_or("cut off".to_owned(), |o| format!("{o:?}").to_lowercase()),
+        threshold: detector.threshold,
+        full_strength,
+        frames,
+    };
+    let lines = explanations(&portrait);
+    write("pixels.json", &serde_json::to_vec_pretty(&pixels)?)?;
+    write("explanations.csv", to_csv(&lines).as_bytes())?;
+    let plate = figure_12(&pixels)?;
+    write("figure-12.png", &plate.png())?;
+    write("figure-12.svg", plate.svg().as_bytes())?;
+    for (name, figure) in [
+        ("figure-13", figure_13(&pixels, &lines)),
+        ("figure-14", figure_14(&pixels, &lines)),
+    ] {
+        write(&format!("{name}.png"), &figure.png())?;
+        write(&format!("{name}.svg"), figure.svg().as_bytes())?;
+    }
     say!(
         "validation course {seed}, {} steps{}, flight ended: {}",
         steps.len(),
@@ -61,9 +152,7 @@ pub fn draw(
         } else {
             String::new()
         },
-        record
-            .outcome
-            .map_or("cut off".to_owned(), |o| format!("{o:?}").to_lowercase())
+        pixels.outcome
     );
     Ok(())
 }
@@ -72,120 +161,137 @@ fn seconds(step: usize) -> f64 {
     step as f64 * f64::from(STEP_S)
 }
 
-/// Beside each frame (near is bright) the SHAP values of its pixels for the yaw output: red turns right, green left. One scale for all.
-fn figure_12(frames: &[ExplainedFrame]) -> Image {
-    let sizes: Vec<f64> = frames.iter().flat_map(|f| &f.phi).map(|v| f64::from(v.abs())).collect();
-    let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
-    let row = DEPTH_ROWS + GAP;
-    Image::from_fn(2 * DEPTH_COLS + GAP, frames.len() * row, |x, y| {
-        let (Some(frame), y) = (frames.get(y / row), y % row) else {
-            return [255; 3];
-        };
-        let x_of = |from: usize| x.checked_sub(from).filter(|x| *x < DEPTH_COLS && y < DEPTH_ROWS);
-        if let Some(x) = x_of(0) {
-            return range_grey(frame.depth[y * DEPTH_COLS + x]);
+/// White to the colour of the direction, by how strong.
+fn shap_colour(level: u8) -> [u8; 3] {
+    let value = (f32::from(level) - f32::from(NOTHING)) / LEVELS;
+    let full = if value > 0.0 { RIGHT } else { LEFT };
+    full.map(|c| (255.0 + value.abs().min(1.0) * (c - 255.0)).round() as u8)
+}
+
+/// Beside each frame the SHAP values of its pixels for the yaw output. One scale for all.
+///
+/// # Errors
+/// Pictures that are none.
+pub(crate) fn figure_12(pixels: &Pixels) -> Result<Plate> {
+    let row = |frame: &PixelFrame| {
+        let depth: Vec<u8> = unpacked(&frame.depth_png)?.iter().flat_map(|grey| [*grey; 3]).collect();
+        let shap = unpacked(&frame.shap_png)?
+            .iter()
+            .flat_map(|level| shap_colour(*level))
+            .collect();
+        let mut words = vec![format!("{:.1} s", seconds(frame.step))];
+        if frame.altered {
+            words.push("attacked".to_owned());
         }
-        let Some(x) = x_of(DEPTH_COLS + GAP) else {
-            return [255; 3];
-        };
-        let value = (frame.phi[y * DEPTH_COLS + x] / full).clamp(-1.0, 1.0);
-        let faded = (255.0 * (1.0 - value.abs())) as u8;
-        if value > 0.0 {
-            [255, faded, faded]
-        } else {
-            [faded, 255 - (255 - faded) / 2, faded]
-        }
+        Ok((words, [depth, shap]))
+    };
+    let greys: Vec<[u8; 3]> = (0..=255u8).rev().map(|grey| [grey; 3]).collect();
+    // A range's place on the scale: its grey is 255 / (1 + range / 3 m).
+    let place = |range_m: f64| (1.0 - 1.0 / (1.0 + range_m / 3.0), format!("{range_m}"));
+    let full = format!("{:.4}", pixels.full_strength);
+    Ok(Plate {
+        title: format!("Pixels that turn the vehicle, validation course {}", pixels.seed),
+        columns: [
+            (
+                "newest depth frame".to_owned(),
+                ColourScale {
+                    label: "range (m)".to_owned(),
+                    ticks: [0.0, 1.0, 3.0, 10.0, 100.0].map(place).into(),
+                    colours: greys,
+                },
+            ),
+            (
+                "SHAP values for the yaw output".to_owned(),
+                ColourScale {
+                    label: "SHAP value of a pixel (action units): blue turns left, orange right".to_owned(),
+                    ticks: vec![(0.0, format!("−{full}")), (0.5, "0".to_owned()), (1.0, full)],
+                    colours: (1..=255).map(shap_colour).collect(),
+                },
+            ),
+        ],
+        size: (DEPTH_COLS as u32, DEPTH_ROWS as u32),
+        rows: pixels.frames.iter().map(row).collect::<Result<_>>()?,
     })
 }
 
+fn over_time(pixels: &Pixels, panels: Vec<Panel>) -> Figure {
+    let mut figure = Figure::over("time (s)", seconds(pixels.steps), panels);
+    figure.spans = pixels.attacked.map(|(from, to)| {
+        (
+            "attacked".to_owned(),
+            vec![(seconds(from as usize), seconds(to as usize))],
+        )
+    });
+    figure
+}
+
 /// A quantity over time.
-fn line(steps: &[ExplainedStep], value: impl Fn(&ExplainedStep) -> f32) -> Vec<(f64, f64)> {
-    let at = |(number, step)| (seconds(number), f64::from(value(step)));
-    steps.iter().enumerate().map(at).collect()
+fn line(lines: &[ExplanationLine], value: impl Fn(&ExplanationLine) -> f32) -> Vec<(f64, f64)> {
+    lines.iter().map(|l| (l.time_s, f64::from(value(l)))).collect()
 }
 
-fn over_time(panels: Vec<Panel>, last_s: f64) -> Vec<u8> {
-    Figure {
-        x_label: "time (s)".to_owned(),
-        x_last: last_s,
-        panels,
-    }
-    .png()
-}
-
-fn contributions(steps: &[ExplainedStep]) -> Vec<Panel> {
-    let of = |value: fn(&Judgement) -> f32| line(steps, move |s| value(&s.judgement));
-    vec![
-        Panel::new(
-            "SHAP values of the yaw output",
-            "SHAP value (action units)",
-            [
-                ("image", of(|j| j.image)),
-                ("bearing", of(|j| j.bearing)),
-                ("distance", of(|j| j.distance)),
-            ],
-        ),
-        Panel::new(
-            "Score of the detector",
-            "score",
-            [("score", of(|j| j.score.unwrap_or(f32::NAN)))],
-        ),
-        Panel::new(
-            "Frames altered",
-            "altered (1: yes)",
-            [(
-                "altered",
-                line(steps, |s| f32::from(u8::from(s.step.frame == Frame::Attacked))),
-            )],
-        ),
-    ]
+/// What moved the yaw output, and what the detector made of it.
+pub(crate) fn figure_13(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
+    let mut score = Panel::new(
+        "Score of the detector",
+        "score",
+        [("score", line(lines, |l| l.score.unwrap_or(f32::NAN)))],
+    );
+    let threshold = f64::from(pixels.threshold);
+    score.thresholds.push((format!("threshold {threshold:.3}"), threshold));
+    let contributions = Panel::new(
+        "SHAP values of the yaw output",
+        "SHAP (units of 30 °/s)",
+        [
+            ("image", line(lines, |l| l.image)),
+            ("bearing", line(lines, |l| l.bearing)),
+            ("distance", line(lines, |l| l.distance)),
+        ],
+    );
+    over_time(pixels, vec![contributions, score])
 }
 
 /// By additivity the two lines are one.
-fn sum_and_action(steps: &[ExplainedStep]) -> Vec<Panel> {
-    let sum = |j: &Judgement| j.base + j.image + j.bearing + j.distance;
-    vec![
-        Panel::new(
-            "Yaw output, and mean of the background plus SHAP values",
-            "yaw output (units of 30 °/s)",
-            [
-                ("yaw output", line(steps, |s| s.step.output[1])),
-                ("explained", line(steps, |s| sum(&s.judgement))),
-            ],
-        ),
-        Panel::new(
-            "Difference",
-            "units of 30 °/s",
-            [(
-                "explained - yaw output",
-                line(steps, |s| sum(&s.judgement) - s.step.output[1]),
-            )],
-        ),
-    ]
+pub(crate) fn figure_14(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
+    let sum = |l: &ExplanationLine| l.base + l.image + l.bearing + l.distance;
+    let both = Panel::new(
+        "Yaw output, and the sum that explains it",
+        "yaw (units of 30 °/s)",
+        [
+            ("yaw output", line(lines, |l| l.yaw)),
+            ("constant + SHAP values", line(lines, sum)),
+        ],
+    );
+    let difference = Panel::new(
+        "Sum less yaw output",
+        "millionths of 30 °/s",
+        [("difference", line(lines, |l| 1e6 * (sum(l) - l.yaw)))],
+    );
+    over_time(pixels, vec![both, difference])
 }
 
 /// A line of `explanations.csv`.
-#[derive(Serialize)]
-struct ExplanationLine {
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(crate) struct ExplanationLine {
     #[serde(serialize_with = "decimals::<2, _, _>")]
-    time_s: f64,
-    altered: u8,
-    #[serde(serialize_with = "decimals::<5, _, _>")]
-    yaw: f32,
-    #[serde(serialize_with = "decimals::<5, _, _>")]
-    base: f32,
-    #[serde(serialize_with = "decimals::<5, _, _>")]
-    image: f32,
-    #[serde(serialize_with = "decimals::<5, _, _>")]
-    bearing: f32,
-    #[serde(serialize_with = "decimals::<5, _, _>")]
-    distance: f32,
-    #[serde(serialize_with = "maybe_decimals::<5, _, _>")]
-    score: Option<f32>,
-    verdict: &'static str,
+    pub time_s: f64,
+    pub altered: u8,
+    #[serde(serialize_with = "decimals::<7, _, _>")]
+    pub yaw: f32,
+    #[serde(serialize_with = "decimals::<7, _, _>")]
+    pub base: f32,
+    #[serde(serialize_with = "decimals::<7, _, _>")]
+    pub image: f32,
+    #[serde(serialize_with = "decimals::<7, _, _>")]
+    pub bearing: f32,
+    #[serde(serialize_with = "decimals::<7, _, _>")]
+    pub distance: f32,
+    #[serde(serialize_with = "maybe_decimals::<7, _, _>")]
+    pub score: Option<f32>,
+    pub verdict: String,
 }
 
-fn explanations_csv(portrait: &Portrait) -> String {
+fn explanations(portrait: &Portrait) -> Vec<ExplanationLine> {
     let line = |(number, ExplainedStep { step, judgement: j }): (usize, &ExplainedStep)| ExplanationLine {
         time_s: seconds(number),
         altered: (step.frame == Frame::Attacked).into(),
@@ -199,7 +305,8 @@ fn explanations_csv(portrait: &Portrait) -> String {
             Verdict::Unknown => "unknown",
             Verdict::Clean => "clean",
             Verdict::Attack => "attack",
-        },
+        }
+        .to_owned(),
     };
-    to_csv(portrait.steps.iter().enumerate().map(line))
+    portrait.steps.iter().enumerate().map(line).collect()
 }

@@ -13,6 +13,7 @@ mod pilot;
 mod recover;
 mod replay;
 mod report;
+mod reproduce;
 mod rollout;
 mod scene;
 mod sensor;
@@ -22,7 +23,9 @@ pub(crate) use log::write_report as write_flight_report;
 pub(crate) use scene::of as scene_of;
 
 use crate::attack_campaigns as attack;
+use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 /// Fly a quadcopter through obstacles in simulation, or any PX4 or ArduPilot vehicle.
@@ -49,6 +52,7 @@ Examples:
   vigil fly --seed 7 --log runs/          fly validation course 7 and keep the log
   vigil evaluate --flights 200 --seed 1   200 flights, faster than real time, with confidence intervals
   vigil replay runs/flight.mcap           run the tick over recorded inputs and compare every byte
+  vigil reproduce --committed             every table and figure from the committed data, in seconds
   vigil courses draw --seed 7 -o 7.png    see a course
   vigil sim                               the simulated vehicle alone, for MAVSDK and pymavlink scripts
   vigil firmware --link udpin://0.0.0.0:14540 --allow-unsigned always
@@ -78,7 +82,9 @@ enum Command {
     Train(train::TrainArgs),
     /// Train an expert or an actor by value: critics that see the true state, reward along the shortest free way.
     Learn(learn::LearnArgs),
-    /// Table I and figures 9 and 10 from the logs of training runs.
+    /// Every table and figure of the paper and ours, from data or flown anew, on one page.
+    Reproduce(reproduce::ReproduceArgs),
+    /// Table I and figures 9 and 10 from the logs of training runs of yours.
     Report(report::ReportArgs),
     /// Judge an actor alone, the potential field off and on.
     Rollout(rollout::RolloutArgs),
@@ -99,7 +105,22 @@ pub fn main() -> ExitCode {
     {
         return output::finish(Err(error));
     }
-    let result = match cli.command.unwrap_or_else(|| Command::Fly(fly::FlyArgs::default())) {
+    output::finish(execute(
+        cli.command.unwrap_or_else(|| Command::Fly(fly::FlyArgs::default())),
+    ))
+}
+
+/// Runs a command as it would be typed, the program's name first, within another one.
+///
+/// # Errors
+/// The command's, and words that are none.
+fn run_words(words: Vec<OsString>) -> Result<ExitCode> {
+    let cli = Cli::try_parse_from(words)?;
+    execute(cli.command.context("no command")?)
+}
+
+fn execute(command: Command) -> Result<ExitCode> {
+    match command {
         Command::Fly(args) => fly::run(&args),
         Command::Sim(args) => vigil_sim::program::run(args),
         Command::Firmware(args) => vigil_firmware::program::run(args),
@@ -116,6 +137,6 @@ pub fn main() -> ExitCode {
         Command::Detector(args) => detector::run(&args),
         Command::Sensor(args) => sensor::run(&args),
         Command::Courses(args) => courses::run(&args),
-    };
-    output::finish(result)
+        Command::Reproduce(args) => reproduce::run(&args),
+    }
 }

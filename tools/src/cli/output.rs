@@ -23,6 +23,8 @@ pub const EXIT_INTERRUPTED: u8 = 130;
 static OUTPUT_FAILURE: OnceLock<io::Error> = OnceLock::new();
 /// Standard output carries a report, so what is for people goes to standard error.
 static REPORT_ON_STDOUT: AtomicBool = AtomicBool::new(false);
+/// A command runs as a part of another one, which tells what came of it.
+static QUIET: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line to standard output, as `println!` does, but survives a reader that has gone (`… | head`). Any other
 /// failure is told when the program ends ([`finish`]).
@@ -51,11 +53,22 @@ pub fn put_line(text: Arguments<'_>) {
 
 #[doc(hidden)]
 pub fn put_text(text: Arguments<'_>) {
+    if QUIET.load(Ordering::Relaxed) {
+        return;
+    }
     if REPORT_ON_STDOUT.load(Ordering::Relaxed) {
         let _ = io::stderr().write_fmt(text);
     } else if let Err(error) = io::stdout().write_fmt(text) {
         OUTPUT_FAILURE.get_or_init(|| error);
     }
+}
+
+/// Runs `work`, whose words to standard output are dropped; progress and warnings are not.
+pub fn quietly<T>(work: impl FnOnce() -> T) -> T {
+    QUIET.store(true, Ordering::Relaxed);
+    let result = work();
+    QUIET.store(false, Ordering::Relaxed);
+    result
 }
 
 #[doc(hidden)]
@@ -124,11 +137,16 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
 pub struct Interrupt(Arc<AtomicBool>);
 
 impl Interrupt {
-    /// Takes the signals from now on.
+    /// Takes the signals from now on. Whoever asks for it after the first gets the same: a command may run others.
     ///
     /// # Errors
     /// Something else takes them already.
     pub fn on_ctrl_c() -> Result<Self> {
+        static TAKEN: Mutex<Option<Interrupt>> = Mutex::new(None);
+        let mut taken = TAKEN.lock().map_err(|_| anyhow::anyhow!("another thread failed"))?;
+        if let Some(interrupt) = &*taken {
+            return Ok(interrupt.clone());
+        }
         let interrupt = Self(Arc::default());
         let flag = interrupt.clone();
         ctrlc::set_handler(move || {
@@ -137,6 +155,7 @@ impl Interrupt {
             }
         })
         .context("cannot install the Ctrl-C handler")?;
+        *taken = Some(interrupt.clone());
         Ok(interrupt)
     }
 

@@ -3,7 +3,7 @@
 use crate::actor_training::value::ValueResult;
 use crate::actor_training::{FlightCount, FlightLine, RunResult};
 use crate::cli::output::{self, put, say};
-use crate::report::{Figure, Panel, Series, from_csv};
+use crate::report::{Figure, Panel, Picture, Series, from_csv};
 use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -94,27 +94,66 @@ struct Run {
     flights: Vec<Flight>,
 }
 
-struct Arm {
-    name: &'static str,
+/// The runs with the field, or those without.
+pub(crate) struct Arm {
+    pub name: &'static str,
     runs: Vec<Run>,
 }
 
-/// Reads the runs, prints table I and draws the figures.
+/// What the test of a run came to.
+pub(crate) struct Test {
+    pub seed: u64,
+    pub decisions: u64,
+    pub flights: usize,
+    pub successes: usize,
+    pub completion: f64,
+    /// Wilson's, 95 %.
+    pub interval: (f64, f64),
+}
+
+impl Arm {
+    /// The test of each run.
+    pub fn tests(&self) -> impl Iterator<Item = Test> {
+        self.runs.iter().map(|Run { result: r, .. }| Test {
+            seed: r.seed,
+            decisions: r.decisions,
+            flights: r.test.flights,
+            successes: r.test.successes,
+            completion: r.test.completion,
+            interval: r.test.wilson_95,
+        })
+    }
+
+    /// Mean completion over the seeds, and half of its 95 % interval.
+    pub fn mean(&self) -> (f64, Option<f64>) {
+        let shares: Vec<f64> = self.tests().map(|test| test.completion).collect();
+        mean_and_interval(&shares)
+    }
+
+    /// Mean reward of the last flights of each run.
+    pub fn last_rewards(&self) -> Vec<f64> {
+        self.last(rewards)
+    }
+
+    /// Share of the last flights of each run that reached the goal.
+    pub fn last_shares(&self) -> Vec<f64> {
+        self.last(shares)
+    }
+
+    fn last(&self, curve: fn(&Run) -> Vec<(f64, f64)>) -> Vec<f64> {
+        let ends = self.runs.iter().filter_map(|run| Some(curve(run).last()?.1));
+        ends.collect()
+    }
+}
+
+/// The runs in these folders, those with the field first.
 ///
 /// # Errors
 /// No run, or a file of one that cannot be read.
-pub fn run(args: &ReportArgs) -> Result<ExitCode> {
-    let mut arms = [
-        Arm {
-            name: "DDPG-APF",
-            runs: Vec::new(),
-        },
-        Arm {
-            name: "DDPG",
-            runs: Vec::new(),
-        },
-    ];
-    for folder in folders(&args.runs)? {
+pub(crate) fn arms(given: &[PathBuf]) -> Result<Vec<Arm>> {
+    let empty = |name| Arm { name, runs: Vec::new() };
+    let mut arms = [empty("DDPG-APF"), empty("DDPG")];
+    for folder in folders(given)? {
         let run = read(&folder)?;
         let [with, without] = &mut arms;
         let arm = if run.result.apf_share > 0.0 { with } else { without };
@@ -124,12 +163,21 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
     ensure!(
         !arms.is_empty(),
         "no run in {}: `vigil train -o DIR` makes one",
-        args.runs
+        given
             .iter()
             .map(|p| p.display().to_string())
             .collect::<Vec<_>>()
             .join(", ")
     );
+    Ok(arms)
+}
+
+/// Reads the runs, prints table I and draws the figures.
+///
+/// # Errors
+/// No run, or a file of one that cannot be read.
+pub fn run(args: &ReportArgs) -> Result<ExitCode> {
+    let arms = arms(&args.runs)?;
     let table = table(&arms);
     put!("{table}");
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot make {}", args.output.display()))?;
@@ -226,13 +274,12 @@ fn table(arms: &[Arm]) -> String {
                 r.test.time_outs
             );
         }
-        let shares: Vec<f64> = arm.runs.iter().map(|r| r.result.test.completion).collect();
-        let (mean, half) = mean_and_interval(&shares);
+        let (mean, half) = arm.mean();
         let _ = writeln!(
             text,
             "| **{}, {} seeds** | | | | | | **{:.2} %** | {} | | |",
             arm.name,
-            shares.len(),
+            arm.runs.len(),
             100.0 * mean,
             half.map_or_else(
                 || "one run".to_owned(),
@@ -244,7 +291,7 @@ fn table(arms: &[Arm]) -> String {
 }
 
 /// Mean, and half of Student's 95 % interval of the mean; none of a single value.
-fn mean_and_interval(values: &[f64]) -> (f64, Option<f64>) {
+pub(crate) fn mean_and_interval(values: &[f64]) -> (f64, Option<f64>) {
     /// 97.5 % quantiles of Student's t with 1 to 9 degrees of freedom.
     const T: [f64; 9] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262];
     let n = values.len() as f64;
@@ -301,48 +348,52 @@ fn over_seeds(label: &str, runs: &[Vec<(f64, f64)>]) -> Series {
 }
 
 fn over_flights(arms: &[Arm], panels: Vec<Panel>) -> Figure {
-    Figure {
-        x_label: "training flight (those of the warm-up are left out)".to_owned(),
-        x_last: longest(arms),
+    Figure::over(
+        "training flight (those of the warm-up are left out)",
+        longest(arms),
         panels,
-    }
+    )
+}
+
+/// Rolling mean of a run's rewards.
+fn rewards(run: &Run) -> Vec<(f64, f64)> {
+    rolling(&own(run, |f| f.reward), ROLLING_REWARDS)
+}
+
+/// Rolling share of a run's flights that reached the goal.
+fn shares(run: &Run) -> Vec<(f64, f64)> {
+    let reached = |f: &Flight| f64::from(u8::from(f.success));
+    rolling(&own(run, reached), ROLLING_SUCCESSES)
 }
 
 /// Rolling mean of the training flights' reward: mean over the seeds and their range.
-fn figure_9(arms: &[Arm]) -> Figure {
+pub(crate) fn figure_9(arms: &[Arm]) -> Figure {
     let series = arms.iter().map(|arm| {
-        let means: Vec<_> = arm
-            .runs
-            .iter()
-            .map(|r| rolling(&own(r, |f| f.reward), ROLLING_REWARDS))
-            .collect();
+        let means: Vec<_> = arm.runs.iter().map(rewards).collect();
         over_seeds(&format!("{}, {} seeds", arm.name, means.len()), &means)
     });
     let panel = Panel {
         title: format!("Reward, mean of the last {ROLLING_REWARDS} flights (band: all seeds)"),
-        y_label: "reward".to_owned(),
+        y_label: "reward (m and bonuses)".to_owned(),
         series: series.collect(),
         thresholds: Vec::new(),
+        top: None,
     };
     over_flights(arms, vec![panel])
 }
 
 /// Share of the last ten training flights that reached the goal: mean over the seeds and their range.
-fn figure_10(arms: &[Arm]) -> Figure {
+pub(crate) fn figure_10(arms: &[Arm]) -> Figure {
     let series = arms.iter().map(|arm| {
-        let reached = |f: &Flight| f64::from(u8::from(f.success));
-        let shares: Vec<_> = arm
-            .runs
-            .iter()
-            .map(|r| rolling(&own(r, reached), ROLLING_SUCCESSES))
-            .collect();
+        let shares: Vec<_> = arm.runs.iter().map(shares).collect();
         over_seeds(&format!("{}, {} seeds", arm.name, shares.len()), &shares)
     });
     let panel = Panel {
         title: format!("Share of the last {ROLLING_SUCCESSES} flights that reached the goal (band: all seeds)"),
-        y_label: "share".to_owned(),
+        y_label: "share of flights".to_owned(),
         series: series.collect(),
         thresholds: Vec::new(),
+        top: None,
     };
     over_flights(arms, vec![panel])
 }

@@ -7,16 +7,16 @@ use crate::detector_training::metrics::Separation;
 use crate::detector_training::pixels::{State, States};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
 use vigil_nnet::{Activation, Graph, Isa};
 use vigil_policy::actor::ACTOR_FRAMES;
 
 /// A detector's row of the table.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TableRow {
     /// The detector.
-    pub detector: &'static str,
+    pub detector: String,
     /// The paper's accuracy.
     pub paper: f64,
     /// Ours.
@@ -183,13 +183,13 @@ pub fn lstm_scores(isa: Isa, params: &[f32], judge: &Judge, states: &States) -> 
 }
 
 /// A row from scores of the states, in their order.
-pub fn row(detector: &'static str, paper: f64, threshold: f32, states: &States, scores: &[f32]) -> TableRow {
+pub fn row(detector: &str, paper: f64, threshold: f32, states: &States, scores: &[f32]) -> TableRow {
     let of = |attacked: bool| -> Vec<f32> {
         let class = states.states.iter().zip(scores).filter(|(s, _)| s.attacked == attacked);
         class.map(|(_, score)| *score).collect()
     };
     TableRow {
-        detector,
+        detector: detector.to_owned(),
         paper,
         separation: Separation::of(threshold, &of(true), &of(false)),
     }

@@ -4,13 +4,14 @@ use crate::detector_training::error::DetectError;
 use crate::detector_training::features::Feature;
 use crate::detector_training::flight_files::Class;
 use crate::detector_training::lstm::Judge;
-use crate::detector_training::metrics::{Proportion, Separation, roc};
+use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
 use crate::detector_training::recorded_flight::{Ending, Frame, Record, fly};
 use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
 use vigil_adversary::{AttackConfig, EFFECTIVE_YAW, Method, Towards};
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
@@ -30,7 +31,7 @@ pub struct Set {
 }
 
 /// What a set is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Role {
     /// No altered frames: unattacked windows, false alarms.
@@ -144,7 +145,7 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
     sets
 }
 
-/// Flies them all; `progress` is called after each block of flights with how many.
+/// Flies them all; `progress` is called after each block of flights with how many, and may end it: nothing is returned then.
 ///
 /// # Errors
 /// Parameters of another architecture.
@@ -152,26 +153,28 @@ pub fn fly_sets(
     isa: Isa,
     actor: &FrozenActor,
     sets: &[Set],
-    progress: &mut dyn FnMut(u64),
-) -> Result<Vec<Vec<Record>>, DetectError> {
-    sets.iter()
-        .map(|set| {
-            let mut records = Vec::with_capacity(set.scenarios.len());
-            for block in set.scenarios.chunks(8) {
-                let flown = block
-                    .par_iter()
-                    .map(|scenario| fly(isa, actor, scenario, &mut ()))
-                    .collect::<Result<Vec<_>, _>>()?;
-                records.extend(flown);
-                progress(block.len() as u64);
+    progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
+) -> Result<Option<Vec<Vec<Record>>>, DetectError> {
+    let mut all = Vec::with_capacity(sets.len());
+    for set in sets {
+        let mut records = Vec::with_capacity(set.scenarios.len());
+        for block in set.scenarios.chunks(8) {
+            let flown = block
+                .par_iter()
+                .map(|scenario| fly(isa, actor, scenario, &mut ()))
+                .collect::<Result<Vec<_>, _>>()?;
+            records.extend(flown);
+            if progress(block.len() as u64).is_break() {
+                return Ok(None);
             }
-            Ok(records)
-        })
-        .collect()
+        }
+        all.push(records);
+    }
+    Ok(Some(all))
 }
 
 /// A set's result.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SetReport {
     /// Its name.
     pub name: String,
@@ -195,10 +198,13 @@ pub struct SetReport {
     pub delay_steps: Option<(f64, f64)>,
     /// Bursts in which an alarm was raised before they ended.
     pub bursts_noticed: Proportion,
+    /// Receiver operating characteristic of its attacked windows against those of the unattacked flights: its corners.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub roc: Vec<(f64, f64)>,
 }
 
 /// Detection over the number of altered rows in the window.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RowsReport {
     /// Altered rows among the ten; the newest is one.
     pub attacked_rows: usize,
@@ -209,7 +215,7 @@ pub struct RowsReport {
 }
 
 /// After an attack.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct AfterReport {
     /// Steps since the last altered frame.
     pub steps_after: usize,
@@ -218,7 +224,7 @@ pub struct AfterReport {
 }
 
 /// A judge's result on all sets.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// What the judge looks at.
     pub feature: Feature,
@@ -238,8 +244,8 @@ pub struct Report {
     pub after: Vec<AfterReport>,
     /// Each set.
     pub sets: Vec<SetReport>,
-    /// Receiver operating characteristic of the paper's attack.
-    #[serde(skip)]
+    /// Receiver operating characteristic of the paper's attack: its corners.
+    #[serde(default)]
     pub roc: Vec<(f64, f64)>,
 }
 
@@ -331,6 +337,7 @@ fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32) ->
         alarms_on_noise: above(&|r, step| r.steps.get(step).is_some_and(|s| s.frame == Frame::Noisy)),
         delay_steps: quantile(0.5).zip(quantile(0.9)),
         bursts_noticed: Proportion::new(noticed.len(), delays.len()),
+        roc: Vec::new(),
     }
 }
 
@@ -412,9 +419,17 @@ fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>
         sets: sets
             .iter()
             .zip(records.iter().zip(scores))
-            .map(|(set, (records, scores))| report_set(set, records, scores, threshold))
+            .map(|(set, (records, scores))| {
+                let mut report = report_set(set, records, scores, threshold);
+                let attacks = judged(records, scores).filter(|(r, step, _)| attacked(r, *step));
+                let attacks: Vec<f32> = attacks.map(|(.., score)| score).collect();
+                if !attacks.is_empty() {
+                    report.roc = corners(&roc(&attacks, &unattacked));
+                }
+                report
+            })
             .collect(),
-        roc: roc(&under_attack, &unattacked),
+        roc: corners(&roc(&under_attack, &unattacked)),
     }
 }
 

@@ -1,6 +1,6 @@
 //! How well scores tell two classes apart.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// Points of the receiver operating characteristic, from (0, 0) to (1, 1): false positive rate, true positive rate.
 pub fn roc(attacked: &[f32], unattacked: &[f32]) -> Vec<(f64, f64)> {
@@ -26,6 +26,20 @@ pub fn roc(attacked: &[f32], unattacked: &[f32]) -> Vec<(f64, f64)> {
     points
 }
 
+/// The same curve without the points that lie on a line between their neighbours.
+pub fn corners(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut kept: Vec<(f64, f64)> = Vec::new();
+    for point in points {
+        if let [.., a, b] = kept[..]
+            && ((b.0 - a.0) * (point.1 - a.1) - (b.1 - a.1) * (point.0 - a.0)).abs() < 1e-12
+        {
+            kept.pop();
+        }
+        kept.push(*point);
+    }
+    kept
+}
+
 /// Area under the curve: the chance that an attacked window scores higher than an unattacked one, ties counting half.
 pub fn auc(points: &[(f64, f64)]) -> f64 {
     let trapezia = points.windows(2).map(|w| (w[1].0 - w[0].0) * 0.5 * (w[0].1 + w[1].1));
@@ -39,7 +53,7 @@ pub fn true_positives_at(points: &[(f64, f64)], false_positives: f64) -> f64 {
 }
 
 /// A share with its 95 % interval (Wilson).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Proportion {
     /// How many.
     pub count: usize,
@@ -74,7 +88,7 @@ impl Proportion {
 }
 
 /// What a set of scores is worth.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Separation {
     /// Right verdicts at the threshold, on as many attacked as unattacked windows, evenly picked.
     pub accuracy: Proportion,
@@ -140,6 +154,22 @@ mod tests {
         assert_eq!(true_positives_at(&points, 0.0), 0.25);
         assert_eq!(true_positives_at(&points, 0.01), 0.5);
         assert_eq!(true_positives_at(&points, 1.0), 1.0);
+    }
+
+    #[test]
+    fn the_corners_of_a_curve_are_the_curve() {
+        let stairs = [
+            (0.0, 0.0),
+            (0.0, 0.25),
+            (0.0, 0.5),
+            (0.25, 0.5),
+            (0.5, 0.5),
+            (0.5, 1.0),
+            (1.0, 1.0),
+        ];
+        let kept = corners(&stairs);
+        assert_eq!(kept, [(0.0, 0.0), (0.0, 0.5), (0.5, 0.5), (0.5, 1.0), (1.0, 1.0)]);
+        assert_eq!(auc(&kept), auc(&stairs));
     }
 
     #[test]

@@ -24,7 +24,7 @@ pub use judging::{
     AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
 };
 pub use lstm::{Judge, LstmConfig, train, train_steps};
-pub use metrics::{Proportion, Separation, auc, roc, true_positives_at};
+pub use metrics::{Proportion, Separation, auc, corners, roc, true_positives_at};
 pub use pixels::{PixelExplainer, State, States, gather_states};
 pub use recorded_flight::{Ending, Frame, Onlooker, Record, Step, fly};
 pub use scenario::{Adversary, MAX_STEPS, Plan, Scenario};

@@ -1,38 +1,20 @@
-//! Line charts: panels one below the other over a common axis, as PNG at 300 dots per inch and as SVG.
+//! Line charts: panels one below the other over a common axis.
 
+use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, tick, ticks};
 use plotters::coord::Shift;
+use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, ValueFormatter};
 use plotters::prelude::*;
-use plotters::style::FontStyle;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use std::sync::Once;
+use std::ops::Range;
 
-/// Roboto (Apache-2.0), cut down to Latin, Greek and mathematical signs: the same letters on every machine.
-const FONT: &[u8] = include_bytes!("../../assets/Roboto-Regular.ttf");
-/// Size of a chart at 100 dots per inch, dots.
-const WIDTH: u32 = 700;
 const PANEL_HEIGHT: u32 = 190;
 const AXIS_HEIGHT: u32 = 22;
 /// Room for the upright axis.
 const LEFT: u32 = 62;
 /// Room for title and legend.
 const HEAD: u32 = 26;
-/// PNG dots per SVG dot.
-const PNG_SCALE: u32 = 3;
-/// Dots per metre of the PNG: 300 per inch.
-const DOTS_PER_M: u32 = 11_811;
-const INK: RGBColor = RGBColor(40, 42, 48);
-const GRID: RGBColor = RGBColor(226, 226, 222);
-const BACKGROUND: RGBColor = RGBColor(255, 255, 255);
-/// Distinguishable with every kind of colour vision (Okabe and Ito, 2008).
-const COLOURS: [RGBColor; 7] = [
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(86, 180, 233),
-    RGBColor(230, 159, 0),
-    RGBColor(110, 110, 110),
-];
+/// What times are shaded with.
+const SPAN: RGBColor = RGBColor(213, 94, 0);
 
 /// A line of a chart. Points that are not finite interrupt it.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,8 +47,10 @@ pub struct Panel {
     pub y_label: String,
     /// The lines.
     pub series: Vec<Series>,
-    /// Named levels, drawn dashed.
+    /// Named levels, drawn dashed; one without a name is not in the legend.
     pub thresholds: Vec<(String, f64)>,
+    /// The upright axis reaches at least this far.
+    pub top: Option<f64>,
 }
 
 impl Panel {
@@ -80,6 +64,7 @@ impl Panel {
                 .map(|(label, points)| Series::line(label, points))
                 .collect(),
             thresholds: Vec::new(),
+            top: None,
         }
     }
 
@@ -91,7 +76,11 @@ impl Panel {
             .iter()
             .flat_map(|s| s.band.iter().flat_map(|(_, a, b)| [*a, *b]));
         let levels = self.thresholds.iter().map(|(_, y)| *y);
-        let all = lines.chain(bands).chain(levels).filter(|y| y.is_finite());
+        let all = lines
+            .chain(bands)
+            .chain(levels)
+            .chain(self.top)
+            .filter(|y| y.is_finite());
         let (low, high) = all.fold((0.0_f64, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
         let high = if high > low { high } else { low + 1.0 };
         let room = 0.05 * (high - low);
@@ -99,125 +88,167 @@ impl Panel {
     }
 }
 
+/// How values are spread along the common axis.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Scale {
+    /// From 0, evenly.
+    Linear,
+    /// By their logarithm, with ticks at these values; it begins at the first.
+    Logarithmic(Vec<f64>),
+}
+
 /// Panels over a common axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
     /// What the common axis counts, with its unit in brackets.
     pub x_label: String,
-    /// The common axis goes from 0 to here.
+    /// The common axis ends here.
     pub x_last: f64,
+    /// How values are spread along it.
+    pub x_scale: Scale,
+    /// What is shaded in all panels, and from where to where.
+    pub spans: Option<(String, Vec<(f64, f64)>)>,
     /// From top to bottom.
     pub panels: Vec<Panel>,
 }
 
 impl Figure {
-    /// The figure's height at 100 dots per inch.
-    fn height(&self) -> u32 {
-        self.panels.len().max(1) as u32 * PANEL_HEIGHT + AXIS_HEIGHT
+    /// Panels over an axis from 0 to `x_last`.
+    pub fn over(x_label: &str, x_last: f64, panels: Vec<Panel>) -> Self {
+        Self {
+            x_label: x_label.to_owned(),
+            x_last,
+            x_scale: Scale::Linear,
+            spans: None,
+            panels,
+        }
     }
 
-    /// A PNG file's content, 300 dots per inch.
-    ///
-    /// # Panics
-    /// Never: drawing in memory does not fail.
-    pub fn png(&self) -> Vec<u8> {
-        register_font();
-        let (width, height) = (WIDTH * PNG_SCALE, self.height() * PNG_SCALE);
-        let mut rgb = vec![255; (3 * width * height) as usize];
-        {
-            let area = BitMapBackend::with_buffer(&mut rgb, (width, height)).into_drawing_area();
-            self.draw(&area, PNG_SCALE).unwrap_or_else(|e| unreachable!("{e}"));
+    /// Where a value stands along the axis.
+    fn at(&self, x: f64) -> f64 {
+        match self.x_scale {
+            Scale::Linear => x,
+            Scale::Logarithmic(_) => x.log10(),
         }
-        let mut bytes = Vec::new();
-        let mut encoder = png::Encoder::new(&mut bytes, width, height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_compression(png::Compression::High);
-        encoder.set_pixel_dims(Some(png::PixelDimensions {
-            xppu: DOTS_PER_M,
-            yppu: DOTS_PER_M,
-            unit: png::Unit::Meter,
-        }));
-        let written = encoder
-            .write_header()
-            .and_then(|mut writer| writer.write_image_data(&rgb));
-        // Writing to memory fails only for a picture of the wrong size.
-        written.unwrap_or_else(|e| unreachable!("{e}"));
-        bytes
     }
 
-    /// An SVG file's content.
-    ///
-    /// # Panics
-    /// Never: drawing in memory does not fail.
-    pub fn svg(&self) -> String {
-        register_font();
-        let mut text = String::new();
-        {
-            let area = SVGBackend::with_string(&mut text, (WIDTH, self.height())).into_drawing_area();
-            self.draw(&area, 1).unwrap_or_else(|e| unreachable!("{e}"));
+    /// Where the axis begins and ends, and its ticks with their numbers.
+    fn axis(&self) -> (f64, f64, Vec<(f64, String)>) {
+        match &self.x_scale {
+            Scale::Linear => {
+                let last = if self.x_last > 0.0 { self.x_last } else { 1.0 };
+                let numbers = ticks(0.0, last, 9);
+                (0.0, last, numbers.into_iter().map(|x| (x, tick(x, last))).collect())
+            }
+            Scale::Logarithmic(values) => {
+                let first = values.first().map_or(1.0, |x| *x);
+                let named = values.iter().map(|x| (x.log10(), tick(*x, *x))).collect();
+                (first.log10(), self.x_last.max(first * 1.1).log10(), named)
+            }
         }
-        text
-    }
-
-    fn draw<DB: DrawingBackend>(
-        &self,
-        area: &DrawingArea<DB, Shift>,
-        scale: u32,
-    ) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
-        area.fill(&BACKGROUND)?;
-        let last = if self.x_last > 0.0 { self.x_last } else { 1.0 };
-        let (panels, _) = area.split_vertically((self.height() - AXIS_HEIGHT) * scale);
-        for (panel, part) in self
-            .panels
-            .iter()
-            .zip(panels.split_evenly((self.panels.len().max(1), 1)))
-        {
-            draw_panel(&part, panel, last, scale)?;
-        }
-        let centre = Pos::new(HPos::Center, VPos::Bottom);
-        let style = TextStyle::from(("sans-serif", 12 * scale)).color(&INK).pos(centre);
-        area.draw_text(
-            &self.x_label,
-            &style,
-            (
-                ((WIDTH + LEFT) / 2 * scale) as i32,
-                ((self.height() - 5) * scale) as i32,
-            ),
-        )?;
-        area.present()
     }
 }
 
+impl Picture for Figure {
+    fn size(&self) -> (u32, u32) {
+        (WIDTH, self.panels.len().max(1) as u32 * PANEL_HEIGHT + AXIS_HEIGHT)
+    }
+
+    fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
+        let (_, height) = self.size();
+        let (panels, _) = area.split_vertically((height - AXIS_HEIGHT) * scale);
+        let parts = panels.split_evenly((self.panels.len().max(1), 1));
+        for (number, (panel, part)) in self.panels.iter().zip(parts).enumerate() {
+            draw_panel(&part, self, panel, scale)?;
+            let spans = self
+                .spans
+                .as_ref()
+                .filter(|_| number == 0)
+                .map(|(label, _)| label.as_str());
+            draw_head(&part, panel, spans, scale)?;
+        }
+        let centre = Pos::new(HPos::Center, VPos::Bottom);
+        let style = TextStyle::from(("sans-serif", 12 * scale)).color(&INK).pos(centre);
+        let middle = ((WIDTH + LEFT) / 2 * scale) as i32;
+        area.draw_text(&self.x_label, &style, (middle, ((height - 5) * scale) as i32))
+    }
+}
+
+/// A straight axis with its ticks where they are wanted.
+struct Ticks {
+    range: (f64, f64),
+    places: Vec<f64>,
+}
+
+impl Ranged for Ticks {
+    type FormatOption = NoDefaultFormatting;
+    type ValueType = f64;
+
+    fn map(&self, value: &f64, (from, to): (i32, i32)) -> i32 {
+        let share = (value - self.range.0) / (self.range.1 - self.range.0);
+        (f64::from(from) + share * f64::from(to - from)).round() as i32
+    }
+
+    fn key_points<H: KeyPointHint>(&self, hint: H) -> Vec<f64> {
+        match hint.weight().allow_light_points() {
+            true => Vec::new(),
+            false => self.places.clone(),
+        }
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.range.0..self.range.1
+    }
+}
+
+impl ValueFormatter<f64> for Ticks {}
+
 fn draw_panel<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
+    figure: &Figure,
     panel: &Panel,
-    last: f64,
     scale: u32,
-) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
+) -> Result<(), Fault<DB>> {
     let (low, high) = panel.values();
+    let (first, last, named) = figure.axis();
+    let places: Vec<f64> = named.iter().map(|(x, _)| *x).collect();
+    let name_of = |x: &f64| {
+        let near = named.iter().find(|(at, _)| (at - x).abs() <= 1e-9 * (last - first));
+        near.map_or_else(String::new, |(_, name)| name.clone())
+    };
     let mut chart = ChartBuilder::on(area)
         .margin(6 * scale)
         .margin_top(HEAD * scale)
         .margin_right(16 * scale)
         .y_label_area_size((LEFT - 6) * scale)
         .x_label_area_size(18 * scale)
-        .build_cartesian_2d(0.0..last, low..high)?;
+        .build_cartesian_2d(
+            Ticks {
+                range: (first, last),
+                places,
+            },
+            low..high,
+        )?;
     chart
         .configure_mesh()
         .axis_style(INK.stroke_width(scale))
         .bold_line_style(GRID.stroke_width(scale))
         .light_line_style(TRANSPARENT)
-        .x_labels(9)
+        .x_labels(named.len() + 1)
         .y_labels(6)
-        .x_label_formatter(&|x| tick(*x, last))
+        .x_label_formatter(&name_of)
         .y_label_formatter(&|y| tick(*y, high - low))
         .label_style(("sans-serif", 11 * scale).into_font().color(&INK))
         .y_desc(&panel.y_label)
         .axis_desc_style(("sans-serif", 12 * scale).into_font().color(&INK))
         .draw()?;
+    for (from, to) in figure.spans.iter().flat_map(|(_, spans)| spans) {
+        let corners = [(figure.at(*from), low), (figure.at(*to), high)];
+        chart.draw_series([Rectangle::new(corners, SPAN.mix(0.13).filled())])?;
+    }
     for (series, colour) in panel.series.iter().zip(COLOURS.iter().cycle()) {
-        let upper = series.band.iter().map(|(x, _, y)| (*x, *y));
-        let lower = series.band.iter().rev().map(|(x, y, _)| (*x, *y));
+        let upper = series.band.iter().map(|(x, _, y)| (figure.at(*x), *y));
+        let lower = series.band.iter().rev().map(|(x, y, _)| (figure.at(*x), *y));
         if !series.band.is_empty() {
             chart.draw_series([Polygon::new(upper.chain(lower).collect::<Vec<_>>(), colour.mix(0.2))])?;
         }
@@ -226,11 +257,18 @@ fn draw_panel<DB: DrawingBackend>(
         let style = colour.stroke_width(3 * scale / 2);
         let whole = series.points.split(|(x, y)| !(x.is_finite() && y.is_finite()));
         for piece in whole.filter(|piece| !piece.is_empty()) {
-            chart.draw_series([PathElement::new(piece.to_vec(), style)])?;
+            let placed: Vec<_> = piece.iter().map(|(x, y)| (figure.at(*x), *y)).collect();
+            // A few measured points are marked: what lies between them was not measured.
+            if piece.len() <= 12 {
+                let radius = (2 * scale) as i32;
+                let dots = placed.iter().map(|at| Circle::new(*at, radius, colour.filled()));
+                chart.draw_series(dots)?;
+            }
+            chart.draw_series([PathElement::new(placed, style)])?;
         }
     }
     for (_, level) in &panel.thresholds {
-        let ends = [(0.0, *level), (last, *level)];
+        let ends = [(first, *level), (last, *level)];
         chart.draw_series(DashedLineSeries::new(
             ends,
             6 * scale,
@@ -238,15 +276,16 @@ fn draw_panel<DB: DrawingBackend>(
             INK.stroke_width(scale),
         ))?;
     }
-    draw_head(area, panel, scale)
+    Ok(())
 }
 
 /// Title on the left, names of the lines on the right, above the chart and not on it.
 fn draw_head<DB: DrawingBackend>(
     area: &DrawingArea<DB, Shift>,
     panel: &Panel,
+    spans: Option<&str>,
     scale: u32,
-) -> Result<(), DrawingAreaErrorKind<DB::ErrorType>> {
+) -> Result<(), Fault<DB>> {
     let middle = (HEAD / 2 * scale) as i32;
     let (left, mark, gap) = ((LEFT * scale) as i32, (16 * scale) as i32, (5 * scale) as i32);
     let anchor = |h| Pos::new(h, VPos::Center);
@@ -254,9 +293,15 @@ fn draw_head<DB: DrawingBackend>(
         .color(&INK)
         .pos(anchor(HPos::Left));
     area.draw_text(&panel.title, &title, (left, middle))?;
-    let lines = panel.series.iter().map(|s| &s.label).zip(COLOURS.iter().cycle());
-    let levels = panel.thresholds.iter().map(|(label, _)| (label, &INK));
-    let names: Vec<_> = lines.chain(levels).collect();
+    let lines = panel.series.iter().map(|s| s.label.as_str());
+    let lines = lines.zip(COLOURS.iter().map(|c| (c.to_rgba(), false)).cycle());
+    let levels = panel
+        .thresholds
+        .iter()
+        .filter(|(label, _)| !label.is_empty())
+        .map(|(label, _)| (label.as_str(), (INK.to_rgba(), true)));
+    let shaded = spans.map(|label| (label, (SPAN.mix(0.3), false)));
+    let names: Vec<_> = lines.chain(levels).chain(shaded).collect();
     if names.len() < 2 {
         return Ok(());
     }
@@ -264,34 +309,18 @@ fn draw_head<DB: DrawingBackend>(
         .color(&INK)
         .pos(anchor(HPos::Right));
     let mut right = ((WIDTH - 16) * scale) as i32;
-    for (label, colour) in names.into_iter().rev() {
+    for (label, (colour, is_level)) in names.into_iter().rev() {
         area.draw_text(label, &style, (right, middle))?;
         right -= area.estimate_text_size(label, &style)?.0 as i32 + gap;
-        let ends = vec![(right - mark, middle), (right, middle)];
-        area.draw(&PathElement::new(ends, colour.stroke_width(2 * scale)))?;
+        let ends = [(right - mark, middle), (right, middle)];
+        let style = colour.stroke_width(2 * scale);
+        match is_level {
+            true => draw_dashed(area, ends, (4 * scale, 3 * scale), INK.stroke_width(scale))?,
+            false => area.draw(&PathElement::new(ends.to_vec(), style))?,
+        }
         right -= mark + 2 * gap;
     }
     Ok(())
-}
-
-/// A tick's number with as many places as ticks this far apart need.
-fn tick(value: f64, range: f64) -> String {
-    let places = (1.0 - (range.abs().max(1e-9) / 2.0).log10().floor()).clamp(0.0, 6.0) as usize;
-    let text = format!("{value:.places$}");
-    let text = if text.contains('.') {
-        text.trim_end_matches('0').trim_end_matches('.')
-    } else {
-        &text
-    };
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
-}
-
-fn register_font() {
-    static ONCE: Once = Once::new();
-    ONCE.call_once(|| {
-        // Fails for bytes that are no font only; a test draws with it.
-        let _ = plotters::style::register_font("sans-serif", FontStyle::Normal, FONT);
-    });
 }
 
 #[cfg(test)]
@@ -307,11 +336,9 @@ mod tests {
         let mut panel = Panel::new("Two waves", "score", [("sine", wave(0.0)), ("cosine", wave(1.57))]);
         panel.thresholds.push(("threshold 0.8".to_owned(), 0.8));
         panel.series[0].points[100].1 = f64::NAN;
-        Figure {
-            x_label: "time (s)".to_owned(),
-            x_last: 20.0,
-            panels: vec![panel],
-        }
+        let mut figure = Figure::over("time (s)", 20.0, vec![panel]);
+        figure.spans = Some(("attacked".to_owned(), vec![(5.0, 7.5)]));
+        figure
     }
 
     #[test]
@@ -324,6 +351,7 @@ mod tests {
             "sine",
             "cosine",
             "threshold 0.8",
+            "attacked",
             ">\n10\n<",
             ">\n0.5\n<",
         ] {
@@ -332,33 +360,26 @@ mod tests {
     }
 
     #[test]
-    fn a_png_has_letters_on_it() {
-        let bytes = figure().png();
-        let mut reader = png::Decoder::new(std::io::Cursor::new(&bytes)).read_info().unwrap();
-        let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
-        let info = reader.next_frame(&mut rgb).unwrap();
-        assert_eq!(info.width, WIDTH * PNG_SCALE);
-        // The axis' name stands in the bottom strip, where nothing else is drawn.
-        let row = 3 * info.width as usize;
-        let strip = &rgb[rgb.len() - row * (AXIS_HEIGHT * PNG_SCALE / 2) as usize..];
-        assert!(strip.iter().any(|c| *c < 100), "no letter in the bottom strip");
-    }
-
-    #[test]
-    fn ticks_are_written_with_the_places_that_they_need() {
-        assert_eq!(tick(0.30000000000000004, 1.0), "0.3");
-        assert_eq!(tick(2500.0, 10_000.0), "2500");
-        assert_eq!(tick(-0.0, 1.0), "0");
-        assert_eq!(tick(0.025, 0.1), "0.025");
+    fn a_logarithmic_axis_has_its_ticks_where_values_were_measured() {
+        let mut figure = Figure::over(
+            "size",
+            20.0,
+            vec![Panel::new("shares", "share", [("a", vec![(0.5, 0.1), (20.0, 0.9)])])],
+        );
+        figure.x_scale = Scale::Logarithmic(vec![0.5, 2.0, 20.0]);
+        let (first, last, named) = figure.axis();
+        assert!((last - first - 40f64.log10()).abs() < 1e-12);
+        let names: Vec<&str> = named.iter().map(|(_, name)| name.as_str()).collect();
+        assert_eq!(names, ["0.5", "2", "20"]);
+        let svg = figure.svg();
+        for text in [">\n0.5\n<", ">\n20\n<"] {
+            assert!(svg.contains(text), "{text} is not in the chart");
+        }
     }
 
     #[test]
     fn a_chart_of_nothing_is_still_a_chart() {
-        let empty = Figure {
-            x_label: "updates".to_owned(),
-            x_last: 0.0,
-            panels: vec![Panel::new("nothing yet", "reward", [])],
-        };
+        let empty = Figure::over("updates", 0.0, vec![Panel::new("nothing yet", "reward", [])]);
         assert!(empty.svg().contains("nothing yet"));
     }
 }

@@ -1,0 +1,348 @@
+//! `vigil reproduce` makes every table and figure that the documentation shows, from data that are whole, and goes on where it was
+//! interrupted.
+
+use rustix::process::Signal;
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+use vigil_tests::{Running, run, said};
+
+/// Pictures in the documentation that are no figures of data, and what makes each.
+const OTHER_PICTURES: [(&str, &str); 7] = [
+    ("attacked-undefended.gif", "vigil log film"),
+    ("attacked-defended.gif", "vigil log film"),
+    ("flight.png", "vigil fly"),
+    ("flight-report.png", "a screenshot of the report of vigil log report"),
+    ("flight-report-phone.png", "the same on a telephone"),
+    ("training-curves.png", "vigil train"),
+    ("reproduce.png", "a screenshot of the page of vigil reproduce"),
+];
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().expect("a UTF-8 path")
+}
+
+/// Runs `vigil reproduce` into a folder over the repository's data.
+fn reproduce(output: &Path, more: &[&str]) -> std::process::Output {
+    let data = root().join("docs/measured");
+    let mut arguments = vec!["reproduce", "-o", text(output), "--data", text(&data)];
+    arguments.extend(more);
+    run(&arguments)
+}
+
+fn manifest(folder: &Path) -> Value {
+    let json = fs::read_to_string(folder.join("manifest.json")).expect("a manifest");
+    serde_json::from_str(&json).expect("JSON")
+}
+
+/// The items by their names, with their files.
+fn items(manifest: &Value) -> BTreeMap<String, BTreeMap<String, String>> {
+    let items = manifest["items"].as_array().expect("items");
+    let files = |item: &Value| serde_json::from_value(item["files"].clone()).expect("files");
+    items
+        .iter()
+        .map(|item| (item["id"].as_str().expect("a name").to_owned(), files(item)))
+        .collect()
+}
+
+/// The first words of `vigil reproduce --list`, but for the heading.
+fn listed() -> BTreeSet<String> {
+    let list = run(&["reproduce", "--list"]);
+    let lines = String::from_utf8_lossy(&list.stdout).into_owned();
+    lines
+        .lines()
+        .skip(1)
+        .filter_map(|line| Some(line.split_whitespace().next()?.to_owned()))
+        .collect()
+}
+
+/// Pictures that the pages show.
+fn pictures_in_documentation() -> BTreeSet<String> {
+    let mut folders = vec![root().join("docs")];
+    let mut pages = vec![root().join("README.md")];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("readable").path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false if path.extension().is_some_and(|e| e == "md") => pages.push(path),
+                false => {}
+            }
+        }
+    }
+    let mut pictures = BTreeSet::new();
+    for page in pages {
+        let page = fs::read_to_string(page).expect("a page");
+        for after in page.split("images/").skip(1) {
+            let name: String = after
+                .chars()
+                .take_while(|c| c.is_alphanumeric() || "-_.".contains(*c))
+                .collect();
+            if [".png", ".svg", ".gif", ".jpg"]
+                .iter()
+                .any(|ending| name.ends_with(ending))
+            {
+                pictures.insert(name);
+            }
+        }
+    }
+    pictures
+}
+
+#[test]
+fn the_committed_data_make_every_item_and_the_documentation_shows_what_they_make() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out");
+    let made = reproduce(&out, &["--committed"]);
+    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+
+    // What is listed is made, what is made is in the manifest, and what is in the manifest lies in the folder.
+    let manifest = manifest(&out);
+    let items = items(&manifest);
+    assert_eq!(items.keys().cloned().collect::<BTreeSet<_>>(), listed());
+    for paper in [
+        "table-1",
+        "table-2",
+        "table-3",
+        "table-4",
+        "figure-9",
+        "figure-10",
+        "figure-11",
+        "figure-12",
+        "figure-13",
+        "figure-14",
+    ] {
+        assert!(items.contains_key(paper), "{paper}");
+    }
+    let named: BTreeMap<&String, &String> = items.values().flatten().collect();
+    for (file, digest) in &named {
+        let content = fs::read(out.join(file)).unwrap_or_else(|e| panic!("{file}: {e}"));
+        let found: String = Sha256::digest(&content).iter().map(|b| format!("{b:02x}")).collect();
+        assert_eq!(found, **digest, "{file}");
+    }
+    for inner in ["figures", "tables"] {
+        for entry in fs::read_dir(out.join(inner)).expect("a folder") {
+            let name = format!("{inner}/{}", entry.expect("readable").file_name().display());
+            assert!(named.contains_key(&name), "the manifest lacks {name}");
+        }
+    }
+    for (id, files) in &items {
+        assert!(files.contains_key(&format!("tables/{id}.csv")), "{id} has no numbers");
+        let is_figure = manifest["items"]
+            .as_array()
+            .expect("items")
+            .iter()
+            .any(|i| i["id"] == **id && i["kind"] == "figure");
+        for ending in ["svg", "png"] {
+            assert_eq!(files.contains_key(&format!("figures/{id}.{ending}")), is_figure, "{id}");
+        }
+    }
+    for item in manifest["items"].as_array().expect("items") {
+        for source in item["sources"].as_array().expect("sources") {
+            for field in ["command", "seeds", "commit", "version"] {
+                assert!(
+                    source[field].as_str().is_some_and(|s| !s.is_empty()),
+                    "{}: {field}",
+                    item["id"]
+                );
+            }
+        }
+    }
+
+    // The page is whole in itself.
+    let page = fs::read_to_string(out.join("index.html")).expect("a page");
+    for id in items.keys() {
+        assert!(
+            page.contains(&format!("<section id=\"{id}\"")),
+            "{id} is not on the page"
+        );
+    }
+    for fetched in ["<script", "src=\"http", "href=\"http", "@import", "url("] {
+        assert!(!page.contains(fetched), "the page has {fetched}");
+    }
+
+    // Every figure that the documentation shows has a command, and is what it makes.
+    for name in pictures_in_documentation() {
+        if OTHER_PICTURES.iter().any(|(other, _)| *other == name) {
+            continue;
+        }
+        let file = format!("figures/{name}");
+        assert!(
+            named.contains_key(&file),
+            "{name} is shown, but `vigil reproduce` does not make it: add it there, or to the other pictures with its command"
+        );
+        let shown = fs::read(root().join("docs/images").join(&name)).expect("a picture");
+        assert!(
+            shown == fs::read(out.join(&file)).expect("a figure"),
+            "docs/images/{name} is not what the committed data make: copy it from `vigil reproduce --committed`"
+        );
+    }
+    // None lies there unused.
+    let shown = pictures_in_documentation();
+    for entry in fs::read_dir(root().join("docs/images")).expect("a folder") {
+        let name = entry.expect("readable").file_name().to_string_lossy().into_owned();
+        let is_picture = [".png", ".svg", ".gif"].iter().any(|ending| name.ends_with(ending));
+        assert!(
+            !is_picture || shown.contains(&name),
+            "docs/images/{name} is shown nowhere"
+        );
+    }
+}
+
+#[test]
+fn data_that_are_missing_or_damaged_are_named_and_nothing_is_drawn_from_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("measured");
+    fs::create_dir(&data).expect("a folder");
+    for name in ["index.toml", "figure-11.csv", "table-2.json"] {
+        fs::copy(root().join("docs/measured").join(name), data.join(name)).expect("a copy");
+    }
+    let out = folder.path().join("out");
+    let only = |item: &str| {
+        run(&[
+            "reproduce",
+            "--committed",
+            "--only",
+            item,
+            "--data",
+            text(&data),
+            "-o",
+            text(&out),
+        ])
+    };
+    let made = only("figure-11,table-2");
+    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    assert_eq!(items(&manifest(&out)).len(), 2);
+
+    let csv = data.join("figure-11.csv");
+    let whole = fs::read_to_string(&csv).expect("a file");
+    fs::write(&csv, whole.replacen("650", "950", 1)).expect("a file");
+    let damaged = only("figure-11");
+    assert_eq!(damaged.status.code(), Some(1));
+    assert!(
+        said(&damaged).contains("figure-11.csv is not what was measured"),
+        "{}",
+        said(&damaged)
+    );
+    fs::remove_file(&csv).expect("removed");
+    let missing = only("figure-11");
+    assert_eq!(missing.status.code(), Some(1));
+    assert!(
+        said(&missing).contains("figure-11.csv: No such file"),
+        "{}",
+        said(&missing)
+    );
+    // The other item does not need it.
+    assert_eq!(only("table-2").status.code(), Some(0));
+    fs::write(data.join("index.toml"), "[units.").expect("a file");
+    let index = only("table-2");
+    assert_eq!(index.status.code(), Some(1));
+    assert!(said(&index).contains("index.toml is damaged"), "{}", said(&index));
+
+    let elsewhere = run(&[
+        "reproduce",
+        "--committed",
+        "--data",
+        text(folder.path()),
+        "-o",
+        text(&out),
+    ]);
+    assert_eq!(elsewhere.status.code(), Some(1));
+    assert!(said(&elsewhere).contains("--data"), "{}", said(&elsewhere));
+}
+
+#[test]
+fn what_cannot_be_done_is_said_before_anything_is_flown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out");
+    let said_of = |more: &[&str]| {
+        let refused = reproduce(&out, more);
+        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+        said(&refused)
+    };
+    assert!(said_of(&["--only", "table-5"]).contains("there is no table-5"));
+    let readme = root().join("README.md");
+    assert!(said_of(&["--quick", "--actor", text(&readme)]).contains("README.md"));
+    assert!(said_of(&["--quick", "--detector", text(&readme)]).contains("README.md"));
+    assert!(!out.exists(), "nothing was begun");
+
+    // A file where the folder should be, a folder of other things, one of another commit.
+    let file = folder.path().join("file");
+    fs::write(&file, "").expect("a file");
+    let refused = reproduce(&file.join("out"), &["--committed"]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(said(&refused).contains("cannot make"), "{}", said(&refused));
+    let refused = reproduce(folder.path(), &["--committed"]);
+    assert!(said(&refused).contains("holds other files"), "{}", said(&refused));
+    assert_eq!(
+        reproduce(&out, &["--committed", "--only", "table-2"]).status.code(),
+        Some(0)
+    );
+    let made_by = out.join("made-by.toml");
+    let ours = fs::read_to_string(&made_by).expect("a file");
+    let commit = ours.lines().find(|l| l.starts_with("commit")).expect("a commit");
+    fs::write(&made_by, ours.replace(commit, "commit = \"another\"")).expect("a file");
+    let refused = reproduce(&out, &["--committed"]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(said(&refused).contains("its commit is another"), "{}", said(&refused));
+}
+
+#[test]
+fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().join("out");
+    let data = root().join("docs/measured");
+    let arguments = [
+        "reproduce",
+        "--quick",
+        "--only",
+        "figure-14,roc",
+        "-o",
+        text(&out),
+        "--data",
+        text(&data),
+    ];
+    let mut running = Running::start(&arguments);
+    // The flight is explained first; the detector's evaluation takes minutes.
+    running.wait_for("the second unit", |line| line.starts_with("[2/2]").then_some(()));
+    running.signal(Signal::INT);
+    assert_eq!(running.wait(), Some(130));
+    let kept = items(&manifest(&out));
+    assert_eq!(
+        kept.keys().collect::<Vec<_>>(),
+        ["figure-14"],
+        "an item that was not measured is not made of committed data"
+    );
+
+    let explained = out.join("data/explained-attacked/explanations.csv");
+    let before = fs::metadata(&explained).and_then(|m| m.modified()).expect("a file");
+    let again = reproduce(&out, &["--quick", "--only", "figure-14"]);
+    assert_eq!(again.status.code(), Some(0), "{}", said(&again));
+    assert!(said(&again).contains("is there"), "{}", said(&again));
+    assert_eq!(
+        fs::metadata(&explained).and_then(|m| m.modified()).expect("a file"),
+        before
+    );
+    let manifest = manifest(&out);
+    assert_eq!(manifest["made_by"]["mode"], "quick");
+    assert_eq!(manifest["items"][0]["sources"][0]["flown_anew"], true);
+    assert!(
+        fs::read_to_string(out.join("index.html"))
+            .expect("a page")
+            .contains("few flights")
+    );
+
+    let full = reproduce(&out, &["--only", "figure-14"]);
+    assert_eq!(full.status.code(), Some(1));
+    assert!(
+        said(&full).contains("its mode is quick, this one's full"),
+        "{}",
+        said(&full)
+    );
+}

@@ -1,0 +1,364 @@
+//! `vigil reproduce`: the paper's tables and figures and ours, from committed data or from flights flown anew, on one page.
+
+mod data;
+mod items;
+mod page;
+mod units;
+
+use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
+use crate::report::{TextTable, words};
+use anyhow::{Context, Result, ensure};
+use data::{Data, Sources, Unit};
+use items::{ITEMS, Item, Kind, Made};
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use units::{COMMITTED_ONLY, Setting, Size};
+
+/// Arguments of `vigil reproduce`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil reproduce --committed                  from what the repository holds: seconds, nothing is flown
+  vigil reproduce --quick                      flown anew with few flights: some 15 minutes on two cores
+  vigil reproduce                              flown anew with as many flights as the figures need: hours
+  vigil reproduce --committed --only table-1,figure-9
+  vigil reproduce --list                       what there is
+
+The folder then holds index.html (one file, which needs no network), figures/*.svg and *.png (300 dpi), tables/*.csv,
+manifest.json, and in data/ what was measured. Ctrl-C keeps what is whole; the same command goes on with it. The training
+runs of table I and figures 9 and 10 and the comparison with other programs are always the committed ones: `vigil train`
+and tools/peers/run.sh make them. docs/reproduce.md explains it.
+Exit code: 0 all is there, 1 error, 130 interrupted.")]
+pub struct ReproduceArgs {
+    /// Draw from the committed data alone; nothing is flown.
+    #[arg(long, conflicts_with_all = ["quick", "actor", "detector"])]
+    committed: bool,
+
+    /// Fly few flights: the intervals are wide, and every item says so.
+    #[arg(long)]
+    quick: bool,
+
+    /// Only these tables and figures.
+    #[arg(long, value_name = "ITEM,…", value_delimiter = ',')]
+    only: Vec<String>,
+
+    /// Name the tables and figures, and what each is made of.
+    #[arg(long)]
+    list: bool,
+
+    /// The folder for all of it.
+    #[arg(short, long, value_name = "DIR", default_value = "runs/reproduce")]
+    output: PathBuf,
+
+    /// The committed data.
+    #[arg(long, value_name = "DIR", default_value = "docs/measured")]
+    data: PathBuf,
+
+    /// The frozen actor that is measured [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    actor: Option<PathBuf>,
+
+    /// The frozen detector that is measured; it must be this actor's [default: the one built in].
+    #[arg(long, value_name = "FILE")]
+    detector: Option<PathBuf>,
+
+    /// Threads; all cores when absent.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+/// What a folder of results was made by. Results of two programs are not mixed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct MadeBy {
+    version: String,
+    commit: String,
+    mode: String,
+    actor_sha256: String,
+    detector_sha256: String,
+}
+
+const MADE_BY: &str = "made-by.toml";
+/// A few lines.
+const MADE_BY_LIMIT: u64 = 1 << 16;
+
+impl MadeBy {
+    /// Makes the folder, or finds it made by the same.
+    fn claim(&self, folder: &Path) -> Result<()> {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        let path = folder.join(MADE_BY);
+        if !path.exists() {
+            let mut entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+            ensure!(
+                entries.next().is_none(),
+                "{} holds other files; name an empty or a new folder with --output",
+                folder.display()
+            );
+            return output::write(&path, toml::to_string_pretty(self)?);
+        }
+        let text =
+            vigil_files::read_text(&path, MADE_BY_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
+        let other: Self = toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))?;
+        let differences: Vec<String> = [
+            ("version", &other.version, &self.version),
+            ("commit", &other.commit, &self.commit),
+            ("mode", &other.mode, &self.mode),
+            ("actor", &other.actor_sha256, &self.actor_sha256),
+            ("detector", &other.detector_sha256, &self.detector_sha256),
+        ]
+        .into_iter()
+        .filter(|(_, theirs, ours)| theirs != ours)
+        .map(|(what, theirs, ours)| format!("its {what} is {theirs}, this one's {ours}"))
+        .collect();
+        ensure!(
+            differences.is_empty(),
+            "{} holds results of something else: {}; name another folder with --output, or remove it",
+            folder.display(),
+            differences.join("; ")
+        );
+        // What cannot be written is told before the work.
+        output::write(&path, text)
+    }
+}
+
+/// An item and where its numbers come from.
+struct Shown<'a> {
+    item: &'a Item,
+    made: Made,
+    sources: Vec<(&'a str, Unit, bool)>,
+}
+
+/// What `manifest.json` says of an item.
+#[derive(Serialize)]
+struct Entry<'a> {
+    id: &'a str,
+    kind: &'static str,
+    title: &'a str,
+    caption: &'a str,
+    /// Each file, and its SHA-256.
+    files: BTreeMap<String, String>,
+    sources: Vec<Source<'a>>,
+}
+
+#[derive(Serialize)]
+struct Source<'a> {
+    unit: &'a str,
+    command: &'a str,
+    seeds: &'a str,
+    commit: &'a str,
+    version: &'a str,
+    note: &'a str,
+    flown_anew: bool,
+}
+
+#[derive(Serialize)]
+struct Manifest<'a> {
+    made_by: &'a MadeBy,
+    items: Vec<Entry<'a>>,
+}
+
+/// Measures what is missing, and makes the tables, figures and page.
+///
+/// # Errors
+/// Unknown items, data that are missing or damaged, a folder of something else, an actor or detector that is none.
+pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
+    if args.list {
+        put!("{}\n", list());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let items = chosen(&args.only)?;
+    let size = if args.quick { Size::Quick } else { Size::Full };
+    let setting = Setting::new(args.actor.as_deref(), args.detector.as_deref(), args.threads, size)?;
+    let committed = Data::committed(&args.data)?;
+    let made_by = MadeBy {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        commit: setting.commit.clone(),
+        mode: match (args.committed, args.quick) {
+            (true, _) => "committed",
+            (false, true) => "quick",
+            (false, false) => "full",
+        }
+        .to_owned(),
+        actor_sha256: setting.actor_sha256.clone(),
+        detector_sha256: setting.detector_sha256.clone(),
+    };
+    made_by.claim(&args.output)?;
+    let mut whole = true;
+    let fresh = match args.committed {
+        true => None,
+        false => {
+            let folder = args.output.join("data");
+            std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+            let mut fresh = Data::fresh(&folder)?;
+            let names: Vec<&str> = items.iter().flat_map(|item| item.units.iter().copied()).collect();
+            whole = units::measure(&names, &setting, &mut fresh, &super::run_words)?;
+            Some(fresh)
+        }
+    };
+    let sources = Sources { fresh, committed };
+    // After an interruption only what was measured now, so that nothing old stands for it.
+    let ready = |item: &&&Item| {
+        let there = |unit: &&str| COMMITTED_ONLY.contains(unit) || sources.of(unit).is_fresh;
+        args.committed || item.units.iter().all(there)
+    };
+    let made: Vec<Shown> = items
+        .iter()
+        .filter(ready)
+        .map(|item| show(item, &sources))
+        .collect::<Result<_>>()?;
+    write(&args.output, &made_by, &made)?;
+    say!(
+        "{} tables and figures: {}",
+        made.len(),
+        args.output.join("index.html").display()
+    );
+    if !whole {
+        say!("interrupted: what is whole is kept; the same command goes on");
+        return Ok(ExitCode::from(EXIT_INTERRUPTED));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn list() -> String {
+    let mut table = TextTable::new([words("item"), words("what"), words("made of")]);
+    for item in &ITEMS {
+        let units: Vec<&str> = item.units.to_vec();
+        table.row([item.id.to_owned(), item.title.to_owned(), units.join(", ")]);
+    }
+    table.to_string()
+}
+
+fn chosen(only: &[String]) -> Result<Vec<&'static Item>> {
+    for name in only {
+        ensure!(
+            ITEMS.iter().any(|item| item.id == name),
+            "there is no {name}; `vigil reproduce --list` names the tables and figures"
+        );
+    }
+    let wanted = |item: &&Item| only.is_empty() || only.iter().any(|name| name == item.id);
+    Ok(ITEMS.iter().filter(wanted).collect())
+}
+
+fn show<'a>(item: &'a Item, sources: &Sources) -> Result<Shown<'a>> {
+    let of = |unit: &&'a str| {
+        let data = sources.of(unit);
+        Some((*unit, data.unit(unit)?.clone(), data.is_fresh))
+    };
+    Ok(Shown {
+        item,
+        made: item.make(sources)?,
+        sources: item.units.iter().filter_map(of).collect(),
+    })
+}
+
+/// Writes each file, the page, and last the manifest that names them.
+fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
+    for name in ["figures", "tables"] {
+        let inner = folder.join(name);
+        std::fs::create_dir_all(&inner).with_context(|| format!("cannot make {}", inner.display()))?;
+    }
+    let mut entries = Vec::new();
+    for Shown { item, made, sources } in all {
+        let mut files = BTreeMap::new();
+        let mut keep = |name: String, content: &[u8]| {
+            output::write(&folder.join(&name), content)?;
+            let digest: String = Sha256::digest(content)
+                .iter()
+                .map(|byte| format!("{byte:02x}"))
+                .collect();
+            files.insert(name, digest);
+            Ok::<_, anyhow::Error>(())
+        };
+        if let Some(figure) = &made.figure {
+            keep(format!("figures/{}.svg", item.id), figure.svg.as_bytes())?;
+            keep(format!("figures/{}.png", item.id), &figure.png)?;
+        }
+        keep(format!("tables/{}.csv", item.id), made.table.csv()?.as_bytes())?;
+        entries.push(Entry {
+            id: item.id,
+            kind: match item.kind {
+                Kind::Table => "table",
+                Kind::Figure => "figure",
+            },
+            title: item.title,
+            caption: &made.caption,
+            files,
+            sources: sources
+                .iter()
+                .map(|(name, unit, is_fresh)| Source {
+                    unit: name,
+                    command: &unit.command,
+                    seeds: &unit.seeds,
+                    commit: &unit.commit,
+                    version: &unit.version,
+                    note: &unit.note,
+                    flown_anew: *is_fresh,
+                })
+                .collect(),
+        });
+    }
+    output::write(&folder.join("index.html"), page::html(made_by, all))?;
+    let manifest = Manifest {
+        made_by,
+        items: entries,
+    };
+    output::write(&folder.join("manifest.json"), serde_json::to_string_pretty(&manifest)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::units::SPECS;
+    use super::*;
+
+    #[test]
+    fn every_item_is_made_of_units_that_there_are_and_every_unit_is_used() {
+        let known: Vec<&str> = SPECS.iter().map(|s| s.name).chain(COMMITTED_ONLY).collect();
+        let used: Vec<&str> = ITEMS.iter().flat_map(|item| item.units.iter().copied()).collect();
+        assert!(used.iter().all(|unit| known.contains(unit)), "{used:?}");
+        assert!(known.iter().all(|unit| used.contains(unit)), "{known:?}");
+        let mut names: Vec<&str> = ITEMS.iter().map(|item| item.id).collect();
+        names.dedup();
+        assert_eq!(names.len(), ITEMS.len());
+    }
+
+    #[test]
+    fn the_commands_of_all_units_are_commands() {
+        use clap::CommandFactory as _;
+        for size in [Size::Quick, Size::Full] {
+            let setting = Setting::new(None, None, None, size).unwrap();
+            for spec in &SPECS {
+                for line in spec.command(&setting).split(" && ") {
+                    let parsed = crate::cli::Cli::command().try_get_matches_from(line.split(' '));
+                    assert!(parsed.is_ok(), "{line}: {}", parsed.unwrap_err());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_folder_of_another_commit_is_refused_by_name_and_of_other_files_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let made_by = |commit: &str, mode: &str| MadeBy {
+            version: "1".to_owned(),
+            commit: commit.to_owned(),
+            mode: mode.to_owned(),
+            actor_sha256: "a".to_owned(),
+            detector_sha256: "d".to_owned(),
+        };
+        let out = folder.path().join("out");
+        made_by("c1", "quick").claim(&out).unwrap();
+        made_by("c1", "quick").claim(&out).unwrap();
+        let error = made_by("c2", "full").claim(&out).unwrap_err().to_string();
+        assert!(
+            error.contains("its commit is c1, this one's c2") && error.contains("its mode is quick"),
+            "{error}"
+        );
+        let error = made_by("c1", "quick").claim(folder.path()).unwrap_err().to_string();
+        assert!(error.contains("holds other files"), "{error}");
+        std::fs::write(out.join(MADE_BY), "version =").unwrap();
+        let error = format!("{:#}", made_by("c1", "quick").claim(&out).unwrap_err());
+        assert!(error.contains("made-by.toml is damaged"), "{error}");
+    }
+}

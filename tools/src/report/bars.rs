@@ -1,0 +1,261 @@
+//! Bar charts: named rows of bars with their intervals, and what others measured beside them.
+
+use super::picture::{COLOURS, Fault, GRID, INK, Picture, WIDTH, draw_dashed, tick, ticks};
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+/// Room for the rows' names, for title and legend, for the axis, dots at 100 per inch.
+const LEFT: u32 = 200;
+const RIGHT: u32 = 96;
+const HEAD: u32 = 44;
+const FOOT: u32 = 40;
+const BAR: u32 = 15;
+const GAP: u32 = 12;
+
+/// A bar.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bar {
+    /// Which of the chart's series it belongs to.
+    pub series: usize,
+    /// How long it is.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub interval: Option<(f64, f64)>,
+    /// What stands behind it.
+    pub note: String,
+}
+
+/// Bars side by side.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BarRow {
+    /// Their common name.
+    pub label: String,
+    /// From top to bottom.
+    pub bars: Vec<Bar>,
+    /// What the paper has.
+    pub paper: Option<f64>,
+}
+
+/// A chart of lying bars.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bars {
+    /// What it shows.
+    pub title: String,
+    /// What the axis counts, with its unit in brackets.
+    pub x_label: String,
+    /// Where the axis begins and ends.
+    pub x_range: (f64, f64),
+    /// The axis is logarithmic.
+    pub logarithmic: bool,
+    /// A named level, drawn dashed.
+    pub threshold: Option<(String, f64)>,
+    /// The legend.
+    pub series: Vec<String>,
+    /// From top to bottom.
+    pub rows: Vec<BarRow>,
+}
+
+impl Bars {
+    /// Where a value stands along the axis, dots.
+    fn at(&self, value: f64, scale: u32) -> i32 {
+        let (low, high) = self.x_range;
+        let share = match self.logarithmic {
+            true => (value.max(low) / low).log10() / (high / low).log10(),
+            false => (value - low) / (high - low),
+        };
+        let width = f64::from(WIDTH - LEFT - RIGHT);
+        ((f64::from(LEFT) + share.clamp(0.0, 1.0) * width) * f64::from(scale)).round() as i32
+    }
+
+    fn ticks(&self) -> Vec<f64> {
+        let (low, high) = self.x_range;
+        match self.logarithmic {
+            true => (low.log10().ceil() as i32..=high.log10().floor() as i32)
+                .map(|power| 10f64.powi(power))
+                .collect(),
+            false => ticks(low, high, 10),
+        }
+    }
+
+    fn row_height(row: &BarRow) -> u32 {
+        row.bars.len().max(1) as u32 * BAR + GAP
+    }
+
+    fn has_paper(&self) -> bool {
+        self.rows.iter().any(|row| row.paper.is_some())
+    }
+
+    fn draw_legend<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
+        let dots = |n: u32| (n * scale) as i32;
+        let style = TextStyle::from(("sans-serif", 11 * scale))
+            .color(&INK)
+            .pos(Pos::new(HPos::Left, VPos::Center));
+        let (mut x, y) = (dots(LEFT), dots(32));
+        let next = |x: &mut i32, label: &str| -> Result<(), Fault<DB>> {
+            area.draw_text(label, &style, (*x + dots(16), y))?;
+            *x += dots(16) + area.estimate_text_size(label, &style)?.0 as i32 + dots(14);
+            Ok(())
+        };
+        if self.series.len() > 1 {
+            for (label, colour) in self.series.iter().zip(COLOURS.iter().cycle()) {
+                area.draw(&Rectangle::new(
+                    [(x, y - dots(4)), (x + dots(11), y + dots(4))],
+                    colour.filled(),
+                ))?;
+                next(&mut x, label)?;
+            }
+        }
+        if self.has_paper() {
+            area.draw(&diamond(x + dots(6), y, dots(5)))?;
+            next(&mut x, "the paper")?;
+        }
+        if let Some((label, _)) = &self.threshold {
+            let ends = [(x, y), (x + dots(12), y)];
+            draw_dashed(area, ends, (4 * scale, 3 * scale), INK.stroke_width(scale))?;
+            next(&mut x, label)?;
+        }
+        Ok(())
+    }
+}
+
+fn diamond(x: i32, y: i32, radius: i32) -> Polygon<(i32, i32)> {
+    let corners = vec![(x, y - radius), (x + radius, y), (x, y + radius), (x - radius, y)];
+    Polygon::new(corners, INK.filled())
+}
+
+impl Picture for Bars {
+    fn size(&self) -> (u32, u32) {
+        (WIDTH, HEAD + self.rows.iter().map(Self::row_height).sum::<u32>() + FOOT)
+    }
+
+    fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
+        let dots = |n: u32| (n * scale) as i32;
+        let text = |size: u32, h, v| {
+            TextStyle::from(("sans-serif", size * scale))
+                .color(&INK)
+                .pos(Pos::new(h, v))
+        };
+        area.draw_text(&self.title, &text(14, HPos::Left, VPos::Center), (dots(12), dots(13)))?;
+        self.draw_legend(area, scale)?;
+        let bottom = dots(self.size().1 - FOOT);
+        for value in self.ticks() {
+            let x = self.at(value, scale);
+            area.draw(&PathElement::new(
+                vec![(x, dots(HEAD)), (x, bottom)],
+                GRID.stroke_width(scale),
+            ))?;
+            let name = tick(
+                value,
+                if self.logarithmic {
+                    value
+                } else {
+                    self.x_range.1 - self.x_range.0
+                },
+            );
+            area.draw_text(&name, &text(11, HPos::Center, VPos::Top), (x, bottom + dots(4)))?;
+        }
+        // Shares of a logarithmic axis are longer or shorter than one.
+        let start = self.at(if self.logarithmic { 1.0 } else { self.x_range.0 }, scale);
+        let mut top = HEAD + GAP / 2;
+        for row in &self.rows {
+            let middle = dots(top) + dots(row.bars.len().max(1) as u32 * BAR) / 2;
+            area.draw_text(
+                &row.label,
+                &text(12, HPos::Right, VPos::Center),
+                (dots(LEFT - 8), middle),
+            )?;
+            for (number, bar) in row.bars.iter().enumerate() {
+                let y = dots(top + number as u32 * BAR);
+                let (upper, lower, centre) = (y + dots(1), y + dots(BAR - 2), y + dots(BAR) / 2);
+                let (end, colour) = (self.at(bar.value, scale), COLOURS[bar.series % COLOURS.len()]);
+                area.draw(&Rectangle::new(
+                    [(start.min(end), upper), (start.max(end), lower)],
+                    colour.mix(0.75).filled(),
+                ))?;
+                let mut rightmost = end;
+                if let Some((low, high)) = bar.interval {
+                    let (low, high) = (self.at(low, scale), self.at(high, scale));
+                    rightmost = rightmost.max(high);
+                    let line = INK.stroke_width(scale);
+                    area.draw(&PathElement::new(vec![(low, centre), (high, centre)], line))?;
+                    for x in [low, high] {
+                        area.draw(&PathElement::new(
+                            vec![(x, centre - dots(3)), (x, centre + dots(3))],
+                            line,
+                        ))?;
+                    }
+                }
+                area.draw_text(
+                    &bar.note,
+                    &text(10, HPos::Left, VPos::Center),
+                    (rightmost + dots(6), centre + dots(1)),
+                )?;
+            }
+            if let Some(paper) = row.paper {
+                area.draw(&diamond(self.at(paper, scale), middle, dots(5)))?;
+            }
+            top += Self::row_height(row);
+        }
+        area.draw(&PathElement::new(
+            vec![(start, dots(HEAD)), (start, bottom)],
+            INK.stroke_width(scale),
+        ))?;
+        if let Some((_, level)) = &self.threshold {
+            let x = self.at(*level, scale);
+            let ends = [(x, dots(HEAD)), (x, bottom)];
+            draw_dashed(area, ends, (6 * scale, 4 * scale), INK.stroke_width(scale))?;
+        }
+        let middle = dots((LEFT + WIDTH - RIGHT) / 2);
+        area.draw_text(
+            &self.x_label,
+            &text(12, HPos::Center, VPos::Bottom),
+            (middle, dots(self.size().1 - 5)),
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bars_are_as_long_as_their_values_and_named() {
+        let bar = |series, value| Bar {
+            series,
+            value,
+            interval: Some((value - 5.0, value + 5.0)),
+            note: format!("{value} %"),
+        };
+        let mut chart = Bars {
+            title: "Completed".to_owned(),
+            x_label: "share (%)".to_owned(),
+            x_range: (0.0, 100.0),
+            logarithmic: false,
+            threshold: Some(("half".to_owned(), 50.0)),
+            series: vec!["undefended".to_owned(), "defended".to_owned()],
+            rows: vec![BarRow {
+                label: "continuous".to_owned(),
+                bars: vec![bar(0, 10.0), bar(1, 90.0)],
+                paper: Some(35.0),
+            }],
+        };
+        assert_eq!(chart.at(50.0, 1), (LEFT + (WIDTH - LEFT - RIGHT) / 2) as i32);
+        let svg = chart.svg();
+        for text in [
+            "Completed",
+            "share (%)",
+            "undefended",
+            "the paper",
+            "half",
+            "90 %",
+            "continuous",
+            ">\n40\n<",
+        ] {
+            assert!(svg.contains(text), "{text} is not in the chart");
+        }
+        (chart.logarithmic, chart.x_range) = (true, (1.0, 100.0));
+        assert_eq!(chart.at(10.0, 1), (LEFT + (WIDTH - LEFT - RIGHT) / 2) as i32);
+        assert_eq!(chart.ticks(), [1.0, 10.0, 100.0]);
+    }
+}
