@@ -489,3 +489,32 @@ fn a_detector_that_would_watch_nothing_is_refused() {
         );
     }
 }
+
+#[test]
+fn a_course_is_drawn_as_the_ending_of_its_file_says() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let draw = |name: &str| {
+        let path = folder.path().join(name);
+        let drawn = run(&["courses", "draw", "--seed", "7", "-o", text(&path)]);
+        (
+            drawn.status.code(),
+            said(&drawn),
+            std::fs::read(&path).unwrap_or_default(),
+        )
+    };
+    let (code, _, svg) = draw("course.SVG");
+    let svg = String::from_utf8(svg).expect("text");
+    assert_eq!(code, Some(0));
+    assert!(
+        svg.starts_with("<svg ") && svg.contains(">validation 7<") && svg.contains(">goal<"),
+        "{svg}"
+    );
+    let (code, _, png) = draw("course.png");
+    assert!(code == Some(0) && png.starts_with(b"\x89PNG"));
+    let (code, words, jpg) = draw("course.jpg");
+    assert!(code == Some(1) && jpg.is_empty());
+    assert!(
+        words.contains("course.png or") && words.contains("course.svg"),
+        "{words}"
+    );
+}

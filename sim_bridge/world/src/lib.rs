@@ -28,7 +28,7 @@ pub use course::{
     Bounds, BoxObstacle, Checkpoint, Column, Course, Family, GoalPoint, Overhang, Start, UnknownFamily, Wall,
 };
 pub use course_file::CourseError;
-pub use draw::{FlightPath, Image, ImageError, check_png_name, draw};
+pub use draw::{FlightPath, Image, ImageError, check_png_name, draw, draw_svg};
 pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
     LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,

@@ -1,7 +1,7 @@
 //! `vigil courses`: draw, write and check courses.
 
 use crate::cli::output::{self, put, say};
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_sim::{CourseChoice, Models, SimConfig, Simulator, Start};
@@ -13,6 +13,7 @@ use vigil_world::Image;
 #[command(after_help = "\
 Examples:
   vigil courses draw --seed 7 -o 7.png               top view of validation course 7
+  vigil courses draw --seed 7 -o 7.svg               the same as vectors, for print
   vigil courses view --seed 7 -o view.png            what the LiDAR sees at its start
   vigil courses write --family training --seed 3     the course as TOML, to edit and fly with --course
   vigil courses check my.toml                        is it well formed, and is there a way to the goal?")]
@@ -23,11 +24,11 @@ pub struct CoursesArgs {
 
 #[derive(Debug, Clone, clap::Subcommand)]
 enum CoursesCommand {
-    /// Draw a course from above as a PNG.
+    /// Draw a course from above, as a PNG or an SVG.
     Draw {
         #[command(flatten)]
         course: CourseChoice,
-        /// The picture.
+        /// The picture; its ending, .png or .svg, says which.
         #[arg(short, long, default_value = "course.png")]
         output: PathBuf,
     },
@@ -62,9 +63,22 @@ enum CoursesCommand {
 pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
     match &args.command {
         CoursesCommand::Draw { course, output } => {
-            vigil_world::check_png_name(output)?;
+            let ending = output.extension().map(|e| e.to_ascii_lowercase());
+            let is_svg = ending.as_deref().is_some_and(|e| e == "svg");
+            ensure!(
+                is_svg || ending.as_deref().is_none_or(|e| e == "png"),
+                "cannot write picture {}: courses are drawn as PNG or SVG files; name it {} or {}",
+                output.display(),
+                output.with_extension("png").display(),
+                output.with_extension("svg").display()
+            );
             let course = course.load(course.seed_or_random())?;
-            write_png(&vigil_world::draw(&course, &[]), output)?;
+            if is_svg {
+                output::write(output, vigil_world::draw_svg(&course, &[]))?;
+                say!("{}", output.display());
+            } else {
+                write_png(&vigil_world::draw(&course, &[]), output)?;
+            }
         }
         CoursesCommand::View { course, output } => {
             vigil_world::check_png_name(output)?;

@@ -1,4 +1,5 @@
-//! A raster to draw on: shapes several times too large, for smooth edges, and text at its own size.
+//! What is drawn on, twice: a raster, on which shapes are several times too large, for smooth edges, and text has its own size;
+//! and the same shapes and text as SVG.
 
 use core::convert::Infallible;
 use embedded_graphics::pixelcolor::Rgb888;
@@ -113,6 +114,7 @@ impl Image {
 pub(crate) struct Canvas {
     pub(crate) image: Image,
     layer: Layer,
+    svg: String,
 }
 
 impl Canvas {
@@ -125,13 +127,36 @@ impl Canvas {
                 height: layer_height,
                 pixels: vec![None; layer_width * layer_height],
                 touched: Touched::NOTHING,
+                svg: String::new(),
             },
+            svg: format!(
+                "<rect width=\"{width}\" height=\"{height}\" fill=\"{}\"/>\n",
+                hex(background)
+            ),
         }
+    }
+
+    /// An SVG file's content.
+    pub(crate) fn to_svg(&self) -> String {
+        let (width, height) = (self.image.width, self.image.height);
+        format!(
+            "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n{}</svg>\n",
+            self.svg
+        )
+    }
+
+    /// Adds an element that lies on no layer.
+    pub(crate) fn add_svg(&mut self, element: &str) {
+        self.svg += element;
     }
 
     /// Lays what `shapes` draws over the picture at an opacity of 0 to 1. Shapes of one layer do not shine through each other.
     pub(crate) fn layer(&mut self, opacity: f32, shapes: impl FnOnce(&mut Layer)) {
         shapes(&mut self.layer);
+        let elements = core::mem::take(&mut self.layer.svg);
+        if !elements.is_empty() {
+            self.svg += &format!("<g opacity=\"{opacity}\">\n{elements}</g>\n");
+        }
         let touched = core::mem::replace(&mut self.layer.touched, Touched::NOTHING);
         let whole = |from: usize, to: usize| from / OVERSAMPLING..to.div_ceil(OVERSAMPLING);
         for y in whole(touched.top, touched.bottom) {
@@ -215,9 +240,26 @@ pub(crate) struct Layer {
     height: usize,
     pixels: Vec<Option<Rgb888>>,
     touched: Touched,
+    /// The same shapes as SVG elements.
+    svg: String,
+}
+
+/// A colour as SVG has it.
+pub(crate) fn hex(colour: Rgb888) -> String {
+    format!("#{:02X}{:02X}{:02X}", colour.r(), colour.g(), colour.b())
 }
 
 impl Layer {
+    /// Adds an SVG element.
+    pub(crate) fn add_svg(&mut self, element: &str) {
+        self.svg += element;
+    }
+
+    /// A length on this layer in pixels of the picture.
+    pub(crate) fn pixels(&self, length: u32) -> f32 {
+        length as f32 / OVERSAMPLING as f32
+    }
+
     /// A point of the picture on this layer.
     pub(crate) fn point(&self, [x, y]: [f32; 2]) -> Point {
         let scale = OVERSAMPLING as f32;

@@ -10,7 +10,7 @@ use crate::course::Course;
 use crate::referee::Outcome;
 use crate::solid::Solid;
 use crate::vehicle::VEHICLE;
-use canvas::{Canvas, Layer};
+use canvas::{Canvas, Layer, hex};
 use embedded_graphics::mono_font::ascii::{FONT_6X10, FONT_8X13};
 use embedded_graphics::mono_font::{MonoFont, MonoTextStyle};
 use embedded_graphics::pixelcolor::Rgb888;
@@ -62,6 +62,15 @@ const PLAN_PIXELS: f32 = 960.0;
 /// Draws the top view of a course: obstacles shaded by height, movers at time zero with their ways, start, goal, bounds,
 /// checkpoints, the corridor, and flights.
 pub fn draw(course: &Course, paths: &[FlightPath]) -> Image {
+    on_canvas(course, paths).image
+}
+
+/// The same picture as an SVG file's content.
+pub fn draw_svg(course: &Course, paths: &[FlightPath]) -> String {
+    on_canvas(course, paths).to_svg()
+}
+
+fn on_canvas(course: &Course, paths: &[FlightPath]) -> Canvas {
     let view = View::of(course);
     let mut canvas = Canvas::new(view.width, view.height, BACKGROUND);
     draw_grid(&mut canvas, &view, course);
@@ -76,7 +85,7 @@ pub fn draw(course: &Course, paths: &[FlightPath]) -> Image {
     });
     draw_labels(&mut canvas, &view, course);
     legend::draw_legend(&mut canvas, &view, course, paths);
-    canvas.image
+    canvas
 }
 
 /// How metres become pixels.
@@ -136,6 +145,11 @@ fn drawn<T>(result: Result<T, core::convert::Infallible>) -> T {
 fn line(layer: &mut Layer, from: [f32; 2], to: [f32; 2], colour: Rgb888, pixels: f32) {
     let shape = Line::new(layer.point(from), layer.point(to));
     drawn(shape.into_styled(stroke(layer, colour, pixels)).draw(layer));
+    let ([x0, y0], [x1, y1]) = (from, to);
+    let colour = hex(colour);
+    layer.add_svg(&format!(
+        "<line x1=\"{x0:.1}\" y1=\"{y0:.1}\" x2=\"{x1:.1}\" y2=\"{y1:.1}\" stroke=\"{colour}\" stroke-width=\"{pixels}\"/>\n"
+    ));
 }
 
 fn dashed(layer: &mut Layer, from: [f32; 2], to: [f32; 2], colour: Rgb888, pixels: f32) {
@@ -154,9 +168,28 @@ fn dashed(layer: &mut Layer, from: [f32; 2], to: [f32; 2], colour: Rgb888, pixel
 fn disc(layer: &mut Layer, centre: [f32; 2], radius: f32, style: PrimitiveStyle<Rgb888>) {
     let shape = Circle::with_center(layer.point(centre), layer.length(2.0 * radius));
     drawn(shape.into_styled(style).draw(layer));
+    let [x, y] = centre;
+    let or_none = |colour: Option<Rgb888>| colour.map_or("none".to_owned(), hex);
+    layer.add_svg(&format!(
+        "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" fill=\"{}\" stroke=\"{}\" stroke-width=\"{:.1}\"/>\n",
+        or_none(style.fill_color),
+        or_none(style.stroke_color),
+        layer.pixels(style.stroke_width)
+    ));
+}
+
+/// A filled polygon as SVG; the raster has it of triangles.
+fn add_polygon(layer: &mut Layer, corners: &[[f32; 2]], colour: Rgb888) {
+    let points: Vec<String> = corners.iter().map(|[x, y]| format!("{x:.1},{y:.1}")).collect();
+    layer.add_svg(&format!(
+        "<polygon points=\"{}\" fill=\"{}\"/>\n",
+        points.join(" "),
+        hex(colour)
+    ));
 }
 
 fn quadrangle(layer: &mut Layer, corners: [[f32; 2]; 4], colour: Rgb888) {
+    add_polygon(layer, &corners, colour);
     let [a, b, c, d] = corners.map(|p| layer.point(p));
     for shape in [Triangle::new(a, b, c), Triangle::new(a, c, d)] {
         drawn(shape.into_styled(fill(colour)).draw(layer));
@@ -189,6 +222,17 @@ fn text(canvas: &mut Canvas, words: &str, [x, y]: [f32; 2], font: &MonoFont<'_>,
         .build();
     let at = Point::new(x.round() as i32, y.round() as i32);
     drawn(Text::with_text_style(words, at, MonoTextStyle::new(font, colour), style).draw(&mut canvas.image));
+    let anchor = match alignment {
+        Alignment::Left => "start",
+        Alignment::Center => "middle",
+        Alignment::Right => "end",
+    };
+    let words = words.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
+    canvas.add_svg(&format!(
+        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-family=\"monospace\" font-size=\"{}\" text-anchor=\"{anchor}\" dominant-baseline=\"central\" fill=\"{}\" xml:space=\"preserve\">{words}</text>\n",
+        font.character_size.height,
+        hex(colour)
+    ));
 }
 
 fn draw_grid(canvas: &mut Canvas, view: &View, course: &Course) {
@@ -388,7 +432,9 @@ fn arrow(layer: &mut Layer, from: [f32; 2], tip: [f32; 2], colour: Rgb888) {
     let (dx, dy) = (dx * scale, dy * scale);
     let behind = |back: f32, side: f32| [tip[0] - back * dx - side * dy, tip[1] - back * dy + side * dx];
     line(layer, from, behind(length, 0.0), colour, 3.0);
-    let head = [tip, behind(length, half), behind(length, -half)].map(|p| layer.point(p));
+    let head = [tip, behind(length, half), behind(length, -half)];
+    add_polygon(layer, &head, colour);
+    let head = head.map(|p| layer.point(p));
     drawn(
         Triangle::new(head[0], head[1], head[2])
             .into_styled(fill(colour))
@@ -478,6 +524,37 @@ mod tests {
             pixel(&image, view.at(10.3, -8.3)),
             [BACKGROUND.r(), BACKGROUND.g(), BACKGROUND.b()]
         );
+    }
+
+    #[test]
+    fn the_vector_picture_has_the_shapes_of_the_raster() {
+        let mut course = generate(Family::Training, 0);
+        course.name = "one <column> & nothing else".to_owned();
+        (course.boxes, course.walls, course.overhangs) = (Vec::new(), Vec::new(), Vec::new());
+        course.columns = vec![crate::Column {
+            north_m: 10.3,
+            east_m: -6.3,
+            radius_m: 0.5,
+            height_m: 4.0,
+        }];
+        let svg = draw_svg(&course, &[]);
+        let view = View::of(&course);
+        let [x, y] = view.at(10.3, -6.3);
+        let radius = 0.5 * view.pixels_per_m;
+        let column = format!(
+            "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"{radius:.1}\" fill=\"{}\"",
+            hex(TALL)
+        );
+        assert!(svg.contains(&column), "{column}");
+        for part in [
+            "one &lt;column&gt; &amp; nothing else",
+            ">goal<",
+            ">start<",
+            "east of home, m",
+            "</svg>",
+        ] {
+            assert!(svg.contains(part), "{part}");
+        }
     }
 
     #[test]
