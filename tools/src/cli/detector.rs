@@ -5,7 +5,7 @@ use crate::detector_training::{
     Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Record,
     Report, Role, Separation, Set, SetReport, States, auc, fly_sets, sets,
 };
-use crate::report::{Figure, Panel, Picture, TextTable, decimals, numbers, to_csv, words};
+use crate::report::{Figure, Panel, Picture, Scale, TextTable, decimals, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result};
@@ -439,7 +439,10 @@ impl Stage<'_> {
             let judged = (sets.as_slice(), records.as_slice());
             crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, threshold, judged)
         };
-        let (report, in_flight) = (at(0.5)?, at(frozen.threshold)?);
+        let (report, mut in_flight) = (at(0.5)?, at(frozen.threshold)?);
+        // The curves are those of any threshold: once is enough.
+        in_flight.roc.clear();
+        in_flight.sets.iter_mut().for_each(|set| set.roc.clear());
         put!(
             "{}\nAT THE THRESHOLD IN FLIGHT ({})\n{}",
             text(&report),
@@ -785,7 +788,7 @@ fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
     Figure::over("epoch", epochs.len() as f64, panels.into()).png()
 }
 
-/// ROC of the paper's attack and of each other one that was flown, over the corner that counts.
+/// ROC of the paper's attack, and of the methods that are not found as well.
 pub(crate) fn roc(report: &Report) -> Figure {
     let others = report
         .sets
@@ -802,12 +805,9 @@ pub(crate) fn roc(report: &Report) -> Figure {
         }
     }
     hardest.sort_by(|a, b| auc(&a.1.roc).total_cmp(&auc(&b.1.roc)));
-    // More lines than these would hide each other along the upper edge.
-    let shown = hardest
-        .iter()
-        .take(4)
-        .rev()
-        .map(|(method, set)| (method.as_str(), set.roc.clone()));
+    // The others lie on the upper edge and would hide each other.
+    let apart = hardest.iter().filter(|(_, set)| auc(&set.roc) < 0.9999);
+    let shown = apart.rev().map(|(method, set)| (method.as_str(), set.roc.clone()));
     roc_figure([("the paper's", report.roc.clone())].into_iter().chain(shown))
 }
 
@@ -816,23 +816,11 @@ fn roc_of_features(reports: &[Report]) -> Figure {
 }
 
 fn roc_figure<'a>(curves: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Figure {
-    /// The corner that counts: the rest of the axis is flat.
-    const LIMIT: f64 = 0.05;
-    let corner = |points: Vec<(f64, f64)>| {
-        let mut shown: Vec<(f64, f64)> = points.iter().copied().take_while(|(x, _)| *x <= LIMIT).collect();
-        // Up to the edge, between the points on both of its sides.
-        if let (Some(a), Some(b)) = (shown.last().copied(), points.get(shown.len())) {
-            shown.push((LIMIT, a.1 + (b.1 - a.1) * (LIMIT - a.0) / (b.0 - a.0)));
-        }
-        shown
-    };
-    let curves = curves.into_iter().map(|(name, points)| (name, corner(points)));
     let panel = Panel::new("Found over false alarms", "attacked windows found (share)", curves);
-    Figure::over(
-        "false alarms (share of the unattacked windows; beyond 0.05 the curves are flat)",
-        LIMIT,
-        vec![panel],
-    )
+    let label = "false alarms (share of the unattacked windows, logarithmic)";
+    let mut figure = Figure::over(label, 1.0, vec![panel]);
+    figure.x_scale = Scale::Logarithmic(vec![1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0]);
+    figure
 }
 
 fn text(report: &Report) -> String {

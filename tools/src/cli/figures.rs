@@ -254,7 +254,7 @@ pub(crate) fn figure_13(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
 /// By additivity the two lines are one.
 pub(crate) fn figure_14(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
     let sum = |l: &ExplanationLine| l.base + l.image + l.bearing + l.distance;
-    let both = Panel::new(
+    let mut both = Panel::new(
         "Yaw output, and the sum that explains it",
         "yaw (units of 30 °/s)",
         [
@@ -262,6 +262,7 @@ pub(crate) fn figure_14(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
             ("constant + SHAP values", line(lines, sum)),
         ],
     );
+    both.series[1].dashed = true;
     let difference = Panel::new(
         "Sum less yaw output",
         "millionths of 30 °/s",

@@ -344,6 +344,7 @@ fn over_seeds(label: &str, runs: &[Vec<(f64, f64)>]) -> Series {
                 (*x, low, high)
             })
             .collect(),
+        dashed: false,
     }
 }
 

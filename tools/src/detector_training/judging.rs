@@ -245,7 +245,7 @@ pub struct Report {
     /// Each set.
     pub sets: Vec<SetReport>,
     /// Receiver operating characteristic of the paper's attack: its corners.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub roc: Vec<(f64, f64)>,
 }
 

@@ -25,6 +25,8 @@ pub struct Series {
     pub points: Vec<(f64, f64)>,
     /// An interval around it: abscissa, lower, upper. Empty without one.
     pub band: Vec<(f64, f64, f64)>,
+    /// Drawn dashed, over what it may lie on.
+    pub dashed: bool,
 }
 
 impl Series {
@@ -34,6 +36,7 @@ impl Series {
             label: label.into(),
             points,
             band: Vec::new(),
+            dashed: false,
         }
     }
 }
@@ -93,7 +96,7 @@ impl Panel {
 pub enum Scale {
     /// From 0, evenly.
     Linear,
-    /// By their logarithm, with ticks at these values; it begins at the first.
+    /// By their logarithm, with ticks at these values; it begins at the first, where what is less stands too.
     Logarithmic(Vec<f64>),
 }
 
@@ -126,9 +129,9 @@ impl Figure {
 
     /// Where a value stands along the axis.
     fn at(&self, x: f64) -> f64 {
-        match self.x_scale {
+        match &self.x_scale {
             Scale::Linear => x,
-            Scale::Logarithmic(_) => x.log10(),
+            Scale::Logarithmic(values) => x.max(values.first().map_or(1.0, |first| *first)).log10(),
         }
     }
 
@@ -258,13 +261,17 @@ fn draw_panel<DB: DrawingBackend>(
         let whole = series.points.split(|(x, y)| !(x.is_finite() && y.is_finite()));
         for piece in whole.filter(|piece| !piece.is_empty()) {
             let placed: Vec<_> = piece.iter().map(|(x, y)| (figure.at(*x), *y)).collect();
-            // A few measured points are marked: what lies between them was not measured.
-            if piece.len() <= 12 {
+            // What lies between a few measured points was not measured.
+            let at_ticks = || matches!(&figure.x_scale, Scale::Logarithmic(values) if piece.iter().all(|(x, _)| values.contains(x)));
+            if piece.len() <= 12 && (!series.band.is_empty() || at_ticks()) {
                 let radius = (2 * scale) as i32;
                 let dots = placed.iter().map(|at| Circle::new(*at, radius, colour.filled()));
                 chart.draw_series(dots)?;
             }
-            chart.draw_series([PathElement::new(placed, style)])?;
+            match series.dashed {
+                true => chart.draw_series(DashedLineSeries::new(placed, 6 * scale, 5 * scale, style))?,
+                false => chart.draw_series([PathElement::new(placed, style)])?,
+            };
         }
     }
     for (_, level) in &panel.thresholds {
@@ -287,7 +294,7 @@ fn draw_head<DB: DrawingBackend>(
     scale: u32,
 ) -> Result<(), Fault<DB>> {
     let middle = (HEAD / 2 * scale) as i32;
-    let (left, mark, gap) = ((LEFT * scale) as i32, (16 * scale) as i32, (5 * scale) as i32);
+    let (left, mark, gap) = ((LEFT * scale) as i32, (16 * scale) as i32, (7 * scale) as i32);
     let anchor = |h| Pos::new(h, VPos::Center);
     let title = TextStyle::from(("sans-serif", 14 * scale))
         .color(&INK)

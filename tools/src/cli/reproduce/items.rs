@@ -489,6 +489,7 @@ fn figure_11(sources: &Sources) -> Result<Made> {
             band: of(method, *count)
                 .map(|(size, line)| (size, line.low_95, line.high_95))
                 .collect(),
+            dashed: false,
         });
         Panel {
             title: title.to_owned(),
@@ -796,7 +797,7 @@ fn detection(sources: &Sources) -> Result<Made> {
         caption: format!(
             "Windows of ten explanations, judged one by one, against those of unattacked flights: accuracy under the paper's attack at \
              0.5 is {accuracy}, 95 % interval {interval} (the paper: 91 %). The names are method, ε · 255 x iterations; of each method \
-             the hardest is drawn, the four hardest methods beside the paper's. Intervals take windows for independent, which those \
+             the hardest is drawn, if it does not lie on the paper's line. Intervals take windows for independent, which those \
              of one flight are not."
         ),
     })
@@ -812,6 +813,7 @@ fn alarm_delay(sources: &Sources) -> Result<Made> {
             label: label.to_owned(),
             points: known().map(|(at, _, share)| (at, share)).collect(),
             band: known().map(|(at, p, _)| (at, p.interval.0, p.interval.1)).collect(),
+            dashed: false,
         }
     };
     let panel = |title: &str, line: Series| Panel {
