@@ -163,7 +163,7 @@ impl Picture for Bars {
             area.draw_text(
                 &row.label,
                 &text(12, HPos::Right, VPos::Center),
-                (dots(LEFT - 8), middle),
+                (dots(LEFT - 12), middle),
             )?;
             for (number, bar) in row.bars.iter().enumerate() {
                 let y = dots(top + number as u32 * BAR);
@@ -173,6 +173,11 @@ impl Picture for Bars {
                     [(start.min(end), upper), (start.max(end), lower)],
                     colour.mix(0.75).filled(),
                 ))?;
+                // So that a bar of nothing tells whose it is.
+                if self.series.len() > 1 {
+                    let mark = [(start - dots(6), upper), (start - dots(2), lower)];
+                    area.draw(&Rectangle::new(mark, colour.filled()))?;
+                }
                 let mut rightmost = end;
                 if let Some((low, high)) = bar.interval {
                     let (low, high) = (self.at(low, scale), self.at(high, scale));
