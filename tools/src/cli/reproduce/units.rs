@@ -147,7 +147,7 @@ pub const SPECS: [Spec; 16] = [
         what: "attacked by one who knows the detector",
         seeds: "validation courses from 8200000",
         quick: &[
-            "attack defended --burst continuous --flights 6 --seed 8200000 --arms undefended,recover --evade DETECTOR --resume",
+            "attack defended --burst continuous --flights 4 --seed 8200000 --arms undefended,recover --evade DETECTOR --resume",
         ],
         full: &[
             "attack defended --burst continuous --flights 50 --seed 8200000 --arms undefended,recover --evade DETECTOR --resume",
@@ -160,7 +160,7 @@ pub const SPECS: [Spec; 16] = [
         what: "the same without the guard",
         seeds: "validation courses from 8200000",
         quick: &[
-            "attack defended --burst continuous --flights 4 --seed 8200000 --arms recover --evade DETECTOR --guard off --resume",
+            "attack defended --burst continuous --flights 3 --seed 8200000 --arms recover --evade DETECTOR --guard off --resume",
         ],
         full: &[
             "attack defended --burst continuous --flights 20 --seed 8200000 --arms recover --evade DETECTOR --guard off --resume",
