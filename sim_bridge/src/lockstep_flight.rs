@@ -1,7 +1,7 @@
 //! A whole flight in lockstep: simulator and firmware take turns, faster than real time, the same bits for the same seed.
 
 use crate::Simulator;
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
 use vigil_world::Outcome;
 
@@ -25,23 +25,25 @@ pub trait FirmwarePort {
 }
 
 /// What a lockstep flight came to.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FlightRecord {
     /// How it ended; absent when the vehicle never took off.
-    #[serde(serialize_with = "outcome_name")]
+    #[serde(serialize_with = "outcome_name", deserialize_with = "named_outcome")]
     pub outcome: Option<Outcome>,
     /// Simulated seconds from lift-off (or from the airborne start) to the ending.
     pub flight_time_s: f64,
     /// Metres flown.
     pub path_length_m: f64,
     /// Smallest horizontal distance to the goal.
+    #[serde(deserialize_with = "or_infinity")]
     pub closest_goal_m: f32,
     /// Smallest distance of the vehicle's middle from an obstacle, once a step; its radius is 0.30 m.
+    #[serde(deserialize_with = "or_infinity")]
     pub closest_obstacle_m: f32,
     /// Steps taken.
     pub steps: u64,
     /// Digest of everything that happened, see [`Simulator::state_hash`]; hexadecimal.
-    #[serde(serialize_with = "hexadecimal")]
+    #[serde(serialize_with = "hexadecimal", deserialize_with = "from_hexadecimal")]
     pub state_hash: u64,
     /// True positions, one in [`PATH_STRIDE`] steps, NED metres; for drawing.
     #[serde(skip)]
@@ -57,6 +59,21 @@ fn outcome_name<S: serde::Serializer>(outcome: &Option<Outcome>, s: S) -> Result
 
 fn hexadecimal<S: serde::Serializer>(hash: &u64, s: S) -> Result<S::Ok, S::Error> {
     s.collect_str(&format_args!("{hash:016x}"))
+}
+
+fn named_outcome<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Outcome>, D::Error> {
+    let name = Option::<String>::deserialize(d)?;
+    name.map(|name| name.parse().map_err(serde::de::Error::custom))
+        .transpose()
+}
+
+fn from_hexadecimal<'de, D: Deserializer<'de>>(d: D) -> Result<u64, D::Error> {
+    u64::from_str_radix(&String::deserialize(d)?, 16).map_err(serde::de::Error::custom)
+}
+
+/// JSON has no infinity: the distance of a flight that never began is null there.
+fn or_infinity<'de, D: Deserializer<'de>>(d: D) -> Result<f32, D::Error> {
+    Ok(Option::deserialize(d)?.unwrap_or(f32::INFINITY))
 }
 
 impl FlightRecord {

@@ -2,7 +2,7 @@
 
 use crate::{AttackConfig, AttackError, Burst, BurstPlan, Interceptor, Method, PassedStep, StreamAttack, Towards};
 use anyhow::{Result, ensure};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
@@ -144,7 +144,7 @@ impl Attack {
 }
 
 /// What an attack did in one flight.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct AttackRecord {
     /// The first step attacked; absent when the flight ended before.
     pub first_step: Option<u64>,

@@ -1,16 +1,18 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
 use super::{Common, Victim, write_json};
-use crate::campaign::{self, Flown, Tally};
+use crate::campaign::part::{self, Part, Shard, Unit};
+use crate::campaign::{self, Tally};
 use crate::cli::output::{Interrupt, Progress, say};
 use crate::report::{TextTable, words};
-use anyhow::Result;
-use rayon::prelude::*;
+use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::Attack;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_sim::lockstep_flight::FlightRecord;
 
 /// Arguments of `vigil attack completion`.
 #[derive(Debug, Clone, clap::Args)]
@@ -34,6 +36,11 @@ pub struct CompletionArgs {
     /// Iterations.
     #[arg(long, default_value_t = 20)]
     iterations: u32,
+
+    /// Fly part K of N only and leave it in the folder as NAME.K-of-N.part.json; `vigil merge` makes the whole of all parts.
+    /// A part that is there already is gone on with.
+    #[arg(long, value_name = "K/N")]
+    shard: Option<Shard>,
 
     #[command(flatten)]
     common: Common,
@@ -85,6 +92,11 @@ pub struct SearchArgs {
     #[arg(long)]
     apf: bool,
 
+    /// Fly part K of N only and leave it in the folder as NAME.K-of-N.part.json; `vigil merge` makes the whole of all parts.
+    /// A part that is there already is gone on with.
+    #[arg(long, value_name = "K/N")]
+    shard: Option<Shard>,
+
     #[command(flatten)]
     common: Common,
 }
@@ -110,17 +122,65 @@ pub struct Setting {
     pub burst: Burst,
 }
 
-/// What `completion.json` and `search.json` hold.
+/// What `completion.json` and `search.json` hold. Nothing in it depends on the machine or on the time that it took.
 #[derive(Serialize, Deserialize)]
 pub struct Report {
     version: String,
     actor_sha256: String,
     first_seed: u64,
-    wall_s: f64,
-    /// Ctrl-C came: rows are missing, and the last is of fewer flights.
+    /// Ctrl-C came: rows are missing, or of fewer flights.
     #[serde(default)]
     interrupted: bool,
     pub rows: Vec<Row>,
+}
+
+/// Everything that decides what the flights are, wherever they are flown.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Plan {
+    first_seed: u64,
+    /// With each setting.
+    flights: u64,
+    actor_sha256: String,
+    /// Whether the potential field is on, and the attack; a row each.
+    settings: Vec<(bool, Option<Setting>)>,
+}
+
+impl Plan {
+    /// Of an actor whose digest is not known yet.
+    fn new(first_seed: u64, flights: u64, settings: Vec<(bool, Option<Setting>)>) -> Self {
+        Self {
+            first_seed,
+            flights,
+            actor_sha256: String::new(),
+            settings,
+        }
+    }
+
+    fn units(&self) -> u64 {
+        self.flights.saturating_mul(self.settings.len() as u64)
+    }
+
+    /// The number of a unit's row, and its seed.
+    fn place(&self, unit: u64) -> (usize, u64) {
+        let row = (unit / self.flights) as usize;
+        (row, self.first_seed.wrapping_add(unit % self.flights))
+    }
+}
+
+/// A flight as its row needs it.
+#[derive(Debug, Serialize, Deserialize)]
+struct RowFlight {
+    row: usize,
+    seed: u64,
+    record: FlightRecord,
+    attacked_steps: u64,
+    effective_steps: u64,
+}
+
+impl Unit for RowFlight {
+    fn name(&self) -> String {
+        format!("the flight of seed {} in row {}", self.seed, self.row + 1)
+    }
 }
 
 impl Row {
@@ -144,107 +204,126 @@ impl Row {
     }
 }
 
-struct Campaign<'a> {
-    common: &'a Common,
-    victim: &'a Victim,
-    seed: u64,
-    flights: u64,
-    pool: rayon::ThreadPool,
-    bar: Progress,
-    interrupt: Interrupt,
-}
-
-impl Campaign<'_> {
-    fn row(&self, apf: bool, setting: Option<Setting>) -> Result<Row> {
-        let attack = setting.map(|s| Attack {
-            params: self.victim.params.clone(),
-            inputs: self.victim.inputs,
-            config: s.config,
-            burst: s.burst,
-            evade: None,
-        });
-        let flown: Vec<(u64, Flown)> = self.pool.install(|| {
-            (0..self.flights)
-                .into_par_iter()
-                .filter(|_| !self.interrupt.came())
-                .map(|i| {
-                    let seed = self.seed.wrapping_add(i);
-                    // Undefended; with a detector: `vigil attack defended`.
-                    let (config, firmware) = campaign::actor_flight(self.common.actor.as_deref(), apf, seed);
-                    let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
-                    self.bar.inc(1);
-                    Ok((seed, flown))
-                })
-                .collect::<Result<_>>()
-        })?;
-        let outcomes: Vec<_> = flown.iter().map(|(_, flown)| flown.record.outcome).collect();
-        let steps = |of: fn(&vigil_adversary::AttackRecord) -> u64| {
-            flown.iter().filter_map(|(_, f)| f.attack.as_ref()).map(of).sum()
-        };
-        Ok(Row {
+impl Row {
+    fn of((apf, attack): (bool, Option<Setting>), flights: &[&RowFlight]) -> Self {
+        let outcomes: Vec<_> = flights.iter().map(|flight| flight.record.outcome).collect();
+        Self {
             apf,
-            attack: setting,
+            attack,
             tally: Tally::of(&outcomes),
-            attacked_steps: steps(|a| a.attacked_steps),
-            effective_steps: steps(|a| a.effective_steps),
-            failed_seeds: flown
+            attacked_steps: flights.iter().map(|flight| flight.attacked_steps).sum(),
+            effective_steps: flights.iter().map(|flight| flight.effective_steps).sum(),
+            failed_seeds: flights
                 .iter()
-                .filter(|(_, f)| !f.record.is_success())
-                .map(|(seed, _)| *seed)
+                .filter(|flight| !flight.record.is_success())
+                .map(|flight| flight.seed)
                 .collect(),
-        })
+        }
     }
 }
 
-/// Flies every setting over the same courses, prints and writes the table.
-fn fly_all(
-    common: &Common,
-    (seed, flights): (u64, u64),
-    settings: &[(bool, Option<Setting>)],
-    name: &str,
-) -> Result<ExitCode> {
-    let victim = common.victim()?;
-    let folder = common.folder()?;
-    let campaign = Campaign {
-        common,
-        victim: &victim,
+/// Flies one unit.
+fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &Victim), unit: u64) -> Result<RowFlight> {
+    let (row, seed) = plan.place(unit);
+    let (apf, setting) = plan.settings.get(row).copied().context("a row for each flight")?;
+    let attack = setting.map(|s| Attack {
+        params: victim.params.clone(),
+        inputs: victim.inputs,
+        config: s.config,
+        burst: s.burst,
+        evade: None,
+    });
+    // Undefended; with a detector: `vigil attack defended`.
+    let (config, firmware) = campaign::actor_flight(actor, apf, seed);
+    let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
+    let done = flown.attack.unwrap_or_default();
+    Ok(RowFlight {
+        row,
         seed,
-        flights,
-        pool: common.pool()?,
-        bar: Progress::new(flights.saturating_mul(settings.len() as u64), "flights")?,
-        interrupt: Interrupt::on_ctrl_c()?,
-    };
-    let begun = Instant::now();
-    say!("{flights} validation courses from seed {seed}, the same for every row");
-    let rows: Vec<Row> = settings
-        .iter()
-        .take_while(|_| !campaign.interrupt.came())
-        .map(|(apf, setting)| campaign.row(*apf, *setting))
-        .collect::<Result<_>>()?;
-    campaign.bar.finish();
-    say!("{}", Row::table(&rows));
-    let interrupted = campaign.interrupt.came();
-    if interrupted {
-        let flown: usize = rows.iter().map(|row: &Row| row.tally.flights).sum();
-        say!(
-            "interrupted: {flown} of {} flights were flown",
-            flights * settings.len() as u64
-        );
+        record: flown.record,
+        attacked_steps: done.attacked_steps,
+        effective_steps: done.effective_steps,
+    })
+}
+
+/// Flies every setting over the same courses, prints and writes the table; or a shard of it.
+fn fly_all(common: &Common, mut plan: Plan, shard: Option<Shard>, command: &str) -> Result<ExitCode> {
+    let victim = common.victim()?;
+    plan.actor_sha256.clone_from(&victim.sha256);
+    // The file is called as the last word of the command.
+    let name = command.rsplit(' ').next().unwrap_or(command);
+    let path = common.folder()?.join(format!("{name}.json"));
+    let units = plan.units();
+    let (pool, bar, interrupt) = (
+        common.pool()?,
+        Progress::new(units, "flights")?,
+        Interrupt::on_ctrl_c()?,
+    );
+    let with = (common.actor.as_deref(), &victim);
+    say!(
+        "{} validation courses from seed {}, the same for every row",
+        plan.flights,
+        plan.first_seed
+    );
+    if let Some(shard) = shard {
+        let path = shard.file(&path);
+        let part = Part::begin(command, plan.clone(), (shard, units), &path)?;
+        bar.set_length(part.missing().len() as u64);
+        part.fly(&path, (&pool, &bar, &interrupt), |unit| fly(&plan, with, unit))?;
+        return Ok(interrupt.exit_code());
     }
-    let wall_s = begun.elapsed().as_secs_f64();
-    say!("{wall_s:.0} s");
+    let begun = Instant::now();
+    let flown = part::fly_units((0..units).collect(), (&pool, &bar, &interrupt), |unit| {
+        fly(&plan, with, unit)
+    })?;
+    bar.finish();
+    let flights: Vec<RowFlight> = flown.into_iter().map(|(_, flight)| flight).collect();
+    report(&plan, &flights, &path)?;
+    say!("{:.0} s", begun.elapsed().as_secs_f64());
+    Ok(interrupt.exit_code())
+}
+
+/// Prints and writes the table.
+fn report(plan: &Plan, flights: &[RowFlight], path: &Path) -> Result<()> {
+    let rows: Vec<Row> = plan
+        .settings
+        .iter()
+        .enumerate()
+        .map(|(row, setting)| {
+            let of_it: Vec<&RowFlight> = flights.iter().filter(|flight| flight.row == row).collect();
+            (setting, of_it)
+        })
+        .filter(|(_, of_it)| !of_it.is_empty())
+        .map(|(setting, of_it)| Row::of(*setting, &of_it))
+        .collect();
+    say!("{}", Row::table(&rows));
+    let interrupted = (flights.len() as u64) < plan.units();
+    if interrupted {
+        say!("interrupted: {} of {} flights were flown", flights.len(), plan.units());
+    }
     write_json(
-        &folder.join(name),
+        path,
         &Report {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            actor_sha256: victim.sha256.clone(),
-            first_seed: seed,
-            wall_s,
+            actor_sha256: plan.actor_sha256.clone(),
+            first_seed: plan.first_seed,
             interrupted,
             rows,
         },
-    )?;
-    Ok(campaign.interrupt.exit_code())
+    )
+}
+
+/// What parts call these commands.
+pub const COMMANDS: [&str; 2] = ["attack completion", "attack search"];
+
+/// Makes the whole of its parts: the table, and the JSON as one machine would have written it.
+///
+/// # Errors
+/// Parts that contradict each other or are not all; a file that cannot be written.
+pub fn merge(parts: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    let (plan, flights) = part::join::<Plan, RowFlight>(parts)?;
+    report(&plan, &flights, json)?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// Field on and off, times no attack, 5 and 50 steps.
@@ -268,7 +347,8 @@ pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
         .into_iter()
         .flat_map(|apf| bursts.map(|setting| (apf, setting)))
         .collect();
-    fly_all(&args.common, (args.seed, args.flights), &settings, "completion.json")
+    let plan = Plan::new(args.seed, args.flights, settings);
+    fly_all(&args.common, plan, args.shard, COMMANDS[0])
 }
 
 /// Every method, burst and direction asked for, after a row without an attack.
@@ -291,5 +371,6 @@ pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
             }
         }
     }
-    fly_all(&args.common, (args.seed, args.flights), &settings, "search.json")
+    let plan = Plan::new(args.seed, args.flights, settings);
+    fly_all(&args.common, plan, args.shard, COMMANDS[1])
 }

@@ -6,7 +6,7 @@ mod deflection;
 mod states;
 mod strength;
 
-pub use completion::Report as CompletionReport;
+pub use completion::{COMMANDS as MERGED_COMMANDS, Report as CompletionReport, merge};
 pub use defended::Arm;
 pub use deflection::{GAPS as PAPER_DEFLECTION, Report as DeflectionReport};
 pub use strength::CellLine as StrengthLine;
@@ -27,6 +27,8 @@ Examples:
   vigil attack table --states 1000       the same on more states
   vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
   vigil attack completion --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
+  vigil attack completion --flights 200 --shard 2/9
+                                         the second of nine parts, for `vigil merge` (docs/cluster.md)
   vigil attack search                     which streaming attack hurts most
   vigil attack defended --flights 500 --burst continuous
                                          completion undefended, with the stop alone, with recovery, and not attacked

@@ -1,5 +1,6 @@
 //! One flight of the whole stack in lockstep, attacked or not: what every campaign repeats.
 
+pub mod part;
 mod recording;
 mod sensor_record;
 mod watch;

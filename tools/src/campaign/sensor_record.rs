@@ -1,7 +1,7 @@
 //! What was found wrong with the sensor in a flight, and campaigns over the sensor's faults.
 
 use crate::report::{TextTable, numbers, words};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::{SensorFault, SensorFaultMode};
 use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
@@ -19,7 +19,7 @@ const SENSOR_REASONS: [Reason; 7] = [
 ];
 
 /// What was found wrong with the sensor in a flight.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct SensorRecord {
     /// Steps in the states guided and hold.
     pub flown_steps: u64,
@@ -30,7 +30,7 @@ pub struct SensorRecord {
     /// Steps in which something was wrong.
     pub hold_steps: u64,
     /// Everything that was wrong, by name.
-    pub reasons: Vec<&'static str>,
+    pub reasons: Vec<String>,
     /// Something was wrong at the end.
     pub held_at_end: bool,
 }
@@ -47,8 +47,8 @@ impl SensorRecord {
             .fold(Reasons::NONE, |set, r| set.with_if(true, *r));
         let found = Reasons(report.reasons.0 & all.0);
         for reason in found.iter().map(Reason::name) {
-            if !self.reasons.contains(&reason) {
-                self.reasons.push(reason);
+            if !self.reasons.iter().any(|known| known == reason) {
+                self.reasons.push(reason.to_owned());
             }
         }
         if !found.is_empty() {
@@ -69,7 +69,7 @@ impl SensorRecord {
             holds += flight.holds;
             held += u64::from(flight.holds > 0);
             for (name, n) in &mut reasons {
-                *n += u64::from(flight.reasons.contains(name));
+                *n += u64::from(flight.reasons.iter().any(|reason| reason == name));
             }
         }
         let hours = steps as f64 * f64::from(STEP_S) / 3600.0;
@@ -142,10 +142,10 @@ pub struct FaultTally {
 }
 
 impl FaultTally {
-    /// Counts.
-    pub fn of<'a>(fault: &SensorFault, flights: impl Iterator<Item = (&'a FlightRecord, &'a SensorRecord)>) -> Self {
+    /// Counts the flights with the fault of this name.
+    pub fn of<'a>(fault: &str, flights: impl Iterator<Item = (&'a FlightRecord, &'a SensorRecord)>) -> Self {
         let mut tally = Self {
-            fault: fault.to_string(),
+            fault: fault.to_owned(),
             flights: 0,
             collisions: 0,
             held: 0,

@@ -1,10 +1,10 @@
 //! What the detector did in a flight: for campaigns.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use vigil_types::{AlarmCause, AlarmResponse, GuidanceState, STEP_S, StepReport, Verdict};
 
 /// What the detector did in a flight.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct WatchRecord {
     /// Steps in which the actor's decision was judged, in flight.
     pub judged_steps: u64,

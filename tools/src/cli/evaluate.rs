@@ -1,5 +1,6 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
+use crate::campaign::part::{self, Part, Shard, Unit};
 use crate::campaign::{self, FaultChoice, FaultTally, Flown, Recording, SensorRecord, WatchRecord};
 use crate::cli::output::{self, Interrupt, Paint, Progress, say};
 use crate::cli::pilot::PilotArgs;
@@ -8,18 +9,20 @@ use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
-use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{Attack, AttackArgs, AttackRecord};
 use vigil_adversary::{AttackConfig, Burst};
+use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
+use vigil_policy::FrozenActor;
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, family_parser};
-use vigil_types::{FrameKey, STEP_S};
+use vigil_types::{FrameKey, NedVector, STEP_S};
 use vigil_vehicle::Wind;
 use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
 
@@ -47,10 +50,12 @@ Examples:
   vigil evaluate --flights 20 --sensor-fault all        a table of all faults of the LiDAR
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
   vigil evaluate --flights 3 --logs runs/logs           each flight's log and its report
+  vigil evaluate --flights 9000 -o runs/big.json --shard 2/9
+                                                        the second of nine parts, for `vigil merge` (docs/cluster.md)
 
 Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
 arm and take off first. Each ends as success, collision, out of bounds or time-out (docs/courses.md).
-The same seeds give the same flights, bit for bit, on any number of threads.
+The same seeds give the same flights, bit for bit, and the same JSON, byte for byte, on any number of threads or machines.
 
 Ctrl-C ends it with the flights that had ended: the report then says how many were asked for, and that it was interrupted.
 Exit code: 0 all flights were flown (however they ended), 1 error, 130 interrupted.")]
@@ -116,6 +121,11 @@ pub struct EvaluateArgs {
     #[arg(short = 'o', long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
 
+    /// Fly part K of N only and leave it beside the JSON as NAME.K-of-N.part.json; `vigil merge` makes the whole of all parts.
+    /// A part that is there already is gone on with.
+    #[arg(long, value_name = "K/N")]
+    shard: Option<Shard>,
+
     /// Draw the course and path of every flight that failed into this folder.
     #[arg(long, value_name = "DIR")]
     draw_failures: Option<PathBuf>,
@@ -126,7 +136,7 @@ pub struct EvaluateArgs {
 }
 
 /// How far away the goals are.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct GoalDistance {
     from_m: f32,
     to_m: f32,
@@ -161,33 +171,132 @@ fn spread(seed: u64) -> f64 {
     (seed as f64 * 0.618_033_988_749_895) % 1.0
 }
 
-#[derive(Serialize)]
+#[derive(Serialize, Deserialize)]
 struct Flight {
     seed: u64,
     /// Began on the ground.
     from_ground: bool,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     sensor_fault: Option<String>,
     #[serde(flatten)]
     record: FlightRecord,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     attack: Option<AttackRecord>,
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     watch: Option<WatchRecord>,
     sensor: SensorRecord,
     /// Altered frames that a pilot was shown; absent without an attack.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     altered_frames_used: Option<u64>,
 }
 
+impl Unit for Flight {
+    fn name(&self) -> String {
+        match &self.sensor_fault {
+            Some(fault) => format!("the flight of seed {} with the fault {fault}", self.seed),
+            None => format!("the flight of seed {}", self.seed),
+        }
+    }
+}
+
 /// The attack as the report names it.
-#[derive(Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct AttackReport {
     #[serde(flatten)]
     config: AttackConfig,
     burst: Burst,
     /// Whether it deceives a detector as well.
     adaptive: bool,
+}
+
+/// Everything that decides what the flights are, wherever they are flown: files by their content.
+#[derive(Serialize, Deserialize)]
+struct Plan {
+    first_seed: u64,
+    /// With each fault of the sensor.
+    flights: u64,
+    family: Family,
+    wind_m_s: f64,
+    noise_factor: f32,
+    still: bool,
+    goal_distance: Option<GoalDistance>,
+    ground_every: u64,
+    sensor_faults: Vec<String>,
+    authenticated_frames: bool,
+    simulation_sha256: Option<String>,
+    actor_sha256: Option<String>,
+    detector_sha256: Option<String>,
+    attack: Option<AttackReport>,
+    attacked_actor_sha256: Option<String>,
+    evaded_detector_sha256: Option<String>,
+    /// The configuration of the firmware without its files.
+    firmware: Value,
+}
+
+impl Plan {
+    /// What the arguments ask for.
+    fn of(args: &EvaluateArgs, attack: Option<&Attack>) -> Result<Self> {
+        // A new argument has to be thought of here: does it decide what a flight is?
+        let EvaluateArgs {
+            flights,
+            seed,
+            family,
+            threads: _,
+            config,
+            wind,
+            noise,
+            still,
+            goal_distance,
+            ground_every,
+            pilot,
+            attack: attack_args,
+            sensor_fault,
+            authenticate_frames,
+            json: _,
+            shard: _,
+            draw_failures: _,
+            logs: _,
+        } = args;
+        let mut firmware = FirmwareConfig::to_goal(NedVector::default());
+        pilot.apply(&mut firmware);
+        let (actor, detector) = (firmware.frozen_actor()?, firmware.frozen_detector()?);
+        (firmware.pilot.actor_file, firmware.detector.file) = (None, None);
+        let attacked = attack.map(|_| match attack_args.attack_actor.as_deref().or(pilot.actor_file()) {
+            Some(file) => FrozenActor::load(file),
+            None => FrozenActor::built_in(),
+        });
+        let simulation = config
+            .as_ref()
+            .map(|file| vigil_files::read(file, 1 << 20).with_context(|| format!("cannot read {}", file.display())));
+        Ok(Self {
+            first_seed: *seed,
+            flights: *flights,
+            family: *family,
+            wind_m_s: *wind,
+            noise_factor: *noise,
+            still: *still,
+            goal_distance: *goal_distance,
+            ground_every: *ground_every,
+            sensor_faults: faults(*sensor_fault).iter().flatten().map(|f| f.to_string()).collect(),
+            authenticated_frames: *authenticate_frames,
+            simulation_sha256: simulation.transpose()?.map(|text| part::sha256(&text)),
+            actor_sha256: actor.map(|actor| actor.sha256()),
+            detector_sha256: detector.as_ref().map(FrozenDetector::sha256),
+            attack: attack.map(|attack| AttackReport {
+                config: attack.config,
+                burst: attack.burst,
+                adaptive: attack.evade.is_some(),
+            }),
+            attacked_actor_sha256: attacked.transpose()?.map(|actor| actor.sha256()),
+            evaded_detector_sha256: attack.and_then(|a| a.evade.as_ref()).map(FrozenDetector::sha256),
+            firmware: serde_json::to_value(&firmware)?,
+        })
+    }
+
+    /// All flights: with several faults, all with one before the next.
+    fn units(&self) -> u64 {
+        self.flights * self.sensor_faults.len().max(1) as u64
+    }
 }
 
 #[derive(Serialize)]
@@ -198,6 +307,7 @@ struct Rate {
     wilson_95: (f64, f64),
 }
 
+/// Nothing in it depends on the machine or on the time that it took.
 #[derive(Serialize)]
 struct Report<'a> {
     version: &'static str,
@@ -213,12 +323,13 @@ struct Report<'a> {
     ground_every: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     goal_distance: Option<GoalDistance>,
-    threads: usize,
-    wall_s: f64,
-    simulated_s: f64,
-    real_time_factor_per_thread: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    attack: Option<AttackReport>,
+    actor_sha256: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    detector_sha256: Option<&'a str>,
+    simulated_s: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attack: Option<&'a AttackReport>,
     rates: &'a [Rate],
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     sensor_faults: &'a [FaultTally],
@@ -262,7 +373,11 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         .map(Models::load)
         .transpose()?
         .unwrap_or_default();
-    output::prepare(&args.json)?;
+    let path = match args.shard {
+        Some(shard) => shard.file(&args.json),
+        None => args.json.clone(),
+    };
+    output::prepare(&path)?;
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
@@ -274,56 +389,62 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let attack = args.attack.attack(args.pilot.actor_file())?;
+    let plan = Plan::of(args, attack.as_ref())?;
+    let faults = faults(args.sensor_fault);
     let pool = thread_pool_of(args.threads)?;
     let interrupt = Interrupt::on_ctrl_c()?;
-    let bar = Progress::new(args.flights, "flights")?;
+    let bar = Progress::new(plan.units(), "flights")?;
+    let fly_unit = |unit: u64| {
+        let fault = faults.get((unit / args.flights) as usize).copied().flatten();
+        let seed = args.seed.wrapping_add(unit % args.flights);
+        let flight = fly(args, &models, attack.as_ref(), fault, seed)?;
+        if !flight.record.is_success() {
+            bar.set_message(format!(
+                "last failure: seed {} ({})",
+                flight.seed,
+                name(flight.record.outcome)
+            ));
+        }
+        Ok(flight)
+    };
+    if let Some(shard) = args.shard {
+        let units = plan.units();
+        let part = Part::begin(COMMAND, plan, (shard, units), &path)?;
+        bar.set_length(part.missing().len() as u64);
+        part.fly(&path, (&pool, &bar, &interrupt), fly_unit)?;
+        return Ok(interrupt.exit_code());
+    }
     let begun = Instant::now();
-    let faults: Vec<Option<SensorFault>> = match args.sensor_fault {
+    let flown = part::fly_units((0..plan.units()).collect(), (&pool, &bar, &interrupt), fly_unit)?;
+    bar.finish();
+    let flights: Vec<Flight> = flown.into_iter().map(|(_, flight)| flight).collect();
+    let took = Took {
+        wall_s: begun.elapsed().as_secs_f64(),
+        threads: pool.current_num_threads(),
+    };
+    report(&plan, &flights, &path, Some(&took))?;
+    Ok(interrupt.exit_code())
+}
+
+/// What parts of it call this command.
+pub const COMMAND: &str = "evaluate";
+
+/// Makes the whole of its parts: the table, and the JSON as one machine would have written it.
+///
+/// # Errors
+/// Parts that contradict each other or are not all; a file that cannot be written.
+pub fn merge(parts: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    let (plan, flights) = part::join::<Plan, Flight>(parts)?;
+    report(&plan, &flights, json, None)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What each flight is flown with.
+fn faults(choice: Option<FaultChoice>) -> Vec<Option<SensorFault>> {
+    match choice {
         None => vec![None],
         Some(choice) => choice.faults().into_iter().map(Some).collect(),
-    };
-    let flown = faults.len() as u64 * args.flights;
-    bar.set_length(flown);
-    let flights: Vec<Flight> = pool.install(|| {
-        (0..flown)
-            .into_par_iter()
-            .filter(|_| !interrupt.came())
-            .map(|i| {
-                let fault = faults[(i / args.flights) as usize];
-                let seed = args.seed.wrapping_add(i % args.flights);
-                let flight = fly(args, &models, attack.as_ref(), fault, seed)?;
-                if !flight.record.is_success() {
-                    bar.set_message(format!(
-                        "last failure: seed {} ({})",
-                        flight.seed,
-                        name(flight.record.outcome)
-                    ));
-                }
-                bar.inc(1);
-                Ok(flight)
-            })
-            .collect::<Result<_>>()
-    })?;
-    bar.finish();
-    let wall_s = begun.elapsed().as_secs_f64();
-    let tallies: Vec<FaultTally> = faults
-        .iter()
-        .flatten()
-        .map(|fault| {
-            let name = fault.to_string();
-            let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(&name));
-            FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
-        })
-        .collect();
-    report(
-        args,
-        attack.as_ref(),
-        &flights,
-        &tallies,
-        wall_s,
-        pool.current_num_threads(),
-    )?;
-    Ok(interrupt.exit_code())
+    }
 }
 
 fn fly(
@@ -404,6 +525,7 @@ fn recording(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Opti
         &[
             "--flights",
             "--seed",
+            "--shard",
             "--logs",
             "--threads",
             "-o",
@@ -446,15 +568,22 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
     Ok(vigil_world::draw(course, &[flight]).write_png(path)?)
 }
 
-fn report(
-    args: &EvaluateArgs,
-    attack: Option<&Attack>,
-    flights: &[Flight],
-    tallies: &[FaultTally],
+/// What a run cost on this machine.
+struct Took {
     wall_s: f64,
     threads: usize,
-) -> Result<()> {
-    let asked_for = args.flights * tallies.len().max(1) as u64;
+}
+
+fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> Result<()> {
+    let tallies: Vec<FaultTally> = plan
+        .sensor_faults
+        .iter()
+        .map(|fault| {
+            let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(fault));
+            FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
+        })
+        .collect();
+    let asked_for = plan.units();
     let interrupted = (flights.len() as u64) < asked_for;
     if interrupted {
         say!("interrupted      {} of {asked_for} flights were flown", flights.len());
@@ -472,7 +601,6 @@ fn report(
         })
         .collect();
     let simulated_s: f64 = flights.iter().map(|f| f.record.steps as f64 * f64::from(STEP_S)).sum();
-    let factor = simulated_s / wall_s / threads.min(flights.len()).max(1) as f64;
 
     let paint = Paint::stdout();
     let mut table = TextTable::new([
@@ -503,7 +631,7 @@ fn report(
     if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
         say!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
     }
-    if attack.is_some() {
+    if plan.attack.is_some() {
         let each = || flights.iter().filter_map(|f| f.attack.as_ref());
         let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
         say!(
@@ -526,16 +654,13 @@ fn report(
     if !tallies.is_empty() {
         say!();
         let good: Vec<bool> = tallies.iter().map(|tally| tally.collisions == 0).collect();
-        paint.table(&FaultTally::table(tallies), &good);
+        paint.table(&FaultTally::table(&tallies), &good);
         say!("");
     }
-    say!(
-        "{:.0} s simulated in {:.1} s on {} threads: {:.0} x real time per thread",
-        simulated_s,
-        wall_s,
-        threads,
-        factor
-    );
+    if let Some(Took { wall_s, threads }) = took {
+        let factor = simulated_s / wall_s / (*threads).min(flights.len()).max(1) as f64;
+        say!("{simulated_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
+    }
     let failed: Vec<String> = flights
         .iter()
         .filter(|f| !f.record.is_success())
@@ -550,34 +675,29 @@ fn report(
         );
     }
 
-    let json = serde_json::to_vec_pretty(&Report {
+    let content = serde_json::to_vec_pretty(&Report {
         version: env!("CARGO_PKG_VERSION"),
         interrupted,
         flights_asked_for: asked_for,
-        family: args.family,
-        first_seed: args.seed,
-        wind_m_s: args.wind,
-        noise_factor: args.noise,
-        still: args.still,
-        authenticated_frames: args.authenticate_frames,
-        ground_every: args.ground_every,
-        goal_distance: args.goal_distance,
-        threads,
-        wall_s,
+        family: plan.family,
+        first_seed: plan.first_seed,
+        wind_m_s: plan.wind_m_s,
+        noise_factor: plan.noise_factor,
+        still: plan.still,
+        authenticated_frames: plan.authenticated_frames,
+        ground_every: plan.ground_every,
+        goal_distance: plan.goal_distance,
+        actor_sha256: plan.actor_sha256.as_deref(),
+        detector_sha256: plan.detector_sha256.as_deref(),
         simulated_s,
-        real_time_factor_per_thread: factor,
-        attack: attack.map(|attack| AttackReport {
-            config: attack.config,
-            burst: attack.burst,
-            adaptive: attack.evade.is_some(),
-        }),
+        attack: plan.attack.as_ref(),
         rates: &rates,
-        sensor_faults: tallies,
+        sensor_faults: &tallies,
         flights,
     })?;
-    output::write(&args.json, json)?;
-    if !output::is_stdout(&args.json) {
-        say!("details          {}", args.json.display());
+    output::write(json, content)?;
+    if !output::is_stdout(json) {
+        say!("details          {}", json.display());
     }
     Ok(())
 }

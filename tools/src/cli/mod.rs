@@ -8,6 +8,7 @@ mod figures;
 mod fly;
 mod learn;
 mod log;
+mod merge;
 pub(crate) mod output;
 mod pilot;
 mod recover;
@@ -68,6 +69,8 @@ enum Command {
     Firmware(vigil_firmware::program::FirmwareArgs),
     /// Fly many seeded courses in lockstep, faster than real time, and tabulate the outcomes.
     Evaluate(evaluate::EvaluateArgs),
+    /// Make the whole of the parts of a campaign that was flown with --shard.
+    Merge(merge::MergeArgs),
     /// Attack the actor: on states, on scenes, in campaigns of flights.
     Attack(attack::AttackCommands),
     /// Run the adversary alone: alters depth frames between the sensor and the firmware.
@@ -125,6 +128,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Sim(args) => vigil_sim::program::run(args),
         Command::Firmware(args) => vigil_firmware::program::run(args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Merge(args) => merge::run(&args),
         Command::Attack(args) => attack::run(&args),
         Command::Adversary(args) => vigil_adversary::process::run(&args),
         Command::Replay(args) => replay::run(&args),
