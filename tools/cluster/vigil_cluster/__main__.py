@@ -1,0 +1,71 @@
+"""`vigil-cluster`: a campaign of `vigil` on a Ray cluster."""
+
+import argparse
+import shutil
+import sys
+from pathlib import Path
+
+from vigil_cluster.campaign import Campaign, CampaignError
+
+EPILOG = """\
+Examples:
+  vigil-cluster evaluate --flights 500 --seed 1000000 -o runs/a.json           Ray in this process, all cores
+  vigil-cluster evaluate --flights 100000 -o runs/big.json --address auto      the cluster that this machine belongs to
+  vigil-cluster attack completion --flights 200 -o runs/completion.json        ray://HOST:10001 is an address, too
+
+All other arguments are those of `vigil evaluate`, `vigil attack completion` or `vigil attack search`. The program and the
+files that the arguments name are sent along. The parts stay in FILE's folder as FILE.parts; after an interruption the same
+command goes on with them. The result is, byte for byte, what one machine writes. docs/cluster.md explains it.
+
+Exit code: 0 the whole was written, 1 error, 130 interrupted."""
+
+
+def main(arguments=None) -> int:
+    """Reads the arguments and flies; the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="vigil-cluster",
+        description="Fly a campaign of vigil on a Ray cluster.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("command", choices=["evaluate", "attack"], help="as in vigil; attack takes completion or search")
+    parser.add_argument("-o", "--output", "--json", type=Path, required=True, metavar="FILE", help="where the whole goes")
+    parser.add_argument("--address", help="the Ray cluster; absent: Ray is started in this process")
+    parser.add_argument("--shards", type=int, metavar="N", help="parts [default: so that each has 20 flights]")
+    parser.add_argument("--retries", type=int, default=5, help="how often a lost part is flown again [default: 5]")
+    parser.add_argument("--vigil", type=Path, metavar="FILE", help="the program [default: vigil in the PATH]")
+    parser.add_argument("--installed", action="store_true", help="it is at the same place on every node: send nothing")
+    own, rest = parser.parse_known_args(arguments)
+    command = [own.command]
+    if own.command == "attack":
+        if not rest or rest[0] not in ("completion", "search"):
+            parser.error("attack takes completion or search")
+        command.append(rest.pop(0))
+    if own.shards is not None and own.shards < 1:
+        parser.error("--shards is a number above 0")
+    found = own.vigil or shutil.which("vigil")
+    if found is None:
+        parser.error("there is no program vigil in the PATH: name it with --vigil")
+    try:
+        Campaign(
+            command=command,
+            arguments=rest,
+            output=own.output,
+            vigil=found,
+            address=own.address,
+            shards=own.shards,
+            retries=own.retries,
+            installed=own.installed,
+        ).fly()
+    except (CampaignError, ConnectionError) as error:
+        print(f"vigil-cluster: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("vigil-cluster: interrupted; the same command goes on with the parts that are there", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
