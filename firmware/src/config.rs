@@ -434,7 +434,7 @@ impl FirmwareConfig {
             git_commit: None,
             instance: self.instance,
             seed: None,
-            actor_sha256: self.frozen_actor().ok().flatten().map(|actor| actor.sha256()),
+            actor_sha256: self.frozen_pilot().ok().flatten().map(|pilot| pilot.sha256()),
             detector_sha256: detector.as_ref().map(FrozenDetector::sha256),
             detector_threshold: detector.map(|d| self.detector.threshold.unwrap_or(d.threshold)),
             config_toml: self.to_toml(),

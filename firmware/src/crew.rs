@@ -6,7 +6,8 @@ use std::path::Path;
 use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, GeometricPilot, LedBy, RecoveryPilot};
+use vigil_policy::imported::POLICY_FORMAT;
+use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, FrozenPolicy, GeometricPilot, LedBy, RecoveryPilot};
 use vigil_types::PilotKind;
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
@@ -51,11 +52,26 @@ impl Crew {
                 return Err(StackError::NothingToWatch(what));
             }
         }
-        let Some(frozen) = config.frozen_actor()? else {
-            let pilot = GeometricPilot::new(config.stack().pilot);
-            return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
-        };
         let isa = Isa::detect();
+        let frozen = match config.frozen_pilot()? {
+            None => {
+                let pilot = GeometricPilot::new(config.stack().pilot);
+                return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
+            }
+            Some(FrozenPilot::Imported(policy)) => {
+                if config.has_detector() {
+                    return Err(StackError::ImportedPolicyUnwatched);
+                }
+                return Ok(Self {
+                    pilot: FlightPilot::Imported(policy.pilot(isa, config.pilot.apf)?),
+                    monitor: None,
+                    recovery: Some(Box::default()),
+                    watched: config.is_watched(),
+                    led_by: LedBy::Goal,
+                });
+            }
+            Some(FrozenPilot::Actor(actor)) => actor,
+        };
         let monitor = match config.frozen_detector()? {
             None => None,
             Some(detector) => {
@@ -86,17 +102,60 @@ fn named(file: Option<&Path>) -> String {
     )
 }
 
-impl FirmwareConfig {
-    /// The actor that is to fly; `None` when another pilot is.
+/// A pilot that comes from a file.
+#[derive(Debug, Clone)]
+pub enum FrozenPilot {
+    /// An actor of ours.
+    Actor(FrozenActor),
+    /// A policy of others.
+    Imported(FrozenPolicy),
+}
+
+impl FrozenPilot {
+    /// Reads and verifies a file of either kind.
     ///
     /// # Errors
-    /// [`FileError`]: an actor that is truncated, altered or of another architecture, by name.
-    pub fn frozen_actor(&self) -> Result<Option<FrozenActor>, FileError> {
+    /// [`FileError`]: what is truncated, altered or of another architecture, by name.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        match FrozenActor::load(path) {
+            Err(FileError::Other {
+                key: "format", found, ..
+            }) if found == POLICY_FORMAT => FrozenPolicy::load(path).map(Self::Imported),
+            actor => actor.map(Self::Actor),
+        }
+    }
+
+    /// The digest of the network and its metadata.
+    pub fn sha256(&self) -> String {
+        match self {
+            Self::Actor(actor) => actor.sha256(),
+            Self::Imported(policy) => policy.sha256(),
+        }
+    }
+}
+
+impl FirmwareConfig {
+    /// The actor or imported policy that is to fly; `None` when another pilot is.
+    ///
+    /// # Errors
+    /// [`FileError`]: what is truncated, altered or of another architecture, by name.
+    pub fn frozen_pilot(&self) -> Result<Option<FrozenPilot>, FileError> {
         match (self.pilot.kind, &self.pilot.actor_file) {
             (PilotKind::Geometric, _) => Ok(None),
-            (PilotKind::Actor, Some(path)) => FrozenActor::load(path).map(Some),
-            (PilotKind::Actor, None) => FrozenActor::built_in().map(Some),
+            (PilotKind::Actor, Some(path)) => FrozenPilot::load(path).map(Some),
+            (PilotKind::Actor, None) => FrozenActor::built_in().map(FrozenPilot::Actor).map(Some),
         }
+    }
+
+    /// The same if it is an actor of ours.
+    ///
+    /// # Errors
+    /// As [`Self::frozen_pilot`].
+    pub fn frozen_actor(&self) -> Result<Option<FrozenActor>, FileError> {
+        Ok(self.frozen_pilot()?.and_then(|pilot| match pilot {
+            FrozenPilot::Actor(actor) => Some(actor),
+            FrozenPilot::Imported(_) => None,
+        }))
     }
 
     /// The detector that is to watch it; `None` when it is off, or no actor flies.

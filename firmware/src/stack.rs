@@ -398,12 +398,12 @@ impl FlightStack {
         self.leg.take_up(now_ns, here, view.goal_ned_m);
         let led_to = self.leg.next(now_ns, here, view.goal.bearing_rad);
         let towards = match (&*pilot, led_to) {
-            (FlightPilot::Actor(_), LedTo::Point(position_ned_m)) => PilotInput {
+            (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Point(position_ned_m)) => PilotInput {
                 goal: Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample),
                 ..input
             },
             // The geometric pilot plans its own way.
-            (FlightPilot::Geometric(_), _) | (FlightPilot::Actor(_), LedTo::Path) => input,
+            (FlightPilot::Geometric(_), _) | (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Path) => input,
         };
         // The recovery pilot plans its own way too, unless it is to lead the actor along its leg.
         let planned = match led_by {

@@ -26,6 +26,12 @@ pub enum StackError {
         "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
     )]
     NothingToWatch(&'static str),
+    /// A detector explains our own actor's network.
+    #[error(
+        "the detector judges what our own actor's 48 values come from, and this is an imported policy: add --detector off, and \
+         --guard on to have the recovery pilot warn and take over before a collision"
+    )]
+    ImportedPolicyUnwatched,
     /// The detector is not this actor's, or cannot explain it.
     #[error("detector {file}: {source}")]
     Monitor {

@@ -18,7 +18,9 @@ use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_nnet::Purpose;
 use vigil_policy::actor::FRAMES_SPREAD;
+use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_types::{GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
@@ -81,6 +83,39 @@ fn an_actor_led_by_the_path_over_spread_frames_allocates_nothing() {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
     config.pilot.actor_file = Some(file);
+    config.detector.enabled = Some(false);
+    whole_flight(&config);
+}
+
+#[test]
+fn an_imported_policy_with_field_and_guard_allocates_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("policy.safetensors");
+    let text = "input 12288\nconv2d 0 64 96 2 4 8 8 0 relu\ninput 2\nconcat 1 2\ndense 3 386 2 tanh*1.5\noutput 4\n";
+    let network: Network = text.parse().unwrap();
+    let len = network.graph(Purpose::Gradients).unwrap().param_len();
+    let policy = FrozenPolicy {
+        network,
+        params: (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 2000.0).collect(),
+        inputs: PolicyInputs {
+            rows: 64,
+            cols: 96,
+            channels: 2,
+            order: Channels::Stack,
+            depth: Depth::Contrast,
+            scale: 1.0,
+            frame_input: 0,
+            has_position: true,
+            output_scale: 1.0,
+        },
+        source: String::new(),
+    };
+    policy.save(&file).unwrap();
+    let mut config = config();
+    config.pilot.kind = PilotKind::Actor;
+    config.pilot.actor_file = Some(file);
+    let refused = Crew::of(&config).err().unwrap().to_string();
+    assert!(refused.contains("add --detector off"), "{refused}");
     config.detector.enabled = Some(false);
     whole_flight(&config);
 }

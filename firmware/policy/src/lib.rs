@@ -26,6 +26,7 @@ pub mod actor;
 pub mod apf;
 mod field;
 pub mod geometric;
+pub mod imported;
 pub mod plausibility;
 
 #[cfg(feature = "actor-file")]
@@ -34,6 +35,9 @@ pub use actor::{ActorInputs, ActorPilot, FlightPilot, LedBy};
 pub use apf::NearestObstacle;
 pub use field::FlightField;
 pub use geometric::{GeometricConfig, GeometricPilot, RangeScan, RecoveryPilot, Scan};
+#[cfg(feature = "actor-file")]
+pub use imported::FrozenPolicy;
+pub use imported::ImportedPilot;
 pub use plausibility::PlausibilityJudge;
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};

@@ -259,7 +259,7 @@ impl Plan {
         } = args;
         let mut firmware = FirmwareConfig::to_goal(NedVector::default());
         pilot.apply(&mut firmware);
-        let (actor, detector) = (firmware.frozen_actor()?, firmware.frozen_detector()?);
+        let (actor, detector) = (firmware.frozen_pilot()?, firmware.frozen_detector()?);
         (firmware.pilot.actor_file, firmware.detector.file) = (None, None);
         let attacked = attack.map(|_| match attack_args.attack_actor.as_deref().or(pilot.actor_file()) {
             Some(file) => FrozenActor::load(file),

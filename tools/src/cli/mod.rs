@@ -6,6 +6,7 @@ mod evaluate;
 mod family;
 mod figures;
 mod fly;
+mod import;
 mod learn;
 mod log;
 mod merge;
@@ -81,6 +82,8 @@ enum Command {
     Log(log::LogArgs),
     /// Save what is whole of a flight log that was cut off or damaged.
     Recover(recover::RecoverArgs),
+    /// Import a policy of others from ONNX.
+    Import(import::ImportArgs),
     /// Train an actor from nothing.
     Train(train::TrainArgs),
     /// Train an expert or an actor by value: critics that see the true state, reward along the shortest free way.
@@ -134,6 +137,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Replay(args) => replay::run(&args),
         Command::Log(args) => log::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Import(args) => import::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Learn(args) => learn::run(&args),
         Command::Report(args) => report::run(&args),

@@ -3,7 +3,7 @@
 use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, FRAMES_IN_A_ROW};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
-use crate::{GeometricPilot, Pilot, PilotInput, smaller};
+use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput, smaller};
 use vigil_types::{Action, GoalRelative};
 
 /// Distance that the actor's first positional input counts as 1, metres.
@@ -125,6 +125,8 @@ pub enum FlightPilot {
     Geometric(GeometricPilot),
     /// A frozen actor.
     Actor(ActorPilot),
+    /// A policy of others.
+    Imported(ImportedPilot),
 }
 
 impl FlightPilot {
@@ -133,13 +135,14 @@ impl FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.surroundings(),
             Self::Actor(pilot) => pilot.surroundings(),
+            Self::Imported(pilot) => pilot.surroundings(),
         }
     }
 
     /// The actor's positional inputs of the last decision; `None` without an actor.
     pub fn position(&self) -> Option<[f32; ACTOR_POSITIONAL]> {
         match self {
-            Self::Geometric(_) => None,
+            Self::Geometric(_) | Self::Imported(_) => None,
             Self::Actor(pilot) => Some(pilot.position()),
         }
     }
@@ -147,7 +150,7 @@ impl FlightPilot {
     /// The actor's 48 values at the paper's split point, of the last decision; `None` without an actor.
     pub fn state(&self) -> Option<&[f32; ACTOR_HIDDEN]> {
         match self {
-            Self::Geometric(_) => None,
+            Self::Geometric(_) | Self::Imported(_) => None,
             Self::Actor(pilot) => Some(pilot.state()),
         }
     }
@@ -158,6 +161,7 @@ impl Pilot for FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.decide(input),
             Self::Actor(pilot) => pilot.decide(input),
+            Self::Imported(pilot) => pilot.decide(input),
         }
     }
 
@@ -165,6 +169,7 @@ impl Pilot for FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.reset(),
             Self::Actor(pilot) => pilot.reset(),
+            Self::Imported(pilot) => pilot.reset(),
         }
     }
 }

@@ -1,0 +1,166 @@
+//! Files of imported policies: the network's layers, how it is given what we have, and its parameters, sealed as an actor's.
+
+extern crate std;
+
+use super::network::{Network, NetworkError};
+use super::pilot::{Channels, Depth, ImportedPilot, PolicyInputs};
+use std::format;
+use std::path::Path;
+use std::string::{String, ToString};
+use std::vec;
+use std::vec::Vec;
+use vigil_nnet::Isa;
+use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
+
+/// An imported policy as it lies in its file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrozenPolicy {
+    /// Its layers.
+    pub network: Network,
+    /// Their parameters, one after the other.
+    pub params: Vec<f32>,
+    /// How it is given what we have.
+    pub inputs: PolicyInputs,
+    /// What it was made of, for people.
+    pub source: String,
+}
+
+const KIND: Kind = Kind {
+    noun: "policy",
+    identity: [
+        ("format", FORMAT),
+        ("architecture", "layers"),
+        ("normalisation", "depth 0..1 of 100 m; distance / 20 m; bearing / 1 rad"),
+    ],
+    tensors: || vec![("parameters".to_string(), vec![0])],
+};
+
+/// Value of the entry `format`.
+pub const FORMAT: &str = "vigil policy 1";
+
+impl FrozenPolicy {
+    fn contents(&self) -> Contents {
+        let PolicyInputs {
+            rows,
+            cols,
+            channels,
+            order,
+            depth,
+            scale,
+            frame_input,
+            has_position,
+            output_scale,
+        } = self.inputs;
+        let order = match order {
+            Channels::Stack => "stack",
+            Channels::Repeat => "repeat",
+        };
+        let depth = match depth {
+            Depth::Range => "range",
+            Depth::Contrast => "contrast",
+        };
+        let entries = [
+            ("layers", self.network.to_string()),
+            ("frame", format!("{rows} {cols} {channels}")),
+            ("channels", order.to_string()),
+            ("depth", depth.to_string()),
+            ("scale", scale.to_string()),
+            ("frame_input", frame_input.to_string()),
+            ("has_position", has_position.to_string()),
+            ("output_scale", output_scale.to_string()),
+            ("source", self.source.clone()),
+        ];
+        let mut contents = Contents::new(&KIND, entries);
+        contents.push("parameters", &[self.params.len()], self.params.clone());
+        contents
+    }
+
+    /// The digest of the policy and its metadata.
+    pub fn sha256(&self) -> String {
+        self.contents().sha256()
+    }
+
+    /// The file's content.
+    ///
+    /// # Errors
+    /// Parameters that are not finite.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
+        self.contents().to_bytes(&KIND)
+    }
+
+    /// Reads and verifies a file's content. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`FileError`]: anything but an unaltered policy that fits the step.
+    pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
+        let read = Verified::from_bytes(&KIND, file, bytes)?;
+        let wrong = |key: &str, value: &str| KIND.content_error(file, format!("has the {key} \"{value}\""));
+        let frame = read.text("frame")?;
+        let sizes: Option<Vec<usize>> = frame.split(' ').map(|size| size.parse().ok()).collect();
+        let Some([rows, cols, channels]) = sizes.as_deref().and_then(|sizes| <[usize; 3]>::try_from(sizes).ok()) else {
+            return Err(wrong("frame", &frame));
+        };
+        let order = match read.text("channels")?.as_str() {
+            "stack" => Channels::Stack,
+            "repeat" => Channels::Repeat,
+            other => return Err(wrong("channels", other)),
+        };
+        let depth = match read.text("depth")?.as_str() {
+            "range" => Depth::Range,
+            "contrast" => Depth::Contrast,
+            other => return Err(wrong("depth", other)),
+        };
+        let layers = read.text("layers")?.parse::<Network>();
+        let policy = Self {
+            network: layers.map_err(|e| KIND.content_error(file, format!("cannot be flown: {e}")))?,
+            inputs: PolicyInputs {
+                rows,
+                cols,
+                channels,
+                order,
+                depth,
+                scale: read.number("scale")?,
+                frame_input: read.number("frame_input")?,
+                has_position: read.number("has_position")?,
+                output_scale: read.number("output_scale")?,
+            },
+            source: read.text("source")?,
+            params: read.into_values().flatten().collect(),
+        };
+        // Whatever does not fit each other is found here, not in flight.
+        let unfit = policy.build(Isa::PORTABLE, false).err();
+        match unfit {
+            None => Ok(policy),
+            Some(e) => Err(KIND.content_error(file, format!("cannot be flown: {e}"))),
+        }
+    }
+
+    fn build(&self, isa: Isa, field: bool) -> Result<ImportedPilot, NetworkError> {
+        ImportedPilot::new(&self.network, &self.params, self.inputs, field, isa)
+    }
+
+    /// The policy itself, ready to fly.
+    ///
+    /// # Errors
+    /// A network that does not fit the step or its own inputs.
+    pub fn pilot(&self, isa: Isa, field: bool) -> Result<ImportedPilot, FileError> {
+        self.build(isa, field)
+            .map_err(|e| KIND.content_error("in memory", format!("cannot be flown: {e}")))
+    }
+
+    /// Reads and verifies a file.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
+    }
+
+    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        KIND.save(path, &self.to_bytes()?)
+    }
+}

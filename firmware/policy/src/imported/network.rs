@@ -1,0 +1,506 @@
+//! A network as a list of layers: what a file holds of it, and the graph that it becomes.
+
+extern crate alloc;
+
+use alloc::borrow::ToOwned;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+use core::fmt::{self, Write};
+use core::str::FromStr;
+use vigil_nnet::{
+    Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Lstm, MaxPool2d, NodeId, Params, Purpose,
+    ShapeError,
+};
+
+/// Multiply-adds of one decision, at most: some 20 ms of the step's 50 with the portable kernels, 3 ms with AVX-512; the
+/// built-in actor has 19 million.
+pub const MOST_MULTIPLY_ADDS: u64 = 250_000_000;
+/// Values of all layers together, and parameters, at most: 128 MiB each.
+pub const MOST_VALUES: u64 = 32 << 20;
+/// No size in a description may be larger: products of four of them cannot overflow.
+const MOST_SIZE: usize = 1 << 24;
+const MOST_LAYERS: usize = 4096;
+
+/// A layer; `x` and the like are numbers of earlier layers.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Layer {
+    /// An input of the network.
+    Input {
+        /// Values.
+        len: usize,
+    },
+    /// Constant zeros.
+    Zeros {
+        /// Values.
+        len: usize,
+    },
+    /// Values `from..from + len` of a layer.
+    Slice {
+        /// Of which.
+        x: usize,
+        /// The first.
+        from: usize,
+        /// How many.
+        len: usize,
+    },
+    /// Layers one after the other.
+    Concat {
+        /// Which.
+        parts: Vec<usize>,
+    },
+    /// An element-wise function.
+    Curve {
+        /// Of which.
+        x: usize,
+        /// Which function.
+        curve: Activation,
+    },
+    /// A convolution.
+    Conv2d {
+        /// Of which.
+        x: usize,
+        /// Dimensions.
+        layer: Conv2d,
+        /// What follows.
+        curve: Activation,
+    },
+    /// A fully connected layer.
+    Dense {
+        /// Of which.
+        x: usize,
+        /// Dimensions.
+        layer: Dense,
+        /// What follows.
+        curve: Activation,
+    },
+    /// Max pooling.
+    MaxPool2d {
+        /// Of which.
+        x: usize,
+        /// Dimensions.
+        layer: MaxPool2d,
+    },
+    /// Batch normalisation with running statistics.
+    BatchNorm {
+        /// Of which.
+        x: usize,
+        /// Dimensions.
+        layer: BatchNorm,
+    },
+    /// One step of a GRU.
+    Gru {
+        /// Input.
+        x: usize,
+        /// State.
+        h: usize,
+        /// Dimensions.
+        layer: Gru,
+        /// The step whose parameters it has: an earlier layer, or its own number.
+        params_of: usize,
+    },
+    /// One step of an LSTM.
+    Lstm {
+        /// Input.
+        x: usize,
+        /// State: `h`, then `c`.
+        state: usize,
+        /// Dimensions; the cell's curve is tanh.
+        layer: Lstm,
+        /// The step whose parameters it has: an earlier layer, or its own number.
+        params_of: usize,
+    },
+}
+
+/// Why a description is refused.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NetworkError(pub String);
+
+impl fmt::Display for NetworkError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl core::error::Error for NetworkError {}
+
+impl From<ShapeError> for NetworkError {
+    fn from(error: ShapeError) -> Self {
+        Self(error.to_string())
+    }
+}
+
+/// A network: layers in the order of computation. The text that [`fmt::Display`] writes and [`FromStr`] reads has a line for
+/// each, its kind and numbers, and a last line `output N`.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Network {
+    /// Layers.
+    pub layers: Vec<Layer>,
+    /// The layer whose values are the output.
+    pub output: usize,
+}
+
+fn product(sizes: &[usize]) -> u64 {
+    sizes.iter().fold(1, |all, size| all.saturating_mul(*size as u64))
+}
+
+impl Layer {
+    /// All numbers that are sizes, to be bounded before anything is computed from them.
+    fn sizes(&self) -> Vec<usize> {
+        match self {
+            Self::Input { len } | Self::Zeros { len } => [*len].into(),
+            Self::Slice { from, len, .. } => [*from, *len].into(),
+            Self::Concat { .. } | Self::Curve { .. } => Vec::new(),
+            Self::Conv2d { layer: l, .. } => {
+                [l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding].into()
+            }
+            Self::Dense { layer, .. } => [layer.inputs, layer.outputs].into(),
+            Self::MaxPool2d { layer: l, .. } => [l.rows, l.cols, l.channels, l.window].into(),
+            Self::BatchNorm { layer, .. } => [layer.channels].into(),
+            Self::Gru { layer, .. } => [layer.inputs, layer.hidden].into(),
+            Self::Lstm { layer, .. } => [layer.inputs, layer.hidden].into(),
+        }
+    }
+
+    /// Parameters, values and multiply-adds at most, without overflow.
+    fn cost(&self) -> (u64, u64, u64) {
+        match self {
+            Self::Input { len } | Self::Zeros { len } | Self::Slice { len, .. } => (0, *len as u64, 0),
+            Self::Concat { .. } | Self::Curve { .. } => (0, 0, 0),
+            Self::Conv2d { layer: l, .. } => {
+                let weights = product(&[l.kernel, l.kernel, l.channels, l.filters]);
+                let out = |size: usize| {
+                    (size as u64 + 2 * l.padding as u64).saturating_sub(l.kernel as u64) / l.stride.max(1) as u64 + 1
+                };
+                let pixels = out(l.rows).saturating_mul(out(l.cols));
+                let values = pixels.saturating_mul(l.filters as u64);
+                let values = values.max(product(&[l.rows, l.cols, l.channels]));
+                (
+                    weights.saturating_add(l.filters as u64),
+                    values,
+                    pixels.saturating_mul(weights),
+                )
+            }
+            Self::Dense { layer, .. } => {
+                let weights = product(&[layer.inputs, layer.outputs]);
+                (
+                    weights.saturating_add(layer.outputs as u64),
+                    layer.outputs as u64,
+                    weights,
+                )
+            }
+            Self::MaxPool2d { layer: l, .. } => (0, product(&[l.rows, l.cols, l.channels]), 0),
+            Self::BatchNorm { layer, .. } => (4 * layer.channels as u64, layer.channels as u64, 0),
+            Self::Gru { layer, .. } => recurrent(3, layer.inputs, layer.hidden),
+            Self::Lstm { layer, .. } => recurrent(4, layer.inputs, layer.hidden),
+        }
+    }
+
+    fn sources(&self) -> Vec<usize> {
+        match self {
+            Self::Input { .. } | Self::Zeros { .. } => Vec::new(),
+            Self::Slice { x, .. }
+            | Self::Curve { x, .. }
+            | Self::Conv2d { x, .. }
+            | Self::Dense { x, .. }
+            | Self::MaxPool2d { x, .. }
+            | Self::BatchNorm { x, .. } => [*x].into(),
+            Self::Concat { parts } => parts.clone(),
+            Self::Gru { x, h, .. } => [*x, *h].into(),
+            Self::Lstm { x, state, .. } => [*x, *state].into(),
+        }
+    }
+}
+
+fn recurrent(gates: u64, inputs: usize, hidden: usize) -> (u64, u64, u64) {
+    let weights = (product(&[inputs, hidden]).saturating_add(product(&[hidden, hidden]))).saturating_mul(gates);
+    let biases = 2 * gates * hidden as u64;
+    (weights.saturating_add(biases), 12 * hidden as u64, weights)
+}
+
+impl Network {
+    /// Checks it against the limits: sizes, memory, and the time that a decision may take.
+    ///
+    /// # Errors
+    /// What is too large, with the limit; a layer that uses one that does not come before it.
+    pub fn check(&self) -> Result<(), NetworkError> {
+        if self.layers.is_empty() || self.layers.len() > MOST_LAYERS || self.output >= self.layers.len() {
+            return Err(NetworkError(format!(
+                "it has {} layers, of which number {} is the output; 1 to {MOST_LAYERS} are allowed",
+                self.layers.len(),
+                self.output
+            )));
+        }
+        let (mut params, mut values, mut multiply_adds) = (0u64, 0u64, 0u64);
+        for (number, layer) in self.layers.iter().enumerate() {
+            if let Some(size) = layer.sizes().into_iter().find(|size| *size > MOST_SIZE) {
+                return Err(NetworkError(format!(
+                    "layer {number} has a size of {size}, the limit is {MOST_SIZE}"
+                )));
+            }
+            let params_of = match layer {
+                Layer::Gru { params_of, .. } | Layer::Lstm { params_of, .. } => *params_of,
+                _ => number,
+            };
+            if params_of > number || !layer.sources().iter().all(|source| *source < number) {
+                return Err(NetworkError(format!(
+                    "layer {number} uses a layer that does not come before it"
+                )));
+            }
+            let (p, v, m) = layer.cost();
+            (params, values) = (params.saturating_add(p), values.saturating_add(v));
+            multiply_adds = multiply_adds.saturating_add(m);
+        }
+        for (what, found, limit) in [
+            ("parameters", params, MOST_VALUES),
+            ("values", values, MOST_VALUES),
+            ("multiply-adds a decision", multiply_adds, MOST_MULTIPLY_ADDS),
+        ] {
+            if found > limit {
+                return Err(NetworkError(format!(
+                    "it has {found} {what}, more than the {limit} that fit the step of 50 ms and the memory kept for it"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Multiply-adds of one decision.
+    pub fn multiply_adds(&self) -> u64 {
+        self.layers.iter().map(|layer| layer.cost().2).sum()
+    }
+
+    /// Lengths of the inputs, in their order.
+    pub fn inputs(&self) -> Vec<usize> {
+        let lens = self.layers.iter().filter_map(|layer| match layer {
+            Layer::Input { len } => Some(*len),
+            _ => None,
+        });
+        lens.collect()
+    }
+
+    /// The graph, all inputs explained. Parameters lie in the order of the layers.
+    ///
+    /// # Errors
+    /// Whatever [`Self::check`] finds, and lengths that do not fit each other.
+    pub fn graph(&self, purpose: Purpose) -> Result<Graph, NetworkError> {
+        self.check()?;
+        let mut b = GraphBuilder::new();
+        let (mut nodes, mut own): (Vec<NodeId>, Vec<Params>) = (Vec::new(), Vec::new());
+        for (number, layer) in self.layers.iter().enumerate() {
+            let at = |source: usize| {
+                let node = nodes.get(source).copied();
+                node.ok_or_else(|| NetworkError(format!("layer {number} uses a layer that is not there")))
+            };
+            let mut reserve = |len: usize, of: usize| match of == number {
+                true => b.params(len),
+                false => own.get(of).copied().unwrap_or_default(),
+            };
+            let params = match layer {
+                Layer::Conv2d { layer, .. } => reserve(layer.param_len(), number),
+                Layer::Dense { layer, .. } => reserve(layer.param_len(), number),
+                Layer::BatchNorm { layer, .. } => reserve(layer.param_len(), number),
+                Layer::Gru { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
+                Layer::Lstm { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
+                _ => Params::default(),
+            };
+            own.push(params);
+            let node = match layer {
+                Layer::Input { len } => b.input(*len, true),
+                Layer::Zeros { len } => b.zeros(*len),
+                Layer::Slice { x, from, len } => b.slice(at(*x)?, *from, *len),
+                Layer::Concat { parts } => {
+                    let parts: Result<Vec<NodeId>, _> = parts.iter().map(|part| at(*part)).collect();
+                    b.concat(&parts?)
+                }
+                Layer::Curve { x, curve } => b.activation(at(*x)?, *curve),
+                Layer::Conv2d { x, layer, curve } => b.conv2d(at(*x)?, *layer, *curve, params),
+                Layer::Dense { x, layer, curve } => b.dense(at(*x)?, *layer, *curve, params),
+                Layer::MaxPool2d { x, layer } => b.max_pool2d(at(*x)?, *layer),
+                Layer::BatchNorm { x, layer } => b.batch_norm(at(*x)?, *layer, params),
+                Layer::Gru { x, h, layer, .. } => b.gru(at(*x)?, at(*h)?, *layer, params),
+                Layer::Lstm { x, state, layer, .. } => b.lstm(at(*x)?, at(*state)?, *layer, params),
+            };
+            nodes.push(node.map_err(|e| NetworkError(format!("layer {number}: {e}")))?);
+        }
+        let output = nodes.get(self.output).copied();
+        let output = output.ok_or_else(|| NetworkError("the output is not there".to_owned()))?;
+        Ok(b.finish(output, purpose)?)
+    }
+}
+
+fn name_of(curve: Activation) -> String {
+    match curve {
+        Activation::Identity => "identity".to_owned(),
+        Activation::Relu => "relu".to_owned(),
+        Activation::Elu => "elu".to_owned(),
+        Activation::Tanh { scale } => format!("tanh*{scale}"),
+        Activation::Sigmoid => "sigmoid".to_owned(),
+        Activation::NearContrast { gain } => format!("contrast*{gain}"),
+    }
+}
+
+fn curve_of(name: &str) -> Option<Activation> {
+    let (name, factor) = match name.split_once('*') {
+        Some((name, factor)) => (name, factor.parse::<f32>().ok().filter(|f| f.is_finite() && *f > 0.0)?),
+        None => (name, 1.0),
+    };
+    match name {
+        "identity" => Some(Activation::Identity),
+        "relu" => Some(Activation::Relu),
+        "elu" => Some(Activation::Elu),
+        "tanh" => Some(Activation::Tanh { scale: factor }),
+        "sigmoid" => Some(Activation::Sigmoid),
+        "contrast" => Some(Activation::NearContrast { gain: factor }),
+        _ => None,
+    }
+}
+
+impl fmt::Display for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let line = |f: &mut fmt::Formatter<'_>, kind: &str, numbers: &[usize], word: &str| {
+            f.write_str(kind)?;
+            for number in numbers {
+                write!(f, " {number}")?;
+            }
+            if !word.is_empty() {
+                write!(f, " {word}")?;
+            }
+            f.write_char('\n')
+        };
+        for layer in &self.layers {
+            match layer {
+                Layer::Input { len } => line(f, "input", &[*len], "")?,
+                Layer::Zeros { len } => line(f, "zeros", &[*len], "")?,
+                Layer::Slice { x, from, len } => line(f, "slice", &[*x, *from, *len], "")?,
+                Layer::Concat { parts } => line(f, "concat", parts, "")?,
+                Layer::Curve { x, curve } => line(f, "curve", &[*x], &name_of(*curve))?,
+                Layer::Conv2d { x, layer: l, curve } => {
+                    let numbers = [*x, l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding];
+                    line(f, "conv2d", &numbers, &name_of(*curve))?;
+                }
+                Layer::Dense { x, layer, curve } => {
+                    line(f, "dense", &[*x, layer.inputs, layer.outputs], &name_of(*curve))?;
+                }
+                Layer::MaxPool2d { x, layer: l } => {
+                    line(f, "max_pool2d", &[*x, l.rows, l.cols, l.channels, l.window], "")?;
+                }
+                Layer::BatchNorm { x, layer } => {
+                    line(f, "batch_norm", &[*x, layer.channels], &layer.epsilon.to_string())?;
+                }
+                Layer::Gru { x, h, layer, params_of } => {
+                    line(f, "gru", &[*x, *h, layer.inputs, layer.hidden, *params_of], "")?
+                }
+                Layer::Lstm {
+                    x,
+                    state,
+                    layer,
+                    params_of,
+                } => line(f, "lstm", &[*x, *state, layer.inputs, layer.hidden, *params_of], "")?,
+            }
+        }
+        writeln!(f, "output {}", self.output)
+    }
+}
+
+impl FromStr for Network {
+    type Err = NetworkError;
+
+    fn from_str(text: &str) -> Result<Self, NetworkError> {
+        let mut network = Self::default();
+        let mut output = None;
+        for (number, line) in text.lines().enumerate() {
+            let wrong = || NetworkError(format!("line {} of its layers is not understood: {line:?}", number + 1));
+            if network.layers.len() > MOST_LAYERS || output.is_some() {
+                return Err(wrong());
+            }
+            let mut words = line.split(' ');
+            let kind = words.next().ok_or_else(wrong)?;
+            let (mut numbers, mut word): (Vec<usize>, Option<&str>) = (Vec::new(), None);
+            for next in words {
+                match (next.parse(), word) {
+                    (Ok(value), None) if kind != "batch_norm" || numbers.len() < 2 => numbers.push(value),
+                    (_, None) => word = Some(next),
+                    _ => return Err(wrong()),
+                }
+            }
+            let curve = || word.and_then(curve_of).ok_or_else(wrong);
+            let layer = match (kind, numbers.as_slice()) {
+                ("input", [len]) => Layer::Input { len: *len },
+                ("zeros", [len]) => Layer::Zeros { len: *len },
+                ("slice", [x, from, len]) => Layer::Slice {
+                    x: *x,
+                    from: *from,
+                    len: *len,
+                },
+                ("concat", parts) if !parts.is_empty() => Layer::Concat { parts: parts.to_vec() },
+                ("curve", [x]) => Layer::Curve { x: *x, curve: curve()? },
+                ("conv2d", [x, rows, cols, channels, filters, kernel, stride, padding]) => Layer::Conv2d {
+                    x: *x,
+                    layer: Conv2d {
+                        rows: *rows,
+                        cols: *cols,
+                        channels: *channels,
+                        filters: *filters,
+                        kernel: *kernel,
+                        stride: *stride,
+                        padding: *padding,
+                    },
+                    curve: curve()?,
+                },
+                ("dense", [x, inputs, outputs]) => Layer::Dense {
+                    x: *x,
+                    layer: Dense {
+                        inputs: *inputs,
+                        outputs: *outputs,
+                    },
+                    curve: curve()?,
+                },
+                ("max_pool2d", [x, rows, cols, channels, window]) => Layer::MaxPool2d {
+                    x: *x,
+                    layer: MaxPool2d {
+                        rows: *rows,
+                        cols: *cols,
+                        channels: *channels,
+                        window: *window,
+                    },
+                },
+                ("batch_norm", [x, channels]) => Layer::BatchNorm {
+                    x: *x,
+                    layer: BatchNorm {
+                        channels: *channels,
+                        epsilon: word.and_then(|word| word.parse().ok()).ok_or_else(wrong)?,
+                    },
+                },
+                ("gru", [x, h, inputs, hidden, params_of]) => Layer::Gru {
+                    x: *x,
+                    h: *h,
+                    layer: Gru {
+                        inputs: *inputs,
+                        hidden: *hidden,
+                    },
+                    params_of: *params_of,
+                },
+                ("lstm", [x, state, inputs, hidden, params_of]) => Layer::Lstm {
+                    x: *x,
+                    state: *state,
+                    layer: Lstm {
+                        inputs: *inputs,
+                        hidden: *hidden,
+                        cell: Activation::TANH,
+                    },
+                    params_of: *params_of,
+                },
+                ("output", [of]) => {
+                    output = Some(*of);
+                    continue;
+                }
+                _ => return Err(wrong()),
+            };
+            network.layers.push(layer);
+        }
+        network.output = output.ok_or_else(|| NetworkError("its layers lack an output".to_owned()))?;
+        network.check()?;
+        Ok(network)
+    }
+}

@@ -1,0 +1,210 @@
+//! The pilot that flies an imported policy: our depth frames in the policy's own format, and its decision in ours.
+
+extern crate alloc;
+
+use super::network::{Network, NetworkError};
+use crate::actor::positional_inputs;
+use crate::field::FlightField;
+use crate::geometric::range_scan::RangeScan;
+use crate::{Pilot, PilotInput};
+use alloc::format;
+use alloc::vec;
+use alloc::vec::Vec;
+use vigil_nnet::{Activation, Aligned, Graph, Isa, Purpose};
+use vigil_types::{Action, DEPTH_COLS, DEPTH_ROWS};
+
+/// What a policy's pixels are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Depth {
+    /// The range over 100 m, 0 to 1: as our frames are.
+    #[default]
+    Range,
+    /// `1 / (1 + range / 3 m)`: near is bright.
+    Contrast,
+}
+
+/// What a policy's channels are, if it has several.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Channels {
+    /// The last frames, the newest in the last channel.
+    #[default]
+    Stack,
+    /// The newest frame in each.
+    Repeat,
+}
+
+/// How a policy is given what we have, and how its output is taken.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PolicyInputs {
+    /// Rows of its frame; ours are sampled at the middle of each of its pixels.
+    pub rows: usize,
+    /// Columns of its frame.
+    pub cols: usize,
+    /// Channels of its frame.
+    pub channels: usize,
+    /// What they are.
+    pub order: Channels,
+    /// What a pixel is.
+    pub depth: Depth,
+    /// Every pixel is multiplied by it: 255 for a policy that learned from bytes.
+    pub scale: f32,
+    /// Place of the frame among the network's inputs, 0 or 1.
+    pub frame_input: usize,
+    /// The other input gets distance and bearing of the goal, as our actor does ([`positional_inputs`]).
+    pub has_position: bool,
+    /// The two outputs are multiplied by it: 1.5 for a policy with outputs in ±1.
+    pub output_scale: f32,
+}
+
+/// Flies what an imported policy decides, alone or with the potential field. No allocation after it was made.
+#[derive(Debug, Clone)]
+pub struct ImportedPilot {
+    isa: Isa,
+    inputs: PolicyInputs,
+    graph: Graph,
+    params: Aligned,
+    tape: Aligned,
+    /// `[row][column][channel]`.
+    frame: Vec<f32>,
+    /// Where each of its pixels is in our frame.
+    places: Vec<u32>,
+    started: bool,
+    surroundings: RangeScan,
+    field: Option<FlightField>,
+}
+
+impl ImportedPilot {
+    /// A pilot that has seen nothing. Allocates; nothing after it does.
+    ///
+    /// # Errors
+    /// A network that is too large for the step, or that has other inputs and outputs than `inputs` says.
+    pub fn new(
+        network: &Network,
+        params: &[f32],
+        inputs: PolicyInputs,
+        field: bool,
+        isa: Isa,
+    ) -> Result<Self, NetworkError> {
+        let graph = network.graph(Purpose::Gradients)?;
+        let (rows, cols) = (inputs.rows, inputs.cols);
+        let pixels = rows.saturating_mul(cols);
+        let expected = match inputs.has_position {
+            true => 2,
+            false => 1,
+        };
+        let frame_len = pixels.saturating_mul(inputs.channels);
+        let fits = graph.input_count() == expected
+            && inputs.frame_input < expected
+            && graph.input_len(inputs.frame_input) == frame_len
+            && (!inputs.has_position || graph.input_len(1 - inputs.frame_input) == 2)
+            && graph.output_len() == 2
+            && graph.param_len() == params.len()
+            && [inputs.scale, inputs.output_scale]
+                .iter()
+                .all(|factor| factor.is_finite())
+            && pixels > 0
+            && inputs.channels > 0;
+        if !fits {
+            return Err(NetworkError(format!(
+                "its network has {} inputs, {} outputs and {} parameters (here {}), which is not what it says of a frame of \
+                 {rows} × {cols} × {}",
+                graph.input_count(),
+                graph.output_len(),
+                graph.param_len(),
+                params.len(),
+                inputs.channels
+            )));
+        }
+        let place = |pixel: usize| {
+            let of = |at: usize, own: usize, ours: usize| (2 * at + 1) * ours / (2 * own);
+            (of(pixel / cols, rows, DEPTH_ROWS) * DEPTH_COLS + of(pixel % cols, cols, DEPTH_COLS)) as u32
+        };
+        Ok(Self {
+            isa,
+            inputs,
+            params: Aligned::from(params),
+            tape: Aligned::zeros(graph.tape_len()),
+            graph,
+            frame: vec![0.0; frame_len],
+            places: (0..pixels).map(place).collect(),
+            started: false,
+            surroundings: RangeScan::new(),
+            field: field.then(FlightField::default),
+        })
+    }
+
+    /// What the last frame showed.
+    pub fn surroundings(&self) -> &RangeScan {
+        &self.surroundings
+    }
+
+    /// Takes a new frame into the policy's.
+    fn see(&mut self, depth: &[f32]) {
+        let PolicyInputs {
+            channels,
+            order,
+            depth: kind,
+            scale,
+            ..
+        } = self.inputs;
+        let all = order == Channels::Repeat || !self.started;
+        for (pixel, place) in self.frame.chunks_exact_mut(channels).zip(&self.places) {
+            let range = depth.get(*place as usize).copied().unwrap_or(f32::NAN);
+            let value = scale
+                * match (kind, Activation::NEAR_CONTRAST) {
+                    (Depth::Contrast, Activation::NearContrast { gain }) => 1.0 / (1.0 + gain * range),
+                    _ => range,
+                };
+            if all {
+                pixel.fill(value);
+            } else {
+                pixel.copy_within(1.., 0);
+                if let Some(newest) = pixel.last_mut() {
+                    *newest = value;
+                }
+            }
+        }
+        self.started = true;
+    }
+
+    fn evaluate(&mut self, position: &[f32]) -> Option<Action> {
+        let frame = self.frame.as_slice();
+        let given: [&[f32]; 2] = match self.inputs.frame_input {
+            0 => [frame, position],
+            _ => [position, frame],
+        };
+        let given = given.get(..self.graph.input_count())?;
+        self.graph.forward(self.isa, &self.params, given, &mut self.tape).ok()?;
+        let output = self.graph.output(&self.tape).ok()?;
+        let scaled = |i: usize| output.get(i).map(|value| value * self.inputs.output_scale);
+        Some(Action {
+            forward_m_s: scaled(0)?,
+            yaw: scaled(1)?,
+        })
+    }
+}
+
+impl Pilot for ImportedPilot {
+    fn decide(&mut self, input: &PilotInput<'_>) -> Action {
+        self.see(&input.depth.depth);
+        let own = self.evaluate(&positional_inputs(input.goal)).unwrap_or(Action {
+            forward_m_s: f32::NAN,
+            yaw: f32::NAN,
+        });
+        let scan = self.surroundings.observe(input);
+        // What is not finite makes the caller hold, and stays what it is.
+        if !own.is_finite() {
+            return own;
+        }
+        let own = own.clipped();
+        match &mut self.field {
+            Some(field) => field.add_to(own, input, scan),
+            None => own,
+        }
+    }
+
+    fn reset(&mut self) {
+        self.started = false;
+        self.field = self.field.as_ref().map(|_| FlightField::default());
+    }
+}

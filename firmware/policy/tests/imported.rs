@@ -1,0 +1,182 @@
+//! Policies of others: how they are given our frames, what their files may say, and what is refused.
+
+use vigil_nnet::{Activation, Conv2d, Dense, Isa};
+use vigil_policy::imported::{Channels, Depth, FrozenPolicy, ImportedPilot, Layer, Network, PolicyInputs};
+use vigil_policy::{Pilot, PilotInput};
+use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, GoalRelative, HeadingVector};
+
+/// A policy whose outputs are two chosen pixels of its frame.
+fn picking(inputs: PolicyInputs, pixels: [usize; 2]) -> FrozenPolicy {
+    let len = inputs.rows * inputs.cols * inputs.channels;
+    let mut layers = vec![Layer::Input { len }];
+    let mut params = vec![0.0; 2 * len + 2];
+    for (output, pixel) in pixels.into_iter().enumerate() {
+        params[2 * pixel + output] = 1.0;
+    }
+    let dense = Dense {
+        inputs: len,
+        outputs: 2,
+    };
+    layers.push(Layer::Dense {
+        x: 0,
+        layer: dense,
+        curve: Activation::Identity,
+    });
+    FrozenPolicy {
+        network: Network { layers, output: 1 },
+        params,
+        inputs,
+        source: "a test".to_owned(),
+    }
+}
+
+const INPUTS: PolicyInputs = PolicyInputs {
+    rows: 4,
+    cols: 8,
+    channels: 3,
+    order: Channels::Stack,
+    depth: Depth::Range,
+    scale: 1.0,
+    frame_input: 0,
+    has_position: false,
+    output_scale: 1.0,
+};
+
+/// A frame whose pixels are `level` plus their column over 1000.
+fn frame(level: f32) -> Box<DepthFrame> {
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    for (i, pixel) in frame.depth.iter_mut().enumerate() {
+        *pixel = level + (i % DEPTH_COLS) as f32 / 1000.0;
+    }
+    frame
+}
+
+fn decide(pilot: &mut ImportedPilot, frame: &DepthFrame) -> [f32; 2] {
+    let action = pilot.decide(&PilotInput {
+        now_ns: 0,
+        depth: frame,
+        goal: GoalRelative {
+            distance_m: 10.0,
+            bearing_rad: 0.5,
+        },
+        attitude: Attitude::LEVEL_NORTH,
+        velocity_m_s: HeadingVector::ZERO,
+        height_m: 2.5,
+    });
+    [action.forward_m_s, action.yaw]
+}
+
+fn near(found: [f32; 2], expected: [f32; 2]) {
+    for (a, b) in found.into_iter().zip(expected) {
+        assert!((a - b).abs() < 1e-6, "{found:?} instead of {expected:?}");
+    }
+}
+
+#[test]
+fn a_policy_sees_the_middle_of_each_of_its_pixels_the_newest_frame_last() {
+    // Pixel (1, 2) of 4 × 8: our column (2 · 2 + 1) · 256 / 16 = 80.
+    let pixel = (8 + 2) * 3;
+    let mut pilot = picking(INPUTS, [pixel, pixel + 2]).pilot(Isa::detect(), false).unwrap();
+    assert_eq!((DEPTH_ROWS, DEPTH_COLS), (128, 256));
+    near(decide(&mut pilot, &frame(0.1)), [0.18, 0.18]);
+    near(decide(&mut pilot, &frame(0.2)), [0.18, 0.28]);
+    near(decide(&mut pilot, &frame(0.3)), [0.18, 0.38]);
+    near(decide(&mut pilot, &frame(0.4)), [0.28, 0.48]);
+    // After a gap nothing is remembered.
+    pilot.reset();
+    near(decide(&mut pilot, &frame(0.5)), [0.58, 0.58]);
+}
+
+#[test]
+fn pixels_are_scaled_and_outputs_limited_as_the_file_says() {
+    let inputs = PolicyInputs {
+        order: Channels::Repeat,
+        depth: Depth::Contrast,
+        scale: 255.0,
+        output_scale: 0.004,
+        ..INPUTS
+    };
+    let policy = picking(inputs, [0, 93]);
+    let policy = FrozenPolicy::from_bytes("the file", &policy.to_bytes().unwrap()).unwrap();
+    let mut pilot = policy.pilot(Isa::detect(), false).unwrap();
+    let contrast = |range: f32| 1.02 / (1.0 + 100.0 / 3.0 * range);
+    near(decide(&mut pilot, &frame(0.0)), [contrast(0.016), contrast(0.240)]);
+    let wild = PolicyInputs {
+        output_scale: 100.0,
+        ..inputs
+    };
+    let mut pilot = picking(wild, [0, 93]).pilot(Isa::detect(), false).unwrap();
+    near(decide(&mut pilot, &frame(0.0)), [1.5, 1.5]);
+    // A pixel that is no number is a decision that is none: the caller holds.
+    let mut blind = frame(0.0);
+    blind.depth.fill(f32::NAN);
+    assert!(decide(&mut pilot, &blind).iter().all(|value| value.is_nan()));
+}
+
+#[test]
+fn a_file_comes_back_as_it_was_and_its_text_is_read_as_it_was_written() {
+    let policy = picking(INPUTS, [1, 2]);
+    let again = FrozenPolicy::from_bytes("the file", &policy.to_bytes().unwrap()).unwrap();
+    assert_eq!(policy, again);
+    assert_eq!(policy.sha256(), again.sha256());
+    let text = "input 96\nzeros 4\nslice 0 3 48\ncurve 2 tanh*1.5\nconv2d 0 4 8 3 2 3 1 1 elu\nconcat 3 4\nbatch_norm 5 1 \
+                0.001\nmax_pool2d 4 4 8 2 2\ndense 7 16 2 relu\ngru 3 1 48 4 9\nlstm 8 1 2 2 10\noutput 8\n";
+    let network: Network = text.parse().unwrap();
+    assert_eq!(network.to_string(), text);
+    assert!(network.graph(vigil_nnet::Purpose::Multipliers).is_ok());
+}
+
+#[test]
+fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
+    let refused = |text: &str| text.parse::<Network>().unwrap_err().to_string();
+    for (text, told) in [
+        ("", "lack an output"),
+        ("input 4\n", "lack an output"),
+        ("input 4\noutput 1\n", "number 1 is the output"),
+        ("input 99999999999\noutput 0\n", "a size of 99999999999"),
+        ("input 4\ndense 1 4 2 relu\noutput 1\n", "does not come before it"),
+        ("input 4\ndense 0 16000000 16000000 relu\noutput 1\n", "parameters"),
+        (
+            "input 4\nconv2d 0 128 256 1 64 15 1 7 relu\noutput 1\n",
+            "multiply-adds",
+        ),
+        ("input 4\ncurve 0 softmax\noutput 1\n", "line 2"),
+        ("input 4\ncurve 0 tanh*nan\noutput 1\n", "line 2"),
+        ("input 4\noutput 0\ninput 4\n", "line 3"),
+        ("input four\noutput 0\n", "line 1"),
+        ("gru 0 0 4 4 0\noutput 0\n", "does not come before it"),
+    ] {
+        let error = refused(text);
+        assert!(error.contains(told), "{text:?}: {error}");
+    }
+    // What does not fit each other is found before take-off.
+    let policy = |inputs: PolicyInputs| picking(inputs, [0, 1]);
+    let mut short = policy(INPUTS);
+    short.params.pop();
+    let mut wide = policy(INPUTS);
+    wide.inputs.cols = 9;
+    let mut lost = policy(INPUTS);
+    lost.inputs.has_position = true;
+    let mut empty = policy(INPUTS);
+    empty.inputs.channels = 0;
+    for policy in [short, wide, lost, empty] {
+        let error = FrozenPolicy::from_bytes("the file", &policy.to_bytes().unwrap()).unwrap_err();
+        assert!(error.to_string().contains("the file cannot be flown"), "{error}");
+    }
+    let mut kernel = policy(INPUTS);
+    let layer = Conv2d {
+        rows: 4,
+        cols: 8,
+        channels: 3,
+        filters: 1,
+        kernel: 3,
+        stride: 0,
+        padding: 1,
+    };
+    kernel.network.layers[1] = Layer::Conv2d {
+        x: 0,
+        layer,
+        curve: Activation::Relu,
+    };
+    assert!(FrozenPolicy::from_bytes("the file", &kernel.to_bytes().unwrap()).is_err());
+}

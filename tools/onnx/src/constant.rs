@@ -1,0 +1,119 @@
+//! Constants of a graph: weights, shapes, indices.
+
+use crate::proto::Tensor;
+use vigil_policy::imported::MOST_VALUES;
+
+/// A constant's numbers.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Data {
+    /// Weights.
+    Real(Vec<f32>),
+    /// Shapes, axes, indices.
+    Whole(Vec<i64>),
+}
+
+/// A constant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Constant {
+    /// Sizes; none for a single number.
+    pub shape: Vec<usize>,
+    /// Values, the last size running fastest.
+    pub data: Data,
+}
+
+/// The number of values of a shape, if it is allowed.
+pub fn len_of(shape: &[usize]) -> Result<usize, String> {
+    let len = shape.iter().try_fold(1usize, |all, size| all.checked_mul(*size));
+    len.filter(|len| *len as u64 <= MOST_VALUES)
+        .ok_or_else(|| format!("the shape {shape:?} has more than {MOST_VALUES} values"))
+}
+
+impl Constant {
+    /// A constant of the file.
+    ///
+    /// # Errors
+    /// Another type of number, data that do not fill the shape, numbers that are not finite.
+    pub fn of(tensor: &Tensor) -> Result<Self, String> {
+        if tensor.data_location == 1 {
+            return Err("its data are in another file; save the model in one".to_owned());
+        }
+        let sizes: Option<Vec<usize>> = tensor.dims.iter().map(|size| usize::try_from(*size).ok()).collect();
+        let shape = sizes.ok_or_else(|| format!("it has the sizes {:?}", tensor.dims))?;
+        let len = len_of(&shape)?;
+        let raw = tensor.raw_data.as_slice();
+        fn chunks<const N: usize>(raw: &[u8]) -> impl Iterator<Item = [u8; N]> {
+            raw.as_chunks::<N>().0.iter().copied()
+        }
+        let data = match tensor.data_type {
+            1 if raw.is_empty() => Data::Real(tensor.float_data.clone()),
+            1 => Data::Real(chunks(raw).map(f32::from_le_bytes).collect()),
+            11 if raw.is_empty() => Data::Real(tensor.double_data.iter().map(|x| *x as f32).collect()),
+            11 => Data::Real(chunks(raw).map(|b| f64::from_le_bytes(b) as f32).collect()),
+            6 if raw.is_empty() => Data::Whole(tensor.int32_data.iter().map(|x| i64::from(*x)).collect()),
+            6 => Data::Whole(chunks(raw).map(|b| i64::from(i32::from_le_bytes(b))).collect()),
+            7 if raw.is_empty() => Data::Whole(tensor.int64_data.clone()),
+            7 => Data::Whole(chunks(raw).map(i64::from_le_bytes).collect()),
+            other => {
+                return Err(format!(
+                    "it has numbers of type {other}; float32, float64, int32 and int64 are known"
+                ));
+            }
+        };
+        let constant = Self { shape, data };
+        if constant.len() != len {
+            return Err(format!(
+                "it has {} values for the shape {:?}",
+                constant.len(),
+                constant.shape
+            ));
+        }
+        if let Data::Real(values) = &constant.data
+            && !values.iter().all(|x| x.is_finite())
+        {
+            return Err("it holds a number that is not finite".to_owned());
+        }
+        Ok(constant)
+    }
+
+    /// How many values it has.
+    pub fn len(&self) -> usize {
+        match &self.data {
+            Data::Real(values) => values.len(),
+            Data::Whole(values) => values.len(),
+        }
+    }
+
+    /// Weights.
+    ///
+    /// # Errors
+    /// Whole numbers.
+    pub fn real(&self) -> Result<&[f32], String> {
+        match &self.data {
+            Data::Real(values) => Ok(values),
+            Data::Whole(_) => Err("weights have to be float32".to_owned()),
+        }
+    }
+
+    /// Indices.
+    ///
+    /// # Errors
+    /// Real numbers.
+    pub fn whole(&self) -> Result<&[i64], String> {
+        match &self.data {
+            Data::Whole(values) => Ok(values),
+            Data::Real(_) => Err("an index or a shape has to be int64".to_owned()),
+        }
+    }
+
+    /// Some of its values in another shape.
+    pub fn moved(&self, shape: Vec<usize>, places: &[usize]) -> Self {
+        fn pick<T: Copy>(values: &[T], places: &[usize]) -> Vec<T> {
+            places.iter().filter_map(|place| values.get(*place).copied()).collect()
+        }
+        let data = match &self.data {
+            Data::Real(values) => Data::Real(pick(values, places)),
+            Data::Whole(values) => Data::Whole(pick(values, places)),
+        };
+        Self { shape, data }
+    }
+}

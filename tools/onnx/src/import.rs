@@ -1,0 +1,1311 @@
+//! From ONNX's nodes to layers.
+//!
+//! A tensor of the graph is a constant, or values of one layer: which, and where each of the tensor's values is there. Layers
+//! keep images as `[row][column][channel]`, so reshaping, transposing, cutting and joining only change these places, and the
+//! next layer's weights are put in their order.
+
+use crate::constant::{Constant, Data, len_of};
+use crate::movement::{self, axis, reshape, take, transpose};
+use crate::proto::{Attribute, Graph, Model, Node, ValueInfo};
+use prost::Message;
+use std::collections::HashMap;
+use std::rc::Rc;
+use vigil_nnet::network_file::FileError;
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Gru, Isa, Lstm, MaxPool2d};
+use vigil_policy::FrozenPolicy;
+use vigil_policy::imported::{Channels, Depth, Layer, MOST_VALUES, Network, PolicyInputs};
+
+/// The operators that are known, for the message about others.
+const KNOWN: &str = "Add, AveragePool, BatchNormalization, Cast, Concat, Constant, Conv, Div, Dropout, Elu, Flatten, GRU, \
+    Gather, Gemm, GlobalAveragePool, Identity, LSTM, MatMul, MaxPool, Mul, Relu, Reshape, Shape, Sigmoid, Slice, Split, \
+    Squeeze, Sub, Tanh, Transpose, Unsqueeze";
+
+/// Why a model is not imported.
+#[derive(Debug, thiserror::Error)]
+pub enum ImportError {
+    /// It is not ONNX.
+    #[error("{file} is truncated or not ONNX: {source}")]
+    Container {
+        /// The file.
+        file: String,
+        /// Where.
+        source: prost::DecodeError,
+    },
+    /// The model as a whole.
+    #[error("{file}: {message}")]
+    Model {
+        /// The file.
+        file: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// One of its nodes.
+    #[error("{file}, node {number} `{name}` ({operator}): {message}")]
+    Node {
+        /// The file.
+        file: String,
+        /// From 0 on.
+        number: usize,
+        /// Its name, or that of its output.
+        name: String,
+        /// Its operator.
+        operator: String,
+        /// What is wrong.
+        message: String,
+    },
+    /// The policy would not fly.
+    #[error(transparent)]
+    Policy(#[from] FileError),
+}
+
+/// How the policy is given what we have: see [`PolicyInputs`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adapter {
+    /// What its channels are.
+    pub order: Channels,
+    /// What a pixel is.
+    pub depth: Depth,
+    /// Every pixel is multiplied by it.
+    pub scale: f32,
+    /// Its outputs are multiplied by it.
+    pub output_scale: f32,
+    /// The output that is the action, where there are several.
+    pub output: Option<String>,
+}
+
+impl Default for Adapter {
+    fn default() -> Self {
+        Self {
+            order: Channels::default(),
+            depth: Depth::default(),
+            scale: 1.0,
+            output_scale: 1.0,
+            output: None,
+        }
+    }
+}
+
+/// Values of a layer.
+#[derive(Debug, Clone)]
+struct Live {
+    layer: usize,
+    /// As ONNX has it, batch included.
+    shape: Vec<usize>,
+    /// Where each value is in the layer.
+    places: Rc<Vec<u32>>,
+    /// Nothing else uses the layer, if nothing else uses this tensor.
+    alone: bool,
+}
+
+#[derive(Debug, Clone)]
+enum Value {
+    Constant(Rc<Constant>),
+    Live(Live),
+}
+
+/// Makes a policy of a model. `file` names it in errors.
+///
+/// # Errors
+/// [`ImportError`]: what cannot be read, is not known, does not fit, or is too large for the step.
+pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolicy, ImportError> {
+    let model = Model::decode(bytes).map_err(|source| ImportError::Container {
+        file: file.to_owned(),
+        source,
+    })?;
+    let of_model = |message: String| ImportError::Model {
+        file: file.to_owned(),
+        message,
+    };
+    let graph = model
+        .graph
+        .as_ref()
+        .ok_or_else(|| of_model("it holds no graph".to_owned()))?;
+    let mut importer = Importer::new(graph).map_err(of_model)?;
+    let frame = importer.inputs(graph).map_err(of_model)?;
+    for (number, node) in graph.node.iter().enumerate() {
+        importer.node(node).map_err(|message| ImportError::Node {
+            file: file.to_owned(),
+            number,
+            name: match node.name.is_empty() {
+                true => node.output.first().cloned().unwrap_or_default(),
+                false => node.name.clone(),
+            },
+            operator: node.op_type.clone(),
+            message,
+        })?;
+    }
+    importer.output(graph, adapter.output.as_deref()).map_err(of_model)?;
+    let policy = FrozenPolicy {
+        network: importer.network,
+        params: importer.params.into_iter().flatten().collect(),
+        inputs: PolicyInputs {
+            rows: frame.rows,
+            cols: frame.cols,
+            channels: frame.channels,
+            order: adapter.order,
+            depth: adapter.depth,
+            scale: adapter.scale,
+            frame_input: frame.input,
+            has_position: frame.has_position,
+            output_scale: adapter.output_scale,
+        },
+        source: format!("{} {}", model.producer_name, graph.name).trim().to_owned(),
+    };
+    policy.network.check().map_err(|e| of_model(e.to_string()))?;
+    policy.pilot(Isa::PORTABLE, false)?;
+    Ok(policy)
+}
+
+/// The frame among the inputs.
+struct Frame {
+    rows: usize,
+    cols: usize,
+    channels: usize,
+    input: usize,
+    has_position: bool,
+}
+
+struct Importer<'a> {
+    network: Network,
+    /// Of each layer.
+    params: Vec<Vec<f32>>,
+    /// Values of each layer.
+    lens: Vec<usize>,
+    tensors: HashMap<&'a str, Value>,
+    /// How many nodes read a tensor.
+    uses: HashMap<&'a str, usize>,
+}
+
+/// A node's settings.
+struct Settings<'a>(&'a [Attribute]);
+
+impl<'a> Settings<'a> {
+    fn get(&self, name: &str) -> Option<&'a Attribute> {
+        self.0.iter().find(|attribute| attribute.name == name)
+    }
+
+    fn whole(&self, name: &str, default: i64) -> i64 {
+        self.get(name).map_or(default, |attribute| attribute.i)
+    }
+
+    fn real(&self, name: &str, default: f32) -> f32 {
+        self.get(name).map_or(default, |attribute| attribute.f)
+    }
+
+    fn list(&self, name: &str) -> Option<&'a [i64]> {
+        self.get(name).map(|attribute| attribute.ints.as_slice())
+    }
+
+    fn word(&self, name: &str) -> Option<String> {
+        self.get(name)
+            .map(|attribute| String::from_utf8_lossy(&attribute.s).into_owned())
+    }
+
+    /// Refuses a setting that is there and is not as computed here.
+    fn only(&self, name: &str, allowed: i64) -> Result<(), String> {
+        match self.whole(name, allowed) == allowed {
+            true => Ok(()),
+            false => Err(format!("{name} = {} is not supported", self.whole(name, allowed))),
+        }
+    }
+}
+
+fn sizes_of(info: &ValueInfo) -> Result<Vec<usize>, String> {
+    let name = &info.name;
+    let shape = info
+        .r#type
+        .as_ref()
+        .and_then(|t| t.tensor_type.as_ref())
+        .and_then(|t| t.shape.as_ref())
+        .ok_or_else(|| format!("the input `{name}` has no shape"))?;
+    let sizes = shape.dim.iter().enumerate().map(|(i, dim)| match dim.dim_value {
+        1.. => usize::try_from(dim.dim_value).map_err(|e| e.to_string()),
+        // Policies are exported for batches of any size; one decision is a batch of one.
+        _ if i == 0 => Ok(1),
+        _ => Err(format!(
+            "the input `{name}` has a dynamic size `{}` at axis {i}: export the policy with fixed sizes",
+            dim.dim_param
+        )),
+    });
+    sizes.collect()
+}
+
+/// Where the values of an image `[channel][row][column]` are in one of `[row][column][channel]`.
+fn image_places(channels: usize, rows: usize, cols: usize) -> Vec<u32> {
+    let mut places = Vec::with_capacity(channels * rows * cols);
+    for channel in 0..channels {
+        places.extend((0..rows * cols).map(|pixel| (pixel * channels + channel) as u32));
+    }
+    places
+}
+
+fn identity(len: usize) -> Rc<Vec<u32>> {
+    Rc::new((0..len as u32).collect())
+}
+
+fn positive(value: i64, what: &str) -> Result<usize, String> {
+    usize::try_from(value)
+        .ok()
+        .filter(|v| *v > 0 && *v <= 1 << 20)
+        .ok_or_else(|| format!("{what} of {value}"))
+}
+
+impl<'a> Importer<'a> {
+    fn new(graph: &'a Graph) -> Result<Self, String> {
+        let mut importer = Self {
+            network: Network::default(),
+            params: Vec::new(),
+            lens: Vec::new(),
+            tensors: HashMap::new(),
+            uses: HashMap::new(),
+        };
+        for tensor in &graph.initializer {
+            let constant = Constant::of(tensor).map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
+            importer
+                .tensors
+                .insert(&tensor.name, Value::Constant(Rc::new(constant)));
+        }
+        let read = graph.node.iter().flat_map(|node| &node.input);
+        for name in read.chain(graph.output.iter().map(|output| &output.name)) {
+            *importer.uses.entry(name).or_default() += 1;
+        }
+        Ok(importer)
+    }
+
+    fn inputs(&mut self, graph: &'a Graph) -> Result<Frame, String> {
+        let mut found: Option<Frame> = None;
+        let mut positions = 0;
+        // Old exports list the weights among the inputs.
+        let real = graph
+            .input
+            .iter()
+            .filter(|input| !self.tensors.contains_key(input.name.as_str()));
+        let real: Vec<&ValueInfo> = real.collect();
+        for (number, info) in real.into_iter().enumerate() {
+            let shape = sizes_of(info)?;
+            let len = len_of(&shape)?;
+            let places = match *shape.as_slice() {
+                [1, a, b, c] if found.is_none() => {
+                    let channels_last = graph.node.iter().any(|node| {
+                        node.op_type == "Transpose"
+                            && node.input.first() == Some(&info.name)
+                            && Settings(&node.attribute).list("perm") == Some(&[0, 3, 1, 2])
+                    });
+                    let (rows, cols, channels) = if channels_last { (a, b, c) } else { (b, c, a) };
+                    found = Some(Frame {
+                        rows,
+                        cols,
+                        channels,
+                        input: number,
+                        has_position: false,
+                    });
+                    match channels_last {
+                        true => identity(len),
+                        false => Rc::new(image_places(channels, rows, cols)),
+                    }
+                }
+                [1, 2] if positions == 0 => {
+                    positions += 1;
+                    identity(len)
+                }
+                _ => {
+                    return Err(format!(
+                        "the input `{}` has the shape {shape:?}; a policy gets one frame [1, channels, rows, columns] (or \
+                         channels last, if it is transposed first), and beside it [1, 2], distance and bearing of the goal",
+                        info.name
+                    ));
+                }
+            };
+            let layer = self.push(Layer::Input { len }, Vec::new(), len)?;
+            self.tensors.insert(
+                &info.name,
+                Value::Live(Live {
+                    layer,
+                    shape,
+                    places,
+                    alone: true,
+                }),
+            );
+        }
+        let frame = found.ok_or("it has no frame among its inputs: none of shape [1, channels, rows, columns]")?;
+        Ok(Frame {
+            has_position: positions == 1,
+            ..frame
+        })
+    }
+
+    /// Ends with the action: two values in their order.
+    fn output(&mut self, graph: &'a Graph, wanted: Option<&str>) -> Result<(), String> {
+        let names: Vec<&str> = graph.output.iter().map(|output| output.name.as_str()).collect();
+        let name = match (wanted, names.as_slice()) {
+            (Some(wanted), _) => names
+                .iter()
+                .find(|name| **name == wanted)
+                .copied()
+                .ok_or_else(|| format!("there is no output `{wanted}`, only {}", names.join(", ")))?,
+            (None, [one]) => one,
+            (None, _) => {
+                return Err(format!(
+                    "it has {} outputs ({}); name the action's with --output",
+                    names.len(),
+                    names.join(", ")
+                ));
+            }
+        };
+        let Some(Value::Live(live)) = self.tensors.get(name).cloned() else {
+            return Err(format!("the output `{name}` does not depend on an input"));
+        };
+        let len = live.places.len();
+        if len != 2 {
+            return Err(format!(
+                "the output `{name}` has {len} values; an action has 2, forward speed and yaw"
+            ));
+        }
+        let in_order = live.places.iter().enumerate().all(|(i, place)| *place as usize == i);
+        self.network.output = match in_order && self.lens.get(live.layer) == Some(&len) {
+            true => live.layer,
+            false => {
+                let straight: Vec<f32> = (0..len * len).map(|i| f32::from(i % (len + 1) == 0)).collect();
+                self.dense(&live, &straight, len, None)?.layer
+            }
+        };
+        Ok(())
+    }
+
+    fn push(&mut self, layer: Layer, params: Vec<f32>, len: usize) -> Result<usize, String> {
+        if len as u64 > MOST_VALUES {
+            return Err(format!("it has {len} values, the limit is {MOST_VALUES}"));
+        }
+        self.network.layers.push(layer);
+        self.params.push(params);
+        self.lens.push(len);
+        Ok(self.lens.len() - 1)
+    }
+
+    fn input<'n>(&self, node: &'n Node, i: usize) -> Result<(&'n str, Value), String> {
+        let name = node.input.get(i).filter(|name| !name.is_empty());
+        let name = name.ok_or_else(|| format!("input {i} is missing"))?;
+        let value = self.tensors.get(name.as_str()).cloned();
+        Ok((
+            name,
+            value.ok_or_else(|| format!("nothing computes its input `{name}`"))?,
+        ))
+    }
+
+    fn live(&self, node: &Node, i: usize) -> Result<Live, String> {
+        match self.input(node, i)? {
+            (name, Value::Live(mut live)) => {
+                live.alone &= self.uses.get(name) == Some(&1);
+                Ok(live)
+            }
+            (name, Value::Constant(_)) => Err(format!("its input `{name}` is a constant")),
+        }
+    }
+
+    fn constant(&self, node: &Node, i: usize) -> Result<Rc<Constant>, String> {
+        match self.input(node, i)? {
+            (_, Value::Constant(constant)) => Ok(constant),
+            (name, Value::Live(_)) => Err(format!("its input `{name}` has to be a constant")),
+        }
+    }
+
+    fn optional(&self, node: &Node, i: usize) -> Result<Option<Rc<Constant>>, String> {
+        match node.input.get(i).is_none_or(String::is_empty) {
+            true => Ok(None),
+            false => self.constant(node, i).map(Some),
+        }
+    }
+
+    fn node(&mut self, node: &'a Node) -> Result<(), String> {
+        let settings = Settings(&node.attribute);
+        let unknown = || format!("this operator is not supported; there are {KNOWN}");
+        if !(node.domain.is_empty() || node.domain == "ai.onnx") {
+            return Err(unknown());
+        }
+        let result = match node.op_type.as_str() {
+            "Relu" => self.curve(node, Activation::Relu)?,
+            "Tanh" => self.curve(node, Activation::TANH)?,
+            "Sigmoid" => self.curve(node, Activation::Sigmoid)?,
+            "Elu" if settings.real("alpha", 1.0) == 1.0 => self.curve(node, Activation::Elu)?,
+            "Elu" => return Err(format!("alpha = {} is not supported", settings.real("alpha", 1.0))),
+            "Gemm" => self.gemm(node, &settings)?,
+            "MatMul" => self.mat_mul(node)?,
+            "Conv" => self.conv(node, &settings)?,
+            "MaxPool" => self.max_pool(node, &settings)?,
+            "AveragePool" => self.average_pool(node, &settings)?,
+            "GlobalAveragePool" => self.global_average(node)?,
+            "BatchNormalization" => self.batch_norm(node, &settings)?,
+            "Add" | "Sub" | "Mul" | "Div" => self.affine(node)?,
+            "GRU" | "LSTM" => return self.recurrent(node, &settings),
+            "Concat" => self.concat(node, &settings)?,
+            "Split" => return self.split(node, &settings),
+            "Constant" => {
+                let tensor = settings.get("value").and_then(|attribute| attribute.t.as_ref());
+                let constant = match (tensor, settings.get("value_ints"), settings.get("value_int")) {
+                    (Some(tensor), ..) => Constant::of(tensor)?,
+                    (_, Some(list), _) => Constant {
+                        shape: vec![list.ints.len()],
+                        data: Data::Whole(list.ints.clone()),
+                    },
+                    (_, _, Some(one)) => Constant {
+                        shape: Vec::new(),
+                        data: Data::Whole(vec![one.i]),
+                    },
+                    _ => return Err("it holds no tensor".to_owned()),
+                };
+                Value::Constant(Rc::new(constant))
+            }
+            "Shape" => {
+                let (_, value) = self.input(node, 0)?;
+                let sizes: Vec<i64> = shape_of(&value).iter().map(|size| *size as i64).collect();
+                Value::Constant(Rc::new(Constant {
+                    shape: vec![sizes.len()],
+                    data: Data::Whole(sizes),
+                }))
+            }
+            "Identity" | "Dropout" | "Cast" | "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose"
+            | "Slice" | "Gather" => self.movement(node, &settings)?,
+            _ => return Err(unknown()),
+        };
+        self.set(node, 0, result)
+    }
+
+    fn set(&mut self, node: &'a Node, i: usize, value: Value) -> Result<(), String> {
+        let name = node.output.get(i).ok_or("it has no output")?;
+        if self.tensors.insert(name, value).is_some() {
+            return Err(format!("its output `{name}` is computed twice"));
+        }
+        Ok(())
+    }
+
+    /// A whole layer that was made for this.
+    fn fresh(&self, layer: usize, shape: Vec<usize>, places: Rc<Vec<u32>>) -> Value {
+        Value::Live(Live {
+            layer,
+            shape,
+            places,
+            alone: true,
+        })
+    }
+
+    /// A part of a layer that is one run of it, as a layer of its own; others as they are.
+    fn narrowed(&mut self, live: &Live) -> Result<Live, String> {
+        let (Some(least), Some(most)) = (live.places.iter().min(), live.places.iter().max()) else {
+            return Err("it has no values".to_owned());
+        };
+        let (from, len) = (*least as usize, (most - least) as usize + 1);
+        let own = self.lens.get(live.layer).copied().unwrap_or(0);
+        if len == own || len > live.places.len() {
+            return Ok(live.clone());
+        }
+        let layer = self.push(
+            Layer::Slice {
+                x: live.layer,
+                from,
+                len,
+            },
+            Vec::new(),
+            len,
+        )?;
+        let places = live.places.iter().map(|place| place - least).collect();
+        Ok(Live {
+            layer,
+            shape: live.shape.clone(),
+            places: Rc::new(places),
+            alone: true,
+        })
+    }
+
+    /// `y = x W + b` with `W` `[x's values][outputs]`.
+    fn dense(&mut self, x: &Live, weights: &[f32], outputs: usize, bias: Option<&[f32]>) -> Result<Live, String> {
+        let x = self.narrowed(x)?;
+        let inputs = self.lens.get(x.layer).copied().unwrap_or(0);
+        let len = len_of(&[inputs + 1, outputs])?;
+        if weights.len() != x.places.len() * outputs || outputs == 0 {
+            return Err(format!(
+                "weights of {} values for {} inputs and {outputs} outputs",
+                weights.len(),
+                x.places.len()
+            ));
+        }
+        let mut params = vec![0.0; len];
+        for (row, place) in weights.chunks_exact(outputs).zip(x.places.iter()) {
+            let at = *place as usize * outputs;
+            // One value may stand in two places of the tensor.
+            for (to, from) in params[at..at + outputs].iter_mut().zip(row) {
+                *to += from;
+            }
+        }
+        if let Some(bias) = bias {
+            let bias = broadcast(bias, outputs)?;
+            params[inputs * outputs..].copy_from_slice(&bias);
+        }
+        let layer = Layer::Dense {
+            x: x.layer,
+            layer: Dense { inputs, outputs },
+            curve: Activation::Identity,
+        };
+        let layer = self.push(layer, params, outputs)?;
+        Ok(Live {
+            layer,
+            shape: vec![1, outputs],
+            places: identity(outputs),
+            alone: true,
+        })
+    }
+
+    fn gemm(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        settings.only("transA", 0)?;
+        let (x, w) = (self.live(node, 0)?, self.constant(node, 1)?);
+        let (alpha, beta) = (settings.real("alpha", 1.0), settings.real("beta", 1.0));
+        let [rows, cols] = *w.shape.as_slice() else {
+            return Err(format!("weights of shape {:?}", w.shape));
+        };
+        let turned = settings.whole("transB", 0) != 0;
+        let (inputs, outputs) = if turned { (cols, rows) } else { (rows, cols) };
+        let values = w.real()?;
+        let weights: Vec<f32> = match turned {
+            true => (0..values.len())
+                .map(|i| alpha * values[(i % outputs) * inputs + i / outputs])
+                .collect(),
+            false => values.iter().map(|value| alpha * value).collect(),
+        };
+        let bias = self.optional(node, 2)?;
+        let bias: Option<Vec<f32>> = match &bias {
+            Some(bias) => Some(bias.real()?.iter().map(|value| beta * value).collect()),
+            None => None,
+        };
+        Ok(Value::Live(self.dense(&x, &weights, outputs, bias.as_deref())?))
+    }
+
+    fn mat_mul(&mut self, node: &Node) -> Result<Value, String> {
+        let (x, w) = (self.live(node, 0)?, self.constant(node, 1)?);
+        let [inputs, outputs] = *w.shape.as_slice() else {
+            return Err(format!("weights of shape {:?}", w.shape));
+        };
+        if x.places.len() != inputs {
+            return Err(format!("{:?} times {:?}: one row only", x.shape, w.shape));
+        }
+        let mut live = self.dense(&x, w.real()?, outputs, None)?;
+        live.shape = x.shape.clone();
+        if let Some(last) = live.shape.last_mut() {
+            *last = outputs;
+        }
+        Ok(Value::Live(live))
+    }
+
+    /// The layer of an image, and its channels, rows and columns.
+    fn image(&mut self, node: &Node) -> Result<(usize, [usize; 3]), String> {
+        let x = self.live(node, 0)?;
+        let [1, channels, rows, cols] = *x.shape.as_slice() else {
+            return Err(format!(
+                "an input of shape {:?} instead of [1, channels, rows, columns]",
+                x.shape
+            ));
+        };
+        let x = self.narrowed(&x)?;
+        let whole = self.lens.get(x.layer) == Some(&x.places.len());
+        if !whole || *x.places != image_places(channels, rows, cols) {
+            return Err("the values of its image were put in another order before; that is not supported".to_owned());
+        }
+        Ok((x.layer, [channels, rows, cols]))
+    }
+
+    /// Kernel, stride and padding, which have to be the same both ways.
+    fn window(settings: &Settings<'_>, kernel: (usize, usize)) -> Result<[usize; 3], String> {
+        if let Some(pad) = settings
+            .word("auto_pad")
+            .filter(|pad| pad != "NOTSET" && pad != "VALID")
+        {
+            return Err(format!(
+                "auto_pad = {pad} is not supported: export it with explicit padding"
+            ));
+        }
+        if settings
+            .list("dilations")
+            .is_some_and(|all| all.iter().any(|d| *d != 1))
+        {
+            return Err("dilations are not supported".to_owned());
+        }
+        settings.only("ceil_mode", 0)?;
+        let same = |what: &str, default: i64| match settings.list(what) {
+            None | Some([]) => Ok(default),
+            Some([first, rest @ ..]) if rest.iter().all(|other| other == first) => Ok(*first),
+            Some(other) => Err(format!(
+                "{what} = {other:?} is not supported: the same on all sides only"
+            )),
+        };
+        if kernel.0 != kernel.1 {
+            return Err(format!(
+                "a kernel of {} × {} is not supported: squares only",
+                kernel.0, kernel.1
+            ));
+        }
+        let stride = positive(same("strides", 1)?, "strides")?;
+        let padding = usize::try_from(same("pads", 0)?).ok().filter(|p| *p < kernel.0);
+        let padding = padding.ok_or("padding as large as the kernel is not supported")?;
+        Ok([kernel.0, stride, padding])
+    }
+
+    fn convolve(&mut self, x: usize, layer: Conv2d, params: Vec<f32>) -> Result<Value, String> {
+        layer.validate().map_err(|e| e.to_string())?;
+        let (rows, cols, filters) = (layer.out_rows(), layer.out_cols(), layer.filters);
+        let len = len_of(&[rows, cols, filters])?;
+        let curve = Activation::Identity;
+        let layer = self.push(Layer::Conv2d { x, layer, curve }, params, len)?;
+        let places = Rc::new(image_places(filters, rows, cols));
+        Ok(self.fresh(layer, vec![1, filters, rows, cols], places))
+    }
+
+    fn conv(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let (x, [channels, rows, cols]) = self.image(node)?;
+        let w = self.constant(node, 1)?;
+        let [filters, depth, height, width] = *w.shape.as_slice() else {
+            return Err(format!("weights of shape {:?}: two dimensions only", w.shape));
+        };
+        let groups = positive(settings.whole("group", 1), "group")?;
+        if depth * groups != channels || !filters.is_multiple_of(groups) {
+            return Err(format!(
+                "weights of shape {:?} in {groups} groups for {channels} channels",
+                w.shape
+            ));
+        }
+        let [kernel, stride, padding] = Self::window(settings, (height, width))?;
+        let layer = Conv2d {
+            rows,
+            cols,
+            channels,
+            filters,
+            kernel,
+            stride,
+            padding,
+        };
+        let taps = len_of(&[kernel, kernel, channels, filters])?;
+        let mut params = vec![0.0; taps + filters];
+        for (i, value) in w.real()?.iter().enumerate() {
+            let (filter, rest) = (i / (depth * kernel * kernel), i % (depth * kernel * kernel));
+            let (channel, tap) = (rest / (kernel * kernel), rest % (kernel * kernel));
+            let channel = filter / (filters / groups) * depth + channel;
+            params[(tap * channels + channel) * filters + filter] = *value;
+        }
+        if let Some(bias) = self.optional(node, 2)? {
+            params[taps..].copy_from_slice(&broadcast(bias.real()?, filters)?);
+        }
+        self.convolve(x, layer, params)
+    }
+
+    fn kernel_shape(settings: &Settings<'_>) -> Result<(usize, usize), String> {
+        match settings.list("kernel_shape") {
+            Some([height, width]) => Ok((positive(*height, "kernel")?, positive(*width, "kernel")?)),
+            other => Err(format!("kernel_shape = {other:?}")),
+        }
+    }
+
+    fn max_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let (x, [channels, rows, cols]) = self.image(node)?;
+        let [window, stride, padding] = Self::window(settings, Self::kernel_shape(settings)?)?;
+        if stride != window || padding != 0 {
+            return Err(format!(
+                "windows of {window} every {stride} with a padding of {padding} are not supported: windows that do not \
+                 overlap, without padding"
+            ));
+        }
+        let layer = MaxPool2d {
+            rows,
+            cols,
+            channels,
+            window,
+        };
+        layer.validate().map_err(|e| e.to_string())?;
+        let (rows, cols) = (layer.out_rows(), layer.out_cols());
+        let layer = self.push(Layer::MaxPool2d { x, layer }, Vec::new(), rows * cols * channels)?;
+        let places = Rc::new(image_places(channels, rows, cols));
+        Ok(self.fresh(layer, vec![1, channels, rows, cols], places))
+    }
+
+    /// A convolution whose weights are all the same, each channel for itself.
+    fn average_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let (x, [channels, rows, cols]) = self.image(node)?;
+        let [kernel, stride, padding] = Self::window(settings, Self::kernel_shape(settings)?)?;
+        if padding != 0 && settings.whole("count_include_pad", 0) == 0 {
+            return Err("padding that does not count is not supported: count_include_pad = 1, or none".to_owned());
+        }
+        let layer = Conv2d {
+            rows,
+            cols,
+            channels,
+            filters: channels,
+            kernel,
+            stride,
+            padding,
+        };
+        let mut params = vec![0.0; len_of(&[kernel, kernel, channels, channels])? + channels];
+        for tap in 0..kernel * kernel {
+            for channel in 0..channels {
+                params[(tap * channels + channel) * channels + channel] = 1.0 / (kernel * kernel) as f32;
+            }
+        }
+        self.convolve(x, layer, params)
+    }
+
+    fn global_average(&mut self, node: &Node) -> Result<Value, String> {
+        let x = self.live(node, 0)?;
+        let [1, channels, rows, cols] = *x.shape.as_slice() else {
+            return Err(format!(
+                "an input of shape {:?} instead of [1, channels, rows, columns]",
+                x.shape
+            ));
+        };
+        let pixels = rows * cols;
+        let mut weights = vec![0.0; len_of(&[channels, pixels, channels])?];
+        for i in 0..channels * pixels {
+            weights[i * channels + i / pixels] = 1.0 / pixels as f32;
+        }
+        let mut live = self.dense(&x, &weights, channels, None)?;
+        live.shape = vec![1, channels, 1, 1];
+        Ok(Value::Live(live))
+    }
+
+    fn batch_norm(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        settings.only("training_mode", 0)?;
+        let x = self.live(node, 0)?;
+        let Some(channels) = x.shape.get(1).copied() else {
+            return Err(format!("an input of shape {:?}", x.shape));
+        };
+        let epsilon = settings.real("epsilon", 1e-5);
+        let rows: Vec<Rc<Constant>> = (1..5).map(|i| self.constant(node, i)).collect::<Result<_, _>>()?;
+        let row = |i: usize| rows[i].real();
+        if rows.iter().any(|row| row.len() != channels) {
+            return Err(format!("statistics for another number than {channels} channels"));
+        }
+        // As factors and summands, so that they can go into the layer before.
+        let (mut factors, mut summands) = (Vec::new(), Vec::new());
+        for channel in 0..channels {
+            let [scale, shift, mean, variance] =
+                [row(0)?[channel], row(1)?[channel], row(2)?[channel], row(3)?[channel]].map(f64::from);
+            if variance + f64::from(epsilon) <= 0.0 {
+                return Err(format!("channel {channel} has a variance of {variance}"));
+            }
+            let factor = scale / (variance + f64::from(epsilon)).sqrt();
+            factors.push(factor as f32);
+            summands.push((shift - factor * mean) as f32);
+        }
+        let inner = x.places.len() / channels.max(1);
+        let each = |values: &[f32]| -> Vec<f32> { (0..x.places.len()).map(|i| values[i / inner]).collect() };
+        let (factors, summands) = (each(&factors), each(&summands));
+        self.scaled(&x, &factors, &summands)
+    }
+
+    fn affine(&mut self, node: &Node) -> Result<Value, String> {
+        let (a, b) = (self.input(node, 0)?.1, self.input(node, 1)?.1);
+        let (x, constant, swapped) = match (&a, &b) {
+            (Value::Live(_), Value::Constant(constant)) => (self.live(node, 0)?, constant, false),
+            (Value::Constant(constant), Value::Live(_)) => (self.live(node, 1)?, constant, true),
+            _ => {
+                return Err(
+                    "two values that both depend on the inputs are not supported: one has to be a constant".to_owned(),
+                );
+            }
+        };
+        let values = spread(constant, &x.shape)?;
+        let n = values.len();
+        let negated = || values.iter().map(|value| -value).collect::<Vec<f32>>();
+        let (factors, summands) = match (node.op_type.as_str(), swapped) {
+            ("Add", _) => (vec![1.0; n], values),
+            ("Sub", false) => (vec![1.0; n], negated()),
+            ("Sub", true) => (vec![-1.0; n], values),
+            ("Mul", _) => (values, vec![0.0; n]),
+            ("Div", false) => (values.iter().map(|value| 1.0 / value).collect(), vec![0.0; n]),
+            _ => return Err("a constant divided by a value is not supported".to_owned()),
+        };
+        if !factors.iter().all(|factor| factor.is_finite()) {
+            return Err("it divides by zero".to_owned());
+        }
+        self.scaled(&x, &factors, &summands)
+    }
+
+    /// `y = factor · x + summand`, each value of the tensor its own: in the layer before where that is possible.
+    fn scaled(&mut self, x: &Live, factors: &[f32], summands: &[f32]) -> Result<Value, String> {
+        let len = self.lens.get(x.layer).copied().unwrap_or(0);
+        let (mut factor, mut summand) = (vec![1.0; len], vec![0.0; len]);
+        for ((place, f), s) in x.places.iter().zip(factors).zip(summands) {
+            (factor[*place as usize], summand[*place as usize]) = (*f, *s);
+        }
+        let result = |layer: usize| {
+            Value::Live(Live {
+                layer,
+                alone: true,
+                ..x.clone()
+            })
+        };
+        // Of an image, one for each channel if all pixels have the same.
+        let channels = match *x.shape.as_slice() {
+            [1, channels, _, _] if channels > 0 && len.is_multiple_of(channels) => channels,
+            _ => len,
+        };
+        let uniform = |all: &[f32], n: usize| all.iter().enumerate().all(|(i, value)| *value == all[i % n]);
+        let whole = x.alone && x.places.len() == len;
+        if whole
+            && let (Some(before), Some(params)) = (self.network.layers.get_mut(x.layer), self.params.get_mut(x.layer))
+        {
+            let outputs = match before {
+                Layer::Dense { layer, curve, .. } if *curve == Activation::Identity => Some(layer.outputs),
+                Layer::Conv2d { layer, curve, .. } if *curve == Activation::Identity => Some(layer.filters),
+                _ => None,
+            };
+            if let Some(outputs) = outputs.filter(|n| uniform(&factor, *n) && uniform(&summand, *n)) {
+                for row in params.chunks_exact_mut(outputs) {
+                    row.iter_mut().zip(&factor).for_each(|(value, factor)| *value *= factor);
+                }
+                let bias = params.len() - outputs;
+                params[bias..]
+                    .iter_mut()
+                    .zip(&summand)
+                    .for_each(|(value, s)| *value += s);
+                return Ok(result(x.layer));
+            }
+            let all = factor.first().copied().unwrap_or(0.0);
+            if let Layer::Dense { curve, .. } | Layer::Conv2d { curve, .. } | Layer::Curve { curve, .. } = before
+                && let Activation::Tanh { scale } = curve
+                && uniform(&factor, 1)
+                && all > 0.0
+                && summand.iter().all(|s| *s == 0.0)
+            {
+                *scale *= all;
+                return Ok(result(x.layer));
+            }
+        }
+        let channels = match uniform(&factor, channels) && uniform(&summand, channels) {
+            true => channels,
+            false => len,
+        };
+        let rows = [&factor[..channels], &summand[..channels]].concat();
+        let params = [rows, vec![0.0; channels], vec![1.0; channels]].concat();
+        let layer = BatchNorm { channels, epsilon: 0.0 };
+        let layer = self.push(Layer::BatchNorm { x: x.layer, layer }, params, len)?;
+        Ok(result(layer))
+    }
+
+    fn curve(&mut self, node: &Node, curve: Activation) -> Result<Value, String> {
+        let x = self.live(node, 0)?;
+        let len = self.lens.get(x.layer).copied().unwrap_or(0);
+        if x.alone
+            && x.places.len() == len
+            && let Some(Layer::Dense { curve: own, .. } | Layer::Conv2d { curve: own, .. }) =
+                self.network.layers.get_mut(x.layer)
+            && *own == Activation::Identity
+        {
+            *own = curve;
+            return Ok(Value::Live(x));
+        }
+        let x = self.narrowed(&x)?;
+        let len = self.lens.get(x.layer).copied().unwrap_or(0);
+        let layer = self.push(Layer::Curve { x: x.layer, curve }, Vec::new(), len)?;
+        Ok(Value::Live(Live {
+            layer,
+            alone: true,
+            ..x
+        }))
+    }
+
+    /// The result of an operator that only moves values.
+    fn moved(&self, node: &Node, value: &Value, (shape, places): movement::Moved) -> Result<Value, String> {
+        match value {
+            Value::Constant(constant) => Ok(Value::Constant(Rc::new(constant.moved(shape, &places)))),
+            Value::Live(_) => {
+                let live = self.live(node, 0)?;
+                let of = |place: &usize| live.places.get(*place).copied();
+                let moved: Option<Vec<u32>> = places.iter().map(of).collect();
+                let moved = moved.ok_or("it moves values that are not there")?;
+                Ok(Value::Live(Live {
+                    layer: live.layer,
+                    alone: live.alone && moved.len() == live.places.len(),
+                    shape,
+                    places: Rc::new(moved),
+                }))
+            }
+        }
+    }
+
+    fn list(&self, node: &Node, settings: &Settings<'_>, name: &str, i: usize) -> Result<Option<Vec<i64>>, String> {
+        match settings.list(name) {
+            Some(list) => Ok(Some(list.to_vec())),
+            None => match self.optional(node, i)? {
+                Some(constant) => Ok(Some(constant.whole()?.to_vec())),
+                None => Ok(None),
+            },
+        }
+    }
+
+    fn movement(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let (_, value) = self.input(node, 0)?;
+        let shape = shape_of(&value).to_vec();
+        let len = len_of(&shape)?;
+        let rank = shape.len();
+        let axes_of =
+            |axes: &[i64], rank: usize| -> Result<Vec<usize>, String> { axes.iter().map(|a| axis(*a, rank)).collect() };
+        let in_place = |shape: Vec<usize>| (shape, (0..len).collect::<Vec<usize>>());
+        let moved = match node.op_type.as_str() {
+            "Identity" | "Dropout" | "Cast" => in_place(shape),
+            "Reshape" => {
+                let wanted = self.list(node, settings, "shape", 1)?.ok_or("it has no shape")?;
+                in_place(reshape(&shape, &wanted)?)
+            }
+            "Flatten" => {
+                let at = match settings.whole("axis", 1) {
+                    end if end == rank as i64 => rank,
+                    other => axis(other, rank)?,
+                };
+                in_place(vec![len_of(&shape[..at])?, len_of(&shape[at..])?])
+            }
+            "Squeeze" => {
+                let dropped = match self.list(node, settings, "axes", 1)? {
+                    Some(axes) => axes_of(&axes, rank)?,
+                    None => (0..rank).filter(|i| shape[*i] == 1).collect(),
+                };
+                if let Some(wrong) = dropped.iter().find(|i| shape[**i] != 1) {
+                    return Err(format!("axis {wrong} of the shape {shape:?} is not 1"));
+                }
+                in_place((0..rank).filter(|i| !dropped.contains(i)).map(|i| shape[i]).collect())
+            }
+            "Unsqueeze" => {
+                let axes = self.list(node, settings, "axes", 1)?.ok_or("it has no axes")?;
+                if axes.len() > 8 {
+                    return Err(format!("{} axes", axes.len()));
+                }
+                let added = axes_of(&axes, rank + axes.len())?;
+                let mut left = shape.iter();
+                let sizes = (0..rank + axes.len()).map(|i| match added.contains(&i) {
+                    true => Ok(1),
+                    false => left.next().copied().ok_or_else(|| format!("axes {axes:?}")),
+                });
+                in_place(sizes.collect::<Result<_, _>>()?)
+            }
+            "Transpose" => {
+                let order: Vec<usize> = match settings.list("perm") {
+                    Some(order) => axes_of(order, rank)?,
+                    None => (0..rank).rev().collect(),
+                };
+                transpose(&shape, &order)?
+            }
+            "Gather" => {
+                let along = axis(settings.whole("axis", 0), rank)?;
+                let indices = self.constant(node, 1)?;
+                let taken: Vec<usize> = indices
+                    .whole()?
+                    .iter()
+                    .map(|i| axis(*i, shape[along]))
+                    .collect::<Result<_, _>>()?;
+                let (mut result, places) = take(&shape, along, &taken)?;
+                match indices.shape.len() {
+                    0 => drop(result.remove(along)),
+                    1 => {}
+                    _ => return Err("indices of more than one axis are not supported".to_owned()),
+                }
+                (result, places)
+            }
+            _ => self.slice(node, settings, &shape)?,
+        };
+        self.moved(node, &value, moved)
+    }
+
+    fn slice(&self, node: &Node, settings: &Settings<'_>, shape: &[usize]) -> Result<movement::Moved, String> {
+        let starts = self.list(node, settings, "starts", 1)?.ok_or("it has no starts")?;
+        let ends = self.list(node, settings, "ends", 2)?.ok_or("it has no ends")?;
+        let axes = self.list(node, settings, "axes", 3)?;
+        let axes = axes.unwrap_or_else(|| (0..starts.len() as i64).collect());
+        let steps = self.list(node, settings, "steps", 4)?;
+        let steps = steps.unwrap_or_else(|| vec![1; starts.len()]);
+        if [ends.len(), axes.len(), steps.len()] != [starts.len(); 3] {
+            return Err("starts, ends, axes and steps are not of one length".to_owned());
+        }
+        let mut moved: movement::Moved = (shape.to_vec(), (0..len_of(shape)?).collect());
+        for (((start, end), along), step) in starts.iter().zip(&ends).zip(&axes).zip(&steps) {
+            let along = axis(*along, shape.len())?;
+            let size = moved.0[along] as i64;
+            let place = |value: i64| if value < 0 { value.saturating_add(size) } else { value }.clamp(0, size);
+            let step = positive(*step, "a step")?;
+            let taken: Vec<usize> = (place(*start)..place(*end)).step_by(step).map(|i| i as usize).collect();
+            if taken.is_empty() {
+                return Err(format!("nothing is left of axis {along}"));
+            }
+            let (shape, places) = take(&moved.0, along, &taken)?;
+            moved = (shape, places.into_iter().map(|place| moved.1[place]).collect());
+        }
+        Ok(moved)
+    }
+
+    fn split(&mut self, node: &'a Node, settings: &Settings<'_>) -> Result<(), String> {
+        let (_, value) = self.input(node, 0)?;
+        let shape = shape_of(&value).to_vec();
+        let along = axis(settings.whole("axis", 0), shape.len())?;
+        let count = node.output.len().max(1);
+        let lens: Vec<usize> = match self.list(node, settings, "split", 1)? {
+            Some(lens) => lens
+                .iter()
+                .map(|len| positive(*len, "a part"))
+                .collect::<Result<_, _>>()?,
+            None => {
+                let each = shape[along].div_ceil(count);
+                (0..count)
+                    .map(|i| each.min(shape[along].saturating_sub(i * each)))
+                    .collect()
+            }
+        };
+        if lens.iter().sum::<usize>() != shape[along] || lens.len() != count || lens.contains(&0) {
+            return Err(format!("parts of {lens:?} of an axis of {}", shape[along]));
+        }
+        let mut from = 0;
+        for (i, len) in lens.into_iter().enumerate() {
+            let taken: Vec<usize> = (from..from + len).collect();
+            let part = self.moved(node, &value, take(&shape, along, &taken)?)?;
+            self.set(node, i, part)?;
+            from += len;
+        }
+        Ok(())
+    }
+
+    fn concat(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let values: Vec<Value> = (0..node.input.len())
+            .map(|i| self.input(node, i).map(|(_, value)| value))
+            .collect::<Result<_, _>>()?;
+        let shapes: Vec<&[usize]> = values.iter().map(shape_of).collect();
+        let first = *shapes.first().ok_or("it has no inputs")?;
+        let along = axis(settings.whole("axis", 0), first.len())?;
+        let others = |shape: &[usize]| -> Vec<usize> {
+            let kept = shape.iter().enumerate().filter(|(i, _)| *i != along);
+            kept.map(|(_, size)| *size).collect()
+        };
+        if let Some(wrong) = shapes.iter().find(|shape| others(shape) != others(first)) {
+            return Err(format!("the shapes {first:?} and {wrong:?} along axis {along}"));
+        }
+        let mut shape = first.to_vec();
+        shape[along] = shapes.iter().map(|shape| shape[along]).sum();
+        let total = len_of(&shape)?;
+        let (outer, inner) = (len_of(&shape[..along])?, len_of(&shape[along + 1..])?);
+        // Where each value of the result is: in which input, and where there.
+        let mut places = Vec::with_capacity(total);
+        for o in 0..outer {
+            for (input, own) in shapes.iter().enumerate() {
+                let run = own[along] * inner;
+                places.extend((o * run..(o + 1) * run).map(|place| (input, place)));
+            }
+        }
+        if values.iter().all(|value| matches!(value, Value::Constant(_))) {
+            let mut whole = Vec::with_capacity(total);
+            for (input, place) in places {
+                if let Some(Value::Constant(constant)) = values.get(input) {
+                    whole.push(*constant.whole()?.get(place).ok_or("a value is missing")?);
+                }
+            }
+            let data = Data::Whole(whole);
+            return Ok(Value::Constant(Rc::new(Constant { shape, data })));
+        }
+        let mut parts = Vec::new();
+        for value in &values {
+            match value {
+                Value::Live(live) => parts.push(self.narrowed(live)?),
+                Value::Constant(_) => return Err("constants beside values are not supported".to_owned()),
+            }
+        }
+        let mut begins = Vec::new();
+        let mut len = 0usize;
+        for part in &parts {
+            begins.push(len);
+            len += self.lens.get(part.layer).copied().unwrap_or(0);
+        }
+        let places = places
+            .into_iter()
+            .map(|(input, place)| (begins[input] + parts[input].places[place] as usize) as u32)
+            .collect();
+        let parts = parts.iter().map(|part| part.layer).collect();
+        let layer = self.push(Layer::Concat { parts }, Vec::new(), len)?;
+        Ok(self.fresh(layer, shape, Rc::new(places)))
+    }
+
+    fn recurrent(&mut self, node: &'a Node, settings: &Settings<'_>) -> Result<(), String> {
+        let is_gru = node.op_type == "GRU";
+        let gates = if is_gru { 3 } else { 4 };
+        if let Some(direction) = settings.word("direction").filter(|word| word != "forward") {
+            return Err(format!("direction = {direction} is not supported"));
+        }
+        settings.only("layout", 0)?;
+        if settings.get("activations").is_some() || settings.get("clip").is_some() {
+            return Err("other activations, or clipped ones, are not supported".to_owned());
+        }
+        if is_gru && settings.whole("linear_before_reset", 0) != 1 {
+            return Err("linear_before_reset = 0 is not supported; PyTorch exports 1".to_owned());
+        }
+        let x = self.live(node, 0)?;
+        let (w, r) = (self.constant(node, 1)?, self.constant(node, 2)?);
+        let ([steps, 1, inputs], [1, _, wide], [1, _, hidden]) =
+            (x.shape.as_slice(), w.shape.as_slice(), r.shape.as_slice())
+        else {
+            return Err(format!("shapes {:?}, {:?}, {:?}", x.shape, w.shape, r.shape));
+        };
+        let (steps, inputs, hidden) = (*steps, *inputs, *hidden);
+        let rows = gates * hidden;
+        if *wide != inputs || w.shape[1] != rows || r.shape[1] != rows || steps > 256 || hidden == 0 {
+            return Err(format!("shapes {:?}, {:?}, {:?}", x.shape, w.shape, r.shape));
+        }
+        if self.optional(node, 4)?.is_some() {
+            return Err("sequence_lens is not supported".to_owned());
+        }
+        for i in 5..8 {
+            let zero = |constant: &Constant| constant.real().is_ok_and(|all| all.iter().all(|value| *value == 0.0));
+            match (i, node.input.get(i).is_none_or(String::is_empty)) {
+                (_, true) => {}
+                (7, false) => return Err("peepholes are not supported".to_owned()),
+                _ if self.constant(node, i).is_ok_and(|constant| zero(&constant)) => {}
+                _ => {
+                    return Err(
+                        "a first state other than zeros is not supported: write the steps out, oldest frame first"
+                            .to_owned(),
+                    );
+                }
+            }
+        }
+        let bias = self.optional(node, 3)?;
+        let bias = match &bias {
+            Some(bias) if bias.len() == 2 * rows => bias.real()?.to_vec(),
+            Some(bias) => return Err(format!("a bias of shape {:?}", bias.shape)),
+            None => vec![0.0; 2 * rows],
+        };
+        // ONNX's gates: z, r, h and i, o, f, c; ours: r, z, n and i, f, g, o.
+        let order: &[usize] = if is_gru { &[1, 0, 2] } else { &[0, 2, 3, 1] };
+        let row_of = |column: usize| order[column / hidden] * hidden + column % hidden;
+        let state_len = if is_gru { hidden } else { 2 * hidden };
+        let mut state = self.push(Layer::Zeros { len: state_len }, Vec::new(), state_len)?;
+        let mut first: Option<(usize, Vec<u32>, usize)> = None;
+        let mut outputs = Vec::new();
+        for step in 0..steps {
+            let part = Live {
+                layer: x.layer,
+                shape: vec![1, inputs],
+                places: Rc::new(x.places[step * inputs..(step + 1) * inputs].to_vec()),
+                alone: false,
+            };
+            let part = self.narrowed(&part)?;
+            let own = self.lens.get(part.layer).copied().unwrap_or(0);
+            let params_of = match &first {
+                Some((of, places, len)) if *places == *part.places && *len == own => *of,
+                _ => self.lens.len(),
+            };
+            let mut params = Vec::new();
+            if params_of == self.lens.len() {
+                let mut input = vec![0.0; len_of(&[own, rows])?];
+                for (i, place) in part.places.iter().enumerate() {
+                    for column in 0..rows {
+                        input[*place as usize * rows + column] += w.real()?[row_of(column) * inputs + i];
+                    }
+                }
+                params.extend(input);
+                for i in 0..hidden {
+                    for column in 0..rows {
+                        params.push(r.real()?[row_of(column) * hidden + i]);
+                    }
+                }
+                let biases = |from: usize| (0..rows).map(move |column| from + row_of(column)).map(|i| bias[i]);
+                match is_gru {
+                    true => params.extend(biases(0).chain(biases(rows))),
+                    false => params.extend(biases(0).zip(biases(rows)).map(|(a, b)| a + b)),
+                }
+                first.get_or_insert((params_of, part.places.to_vec(), own));
+            }
+            let layer = match is_gru {
+                true => Layer::Gru {
+                    x: part.layer,
+                    h: state,
+                    layer: Gru { inputs: own, hidden },
+                    params_of,
+                },
+                false => Layer::Lstm {
+                    x: part.layer,
+                    state,
+                    layer: Lstm {
+                        inputs: own,
+                        hidden,
+                        cell: Activation::TANH,
+                    },
+                    params_of,
+                },
+            };
+            state = self.push(layer, params, state_len)?;
+            outputs.push(state);
+        }
+        let of_state = |from: usize| (from as u32..(from + hidden) as u32).collect::<Vec<u32>>();
+        let last = |from: usize| Live {
+            layer: state,
+            shape: vec![1, 1, hidden],
+            places: Rc::new(of_state(from)),
+            alone: false,
+        };
+        let wanted = |i: usize| node.output.get(i).is_some_and(|name| !name.is_empty());
+        if wanted(0) {
+            // All steps' states one after the other; of an LSTM with the cells between them.
+            let all = self.push(Layer::Concat { parts: outputs }, Vec::new(), steps * state_len)?;
+            let places = (0..steps).flat_map(|step| (0..hidden).map(move |i| (step * state_len + i) as u32));
+            let places = Rc::new(places.collect());
+            let value = self.fresh(all, vec![steps, 1, 1, hidden], places);
+            self.set(node, 0, value)?;
+        }
+        if wanted(1) {
+            self.set(node, 1, Value::Live(last(0)))?;
+        }
+        if wanted(2) && !is_gru {
+            self.set(node, 2, Value::Live(last(hidden)))?;
+        }
+        Ok(())
+    }
+}
+
+fn shape_of(value: &Value) -> &[usize] {
+    match value {
+        Value::Constant(constant) => &constant.shape,
+        Value::Live(live) => &live.shape,
+    }
+}
+
+fn broadcast(values: &[f32], len: usize) -> Result<Vec<f32>, String> {
+    match values {
+        [one] => Ok(vec![*one; len]),
+        all if all.len() == len => Ok(all.to_vec()),
+        all => Err(format!("a bias of {} values for {len} outputs", all.len())),
+    }
+}
+
+/// A constant for each value of a shape, as NumPy broadcasts it.
+fn spread(constant: &Constant, shape: &[usize]) -> Result<Vec<f32>, String> {
+    let values = constant.real()?;
+    let wrong = || format!("a constant of shape {:?} for values of shape {shape:?}", constant.shape);
+    let own: Vec<usize> = {
+        let missing = shape.len().checked_sub(constant.shape.len());
+        let missing = missing
+            .or_else(|| (constant.len() == 1).then_some(shape.len()))
+            .ok_or_else(wrong)?;
+        let given = if missing == shape.len() {
+            &[][..]
+        } else {
+            &constant.shape[..]
+        };
+        std::iter::repeat_n(1, missing).chain(given.iter().copied()).collect()
+    };
+    if own.iter().zip(shape).any(|(own, size)| *own != 1 && own != size) {
+        return Err(wrong());
+    }
+    let len = len_of(shape)?;
+    let mut result = Vec::with_capacity(len);
+    for i in 0..len {
+        let (mut rest, mut place, mut stride) = (i, 0, 1);
+        for (size, own) in shape.iter().zip(&own).rev() {
+            let index = rest % size;
+            rest /= size;
+            if *own != 1 {
+                place += index * stride;
+                stride *= own;
+            }
+        }
+        result.push(*values.get(place).ok_or_else(wrong)?);
+    }
+    Ok(result)
+}

@@ -1,0 +1,123 @@
+//! Operators that compute nothing: which value goes where. They cost nothing in flight, for the layers behind them are given
+//! their weights in another order.
+
+use crate::constant::len_of;
+
+/// Where each value of the result is in the source, and the result's shape.
+pub type Moved = (Vec<usize>, Vec<usize>);
+
+/// An axis counted from either end.
+pub fn axis(given: i64, rank: usize) -> Result<usize, String> {
+    let from_end = if given < 0 { given + rank as i64 } else { given };
+    let axis = usize::try_from(from_end).ok().filter(|axis| *axis < rank);
+    axis.ok_or_else(|| format!("axis {given} of {rank} axes"))
+}
+
+/// The values of `shape` where axis `along` takes the indices `taken`.
+pub fn take(shape: &[usize], along: usize, taken: &[usize]) -> Result<Moved, String> {
+    let (Some(outer), Some(size), Some(inner)) = (shape.get(..along), shape.get(along), shape.get(along + 1..)) else {
+        return Err(format!("axis {along} of the shape {shape:?}"));
+    };
+    if let Some(index) = taken.iter().find(|index| *index >= size) {
+        return Err(format!("index {index} on an axis of {size}"));
+    }
+    let (outer_len, inner_len) = (len_of(outer)?, len_of(inner)?);
+    let mut result = shape.to_vec();
+    if let Some(along) = result.get_mut(along) {
+        *along = taken.len();
+    }
+    let mut places = Vec::with_capacity(len_of(&result)?);
+    for o in 0..outer_len {
+        for index in taken {
+            places.extend((0..inner_len).map(|i| (o * size + index) * inner_len + i));
+        }
+    }
+    Ok((result, places))
+}
+
+/// The axes in another order.
+pub fn transpose(shape: &[usize], order: &[usize]) -> Result<Moved, String> {
+    let mut seen = vec![false; shape.len()];
+    for axis in order {
+        match seen.get_mut(*axis) {
+            Some(seen) if !*seen => *seen = true,
+            _ => return Err(format!("the order {order:?} of {} axes", shape.len())),
+        }
+    }
+    if order.len() != shape.len() {
+        return Err(format!("the order {order:?} of {} axes", shape.len()));
+    }
+    let mut strides = vec![1usize; shape.len()];
+    for i in (1..shape.len()).rev() {
+        strides[i - 1] = strides[i] * shape[i];
+    }
+    let result: Vec<usize> = order.iter().map(|axis| shape[*axis]).collect();
+    let len = len_of(&result)?;
+    let mut index = vec![0usize; result.len()];
+    let mut places = Vec::with_capacity(len);
+    for _ in 0..len {
+        places.push(index.iter().zip(order).map(|(i, axis)| i * strides[*axis]).sum());
+        for (place, size) in index.iter_mut().zip(&result).rev() {
+            *place += 1;
+            if *place < *size {
+                break;
+            }
+            *place = 0;
+        }
+    }
+    Ok((result, places))
+}
+
+/// A shape as `Reshape` is given it: 0 keeps a size, −1 is what is left over.
+pub fn reshape(shape: &[usize], wanted: &[i64]) -> Result<Vec<usize>, String> {
+    let total = len_of(shape)?;
+    let wrong = || format!("{shape:?} in the shape {wanted:?}");
+    let mut result = Vec::new();
+    let mut open = None;
+    for (i, size) in wanted.iter().enumerate() {
+        result.push(match size {
+            0 => *shape.get(i).ok_or_else(wrong)?,
+            -1 if open.is_none() => {
+                open = Some(i);
+                1
+            }
+            _ => usize::try_from(*size).map_err(|_| wrong())?,
+        });
+    }
+    let len = len_of(&result)?;
+    if let Some(place) = open.and_then(|i| result.get_mut(i))
+        && len > 0
+    {
+        *place = total / len;
+    }
+    match len_of(&result)? == total {
+        true => Ok(result),
+        false => Err(wrong()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_change_places() {
+        let (shape, places) = transpose(&[2, 3], &[1, 0]).unwrap();
+        assert_eq!((shape, places), (vec![3, 2], vec![0, 3, 1, 4, 2, 5]));
+        assert!(transpose(&[2, 3], &[1, 1]).is_err() && transpose(&[2, 3], &[0]).is_err());
+    }
+
+    #[test]
+    fn values_are_taken_along_an_axis() {
+        let (shape, places) = take(&[2, 3, 2], 1, &[2, 0]).unwrap();
+        assert_eq!((shape, places), (vec![2, 2, 2], vec![4, 5, 0, 1, 10, 11, 6, 7]));
+        assert!(take(&[2], 0, &[2]).is_err() && take(&[2], 1, &[0]).is_err());
+    }
+
+    #[test]
+    fn a_shape_is_completed_and_has_to_fit() {
+        assert_eq!(reshape(&[1, 8, 4], &[0, -1]).unwrap(), [1, 32]);
+        assert!(reshape(&[1, 8], &[3, -1]).is_err() && reshape(&[1, 8], &[-1, -1]).is_err());
+        assert!(reshape(&[1, 8], &[i64::MAX, i64::MAX]).is_err() && reshape(&[4], &[-2]).is_err());
+    }
+}

@@ -1,0 +1,189 @@
+//! `vigil import`: a policy of others, in ONNX, becomes one that flies here.
+
+use crate::cli::output::say;
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use serde::Deserialize;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_onnx::Adapter;
+use vigil_policy::FrozenPolicy;
+use vigil_policy::imported::{Channels, Depth};
+use vigil_types::STEP_S;
+
+/// What the network files of this project may have as well.
+const SIZE_LIMIT: u64 = 256 << 20;
+/// A frame of four million pixels as numbers.
+const INPUTS_LIMIT: u64 = 64 << 20;
+/// Decisions that are timed.
+const TIMED: usize = 20;
+
+/// Arguments of `vigil import`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil import policy.onnx -o mine.safetensors                    a policy that takes our pixels, range / 100 m
+  vigil import sb3.onnx -o mine.safetensors --scale 255 --output-scale 1.5
+                                                                  it learned from bytes, its actions are in ±1
+  vigil evaluate --actor mine.safetensors --detector off          fly it
+  vigil evaluate --actor mine.safetensors --detector off --guard on
+                                                                  the recovery pilot warns and takes over
+
+The policy has one frame as input, of any size, [1, channels, rows, columns]; beside it, if it wants, [1, 2]: distance of the
+goal over 20 m (at most 1.05) and bearing in radians. Its output is [1, 2]: forward speed in m/s and yaw in units of
+30 °/s, both within ±1.5 after --output-scale. docs/import.md has the operators and what is not supported.")]
+pub struct ImportArgs {
+    /// The policy.
+    #[arg(value_name = "FILE.onnx")]
+    model: PathBuf,
+
+    /// Where it goes.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+
+    /// What several channels are: the last frames, the newest last, or the newest frame in each.
+    #[arg(long, value_enum, default_value_t = ChannelsChoice::Stack)]
+    channels: ChannelsChoice,
+
+    /// What a pixel is: the range over 100 m, or 1 / (1 + range / 3 m).
+    #[arg(long, value_enum, default_value_t = DepthChoice::Range)]
+    depth: DepthChoice,
+
+    /// Every pixel is multiplied by it.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    scale: f32,
+
+    /// Both outputs are multiplied by it.
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    output_scale: f32,
+
+    /// The output that is the action, where there are several.
+    #[arg(long, value_name = "NAME")]
+    action: Option<String>,
+
+    /// Print as JSON what the imported network makes of the inputs in FILE, to compare with another runtime: a list of lists of
+    /// numbers, one for each input, a frame as [row][column][channel].
+    #[arg(long, value_name = "FILE")]
+    compute: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum ChannelsChoice {
+    Stack,
+    Repeat,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum DepthChoice {
+    Range,
+    Contrast,
+}
+
+/// Imports, says what came of it, and writes the file.
+///
+/// # Errors
+/// A model that is not understood or too large for the step; a file that cannot be written.
+pub fn run(args: &ImportArgs) -> Result<ExitCode> {
+    for (name, factor) in [("--scale", args.scale), ("--output-scale", args.output_scale)] {
+        ensure!(
+            factor.is_finite() && factor > 0.0,
+            "{name} must be a number above 0, got {factor}"
+        );
+    }
+    let name = args.model.display().to_string();
+    let bytes = vigil_files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
+    let adapter = Adapter {
+        order: match args.channels {
+            ChannelsChoice::Stack => Channels::Stack,
+            ChannelsChoice::Repeat => Channels::Repeat,
+        },
+        depth: match args.depth {
+            DepthChoice::Range => Depth::Range,
+            DepthChoice::Contrast => Depth::Contrast,
+        },
+        scale: args.scale,
+        output_scale: args.output_scale,
+        output: args.action.clone(),
+    };
+    let policy = vigil_onnx::import(&name, &bytes, &adapter)?;
+    let graph = policy.network.graph(Purpose::Gradients)?;
+    let computed = args
+        .compute
+        .as_deref()
+        .map(|file| compute(&policy, &graph, file))
+        .transpose()?;
+    let longest = time(&policy, &graph)?;
+    let share = longest.as_secs_f64() / f64::from(STEP_S);
+    ensure!(
+        share < 0.5,
+        "a decision of {name} takes {:.1} ms here, more than half of the step of 50 ms",
+        1e3 * longest.as_secs_f64()
+    );
+    policy.save(&args.output)?;
+    let memory = 4 * (graph.param_len() + graph.tape_len());
+    say!(
+        "policy           {} layers, {} parameters, {:.1} million multiply-adds, {:.1} MB",
+        policy.network.layers.len(),
+        graph.param_len(),
+        policy.network.multiply_adds() as f64 / 1e6,
+        memory as f64 / 1e6
+    );
+    let inputs = policy.inputs;
+    say!(
+        "frame            {} × {} × {} from 128 × 256, {}",
+        inputs.rows,
+        inputs.cols,
+        inputs.channels,
+        if inputs.has_position {
+            "with the goal's distance and bearing"
+        } else {
+            "nothing beside it"
+        }
+    );
+    say!(
+        "decision         {:.2} ms at most of {TIMED} here, {:.1} % of the step",
+        1e3 * longest.as_secs_f64(),
+        100.0 * share
+    );
+    say!("written          {}", args.output.display());
+    if let Some(output) = computed {
+        say!("{}", serde_json::to_string(&output)?);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What the network makes of the inputs in a file.
+fn compute(policy: &FrozenPolicy, graph: &Graph, file: &Path) -> Result<Vec<f32>> {
+    #[derive(Deserialize)]
+    struct Inputs(Vec<Vec<f32>>);
+    let name = file.display();
+    let text = vigil_files::read_text(file, INPUTS_LIMIT).with_context(|| format!("cannot read {name}"))?;
+    let Inputs(inputs) =
+        serde_json::from_str(&text).with_context(|| format!("{name} is no list of lists of numbers"))?;
+    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+    let mut tape = vec![0.0; graph.tape_len()];
+    graph
+        .forward(Isa::detect(), &policy.params, &given, &mut tape)
+        .with_context(|| format!("{name} does not fit the policy"))?;
+    Ok(graph.output(&tape)?.to_vec())
+}
+
+/// The longest of some decisions after the first, which brings the weights near.
+fn time(policy: &FrozenPolicy, graph: &Graph) -> Result<Duration> {
+    let inputs: Vec<Vec<f32>> = policy.network.inputs().into_iter().map(|len| vec![0.1; len]).collect();
+    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+    let mut tape = vec![0.0; graph.tape_len()];
+    let mut times = Vec::new();
+    for _ in 0..=TIMED {
+        let begun = Instant::now();
+        graph.forward(Isa::detect(), &policy.params, &given, &mut tape)?;
+        times.push(begun.elapsed());
+    }
+    times.remove(0);
+    // One of them may have waited for another process.
+    times.sort_unstable();
+    times.pop();
+    Ok(times.last().copied().unwrap_or_default())
+}
