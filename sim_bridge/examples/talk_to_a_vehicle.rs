@@ -1,0 +1,82 @@
+//! A companion computer of your own: reads the vehicle's telemetry and moves it by setpoints, MAVLink bytes in, bytes out.
+//!
+//! `cargo run --release -p vigil-sim --example talk_to_a_vehicle`
+
+use vigil_mavlink::common::{
+    COMMAND_LONG_DATA, MavCmd, MavFrame, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
+};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::{MavHeader, MavMessage};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::{Datagrams, DepthFrame};
+use vigil_world::{Family, generate};
+
+/// 1 m/s forward, level.
+fn setpoint() -> MavMessage {
+    // Position, acceleration and heading are left out.
+    let type_mask = PositionTargetTypemask::from_bits_retain(0x5C7);
+    #[expect(deprecated, reason = "its vehicles still speak it")]
+    let message = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+        vx: 1.0,
+        type_mask,
+        coordinate_frame: MavFrame::MAV_FRAME_BODY_NED,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    });
+    message
+}
+
+/// PX4's Offboard mode.
+fn offboard() -> MavMessage {
+    MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        param1: 1.0,
+        param2: 6.0,
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    })
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut config = SimConfig::new(generate(Family::Training, 3), 3);
+    config.start = Start::Airborne;
+    let mut simulator = Simulator::new(&config, 0)?;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut sent, mut received) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut counters = FramingCounters::default();
+    let (mut sequence, mut place_m, mut answers) = (0u8, None, Vec::new());
+    let begun = simulator.truth().position_ned_m;
+    for step in 0..80 {
+        simulator.lockstep(&sent, &mut frame, &mut received);
+        for (_, datagram) in received.iter() {
+            for packet in packets(datagram, &mut counters) {
+                match packet.message() {
+                    Ok(MavMessage::LOCAL_POSITION_NED(at)) => place_m = Some((at.x, at.y, at.z)),
+                    Ok(MavMessage::COMMAND_ACK(ack)) => answers.push(ack.result),
+                    _ => {}
+                }
+            }
+        }
+        sent.clear();
+        // PX4 wants to hear setpoints before it goes by them.
+        let mut messages = vec![setpoint()];
+        messages.extend((step == 20).then(offboard));
+        for message in messages {
+            let header = MavHeader {
+                system_id: 1,
+                component_id: 191,
+                sequence,
+            };
+            let mut bytes = [0; MAX_PACKET_LEN];
+            let len = serialize(header, &message, &mut bytes)?;
+            sent.push(0, &bytes[..len]);
+            sequence = sequence.wrapping_add(1);
+        }
+    }
+    let moved_m = (simulator.truth().position_ned_m - begun).horizontal_norm();
+    println!("the vehicle says that it is at {place_m:?}, and answered {answers:?}; it moved by {moved_m:.1} m");
+    assert!(moved_m > 1.0, "it obeys");
+    Ok(())
+}
