@@ -124,7 +124,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
     policy.save(&args.output)?;
     let memory = 4 * (graph.param_len() + graph.tape_len());
     say!(
-        "policy           {} layers, {} parameters, {:.1} million multiply-adds, {:.1} MB",
+        "policy           {} layers, {} parameters, {:.2} million multiply-adds, {:.2} MB",
         policy.network.layers.len(),
         graph.param_len(),
         policy.network.multiply_adds() as f64 / 1e6,
@@ -143,7 +143,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         }
     );
     say!(
-        "decision         {:.2} ms at most of {TIMED} here, {:.1} % of the step",
+        "decision         {:.3} ms at most of {TIMED} here, {:.2} % of the step",
         1e3 * longest.as_secs_f64(),
         100.0 * share
     );
