@@ -162,11 +162,11 @@ pub enum ReplayError {
     Stack(#[from] crate::step::StackError),
 }
 
-/// Replays a log from its first record with the configuration in the log, up to the first difference.
+/// A stack as it was before the log's first record: with the configuration in the log, and the models that flew.
 ///
 /// # Errors
-/// [`ReplayError`] when the log cannot be read or its configuration is not understood. A difference is no error.
-pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
+/// [`ReplayError`] when the configuration is not understood or a model is not the one that flew.
+pub fn firmware_of(reader: &Reader) -> Result<Firmware, ReplayError> {
     let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(|message| ReplayError::Config {
         program: reader.info().program.clone(),
         message,
@@ -187,7 +187,15 @@ pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
             });
         }
     }
-    let mut firmware = Firmware::of(&config, None)?;
+    Ok(Firmware::of(&config, None)?)
+}
+
+/// Replays a log from its first record with the configuration in the log, up to the first difference.
+///
+/// # Errors
+/// [`ReplayError`] when the log cannot be read or its configuration is not understood. A difference is no error.
+pub fn replay(reader: &mut Reader) -> Result<ReplayReport, ReplayError> {
+    let mut firmware = firmware_of(reader)?;
     let mut record = Box::<TickRecord>::default();
     let mut sent = Box::<Datagrams>::default();
     let mut result = ReplayReport {

@@ -294,6 +294,16 @@ impl FlightStack {
         self.guidance.taken_over()
     }
 
+    /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked. For
+    /// looking at a flight afterwards ([`crate::replay`]).
+    pub fn mapping(&self) -> Option<&GeometricPilot> {
+        match (&self.crew.recovery, &self.crew.pilot) {
+            (Some(recovery), _) if !self.recovery_is_new => Some(recovery.mapping()),
+            (None, FlightPilot::Geometric(pilot)) => Some(pilot),
+            _ => None,
+        }
+    }
+
     /// The texts that the last step told people.
     pub fn told(&self) -> &[StatusText] {
         self.companion.told()

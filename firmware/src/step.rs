@@ -10,6 +10,7 @@ use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
 use vigil_mavlink::{LinkCounters, Parameters, StatusText};
 use vigil_nnet::network_file::FileError;
+use vigil_policy::GeometricPilot;
 use vigil_types::{Datagrams, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// Why a flight stack cannot be made of a configuration.
@@ -139,6 +140,11 @@ impl Firmware {
     /// Whether a person took the vehicle over and no operator engaged since.
     pub fn taken_over(&self) -> bool {
         self.stack.taken_over()
+    }
+
+    /// The pilot that keeps a map and plans a way ([`FlightStack::mapping`]).
+    pub fn mapping(&self) -> Option<&GeometricPilot> {
+        self.stack.mapping()
     }
 
     /// The texts that the last step told people.

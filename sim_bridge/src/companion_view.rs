@@ -18,6 +18,8 @@ pub struct CompanionView {
     pub step_us: f32,
     /// Missed steps since its start.
     pub slips: u64,
+    /// The detector's last score; `None` while it told none.
+    pub score: Option<f32>,
     /// Last STATUSTEXT.
     pub text: String,
 }
@@ -32,6 +34,7 @@ impl CompanionView {
                     "gd_reason" => self.reason_bits = (self.reason_bits & !LOW_BITS) | (m.value as u32 & LOW_BITS),
                     "gd_reason2" => self.reason_bits = (self.reason_bits & LOW_BITS) | ((m.value as u32) << 24),
                     "step_us" => self.step_us = m.value,
+                    "dt_score" => self.score = Some(m.value),
                     "slips" => self.slips = m.value as u64,
                     _ => {}
                 },

@@ -19,7 +19,9 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClient, LockstepError};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS};
+use vigil_types::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS,
+};
 use vigil_world::Outcome;
 
 /// Real time between two looks at the sockets, in milliseconds of physics.
@@ -134,6 +136,13 @@ pub struct Status {
     pub guidance: Option<String>,
     /// Reasons as the firmware's telemetry tells them.
     pub reasons: Vec<String>,
+    /// The newest depth frame as the sensor took it, small: [`NEARNESS_ROWS`] rows of [`NEARNESS_COLS`] digits of how near the nearest
+    /// return is: 9 is within a metre, 0 nothing within 10 m.
+    #[serde(default)]
+    pub nearness: String,
+    /// The detector's last score as the firmware's telemetry tells it; absent while it told none.
+    #[serde(default)]
+    pub score: Option<f32>,
     /// Execution time of a recent firmware step, microseconds.
     pub step_us: f32,
     /// Steps the firmware missed.
@@ -351,6 +360,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
     let mut companion = CompanionView::default();
     let mut elapsed_ms = 0u64;
     let mut ended_at_ms = None;
+    let mut seen = String::new();
     tracing::info!(
         course = config.course.name,
         seed = config.seed,
@@ -379,9 +389,15 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         simulator.transmit(|link, datagram| links.send(LinkId(link), datagram));
         if elapsed_ms.is_multiple_of(u64::from(STEP_MS)) {
             // A reader that is not there is no fault of the simulator's: frames are published regardless.
-            publisher.publish_with(|frame| simulator.capture(frame))?;
-            if args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS) {
-                print_status(&status(&simulator, &companion, elapsed_ms))?;
+            let tells = args.status && (elapsed_ms / u64::from(STEP_MS)).is_multiple_of(STATUS_STEPS);
+            publisher.publish_with(|frame| {
+                simulator.capture(frame);
+                if tells {
+                    seen = nearness(frame);
+                }
+            })?;
+            if tells {
+                print_status(&status(&simulator, &companion, &seen, elapsed_ms))?;
             }
         }
         if elapsed_ms.is_multiple_of(SAVE_MS)
@@ -406,7 +422,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         state.store(&simulator.saved());
     }
     if args.status {
-        print_status(&status(&simulator, &companion, elapsed_ms))?;
+        print_status(&status(&simulator, &companion, &seen, elapsed_ms))?;
     }
     tell_refused(&simulator, &links);
     Ok(ExitCode::from(
@@ -428,7 +444,26 @@ fn tell_refused(simulator: &Simulator, links: &VehicleLinks) {
     }
 }
 
-fn status(simulator: &Simulator, companion: &CompanionView, elapsed_ms: u64) -> Status {
+/// Columns of [`Status::nearness`].
+pub const NEARNESS_COLS: usize = 64;
+/// Its rows.
+pub const NEARNESS_ROWS: usize = 8;
+
+/// A frame as [`Status::nearness`] has it.
+fn nearness(frame: &DepthFrame) -> String {
+    const SQUARE: (usize, usize) = (DEPTH_ROWS / NEARNESS_ROWS, DEPTH_COLS / NEARNESS_COLS);
+    let mut nearest = [[1.0_f32; NEARNESS_COLS]; NEARNESS_ROWS];
+    for (r, row) in frame.depth.chunks_exact(DEPTH_COLS).enumerate() {
+        for (c, range) in row.iter().enumerate() {
+            let seen = &mut nearest[r / SQUARE.0][c / SQUARE.1];
+            *seen = seen.min(*range);
+        }
+    }
+    let digit = |range: &f32| char::from(b'0' + (10.0 - range * DEPTH_FULL_SCALE_M).clamp(0.0, 9.0) as u8);
+    nearest.as_flattened().iter().map(digit).collect()
+}
+
+fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elapsed_ms: u64) -> Status {
     let truth = simulator.truth();
     let endpoint = simulator.status();
     let ending = simulator.ending();
@@ -449,6 +484,8 @@ fn status(simulator: &Simulator, companion: &CompanionView, elapsed_ms: u64) -> 
             .iter()
             .map(|r| r.name().to_owned())
             .collect(),
+        nearness: nearness.to_owned(),
+        score: companion.score,
         step_us: companion.step_us,
         slips: companion.slips,
         outcome: ending.map(|e| e.outcome.to_string()),

@@ -4,6 +4,8 @@ Without an argument the log is a made-up flight whose every number is known. VIG
 as far as its numbers need not be known.
 """
 
+import importlib.util
+import io
 import json
 import math
 import os
@@ -12,6 +14,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -42,6 +45,10 @@ SCHEMAS = {
     "/truth/pose": "foxglove.PoseInFrame",
     "/attack": "vigil.log.Attack",
     "/depth/clean": "foxglove.RawImage",
+    # Derived by replay.
+    "/map/grid": "foxglove.Grid",
+    "/map/way": "foxglove.PosesInFrame",
+    "/shap": "foxglove.RawImage",
 }
 STEPS = 240
 EPOCH_NS = 1_767_323_045_000_000_000
@@ -272,3 +279,39 @@ def test_a_cut_log_is_read_as_far_as_it_goes(sample_path, tmp_path):
         for record in StreamReader(file).records:
             messages += isinstance(record, Message)
     assert messages > 500
+
+
+def test_the_view_in_rerun_draws_the_whole_flight_of_any_log(any_path, monkeypatch):
+    """The viewer is a stand-in that notes what it is handed: the script's own reading and drawing run as they are."""
+    rerun, blueprint = MagicMock(), MagicMock()
+    rerun.blueprint = blueprint
+    monkeypatch.setitem(sys.modules, "rerun", rerun)
+    monkeypatch.setitem(sys.modules, "rerun.blueprint", blueprint)
+    script = TOP / "tools" / "assets" / "viewers" / "rerun_view.py"
+    spec = importlib.util.spec_from_file_location("rerun_view", script)
+    view = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(view)
+
+    show = view.Show()
+    with any_path.open("rb") as file:
+        assert view.read(file, show) is None, "read to its end"
+    assert view.NEEDED <= show.seen
+    drawn = {call.args[0] for call in rerun.log.call_args_list}
+    assert {"map/base_link", "map/path", "map/goal", "map/base_link/depth_sensor/range", "map/base_link/returns", "log"} <= drawn
+    assert {"map/scene/boxes", "map/scene/cylinders"} & drawn
+    # Whatever the layout places is drawn, and every plot has its field.
+    view.layout()
+    status = read(any_path)[0]["/status"][0][1]
+    for path, series in view.PLOTS.items():
+        assert any(f"{path}/{field}" in drawn for field, _, _ in series), path
+        assert all(hasattr(status, field) for field, _, _ in series)
+    origins = {call.kwargs["origin"].strip("/") for call in blueprint.method_calls if "origin" in call.kwargs}
+    assert origins == {"map", "log", "map/base_link/depth_sensor", "plots/attack", *view.PLOTS}
+    for origin in origins - {"plots/attack"}:
+        assert any(path == origin or path.startswith(origin + "/") for path in drawn), f"nothing is drawn in {origin}"
+
+    # One that was cut off is shown up to there.
+    short = io.BytesIO(any_path.read_bytes()[: any_path.stat().st_size // 2])
+    half = view.Show()
+    assert view.read(short, half) is not None
+    assert "/status" in half.seen

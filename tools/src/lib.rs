@@ -6,6 +6,7 @@ mod attack_campaigns;
 mod campaign;
 pub mod cli;
 pub mod detector_training;
+pub mod flight_derived;
 pub mod flight_film;
 pub mod flight_report;
 pub mod report;

@@ -20,7 +20,7 @@ pub(crate) const MAP_FRAME: &str = "map";
 /// x forward, y left, z up.
 pub(crate) const BODY_FRAME: &str = "base_link";
 /// The depth sensor: sits at the origin of the body and looks along its x axis.
-const SENSOR_FRAME: &str = "depth_sensor";
+pub(crate) const SENSOR_FRAME: &str = "depth_sensor";
 /// Bytes of one image row.
 const ROW_BYTES: usize = DEPTH_COLS * 4;
 

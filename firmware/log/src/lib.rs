@@ -31,6 +31,7 @@
 
 mod container;
 mod convert;
+mod derived;
 mod display;
 mod info;
 mod log_file;
@@ -46,6 +47,7 @@ mod story;
 mod tlog;
 
 pub use convert::RecordDefect;
+pub use derived::{DerivedLog, MapSeen, SHAP_COLS, SHAP_ROWS};
 pub use info::FlightInfo;
 pub use log_file::LOG_FORMAT;
 pub use reader::{Damage, LogEnd, ReadError, Reader};
@@ -55,5 +57,5 @@ pub use recorder::{
 };
 pub use recover::{Gap, RecoverError, Recovery, recover};
 pub use scene::{Scene, SceneError, SceneSolid};
-pub use side::{SideError, SideLog, merge_into};
+pub use side::{SideError, SideLog, merge_derived, merge_into};
 pub use story::{AttackMark, CleanFrame, Line, Story, Weight};

@@ -45,6 +45,11 @@ pub(crate) mod topic {
     pub(crate) const TRUTH: &str = "/truth/pose";
     pub(crate) const ATTACK: &str = "/attack";
     pub(crate) const CLEAN_DEPTH: &str = "/depth/clean";
+    pub(crate) const GRID: &str = "/map/grid";
+    pub(crate) const WAY: &str = "/map/way";
+    pub(crate) const SHAP: &str = "/shap";
+    /// What a replay of the log gives, and may give anew.
+    pub(crate) const DERIVED: [&str; 3] = [GRID, WAY, SHAP];
 }
 
 pub(crate) struct Channels {

@@ -43,7 +43,7 @@ pub enum SideError {
     },
 }
 
-fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
+pub(crate) fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
     |source| match source {
         McapError::Io(source) => SideError::Io {
             path: path.to_owned(),
@@ -58,13 +58,11 @@ fn at(path: &Path) -> impl Fn(McapError) -> SideError + '_ {
 
 /// A file of messages of one who knows more than the firmware, in the order of their times.
 pub struct SideLog {
-    path: PathBuf,
-    writer: mcap::Writer<BufWriter<File>>,
+    sheet: Sheet,
     truth: u16,
     transform: u16,
     attack: u16,
     clean: u16,
-    buffer: Vec<u8>,
     last_clean_ns: Option<Nanos>,
     altered: u32,
 }
@@ -80,32 +78,26 @@ impl SideLog {
     /// # Errors
     /// A file that cannot be written.
     pub fn create(path: &Path) -> Result<Self, SideError> {
-        let sink = File::create(path).map_err(|source| SideError::Io {
-            path: path.to_owned(),
-            source,
-        })?;
-        let begin = || -> Result<_, McapError> {
-            let mut writer = log_file::write_options().create(BufWriter::new(sink))?;
-            let truth = log_file::standard::<PoseInFrame, _>(&mut writer, topic::TRUTH)?;
-            let transform = log_file::standard::<FrameTransform, _>(&mut writer, topic::TRANSFORM)?;
+        let mut sheet = Sheet::create(path)?;
+        let begin = |writer: &mut Writer| -> Result<_, McapError> {
+            let truth = log_file::standard::<PoseInFrame, _>(writer, topic::TRUTH)?;
+            let transform = log_file::standard::<FrameTransform, _>(writer, topic::TRANSFORM)?;
             let attack = log_file::protobuf(
-                &mut writer,
+                writer,
                 topic::ATTACK,
                 &proto::schema_name("Attack"),
                 proto::FILE_DESCRIPTOR_SET,
             )?;
-            let clean = log_file::standard::<RawImage, _>(&mut writer, topic::CLEAN_DEPTH)?;
-            Ok((writer, truth, transform, attack, clean))
+            let clean = log_file::standard::<RawImage, _>(writer, topic::CLEAN_DEPTH)?;
+            Ok((truth, transform, attack, clean))
         };
-        let (writer, truth, transform, attack, clean) = begin().map_err(at(path))?;
+        let (truth, transform, attack, clean) = begin(&mut sheet.writer).map_err(at(path))?;
         Ok(Self {
-            path: path.to_owned(),
-            writer,
+            sheet,
             truth,
             transform,
             attack,
             clean,
-            buffer: Vec::new(),
             last_clean_ns: None,
             altered: 0,
         })
@@ -126,12 +118,13 @@ impl SideLog {
             return Ok(());
         }
         let pose = display::pose(position_ned_m, attitude.unwrap_or(Attitude::LEVEL_NORTH));
-        self.put(self.truth, at_ns, 0, &display::pose_in_map(pose, at_ns))?;
+        self.sheet
+            .put(self.truth, at_ns, 0, &display::pose_in_map(pose, at_ns))?;
         if attitude.is_none() {
             return Ok(());
         }
         let transform = display::transform(MAP_FRAME, "base_link_true", pose, at_ns);
-        self.put(self.transform, at_ns, 0, &transform)
+        self.sheet.put(self.transform, at_ns, 0, &transform)
     }
 
     /// The frame number `sequence` as the adversary handed it on at `at_ns`: as it was, or altered from `clean` with this effect
@@ -147,17 +140,64 @@ impl SideLog {
             altered: f64::from(u8::from(altered.is_some())),
             yaw_change: altered.map_or(0.0, |(change, _)| f64::from(change)),
         };
-        self.put(self.attack, at_ns, sequence as u32, &message)?;
+        self.sheet.put(self.attack, at_ns, sequence as u32, &message)?;
         if let Some((_, clean)) = altered
             && (self.altered < Self::CLEAN_FIRST || log_file::due(&mut self.last_clean_ns, at_ns, Self::CLEAN_NS))
         {
             self.altered = self.altered.saturating_add(1);
-            self.put(self.clean, at_ns, sequence as u32, &display::depth_image(clean, at_ns))?;
+            self.sheet
+                .put(self.clean, at_ns, sequence as u32, &display::depth_image(clean, at_ns))?;
         }
         Ok(())
     }
 
-    fn put(&mut self, channel_id: u16, at_ns: Nanos, sequence: u32, message: &impl Message) -> Result<(), SideError> {
+    /// Closes the file.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn finish(self) -> Result<(), SideError> {
+        self.sheet.finish()
+    }
+}
+
+impl std::fmt::Debug for SideLog {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SideLog")
+            .field("path", &self.sheet.path)
+            .finish_non_exhaustive()
+    }
+}
+
+pub(crate) type Writer = mcap::Writer<BufWriter<File>>;
+
+/// A file of messages that is being written.
+pub(crate) struct Sheet {
+    pub(crate) path: PathBuf,
+    pub(crate) writer: Writer,
+    buffer: Vec<u8>,
+}
+
+impl Sheet {
+    pub(crate) fn create(path: &Path) -> Result<Self, SideError> {
+        let sink = File::create(path).map_err(|source| SideError::Io {
+            path: path.to_owned(),
+            source,
+        })?;
+        let writer = log_file::write_options().create(BufWriter::new(sink));
+        Ok(Self {
+            path: path.to_owned(),
+            writer: writer.map_err(at(path))?,
+            buffer: Vec::new(),
+        })
+    }
+
+    pub(crate) fn put(
+        &mut self,
+        channel_id: u16,
+        at_ns: Nanos,
+        sequence: u32,
+        message: &impl Message,
+    ) -> Result<(), SideError> {
         self.buffer.clear();
         let header = MessageHeader {
             channel_id,
@@ -172,20 +212,8 @@ impl SideLog {
             .map_err(at(&self.path))
     }
 
-    /// Closes the file.
-    ///
-    /// # Errors
-    /// A file that cannot be written.
-    pub fn finish(mut self) -> Result<(), SideError> {
+    pub(crate) fn finish(mut self) -> Result<(), SideError> {
         self.writer.finish().map(|_| ()).map_err(at(&self.path))
-    }
-}
-
-impl std::fmt::Debug for SideLog {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SideLog")
-            .field("path", &self.path)
-            .finish_non_exhaustive()
     }
 }
 
@@ -197,8 +225,27 @@ impl std::fmt::Debug for SideLog {
 /// [`SideError`]: a log that cannot be read, a file that cannot be written; the log is then as it was.
 pub fn merge_into(log: &Path, sides: &[&Path], about: &BTreeMap<String, String>) -> Result<(), SideError> {
     let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
+    replace_merged(log, sides, about, &[], epoch_offset_ns)
+}
+
+/// Puts what was derived from the log among its messages, in the place of what was derived earlier ([`crate::DerivedLog`]).
+///
+/// # Errors
+/// As [`merge_into`].
+pub fn merge_derived(log: &Path, derived: &Path) -> Result<(), SideError> {
+    let epoch_offset_ns = Reader::open(log)?.epoch_offset_ns();
+    replace_merged(log, &[derived], &BTreeMap::new(), &topic::DERIVED, epoch_offset_ns)
+}
+
+fn replace_merged(
+    log: &Path,
+    sides: &[&Path],
+    about: &BTreeMap<String, String>,
+    without: &'static [&'static str],
+    epoch_offset_ns: u64,
+) -> Result<(), SideError> {
     let merged = vigil_files::replace_with(log, Access::Shared, |file| {
-        merge(log, sides, about, epoch_offset_ns, file).map_err(io::Error::other)
+        merge(log, sides, about, without, epoch_offset_ns, file).map_err(io::Error::other)
     });
     merged.map_err(|source| match source.downcast::<SideError>() {
         Ok(error) => error,
@@ -213,11 +260,16 @@ fn merge(
     log: &Path,
     sides: &[&Path],
     about: &BTreeMap<String, String>,
+    without: &'static [&'static str],
     epoch_offset_ns: u64,
     to: &mut File,
 ) -> Result<(), SideError> {
     let mut writer = log_file::write_options().create(BufWriter::new(to)).map_err(at(log))?;
-    let mut main = Source::open(log, 0)?;
+    let mut main = Source {
+        without,
+        keeps_story: about.is_empty(),
+        ..Source::open(log, 0)?
+    };
     let mut sides = sides
         .iter()
         .map(|path| Source::open(path, epoch_offset_ns))
@@ -269,6 +321,10 @@ struct Source<'a> {
     channels: HashMap<u16, u16>,
     next: Option<(MessageHeader, Vec<u8>)>,
     end: Option<Metadata>,
+    /// Topics whose messages are left out.
+    without: &'static [&'static str],
+    /// Its metadata of the flight as a whole goes on.
+    keeps_story: bool,
     over: bool,
 }
 
@@ -286,6 +342,8 @@ impl<'a> Source<'a> {
             channels: HashMap::new(),
             next: None,
             end: None,
+            without: &[],
+            keeps_story: false,
             over: false,
         })
     }
@@ -312,6 +370,7 @@ impl<'a> Source<'a> {
                         .map_err(at(self.path))?;
                     self.schemas.insert(header.id, id);
                 }
+                Record::Channel(channel) if self.without.contains(&channel.topic.as_str()) => {}
                 Record::Channel(channel) => {
                     let schema = self.schemas.get(&channel.schema_id).copied().unwrap_or(0);
                     let id = writer
@@ -321,7 +380,7 @@ impl<'a> Source<'a> {
                 }
                 Record::Metadata(meta) if meta.name == log_file::META_END => self.end = Some(meta),
                 // A second merge says anew what there is to say.
-                Record::Metadata(meta) if meta.name == META_STORY => {}
+                Record::Metadata(meta) if meta.name == META_STORY && !self.keeps_story => {}
                 Record::Metadata(meta) => writer.write_metadata(&meta).map_err(at(self.path))?,
                 Record::Message { mut header, data } => {
                     if let Some(id) = self.channels.get(&header.channel_id) {

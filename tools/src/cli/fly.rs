@@ -1,8 +1,11 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
 use crate::cli::family;
+use crate::cli::live::Live;
 use crate::cli::output::{EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::PilotArgs;
+use crate::cli::view::ViewerArgs;
+use crate::flight_derived::{Wanted, derive};
 use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -16,6 +19,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
+use vigil_firmware::FirmwareConfig;
 use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::{CourseChoice, SensorFault};
@@ -46,6 +50,7 @@ Examples:
                                      ... with an adversary between the sensor and the firmware
   vigil fly --sensor-fault frozen@12 the LiDAR shows the same image from 12 s on
   vigil fly --course my.toml         your own course (docs/courses.md)
+  vigil fly --view                   in the Rerun viewer while it flies
   vigil fly --instance 1             beside another flight on the same machine
 
 While it flies, any MAVLink client can watch on port 14550 and command on 14540, plus the instance number for instances 1 to 9;
@@ -80,6 +85,17 @@ pub struct FlyArgs {
     #[arg(long, value_name = "FILE")]
     frame_key: Option<PathBuf>,
 
+    /// Show the flight in the Rerun viewer while it flies, a second late (docs/view.md).
+    #[arg(long)]
+    view: bool,
+
+    #[command(flatten)]
+    viewer: ViewerArgs,
+
+    /// Nothing on the terminal while it flies.
+    #[arg(short = 'q', long)]
+    quiet: bool,
+
     /// Folder in which the flight gets a folder of its own for log, course and pictures.
     #[arg(short = 'o', long, value_name = "DIR", default_value = "runs")]
     log: PathBuf,
@@ -95,6 +111,9 @@ impl Default for FlyArgs {
             attack: AttackArgs::default(),
             sensor_fault: None,
             frame_key: None,
+            view: false,
+            viewer: ViewerArgs::default(),
+            quiet: false,
             log: PathBuf::from("runs"),
         }
     }
@@ -107,6 +126,9 @@ impl Default for FlyArgs {
 pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let seed = args.course.seed_or_random();
     let course = args.course.load(seed)?;
+    if args.view {
+        args.viewer.check_with_port()?;
+    }
     let interrupt = Interrupt::on_ctrl_c()?;
     let folder = make_folder(&args.log, seed)?;
     let course_file = folder.join("course.toml");
@@ -164,7 +186,16 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         Some(file) => format!("course {}", file.display()),
         None => format!("{:?} course {seed}", args.course.family).to_lowercase(),
     };
-    let watched = watch(&title, &statuses, &mut simulator, &mut firmware, &interrupt);
+    let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
+    let terminal = if args.quiet {
+        Terminal::Quiet
+    } else if std::io::stderr().is_terminal() {
+        let columns = console_columns();
+        Terminal::Live(Box::new(Live::new(title, &course, threshold(args, &course), columns)))
+    } else {
+        Terminal::Lines(title)
+    };
+    let watched = watch(&terminal, &statuses, &mut simulator, &mut firmware, &interrupt);
     // The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
     let firmware_said = firmware.end()?;
     simulator.end()?;
@@ -186,6 +217,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     if let Err(error) = complete_log(&folder, &truth, &about) {
         // The flight is over and its log is as the firmware left it.
         tell!("vigil: {}", vigil_firmware::program::told(&error));
+    }
+    if let Some(script) = &mut viewer {
+        end_viewer(script, &folder)?;
     }
     summarise(
         &course,
@@ -217,6 +251,7 @@ fn complete_log(folder: &Path, truth: &[TruePose], about: &BTreeMap<String, Stri
         let _ = std::fs::remove_file(side);
     }
     merged?;
+    derive(&log, Wanted { map: true, shap: false })?;
     let report = flight_report::beside(&log);
     crate::cli::log::write_report(&log, &report, EXPLAINED)?;
     Ok(())
@@ -428,29 +463,78 @@ struct Flight {
     path: Vec<NedVector>,
 }
 
+/// What is shown while it flies.
+enum Terminal {
+    /// Nothing.
+    Quiet,
+    /// A line every two seconds, under this title.
+    Lines(String),
+    /// A picture that is drawn anew.
+    Live(Box<Live>),
+}
+
+/// Columns of the terminal.
+fn console_columns() -> usize {
+    rustix::termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col).max(20))
+}
+
+/// The detector's threshold, if it flies.
+fn threshold(args: &FlyArgs, course: &Course) -> Option<f32> {
+    let mut config = FirmwareConfig::to_goal(course.goal_ned_m());
+    args.pilot.apply(&mut config);
+    config.flight_info().detector_threshold
+}
+
+/// The script ends with the log; the viewer that it opened stays.
+fn end_viewer(script: &mut Child, folder: &Path) -> Result<()> {
+    let asked = Instant::now();
+    let status = loop {
+        match script.try_wait()? {
+            Some(status) => break Some(status),
+            None if asked.elapsed() > END_LIMIT => break None,
+            None => std::thread::sleep(Duration::from_millis(50)),
+        }
+    };
+    match status {
+        Some(status) if status.success() => {}
+        Some(_) => tell!(
+            "vigil: the viewer ended early: see {}",
+            folder.join("viewer.log").display()
+        ),
+        None => {
+            tell!("vigil: the viewer is far behind and is left there; `vigil view` opens the whole flight");
+            script.kill()?;
+            script.wait()?;
+        }
+    }
+    Ok(())
+}
+
 /// Follows the flight until it is over.
 fn watch(
-    title: &str,
+    terminal: &Terminal,
     statuses: &Receiver<Status>,
     simulator: &mut Process,
     firmware: &mut Process,
     interrupt: &Interrupt,
 ) -> Result<Flight> {
-    let live = std::io::stderr().is_terminal();
-    let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{spinner} {msg}")?);
+    let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
     let mut flight = Flight::default();
     let mut last_printed_s = f64::NEG_INFINITY;
     let mut reached_at: Option<Instant> = None;
     while !interrupt.came() {
         match statuses.recv_timeout(SILENCE_LIMIT) {
             Ok(status) => {
-                let line = progress_line(title, &status);
-                if live {
-                    bar.set_message(line);
-                    bar.tick();
-                } else if status.time_s - last_printed_s >= 2.0 {
-                    tell!("{line}");
-                    last_printed_s = status.time_s;
+                match terminal {
+                    Terminal::Live(live) => {
+                        bar.set_message(live.picture(&flight.path, &status));
+                        bar.tick();
+                    }
+                    Terminal::Lines(title) if status.time_s - last_printed_s >= 2.0 => {
+                        tell!("{title}  {}", state_line(&status));
+                        last_printed_s = status.time_s;
+                    }
+                    Terminal::Lines(_) | Terminal::Quiet => {}
                 }
                 let [x, y, z] = status.position_ned_m;
                 if status.outcome.is_none() {
@@ -494,14 +578,15 @@ fn watch(
     Ok(flight)
 }
 
-fn progress_line(title: &str, s: &Status) -> String {
+/// Where the vehicle is and what guidance does, in a line.
+pub(super) fn state_line(s: &Status) -> String {
     let guidance = match (&s.guidance, s.reasons.is_empty()) {
         (None, _) => "no firmware yet".to_owned(),
         (Some(state), true) => state.clone(),
         (Some(state), false) => format!("{state} ({})", s.reasons.join(", ")),
     };
     format!(
-        "{title}  {:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
+        "{:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
         s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
     )
 }

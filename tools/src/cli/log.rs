@@ -2,6 +2,7 @@
 
 use crate::cli::output::{self, is_stdout, say};
 use crate::cli::replay::find_log;
+use crate::flight_derived::{Wanted, derive};
 use crate::flight_film::{FilmOptions, film};
 use crate::flight_report::{self, EXPLAINED, ReportOptions};
 use anyhow::{Context, Result};
@@ -22,6 +23,8 @@ enum LogCommand {
     Report(ReportArgs),
     /// An animated picture (GIF) of the flight: map from above, what the sensor saw, score, who flies.
     Film(FilmArgs),
+    /// Replay the flight and put into its log what follows from it: the pilot's map, its planned way, SHAP of the pixels.
+    Derive(DeriveArgs),
 }
 
 /// Arguments of `vigil log report`.
@@ -69,6 +72,31 @@ pub struct FilmArgs {
     title: Option<String>,
 }
 
+/// Arguments of `vigil log derive`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil log derive runs/fly-1760000000-7            map and way twice a second, SHAP of the pixels once a second
+  vigil log derive flight-0001.mcap --only map      quicker: without SHAP
+
+What was derived earlier is replaced; what a replay reads stays as it is, bit for bit. It needs the actor and detector that flew.")]
+pub struct DeriveArgs {
+    /// A flight log (MCAP), or a folder that holds one.
+    log: PathBuf,
+
+    /// Derive this alone.
+    #[arg(long, value_enum, value_name = "WHAT")]
+    only: Option<Derivable>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Derivable {
+    /// The map and the planned way.
+    Map,
+    /// SHAP of the pixels.
+    Shap,
+}
+
 fn speed(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(speed) if (0.5..=20.0).contains(&speed) => Ok(speed),
@@ -96,6 +124,24 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             let bytes = write_report(&log, &to, args.shap)?;
             if !is_stdout(&to) {
                 say!("{} ({:.1} MB)", to.display(), bytes as f64 / 1e6);
+            }
+        }
+        LogCommand::Derive(args) => {
+            let log = find_log(&args.log)?;
+            let wanted = Wanted {
+                map: args.only != Some(Derivable::Shap),
+                shap: args.only != Some(Derivable::Map),
+            };
+            let derived =
+                derive(&log, wanted).with_context(|| format!("nothing was derived from {}", log.display()))?;
+            say!(
+                "{}: {} maps, {} explained frames",
+                log.display(),
+                derived.maps,
+                derived.explained
+            );
+            if let Some(step) = derived.gap_before_step {
+                say!("records are missing before step {step}: what follows cannot be replayed");
             }
         }
         LogCommand::Film(args) => {

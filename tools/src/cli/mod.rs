@@ -8,6 +8,7 @@ mod figures;
 mod fly;
 mod import;
 mod learn;
+mod live;
 mod log;
 mod merge;
 pub(crate) mod output;
@@ -20,6 +21,7 @@ mod rollout;
 mod scene;
 mod sensor;
 mod train;
+mod view;
 
 pub(crate) use log::write_report as write_flight_report;
 pub(crate) use scene::of as scene_of;
@@ -78,8 +80,10 @@ enum Command {
     Adversary(vigil_adversary::process::AdversaryArgs),
     /// Run the tick over a flight log's recorded inputs and compare every output byte.
     Replay(replay::ReplayArgs),
-    /// Make a report of a flight log.
+    /// Make a report or a film of a flight log, or complete it.
     Log(log::LogArgs),
+    /// Open a flight log in the Rerun viewer, in a ready layout.
+    View(view::ViewArgs),
     /// Save what is whole of a flight log that was cut off or damaged.
     Recover(recover::RecoverArgs),
     /// Import a policy of others from ONNX.
@@ -136,6 +140,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Adversary(args) => vigil_adversary::process::run(&args),
         Command::Replay(args) => replay::run(&args),
         Command::Log(args) => log::run(&args),
+        Command::View(args) => view::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Train(args) => train::run(&args),

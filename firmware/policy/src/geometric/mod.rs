@@ -10,6 +10,7 @@ mod pilot;
 pub mod range_scan;
 mod recovery;
 
+pub use occupancy_grid::{CELL_M, HIT, OccupancyGrid, SCORE_LIMIT, SIDE};
 pub use pilot::{GeometricConfig, GeometricPilot};
 pub use range_scan::{RangeScan, Scan};
 pub use recovery::RecoveryPilot;

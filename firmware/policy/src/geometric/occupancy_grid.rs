@@ -23,7 +23,7 @@ pub const HIT: i8 = 4;
 /// What it adds when the range may be wrong by a metre: rays outvote a surface that is not there again and again.
 pub const DOUBTFUL_HIT: i8 = 2;
 /// The most a score can be: a cell is free again after as many rays.
-const SCORE_LIMIT: i8 = 12;
+pub const SCORE_LIMIT: i8 = 12;
 /// Farther surfaces are left to later frames.
 pub const MARK_RANGE_M: f32 = 11.0;
 /// Nearer than this, the band of heights is not wholly within the vertical field of view (0.35 m / tan 30°, and tilt):
@@ -97,6 +97,17 @@ impl OccupancyGrid {
         self.corner = None;
         self.score.fill(0);
         self.clearance_squared.fill(CLEARANCE_LIMIT_SQUARED);
+    }
+
+    /// NED metres (north, east) of the grid's south-western corner; `None` while nothing was entered.
+    pub fn corner_ned_m(&self) -> Option<(f32, f32)> {
+        self.corner.map(|(n, e)| (n as f32 * CELL_M, e as f32 * CELL_M))
+    }
+
+    /// Evidence of an obstacle by cell, [`SIDE`] rows from south to north of [`SIDE`] cells from west to east: 0 is free or never
+    /// seen, from [`HIT`] on an obstacle.
+    pub fn scores(&self) -> &[i8; CELLS] {
+        &self.score
     }
 
     /// The cell of a NED position; it may lie outside the grid.

@@ -189,6 +189,16 @@ impl GeometricPilot {
         }
     }
 
+    /// What it remembers of obstacles.
+    pub fn grid(&self) -> &OccupancyGrid {
+        &self.grid
+    }
+
+    /// The last way found, NED metres (north, east), from where the vehicle was when the search began; empty without one.
+    pub fn way_ned_m(&self) -> &[(f32, f32)] {
+        self.planner.points()
+    }
+
     /// The last step's scan.
     pub fn surroundings(&self) -> &RangeScan {
         &self.surroundings

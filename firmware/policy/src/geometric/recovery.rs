@@ -39,6 +39,11 @@ impl RecoveryPilot {
         self.waypoint = self.pilot.plan(input);
     }
 
+    /// The pilot below it, with its grid and its way.
+    pub fn mapping(&self) -> &GeometricPilot {
+        &self.pilot
+    }
+
     /// Where an actor is led: bearing of the planned path, distance of the goal; without a path the goal as it is. After [`Self::observe`], with
     /// the same input.
     pub fn lead(&self, input: &PilotInput<'_>) -> GoalRelative {

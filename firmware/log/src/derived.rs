@@ -1,0 +1,162 @@
+//! What follows from a log's records and is worth seeing: the map and the way that a pilot had, and what pixels did to the actor's
+//! decision. It is computed after the flight, by replay: the loop knows nothing of it.
+
+use crate::display::{self, MAP_FRAME, SENSOR_FRAME};
+use crate::log_file::{self, topic};
+use crate::side::{Sheet, SideError, Writer, at};
+use foxglove::messages::packed_element_field::NumericType;
+use foxglove::messages::{Grid, PackedElementField, Pose, PosesInFrame, Quaternion, RawImage, Vector2, Vector3};
+use mcap::McapError;
+use std::path::Path;
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Nanos, NedVector};
+
+/// Columns of a picture of SHAP values: each is the sum over 4 × 4 pixels.
+pub const SHAP_COLS: usize = DEPTH_COLS / 4;
+/// Its rows.
+pub const SHAP_ROWS: usize = DEPTH_ROWS / 4;
+
+/// A pilot's map at a moment.
+#[derive(Debug, Clone, Copy)]
+pub struct MapSeen<'a> {
+    /// NED metres (north, east) of the south-western corner.
+    pub corner_ned_m: (f32, f32),
+    /// Edge of a cell in metres.
+    pub cell_m: f32,
+    /// Cells in a row from west to east.
+    pub cols: usize,
+    /// Evidence of an obstacle, rows from south to north.
+    pub scores: &'a [i8],
+    /// The greatest score: 100 % in the log.
+    pub score_limit: i8,
+}
+
+/// A file of derived messages, in the order of their times; [`crate::merge_derived`] puts them into the log.
+pub struct DerivedLog {
+    sheet: Sheet,
+    epoch_offset_ns: u64,
+    grid: u16,
+    way: u16,
+    shap: u16,
+}
+
+impl DerivedLog {
+    /// Starts a file, in the place of what may be there, for a log with this offset of its stamps ([`crate::Reader::epoch_offset_ns`]).
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn create(path: &Path, epoch_offset_ns: u64) -> Result<Self, SideError> {
+        let mut sheet = Sheet::create(path)?;
+        let begin = |writer: &mut Writer| -> Result<_, McapError> {
+            Ok((
+                log_file::standard::<Grid, _>(writer, topic::GRID)?,
+                log_file::standard::<PosesInFrame, _>(writer, topic::WAY)?,
+                log_file::standard::<RawImage, _>(writer, topic::SHAP)?,
+            ))
+        };
+        let (grid, way, shap) = begin(&mut sheet.writer).map_err(at(path))?;
+        Ok(Self {
+            sheet,
+            epoch_offset_ns,
+            grid,
+            way,
+            shap,
+        })
+    }
+
+    /// A pilot's map at `at_ns` of the loop's clock, drawn on the ground: evidence of an obstacle in percent. `sequence` is the step's.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn map(&mut self, at_ns: Nanos, sequence: u32, seen: &MapSeen<'_>) -> Result<(), SideError> {
+        let limit = i32::from(seen.score_limit).max(1);
+        let percent = |score: &i8| (i32::from(*score).clamp(0, limit) * 100 / limit) as u8;
+        let (north, east) = seen.corner_ned_m;
+        let cell_m = f64::from(seen.cell_m);
+        let message = Grid {
+            timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
+            frame_id: MAP_FRAME.to_owned(),
+            pose: Some(Pose {
+                position: Some(Vector3 {
+                    x: east.into(),
+                    y: north.into(),
+                    z: 0.0,
+                }),
+                orientation: Some(UNTURNED),
+            }),
+            column_count: seen.cols as u32,
+            cell_size: Some(Vector2 { x: cell_m, y: cell_m }),
+            row_stride: seen.cols as u32,
+            cell_stride: 1,
+            fields: vec![PackedElementField {
+                name: "obstacle_percent".to_owned(),
+                offset: 0,
+                r#type: NumericType::Uint8 as i32,
+            }],
+            data: seen.scores.iter().map(percent).collect::<Vec<u8>>().into(),
+        };
+        self.sheet.put(self.grid, at_ns, sequence, &message)
+    }
+
+    /// The way that a pilot planned, NED metres (north, east), at the height of the vehicle.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn way(
+        &mut self,
+        at_ns: Nanos,
+        sequence: u32,
+        points_ned_m: &[(f32, f32)],
+        down_m: f32,
+    ) -> Result<(), SideError> {
+        let pose = |&(north, east): &(f32, f32)| Pose {
+            position: Some(display::map_point(NedVector::new(north, east, down_m))),
+            orientation: Some(UNTURNED),
+        };
+        let message = PosesInFrame {
+            timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
+            frame_id: MAP_FRAME.to_owned(),
+            poses: points_ned_m.iter().map(pose).collect(),
+        };
+        self.sheet.put(self.way, at_ns, sequence, &message)
+    }
+
+    /// What the pixels of the step's frame added to the actor's yaw output: [`SHAP_ROWS`] × [`SHAP_COLS`] sums, action units.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn shap(&mut self, at_ns: Nanos, sequence: u32, sums: &[f32]) -> Result<(), SideError> {
+        let message = RawImage {
+            timestamp: Some(display::timestamp(at_ns.saturating_add(self.epoch_offset_ns))),
+            frame_id: SENSOR_FRAME.to_owned(),
+            width: SHAP_COLS as u32,
+            height: SHAP_ROWS as u32,
+            encoding: "32FC1".to_owned(),
+            step: 4 * SHAP_COLS as u32,
+            data: sums.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
+        };
+        self.sheet.put(self.shap, at_ns, sequence, &message)
+    }
+
+    /// Closes the file.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn finish(self) -> Result<(), SideError> {
+        self.sheet.finish()
+    }
+}
+
+impl std::fmt::Debug for DerivedLog {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("DerivedLog")
+            .field("path", &self.sheet.path)
+            .finish_non_exhaustive()
+    }
+}
+
+const UNTURNED: Quaternion = Quaternion {
+    x: 0.0,
+    y: 0.0,
+    z: 0.0,
+    w: 1.0,
+};

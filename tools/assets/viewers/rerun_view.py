@@ -1,0 +1,314 @@
+"""Shows a Vigil flight log in the Rerun viewer, in a ready layout.
+
+Rerun reads MCAP itself, but draws neither scenes, planned ways nor grids of it, and has no layout for it. This script reads the log by
+the schemas that it carries and hands the viewer what it draws: `vigil view LOG` runs it.
+
+Usage: rerun_view.py LOG [--follow] [--port PORT] [--save FILE.rrd] [--layout FILE.rbl]
+Packages: rerun-sdk, mcap, mcap-protobuf-support and numpy, in the versions that `vigil view` names.
+"""
+
+import argparse
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel, DataEnd, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap_protobuf.decoder import DecoderFactory
+
+FORMAT = "1"
+# Rows and columns of a frame, its fields of view, the range of a pixel of 1.
+ROWS, COLS = 128, 256
+WIDTH_RAD, HEIGHT_RAD = math.radians(120), math.radians(60)
+# What the layout draws. A test holds that a log has all of it.
+CHANNELS = {
+    "/tf", "/pose", "/path", "/goal", "/scene", "/log", "/status", "/depth/range", "/map/grid", "/map/way", "/shap", "/truth/pose",
+    "/attack", "/depth/clean",
+}
+# Without these the view is empty; the others depend on the flight.
+NEEDED = {"/tf", "/pose", "/scene", "/log", "/status", "/depth/range"}
+# Safe for the colour-blind: Okabe and Ito.
+BLUE, ORANGE, GREEN, RED, PINK, GREY = (
+    (0, 114, 178), (230, 159, 0), (0, 158, 115), (213, 94, 0), (204, 121, 167), (150, 150, 150),
+)
+# Topic of a plot -> fields of /status, names, colours.
+PLOTS = {
+    "plots/score": (("detector_score", "score", BLUE), ("detector_threshold", "threshold", RED)),
+    "plots/yaw": (("actor_yaw", "what the actor wanted", ORANGE), ("action_yaw", "what was flown", BLUE)),
+    "plots/cause": (
+        ("contribution_image", "picture", BLUE), ("contribution_bearing", "bearing", ORANGE), ("contribution_distance", "distance", GREEN),
+    ),
+    "plots/speed": (("speed_m_s", "speed, m/s", BLUE), ("setpoint_forward_m_s", "setpoint forward, m/s", ORANGE)),
+    "plots/step": (("step_time_ms", "time of a step, ms", BLUE),),
+    "plots/state": (("state_code", "state of guidance", BLUE), ("alarm_response", "response to the alarm", RED)),
+}
+
+
+def layout():
+    """Where everything stands."""
+    plot = lambda name, path: rrb.TimeSeriesView(origin=f"/{path}", name=name)
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Spatial3DView(
+                    origin="/map", name="Flight",
+                    contents=["/map/**", "- /map/base_link/depth_sensor/range", "- /map/base_link/depth_sensor/shap"],
+                ),
+                rrb.TextLogView(origin="/log", name="Events: states, alarms and who raised them"),
+                row_shares=[3, 1],
+            ),
+            rrb.Vertical(
+                rrb.Spatial2DView(origin="/map/base_link/depth_sensor", name="Depth in metres, SHAP over it (orange: turns right)"),
+                plot("Detector: score against threshold", "plots/score"),
+                plot("Yaw: wanted and flown", "plots/yaw"),
+                plot("What moved the yaw", "plots/cause"),
+                row_shares=[3, 2, 2, 2],
+            ),
+            rrb.Vertical(
+                plot("Speed", "plots/speed"),
+                plot("Step time", "plots/step"),
+                plot("State and alarm", "plots/state"),
+                plot("Altered frames: change of the actor's yaw", "plots/attack"),
+            ),
+            column_shares=[5, 3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+class Growing:
+    """A file that is still being written: a read waits for what is to come."""
+
+    def __init__(self, file, patience_s=15.0):
+        self.file, self.patience_s = file, patience_s
+
+    def read(self, size=-1):
+        parts, missing, last = [], size, time.monotonic()
+        while missing > 0:
+            part = self.file.read(missing)
+            if part:
+                parts.append(part)
+                missing -= len(part)
+                last = time.monotonic()
+            elif time.monotonic() - last > self.patience_s:
+                break
+            else:
+                time.sleep(0.02)
+        return b"".join(parts)
+
+
+def point(p):
+    return [p.x, p.y, p.z]
+
+
+def turn(q):
+    return rr.Quaternion(xyzw=[q.x, q.y, q.z, q.w])
+
+
+class Show:
+    """Hands the viewer one message after the other."""
+
+    def __init__(self):
+        self.seen = set()
+        self.shown_path = []
+        self.first_ns = None
+
+    def begin(self, metadata):
+        if metadata.get("format") != FORMAT:
+            sys.exit(f"the log has format {metadata.get('format')}, written by {metadata.get('program', 'an unknown program')}; "
+                     f"this viewer script reads format {FORMAT}")
+        rr.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        rr.log("map/base_link/body", rr.Boxes3D(half_sizes=[[0.2, 0.2, 0.06]], colors=[BLUE], fill_mode="solid"), static=True)
+        rr.log("map/base_link/nose", rr.Arrows3D(vectors=[[0.8, 0, 0]], colors=[BLUE]), static=True)
+        rr.log("map/home", rr.Points3D([[0, 0, 0]], radii=0.1, colors=[GREY], labels=["home"]), static=True)
+        for path, series in PLOTS.items():
+            for field, name, colour in series:
+                rr.log(f"{path}/{field}", rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
+        rr.log("plots/attack/yaw_change", rr.SeriesLines(names=["altered by"], colors=[RED]), static=True)
+
+    def about(self, metadata):
+        lines = "\n".join(f"- **{key}**: {value}" for key, value in sorted(metadata.items()))
+        rr.log("about", rr.TextDocument(lines, media_type="text/markdown"), static=True)
+
+    def message(self, topic, message, decoded):
+        self.seen.add(topic)
+        self.first_ns = self.first_ns or message.log_time
+        rr.set_time("flight", duration=max(0, message.log_time - self.first_ns) / 1e9)
+        show = getattr(self, topic.strip("/").replace("/", "_"), None)
+        if show:
+            show(decoded)
+
+    def tf(self, tf):
+        at = {"base_link": "map/base_link", "depth_sensor": "map/base_link/depth_sensor", "base_link_true": "map/truth"}.get(tf.child_frame_id)
+        if at == "map/base_link/depth_sensor":
+            # Columns of a frame are angles, not a pinhole's: the frame is drawn as rays, and as a picture of its own.
+            at = None
+        if at:
+            rr.log(at, rr.Transform3D(translation=point(tf.translation), quaternion=turn(tf.rotation)))
+
+    def path(self, path):
+        rr.log("map/path", rr.LineStrips3D([[point(p.position) for p in path.poses]], colors=[BLUE], radii=[0.04]))
+
+    def goal(self, goal):
+        rr.log("map/goal", rr.Points3D([point(goal.pose.position)], radii=0.3, colors=[GREEN], labels=["goal"]))
+
+    def scene(self, update):
+        for entity in update.entities:
+            cubes, cylinders = entity.cubes, entity.cylinders
+            if cubes:
+                rr.log("map/scene/boxes", rr.Boxes3D(
+                    centers=[point(c.pose.position) for c in cubes],
+                    half_sizes=[[c.size.x / 2, c.size.y / 2, c.size.z / 2] for c in cubes],
+                    quaternions=[turn(c.pose.orientation) for c in cubes], colors=[GREY], fill_mode="solid"), static=True)
+            if cylinders:
+                rr.log("map/scene/cylinders", rr.Cylinders3D(
+                    lengths=[c.size.z for c in cylinders], radii=[c.size.x / 2 for c in cylinders],
+                    centers=[point(c.pose.position) for c in cylinders],
+                    quaternions=[turn(c.pose.orientation) for c in cylinders], colors=[GREY], fill_mode="solid"), static=True)
+
+    def depth_range(self, image):
+        metres = np.frombuffer(image.data, "<u2").reshape(image.height, image.width) / np.float32(1000)
+        rr.log("map/base_link/depth_sensor/range", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
+        rows, cols = np.nonzero((metres > 0) & (metres < 20))
+        keep = slice(None, None, 4)
+        rows, cols = rows[keep], cols[keep]
+        bearing = ((cols + 0.5) / image.width - 0.5) * WIDTH_RAD
+        elevation = (0.5 - (rows + 0.5) / image.height) * HEIGHT_RAD
+        r = metres[rows, cols]
+        points = np.stack([r * np.cos(elevation) * np.cos(bearing), -r * np.cos(elevation) * np.sin(bearing), r * np.sin(elevation)], axis=1)
+        rr.log("map/base_link/returns", rr.Points3D(points, radii=0.03, colors=[ORANGE]))
+
+    def depth_clean(self, image):
+        metres = np.frombuffer(image.data, "<f4").reshape(image.height, image.width) * 100
+        rr.log("clean", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
+
+    def shap(self, image):
+        sums = np.frombuffer(image.data, "<f4").reshape(image.height, image.width)
+        full = max(float(np.quantile(np.abs(sums), 0.99)), 1e-9)
+        share = np.clip(sums / full, -1, 1)
+        rgba = np.zeros((*sums.shape, 4), np.uint8)
+        rgba[share >= 0, :3] = (255, 140, 0)
+        rgba[share < 0, :3] = (80, 170, 255)
+        rgba[..., 3] = 220 * np.sqrt(np.abs(share))
+        factor = COLS // 2 // image.width
+        rgba = rgba.repeat(factor, axis=0).repeat(factor, axis=1)
+        rr.log("map/base_link/depth_sensor/shap", rr.Image(rgba, draw_order=10))
+
+    def map_grid(self, grid):
+        percent = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.row_stride)[:, : grid.column_count]
+        rows, cols = np.nonzero(percent >= 33)
+        corner, cell = grid.pose.position, grid.cell_size
+        centres = np.stack([corner.x + (cols + 0.5) * cell.x, corner.y + (rows + 0.5) * cell.y, np.full(len(rows), 0.03)], axis=1)
+        rr.log("map/grid", rr.Boxes3D(centers=centres, half_sizes=[[cell.x / 2, cell.y / 2, 0.02]], colors=[PINK], fill_mode="solid"))
+
+    def map_way(self, way):
+        rr.log("map/way", rr.LineStrips3D([[point(p.position) for p in way.poses]], colors=[PINK], radii=[0.06]))
+
+    def truth_pose(self, truth):
+        self.shown_path.append(point(truth.pose.position))
+        rr.log("map/true_path", rr.LineStrips3D([self.shown_path[-600:]], colors=[GREEN], radii=[0.02]))
+
+    def attack(self, attack):
+        rr.log("plots/attack/yaw_change", rr.Scalars(abs(attack.yaw_change) if attack.altered > 0.5 else 0.0))
+
+    def log(self, line):
+        level = {3: "WARN", 4: "ERROR", 5: "CRITICAL"}.get(line.level, "INFO")
+        rr.log("log", rr.TextLog(line.message, level=level))
+
+    def status(self, status):
+        for path, series in PLOTS.items():
+            for field, _, _ in series:
+                value = getattr(status, field)
+                if not math.isnan(value):
+                    rr.log(f"{path}/{field}", rr.Scalars(value))
+
+
+def read(file, show):
+    """Hands all messages on; returns why the log ends early, if it does."""
+    decoders, schemas, channels = DecoderFactory(), {}, {}
+    try:
+        for record in StreamReader(file, record_size_limit=None).records:
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                schema = schemas.get(record.schema_id)
+                wanted = schema and record.topic in CHANNELS
+                channels[record.id] = (record.topic, decoders.decoder_for(record.message_encoding, schema)) if wanted else None
+            elif isinstance(record, Metadata) and record.name == "vigil":
+                show.begin(record.metadata)
+            elif isinstance(record, Metadata) and record.name == "vigil.flight":
+                show.about(record.metadata)
+            elif isinstance(record, Message) and channels.get(record.channel_id):
+                topic, decode = channels[record.channel_id]
+                show.message(topic, record, decode(record.data))
+            elif isinstance(record, DataEnd):
+                return None
+    except (EndOfFile, McapError, ValueError, OSError) as error:
+        return f"{type(error).__name__}: {error}".rstrip(": ")
+    return "no end"
+
+
+def wait_for(path, patience_s=15.0):
+    """The log, or the one log in a folder, once it is there."""
+    begun = time.monotonic()
+    while time.monotonic() - begun < patience_s:
+        logs = sorted(path.glob("*.mcap")) if path.is_dir() else [path] if path.exists() else []
+        if logs:
+            return logs[0]
+        time.sleep(0.1)
+    sys.exit(f"no log came to be in {path}")
+
+
+def main():
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("log", nargs="?", help="a flight log (MCAP)")
+    arguments.add_argument("--follow", action="store_true", help="the log is still being written")
+    arguments.add_argument("--port", type=int, default=9876, help="of the viewer")
+    arguments.add_argument("--save", help="write a recording for the viewer instead of opening it")
+    arguments.add_argument("--layout", help="write the layout alone, as a blueprint file, and end")
+    args = arguments.parse_args()
+    if args.layout:
+        layout().save("vigil", args.layout)
+        return
+    if not args.log:
+        arguments.error("which log?")
+    path = Path(args.log)
+    if args.follow:
+        # What is looked at must not take time from what flies.
+        os.nice(10)
+        path = wait_for(path)
+    with path.open("rb") as file:
+        if not args.follow and file.read(8) != b"\x89MCAP0\r\n":
+            sys.exit(f"{path} is no MCAP file")
+        file.seek(0)
+        rr.init("vigil", recording_id=f"{path.parent.name}/{path.stem}-{os.getpid()}")
+        if args.save:
+            rr.save(args.save, default_blueprint=layout())
+        else:
+            # The viewer's program lies beside this Python, which need not be on the path.
+            os.environ["PATH"] = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
+            rr.spawn(port=args.port, hide_welcome_screen=True, default_blueprint=layout())
+        rr.send_recording_name(path.stem)
+        show = Show()
+        early = read(Growing(file) if args.follow else file, show)
+        rr.get_global_data_recording().flush()
+    if early and not args.follow:
+        print(f"{path} was not closed or is damaged ({early}): what stands before is shown", file=sys.stderr)
+    for topic in sorted(NEEDED - show.seen):
+        print(f"{path} holds nothing on {topic}: that part of the view is empty", file=sys.stderr)
+    if not {"/map/grid", "/shap"} <= show.seen and not args.follow:
+        print(f"map, planned way and SHAP: `vigil log derive {path}` puts them into the log", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,271 @@
+//! The flight on a terminal while it flies: the course from above in braille, score against threshold, step time, state.
+
+use std::fmt::Write;
+use vigil_sim::program::{NEARNESS_COLS, NEARNESS_ROWS, Status};
+use vigil_types::NedVector;
+use vigil_world::{Course, Solid};
+
+/// Widest and tallest map, in characters of 2 × 4 dots.
+const MOST_COLS: usize = 76;
+const MOST_ROWS: usize = 14;
+/// Ground around the obstacles that is shown, metres.
+const MARGIN_M: f32 = 1.0;
+/// Characters of the score's bar.
+const BAR: usize = 40;
+/// A step has 50 ms.
+const STEP_BUDGET_US: f32 = 50_000.0;
+
+/// What does not change in a flight, and the path so far.
+pub struct Live {
+    title: String,
+    goal_ned_m: NedVector,
+    threshold: Option<f32>,
+    /// NED metres (north, east) of the map's upper left corner: north is to the right, east is down.
+    corner_m: (f32, f32),
+    dot_m: f32,
+    cols: usize,
+    rows: usize,
+    /// Braille dots of each character.
+    ground: Vec<u8>,
+}
+
+impl Live {
+    /// For a terminal of so many columns.
+    pub fn new(title: String, course: &Course, threshold: Option<f32>, columns: usize) -> Self {
+        let solids = course.solids();
+        let goal_ned_m = course.goal_ned_m();
+        let mut low = (goal_ned_m.x.min(0.0), goal_ned_m.y.min(0.0));
+        let mut high = (goal_ned_m.x.max(0.0), goal_ned_m.y.max(0.0));
+        for solid in &solids {
+            let (centre, reach) = extent(solid);
+            low = (low.0.min(centre.0 - reach.0), low.1.min(centre.1 - reach.1));
+            high = (high.0.max(centre.0 + reach.0), high.1.max(centre.1 + reach.1));
+        }
+        let low = (low.0 - MARGIN_M, low.1 - MARGIN_M);
+        let (length_m, width_m) = (high.0 + MARGIN_M - low.0, high.1 + MARGIN_M - low.1);
+        let most_cols = MOST_COLS.min(columns.saturating_sub(2)).max(8);
+        let dot_m = (length_m / (2 * most_cols) as f32).max(width_m / (4 * MOST_ROWS) as f32);
+        let cols = ((length_m / dot_m / 2.0).ceil() as usize).clamp(1, most_cols);
+        let rows = ((width_m / dot_m / 4.0).ceil() as usize).clamp(1, MOST_ROWS);
+        let mut live = Self {
+            title,
+            goal_ned_m,
+            threshold,
+            corner_m: low,
+            dot_m,
+            cols,
+            rows,
+            ground: vec![0; cols * rows],
+        };
+        for x in 0..2 * cols {
+            for y in 0..4 * rows {
+                let north = low.0 + (x as f32 + 0.5) * dot_m;
+                let east = low.1 + (y as f32 + 0.5) * dot_m;
+                if solids.iter().any(|solid| covers(solid, north, east, dot_m / 2.0)) {
+                    let (at, bit) = (y / 4 * cols + x / 2, dot(x, y));
+                    live.ground[at] |= bit;
+                }
+            }
+        }
+        live
+    }
+
+    /// The dot at a position, if it is on the map.
+    fn dot_of(&self, p: &NedVector) -> Option<(usize, usize)> {
+        let (x, y) = (
+            (p.x - self.corner_m.0) / self.dot_m,
+            (p.y - self.corner_m.1) / self.dot_m,
+        );
+        let inside = x >= 0.0 && y >= 0.0 && x < (2 * self.cols) as f32 && y < (4 * self.rows) as f32;
+        inside.then_some((x as usize, y as usize))
+    }
+
+    /// Several lines for the terminal.
+    pub fn picture(&self, path: &[NedVector], status: &Status) -> String {
+        let mut dots = self.ground.clone();
+        for (x, y) in path.iter().filter_map(|p| self.dot_of(p)) {
+            dots[y / 4 * self.cols + x / 2] |= dot(x, y);
+        }
+        let place = |p: &NedVector| self.dot_of(p).map(|(x, y)| y / 4 * self.cols + x / 2);
+        let goal = place(&self.goal_ned_m);
+        let [x, y, z] = status.position_ned_m;
+        let vehicle = place(&NedVector::new(x, y, z));
+        let mut text = format!(
+            "{}   north →, east ↓, a character is {:.1} m\n",
+            self.title,
+            2.0 * self.dot_m
+        );
+        for row in 0..self.rows {
+            for col in 0..self.cols {
+                let at = row * self.cols + col;
+                text.push(match at {
+                    at if vehicle == Some(at) => '◆',
+                    at if goal == Some(at) => '×',
+                    // The block of braille patterns has all 256 of them.
+                    at => char::from_u32(0x2800 + u32::from(dots[at])).unwrap_or(' '),
+                });
+            }
+            text.push('\n');
+        }
+        let digits = status.nearness.as_bytes();
+        for row in digits.chunks_exact(NEARNESS_COLS).take(NEARNESS_ROWS) {
+            text.extend(row.iter().map(|digit| match digit {
+                b'8'.. => '█',
+                b'6'.. => '▓',
+                b'4'.. => '▒',
+                b'1'.. => '░',
+                _ => ' ',
+            }));
+            text.push('\n');
+        }
+        // Writing to a text cannot fail.
+        let _ = writeln!(text, "score  {}", self.score(status.score));
+        let late = if status.slips > 0 {
+            format!(", {} missed", status.slips)
+        } else {
+            String::new()
+        };
+        let _ = writeln!(
+            text,
+            "step   {} {:>5.0} µs of {:.0}{late}",
+            bar(status.step_us / STEP_BUDGET_US, None),
+            status.step_us,
+            STEP_BUDGET_US
+        );
+        let _ = write!(text, "{}", super::fly::state_line(status));
+        text
+    }
+
+    fn score(&self, score: Option<f32>) -> String {
+        match (score, self.threshold) {
+            (Some(score), Some(threshold)) => {
+                let word = if score > threshold { "ATTACK" } else { "clean" };
+                format!(
+                    "{} {score:.3}, threshold {threshold:.3}: {word}",
+                    bar(score, Some(threshold))
+                )
+            }
+            (Some(score), None) => format!("{} {score:.3}", bar(score, None)),
+            (None, Some(_)) => "none yet: no verdict is unknown, not clean".to_owned(),
+            (None, None) => "no detector flies".to_owned(),
+        }
+    }
+}
+
+/// A bar for a share of 1, with a mark.
+fn bar(share: f32, mark: Option<f32>) -> String {
+    let cells = |share: f32| (share.clamp(0.0, 1.0) * BAR as f32).round() as usize;
+    let (full, mark) = (cells(share), mark.map(|m| cells(m).min(BAR - 1)));
+    (0..BAR)
+        .map(|i| match i {
+            i if mark == Some(i) => '|',
+            i if i < full => '█',
+            _ => '·',
+        })
+        .collect()
+}
+
+/// The bit of a dot within its character.
+fn dot(x: usize, y: usize) -> u8 {
+    const BITS: [[u8; 4]; 2] = [[0x01, 0x02, 0x04, 0x40], [0x08, 0x10, 0x20, 0x80]];
+    BITS[x % 2][y % 4]
+}
+
+/// Middle and reach of a solid's outline, NED metres.
+fn extent(solid: &Solid) -> ((f32, f32), (f32, f32)) {
+    match solid {
+        Solid::Cuboid {
+            centre_ned_m,
+            half_extents_m,
+            yaw_rad,
+        } => {
+            let (sin, cos) = yaw_rad.sin_cos();
+            let [a, b, _] = half_extents_m;
+            let reach = ((a * cos).abs() + (b * sin).abs(), (a * sin).abs() + (b * cos).abs());
+            ((centre_ned_m.x, centre_ned_m.y), reach)
+        }
+        Solid::Cylinder {
+            centre_ned_m, radius_m, ..
+        } => ((centre_ned_m.x, centre_ned_m.y), (*radius_m, *radius_m)),
+    }
+}
+
+/// Whether a solid stands within `slack_m` of a position, seen from above.
+fn covers(solid: &Solid, north: f32, east: f32, slack_m: f32) -> bool {
+    match solid {
+        Solid::Cuboid {
+            centre_ned_m,
+            half_extents_m,
+            yaw_rad,
+        } => {
+            let (sin, cos) = yaw_rad.sin_cos();
+            let (n, e) = (north - centre_ned_m.x, east - centre_ned_m.y);
+            let [a, b, _] = half_extents_m;
+            (cos * n + sin * e).abs() <= a + slack_m && (cos * e - sin * n).abs() <= b + slack_m
+        }
+        Solid::Cylinder {
+            centre_ned_m, radius_m, ..
+        } => (north - centre_ned_m.x).hypot(east - centre_ned_m.y) <= radius_m + slack_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_world::{Family, generate};
+
+    fn status(score: Option<f32>, position_ned_m: [f32; 3]) -> Status {
+        let json = serde_json::json!({
+            "time_s": 3.0, "at_ns": 0, "position_ned_m": position_ned_m, "attitude": [1.0, 0.0, 0.0, 0.0], "speed_m_s": 0.8,
+            "goal_distance_m": 9.0, "mode": "external", "armed": true, "guidance": "guided", "reasons": [], "step_us": 900.0,
+            "slips": 0, "outcome": null, "flight_time_s": 0.0, "path_length_m": 0.0, "score": score, "nearness": "0479".repeat(NEARNESS_COLS * NEARNESS_ROWS / 4),
+        });
+        serde_json::from_value(json).expect("a status")
+    }
+
+    #[test]
+    fn the_map_shows_obstacles_vehicle_goal_and_path_within_the_terminal() {
+        let course = generate(Family::Validation, 7);
+        let live = Live::new("course 7".to_owned(), &course, Some(0.8), 60);
+        let path: Vec<NedVector> = (0..50).map(|i| NedVector::new(0.1 * i as f32, 0.0, -1.5)).collect();
+        let before = live.picture(&[], &status(None, [0.0, 0.0, -1.5]));
+        let after = live.picture(&path, &status(Some(0.95), [5.0, 0.0, -1.5]));
+        for text in [&before, &after] {
+            assert!(
+                text.lines()
+                    .skip(1)
+                    .take(live.rows)
+                    .all(|line| line.chars().count() == live.cols && live.cols <= 58)
+            );
+            assert_eq!((text.matches('◆').count(), text.matches('×').count()), (1, 1), "{text}");
+        }
+        assert_eq!(
+            after.matches('▒').count(),
+            NEARNESS_COLS * NEARNESS_ROWS / 4,
+            "the depth picture"
+        );
+        assert!(live.ground.iter().any(|dots| *dots != 0), "obstacles");
+        assert_ne!(before.find('◆'), after.find('◆'));
+        assert!(before.contains("no verdict is unknown") && after.contains("0.950, threshold 0.800: ATTACK"));
+    }
+
+    #[test]
+    fn a_wall_across_is_a_column_of_dots_and_the_bar_marks_the_threshold() {
+        let wall = Solid::Cuboid {
+            centre_ned_m: NedVector::new(5.0, 0.0, -1.0),
+            half_extents_m: [0.1, 3.0, 1.0],
+            yaw_rad: 0.0,
+        };
+        assert!(covers(&wall, 5.0, 2.9, 0.0) && !covers(&wall, 5.5, 0.0, 0.0) && !covers(&wall, 5.0, 3.2, 0.0));
+        let text = bar(0.5, Some(0.75));
+        assert_eq!(
+            (
+                text.chars().count(),
+                text.matches('█').count(),
+                text.find('|').is_some()
+            ),
+            (BAR, BAR / 2, true)
+        );
+        assert_eq!(text.chars().position(|c| c == '|'), Some(30));
+    }
+}

@@ -1,0 +1,201 @@
+//! `vigil view`: a flight log in the viewers that people have.
+
+use crate::cli::output::{say, tell};
+use crate::cli::replay::find_log;
+use anyhow::{Context, Result, bail, ensure};
+use std::fs::File;
+use std::io::{ErrorKind, Write};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitCode, Stdio};
+use vigil_log::Reader;
+
+/// The viewer that the script was written for.
+const RERUN_VERSION: &str = "0.41.0";
+/// Reads a log and hands it to the viewer.
+const SCRIPT: &str = include_str!("../../assets/viewers/rerun_view.py");
+/// Where Foxglove's panels stand.
+const FOXGLOVE_LAYOUT: &str = include_str!("../../assets/viewers/foxglove-layout.json");
+
+/// Arguments of `vigil view`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil view runs/fly-1760000000-7             the flight in Rerun: course, path, depth, score, alarms, in a ready layout
+  vigil view runs/fly-1760000000-7 --follow    one that flies at this moment (or `vigil fly --view`)
+  vigil view flight-0001.mcap --save 7.rrd     a recording to send to somebody: `rerun 7.rrd` opens it
+  vigil view flight-0001.mcap --foxglove       how Foxglove opens it, with our layout
+
+Rerun comes from Python's packages; where it is missing, the command that installs it is told. docs/view.md shows what is seen where.
+Exit code: 0 opened, 1 no viewer, a port that is taken, a log that cannot be read.")]
+pub struct ViewArgs {
+    /// A flight log (MCAP), or a folder that holds one.
+    log: PathBuf,
+
+    /// The log is still being written: show what comes.
+    #[arg(long)]
+    follow: bool,
+
+    /// Write a recording for the viewer instead of opening it.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["follow", "foxglove"])]
+    save: Option<PathBuf>,
+
+    /// Write the layout for Foxglove beside the log and say how to open both.
+    #[arg(long, conflicts_with = "follow")]
+    foxglove: bool,
+
+    #[command(flatten)]
+    viewer: ViewerArgs,
+}
+
+/// Which viewer.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ViewerArgs {
+    /// Port on which the viewer listens.
+    #[arg(long, value_name = "PORT", default_value_t = ViewerArgs::PORT, value_parser = clap::value_parser!(u16).range(1..))]
+    view_port: u16,
+
+    /// The Python that has the viewer, of a virtual environment for example.
+    #[arg(long, value_name = "PROGRAM", default_value = ViewerArgs::PYTHON)]
+    python: PathBuf,
+}
+
+impl Default for ViewerArgs {
+    fn default() -> Self {
+        Self {
+            view_port: Self::PORT,
+            python: PathBuf::from(Self::PYTHON),
+        }
+    }
+}
+
+impl ViewerArgs {
+    const PORT: u16 = 9876;
+    const PYTHON: &str = "python3";
+
+    /// Whether the viewer is there.
+    ///
+    /// # Errors
+    /// It is not: the message says how to get it.
+    fn check(&self) -> Result<()> {
+        let how = format!(
+            "`{0} -m pip install rerun-sdk=={RERUN_VERSION} mcap==1.6.0 mcap-protobuf-support==0.6.0`, in a virtual environment for \
+             example, whose Python --python names",
+            self.python.display()
+        );
+        let asked = Command::new(&self.python)
+            .args([
+                "-c",
+                "import mcap, mcap_protobuf, numpy, rerun; print(rerun.__version__)",
+            ])
+            .stdin(Stdio::null())
+            .output();
+        let asked = match asked {
+            Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+                "no viewer: there is no program {}; install Python 3.10 or newer, then {how}",
+                self.python.display()
+            ),
+            other => other.with_context(|| format!("cannot start {}", self.python.display()))?,
+        };
+        ensure!(
+            asked.status.success(),
+            "no viewer: {} lacks its packages; {how}",
+            self.python.display()
+        );
+        let version = String::from_utf8_lossy(&asked.stdout);
+        let version = version.trim();
+        if version != RERUN_VERSION {
+            tell!(
+                "vigil: Rerun {version} is installed; the layout was made for {RERUN_VERSION} and may look otherwise"
+            );
+        }
+        Ok(())
+    }
+
+    /// Whether the viewer is there and its port is free.
+    ///
+    /// # Errors
+    /// No viewer, or a port that is taken: the message says what to do.
+    pub fn check_with_port(&self) -> Result<()> {
+        self.check()?;
+        match TcpListener::bind(("0.0.0.0", self.view_port)) {
+            Ok(_) => Ok(()),
+            Err(error) if error.kind() == ErrorKind::AddrInUse => bail!(
+                "port {} is taken, by a viewer that is open perhaps: close it, or choose another port with --view-port",
+                self.view_port
+            ),
+            Err(error) => Err(error).with_context(|| format!("cannot listen on port {}", self.view_port)),
+        }
+    }
+
+    /// Starts the script, which opens the viewer; what it says goes to `diagnostics`, or to standard error.
+    fn start(&self, arguments: &[&std::ffi::OsStr], diagnostics: Option<File>) -> Result<Child> {
+        let mut command = Command::new(&self.python);
+        command.arg("-").args(arguments);
+        command.args(["--port", &self.view_port.to_string()]);
+        command.stdin(Stdio::piped()).stdout(Stdio::null());
+        if let Some(file) = diagnostics {
+            command.stderr(file);
+        }
+        let mut child = command
+            .spawn()
+            .with_context(|| format!("cannot start {}", self.python.display()))?;
+        let mut script = child.stdin.take().context("no way to hand over the script")?;
+        script
+            .write_all(SCRIPT.as_bytes())
+            .context("the viewer's script was not taken")?;
+        Ok(child)
+    }
+
+    /// Shows the flight whose log comes to be in `folder` while it flies. The script reads what the recorder has flushed to the
+    /// file: the firmware does not know of it.
+    ///
+    /// # Errors
+    /// A script that cannot be started.
+    pub fn follow(&self, folder: &Path) -> Result<Child> {
+        let name = folder.join("viewer.log");
+        let diagnostics = File::create(&name).with_context(|| format!("cannot write {}", name.display()))?;
+        self.start(&[folder.as_os_str(), "--follow".as_ref()], Some(diagnostics))
+    }
+}
+
+/// Opens the viewer.
+///
+/// # Errors
+/// A log that cannot be read, no viewer, a port that is taken.
+pub fn run(args: &ViewArgs) -> Result<ExitCode> {
+    if args.follow {
+        args.viewer.check_with_port()?;
+        let shown = args.viewer.start(&[args.log.as_os_str(), "--follow".as_ref()], None)?;
+        return ended(shown);
+    }
+    let log = find_log(&args.log)?;
+    // Another version, or no log at all, is told here.
+    Reader::open(&log)?;
+    if args.foxglove {
+        let layout = log.with_file_name("foxglove-layout.json");
+        crate::cli::output::write(&layout, FOXGLOVE_LAYOUT)?;
+        say!("Foxglove: Open local file…  {}", log.display());
+        say!("          Layouts → Import from file…  {}", layout.display());
+        return Ok(ExitCode::SUCCESS);
+    }
+    let shown = match &args.save {
+        Some(to) => {
+            args.viewer.check()?;
+            crate::cli::output::prepare(to)?;
+            args.viewer
+                .start(&[log.as_os_str(), "--save".as_ref(), to.as_os_str()], None)?
+        }
+        None => {
+            args.viewer.check_with_port()?;
+            args.viewer.start(&[log.as_os_str()], None)?
+        }
+    };
+    ended(shown)
+}
+
+fn ended(mut shown: Child) -> Result<ExitCode> {
+    let status = shown.wait()?;
+    ensure!(status.success(), "the viewer was not opened ({status})");
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,136 @@
+//! What a flight log does not hold and a replay of it gives: the pilot's map and planned way, and the pixels' SHAP values.
+
+use crate::detector_training::{Memory, PixelExplainer, YAW};
+use anyhow::{Context, Result};
+use std::path::Path;
+use vigil_firmware::FirmwareConfig;
+use vigil_firmware::replay::{firmware_of, step_again};
+use vigil_log::{DerivedLog, MapSeen, Reader, SHAP_COLS, SHAP_ROWS, TickRecord, merge_derived};
+use vigil_nnet::Isa;
+use vigil_policy::actor::positional_inputs;
+use vigil_policy::geometric::{CELL_M, SCORE_LIMIT, SIDE};
+use vigil_types::{DEPTH_COLS, Datagrams, Nanos};
+
+/// Map and way are kept this often.
+const MAP_NS: Nanos = 500_000_000;
+/// Frames are explained this often.
+const SHAP_NS: Nanos = 1_000_000_000;
+/// And never more than so many of a flight.
+const SHAP_LIMIT: usize = 120;
+
+/// What to derive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Wanted {
+    /// The map and the planned way, twice a second.
+    pub map: bool,
+    /// SHAP values of the pixels, once a second, for the first two minutes.
+    pub shap: bool,
+}
+
+/// What became of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Derived {
+    /// Maps.
+    pub maps: usize,
+    /// Explained frames.
+    pub explained: usize,
+    /// The step before which records are missing: what follows it cannot be replayed.
+    pub gap_before_step: Option<u64>,
+}
+
+/// Replays `log` and puts what is wanted into it, in the place of what was derived earlier. What a replay reads stays as it is.
+///
+/// # Errors
+/// A log that cannot be read or replayed, a file that cannot be written; the log is then as it was.
+pub fn derive(log: &Path, wanted: Wanted) -> Result<Derived> {
+    let notes = log.with_extension("derived.part");
+    let derived = write(log, &notes, wanted).and_then(|derived| {
+        merge_derived(log, &notes)?;
+        Ok(derived)
+    });
+    // Its content is in the log, or of no use.
+    let _ = std::fs::remove_file(&notes);
+    derived
+}
+
+fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
+    let mut reader = Reader::open(log)?;
+    let mut firmware = firmware_of(&reader)?;
+    let mut explainer = if wanted.shap { explainer(&reader)? } else { None };
+    let mut to = DerivedLog::create(notes, reader.epoch_offset_ns())?;
+    let mut derived = Derived::default();
+    let mut record = Box::<TickRecord>::default();
+    let mut sent = Box::<Datagrams>::default();
+    let (mut next_map_ns, mut next_shap_ns) = (0, 0);
+    // A log that was cut ends in a damage after its last whole record: what stands before is replayed.
+    while let Ok(true) = reader.read_next(&mut record) {
+        if record.dropped_before > 0 {
+            derived.gap_before_step = Some(record.timing.step);
+            break;
+        }
+        let (now_ns, step) = (record.now_ns, record.timing.step as u32);
+        step_again(&mut firmware, &record, &mut sent);
+        if wanted.map
+            && now_ns >= next_map_ns
+            && let Some(pilot) = firmware.mapping()
+            && let Some(corner_ned_m) = pilot.grid().corner_ned_m()
+        {
+            next_map_ns = now_ns + MAP_NS;
+            derived.maps += 1;
+            to.map(
+                now_ns,
+                step,
+                &MapSeen {
+                    corner_ned_m,
+                    cell_m: CELL_M,
+                    cols: SIDE,
+                    scores: pilot.grid().scores(),
+                    score_limit: SCORE_LIMIT,
+                },
+            )?;
+            let down_m = record
+                .report
+                .telemetry
+                .kinematics
+                .map_or(0.0, |kinematics| kinematics.position_ned_m.z);
+            to.way(now_ns, step, pilot.way_ned_m(), down_m)?;
+        }
+        if let (Some((explainer, memory)), Some(frame)) = (&mut explainer, record.frame()) {
+            memory.push(frame);
+            if now_ns >= next_shap_ns
+                && derived.explained < SHAP_LIMIT
+                && let Some(goal) = record.report.goal_relative
+                && let Some(inputs) = memory.inputs(&positional_inputs(goal))
+            {
+                next_shap_ns = now_ns + SHAP_NS;
+                derived.explained += 1;
+                let phi = explainer.newest_frame(&inputs, YAW)?;
+                to.shap(now_ns, step, &squares(&phi))?;
+            }
+        }
+    }
+    to.finish()?;
+    Ok(derived)
+}
+
+/// The explainer of the actor that flew; `None` where none did.
+fn explainer(reader: &Reader) -> Result<Option<(PixelExplainer, Memory)>> {
+    // Understood before: the stack was made of it.
+    let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(anyhow::Error::msg)?;
+    let Some(actor) = config.frozen_actor()? else {
+        return Ok(None);
+    };
+    let memory = Memory::new(actor.inputs.frame_ages);
+    let explainer = PixelExplainer::new(Isa::detect(), &actor).context("the pixels cannot be explained")?;
+    Ok(Some((explainer, memory)))
+}
+
+/// Sums over 4 × 4 pixels, which keep the sum of all: single pixels are too small to see.
+fn squares(phi: &[f32]) -> Vec<f32> {
+    let mut sums = vec![0.0; SHAP_ROWS * SHAP_COLS];
+    for (i, value) in phi.iter().enumerate() {
+        let (row, col) = (i / DEPTH_COLS / 4, i % DEPTH_COLS / 4);
+        sums[row * SHAP_COLS + col] += value;
+    }
+    sums
+}
