@@ -295,7 +295,7 @@ impl FlightStack {
     }
 
     /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked. For
-    /// looking at a flight afterwards ([`crate::replay`]).
+    /// looking at a flight afterwards ([`crate::replay()`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
         match (&self.crew.recovery, &self.crew.pilot) {
             (Some(recovery), _) if !self.recovery_is_new => Some(recovery.mapping()),

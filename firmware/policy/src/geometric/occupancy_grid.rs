@@ -283,7 +283,7 @@ impl OccupancyGrid {
     }
 
     /// Squared clearance in cells at a NED position, as of the last [`OccupancyGrid::measure_clearance`]: between the middles of
-    /// its cell and of the nearest obstacle's, at most [`CLEARANCE_LIMIT_SQUARED`], which is also the answer outside the grid.
+    /// its cell and of the nearest obstacle's, at most 36, which is also the answer outside the grid.
     pub fn clearance_squared_at(&self, north_m: f32, east_m: f32) -> u8 {
         match self.cell_of(north_m, east_m).index() {
             Some(index) => self.clearance_squared(index),
