@@ -467,8 +467,9 @@ impl GeometricPilot {
             .forward_m_s
             .min(self.config.cruise_m_s * alignment.clamp(0.0, 1.0))
             .min(near_goal_m_s);
+        // Backward only out of the way of what moves: the field of a waypoint behind asks for it too.
         let wanted = Action {
-            forward_m_s: wanted_m_s,
+            forward_m_s: wanted_m_s.max(0.0),
             yaw: wanted.yaw,
         };
         let wanted = self.evade(input, here, waypoint, wanted);
