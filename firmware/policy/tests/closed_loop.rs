@@ -32,6 +32,14 @@ fn a_goal_behind_is_turned_to_before_flying() {
 }
 
 #[test]
+fn a_goal_just_behind_is_not_flown_to_backward() {
+    let f = flight(&Scene::default(), 0.0, (-3.0, 0.2), 40.0);
+    assert!(f.reached);
+    // A turn by 150° takes more than three seconds.
+    assert!(f.positions.iter().take(60).all(|p| p.x > -0.2));
+}
+
+#[test]
 fn a_column_dead_ahead_is_passed_on_either_side() {
     arrives(&flight(&Scene::new([column(6.0, 0.0, 0.3)]), 0.0, (20.0, 0.0), 30.0));
 }

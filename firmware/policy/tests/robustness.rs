@@ -15,8 +15,7 @@ fn scene() -> Scene {
 }
 
 fn within_limits(a: Action) -> bool {
-    // Backward only out of the way of something that moves.
-    a.is_finite() && (-0.6 * ACTION_LIMIT..=ACTION_LIMIT).contains(&a.forward_m_s) && a.yaw.abs() <= ACTION_LIMIT
+    a.is_finite() && (0.0..=ACTION_LIMIT).contains(&a.forward_m_s) && a.yaw.abs() <= ACTION_LIMIT
 }
 
 #[test]
