@@ -13,10 +13,10 @@ use vigil_tests::{Running, run, said};
 const OTHER_PICTURES: [(&str, &str); 7] = [
     ("attacked-undefended.gif", "vigil log film"),
     ("attacked-defended.gif", "vigil log film"),
-    ("flight.png", "vigil fly"),
     ("flight-report.png", "a screenshot of the report of vigil log report"),
     ("flight-report-phone.png", "the same on a telephone"),
     ("training-curves.png", "vigil train"),
+    ("view-rerun.png", "a screenshot of vigil view"),
     ("reproduce.png", "a screenshot of the page of vigil reproduce"),
 ];
 
