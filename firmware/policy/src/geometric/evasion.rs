@@ -3,7 +3,7 @@
 //! The dynamic window approach (Fox, Burgard, Thrun 1997) with obstacles that go on as they go (velocity obstacles; Fiorini, Shiller
 //! 1998), and, with less weight, as they would go if they turned back. The wanted action is kept where it meets nothing.
 
-use crate::geometric::governor::{GAIN, Motion, STEP_S};
+use crate::geometric::governor::{Motion, STEP_S, Simulated};
 use crate::geometric::movers::Track;
 use crate::geometric::occupancy_grid::OccupancyGrid;
 use crate::{larger, smaller};
@@ -185,32 +185,24 @@ fn fly_on<'a>(
     guesses: &Guesses,
     memory: &OccupancyGrid,
 ) -> Outcome {
-    let turn_rad = action.yaw * YAW_RATE_PER_UNIT_RAD_S * STEP_S;
-    let (turn_sin, turn_cos) = (libm::sinf(turn_rad), libm::cosf(turn_rad));
-    let (mut nose_n, mut nose_e) = (libm::cosf(motion.yaw_rad), libm::sinf(motion.yaw_rad));
     let start = motion.position_ned_m;
-    let (mut north_m, mut east_m) = (start.x, start.y);
     let velocity = motion.velocity_m_s.to_ned(motion.yaw_rad);
-    let (mut vn, mut ve) = (velocity.x, velocity.y);
-    let keep = memory.clearance_squared_at(north_m, east_m).min(KEEP_SQUARED_CELLS);
+    let mut vehicle = Simulated::new(
+        (start.x, start.y),
+        (libm::cosf(motion.yaw_rad), libm::sinf(motion.yaw_rad)),
+        (velocity.x, velocity.y),
+        action.yaw * YAW_RATE_PER_UNIT_RAD_S,
+    );
+    let keep = memory.clearance_squared_at(start.x, start.y).min(KEEP_SQUARED_CELLS);
     let mut standing_at = None;
     // Of each guess the least squared distance, and the step at which it is met.
     let mut least = [(f32::INFINITY, HORIZON_STEPS); MOST_GUESSES];
     for step in 0..HORIZON_STEPS {
         if step < TURN_STEPS {
-            (nose_n, nose_e) = (
-                nose_n * turn_cos - nose_e * turn_sin,
-                nose_n * turn_sin + nose_e * turn_cos,
-            );
+            vehicle.turn();
         }
-        let (change_n, change_e) = (
-            (action.forward_m_s * nose_n - vn) * GAIN,
-            (action.forward_m_s * nose_e - ve) * GAIN,
-        );
-        north_m += (vn + 0.5 * change_n) * STEP_S;
-        east_m += (ve + 0.5 * change_e) * STEP_S;
-        vn += change_n;
-        ve += change_e;
+        vehicle.advance(action.forward_m_s);
+        let (north_m, east_m) = vehicle.at;
         let after_s = (step + 1) as f32 * STEP_S;
         for (guess, (least, met_at)) in guesses.all().iter().zip(&mut least) {
             let n = guess.north_m + guess.north_m_s * after_s - north_m;
@@ -237,6 +229,7 @@ fn fly_on<'a>(
         };
         risk += guess.weight * (met + near);
     }
+    let ((north_m, east_m), (nose_n, nose_e)) = (vehicle.at, vehicle.nose);
     let mut on_lane = 0.0;
     for mover in movers {
         let off_m = mover.off_lane_m(north_m, east_m, HORIZON_S) - mover.radius_m - VEHICLE_M;

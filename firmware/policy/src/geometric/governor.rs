@@ -26,7 +26,7 @@ pub(super) const STEP_S: f32 = 0.1;
 const STEPS: usize = 18;
 /// Share of the way to its setpoint that the velocity goes in one step: 1 − e^(−0.1 s / 0.7 s). A lag of 0.7 s stops from
 /// 1.5 m/s in 1.05 m; FACTS.md measured 1.07 m.
-pub(super) const GAIN: f32 = 0.133_122;
+const GAIN: f32 = 0.133_122;
 /// Speeds tried, as parts of the wanted one.
 const PARTS: [f32; 7] = [1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1];
 
@@ -41,6 +41,48 @@ pub struct Motion {
     pub velocity_m_s: HeadingVector,
     /// Yaw rate commanded, radians per second clockwise.
     pub yaw_rate_rad_s: f32,
+}
+
+/// The vehicle as it is simulated, in level axes: its velocity lags behind the command along its nose.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Simulated {
+    /// Position, metres.
+    pub at: (f32, f32),
+    /// Unit vector of the nose.
+    pub nose: (f32, f32),
+    velocity: (f32, f32),
+    /// Sine and cosine of the turn in a step.
+    turn: (f32, f32),
+}
+
+impl Simulated {
+    pub(super) fn new(at: (f32, f32), nose: (f32, f32), velocity: (f32, f32), yaw_rate_rad_s: f32) -> Self {
+        let turn_rad = yaw_rate_rad_s * STEP_S;
+        Self {
+            at,
+            nose,
+            velocity,
+            turn: (libm::sinf(turn_rad), libm::cosf(turn_rad)),
+        }
+    }
+
+    /// Turns for a step.
+    #[inline]
+    pub(super) fn turn(&mut self) {
+        let ((x, y), (sin, cos)) = (self.nose, self.turn);
+        self.nose = (x * cos - y * sin, x * sin + y * cos);
+    }
+
+    /// Flies for a step at this commanded speed.
+    #[inline]
+    pub(super) fn advance(&mut self, forward_m_s: f32) {
+        let (vx, vy) = self.velocity;
+        let change_x = (forward_m_s * self.nose.0 - vx) * GAIN;
+        let change_y = (forward_m_s * self.nose.1 - vy) * GAIN;
+        self.at.0 += (vx + 0.5 * change_x) * STEP_S;
+        self.at.1 += (vy + 0.5 * change_y) * STEP_S;
+        self.velocity = (vx + change_x, vy + change_y);
+    }
 }
 
 /// What must stay free around the vehicle's middle on its way.
@@ -105,27 +147,17 @@ pub fn on_collision_course(motion: &Motion, memory: &OccupancyGrid, speed_m_s: f
 
 /// Whether the vehicle stays clear if it is commanded this speed for [`REACTION_S`] and then to stop.
 fn stays_clear(motion: &Motion, scan: &Scan, margins: &Margins, memory: &OccupancyGrid, speed_m_s: f32) -> bool {
-    let turn_rad = motion.yaw_rate_rad_s * STEP_S;
-    let (turn_sin, turn_cos) = (libm::sinf(turn_rad), libm::cosf(turn_rad));
     let (yaw_sin, yaw_cos) = (libm::sinf(motion.yaw_rad), libm::cosf(motion.yaw_rad));
-    let (mut x, mut y) = (0.0_f32, 0.0_f32);
-    let (mut vx, mut vy) = (motion.velocity_m_s.x, motion.velocity_m_s.y);
-    let (mut nose_x, mut nose_y) = (1.0_f32, 0.0_f32);
+    let start = (motion.velocity_m_s.x, motion.velocity_m_s.y);
+    let mut vehicle = Simulated::new((0.0, 0.0), (1.0, 0.0), start, motion.yaw_rate_rad_s);
     for step in 0..STEPS {
-        (nose_x, nose_y) = (
-            nose_x * turn_cos - nose_y * turn_sin,
-            nose_x * turn_sin + nose_y * turn_cos,
-        );
-        let command = if (step as f32) * STEP_S < REACTION_S {
+        vehicle.turn();
+        vehicle.advance(if (step as f32) * STEP_S < REACTION_S {
             speed_m_s
         } else {
             0.0
-        };
-        let (change_x, change_y) = ((command * nose_x - vx) * GAIN, (command * nose_y - vy) * GAIN);
-        x += (vx + 0.5 * change_x) * STEP_S;
-        y += (vy + 0.5 * change_y) * STEP_S;
-        vx += change_x;
-        vy += change_y;
+        });
+        let (x, y) = vehicle.at;
         let mut least = f32::INFINITY;
         for ((px, py), limit) in scan.forward_m.iter().zip(&scan.right_m).zip(&margins.squared_m2) {
             let (dx, dy) = (px - x, py - y);
