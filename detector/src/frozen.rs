@@ -9,7 +9,7 @@ use crate::{DeepShap, ShapError};
 use std::path::Path;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{Isa, Purpose};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil detector 1";
@@ -18,9 +18,12 @@ pub const ARCHITECTURE: &str = "10 rows of 48; LSTM 100 relu; dense 64, 32, 16 r
 /// Value of the entry `normalisation`.
 pub const NORMALISATION: &str =
     "DeepSHAP of the yaw output at the actor's split point; (phi - centre) / scale, clipped to 10";
+/// Value of the entry `normalisation` of a detector of an actor that is told of movers.
+pub const NORMALISATION_WITH_MOVERS: &str = "DeepSHAP of the yaw output at the split point of an actor that is told of movers; \
+    (phi - centre) / scale, clipped to 10";
 
-/// A state of the background sample: the GRU's 48 values and the two positional inputs.
-pub type Background = ([f32; ACTOR_HIDDEN], [f32; ACTOR_POSITIONAL]);
+/// A state of the background sample: the GRU's 48 values and the positional inputs.
+pub type Background = ([f32; ACTOR_HIDDEN], PositionalInputs);
 
 /// A detector with what it needs to explain and judge one actor, and what is known of its origin.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,6 +50,14 @@ pub struct FrozenDetector {
     pub git_commit: Option<String>,
 }
 
+/// The dimensions of the actor that met these states.
+pub fn spec_of(backgrounds: &[Background]) -> ActorSpec {
+    match backgrounds.first() {
+        Some((_, position)) if position.len() == WITH_MOVERS => ActorSpec::FULL_WITH_MOVERS,
+        _ => ActorSpec::FULL,
+    }
+}
+
 /// DeepSHAP of an actor at its split point, against a background sample.
 ///
 /// # Errors
@@ -57,7 +68,7 @@ pub fn split_point_shap(
     actor_params: &[f32],
     backgrounds: &[Background],
 ) -> Result<DeepShap, ShapError> {
-    let views: Vec<[&[f32]; 2]> = backgrounds.iter().map(|(h, p)| [h.as_slice(), p.as_slice()]).collect();
+    let views: Vec<[&[f32]; 2]> = backgrounds.iter().map(|(h, p)| [h.as_slice(), &**p]).collect();
     DeepShap::new(isa, spec.head_graph(Purpose::Multipliers)?, actor_params, &views)
 }
 
@@ -68,14 +79,25 @@ const KIND: Kind = Kind {
         ("architecture", ARCHITECTURE),
         ("normalisation", NORMALISATION),
     ],
-    tensors,
+    tensors: || tensors(GOAL_INPUTS),
+};
+
+/// Of an actor that is told of movers.
+const KIND_WITH_MOVERS: Kind = Kind {
+    identity: [
+        ("format", FORMAT),
+        ("architecture", ARCHITECTURE),
+        ("normalisation", NORMALISATION_WITH_MOVERS),
+    ],
+    tensors: || tensors(WITH_MOVERS),
+    ..KIND
 };
 
 /// Names and shapes of the tensors: any number of background states.
-fn tensors() -> Vec<(String, Vec<usize>)> {
+fn tensors(positional: usize) -> Vec<(String, Vec<usize>)> {
     let own = [
         ("background.state", vec![0, ACTOR_HIDDEN]),
-        ("background.position", vec![0, ACTOR_POSITIONAL]),
+        ("background.position", vec![0, positional]),
         ("centre", vec![ROW]),
         ("scale", vec![ROW]),
     ];
@@ -103,6 +125,19 @@ impl FrozenDetector {
         split_point_shap(isa, spec, actor_params, &self.backgrounds)
     }
 
+    /// The dimensions of the actors that it can judge.
+    pub fn spec(&self) -> ActorSpec {
+        spec_of(&self.backgrounds)
+    }
+
+    fn kind(&self) -> &'static Kind {
+        if self.spec().told_of_movers {
+            &KIND_WITH_MOVERS
+        } else {
+            &KIND
+        }
+    }
+
     fn contents(&self) -> Contents {
         let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
         let entries = [
@@ -112,12 +147,20 @@ impl FrozenDetector {
             ("training_config", self.training_config.clone()),
             ("seed", self.seed.to_string()),
         ];
-        let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit));
+        let mut contents = Contents::new(self.kind(), entries.into_iter().chain(commit));
         let count = self.backgrounds.len();
         let states = self.backgrounds.iter().flat_map(|(state, _)| state).copied();
-        let positions = self.backgrounds.iter().flat_map(|(_, position)| position).copied();
+        let positions = self
+            .backgrounds
+            .iter()
+            .flat_map(|(_, position)| position.iter())
+            .copied();
         contents.push("background.state", &[count, ACTOR_HIDDEN], states.collect());
-        contents.push("background.position", &[count, ACTOR_POSITIONAL], positions.collect());
+        contents.push(
+            "background.position",
+            &[count, self.spec().positional().inputs],
+            positions.collect(),
+        );
         contents.push("centre", &[ROW], self.centre.to_vec());
         contents.push("scale", &[ROW], self.scale.to_vec());
         contents.push_all(&LstmAd::tensors(), &self.params);
@@ -150,7 +193,7 @@ impl FrozenDetector {
     /// [`FileError`]: what a reader would refuse, parameters of another length.
     pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
         self.check("to be written")?;
-        self.contents().to_bytes(&KIND)
+        self.contents().to_bytes(self.kind())
     }
 
     /// Reads and verifies a file's content. `file` names it in errors.
@@ -158,7 +201,14 @@ impl FrozenDetector {
     /// # Errors
     /// [`FileError`]: anything but an unaltered detector of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let read = Verified::from_bytes(&KIND, file, bytes)?;
+        let (read, spec) = match Verified::from_bytes(&KIND, file, bytes) {
+            Err(other @ FileError::Other { .. }) => match Verified::from_bytes(&KIND_WITH_MOVERS, file, bytes) {
+                // Neither is its architecture: the first one's words.
+                Err(FileError::Other { .. }) => return Err(other),
+                told => (told?, ActorSpec::FULL_WITH_MOVERS),
+            },
+            read => (read?, ActorSpec::FULL),
+        };
         let mut detector = Self {
             actor_sha256: read.text("actor_sha256")?,
             backgrounds: Vec::new(),
@@ -175,7 +225,9 @@ impl FrozenDetector {
         // The reader has checked every length but the number of states.
         let mut next = || values.next().unwrap_or_default();
         let (states, positions) = (next(), next());
-        let (states, positions) = (states.as_chunks().0, positions.as_chunks().0);
+        let states = states.as_chunks().0;
+        let positions = positions.chunks_exact(spec.positional().inputs);
+        let positions: Vec<PositionalInputs> = positions.filter_map(PositionalInputs::from_values).collect();
         if states.len() != positions.len() {
             let message = format!(
                 "has {} background states, but positions of {}",
@@ -184,7 +236,7 @@ impl FrozenDetector {
             );
             return Err(KIND.content_error(file, message));
         }
-        detector.backgrounds = states.iter().copied().zip(positions.iter().copied()).collect();
+        detector.backgrounds = states.iter().copied().zip(positions).collect();
         detector.centre.copy_from_slice(&next());
         detector.scale.copy_from_slice(&next());
         detector.params = values.flatten().collect();

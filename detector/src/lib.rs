@@ -27,7 +27,7 @@ mod pca;
 mod shap;
 
 pub use cnn_ad::{cnn_ad, fcn_ad};
-pub use frozen::{Background, FrozenDetector, split_point_shap};
+pub use frozen::{Background, FrozenDetector, spec_of, split_point_shap};
 pub use images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES, images};
 pub use lstm_ad::{LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
 pub use monitor::{Monitor, MonitorError};

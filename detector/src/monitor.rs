@@ -3,7 +3,7 @@
 use crate::lstm_ad::{LstmAd, ROW, WINDOW, normalise};
 use crate::{DeepShap, FrozenDetector, ShapError};
 use vigil_nnet::{Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.
@@ -63,7 +63,7 @@ impl Monitor {
                 found: actor_sha256.to_owned(),
             });
         }
-        let shap = detector.explainer(isa, ActorSpec::FULL, actor_params)?;
+        let shap = detector.explainer(isa, detector.spec(), actor_params)?;
         Ok(Self {
             base: shap.expected().get(YAW).copied().unwrap_or(f32::NAN),
             shap,
@@ -86,10 +86,10 @@ impl Monitor {
         self.threshold = threshold;
     }
 
-    /// Judges a decision by the GRU's state `[48]` and the positional inputs `[2]` it was made from. Unknown until ten decisions in a row
+    /// Judges a decision by the GRU's state `[48]` and the positional inputs it was made from. Unknown until ten decisions in a row
     /// were explained, and whenever an explanation or the score is not finite. No allocation, no panic.
-    pub fn judge(&mut self, state: &[f32; ACTOR_HIDDEN], position: [f32; ACTOR_POSITIONAL]) -> Judgement {
-        let Ok(phi) = self.explain(state, position) else {
+    pub fn judge(&mut self, state: &[f32; ACTOR_HIDDEN], position: impl Into<PositionalInputs>) -> Judgement {
+        let Ok(phi) = self.explain(state, &position.into()) else {
             // A window has no gaps.
             self.reset();
             return Judgement {
@@ -127,12 +127,13 @@ impl Monitor {
     fn explain(
         &mut self,
         state: &[f32; ACTOR_HIDDEN],
-        position: [f32; ACTOR_POSITIONAL],
-    ) -> Result<([f32; ROW], [f32; ACTOR_POSITIONAL]), ShapError> {
-        let mut phi = [0.0; ACTOR_HIDDEN + ACTOR_POSITIONAL];
-        self.shap.evaluate(&[state, &position])?;
-        self.shap.attribute(YAW, &mut phi)?;
-        let (mut of_state, mut of_position) = ([0.0; ROW], [0.0; ACTOR_POSITIONAL]);
+        position: &PositionalInputs,
+    ) -> Result<([f32; ROW], [f32; GOAL_INPUTS]), ShapError> {
+        let mut phi = [0.0; ACTOR_HIDDEN + WITH_MOVERS];
+        self.shap.evaluate(&[state, position])?;
+        let explained = ACTOR_HIDDEN + position.len();
+        self.shap.attribute(YAW, phi.get_mut(..explained).unwrap_or_default())?;
+        let (mut of_state, mut of_position) = ([0.0; ROW], [0.0; GOAL_INPUTS]);
         for (to, from) in of_state.iter_mut().chain(&mut of_position).zip(phi) {
             *to = from;
         }

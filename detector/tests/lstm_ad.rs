@@ -146,7 +146,7 @@ fn frozen() -> FrozenDetector {
     let row = |i: usize| *values[i * ROW..].first_chunk().unwrap();
     FrozenDetector {
         actor_sha256: "ab12".to_owned(),
-        backgrounds: vec![(row(0), [0.5, -0.25]), (row(1), [0.125, 1.0])],
+        backgrounds: vec![(row(0), [0.5, -0.25].into()), (row(1), [0.125, 1.0].into())],
         centre: row(2),
         scale: row(3).map(|x: f32| x.abs() + 0.1),
         threshold: 0.5,

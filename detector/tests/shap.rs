@@ -7,7 +7,7 @@ mod torch;
 use torch::{SPEC, Tensors, actor_params, features, transposed};
 use vigil_detector::{DeepShap, ShapError};
 use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Purpose};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, GOAL_INPUTS};
 
 /// Largest difference allowed to a reference, and of Σφ to f(x) − mean f(b).
 const TOLERANCE: f32 = 1e-5;
@@ -56,7 +56,7 @@ fn the_second_half_is_explained_as_by_shap_and_in_float64() {
                 shap.attribute(output, &mut phi).unwrap();
                 for who in ["shap", "np64"] {
                     let h = column(&t.get(&format!("{who}_h")), i, ACTOR_HIDDEN, output);
-                    let pos = column(&t.get(&format!("{who}_pos")), i, ACTOR_POSITIONAL, output);
+                    let pos = column(&t.get(&format!("{who}_pos")), i, GOAL_INPUTS, output);
                     close(who, &phi, &[h, pos].concat());
                 }
                 additive("second half", &phi, f - shap.expected()[output]);
@@ -218,6 +218,7 @@ fn explaining_only_the_newest_frame_gives_its_pixels_the_same_values() {
         rows: 32,
         cols: 64,
         near_contrast: true,
+        told_of_movers: false,
     };
     let (whole, newest) = (
         spec.graph(Purpose::Multipliers, true).unwrap(),

@@ -7,7 +7,9 @@ use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
 use vigil_policy::imported::POLICY_FORMAT;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenActor, FrozenPolicy, GeometricPilot, LedBy, RecoveryPilot};
+use vigil_policy::{
+    ActorPilot, FlightPilot, FrozenActor, FrozenPolicy, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot,
+};
 use vigil_types::PilotKind;
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
@@ -17,13 +19,15 @@ pub struct Crew {
     /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
     pub monitor: Option<Box<Monitor>>,
     /// Plans in every step, so that it remembers what it saw before an alarm. In a watched crew it takes the actor's place while an
-    /// alarm is raised, and tells the guard what lies ahead; its path leads an actor that is led by one,
+    /// alarm is raised, and tells the guard what lies ahead; its path leads an actor that is led by one and has no [`Self::leader`],
     /// and any actor to a far goal where the line to it leads nowhere.
     pub recovery: Option<Box<RecoveryPilot>>,
     /// Whether anything watches: without it the recovery pilot leads, but neither flies nor warns.
     pub watched: bool,
     /// What leads the actor.
     pub led_by: LedBy,
+    /// Plans the path of an actor that is told of movers: around what stands, through where something moves.
+    pub leader: Option<Box<GeometricPilot>>,
 }
 
 impl Crew {
@@ -35,6 +39,7 @@ impl Crew {
             recovery: None,
             watched: false,
             led_by: LedBy::Goal,
+            leader: None,
         }
     }
 
@@ -68,6 +73,7 @@ impl Crew {
                     recovery: Some(Box::default()),
                     watched: config.is_watched(),
                     led_by: LedBy::Goal,
+                    leader: None,
                 });
             }
             Some(FrozenPilot::Actor(actor)) => actor,
@@ -85,12 +91,14 @@ impl Crew {
             }
         };
         let (watched, led_by) = (config.is_watched(), frozen.inputs.led_by);
+        let leads = led_by == LedBy::Path && frozen.inputs.told_of_movers;
         Ok(Self {
             pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
             monitor,
             recovery: Some(Box::default()),
             watched,
             led_by,
+            leader: leads.then(|| Box::new(GeometricPilot::new(GeometricConfig::default()))),
         })
     }
 }

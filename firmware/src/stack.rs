@@ -16,6 +16,7 @@ use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
+use vigil_policy::actor::PositionalInputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, FrameDefect, FrameKeys, Goal, GoalRelative,
@@ -304,6 +305,12 @@ impl FlightStack {
         }
     }
 
+    /// What the actor decided from beside its frames in the last step in which it did; `None` without an actor. For looking at a flight
+    /// afterwards.
+    pub fn positional_inputs(&self) -> Option<PositionalInputs> {
+        self.crew.pilot.position()
+    }
+
     /// The texts that the last step told people.
     pub fn told(&self) -> &[StatusText] {
         self.companion.told()
@@ -374,6 +381,7 @@ impl FlightStack {
             recovery,
             watched,
             led_by,
+            leader,
         } = &mut self.crew;
         let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
         if before_flight {
@@ -381,6 +389,9 @@ impl FlightStack {
         }
         if let (true, Some(recovery)) = (before_flight && !self.recovery_is_new, &mut *recovery) {
             recovery.reset();
+            if let Some(leader) = leader {
+                leader.reset();
+            }
             self.recovery_is_new = true;
         }
         let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
@@ -421,15 +432,18 @@ impl FlightStack {
             LedBy::Path => towards,
         };
         // Nobody asks for a path to a near goal that nothing watches.
-        let is_asked = *watched || *led_by == LedBy::Path || self.leg.is_far();
+        let is_asked = *watched || (*led_by == LedBy::Path && leader.is_none()) || self.leg.is_far();
         let recovery = recovery.as_deref_mut().filter(|_| is_asked).map(|recovery| {
             self.recovery_is_new = false;
             recovery.observe(&planned, self.along_path);
             &*recovery
         });
-        let path = recovery
-            .filter(|_| led_to == LedTo::Path || *led_by == LedBy::Path)
-            .map(|recovery| recovery.lead(&planned));
+        let path = match leader {
+            Some(leader) => Some(leader.lead(&planned)),
+            None => recovery
+                .filter(|_| led_to == LedTo::Path || *led_by == LedBy::Path)
+                .map(|recovery| recovery.lead(&planned)),
+        };
         let detour = path.filter(|_| led_to == LedTo::Path).map(along_path);
         let led = PilotInput {
             goal: detour.or(path).unwrap_or(towards.goal),

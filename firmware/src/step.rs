@@ -11,6 +11,7 @@ use vigil_log::Recorder;
 use vigil_mavlink::{LinkCounters, Parameters, StatusText};
 use vigil_nnet::network_file::FileError;
 use vigil_policy::GeometricPilot;
+use vigil_policy::actor::PositionalInputs;
 use vigil_types::{Datagrams, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// Why a flight stack cannot be made of a configuration.
@@ -145,6 +146,11 @@ impl Firmware {
     /// The pilot that keeps a map and plans a way ([`FlightStack::mapping`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
         self.stack.mapping()
+    }
+
+    /// What the actor decided from beside its frames ([`FlightStack::positional_inputs`]).
+    pub fn positional_inputs(&self) -> Option<PositionalInputs> {
+        self.stack.positional_inputs()
     }
 
     /// The texts that the last step told people.

@@ -19,7 +19,7 @@ use vigil_mavlink::MavHeader;
 use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_nnet::Purpose;
-use vigil_policy::actor::FRAMES_SPREAD;
+use vigil_policy::actor::{ActorSpec, FRAMES_SPREAD};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_types::{GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
@@ -76,7 +76,33 @@ fn an_actor_led_by_the_path_over_spread_frames_allocates_nothing() {
         inputs: ActorInputs {
             frame_ages: FRAMES_SPREAD,
             led_by: LedBy::Path,
+            told_of_movers: false,
         },
+        ..FrozenActor::built_in().unwrap()
+    };
+    actor.save(&file).unwrap();
+    let mut config = config();
+    config.pilot.kind = PilotKind::Actor;
+    config.pilot.actor_file = Some(file);
+    config.detector.enabled = Some(false);
+    whole_flight(&config);
+}
+
+#[test]
+fn an_actor_that_is_told_of_movers_allocates_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("actor.safetensors");
+    let len = ActorSpec::FULL_WITH_MOVERS
+        .graph(Purpose::Gradients, false)
+        .unwrap()
+        .param_len();
+    let actor = FrozenActor {
+        inputs: ActorInputs {
+            frame_ages: FRAMES_SPREAD,
+            led_by: LedBy::Path,
+            told_of_movers: true,
+        },
+        params: (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 2000.0).collect(),
         ..FrozenActor::built_in().unwrap()
     };
     actor.save(&file).unwrap();

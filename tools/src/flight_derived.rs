@@ -7,7 +7,6 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::replay::{firmware_of, step_again};
 use vigil_log::{DerivedLog, MapSeen, Reader, SHAP_COLS, SHAP_ROWS, TickRecord, merge_derived};
 use vigil_nnet::Isa;
-use vigil_policy::actor::positional_inputs;
 use vigil_policy::geometric::{CELL_M, SCORE_LIMIT, SIDE};
 use vigil_types::{DEPTH_COLS, Datagrams, Nanos};
 
@@ -99,8 +98,8 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
             memory.push(frame);
             if now_ns >= next_shap_ns
                 && derived.explained < SHAP_LIMIT
-                && let Some(goal) = record.report.goal_relative
-                && let Some(inputs) = memory.inputs(&positional_inputs(goal))
+                && let Some(position) = firmware.positional_inputs()
+                && let Some(inputs) = memory.inputs(&position)
             {
                 next_shap_ns = now_ns + SHAP_NS;
                 derived.explained += 1;

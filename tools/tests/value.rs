@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_policy::actor::FRAMES_SPREAD;
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_tools::actor_training::value::{
-    Expert, Leader, Sees, ValueConfig, ValueEnd, ValueOptions, ValueProgress, run_value,
+    Expert, Leader, Sees, Teacher, ValueConfig, ValueEnd, ValueOptions, ValueProgress, run_value,
 };
 use vigil_world::Family;
 
@@ -35,6 +35,8 @@ fn small(sees: Sees) -> ValueConfig {
     let mut config = ValueConfig {
         sees,
         led_by: Leader::Path,
+        told_of_movers: true,
+        teacher: Teacher::Geometric,
         families: vec![Family::Training, Family::Hard],
         decisions: 620,
         warm_up: 120,
@@ -43,6 +45,9 @@ fn small(sees: Sees) -> ValueConfig {
         apf_share: 0.5,
         ..ValueConfig::default()
     };
+    if sees == Sees::Pictures {
+        config.learning.imitation = 0.5;
+    }
     config.learning.batch = 4;
     config.learning.decisions_per_update = if sees == Sees::Truth { 1 } else { 10 };
     config.learning.critic_units = [16, 16];
@@ -142,6 +147,7 @@ fn resumed(config: &ValueConfig, file: &str, stop_at: u64) {
         let inputs = ActorInputs {
             frame_ages: FRAMES_SPREAD,
             led_by: LedBy::Path,
+            told_of_movers: true,
         };
         assert_eq!((one.inputs, two.inputs), (inputs, inputs));
     } else {

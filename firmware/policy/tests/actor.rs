@@ -1,7 +1,7 @@
 //! The frozen actor's file and the pilot made of it.
 
-use vigil_nnet::Isa;
-use vigil_policy::actor::{Actor, ActorSpec, positional_inputs};
+use vigil_nnet::{Isa, Purpose};
+use vigil_policy::actor::{Actor, ActorSpec, PositionalInputs};
 use vigil_policy::{
     ActorInputs, ActorPilot, FlightPilot, FrozenActor, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput,
     RecoveryPilot, apf,
@@ -40,6 +40,7 @@ fn an_actor_survives_its_file() {
         inputs: ActorInputs {
             frame_ages: vigil_policy::actor::FRAMES_SPREAD,
             led_by: LedBy::Path,
+            told_of_movers: false,
         },
         ..actor.clone()
     };
@@ -61,6 +62,44 @@ fn an_actor_survives_its_file() {
     let missing = FrozenActor::load(&folder.join("none.safetensors")).unwrap_err();
     assert!(missing.to_string().contains("none.safetensors"), "{missing}");
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn an_actor_that_is_told_of_movers_is_one_of_another_architecture() {
+    let len = ActorSpec::FULL_WITH_MOVERS
+        .graph(Purpose::Gradients, false)
+        .unwrap()
+        .param_len();
+    let told = FrozenActor {
+        params: (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 2000.0).collect(),
+        inputs: ActorInputs {
+            told_of_movers: true,
+            ..ActorInputs::default()
+        },
+        ..frozen()
+    };
+    let bytes = told.to_bytes().unwrap();
+    assert_eq!(FrozenActor::from_bytes("told", &bytes).unwrap(), told);
+    // Its parameters are not those of an actor that is told of the goal alone, nor the other way round.
+    let goal_alone = FrozenActor {
+        inputs: ActorInputs::default(),
+        ..told.clone()
+    };
+    assert!(goal_alone.to_bytes().is_err());
+    let mut other = bytes;
+    let at = other.windows(5).position(|w| w == b"16-24").unwrap();
+    other[at..at + 5].copy_from_slice(b"16-25");
+    let error = FrozenActor::from_bytes("other.safetensors", &other)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("other.safetensors") && error.contains("16-25"),
+        "{error}"
+    );
+    // It refuses what it was not made for, by name, and does not fly.
+    let goal = PositionalInputs::of_goal(input(&DepthFrame::EMPTY).goal);
+    let mut actor = told.actor(Isa::detect()).unwrap();
+    assert!(actor.decide(&DepthFrame::EMPTY.depth, goal).is_err());
 }
 
 #[test]
@@ -145,7 +184,7 @@ fn the_pilot_flies_what_the_whole_network_says_of_the_last_five_frames() {
     }
     let graph = spec.graph(vigil_nnet::Purpose::Gradients, false).unwrap();
     let mut tape = vec![0.0; graph.tape_len()];
-    let position = positional_inputs(input(&frames[0]).goal);
+    let position = PositionalInputs::of_goal(input(&frames[0]).goal);
     let mut inputs: Vec<&[f32]> = frames[2..].iter().map(|f| f.depth.as_slice()).collect();
     inputs.push(&position);
     graph.forward(isa, &actor.params, &inputs, &mut tape).unwrap();
@@ -240,7 +279,7 @@ fn the_recovery_pilot_leads_along_its_path_and_over_open_ground_to_the_goal() {
     assert!(led.bearing_rad > 0.3, "to the right, around the wall: {led:?}");
     // The actor is told that bearing instead of the goal's.
     pilot.decide(&PilotInput { goal: led, ..ahead });
-    assert_eq!(pilot.position(), positional_inputs(led));
+    assert_eq!(pilot.position(), Some(PositionalInputs::of_goal(led)));
 
     // Another flight: what was seen is forgotten, and an open field leads straight to the goal.
     planner.reset();

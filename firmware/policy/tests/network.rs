@@ -63,6 +63,7 @@ fn small() -> (ActorSpec, Vec<f32>) {
         rows: 32,
         cols: 64,
         near_contrast: true,
+        told_of_movers: false,
     };
     let params = spec.head_graph(Purpose::Gradients).unwrap().param_len();
     (spec, uniform(&mut rng(3), params, 0.2))

@@ -91,7 +91,9 @@ pub fn undecided_detector() -> FrozenDetector {
         .map(|(_, shape)| shape.iter().product::<usize>());
     FrozenDetector {
         actor_sha256: vigil_policy::FrozenActor::built_in().unwrap().sha256(),
-        backgrounds: (0..30).map(|i| ([0.03 * i as f32 - 0.4; 48], [0.5, 0.1])).collect(),
+        backgrounds: (0..30)
+            .map(|i| ([0.03 * i as f32 - 0.4; 48], [0.5, 0.1].into()))
+            .collect(),
         centre: [0.0; 48],
         scale: [1.0; 48],
         threshold: 0.6,

@@ -133,13 +133,13 @@ impl Attack {
     /// ε or iterations out of range, a detector that does not fit.
     pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
         let config = AttackConfig { seed, ..self.config };
-        let mut attack =
-            StreamAttack::new(Isa::detect(), &self.params, &config)?.with_frame_ages(self.inputs.frame_ages);
+        let mut attack = StreamAttack::on(self.inputs.spec(), Isa::detect(), &self.params, &config)?
+            .with_frame_ages(self.inputs.frame_ages);
         if let Some(detector) = &self.evade {
             attack = attack.evading(detector)?;
         }
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
-        Ok(interceptor.led_by(self.inputs.led_by))
+        Ok(interceptor.with_inputs(self.inputs))
     }
 }
 

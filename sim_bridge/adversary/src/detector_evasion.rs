@@ -3,7 +3,7 @@
 use crate::config::AttackError;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
 use vigil_nnet::{Activation, Graph, Isa};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, PositionalInputs, WITH_MOVERS};
 
 /// The actor's output that the detector explains.
 const YAW: usize = 1;
@@ -70,7 +70,7 @@ impl DetectorEvasion {
 
     /// Takes the state that the actor will have in the step under way; returns how far the score's logit is above what the
     /// attacker allows itself, 0 or less while the score is low enough (a window that is not full is not judged).
-    pub fn look(&mut self, state: &[f32], position: &[f32; ACTOR_POSITIONAL]) -> Result<f32, AttackError> {
+    pub fn look(&mut self, state: &[f32], position: &PositionalInputs) -> Result<f32, AttackError> {
         let phi = self.explain(state, position)?;
         if let Some(newest) = self.rows.last_mut() {
             *newest = normalise(&phi, &self.centre, &self.scale);
@@ -84,11 +84,7 @@ impl DetectorEvasion {
     }
 
     /// Gradient of the logit with respect to the state last looked at.
-    pub fn gradient(
-        &mut self,
-        state: &[f32],
-        position: &[f32; ACTOR_POSITIONAL],
-    ) -> Result<[f32; ACTOR_HIDDEN], AttackError> {
+    pub fn gradient(&mut self, state: &[f32], position: &PositionalInputs) -> Result<[f32; ACTOR_HIDDEN], AttackError> {
         self.graph
             .backward(self.isa, &self.packed, &self.tape, &[1.0], None, &mut self.work)?;
         let mut d_phi = [0.0; ROW];
@@ -112,10 +108,10 @@ impl DetectorEvasion {
     }
 
     /// SHAP values of the state, yaw output.
-    fn explain(&mut self, state: &[f32], position: &[f32; ACTOR_POSITIONAL]) -> Result<[f32; ROW], AttackError> {
-        let mut phi = [0.0; ROW + ACTOR_POSITIONAL];
+    fn explain(&mut self, state: &[f32], position: &PositionalInputs) -> Result<[f32; ROW], AttackError> {
+        let mut phi = [0.0; ROW + WITH_MOVERS];
         self.shap.evaluate(&[state, position])?;
-        self.shap.attribute(YAW, &mut phi)?;
+        self.shap.attribute(YAW, &mut phi[..ROW + position.len()])?;
         let mut of_state = [0.0; ROW];
         of_state.copy_from_slice(&phi[..ROW]);
         Ok(of_state)

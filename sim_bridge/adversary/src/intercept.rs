@@ -3,9 +3,9 @@
 use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
 use crate::stream_attack::StreamAttack;
-use vigil_policy::actor::positional_inputs;
-use vigil_policy::{LedBy, PilotInput, RecoveryPilot};
-use vigil_types::{DepthFrame, FrameHeader, GoalRelative, HeadingVector, NedVector, wrap_pi};
+use vigil_policy::actor::{Lead, PositionalInputs};
+use vigil_policy::{ActorInputs, PilotInput};
+use vigil_types::{DepthFrame, FrameHeader, GoalRelative, Nanos, NedVector, wrap_pi};
 
 /// Distance and bearing of a goal from where the frame was taken, by the estimate in its header: what the pilot sees of
 /// it, but for the vehicle's motion since.
@@ -32,8 +32,10 @@ pub struct Interceptor {
     attack: StreamAttack,
     plan: BurstPlan,
     goal_ned_m: NedVector,
-    /// Plans the path that leads the actor, where one does, over the frames as they were taken.
-    planner: Option<Box<RecoveryPilot>>,
+    /// Leads the actor as its file says, over the frames as they were taken.
+    lead: Lead,
+    /// When and where the frame before was taken.
+    before: Option<(Nanos, NedVector)>,
 }
 
 impl Interceptor {
@@ -43,33 +45,36 @@ impl Interceptor {
             attack,
             plan,
             goal_ned_m,
-            planner: None,
+            lead: Lead::new(ActorInputs::default()),
+            before: None,
         }
     }
 
-    /// The same against an actor that is led so. What the frames that it altered did to the actor's grid, the adversary does not
+    /// The same against an actor with these inputs. What the frames that it altered did to the actor's grid, the adversary does not
     /// follow.
     #[must_use]
-    pub fn led_by(mut self, by: LedBy) -> Self {
-        self.planner = (by == LedBy::Path).then(Box::default);
+    pub fn with_inputs(mut self, inputs: ActorInputs) -> Self {
+        self.lead = Lead::new(inputs);
         self
     }
 
-    /// What leads the actor, as seen from the frame as it was taken.
-    fn goal(&mut self, frame: &DepthFrame) -> GoalRelative {
+    /// What the actor decides from beside its frames, as seen from the frame as it was taken.
+    fn position(&mut self, frame: &DepthFrame) -> PositionalInputs {
         let header = &frame.header;
-        let goal = goal_seen_from(header, self.goal_ned_m);
-        let Some(planner) = &mut self.planner else { return goal };
+        let now = (header.stamp_ns, header.position_ned_m);
+        let velocity = match self.before.replace(now) {
+            Some((then_ns, there)) if then_ns < now.0 => (now.1 - there) * (1e9 / (now.0 - then_ns) as f32),
+            _ => NedVector::ZERO,
+        };
         let input = PilotInput {
             now_ns: header.stamp_ns,
             depth: frame,
-            goal,
+            goal: goal_seen_from(header, self.goal_ned_m),
             attitude: header.attitude,
-            velocity_m_s: HeadingVector::ZERO,
+            velocity_m_s: velocity.to_heading(header.attitude.yaw_rad()),
             height_m: -header.position_ned_m.z,
         };
-        planner.observe(&input, true);
-        planner.lead(&input)
+        self.lead.inputs(&input).1
     }
 
     /// Takes the frame of step number `step`, in place.
@@ -90,7 +95,7 @@ impl Interceptor {
         frame: &mut DepthFrame,
         go_on: impl FnMut() -> bool,
     ) -> Result<PassedStep, AttackError> {
-        let position = positional_inputs(self.goal(frame));
+        let position = self.position(frame);
         if !self.plan.attacks(step) {
             self.attack.pass(&mut frame.depth, position)?;
             return Ok(PassedStep::Unaltered);

@@ -6,7 +6,7 @@ use crate::surrogate::{Ends, SurrogateActor};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
 
 /// Target of the yaw output before its saturation, times the direction: 1.5 · tanh(10) is the limit to the last bit.
 const TARGET: f32 = 10.0;
@@ -40,7 +40,7 @@ pub(crate) struct Perturber {
 pub(crate) struct Scene<'a> {
     /// GRU state before the frames, where the surrogate takes one.
     pub older: &'a [f32; ACTOR_HIDDEN],
-    pub position: &'a [f32; ACTOR_POSITIONAL],
+    pub position: &'a PositionalInputs,
     /// −1 aims left, 1 right.
     pub direction: f32,
 }

@@ -4,7 +4,7 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::perturb::{Perturber, Scene, saturate};
 use crate::surrogate::{Ends, SurrogateActor};
 use vigil_nnet::{Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, PositionalInputs};
 
 /// Alters whole states. Not possible in flight, where the older four frames have been delivered ([`crate::StreamAttack`]).
 #[derive(Debug, Clone)]
@@ -61,8 +61,9 @@ impl StateAttack {
     pub fn decide(
         &mut self,
         frames: &[f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
     ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
+        let position = position.into();
         let before = self.look(frames, &position)?;
         Ok(saturate(self.isa, before))
     }
@@ -75,9 +76,10 @@ impl StateAttack {
     pub fn yaw_gradient(
         &mut self,
         frames: &[f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
         gradient: &mut [f32],
     ) -> Result<(), AttackError> {
+        let position = position.into();
         self.check(gradient)?;
         self.look(frames, &position)?;
         let mut yaw: Ends = [0.0; ACTOR_OUTPUTS + ACTOR_HIDDEN];
@@ -93,7 +95,7 @@ impl StateAttack {
     pub fn attack(
         &mut self,
         frames: &mut [f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
     ) -> Result<AttackOutcome, AttackError> {
         self.attack_each(frames, position, |_, _, _| {})
     }
@@ -106,9 +108,10 @@ impl StateAttack {
     pub fn attack_each(
         &mut self,
         frames: &mut [f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
         mut each: impl FnMut(u32, AttackOutcome, &[f32]),
     ) -> Result<AttackOutcome, AttackError> {
+        let position = position.into();
         let before = self.look(frames, &position)?;
         let (isa, clean) = (self.isa, saturate(self.isa, before));
         let scene = Scene {
@@ -134,11 +137,7 @@ impl StateAttack {
         Ok(outcome(last))
     }
 
-    fn look(
-        &mut self,
-        frames: &[f32],
-        position: &[f32; ACTOR_POSITIONAL],
-    ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
+    fn look(&mut self, frames: &[f32], position: &PositionalInputs) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         self.check(frames)?;
         Ok(self.surrogate.look(&NOTHING_OLDER, frames, position)?)
     }

@@ -6,7 +6,7 @@ use crate::perturb::{Perturber, Scene};
 use crate::surrogate::SurrogateActor;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::{Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec, FRAMES_IN_A_ROW};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, FRAMES_IN_A_ROW, PositionalInputs};
 
 /// Alters frames as they pass. It remembers what it delivered, as the actor does, and what it was given, so as to know what the
 /// actor would have decided.
@@ -79,7 +79,8 @@ impl StreamAttack {
     ///
     /// # Errors
     /// A frame of another length; nothing is remembered of it.
-    pub fn pass(&mut self, frame: &mut [f32], position: [f32; ACTOR_POSITIONAL]) -> Result<(), AttackError> {
+    pub fn pass(&mut self, frame: &mut [f32], position: impl Into<PositionalInputs>) -> Result<(), AttackError> {
+        let position = position.into();
         self.check(frame)?;
         self.surrogate.look(&[0.0; ACTOR_HIDDEN], frame, &position)?;
         let features = self.surrogate.features()?;
@@ -101,7 +102,7 @@ impl StreamAttack {
     pub fn attack(
         &mut self,
         frame: &mut [f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
     ) -> Result<AttackOutcome, AttackError> {
         self.attack_while(frame, position, || true)
     }
@@ -113,9 +114,10 @@ impl StreamAttack {
     pub fn attack_while(
         &mut self,
         frame: &mut [f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
         mut go_on: impl FnMut() -> bool,
     ) -> Result<AttackOutcome, AttackError> {
+        let position = position.into();
         self.check(frame)?;
         if !self.delivered.started {
             // The actor takes the first frame of all for the missing older ones. What they will hold cannot be known before it
@@ -157,7 +159,7 @@ impl StreamAttack {
     }
 
     /// The detector explains what the actor decided on.
-    fn explain_delivered(&mut self, position: &[f32; ACTOR_POSITIONAL]) -> Result<(), AttackError> {
+    fn explain_delivered(&mut self, position: &PositionalInputs) -> Result<(), AttackError> {
         if let Some(evasion) = &mut self.evasion {
             let state = self.memory.state(self.isa, &self.params, &self.delivered, position)?;
             evasion.look(&state, position)?;
@@ -263,7 +265,7 @@ impl Memory {
             let mut b = GraphBuilder::new();
             let params = spec.reserve(&mut b);
             let features = Self::features(&mut b, spec, ACTOR_FRAMES)?;
-            let position = b.input(ACTOR_POSITIONAL, false)?;
+            let position = b.input(spec.positional().inputs, false)?;
             let state = spec.recur(&mut b, &params, &features)?;
             let outputs = spec.head(&mut b, &params, state, position)?;
             (b.finish(outputs, Purpose::Gradients)?, state)
@@ -294,7 +296,7 @@ impl Memory {
         isa: Isa,
         params: &[f32],
         trail: &Trail,
-        position: &[f32; ACTOR_POSITIONAL],
+        position: &PositionalInputs,
     ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         let mut inputs: [&[f32]; ACTOR_FRAMES + 1] = [position; ACTOR_FRAMES + 1];
         for (input, features) in inputs.iter_mut().zip(trail.frames()) {
@@ -312,7 +314,7 @@ impl Memory {
         isa: Isa,
         params: &[f32],
         trail: &Trail,
-        position: &[f32; ACTOR_POSITIONAL],
+        position: &PositionalInputs,
     ) -> Result<[f32; ACTOR_HIDDEN], ShapeError> {
         self.decide(isa, params, trail, position)?;
         let mut state = [0.0; ACTOR_HIDDEN];

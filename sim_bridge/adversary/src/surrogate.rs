@@ -1,7 +1,7 @@
 //! The actor as the adversary sees it: differentiable down to the pixels, its outputs before saturation.
 
 use vigil_nnet::{Aligned, Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, PositionalInputs};
 
 /// A weight for each output before saturation, and for each value of the GRU's last state.
 pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];
@@ -51,7 +51,7 @@ impl SurrogateActor {
             features = spec.encode(&mut b, &params, frame)?;
             state = b.gru(features, state, spec.gru(), params.gru)?;
         }
-        let position = b.input(ACTOR_POSITIONAL, false)?;
+        let position = b.input(spec.positional().inputs, false)?;
         let outputs = spec.head_before_saturation(&mut b, &params, state, position)?;
         // The state beside the outputs, so that a gradient can begin at either.
         let outputs = b.concat(&[outputs, state])?;
@@ -84,7 +84,7 @@ impl SurrogateActor {
         &mut self,
         older: &[f32; ACTOR_HIDDEN],
         frames: &[f32],
-        position: &[f32; ACTOR_POSITIONAL],
+        position: &PositionalInputs,
     ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         let mut inputs: [&[f32]; ACTOR_FRAMES + 2] = [&[]; ACTOR_FRAMES + 2];
         let first = usize::from(self.from_state);

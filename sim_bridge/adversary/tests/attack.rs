@@ -15,6 +15,7 @@ const SMALL: ActorSpec = ActorSpec {
     rows: 32,
     cols: 64,
     near_contrast: true,
+    told_of_movers: false,
 };
 
 fn small_params(seed: u64) -> Vec<f32> {
@@ -353,7 +354,7 @@ fn random_detector() -> FrozenDetector {
     let background = |rng: &mut _| {
         let mut state = [0.0; ACTOR_HIDDEN];
         state.copy_from_slice(&uniform(rng, ACTOR_HIDDEN, 0.5));
-        (state, [0.5, 0.1])
+        (state, [0.5, 0.1].into())
     };
     FrozenDetector {
         actor_sha256: String::new(),

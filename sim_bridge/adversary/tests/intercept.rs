@@ -6,7 +6,7 @@ use vigil_adversary::{
 };
 use vigil_nnet::Isa;
 use vigil_policy::actor::{Actor, ActorSpec};
-use vigil_policy::{ActorPilot, FrozenActor, LedBy, Pilot, PilotInput, RecoveryPilot};
+use vigil_policy::{ActorInputs, ActorPilot, FrozenActor, LedBy, Pilot, PilotInput, RecoveryPilot};
 use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector};
 
 fn attacked(plan: BurstPlan, steps: u64) -> Vec<u64> {
@@ -117,7 +117,11 @@ fn the_adversary_knows_where_the_planned_path_leads_the_actor() {
     let attack = StreamAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
     let goal = NedVector::new(9.0, -1.0, -1.5);
     let decided = |by: LedBy| {
-        let mut interceptor = Interceptor::new(attack.clone(), BurstPlan::new(Burst::Continuous, 1), goal).led_by(by);
+        let mut interceptor =
+            Interceptor::new(attack.clone(), BurstPlan::new(Burst::Continuous, 1), goal).with_inputs(ActorInputs {
+                led_by: by,
+                ..ActorInputs::default()
+            });
         let mut pilot = ActorPilot::new(Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap(), false);
         let mut planner = Box::<RecoveryPilot>::default();
         let mut frame = DepthFrame::EMPTY;
@@ -154,7 +158,7 @@ fn the_adversary_knows_where_the_planned_path_leads_the_actor() {
                 "step {sequence}, {by:?}"
             );
         }
-        pilot.position()[1]
+        pilot.position().unwrap()[1]
     };
     let (to_the_goal, along_the_path) = (decided(LedBy::Goal), decided(LedBy::Path));
     assert!(

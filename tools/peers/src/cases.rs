@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::hint::black_box;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Method, StateAttack, Towards};
+use vigil_detector::Background;
 use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
@@ -149,8 +150,8 @@ fn hidden_shap_case(
     states: &[State],
     backgrounds: &[State],
 ) -> Result<()> {
-    let split = |states: &[State]| -> Result<Vec<([f32; ACTOR_HIDDEN], [f32; 2])>> {
-        let each = |s: &State| Ok((decide(isa, frozen, s)?.0, s.position));
+    let split = |states: &[State]| -> Result<Vec<Background>> {
+        let each = |s: &State| Ok((decide(isa, frozen, s)?.0, s.position.into()));
         states.iter().map(each).collect()
     };
     let (points, inputs) = (split(backgrounds)?, split(states)?);

@@ -1,7 +1,7 @@
 //! States to compare on: what the actor sees on development courses.
 
 use anyhow::Result;
-use vigil_policy::actor::{ACTOR_FRAMES, Actor, positional_inputs};
+use vigil_policy::actor::{ACTOR_FRAMES, Actor, goal_inputs};
 use vigil_types::{
     ACTION_LIMIT, Attitude, AttitudeSample, DEPTH_PIXELS, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics,
     NedVector, STEP_NS,
@@ -76,7 +76,7 @@ pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
             attitude,
             rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.0),
         };
-        let position = positional_inputs(goal.relative_to(&kinematics, &sample));
+        let position = goal_inputs(goal.relative_to(&kinematics, &sample));
         seen.push(frame.depth.to_vec());
         if step > 0 && step % EVERY_STEPS == 0 {
             let frames = seen[seen.len() - ACTOR_FRAMES..].concat();

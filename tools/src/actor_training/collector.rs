@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::{Isa, ShapeError};
-use vigil_policy::actor::positional_inputs;
+use vigil_policy::actor::goal_inputs;
 use vigil_policy::{GeometricPilot, Pilot, apf};
 use vigil_types::Action;
 use vigil_vehicle::{ParamsError, Wind};
@@ -237,7 +237,7 @@ impl Collector {
             Some(current) => current,
             None => self.begin(config, lane, policy.actor.is_none())?,
         };
-        let position = positional_inputs(flight.goal());
+        let position = goal_inputs(flight.goal());
         let record = Record {
             newest_frame: c.newest_frame,
             first_frame: c.first_frame,
@@ -322,7 +322,7 @@ impl Collector {
             lane.push(Record {
                 newest_frame: c.newest_frame,
                 first_frame: c.first_frame,
-                position: positional_inputs(flight.goal()),
+                position: goal_inputs(flight.goal()),
                 action: [0.0; 2],
                 teacher_action: None,
                 reward: 0.0,

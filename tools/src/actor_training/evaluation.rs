@@ -1,13 +1,12 @@
 //! Flights that evaluate an actor: the frozen actor's own code, deciding every step, without noise.
 
 use crate::actor_training::flight::Flight;
-use crate::actor_training::lead::Lead;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Isa, ShapeError};
-use vigil_policy::actor::{Actor, ActorSpec, positional_inputs};
-use vigil_policy::{ActorInputs, FlightField, LedBy, PilotInput, RangeScan};
+use vigil_policy::actor::{Actor, Lead};
+use vigil_policy::{ActorInputs, FlightField, PilotInput, RangeScan};
 use vigil_types::{ACTION_LIMIT, Action};
 use vigil_vehicle::{ParamsError, Wind};
 use vigil_world::{Family, Outcome, generate};
@@ -102,22 +101,22 @@ fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) ->
     let mut network = match actor {
         EvaluatedActor::Actor(params, inputs) => {
             let ages = inputs.frame_ages;
-            Some(Actor::with_frame_ages(ActorSpec::FULL, isa, params, ages)?)
+            Some(Actor::with_frame_ages(inputs.spec(), isa, params, ages)?)
         }
         EvaluatedActor::Zero | EvaluatedActor::Random => None,
     };
     let mut lead = match actor {
-        EvaluatedActor::Actor(_, inputs) => Lead::new(inputs.led_by),
-        _ => Lead::new(LedBy::Goal),
+        EvaluatedActor::Actor(_, inputs) => Lead::new(inputs),
+        _ => Lead::new(ActorInputs::default()),
     };
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();
     loop {
-        let goal = lead.goal(&flight.input());
+        let (goal, position) = lead.inputs(&flight.input());
         let mut action = match (&mut network, actor) {
             (Some(actor), _) => {
-                let [forward_m_s, yaw] = actor.decide(&flight.frame().depth, positional_inputs(goal))?;
+                let [forward_m_s, yaw] = actor.decide(&flight.frame().depth, position)?;
                 Action { forward_m_s, yaw }
             }
             (None, EvaluatedActor::Random) => Action {

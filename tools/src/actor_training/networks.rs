@@ -7,7 +7,7 @@ use core::ops::Range;
 use rand::{Rng, RngExt};
 use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Gru, NodeId, Params, Purpose, ShapeError};
 use vigil_policy::actor::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ACTOR_POSITIONAL, ActorParams, ActorSpec,
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ActorParams, ActorSpec, GOAL_INPUTS,
 };
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
 
@@ -16,10 +16,11 @@ pub const SPEC: ActorSpec = ActorSpec {
     rows: DEPTH_ROWS,
     cols: DEPTH_COLS,
     near_contrast: false,
+    told_of_movers: false,
 };
 
 const POSITIONAL: Dense = Dense {
-    inputs: ACTOR_POSITIONAL,
+    inputs: GOAL_INPUTS,
     outputs: 6,
 };
 const ACTOR_DENSE: Dense = Dense {
@@ -93,7 +94,7 @@ impl Networks {
         let mut b = GraphBuilder::new();
         let actor = SPEC.reserve(&mut b);
         let state = b.input(ACTOR_HIDDEN, true)?;
-        let position = b.input(ACTOR_POSITIONAL, false)?;
+        let position = b.input(GOAL_INPUTS, false)?;
         let state = b.activation(state, Activation::TANH)?;
         let position = b.dense(position, POSITIONAL, Activation::TANH, actor.positional)?;
         let joined = b.concat(&[state, position])?;
@@ -104,7 +105,7 @@ impl Networks {
         let gru = SPEC.gru();
         let (mut b, critic) = critic_builder(gru);
         let state = b.input(ACTOR_HIDDEN, true)?;
-        let position = b.input(ACTOR_POSITIONAL, false)?;
+        let position = b.input(GOAL_INPUTS, false)?;
         let action = b.input(ACTOR_OUTPUTS, true)?;
         let state = b.activation(state, Activation::TANH)?;
         let position = b.dense(position, POSITIONAL, Activation::TANH, critic.positional)?;

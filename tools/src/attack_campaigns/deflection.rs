@@ -1,6 +1,6 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
-use super::{Common, write_json};
+use super::{Common, Victim, write_json};
 use crate::cli::output::{Interrupt, say};
 use crate::report::{TextTable, numbers, words};
 use anyhow::Result;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
 use vigil_adversary::{AttackConfig, Method, StateAttack};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_FRAMES, positional_inputs};
+use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
 use vigil_types::{Attitude, DepthFrame, GoalRelative, NedVector, YAW_RATE_PER_UNIT_RAD_S};
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 
@@ -92,7 +92,7 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
         places
             .par_iter()
             .filter(|_| !interrupt.came())
-            .map(|(method, gap_m, bearing_deg)| cell(args, &victim.params, *method, *gap_m, *bearing_deg))
+            .map(|(method, gap_m, bearing_deg)| cell(args, &victim, *method, *gap_m, *bearing_deg))
             .collect::<Result<_>>()
     })?;
     let interrupted = cells.len() < places.len();
@@ -146,18 +146,19 @@ pub fn run(args: &DeflectionArgs) -> Result<ExitCode> {
     Ok(interrupt.exit_code())
 }
 
-fn cell(args: &DeflectionArgs, params: &[f32], method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {
+fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bearing_deg: f32) -> Result<Cell> {
     let config = AttackConfig {
         method,
         epsilon_255: args.epsilon,
         iterations: args.iterations,
         ..AttackConfig::PAPER
     };
-    let mut attack = StateAttack::new(Isa::detect(), params, &config)?;
-    let position = positional_inputs(GoalRelative {
+    let mut attack = StateAttack::on(victim.inputs.spec(), Isa::detect(), &victim.params, &config)?;
+    let goal = GoalRelative {
         distance_m: args.goal_distance,
         bearing_rad: bearing_deg.to_radians(),
-    });
+    };
+    let position = PositionalInputs::at_rest(goal, victim.inputs.told_of_movers);
     let to_deg_s = YAW_RATE_PER_UNIT_RAD_S.to_degrees();
     let (mut clean, mut deflection) = (0.0, 0.0);
     for i in 0..args.states {

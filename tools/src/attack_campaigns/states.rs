@@ -1,13 +1,13 @@
 //! States that an actor meets in flight: five frames and where the goal is.
 
-use crate::actor_training::{Flight, Lead};
+use crate::actor_training::Flight;
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use vigil_nnet::Isa;
 use vigil_policy::ActorInputs;
-use vigil_policy::actor::{Actor, ActorSpec, positional_inputs};
+use vigil_policy::actor::{Actor, Lead, PositionalInputs};
 use vigil_types::Action;
 use vigil_vehicle::Wind;
 use vigil_world::{Family, generate};
@@ -20,7 +20,7 @@ pub struct State {
     /// Five frames, oldest first.
     pub frames: Vec<f32>,
     /// The positional inputs.
-    pub position: [f32; 2],
+    pub position: PositionalInputs,
     /// A seed of its own.
     pub seed: u64,
 }
@@ -34,14 +34,14 @@ pub fn met_in_flight((params, inputs): (&[f32], ActorInputs), seed: u64) -> Resu
     let course = generate(Family::Validation, seed);
     let mut flight = Flight::new(&course, Wind::default(), seed)?;
     let ages = inputs.frame_ages;
-    let mut actor = Actor::with_frame_ages(ActorSpec::FULL, Isa::detect(), params, ages)?;
-    let mut lead = Lead::new(inputs.led_by);
+    let mut actor = Actor::with_frame_ages(inputs.spec(), Isa::detect(), params, ages)?;
+    let mut lead = Lead::new(inputs);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let kept = 1 + ages[0];
     let mut frames = VecDeque::with_capacity(kept);
     let mut states: Vec<State> = Vec::with_capacity(STATES_PER_FLIGHT);
     for step in 0.. {
-        let position = positional_inputs(lead.goal(&flight.input()));
+        let (_, position) = lead.inputs(&flight.input());
         let depth = &flight.frame().depth;
         frames.truncate(kept - 1);
         frames.push_front(depth.to_vec());

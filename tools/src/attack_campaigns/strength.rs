@@ -1,7 +1,7 @@
 //! The paper's figure 11: how many states are deceived, by size and iterations of the attack.
 
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
-use super::{Common, write_json};
+use super::{Common, Victim, write_json};
 use crate::cli::output::{self, Interrupt, Progress, range_grey, say};
 use crate::report::{TextTable, numbers, to_csv, words};
 use crate::statistics::wilson_95;
@@ -77,7 +77,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
             .map(|i| {
                 let mut rows = Vec::new();
                 for state in met_in_flight((&victim.params, victim.inputs), args.seed.wrapping_add(i))? {
-                    rows.push(yaw_changes(&victim.params, &state)?);
+                    rows.push(yaw_changes(&victim, &state)?);
                     bar.inc(1);
                 }
                 Ok(rows)
@@ -122,7 +122,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     let csv = folder.join("figure-11.csv");
     output::write(&csv, to_csv(cells.iter().map(CellLine::from)))?;
     if let Some(state) = met_in_flight((&victim.params, victim.inputs), args.seed)?.first() {
-        picture(&victim.params, state)?.write_png(&folder.join("frames.png"))?;
+        picture(&victim, state)?.write_png(&folder.join("frames.png"))?;
     }
     write_json(
         &folder.join("figure-11.json"),
@@ -149,8 +149,13 @@ fn settings() -> impl Iterator<Item = (Method, f32, u32)> {
 }
 
 /// Change of the yaw output at each of [`settings`].
-fn yaw_changes(params: &[f32], state: &State) -> Result<Vec<f32>> {
-    let mut attack = StateAttack::new(Isa::detect(), params, &AttackConfig::PAPER)?;
+fn yaw_changes(victim: &Victim, state: &State) -> Result<Vec<f32>> {
+    let mut attack = StateAttack::on(
+        victim.inputs.spec(),
+        Isa::detect(),
+        &victim.params,
+        &AttackConfig::PAPER,
+    )?;
     let mut frames = state.frames.clone();
     let mut changes = Vec::new();
     let mut each: Vec<AttackOutcome> = Vec::new();
@@ -231,9 +236,15 @@ impl From<&Cell> for CellLine {
 }
 
 /// Clean above altered, newest frame, and the difference below: near is bright, red is nearer and blue farther.
-fn picture(params: &[f32], state: &State) -> Result<Image> {
+fn picture(victim: &Victim, state: &State) -> Result<Image> {
     let mut frames = state.frames.clone();
-    StateAttack::new(Isa::detect(), params, &AttackConfig::PAPER)?.attack(&mut frames, state.position)?;
+    StateAttack::on(
+        victim.inputs.spec(),
+        Isa::detect(),
+        &victim.params,
+        &AttackConfig::PAPER,
+    )?
+    .attack(&mut frames, state.position)?;
     let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
     let (clean, altered) = (newest(&state.frames), newest(&frames));
     let reach = AttackConfig::PAPER.reach(DEPTH_PIXELS);

@@ -8,7 +8,7 @@ use crate::detector_training::scenario::Scenario;
 use vigil_detector::{DeepShap, FrozenDetector, Monitor};
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_POSITIONAL};
+use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::{DEPTH_PIXELS, DepthFrame, Judgement};
 
 /// A step of the flight, explained at the split point and judged.
@@ -65,7 +65,7 @@ impl Onlooker for Explaining<'_> {
         {
             self.pixels.evaluate(&inputs)?;
             self.pixels.attribute(YAW, &mut self.phi)?;
-            let newest = self.phi.len() - ACTOR_POSITIONAL - DEPTH_PIXELS;
+            let newest = self.phi.len() - step.position.len() - DEPTH_PIXELS;
             self.portrait.frames.push(ExplainedFrame {
                 number,
                 frame: step.frame,

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_detector::{Background, DeepShap, ROW};
 use vigil_nnet::{Graph, Isa, Purpose};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS};
 
 /// Number of the actor's yaw output.
 pub const YAW: usize = 1;
@@ -69,8 +69,9 @@ impl Extractor {
     /// # Errors
     /// Parameters of another architecture, an empty background sample.
     pub fn new(feature: Feature, isa: Isa, params: &[f32], backgrounds: &[Background]) -> Result<Self, DetectError> {
-        let shap = vigil_detector::split_point_shap(isa, ActorSpec::FULL, params, backgrounds)?;
-        let head = ActorSpec::FULL.head_graph(Purpose::Gradients)?;
+        let spec = vigil_detector::spec_of(backgrounds);
+        let shap = vigil_detector::split_point_shap(isa, spec, params, backgrounds)?;
+        let head = spec.head_graph(Purpose::Gradients)?;
         let mut packed = vec![0.0; head.param_len()];
         head.pack(params, &mut packed)?;
         Ok(Self {

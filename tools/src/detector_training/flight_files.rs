@@ -12,7 +12,7 @@ use std::path::Path;
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, PositionalInputs};
 use vigil_world::Family;
 
 /// Flights of one actor.
@@ -132,8 +132,8 @@ const SIZE_LIMIT: u64 = 4 << 30;
 
 /// Value of the metadata entry `format`.
 const FORMAT: &str = "vigil detector data 1";
-/// Numbers kept of a step.
-const WIDTH: usize = ACTOR_HIDDEN + ACTOR_POSITIONAL + ACTOR_OUTPUTS + 1;
+/// Numbers kept of a step beside the positional inputs.
+const BESIDE_POSITION: usize = ACTOR_HIDDEN + ACTOR_OUTPUTS + 1;
 
 /// A flight's entry in the file.
 #[derive(Serialize, Deserialize)]
@@ -152,10 +152,12 @@ impl Flights {
     pub fn save(&self, path: &Path) -> Result<(), DetectError> {
         let steps = || self.records.iter().flat_map(|r| &r.steps);
         let count = steps().count();
-        let mut values = Vec::with_capacity(4 * WIDTH * count);
+        let positional = steps().next().map_or(0, |step| step.position.len());
+        let width = BESIDE_POSITION + positional;
+        let mut values = Vec::with_capacity(4 * width * count);
         let mut frames = Vec::with_capacity(count);
         for step in steps() {
-            let numbers = step.state.iter().chain(&step.position).chain(&step.output);
+            let numbers = step.state.iter().chain(&step.position[..]).chain(&step.output);
             for number in numbers.chain([&step.yaw_change]) {
                 values.extend(number.to_le_bytes());
             }
@@ -182,7 +184,7 @@ impl Flights {
         ]);
         let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
         let tensors = [
-            ("steps", view(Dtype::F32, vec![count, WIDTH], &values)?),
+            ("steps", view(Dtype::F32, vec![count, width], &values)?),
             ("frames", view(Dtype::U8, vec![count], &frames)?),
         ];
         let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
@@ -230,18 +232,21 @@ impl Flights {
             .iter()
             .map(|b| f32::from_le_bytes(*b))
             .collect();
-        if entries.iter().map(|e| e.steps).sum::<usize>() * WIDTH != values.len()
-            || frames.data().len() * WIDTH != values.len()
+        let positional = actor.inputs.spec().positional().inputs;
+        let width = BESIDE_POSITION + positional;
+        if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
+            || frames.data().len() * width != values.len()
         {
             return Err(data("its flights and its steps do not belong together"));
         }
-        let mut steps = values.chunks_exact(WIDTH).zip(frames.data()).map(|(values, frame)| {
+        let mut steps = values.chunks_exact(width).zip(frames.data()).map(|(values, frame)| {
             let (state, rest) = values.split_at(ACTOR_HIDDEN);
-            let (position, rest) = rest.split_at(ACTOR_POSITIONAL);
+            let (position, rest) = rest.split_at(positional);
             let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
             let mut step = Step {
                 state: [0.0; ACTOR_HIDDEN],
-                position: [0.0; ACTOR_POSITIONAL],
+                position: PositionalInputs::from_values(position)
+                    .unwrap_or_else(|| unreachable!("as many as an actor has")),
                 output: [0.0; ACTOR_OUTPUTS],
                 frame: match frame {
                     1 => Frame::Attacked,
@@ -251,7 +256,6 @@ impl Flights {
                 yaw_change: yaw_change[0],
             };
             step.state.copy_from_slice(state);
-            step.position.copy_from_slice(position);
             step.output.copy_from_slice(output);
             step
         });

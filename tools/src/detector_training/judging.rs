@@ -455,7 +455,7 @@ mod tests {
     fn record(frames: &str) -> Record {
         let step = |c| Step {
             state: [0.0; 48],
-            position: [0.0; 2],
+            position: [0.0; 2].into(),
             output: [0.0; 2],
             frame: match c {
                 'a' | 'w' => Frame::Attacked,

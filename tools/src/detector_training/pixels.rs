@@ -16,7 +16,7 @@ use vigil_adversary::{AttackConfig, Towards};
 use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_POSITIONAL, ActorSpec};
+use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
 use vigil_types::{DEPTH_PIXELS, DepthFrame};
 use vigil_world::Family;
 
@@ -78,13 +78,13 @@ impl Memory {
     }
 
     /// The five frames of a decision, oldest first, then the positional values; `None` before there are as many as it looks back over.
-    pub(crate) fn inputs<'a>(&'a self, position: &'a [f32; ACTOR_POSITIONAL]) -> Option<Vec<&'a [f32]>> {
+    pub(crate) fn inputs<'a>(&'a self, position: &'a PositionalInputs) -> Option<Vec<&'a [f32]>> {
         let frames = self
             .ages
             .iter()
             .filter_map(|age| self.frames.get(*age))
             .map(Vec::as_slice);
-        (self.frames.len() == self.span()).then(|| frames.chain([position.as_slice()]).collect())
+        (self.frames.len() == self.span()).then(|| frames.chain([&**position]).collect())
     }
 }
 
@@ -128,7 +128,7 @@ pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<D
     inputs.shuffle(&mut ChaCha8Rng::seed_from_u64(BACKGROUND_SEED));
     inputs.truncate(count);
     let backgrounds: Vec<Vec<&[f32]>> = inputs.iter().map(|i| i.iter().map(Vec::as_slice).collect()).collect();
-    let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true)?;
+    let graph = actor.inputs.spec().graph(Purpose::Multipliers, true)?;
     Ok(DeepShap::new(isa, graph, &actor.params, &backgrounds)?)
 }
 
@@ -157,7 +157,8 @@ impl PixelExplainer {
     pub fn newest_frame(&mut self, inputs: &[&[f32]], output: usize) -> Result<Vec<f32>, DetectError> {
         self.shap.evaluate(inputs)?;
         self.shap.attribute(output, &mut self.phi)?;
-        let newest = self.phi.len() - ACTOR_POSITIONAL - DEPTH_PIXELS;
+        let positional = inputs.last().map_or(0, |values| values.len());
+        let newest = self.phi.len() - positional - DEPTH_PIXELS;
         Ok(self.phi[newest..newest + DEPTH_PIXELS].to_vec())
     }
 }
@@ -202,7 +203,7 @@ impl Onlooker for Explaining<'_> {
         };
         self.shap.evaluate(&inputs)?;
         self.shap.attribute_on_threads(YAW, SHAP_THREADS, &mut self.phi)?;
-        let pixels = &self.phi[..self.phi.len() - ACTOR_POSITIONAL];
+        let pixels = &self.phi[..self.phi.len() - step.position.len()];
         let images = images(pixels).unwrap_or_else(|| unreachable!("{} finite pixels", pixels.len()));
         self.since[class] = 0;
         self.taken[class] += 1;

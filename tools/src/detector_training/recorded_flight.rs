@@ -1,14 +1,12 @@
 //! A flight flown and written down.
 
-use crate::actor_training::{Flight, Lead};
+use crate::actor_training::Flight;
 use crate::detector_training::error::DetectError;
 use crate::detector_training::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{Method, StreamAttack};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ACTOR_POSITIONAL, Actor, ActorSpec, positional_inputs,
-};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, Lead, PositionalInputs};
 use vigil_policy::{FlightField, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
@@ -30,7 +28,7 @@ pub struct Step {
     /// GRU state: the split point.
     pub state: [f32; ACTOR_HIDDEN],
     /// Positional inputs.
-    pub position: [f32; ACTOR_POSITIONAL],
+    pub position: PositionalInputs,
     /// The actor's outputs, without field.
     pub output: [f32; ACTOR_OUTPUTS],
     /// Whether the frame was altered.
@@ -107,13 +105,13 @@ pub fn fly(
         ..usual
     };
     let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
-    let mut actor = Actor::with_frame_ages(ActorSpec::FULL, isa, params, inputs.frame_ages)?;
+    let mut actor = frozen.actor(isa)?;
     // What leads the actor sees what was delivered; the adversary sees what was taken.
-    let (mut lead, mut seen_through) = (Lead::new(inputs.led_by), Lead::new(inputs.led_by));
+    let (mut lead, mut seen_through) = (Lead::new(inputs), Lead::new(inputs));
     let mut attack = match &scenario.adversary {
         Some(adversary) => Some((
             adversary,
-            StreamAttack::new(isa, params, &adversary.config)?.with_frame_ages(inputs.frame_ages),
+            StreamAttack::on(inputs.spec(), isa, params, &adversary.config)?.with_frame_ages(inputs.frame_ages),
         )),
         None => None,
     };
@@ -135,7 +133,7 @@ pub fn fly(
         (*delivered).clone_from(flight.frame());
         let (mut frame, mut yaw_change) = (Frame::Unaltered, 0.0);
         if let Some((adversary, attack)) = &mut attack {
-            let position = positional_inputs(seen_through.goal(&flight.input()));
+            let (_, position) = seen_through.inputs(&flight.input());
             if adversary.attacks(number) {
                 yaw_change = attack.attack(&mut delivered.depth, position)?.yaw_change();
                 frame = match adversary.config.method {
@@ -151,8 +149,7 @@ pub fn fly(
             depth: &delivered,
             ..flight.input()
         };
-        let goal = lead.goal(&input);
-        let position = positional_inputs(goal);
+        let (goal, position) = lead.inputs(&input);
         let output = actor.decide(&delivered.depth, position)?;
         let [forward_m_s, yaw] = output;
         let own = Action { forward_m_s, yaw };

@@ -12,7 +12,7 @@ use std::time::Instant;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, images, normalise};
 use vigil_nnet::{Activation, Graph, Isa};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_POSITIONAL, Actor, ActorSpec};
+use vigil_policy::actor::{Actor, WITH_MOVERS};
 use vigil_types::DepthFrame;
 use vigil_world::Family;
 
@@ -89,10 +89,11 @@ impl Onlooker for Timing {
         timed(&mut times.action_s, || {
             self.actor.decide(&delivered.depth[..], step.position)
         })?;
-        let mut phi = [0.0; ROW + ACTOR_POSITIONAL];
+        let mut phi = [0.0; ROW + WITH_MOVERS];
+        let phi = &mut phi[..ROW + step.position.len()];
         timed(&mut times.explanation_s, || {
             self.shap.evaluate(&[&step.state, &step.position])?;
-            self.shap.attribute(YAW, &mut phi)
+            self.shap.attribute(YAW, phi)
         })?;
         self.rows.rotate_left(1);
         self.rows[WINDOW - 1].copy_from_slice(&phi[..ROW]);
@@ -106,7 +107,7 @@ impl Onlooker for Timing {
                 self.pixels.evaluate(&inputs)?;
                 self.pixels.attribute(YAW, &mut self.phi)
             })?;
-            let pixels = &self.phi[..self.phi.len() - ACTOR_POSITIONAL];
+            let pixels = &self.phi[..self.phi.len() - step.position.len()];
             let bytes = images(pixels).unwrap_or_else(|| unreachable!("{} finite pixels", pixels.len()));
             let values: Vec<f32> = bytes.iter().map(|byte| f32::from(*byte) / 255.0).collect();
             timed(&mut times.cnn_s, || self.cnn.judge(self.isa, &[&values]))?;
@@ -130,8 +131,8 @@ pub fn time(
     let pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut timing = Timing {
         isa,
-        actor: Actor::with_frame_ages(ActorSpec::FULL, isa, &actor.params, actor.inputs.frame_ages)?,
-        shap: detector.explainer(isa, ActorSpec::FULL, &actor.params)?,
+        actor: actor.actor(isa)?,
+        shap: detector.explainer(isa, actor.inputs.spec(), &actor.params)?,
         detector: detector.clone(),
         lstm: LstmAd::new(isa, &detector.params)?,
         rows: [[0.0; ROW]; WINDOW],

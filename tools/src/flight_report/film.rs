@@ -9,7 +9,7 @@ use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use vigil_log::{Reader, TickRecord};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_FRAMES, positional_inputs};
+use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// Steps before and after the moment of interest that are shown one by one.
@@ -139,7 +139,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
             (&mut explainer, step.report.goal_relative, explained.contains(&number))
             && memory.len() == ACTOR_FRAMES
         {
-            let position = positional_inputs(goal);
+            let position = PositionalInputs::of_goal(goal);
             let mut inputs: Vec<&[f32]> = memory.iter().map(Vec::as_slice).collect();
             inputs.push(&position);
             match explainer.newest_frame(&inputs, YAW) {

@@ -6,15 +6,15 @@
 
 extern crate std;
 
-use crate::actor::{ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, ActorInputs, ActorSpec, FRAMES_IN_A_ROW, LedBy};
+use crate::actor::{ACTOR_HIDDEN, Actor, ActorInputs, ActorSpec, FRAMES_IN_A_ROW, LedBy};
 use std::borrow::ToOwned;
 use std::format;
 use std::path::Path;
 use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
+use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
-use vigil_nnet::{GraphBuilder, Isa};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -24,6 +24,13 @@ pub const ARCHITECTURE: &str = "5 frames of 128 x 256; conv 5x5/2 16, 4 x conv 3
 /// Value of the entry `normalisation`.
 pub const NORMALISATION: &str =
     "depth 0..1 of 100 m, contrast 1 / (1 + range / 3 m) inside; distance / 20 m; bearing / 1 rad";
+
+/// Value of the entry `architecture` of an actor that is told of movers.
+pub const ARCHITECTURE_WITH_MOVERS: &str = "5 frames of 128 x 256; conv 5x5/2 16, 4 x conv 3x3/2 32, ELU; GRU 48; tanh, position \
+    and movers 16-24 tanh; dense 32 ELU; dense 2; 1.5 tanh";
+/// Value of the entry `normalisation` of an actor that is told of movers.
+pub const NORMALISATION_WITH_MOVERS: &str = "depth 0..1 of 100 m, contrast 1 / (1 + range / 3 m) inside; distance / 20 m; \
+    bearing / 1 rad; own velocity / 1.5 m/s; 2 movers of contrast, direction times contrast, velocity / 1 m/s, seen";
 
 /// Value of the entry `led_by`.
 const PATH: &str = "path";
@@ -46,9 +53,7 @@ pub struct FrozenActor {
 }
 
 /// Names and shapes of the tensors, in the order of the parameters.
-fn tensors() -> Vec<(String, Vec<usize>)> {
-    let spec = ActorSpec::FULL;
-    let layout = spec.reserve(&mut GraphBuilder::new());
+fn tensors(spec: ActorSpec) -> Vec<(String, Vec<usize>)> {
     let mut tensors = Vec::new();
     for (i, c) in spec.convolutions().iter().enumerate() {
         let name = format!("convolution_{}", i + 1);
@@ -63,18 +68,13 @@ fn tensors() -> Vec<(String, Vec<usize>)> {
     tensors.push(("gru.recurrent_weight".to_owned(), vec![ACTOR_HIDDEN, gates]));
     tensors.push(("gru.input_bias".to_owned(), vec![gates]));
     tensors.push(("gru.recurrent_bias".to_owned(), vec![gates]));
-    // A dense layer holds inputs × outputs weights and outputs biases.
-    let positional = layout.positional.len / (ACTOR_POSITIONAL + 1);
-    let joined = ACTOR_HIDDEN + positional;
-    let hidden = layout.dense.len / (joined + 1);
-    let outputs = layout.output.len / (hidden + 1);
-    for (name, inputs, outputs) in [
-        ("positional", ACTOR_POSITIONAL, positional),
-        ("dense", joined, hidden),
-        ("output", hidden, outputs),
+    for (name, layer) in [
+        ("positional", spec.positional()),
+        ("dense", spec.dense()),
+        ("output", spec.output()),
     ] {
-        tensors.push((format!("{name}.weight"), vec![inputs, outputs]));
-        tensors.push((format!("{name}.bias"), vec![outputs]));
+        tensors.push((format!("{name}.weight"), vec![layer.inputs, layer.outputs]));
+        tensors.push((format!("{name}.bias"), vec![layer.outputs]));
     }
     tensors
 }
@@ -86,7 +86,17 @@ const KIND: Kind = Kind {
         ("architecture", ARCHITECTURE),
         ("normalisation", NORMALISATION),
     ],
-    tensors,
+    tensors: || tensors(ActorSpec::FULL),
+};
+
+const KIND_WITH_MOVERS: Kind = Kind {
+    identity: [
+        ("format", FORMAT),
+        ("architecture", ARCHITECTURE_WITH_MOVERS),
+        ("normalisation", NORMALISATION_WITH_MOVERS),
+    ],
+    tensors: || tensors(ActorSpec::FULL_WITH_MOVERS),
+    ..KIND
 };
 
 /// The actor that comes with this program.
@@ -101,9 +111,17 @@ impl FrozenActor {
         Self::from_bytes("built into this program", BUILT_IN)
     }
 
+    fn kind(&self) -> &'static Kind {
+        if self.inputs.told_of_movers {
+            &KIND_WITH_MOVERS
+        } else {
+            &KIND
+        }
+    }
+
     fn contents(&self) -> Contents {
         let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
-        let ActorInputs { frame_ages, led_by } = self.inputs;
+        let ActorInputs { frame_ages, led_by, .. } = self.inputs;
         let ages =
             (frame_ages != FRAMES_IN_A_ROW).then(|| ("frame_ages", frame_ages.map(|age| age.to_string()).join(" ")));
         let led_by = (led_by == LedBy::Path).then(|| ("led_by", PATH.to_owned()));
@@ -112,8 +130,8 @@ impl FrozenActor {
             ("seed", self.seed.to_string()),
             ("updates", self.updates.to_string()),
         ];
-        let mut contents = Contents::new(&KIND, entries.into_iter().chain(ages).chain(led_by).chain(commit));
-        contents.push_all(&tensors(), &self.params);
+        let mut contents = Contents::new(self.kind(), entries.into_iter().chain(ages).chain(led_by).chain(commit));
+        contents.push_all(&tensors(self.inputs.spec()), &self.params);
         contents
     }
 
@@ -122,8 +140,8 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
-        Actor::with_frame_ages(ActorSpec::FULL, isa, &self.params, self.inputs.frame_ages)
-            .map_err(|e| KIND.content_error("in memory", e.to_string()))
+        Actor::with_frame_ages(self.inputs.spec(), isa, &self.params, self.inputs.frame_ages)
+            .map_err(|e| self.kind().content_error("in memory", e.to_string()))
     }
 
     /// The digest of the actor and its metadata.
@@ -136,7 +154,7 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length, or not finite.
     pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
-        self.contents().to_bytes(&KIND)
+        self.contents().to_bytes(self.kind())
     }
 
     /// Reads and verifies a file's content. `file` names it in errors.
@@ -144,7 +162,14 @@ impl FrozenActor {
     /// # Errors
     /// [`FileError`]: anything but an unaltered actor of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let read = Verified::from_bytes(&KIND, file, bytes)?;
+        let (read, told_of_movers) = match Verified::from_bytes(&KIND, file, bytes) {
+            Err(other @ FileError::Other { .. }) => match Verified::from_bytes(&KIND_WITH_MOVERS, file, bytes) {
+                // Neither is its architecture: the first one's words.
+                Err(FileError::Other { .. }) => return Err(other),
+                told => (told?, true),
+            },
+            read => (read?, false),
+        };
         let frame_ages = match read.optional("frame_ages") {
             None => FRAMES_IN_A_ROW,
             Some(text) => {
@@ -162,7 +187,11 @@ impl FrozenActor {
             }
         };
         Ok(Self {
-            inputs: ActorInputs { frame_ages, led_by },
+            inputs: ActorInputs {
+                frame_ages,
+                led_by,
+                told_of_movers,
+            },
             training_config: read.text("training_config")?,
             seed: read.number("seed")?,
             updates: read.number("updates")?,

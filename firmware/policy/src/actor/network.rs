@@ -1,4 +1,4 @@
-//! The actor's network: five depth frames and two positional values in, two outputs in ±1.5.
+//! The actor's network: five depth frames and positional values in, two outputs in ±1.5.
 //!
 //! Encoder per frame: convolution 5×5 of 16 filters, then four of 3×3 and 32 filters, all with stride 2 and ELU; GRU of
 //! 48 over the five frames' features; then, behind the split point of the paper, `tanh` of the state beside a positional
@@ -6,6 +6,7 @@
 
 extern crate alloc;
 
+use crate::actor::positional::{GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
 use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::shape::{expect, part, part_mut};
@@ -17,8 +18,6 @@ use vigil_nnet::{
 pub const ACTOR_FRAMES: usize = 5;
 /// Length of the split point (docs/paper.md, "Actor").
 pub const ACTOR_HIDDEN: usize = vigil_types::EXPLAINED_STATE;
-/// Positional inputs: distance and bearing of the goal, as normalised by whoever trained the actor.
-pub const ACTOR_POSITIONAL: usize = 2;
 /// Outputs: x-velocity and yaw in ±[`ACTOR_LIMIT`].
 pub const ACTOR_OUTPUTS: usize = 2;
 /// How many decisions ago each of the five frames was taken, oldest first: five in a row.
@@ -33,6 +32,8 @@ pub const ACTOR_LIMIT: f32 = vigil_types::ACTION_LIMIT;
 /// Kernel, filters of each convolution; all have stride 2 and half the kernel as padding.
 const ENCODER: [(usize, usize); 5] = [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)];
 const POSITIONAL_UNITS: usize = 6;
+/// Units of the positional branch of an actor that is told of movers.
+const POSITIONAL_UNITS_WITH_MOVERS: usize = 24;
 const DENSE_UNITS: usize = 32;
 
 /// The actor's dimensions.
@@ -44,6 +45,8 @@ pub struct ActorSpec {
     pub cols: usize,
     /// Whether the first layer turns normalised range into `1 / (1 + range / 3 m)` ([`Activation::NEAR_CONTRAST`]).
     pub near_contrast: bool,
+    /// Whether it is told, beside the goal, what moves near it ([`PositionalInputs`]).
+    pub told_of_movers: bool,
 }
 
 /// Where the actor's layers keep their parameters; all graphs of one actor share one parameter slice.
@@ -53,9 +56,9 @@ pub struct ActorParams {
     pub convolutions: [Params; 5],
     /// The GRU.
     pub gru: Params,
-    /// The positional branch, 2 → 6.
+    /// The positional branch.
     pub positional: Params,
-    /// 54 → 32.
+    /// State and positional branch to 32.
     pub dense: Params,
     /// 32 → 2.
     pub output: Params,
@@ -67,6 +70,13 @@ impl ActorSpec {
         rows: 128,
         cols: 256,
         near_contrast: true,
+        told_of_movers: false,
+    };
+
+    /// The same, told of movers.
+    pub const FULL_WITH_MOVERS: Self = Self {
+        told_of_movers: true,
+        ..Self::FULL
     };
 
     /// The five convolutions.
@@ -106,14 +116,40 @@ impl ActorSpec {
         }
     }
 
+    /// The positional branch.
+    pub fn positional(&self) -> Dense {
+        let (inputs, outputs) = if self.told_of_movers {
+            (WITH_MOVERS, POSITIONAL_UNITS_WITH_MOVERS)
+        } else {
+            (GOAL_INPUTS, POSITIONAL_UNITS)
+        };
+        Dense { inputs, outputs }
+    }
+
+    /// The layer behind the split point, of the state beside the positional branch.
+    pub fn dense(&self) -> Dense {
+        Dense {
+            inputs: ACTOR_HIDDEN + self.positional().outputs,
+            outputs: DENSE_UNITS,
+        }
+    }
+
+    /// The last layer.
+    pub fn output(&self) -> Dense {
+        Dense {
+            inputs: DENSE_UNITS,
+            outputs: ACTOR_OUTPUTS,
+        }
+    }
+
     /// Reserves the parameters, in the order of the fields of [`ActorParams`].
     pub fn reserve(&self, builder: &mut GraphBuilder) -> ActorParams {
         ActorParams {
             convolutions: self.convolutions().map(|layer| builder.params(layer.param_len())),
             gru: builder.params(self.gru().param_len()),
-            positional: builder.params(POSITIONAL.param_len()),
-            dense: builder.params(DENSE.param_len()),
-            output: builder.params(OUTPUT.param_len()),
+            positional: builder.params(self.positional().param_len()),
+            dense: builder.params(self.dense().param_len()),
+            output: builder.params(self.output().param_len()),
         }
     }
 
@@ -197,10 +233,10 @@ impl ActorSpec {
         last: Activation,
     ) -> Result<NodeId, ShapeError> {
         let state = builder.activation(state, Activation::TANH)?;
-        let position = builder.dense(position, POSITIONAL, Activation::TANH, params.positional)?;
+        let position = builder.dense(position, self.positional(), Activation::TANH, params.positional)?;
         let joined = builder.concat(&[state, position])?;
-        let hidden = builder.dense(joined, DENSE, Activation::Elu, params.dense)?;
-        builder.dense(hidden, OUTPUT, last, params.output)
+        let hidden = builder.dense(joined, self.dense(), Activation::Elu, params.dense)?;
+        builder.dense(hidden, self.output(), last, params.output)
     }
 
     /// The whole actor: inputs are the frames, oldest first, then the positional values.
@@ -215,7 +251,7 @@ impl ActorSpec {
             let frame = b.input(self.frame_len(), explained)?;
             features.push(self.encode(&mut b, &params, frame)?);
         }
-        let position = b.input(ACTOR_POSITIONAL, explained)?;
+        let position = b.input(self.positional().inputs, explained)?;
         let state = self.recur(&mut b, &params, &features)?;
         let output = self.head(&mut b, &params, state, position)?;
         b.finish(output, purpose)
@@ -235,7 +271,7 @@ impl ActorSpec {
         }
         let frame = b.input(self.frame_len(), true)?;
         features.push(self.encode(&mut b, &params, frame)?);
-        let position = b.input(ACTOR_POSITIONAL, true)?;
+        let position = b.input(self.positional().inputs, true)?;
         let state = self.recur(&mut b, &params, &features)?;
         let output = self.head(&mut b, &params, state, position)?;
         b.finish(output, purpose)
@@ -261,24 +297,11 @@ impl ActorSpec {
         let mut b = GraphBuilder::new();
         let params = self.reserve(&mut b);
         let state = b.input(ACTOR_HIDDEN, true)?;
-        let position = b.input(ACTOR_POSITIONAL, true)?;
+        let position = b.input(self.positional().inputs, true)?;
         let output = self.head(&mut b, &params, state, position)?;
         b.finish(output, purpose)
     }
 }
-
-const POSITIONAL: Dense = Dense {
-    inputs: ACTOR_POSITIONAL,
-    outputs: POSITIONAL_UNITS,
-};
-const DENSE: Dense = Dense {
-    inputs: ACTOR_HIDDEN + POSITIONAL_UNITS,
-    outputs: DENSE_UNITS,
-};
-const OUTPUT: Dense = Dense {
-    inputs: DENSE_UNITS,
-    outputs: ACTOR_OUTPUTS,
-};
 
 /// A frozen actor in flight: encodes only the new frame and remembers what the four older ones gave the GRU.
 #[derive(Debug, Clone)]
@@ -369,11 +392,11 @@ impl Actor {
     /// ones as well.
     ///
     /// # Errors
-    /// A frame of another size; nothing is remembered of it.
+    /// A frame of another size: nothing is remembered of it. Positional inputs that are not this actor's.
     pub fn decide(
         &mut self,
         frame: &[f32],
-        position: [f32; ACTOR_POSITIONAL],
+        position: impl Into<PositionalInputs>,
     ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         let gru = self.spec.gru();
         let len = gru.projection_len();
@@ -413,8 +436,12 @@ impl Actor {
                 &mut self.state,
             )?;
         }
-        self.head
-            .forward(self.isa, &self.params, &[&self.state, &position], &mut self.head_tape)?;
+        self.head.forward(
+            self.isa,
+            &self.params,
+            &[&self.state, &position.into()],
+            &mut self.head_tape,
+        )?;
         let mut action = [0.0; ACTOR_OUTPUTS];
         action.copy_from_slice(self.head.output(&self.head_tape)?);
         Ok(action)

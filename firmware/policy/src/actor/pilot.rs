@@ -1,27 +1,11 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
 
-use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL, Actor, FRAMES_IN_A_ROW};
+use crate::actor::positional::{PositionalInputs, PositionalSense};
+use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, Actor, ActorSpec, FRAMES_IN_A_ROW};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
-use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput, smaller};
-use vigil_types::{Action, GoalRelative};
-
-/// Distance that the actor's first positional input counts as 1, metres.
-pub const DISTANCE_SCALE_M: f32 = 20.0;
-/// A goal farther away looks to the actor as if it were this far: its courses' goals are 20.6 m away, and nothing beyond was
-/// ever shown to it, metres.
-pub const FARTHEST_KNOWN_M: f32 = 21.0;
-/// Bearing that its second positional input counts as 1, radians.
-pub const BEARING_SCALE_RAD: f32 = 1.0;
-
-/// The actor's positional inputs: distance, at most [`FARTHEST_KNOWN_M`], in units of [`DISTANCE_SCALE_M`], bearing in units of
-/// [`BEARING_SCALE_RAD`].
-pub fn positional_inputs(goal: GoalRelative) -> [f32; ACTOR_POSITIONAL] {
-    [
-        smaller(goal.distance_m, FARTHEST_KNOWN_M) / DISTANCE_SCALE_M,
-        goal.bearing_rad / BEARING_SCALE_RAD,
-    ]
-}
+use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput};
+use vigil_types::Action;
 
 /// What an actor's second positional input is the bearing of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -41,6 +25,19 @@ pub struct ActorInputs {
     pub frame_ages: [usize; ACTOR_FRAMES],
     /// What its second positional input is the bearing of.
     pub led_by: LedBy,
+    /// Whether it is told what moves near it ([`PositionalInputs`]).
+    pub told_of_movers: bool,
+}
+
+impl ActorInputs {
+    /// The network that decides from them.
+    pub fn spec(&self) -> ActorSpec {
+        if self.told_of_movers {
+            ActorSpec::FULL_WITH_MOVERS
+        } else {
+            ActorSpec::FULL
+        }
+    }
 }
 
 impl Default for ActorInputs {
@@ -48,6 +45,7 @@ impl Default for ActorInputs {
         Self {
             frame_ages: FRAMES_IN_A_ROW,
             led_by: LedBy::Goal,
+            told_of_movers: false,
         }
     }
 }
@@ -60,22 +58,24 @@ pub struct ActorPilot {
     actor: Actor,
     surroundings: RangeScan,
     field: Option<FlightField>,
-    position: [f32; ACTOR_POSITIONAL],
+    sense: PositionalSense,
+    position: Option<PositionalInputs>,
 }
 
 impl ActorPilot {
     /// A pilot that has seen nothing. `field` adds the potential field to the actor's action.
     pub fn new(actor: Actor, field: bool) -> Self {
         Self {
+            sense: PositionalSense::new(actor.spec().told_of_movers),
             actor,
             surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
-            position: [0.0; ACTOR_POSITIONAL],
+            position: None,
         }
     }
 
-    /// The positional inputs of the last decision.
-    pub fn position(&self) -> [f32; ACTOR_POSITIONAL] {
+    /// The positional inputs of the last decision; `None` before the first.
+    pub fn position(&self) -> Option<PositionalInputs> {
         self.position
     }
 
@@ -93,8 +93,9 @@ impl ActorPilot {
 impl Pilot for ActorPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let scan = self.surroundings.observe(input);
-        self.position = positional_inputs(input.goal);
-        let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, self.position) else {
+        let position = self.sense.inputs(input, scan, input.goal);
+        self.position = Some(position);
+        let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, position) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action {
                 forward_m_s: f32::NAN,
@@ -110,6 +111,7 @@ impl Pilot for ActorPilot {
 
     fn reset(&mut self) {
         self.actor.reset();
+        self.sense.reset();
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }
@@ -139,11 +141,11 @@ impl FlightPilot {
         }
     }
 
-    /// The actor's positional inputs of the last decision; `None` without an actor.
-    pub fn position(&self) -> Option<[f32; ACTOR_POSITIONAL]> {
+    /// The actor's positional inputs of the last decision; `None` without an actor, and before its first.
+    pub fn position(&self) -> Option<PositionalInputs> {
         match self {
             Self::Geometric(_) | Self::Imported(_) => None,
-            Self::Actor(pilot) => Some(pilot.position()),
+            Self::Actor(pilot) => pilot.position(),
         }
     }
 

@@ -11,6 +11,7 @@ pub mod range_scan;
 mod recovery;
 
 pub use occupancy_grid::{CELL_M, HIT, OccupancyGrid, SCORE_LIMIT, SIDE};
+pub(crate) use pilot::position_ned_m;
 pub use pilot::{GeometricConfig, GeometricPilot};
 pub use range_scan::{RangeScan, Scan};
 pub use recovery::RecoveryPilot;

@@ -130,6 +130,11 @@ impl Track {
         libm::hypotf(self.north_m_s, self.east_m_s)
     }
 
+    /// Seconds since it was last seen.
+    pub fn unseen_s(&self) -> f32 {
+        self.unseen_s
+    }
+
     /// Whether it was seen lately enough to be where it is said to be.
     pub fn is_located(&self) -> bool {
         !self.lost && self.unseen_s < GOES_ON_S

@@ -149,6 +149,8 @@ pub struct GeometricPilot {
     last_sequence: Option<u64>,
     /// Where the vehicle last got to, and when.
     progress: Option<(NedVector, Nanos)>,
+    /// The farthest point of the way that can be flown to in a straight line, since [`Self::lead`].
+    waypoint: Option<NedVector>,
 }
 
 impl GeometricPilot {
@@ -186,7 +188,20 @@ impl GeometricPilot {
             last_position_ned_m: None,
             last_sequence: None,
             progress: None,
+            waypoint: None,
         }
+    }
+
+    /// Looks and plans on as it would to fly, and says where an actor is led: bearing of the planned path, distance of the goal; without a
+    /// path the goal as it is. To be asked once in every step.
+    pub fn lead(&mut self, input: &PilotInput<'_>) -> GoalRelative {
+        self.waypoint = self.plan(input);
+        led_to(input, self.waypoint)
+    }
+
+    /// What it would do itself along that path. After [`Self::lead`], with the same input.
+    pub fn along_lead(&self, input: &PilotInput<'_>) -> Action {
+        self.steer(input, self.waypoint)
     }
 
     /// What it remembers of obstacles.
@@ -316,7 +331,7 @@ impl GeometricPilot {
 }
 
 /// Where the vehicle is now: where it was at capture, and how far it has come since.
-fn position_ned_m(input: &PilotInput<'_>) -> NedVector {
+pub(crate) fn position_ned_m(input: &PilotInput<'_>) -> NedVector {
     input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input)
 }
 
@@ -513,6 +528,7 @@ impl Pilot for GeometricPilot {
         self.grid.clear();
         self.planner.clear();
         self.movers.clear();
+        self.waypoint = None;
         self.last_position_ned_m = None;
         self.last_sequence = None;
         self.progress = None;

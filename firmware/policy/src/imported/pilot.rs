@@ -3,7 +3,7 @@
 extern crate alloc;
 
 use super::network::{Network, NetworkError};
-use crate::actor::positional_inputs;
+use crate::actor::PositionalInputs;
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
 use crate::{Pilot, PilotInput};
@@ -50,7 +50,7 @@ pub struct PolicyInputs {
     pub scale: f32,
     /// Place of the frame among the network's inputs, 0 or 1.
     pub frame_input: usize,
-    /// The other input gets distance and bearing of the goal, as our actor does ([`positional_inputs`]).
+    /// The other input gets distance and bearing of the goal, as our actor does ([`PositionalInputs`]).
     pub has_position: bool,
     /// The two outputs are multiplied by it: 1.5 for a policy with outputs in ±1.
     pub output_scale: f32,
@@ -187,7 +187,7 @@ impl ImportedPilot {
 impl Pilot for ImportedPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         self.see(&input.depth.depth);
-        let own = self.evaluate(&positional_inputs(input.goal)).unwrap_or(Action {
+        let own = self.evaluate(&PositionalInputs::of_goal(input.goal)).unwrap_or(Action {
             forward_m_s: f32::NAN,
             yaw: f32::NAN,
         });

@@ -10,6 +10,7 @@ pub const SPEC: ActorSpec = ActorSpec {
     rows: 128,
     cols: 256,
     near_contrast: false,
+    told_of_movers: false,
 };
 
 /// One file of reference tensors.

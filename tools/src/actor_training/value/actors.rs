@@ -4,9 +4,9 @@ use super::mlp::{Mlp, MlpTape};
 use super::value_buffer::{StateView, double};
 use super::value_config::ValueConfig;
 use crate::actor_training::networks::{Networks, SPEC};
-use rand::Rng;
+use rand::{Rng, RngExt};
 use vigil_nnet::{Activation, Aligned, Dense, Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_POSITIONAL};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec, WITH_MOVERS};
 use vigil_sim::environment::true_state::{TRUE_STATE, mirror};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
@@ -15,24 +15,9 @@ pub const LAST_LAYER_LIMIT: f32 = 3e-3;
 const FULL_RATE_INPUTS: f32 = 64.0;
 
 const GATES: usize = 3 * ACTOR_HIDDEN;
-const POSITIONAL_UNITS: usize = 6;
-const JOINED: usize = ACTOR_HIDDEN + POSITIONAL_UNITS;
-const DENSE_UNITS: usize = 32;
 const RECURRENT: Dense = Dense {
     inputs: ACTOR_HIDDEN,
     outputs: GATES,
-};
-const POSITIONAL: Dense = Dense {
-    inputs: ACTOR_POSITIONAL,
-    outputs: POSITIONAL_UNITS,
-};
-const DENSE: Dense = Dense {
-    inputs: JOINED,
-    outputs: DENSE_UNITS,
-};
-const OUTPUT: Dense = Dense {
-    inputs: DENSE_UNITS,
-    outputs: 2,
 };
 
 /// A row of a batch: a state, seen in a mirror or not.
@@ -67,7 +52,9 @@ impl ActorNetwork {
                     mlp,
                 }))
             }
-            super::value_config::Sees::Pictures => Self::Pictures(Box::new(PicturesActor::new(rows))),
+            super::value_config::Sees::Pictures => {
+                Self::Pictures(Box::new(PicturesActor::new(config.inputs().spec(), rows)))
+            }
         }
     }
 
@@ -86,10 +73,15 @@ impl ActorNetwork {
     pub fn initial(&self, rng: &mut impl Rng) -> Result<Vec<f32>, ShapeError> {
         match self {
             Self::Truth(actor) => Ok(actor.mlp.initial(rng, LAST_LAYER_LIMIT)),
-            Self::Pictures(_) => {
+            Self::Pictures(pictures) => {
                 let networks = Networks::new()?;
                 let (actor, _) = networks.initial(rng);
-                Ok(actor[networks.encoder_len()..].to_vec())
+                let behind = &actor[networks.encoder_len()..];
+                Ok(if pictures.spec.told_of_movers {
+                    told_of_movers(behind, rng)
+                } else {
+                    behind.to_vec()
+                })
             }
         }
     }
@@ -149,7 +141,8 @@ impl ActorNetwork {
     /// Appends the 48 values of each row of the last forward pass; nothing where the actor sees the true state.
     pub fn states(&self, to: &mut Vec<f32>) {
         if let Self::Pictures(actor) = self {
-            for joined in actor.joined[..actor.rows * JOINED].chunks_exact(JOINED) {
+            let joined = actor.spec.dense().inputs;
+            for joined in actor.joined[..actor.rows * joined].chunks_exact(joined) {
                 to.extend_from_slice(&joined[..ACTOR_HIDDEN]);
             }
         }
@@ -164,9 +157,38 @@ pub fn push_truth(x: &mut Vec<f32>, truth: &[f32], mirrored: bool) {
     }
 }
 
+/// The parameters behind the encoder of an actor that is told of the goal alone, as those of one that is told of movers as well: it decides
+/// as before, and can learn what to make of them.
+pub fn told_of_movers(behind: &[f32], rng: &mut impl Rng) -> Vec<f32> {
+    let (from, to) = (At::new(ActorSpec::FULL), At::new(ActorSpec::FULL_WITH_MOVERS));
+    let (old, new) = (ActorSpec::FULL.positional(), ActorSpec::FULL_WITH_MOVERS.positional());
+    let mut widened = vec![0.0; to.len];
+    widened[..to.positional].copy_from_slice(&behind[..from.positional]);
+    let limit = (3.0 / WITH_MOVERS as f32).sqrt();
+    let weights = widened[to.positional..to.dense].chunks_exact_mut(new.outputs);
+    for (input, weights) in weights.enumerate() {
+        let (kept, fresh) = weights.split_at_mut(old.outputs);
+        if input < old.inputs {
+            kept.copy_from_slice(&behind[from.positional + input * old.outputs..][..old.outputs]);
+        } else if input == new.inputs {
+            // Behind the weights follow the biases.
+            kept.copy_from_slice(&behind[from.dense - old.outputs..from.dense]);
+            continue;
+        }
+        fresh.fill_with(|| rng.random_range(-limit..limit));
+    }
+    let dense = ActorSpec::FULL.dense();
+    let weights = dense.weight_len();
+    widened[to.dense..][..weights].copy_from_slice(&behind[from.dense..][..weights]);
+    widened[to.output - dense.outputs..to.output].copy_from_slice(&behind[from.output - dense.outputs..from.output]);
+    widened[to.output..].copy_from_slice(&behind[from.output..]);
+    widened
+}
+
 /// GRU and head of the actor that flies, over whole batches. Parameters in the order of [`vigil_policy::actor::ActorParams`], without the
 /// convolutions.
 pub struct PicturesActor {
+    spec: ActorSpec,
     len: usize,
     rows: usize,
     input: Dense,
@@ -209,13 +231,13 @@ struct At {
 }
 
 impl At {
-    fn new(features: usize) -> Self {
-        let recurrent = features * GATES;
+    fn new(spec: ActorSpec) -> Self {
+        let recurrent = spec.features() * GATES;
         let input_bias = recurrent + ACTOR_HIDDEN * GATES;
         let recurrent_bias = input_bias + GATES;
         let positional = recurrent_bias + GATES;
-        let dense = positional + POSITIONAL.param_len();
-        let output = dense + DENSE.param_len();
+        let dense = positional + spec.positional().param_len();
+        let output = dense + spec.dense().param_len();
         Self {
             recurrent,
             input_bias,
@@ -223,22 +245,22 @@ impl At {
             positional,
             dense,
             output,
-            len: output + OUTPUT.param_len(),
+            len: output + spec.output().param_len(),
         }
     }
 }
 
 impl PicturesActor {
     /// Buffers for up to so many rows.
-    pub fn new(rows: usize) -> Self {
-        let features = SPEC.features();
+    pub fn new(spec: ActorSpec, rows: usize) -> Self {
+        let features = spec.features();
         let input = Dense {
             inputs: features,
             outputs: GATES,
         };
         let frames = ACTOR_FRAMES * rows;
         Self {
-            len: At::new(features).len,
+            len: At::new(spec).len,
             rows: 0,
             projection: Aligned::zeros(input.param_len()),
             recurrent: Aligned::zeros(RECURRENT.param_len()),
@@ -248,12 +270,12 @@ impl PicturesActor {
             from_state: Aligned::zeros(frames * GATES),
             gates: Aligned::zeros(frames * GATES),
             states: Aligned::zeros((ACTOR_FRAMES + 1) * rows * ACTOR_HIDDEN),
-            position: vec![0.0; rows * ACTOR_POSITIONAL],
-            joined: vec![0.0; rows * JOINED],
-            hidden: vec![0.0; rows * DENSE_UNITS],
-            head_packed: vec![0.0; DENSE.param_len() + OUTPUT.param_len()],
-            d_hidden: vec![0.0; rows * DENSE_UNITS],
-            d_joined: vec![0.0; rows * JOINED],
+            position: vec![0.0; rows * spec.positional().inputs],
+            joined: vec![0.0; rows * spec.dense().inputs],
+            hidden: vec![0.0; rows * spec.dense().outputs],
+            head_packed: vec![0.0; spec.dense().param_len() + spec.output().param_len()],
+            d_hidden: vec![0.0; rows * spec.dense().outputs],
+            d_joined: vec![0.0; rows * spec.dense().inputs],
             d_state: vec![0.0; rows * ACTOR_HIDDEN],
             d_before: vec![0.0; rows * ACTOR_HIDDEN],
             d_projections: Aligned::zeros(frames * GATES),
@@ -261,12 +283,14 @@ impl PicturesActor {
             d_projection: Aligned::zeros(input.param_len()),
             d_recurrent: Aligned::zeros(RECURRENT.param_len()),
             input,
+            spec,
         }
     }
 
     fn forward(&mut self, isa: Isa, params: &[f32], batch: &[Row<'_>], out: &mut [f32]) -> Result<(), ShapeError> {
         let (features, rows) = (self.input.inputs, batch.len());
-        let at = At::new(features);
+        let at = At::new(self.spec);
+        let (positional, dense, output) = (self.spec.positional(), self.spec.dense(), self.spec.output());
         self.rows = rows;
         self.projection[..at.recurrent].copy_from_slice(&params[..at.recurrent]);
         self.projection[at.recurrent..].copy_from_slice(&params[at.input_bias..at.recurrent_bias]);
@@ -279,7 +303,7 @@ impl PicturesActor {
                     *to = double(*kept);
                 }
             }
-            self.position[row * ACTOR_POSITIONAL..][..ACTOR_POSITIONAL].copy_from_slice(&state.position);
+            self.position[row * positional.inputs..][..positional.inputs].copy_from_slice(&state.position);
         }
         let frames = ACTOR_FRAMES * rows;
         let projections = &mut self.projections[..frames * GATES];
@@ -324,25 +348,25 @@ impl PicturesActor {
             }
         }
         let state = &self.states[ACTOR_FRAMES * width..];
-        let mut beside = [0.0; POSITIONAL_UNITS];
-        for (row, joined) in self.joined[..rows * JOINED].chunks_exact_mut(JOINED).enumerate() {
+        for (row, joined) in self.joined[..rows * dense.inputs]
+            .chunks_exact_mut(dense.inputs)
+            .enumerate()
+        {
             joined[..ACTOR_HIDDEN].copy_from_slice(&state[row * ACTOR_HIDDEN..][..ACTOR_HIDDEN]);
             Activation::TANH.apply_in_place(isa, &mut joined[..ACTOR_HIDDEN]);
-            let position = &self.position[row * ACTOR_POSITIONAL..][..ACTOR_POSITIONAL];
-            POSITIONAL.forward(
+            positional.forward(
                 isa,
                 &params[at.positional..at.dense],
                 Activation::TANH,
-                position,
+                &self.position[row * positional.inputs..][..positional.inputs],
                 None,
-                &mut beside,
+                &mut joined[ACTOR_HIDDEN..],
             )?;
-            joined[ACTOR_HIDDEN..].copy_from_slice(&beside);
         }
-        let hidden = &mut self.hidden[..rows * DENSE_UNITS];
-        let joined = &self.joined[..rows * JOINED];
-        DENSE.forward(isa, &params[at.dense..at.output], Activation::Elu, joined, None, hidden)?;
-        OUTPUT.forward(isa, &params[at.output..at.len], Activation::Identity, hidden, None, out)
+        let hidden = &mut self.hidden[..rows * dense.outputs];
+        let joined = &self.joined[..rows * dense.inputs];
+        dense.forward(isa, &params[at.dense..at.output], Activation::Elu, joined, None, hidden)?;
+        output.forward(isa, &params[at.output..at.len], Activation::Identity, hidden, None, out)
     }
 
     fn backward(
@@ -354,21 +378,23 @@ impl PicturesActor {
         d_params: &mut [f32],
     ) -> Result<(), ShapeError> {
         let (features, rows) = (self.input.inputs, self.rows);
-        let at = At::new(features);
-        let (dense_packed, output_packed) = self.head_packed.split_at_mut(DENSE.param_len());
-        DENSE.pack(&params[at.dense..at.output], dense_packed)?;
-        OUTPUT.pack(&params[at.output..at.len], output_packed)?;
-        let hidden = &self.hidden[..rows * DENSE_UNITS];
-        OUTPUT.weight_gradient(isa, hidden, d, &mut d_params[at.output..at.len])?;
-        let d_hidden = &mut self.d_hidden[..rows * DENSE_UNITS];
-        OUTPUT.input_gradient(isa, output_packed, d, d_hidden)?;
+        let at = At::new(self.spec);
+        let (positional, dense, output) = (self.spec.positional(), self.spec.dense(), self.spec.output());
+        let (dense_packed, output_packed) = self.head_packed.split_at_mut(dense.param_len());
+        dense.pack(&params[at.dense..at.output], dense_packed)?;
+        output.pack(&params[at.output..at.len], output_packed)?;
+        let hidden = &self.hidden[..rows * dense.outputs];
+        output.weight_gradient(isa, hidden, d, &mut d_params[at.output..at.len])?;
+        let d_hidden = &mut self.d_hidden[..rows * dense.outputs];
+        output.input_gradient(isa, output_packed, d, d_hidden)?;
         Activation::Elu.gradient(isa, hidden, d_hidden)?;
-        let (joined, d_joined) = (&self.joined[..rows * JOINED], &mut self.d_joined[..rows * JOINED]);
-        DENSE.weight_gradient(isa, joined, d_hidden, &mut d_params[at.dense..at.output])?;
-        DENSE.input_gradient(isa, dense_packed, d_hidden, d_joined)?;
+        let width = rows * dense.inputs;
+        let (joined, d_joined) = (&self.joined[..width], &mut self.d_joined[..width]);
+        dense.weight_gradient(isa, joined, d_hidden, &mut d_params[at.dense..at.output])?;
+        dense.input_gradient(isa, dense_packed, d_hidden, d_joined)?;
         if let Some(d_state) = d_state {
             for (d_joined, d_state) in d_joined
-                .chunks_exact_mut(JOINED)
+                .chunks_exact_mut(dense.inputs)
                 .zip(d_state.chunks_exact(ACTOR_HIDDEN))
             {
                 for (to, d) in d_joined.iter_mut().zip(d_state) {
@@ -377,11 +403,11 @@ impl PicturesActor {
             }
         }
         Activation::TANH.gradient(isa, joined, d_joined)?;
-        for (row, d_joined) in d_joined.chunks_exact(JOINED).enumerate() {
+        for (row, d_joined) in d_joined.chunks_exact(dense.inputs).enumerate() {
             self.d_state[row * ACTOR_HIDDEN..][..ACTOR_HIDDEN].copy_from_slice(&d_joined[..ACTOR_HIDDEN]);
-            let position = &self.position[row * ACTOR_POSITIONAL..][..ACTOR_POSITIONAL];
+            let position = &self.position[row * positional.inputs..][..positional.inputs];
             let d_positional = &mut d_params[at.positional..at.dense];
-            POSITIONAL.weight_gradient(isa, position, &d_joined[ACTOR_HIDDEN..], d_positional)?;
+            positional.weight_gradient(isa, position, &d_joined[ACTOR_HIDDEN..], d_positional)?;
         }
         RECURRENT.pack(&self.recurrent, &mut self.recurrent_packed)?;
         self.d_recurrent.fill(0.0);
@@ -440,6 +466,50 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use vigil_nnet::{GraphBuilder, Purpose};
+    use vigil_policy::actor::PositionalInputs;
+    use vigil_types::GoalRelative;
+
+    /// An actor that was told of the goal alone decides as before once it is told of movers, whatever it is told, and learns from it.
+    #[test]
+    fn an_actor_that_is_told_more_decides_as_before() {
+        let isa = Isa::detect();
+        let mut rng = ChaCha8Rng::seed_from_u64(8);
+        let networks = Networks::new().unwrap();
+        let (actor, _) = networks.initial(&mut rng);
+        let behind = &actor[networks.encoder_len()..];
+        let told = told_of_movers(behind, &mut rng);
+        let kept: Vec<u16> = (0..SPEC.features())
+            .map(|_| halve(rng.random_range(-1.0..1.0)))
+            .collect();
+        let values: Vec<f32> = (0..WITH_MOVERS).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let state = |position: &[f32]| StateView {
+            truth: &[],
+            features: [kept.as_slice(); ACTOR_FRAMES],
+            position: PositionalInputs::from_values(position).unwrap(),
+            teacher: None,
+        };
+        let (mut before, mut after) = ([0.0; 2], [0.0; 2]);
+        let mut small = PicturesActor::new(ActorSpec::FULL, 1);
+        small
+            .forward(isa, behind, &[(state(&values[..2]), false)], &mut before)
+            .unwrap();
+        let mut large = PicturesActor::new(ActorSpec::FULL_WITH_MOVERS, 1);
+        large
+            .forward(isa, &told, &[(state(&values), false)], &mut after)
+            .unwrap();
+        for (a, b) in before.iter().zip(after) {
+            assert!((a - b).abs() < 1e-6, "{before:?}, {after:?}");
+        }
+        let mut d = vec![0.0; told.len()];
+        large.backward(isa, &told, &[1.0, 1.0], None, &mut d).unwrap();
+        let spec = ActorSpec::FULL_WITH_MOVERS;
+        let new_units = At::new(spec).dense + (ACTOR_HIDDEN + 6) * spec.dense().outputs;
+        assert!(
+            d[new_units..new_units + 18 * spec.dense().outputs]
+                .iter()
+                .any(|d| d.abs() > 1e-4)
+        );
+    }
 
     /// The batch's values and gradient are those of the flying actor's own graph, row by row.
     #[test]
@@ -460,11 +530,15 @@ mod tests {
             .map(|row| StateView {
                 truth: &[],
                 features: core::array::from_fn(|i| kept[5 * row + i].as_slice()),
-                position: [0.4 + row as f32, -0.3],
+                position: PositionalInputs::of_goal(GoalRelative {
+                    distance_m: 8.0 + 4.0 * row as f32,
+                    bearing_rad: -0.3,
+                }),
+                teacher: None,
             })
             .collect();
         let d = [0.7, -0.4, 0.2, 1.1];
-        let mut batch = PicturesActor::new(3);
+        let mut batch = PicturesActor::new(SPEC, 3);
         let rows: Vec<Row<'_>> = states.iter().map(|s| (*s, false)).collect();
         let mut out = [0.0; 4];
         batch.forward(isa, behind, &rows, &mut out).unwrap();

@@ -1,10 +1,9 @@
 //! Environments of a run by value: training flights whose true state, and whose pictures if the actor sees them, are kept.
 
 use super::value_buffer::{Moment, StateView, ValueLane, halve};
-use super::value_config::{Along, Sees, ValueConfig};
+use super::value_config::{Along, Sees, Teacher, ValueConfig};
 use crate::actor_training::collector::{CollectError, FIRST_TRAINING_SEED, FlightReport};
 use crate::actor_training::flight::Flight;
-use crate::actor_training::lead::Lead;
 use crate::actor_training::networks::squash;
 use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay_buffer::Next;
@@ -15,8 +14,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
-use vigil_policy::actor::{ActorSpec, positional_inputs};
-use vigil_policy::{LedBy, NearestObstacle, apf};
+use vigil_policy::actor::{ActorSpec, Lead, PositionalInputs};
+use vigil_policy::{ActorInputs, NearestObstacle, apf};
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
 use vigil_types::{Action, GoalRelative, wrap_pi};
 use vigil_vehicle::{ParamsError, Wind};
@@ -77,6 +76,10 @@ pub struct TrueFlight {
     lead: Lead,
     /// Where it leads now.
     led: GoalRelative,
+    /// What the actor decides from beside its frames.
+    position: PositionalInputs,
+    /// Whether the pilot that plans the path teaches.
+    taught: bool,
     goal: vigil_types::NedVector,
     along: Along,
     to_go_m: f32,
@@ -93,14 +96,16 @@ impl TrueFlight {
         let mut course: Course = generate(family, seed);
         course.time_limit_s = time_limit_s;
         let simulated = Flight::new(&course, Wind::default(), seed)?;
-        let by = match config.sees {
-            Sees::Truth => LedBy::Goal,
-            Sees::Pictures => config.led_by.into(),
+        let inputs = match config.sees {
+            Sees::Truth => ActorInputs::default(),
+            Sees::Pictures => config.inputs(),
         };
         let mut flight = Self {
-            lead: Lead::new(by),
+            lead: Lead::new(inputs),
             led: simulated.goal(),
+            position: PositionalInputs::of_goal(simulated.goal()),
             flight: simulated,
+            taught: config.teacher == Teacher::Geometric,
             goal: course.goal_ned_m(),
             course: TrueCourse::new(&course),
             along,
@@ -114,12 +119,12 @@ impl TrueFlight {
 
     /// Plans on, by the newest frame.
     fn plan(&mut self) {
-        self.led = self.lead.goal(&self.flight.input());
+        (self.led, self.position) = self.lead.inputs(&self.flight.input());
     }
 
     /// Takes a frame where the vehicle is now, if none was taken to plan by.
     pub fn look(&mut self) {
-        if matches!(self.lead, Lead::Goal) {
+        if !self.lead.looks() {
             self.flight.look();
         }
     }
@@ -127,6 +132,17 @@ impl TrueFlight {
     /// Where the actor is led: the goal, or the planned path.
     pub fn led(&self) -> GoalRelative {
         self.led
+    }
+
+    /// What the actor decides from beside its frames.
+    pub fn position(&self) -> PositionalInputs {
+        self.position
+    }
+
+    /// What the teacher would do here, if there is one.
+    fn teacher(&self) -> Option<[f32; 2]> {
+        let action = self.taught.then(|| self.lead.teacher(&self.flight.input()))??;
+        Some([action.forward_m_s, action.yaw])
     }
 
     fn measure_m(&self) -> f32 {
@@ -156,9 +172,10 @@ impl TrueFlight {
     pub fn decide(&mut self, config: &ValueConfig, action: Action) -> (f32, Option<Outcome>) {
         let (mut outcome, mut steps) = (None, 0);
         while outcome.is_none() && steps < config.steps_per_decision {
-            outcome = match self.lead {
-                Lead::Path(_) => self.flight.advance(action),
-                Lead::Goal => self.flight.advance_unseen(action),
+            outcome = if self.lead.looks() {
+                self.flight.advance(action)
+            } else {
+                self.flight.advance_unseen(action)
             };
             if matches!(outcome, None | Some(Outcome::TimeOut)) {
                 self.plan();
@@ -204,7 +221,8 @@ struct Current {
     flight: TrueFlight,
     state: Lasting,
     truth: [f32; TRUE_STATE],
-    position: [f32; 2],
+    position: PositionalInputs,
+    teacher: Option<[f32; 2]>,
 }
 
 /// One environment.
@@ -279,7 +297,8 @@ impl Flyer {
     fn arrive(&mut self, flight: TrueFlight, state: Lasting) -> Result<(), CollectError> {
         self.current = Some(Current {
             truth: flight.state(),
-            position: positional_inputs(flight.led()),
+            position: flight.position(),
+            teacher: flight.teacher(),
             flight,
             state,
         });
@@ -326,6 +345,7 @@ impl Flyer {
             truth: &c.truth,
             features: lane.window(c.state.first, &self.features),
             position: c.position,
+            teacher: c.teacher,
         })
     }
 
@@ -346,6 +366,7 @@ impl Flyer {
             state: mut c,
             truth,
             position,
+            teacher,
         }) = self.current.take()
         else {
             return Ok(None);
@@ -365,6 +386,7 @@ impl Flyer {
         let moment = Moment {
             first: c.first,
             position,
+            teacher,
             action: [action.forward_m_s, action.yaw],
             reward,
             next: match outcome {
@@ -383,7 +405,8 @@ impl Flyer {
             Some(Outcome::TimeOut) => {
                 self.see(&mut flight)?;
                 let last = Moment {
-                    position: positional_inputs(flight.led()),
+                    position: flight.position(),
+                    teacher: None,
                     action: [0.0; 2],
                     reward: 0.0,
                     next: Next::Nothing,
@@ -415,6 +438,44 @@ fn nearest(truth: &[f32; TRUE_STATE]) -> Option<NearestObstacle> {
 mod tests {
     use super::super::value_config::Leader;
     use super::*;
+    use vigil_policy::actor::WITH_MOVERS;
+    use vigil_sim::environment::true_state::MOVER;
+
+    /// What an actor is told of movers is what the simulator knows of them: the tracker's estimate against the truth, over flights that stand
+    /// and look.
+    #[test]
+    fn what_an_actor_is_told_of_a_mover_is_where_the_mover_is() {
+        let config = ValueConfig {
+            sees: Sees::Pictures,
+            led_by: Leader::Path,
+            told_of_movers: true,
+            ..ValueConfig::default()
+        };
+        let (mut told, mut right) = (0, 0);
+        for seed in 0..12 {
+            let mut flight = TrueFlight::new(&config, Family::Hard, seed, 60.0).unwrap();
+            for _ in 0..40 {
+                let (position, truth) = (flight.position(), flight.state());
+                assert_eq!(position.len(), WITH_MOVERS);
+                let truly: Vec<&[f32]> = truth[MOVER..].chunks_exact(6).collect();
+                for track in position[4..].chunks_exact(6).filter(|track| track[5] == 1.0) {
+                    told += 1;
+                    let is_it = |mover: &&[f32]| {
+                        let gap_m = |near: f32| 3.0 / near - 3.0;
+                        (gap_m(track[0]) - gap_m(mover[0])).abs() < 0.3
+                            && libm::hypotf(track[1] - mover[1], track[2] - mover[2]) < 0.1
+                            && libm::hypotf(track[3] - mover[3], track[4] - mover[4]) < 0.25
+                    };
+                    right += usize::from(truly.iter().any(is_it));
+                }
+                if flight.decide(&config, Action::HOVER).1.is_some() {
+                    break;
+                }
+            }
+        }
+        assert!(told > 100, "{told}");
+        assert!(right * 10 > told * 8, "{right} of {told}");
+    }
 
     /// The path that leads an actor in training is that of flight: planned on in every step, a decision lasting four.
     #[test]
@@ -431,9 +492,9 @@ mod tests {
         let mut course = generate(family, seed);
         course.time_limit_s = 60.0;
         let mut flight = Flight::new(&course, Wind::default(), seed).unwrap();
-        let mut lead = Lead::new(LedBy::Path);
+        let mut lead = Lead::new(config.inputs());
         let mut apart: f32 = 0.0;
-        let mut led = lead.goal(&flight.input());
+        let (mut led, _) = lead.inputs(&flight.input());
         for decision in 0..40 {
             assert_eq!(training.led(), led, "decision {decision}");
             assert_eq!(by_goal.led(), by_goal.flight.goal());
@@ -447,7 +508,7 @@ mod tests {
             by_goal.decide(&config, action);
             for _ in 0..config.steps_per_decision {
                 assert_eq!(flight.advance(action), None);
-                led = lead.goal(&flight.input());
+                (led, _) = lead.inputs(&flight.input());
             }
         }
         assert!(apart > 0.2, "a hall's path is not the straight line: {apart}");

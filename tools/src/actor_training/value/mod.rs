@@ -18,6 +18,6 @@ pub use encoder::EncoderError;
 pub use run::{FamilyCount, ValueEnd, ValueError, ValueOptions, ValueProgress, ValueResult, ValueRow, run_value};
 pub use slope::SlopeReport;
 pub use value_config::{
-    Along, EncoderConfig, Leader, Recipe, Sees, ValueConfig, ValueEvaluation, ValueLearning, ValueReward,
+    Along, EncoderConfig, Leader, Recipe, Sees, Teacher, ValueConfig, ValueEvaluation, ValueLearning, ValueReward,
 };
 pub use value_learner::{Expert, ValueReport};

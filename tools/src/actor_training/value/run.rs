@@ -1,12 +1,13 @@
 //! A run by value: fly, learn, evaluate, keep. The expert's and the pictures' actor's run are the same but for what the actor sees.
 
+use super::actors::told_of_movers;
 use super::actors::{ActorNetwork, Row};
 use super::encoder::{EncoderError, teach_encoder};
 use super::flyer::{Encoder, Flyer, FlyerState};
 use super::slope::{Chooser, SlopeReport, fly_chooser, slope_against_truth};
 use super::store::{Stored, Values, save};
 use super::value_buffer::{Moment, ValueMemory};
-use super::value_config::{Sees, ValueConfig};
+use super::value_config::{Sees, Teacher, ValueConfig};
 use super::value_learner::{Expert, ValueLearner, ValueReport};
 use crate::actor_training::adam::Adam;
 use crate::actor_training::checkpoint::CheckpointError;
@@ -85,6 +86,12 @@ pub enum ValueError {
         "{path} sees five frames in a row; training by value begins with an actor that it made itself, whose frames are spread"
     )]
     OtherFrames {
+        /// The actor.
+        path: PathBuf,
+    },
+    /// An actor to begin with that is told more than the one to be trained.
+    #[error("{path} is told of movers, the actor to be trained is not: set told_of_movers = true")]
+    ToldOfMovers {
         /// The actor.
         path: PathBuf,
     },
@@ -303,14 +310,15 @@ impl<'a> Run<'a> {
         let checkpoint = files::begin_run(folder, options.resume)?;
         let expert = options.expert.as_deref().map(Expert::load).transpose()?;
         let l = &config.learning;
-        if expert.is_none() && (l.imitation > 0.0 || l.expert_critics) {
+        let by_expert = l.imitation > 0.0 && config.teacher == Teacher::Expert;
+        if expert.is_none() && (by_expert || l.expert_critics) {
             return Err(ValueError::NoExpert);
         }
         let (isa, begun) = (Isa::detect(), Instant::now());
         let saved = options.resume.then(|| Stored::read(&checkpoint)).transpose()?;
         let encoder_len = Networks::new()?.encoder_len();
         let first = match (&saved, config.sees, &options.from) {
-            (None, Sees::Pictures, Some(path)) => Some(first_actor(path)?),
+            (None, Sees::Pictures, Some(path)) => Some(first_actor(path, config, encoder_len)?),
             _ => None,
         };
         let encoder_params = match (&saved, config.sees, &first, &options.encoder_of) {
@@ -751,12 +759,21 @@ impl<'a> Run<'a> {
 }
 
 /// The parameters of an actor that training begins with.
-fn first_actor(path: &Path) -> Result<Vec<f32>, ValueError> {
+fn first_actor(path: &Path, config: &ValueConfig, encoder_len: usize) -> Result<Vec<f32>, ValueError> {
     let first = FrozenActor::load(path)?;
-    if first.inputs.frame_ages == FRAMES_SPREAD {
-        return Ok(first.params);
+    let path = path.to_owned();
+    if first.inputs.frame_ages != FRAMES_SPREAD {
+        return Err(ValueError::OtherFrames { path });
     }
-    Err(ValueError::OtherFrames { path: path.to_owned() })
+    match (first.inputs.told_of_movers, config.told_of_movers) {
+        (true, false) => Err(ValueError::ToldOfMovers { path }),
+        (false, true) => {
+            let (encoder, behind) = first.params.split_at(encoder_len);
+            let behind = told_of_movers(behind, &mut ChaCha8Rng::seed_from_u64(config.seed));
+            Ok([encoder, &behind].concat())
+        }
+        _ => Ok(first.params),
+    }
 }
 
 fn sigma(config: &ValueConfig, decisions: u64) -> f32 {

@@ -18,7 +18,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::{Aligned, Isa, ShapeError};
-use vigil_policy::actor::positional_inputs;
 use vigil_policy::apf;
 use vigil_sim::environment::true_state::TRUE_STATE;
 use vigil_types::{ACTION_LIMIT, Action};
@@ -82,7 +81,8 @@ impl Chooser {
         }
         let moment = Moment {
             first: 0,
-            position: positional_inputs(flight.led()),
+            position: flight.position(),
+            teacher: None,
             action: [0.0; 2],
             reward: 0.0,
             next: Next::Decision,

@@ -5,12 +5,28 @@ use crate::actor_training::priorities::{Priorities, Returns, newest_in_slot, nor
 use crate::actor_training::replay_buffer::Next;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use vigil_policy::actor::ACTOR_FRAMES;
+use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
 use vigil_sim::environment::true_state::TRUE_STATE;
 
 /// Decisions between the newest frame of a state and each of its five, oldest first: with four steps to a decision 1.6, 0.8, 0.4,
 /// 0.2 and 0 s. Motion shows over that time, and features that are kept cost nothing in flight.
 pub const FRAME_DECISIONS: [u64; ACTOR_FRAMES] = [8, 4, 2, 1, 0];
+
+/// Positional inputs in a checkpoint: their values.
+mod values {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+    use vigil_policy::actor::PositionalInputs;
+
+    pub fn serialize<S: Serializer>(inputs: &PositionalInputs, to: S) -> Result<S::Ok, S::Error> {
+        inputs[..].serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<PositionalInputs, D::Error> {
+        let values = Vec::<f32>::deserialize(from)?;
+        PositionalInputs::from_values(&values)
+            .ok_or_else(|| D::Error::custom(format!("no actor has {} positional inputs", values.len())))
+    }
+}
 
 /// A decision.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -18,7 +34,11 @@ pub struct Moment {
     /// Number of the flight's first decision in its lane.
     pub first: u64,
     /// The positional inputs.
-    pub position: [f32; 2],
+    #[serde(with = "values")]
+    pub position: PositionalInputs,
+    /// What the teacher would have done.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub teacher: Option<[f32; 2]>,
     /// The action flown, the mean over the decision's steps.
     pub action: [f32; 2],
     /// Its reward.
@@ -104,6 +124,7 @@ impl ValueLane {
                 &self.features[frame * self.width..(frame + 1) * self.width]
             }),
             position: moment.position,
+            teacher: moment.teacher,
         }
     }
 
@@ -129,7 +150,9 @@ pub struct StateView<'a> {
     /// Five frames' features, oldest first; empty where the actor sees the true state.
     pub features: [&'a [u16]; ACTOR_FRAMES],
     /// Positional inputs.
-    pub position: [f32; 2],
+    pub position: PositionalInputs,
+    /// What the teacher would do.
+    pub teacher: Option<[f32; 2]>,
 }
 
 /// A sampled transition over up to n decisions.
@@ -286,6 +309,7 @@ mod tests {
     use super::*;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
+    use vigil_types::GoalRelative;
 
     fn memory(capacity: usize) -> ValueMemory {
         let mut config = ValueConfig {
@@ -304,7 +328,8 @@ mod tests {
         truth[0] = number as f32;
         let moment = Moment {
             first,
-            position: [0.0; 2],
+            position: PositionalInputs::of_goal(GoalRelative::default()),
+            teacher: None,
             action: [0.0; 2],
             reward,
             next,

@@ -21,6 +21,10 @@ pub struct ValueConfig {
     pub sees: Sees,
     /// Whose bearing the pictures' actor is given.
     pub led_by: Leader,
+    /// Whether the pictures' actor is told what moves near it, as further positional inputs.
+    pub told_of_movers: bool,
+    /// Who says in each state what to do, for `learning.imitation`.
+    pub teacher: Teacher,
     /// Each training flight's course is of one of these, in turn by chance.
     pub families: Vec<Family>,
     /// Decisions after which training ends.
@@ -91,6 +95,16 @@ impl From<Leader> for LedBy {
             Leader::Path => Self::Path,
         }
     }
+}
+
+/// Who teaches, where `learning.imitation` is above 0.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Teacher {
+    /// The expert that was given.
+    Expert,
+    /// The geometric pilot, which plans the path and follows movers: it knows no more than an actor that is led by the path and told of movers.
+    Geometric,
 }
 
 /// Along what the reward measures progress.
@@ -211,6 +225,8 @@ impl Default for ValueConfig {
             threads: 1,
             sees: Sees::Truth,
             led_by: Leader::Goal,
+            told_of_movers: false,
+            teacher: Teacher::Expert,
             families: vec![Family::Training, Family::Hard],
             decisions: 200_000,
             warm_up: 5_000,
@@ -346,6 +362,7 @@ impl ValueConfig {
         ActorInputs {
             frame_ages: FRAMES_SPREAD,
             led_by: self.led_by.into(),
+            told_of_movers: self.told_of_movers,
         }
     }
 

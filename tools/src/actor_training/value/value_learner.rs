@@ -378,8 +378,12 @@ impl ValueLearner {
             let (row, k) = (i / ACTIONS, i % ACTIONS);
             let action = ACTOR_LIMIT * libm::tanhf(*before);
             let mut d_action = -self.config.value_weight * d_x[row * CRITIC_INPUTS + TRUE_STATE + k];
-            if let Some((expert, _, tape)) = &self.expert {
-                let apart = action - ACTOR_LIMIT * libm::tanhf(tape.out(expert)[i]);
+            let of_expert = || {
+                let (expert, _, tape) = self.expert.as_ref()?;
+                Some(ACTOR_LIMIT * libm::tanhf(tape.out(expert)[i]))
+            };
+            if let Some(taught) = batch[row].state.teacher.map(|action| action[k]).or_else(of_expert) {
+                let apart = action - taught;
                 report.imitation_loss += apart.abs() / count;
                 d_action += imitation * (apart / IMITATION_WIDTH).clamp(-1.0, 1.0);
             }
@@ -504,7 +508,9 @@ mod tests {
     use crate::actor_training::networks::SPEC;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
+    use vigil_policy::actor::PositionalInputs;
     use vigil_sim::environment::true_state::MOVER;
+    use vigil_types::GoalRelative;
 
     /// What should be done in a state, and what an action is worth there.
     fn best(truth: &[f32]) -> [f32; 2] {
@@ -545,7 +551,8 @@ mod tests {
                     let state = StateView {
                         truth,
                         features: [&[]; 5],
-                        position: [0.0; 2],
+                        position: PositionalInputs::of_goal(GoalRelative::default()),
+                        teacher: None,
                     };
                     Step {
                         leaf,
@@ -628,7 +635,8 @@ mod tests {
                     let state = StateView {
                         truth,
                         features: core::array::from_fn(|i| frames[i].as_slice()),
-                        position: [0.0; 2],
+                        position: PositionalInputs::of_goal(GoalRelative::default()),
+                        teacher: None,
                     };
                     Step {
                         leaf,
