@@ -76,7 +76,7 @@ pub struct FilmArgs {
     #[arg(long, value_name = "TEXT")]
     title: Option<String>,
 
-    /// Pictures whose pixels are explained by DeepSHAP, evenly over the film, at most 260; 0 leaves it out.
+    /// Pictures whose pixels are explained by DeepSHAP, evenly over the film, at most 200; 0 leaves it out.
     #[arg(long, value_name = "PICTURES", default_value_t = FILM_EXPLAINED, value_parser = film_frames)]
     shap: usize,
 }
@@ -120,8 +120,8 @@ fn speed(text: &str) -> Result<f64, String> {
 
 fn film_frames(text: &str) -> Result<usize, String> {
     match text.parse() {
-        Ok(count @ 0..=260) => Ok(count),
-        _ => Err("give a number of pictures from 0 to 260".to_owned()),
+        Ok(count @ 0..=200) => Ok(count),
+        _ => Err("give a number of pictures from 0 to 200".to_owned()),
     }
 }
 

@@ -37,7 +37,7 @@ const LAST_CS: u16 = 250;
 /// Steps of the loop in a second.
 const STEPS_A_SECOND: f64 = 20.0;
 /// A film is never of more pictures: a longer flight is shown faster.
-const MOST_PICTURES: usize = 260;
+const MOST_PICTURES: usize = 200;
 /// So much of the path is shown in the view from behind, steps.
 const TRAIL_STEPS: usize = 160;
 /// Pixels weaker than this share of the strongest are not marked.
