@@ -51,7 +51,10 @@ impl Bench {
 
     fn state(&mut self) -> Background {
         let mut draw = || self.random.random_range(-0.9..0.9);
-        (core::array::from_fn(|_| draw()), core::array::from_fn::<_, 2, _>(|_| draw()).into())
+        (
+            core::array::from_fn(|_| draw()),
+            core::array::from_fn::<_, 2, _>(|_| draw()).into(),
+        )
     }
 
     fn monitor(&self) -> Monitor {

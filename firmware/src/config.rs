@@ -17,8 +17,8 @@ use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::{
-    AlarmPolicy, AtGoal, AutopilotChoice, EngagePolicy, FrameKeys, Goal, NedVector, ObstacleReports, OnNoProgress,
-    ParameterSpec, PilotKind,
+    AlarmPolicy, AtGoal, AutopilotChoice, EngagePolicy, FrameKeys, Goal, LogContent, NedVector, ObstacleReports,
+    OnNoProgress, ParameterSpec, PilotKind,
 };
 
 /// A configuration file has a page or two.
@@ -273,6 +273,9 @@ pub struct LogConfig {
     /// Where the log files go; absent means no log.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub directory: Option<PathBuf>,
+    /// What it holds.
+    #[serde(with = "choice")]
+    pub content: LogContent,
     /// A file with the obstacles, for display only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<PathBuf>,
@@ -770,6 +773,7 @@ mod tests {
             },
             log: LogConfig {
                 directory: Some("runs/with \"quotes\"".into()),
+                content: LogContent::Light,
                 scene: None,
             },
             ..FirmwareConfig::default()

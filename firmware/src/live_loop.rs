@@ -375,6 +375,7 @@ pub fn recorder_config(config: &FirmwareConfig) -> Result<Option<RecorderConfig>
     };
     Ok(Some(RecorderConfig {
         scene: config.log.scene.as_deref().map(Scene::load).transpose()?,
+        content: config.log.content,
         ..RecorderConfig::new(LogPlace::Directory(directory.clone()), config.flight_info())
     }))
 }

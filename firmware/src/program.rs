@@ -17,7 +17,7 @@ use std::time::Duration;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
 use vigil_types::parameters;
-use vigil_types::{AtGoal, AutopilotChoice, Choice, EngagePolicy, ObstacleReports, PilotKind, StepReport};
+use vigil_types::{AtGoal, AutopilotChoice, Choice, EngagePolicy, LogContent, ObstacleReports, PilotKind, StepReport};
 
 /// Arguments of `vigil firmware` and of the `firmware` program.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -94,6 +94,9 @@ pub struct FirmwareArgs {
     #[arg(long, value_name = "DIR", help = help(&parameters::LOG))]
     log: Option<PathBuf>,
 
+    #[arg(long, value_name = "WHAT", requires = "log", value_parser = choice::<LogContent>(), help = help(&parameters::LOG_CONTENT))]
+    log_content: Option<LogContent>,
+
     #[arg(long, value_name = "DIR", conflicts_with = "lockstep", help = help(&parameters::STATE))]
     state: Option<PathBuf>,
 
@@ -168,6 +171,7 @@ impl FirmwareArgs {
         }
         config.state.directory = self.state.clone().or(config.state.directory);
         config.log.directory = self.log.clone().or(config.log.directory);
+        config.log.content = self.log_content.unwrap_or(config.log.content);
         config.log.scene = self.scene.clone().or(config.log.scene);
         Ok(config)
     }

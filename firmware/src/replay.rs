@@ -4,7 +4,7 @@ use crate::config::FirmwareConfig;
 use crate::ports::handed::{HandedClock, HandedDatagrams, HandedFrame};
 use crate::step::Firmware;
 use vigil_log::{LogEnd, ReadError, Reader, TickRecord};
-use vigil_types::{Datagrams, Nanos, Reason, StepReport};
+use vigil_types::{Datagrams, LogContent, Nanos, Reason, StepReport};
 
 /// What a replay found.
 #[derive(Debug, Clone, PartialEq)]
@@ -147,6 +147,12 @@ pub enum ReplayError {
         /// The parser's report.
         message: String,
     },
+    /// The log was recorded without frames.
+    #[error(
+        "the flight was recorded without its frames (log.content = \"light\"): it can be looked at, with `vigil log report` and \
+         `vigil view`, but not be replayed"
+    )]
+    Light,
     /// The file that the configuration names, or the one built in, is not the one that flew.
     #[error("{what} with SHA-256 {recorded} flew, this program has {found}; give back the file that flew")]
     Model {
@@ -171,6 +177,9 @@ pub fn firmware_of(reader: &Reader) -> Result<Firmware, ReplayError> {
         program: reader.info().program.clone(),
         message,
     })?;
+    if config.log.content == LogContent::Light {
+        return Err(ReplayError::Light);
+    }
     let now = config.flight_info();
     for (what, recorded, found) in [
         ("an actor", &reader.info().actor_sha256, now.actor_sha256),

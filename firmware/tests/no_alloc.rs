@@ -216,7 +216,7 @@ fn the_live_loop_with_its_log_allocates_nothing_in_steady_state() {
         },
         log: LogConfig {
             directory: Some(folder.path().to_owned()),
-            scene: None,
+            ..LogConfig::default()
         },
         // A ground station's link, and parameters that are kept.
         links: vec![format!("udpin://127.0.0.1:{}", free_port()).parse().unwrap()],

@@ -281,17 +281,26 @@ def test_a_cut_log_is_read_as_far_as_it_goes(sample_path, tmp_path):
     assert messages > 500
 
 
-def test_the_view_in_rerun_draws_the_whole_flight_of_any_log(any_path, monkeypatch):
-    """The viewer is a stand-in that notes what it is handed: the script's own reading and drawing run as they are."""
+@pytest.fixture
+def view(monkeypatch):
+    """The viewer's script with a stand-in for the viewer that notes what it is handed: reading and drawing run as they are."""
     rerun, blueprint = MagicMock(), MagicMock()
     rerun.blueprint = blueprint
     monkeypatch.setitem(sys.modules, "rerun", rerun)
     monkeypatch.setitem(sys.modules, "rerun.blueprint", blueprint)
     script = TOP / "tools" / "assets" / "viewers" / "rerun_view.py"
     spec = importlib.util.spec_from_file_location("rerun_view", script)
-    view = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(view)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
+
+def origins_of(blueprint):
+    return {call.kwargs["origin"].strip("/") for call in blueprint.method_calls if "origin" in call.kwargs}
+
+
+def test_the_view_in_rerun_draws_the_whole_flight_of_any_log(any_path, view):
+    rerun, blueprint = view.rr, view.rrb
     show = view.Show()
     with any_path.open("rb") as file:
         assert view.read(file, show) is None, "read to its end"
@@ -305,7 +314,7 @@ def test_the_view_in_rerun_draws_the_whole_flight_of_any_log(any_path, monkeypat
     for path, series in view.PLOTS.items():
         assert any(f"{path}/{field}" in drawn for field, _, _ in series), path
         assert all(hasattr(status, field) for field, _, _ in series)
-    origins = {call.kwargs["origin"].strip("/") for call in blueprint.method_calls if "origin" in call.kwargs}
+    origins = origins_of(blueprint)
     assert origins == {"map", "log", "map/base_link/depth_sensor", "plots/attack", *view.PLOTS}
     for origin in origins - {"plots/attack"}:
         assert any(path == origin or path.startswith(origin + "/") for path in drawn), f"nothing is drawn in {origin}"
@@ -315,3 +324,61 @@ def test_the_view_in_rerun_draws_the_whole_flight_of_any_log(any_path, monkeypat
     half = view.Show()
     assert view.read(short, half) is not None
     assert "/status" in half.seen
+
+
+def test_a_log_that_lacks_a_channel_leaves_its_part_of_the_view_empty_and_that_is_noticed(any_path, view):
+    parts = {
+        "/tf": "map/base_link", "/scene": "map/scene/boxes", "/log": "log", "/status": "plots/step/step_time_ms",
+        "/depth/range": "map/base_link/depth_sensor/range",
+    }
+    everything = view.CHANNELS
+    for missing, part in parts.items():
+        view.rr.reset_mock()
+        view.CHANNELS = everything - {missing}
+        show = view.Show()
+        with any_path.open("rb") as file:
+            assert view.read(file, show) is None
+        assert view.NEEDED - show.seen == {missing}
+        # The names and colours of plots stand there without a value, too.
+        drawn = {c.args[0] for c in view.rr.log.call_args_list if not (c.kwargs["static"] and c.args[0].startswith("plots/"))}
+        assert part not in drawn and set(parts.values()) - {part} <= drawn
+
+
+def test_several_flights_are_drawn_side_by_side_each_below_its_own_name(any_path, view, tmp_path):
+    names = ["7", "8"]
+    for name in names:
+        (tmp_path / f"{name}.mcap").symlink_to(any_path)
+    view.layout(names)
+    view.follow_all(tmp_path, names)
+    drawn = {call.args[0] for call in view.rr.log.call_args_list}
+    origins = origins_of(view.rrb)
+    for name in names:
+        assert f"{name}/map/base_link" in drawn
+        for path in ("map", "log", "map/base_link/depth_sensor", *view.PLOTS):
+            assert f"{name}/{path}" in origins
+            assert any(d == f"{name}/{path}" or d.startswith(f"{name}/{path}/") for d in drawn), path
+    assert all(path.startswith(("7/", "8/")) for path in drawn)
+
+
+def test_a_course_is_drawn_with_what_stands_and_what_moves(view):
+    box = {"cuboid": {"centre_ned_m": [8, -2, -1.5], "half_extents_m": [2, 0.1, 1.5], "yaw_rad": 0.3}}
+    column = {"cylinder": {"centre_ned_m": [5, 1, -2], "radius_m": 0.4, "half_height_m": 2}}
+    course = {
+        "name": "mine", "family": None, "seed": 0, "start_ned_m": [0, 0, 0], "heading_rad": 0, "goal_ned_m": [20, 5, -1.5],
+        "goal_radius_m": 1, "time_limit_s": 90, "bounds": {"north_m": [-2, 22], "east_m": [-8, 8], "top_m": 4}, "ceiling_height_m": None,
+        "way_ne_m": [[0, 0], [20, 5]], "solids": [box, column], "movers": [{"solids": [column]}] * 3, "movers_step_s": 0.2,
+        "depth_mm": [[1000] * 128] * 64,
+    }
+    view.course_layout()
+    view.show_course(course)
+    drawn = [call.args[0] for call in view.rr.log.call_args_list]
+    assert {"map/still/boxes", "map/still/cylinders", "map/goal", "map/bounds", "map/way", "map/start/depth", "about"} <= set(drawn)
+    assert drawn.count("map/moving/cylinders") == 3
+    for origin in origins_of(view.rrb):
+        assert any(path == origin or path.startswith(origin + "/") for path in drawn), origin
+    (boxes,) = [call.kwargs for call in view.rr.Boxes3D.call_args_list if "centers" in call.kwargs]
+    # x east, y north, z up.
+    assert boxes["centers"] == [[-2, 8, 1.5]]
+    # Without a way the page says so.
+    view.show_course({**course, "way_ne_m": None, "movers": []})
+    assert "no way" in view.rr.TextDocument.call_args.args[0]

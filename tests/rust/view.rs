@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{run, said};
+use vigil_tests::{run, said, vigil};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 fn text(path: &Path) -> &str {
@@ -47,6 +47,7 @@ fn stand_in(folder: &Path) -> PathBuf {
 fn a_viewer_that_is_absent_is_told_with_the_command_that_installs_it() {
     let folder = tempfile::tempdir().expect("a folder");
     let log = short_log(folder.path());
+    let json = folder.path().join("evaluate.json");
     for (python, why) in [
         ("no-such-python", "there is no program"),
         ("false", "lacks its packages"),
@@ -54,6 +55,8 @@ fn a_viewer_that_is_absent_is_told_with_the_command_that_installs_it() {
         for command in [
             vec!["view", text(&log)],
             vec!["fly", "--view", "-o", text(folder.path())],
+            vec!["evaluate", "--flights", "2", "--view", "2", "-o", text(&json)],
+            vec!["courses", "view", "--seed", "7"],
         ] {
             let shown = run(&[&command[..], &["--python", python]].concat());
             assert_eq!(shown.status.code(), Some(1));
@@ -160,4 +163,314 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let replayed = run(&["replay", text(&log)]);
     assert_eq!(replayed.status.code(), Some(0), "{}", said(&replayed));
     assert_eq!(Reader::open(&log).expect("a log").count(), records);
+}
+
+/// Runs `vigil` with a folder of programs before those on the path, or with no other program at all.
+fn run_with_path(arguments: &[&str], path: &str) -> std::process::Output {
+    std::process::Command::new(vigil())
+        .args(arguments)
+        .env("PATH", path)
+        .stdin(std::process::Stdio::null())
+        .output()
+        .expect("vigil starts")
+}
+
+fn program(folder: &Path, name: &str, script: &str) {
+    let file = folder.join(name);
+    std::fs::write(&file, script).expect("a file");
+    std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).expect("a program");
+}
+
+/// An attacked flight of the actor in lockstep with an alarm.
+fn attacked_log(folder: &Path) -> PathBuf {
+    let flown = run(&[
+        "evaluate",
+        "--flights",
+        "1",
+        "--seed",
+        "3001",
+        "--apf",
+        "off",
+        "--attack",
+        "bim-accumulating",
+        "--burst",
+        "50",
+        "--logs",
+        text(folder),
+        "-o",
+        text(&folder.join("evaluate.json")),
+    ]);
+    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
+    folder.join("3001.mcap")
+}
+
+#[test]
+fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_the_alarm() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = attacked_log(folder.path());
+    let derived = run(&["log", "derive", "--only", "shap", text(&log)]);
+    assert_eq!(derived.status.code(), Some(0), "{}", said(&derived));
+    let told = said(&derived);
+    let explained: usize = told
+        .split_whitespace()
+        .rev()
+        .nth(2)
+        .and_then(|word| word.parse().ok())
+        .unwrap_or_else(|| panic!("{told}"));
+    let steps = Reader::open(&log).expect("a log").count();
+    // One a second, and each frame of the two seconds around the alarm.
+    assert!(
+        (steps / 20 + 36..steps / 20 + 46).contains(&explained),
+        "{told}, {steps} steps"
+    );
+
+    let gif = folder.path().join("film.gif");
+    let made = run(&[
+        "log",
+        "film",
+        text(&log),
+        "-o",
+        text(&gif),
+        "--speed",
+        "10",
+        "--shap",
+        "3",
+    ]);
+    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    let film = std::fs::read(&gif).expect("a film");
+    // The signature, then 640 × 448 pixels.
+    assert_eq!(&film[..10], b"GIF89a\x80\x02\xc0\x01");
+    assert!(film.len() < 3_000_000, "{} bytes", film.len());
+
+    // An mp4 is as many pictures, handed to ffmpeg; the last one stands still for 2.5 s.
+    let bin = folder.path().join("bin");
+    std::fs::create_dir(&bin).expect("a folder");
+    program(
+        &bin,
+        "ffmpeg",
+        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\nwc -c > \"$last\"\n",
+    );
+    let path = format!("{}:/usr/bin:/bin", text(&bin));
+    let mp4 = folder.path().join("film.mp4");
+    let film = [
+        "log",
+        "film",
+        text(&log),
+        "-o",
+        text(&mp4),
+        "--speed",
+        "10",
+        "--shap",
+        "0",
+    ];
+    let made = run_with_path(&film, &path);
+    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    let words = said(&made);
+    let pictures: usize = words
+        .split_once('(')
+        .and_then(|(_, rest)| rest.split(' ').next()?.parse().ok())
+        .unwrap_or_else(|| panic!("{words}"));
+    let bytes: usize = std::fs::read_to_string(&mp4)
+        .expect("what came")
+        .trim()
+        .parse()
+        .expect("a number");
+    assert_eq!(bytes, (pictures + 24) * 640 * 448 * 3);
+
+    // One that fails is told, and leaves no half of a film and the earlier one as it was.
+    program(
+        &bin,
+        "ffmpeg",
+        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such encoder >&2\nexit 1\n",
+    );
+    let failed = run_with_path(&film, &path);
+    assert_eq!(failed.status.code(), Some(1));
+    assert!(said(&failed).contains("no such encoder"), "{}", said(&failed));
+    assert_eq!(
+        std::fs::read_to_string(&mp4).expect("the earlier one").trim(),
+        bytes.to_string()
+    );
+    assert!(!mp4.with_extension("mp4.part").exists());
+    // Before anything is flown.
+    let runs = folder.path().join("runs");
+    for command in [film.to_vec(), vec!["fly", "--record", text(&mp4), "-o", text(&runs)]] {
+        let without = run_with_path(&command, text(&runs));
+        assert_eq!(without.status.code(), Some(1));
+        assert!(
+            said(&without).contains("there is none on the path"),
+            "{}",
+            said(&without)
+        );
+    }
+    assert!(!runs.exists());
+
+    // As far as it is whole.
+    let bytes = std::fs::read(&log).expect("a log");
+    let cut = folder.path().join("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("a file");
+    let made = run(&["log", "film", text(&cut), "--shap", "0"]);
+    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    let python = stand_in(folder.path());
+    let saved = folder.path().join("cut.rrd");
+    let shown = run(&["view", text(&cut), "--save", text(&saved), "--python", text(&python)]);
+    assert_eq!(shown.status.code(), Some(0), "{}", said(&shown));
+}
+
+#[test]
+fn what_cannot_be_filmed_is_told_with_what_can_be_seen_of_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = short_log(folder.path());
+    let none = run(&["log", "film", text(&log)]);
+    assert_eq!(none.status.code(), Some(1));
+    assert!(
+        said(&none).contains("never took off") && said(&none).contains("log report"),
+        "{}",
+        said(&none)
+    );
+    assert!(!log.with_extension("gif").exists());
+    let named = run(&["log", "film", text(&log), "-o", "film.avi"]);
+    assert_eq!(named.status.code(), Some(2));
+    assert!(said(&named).contains(".gif or .mp4"), "{}", said(&named));
+    let missing = run(&["log", "film", text(&folder.path().join("none.mcap"))]);
+    assert_eq!(missing.status.code(), Some(1));
+    assert!(said(&missing).contains("none.mcap"), "{}", said(&missing));
+}
+
+#[test]
+fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (runs, gif) = (folder.path().join("runs"), folder.path().join("film.gif"));
+    let flown = run(&[
+        "fly",
+        "--family",
+        "training",
+        "--seed",
+        "3",
+        "--instance",
+        "86",
+        "--quiet",
+        "--log-content",
+        "light",
+        "--record",
+        text(&gif),
+        "-o",
+        text(&runs),
+    ]);
+    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
+    assert!(said(&flown).contains("film      ") && gif.is_file(), "{}", said(&flown));
+    let flight = std::fs::read_dir(&runs)
+        .expect("a folder")
+        .next()
+        .expect("a flight")
+        .expect("readable")
+        .path();
+    let log = flight.join("flight-0001.mcap");
+    let seconds = Reader::open(&log).expect("a log").count() as u64 / 20;
+    let bytes = std::fs::metadata(&log).expect("the log").len();
+    assert!(bytes < 300_000 * seconds, "{bytes} bytes in {seconds} s");
+    assert!(log.with_extension("html").is_file(), "the report");
+    for command in [["replay"].as_slice(), &["log", "derive"]] {
+        let refused = run(&[command, &[text(&log)]].concat());
+        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+        assert!(
+            said(&refused).contains("recorded without its frames"),
+            "{}",
+            said(&refused)
+        );
+    }
+}
+
+#[test]
+fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_its_start() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // Keeps the course that it is asked to show.
+    let python = folder.path().join("python");
+    program(
+        folder.path(),
+        "python",
+        "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\ncat > \"$0.script\"\ncp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n",
+    );
+    let saved = folder.path().join("course.rrd");
+    let shown = run(&[
+        "courses",
+        "view",
+        "--family",
+        "hard",
+        "--seed",
+        "7",
+        "--save",
+        text(&saved),
+        "--python",
+        text(&python),
+    ]);
+    assert_eq!(shown.status.code(), Some(0), "{}", said(&shown));
+    let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
+    assert!(
+        asked.starts_with("- --course ") && asked.contains(text(&saved)),
+        "{asked}"
+    );
+    let json = std::fs::read_to_string(folder.path().join("python.json")).expect("the course");
+    let course: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    let count = |key: &str| course[key].as_array().map_or(0, Vec::len);
+    assert!(
+        count("solids") > 5 && count("way_ne_m") > 1 && count("movers") > 100,
+        "{json}"
+    );
+    let depth: Vec<&serde_json::Value> = course["depth_mm"].as_array().expect("rows").iter().collect();
+    assert_eq!((depth.len(), depth[0].as_array().map(Vec::len)), (64, Some(128)));
+    let moving = |step: usize| &course["movers"][step]["solids"][0];
+    assert_ne!(moving(0), moving(10), "obstacles move");
+
+    let taken = TcpListener::bind("0.0.0.0:0").expect("a port");
+    let port = taken.local_addr().expect("its number").port().to_string();
+    for command in [
+        ["courses", "view", "--seed", "7"].as_slice(),
+        &[
+            "evaluate",
+            "--flights",
+            "2",
+            "--view",
+            "2",
+            "-o",
+            text(&folder.path().join("e.json")),
+        ],
+    ] {
+        let refused = run(&[command, &["--python", text(&python), "--view-port", &port]].concat());
+        assert_eq!(refused.status.code(), Some(1));
+        assert!(
+            said(&refused).contains(&format!("port {port} is taken")),
+            "{}",
+            said(&refused)
+        );
+    }
+}
+
+#[test]
+fn some_flights_of_a_campaign_are_handed_to_one_viewer_and_their_logs_are_kept() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let python = stand_in(folder.path());
+    let json = folder.path().join("evaluate.json");
+    let flown = run(&[
+        "evaluate",
+        "--family",
+        "training",
+        "--flights",
+        "3",
+        "--seed",
+        "3",
+        "--view",
+        "2",
+        "--python",
+        text(&python),
+        "-o",
+        text(&json),
+    ]);
+    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
+    let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
+    let mut words = asked.split_whitespace().skip(1);
+    let logs = PathBuf::from(words.next().expect("a folder"));
+    assert_eq!(words.collect::<Vec<_>>()[..2], ["--flights", "3,4"]);
+    let kept = |seed: u64| logs.join(format!("{seed}.mcap")).is_file();
+    assert!(kept(3) && kept(4) && !kept(5), "{asked}");
+    assert!(said(&flown).contains(text(&logs)), "{}", said(&flown));
 }

@@ -14,15 +14,18 @@ use vigil_types::{DEPTH_COLS, Datagrams, Nanos};
 const MAP_NS: Nanos = 500_000_000;
 /// Frames are explained this often.
 const SHAP_NS: Nanos = 1_000_000_000;
-/// And never more than so many of a flight.
+/// And never more than so many of a flight, besides those around alarms.
 const SHAP_LIMIT: usize = 120;
+/// Each frame is explained that is no further from an alarm, of the first ones of a flight.
+const AROUND_ALARM_NS: Nanos = 1_000_000_000;
+const ALARMS: usize = 3;
 
 /// What to derive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Wanted {
     /// The map and the planned way, twice a second.
     pub map: bool,
-    /// SHAP values of the pixels, once a second, for the first two minutes.
+    /// SHAP values of the pixels, once a second for the first two minutes, and of each frame within a second of the first alarms.
     pub shap: bool,
 }
 
@@ -56,6 +59,8 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
     let mut reader = Reader::open(log)?;
     let mut firmware = firmware_of(&reader)?;
     let mut explainer = if wanted.shap { explainer(&reader)? } else { None };
+    let alarms_ns = if explainer.is_some() { alarms(log)? } else { Vec::new() };
+    let mut sparse = 0;
     let mut to = DerivedLog::create(notes, reader.epoch_offset_ns())?;
     let mut derived = Derived::default();
     let mut record = Box::<TickRecord>::default();
@@ -96,12 +101,16 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
         }
         if let (Some((explainer, memory)), Some(frame)) = (&mut explainer, record.frame()) {
             memory.push(frame);
-            if now_ns >= next_shap_ns
-                && derived.explained < SHAP_LIMIT
+            let near = alarms_ns.iter().any(|at_ns| at_ns.abs_diff(now_ns) <= AROUND_ALARM_NS);
+            let due = now_ns >= next_shap_ns && sparse < SHAP_LIMIT;
+            if (near || due)
                 && let Some(position) = firmware.positional_inputs()
                 && let Some(inputs) = memory.inputs(&position)
             {
-                next_shap_ns = now_ns + SHAP_NS;
+                if due {
+                    next_shap_ns = now_ns + SHAP_NS;
+                    sparse += 1;
+                }
                 derived.explained += 1;
                 let phi = explainer.newest_frame(&inputs, YAW)?;
                 to.shap(now_ns, step, &squares(&phi))?;
@@ -110,6 +119,23 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
     }
     to.finish()?;
     Ok(derived)
+}
+
+/// When the first alarms of a flight were raised.
+fn alarms(log: &Path) -> Result<Vec<Nanos>> {
+    let mut reader = Reader::open(log)?;
+    let mut record = Box::<TickRecord>::default();
+    let (mut alarms_ns, mut before) = (Vec::new(), None);
+    while alarms_ns.len() < ALARMS
+        && let Ok(true) = reader.read_next(&mut record)
+    {
+        let cause = record.report.alarm.map(|alarm| alarm.cause);
+        if cause.is_some() && cause != before {
+            alarms_ns.push(record.now_ns);
+        }
+        before = cause;
+    }
+    Ok(alarms_ns)
 }
 
 /// The explainer of the actor that flew; `None` where none did.
@@ -125,7 +151,7 @@ fn explainer(reader: &Reader) -> Result<Option<(PixelExplainer, Memory)>> {
 }
 
 /// Sums over 4 × 4 pixels, which keep the sum of all: single pixels are too small to see.
-fn squares(phi: &[f32]) -> Vec<f32> {
+pub(crate) fn squares(phi: &[f32]) -> Vec<f32> {
     let mut sums = vec![0.0; SHAP_ROWS * SHAP_COLS];
     for (i, value) in phi.iter().enumerate() {
         let (row, col) = (i / DEPTH_COLS / 4, i % DEPTH_COLS / 4);

@@ -36,7 +36,10 @@ fn small(sees: Sees) -> ValueConfig {
         sees,
         led_by: Leader::Path,
         told_of_movers: true,
-        teacher: Teacher::Geometric,
+        teacher: match sees {
+            Sees::Truth => Teacher::Expert,
+            Sees::Pictures => Teacher::Geometric,
+        },
         families: vec![Family::Training, Family::Hard],
         decisions: 620,
         warm_up: 120,

@@ -9,7 +9,7 @@ use mcap::{Compression, McapError, McapResult, WriteOptions};
 use prost::Message;
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
-use vigil_types::{Goal, Nanos};
+use vigil_types::{Goal, LogContent, Nanos};
 
 /// Version of what a replay reads: `META`, `topic::TICK` and `topic::DEPTH`. Raised when an older reader would
 /// misread a newer log; a field added to a message does not raise it.
@@ -127,6 +127,7 @@ pub(crate) struct LogFile<W: Write + Seek> {
     channels: Channels,
     epoch_offset_ns: u64,
     scene: Option<Scene>,
+    content: LogContent,
     /// Score above which the detector's verdict is attack.
     threshold: Option<f32>,
     buffer: Vec<u8>,
@@ -140,7 +141,13 @@ pub(crate) struct LogFile<W: Write + Seek> {
 
 impl<W: Write + Seek> LogFile<W> {
     /// Writes what stands before the first record (who flies with which settings, the channels) and flushes it.
-    pub(crate) fn create(sink: W, info: &FlightInfo, epoch_offset_ns: u64, scene: Option<Scene>) -> McapResult<Self> {
+    pub(crate) fn create(
+        sink: W,
+        info: &FlightInfo,
+        epoch_offset_ns: u64,
+        scene: Option<Scene>,
+        content: LogContent,
+    ) -> McapResult<Self> {
         let mut writer = write_options().create(sink)?;
         writer.write_metadata(&Metadata {
             name: META.to_owned(),
@@ -153,6 +160,7 @@ impl<W: Write + Seek> LogFile<W> {
             channels,
             epoch_offset_ns,
             scene,
+            content,
             threshold: info.detector_threshold,
             buffer: Vec::new(),
             narrator: Narrator::default(),
@@ -176,43 +184,52 @@ impl<W: Write + Seek> LogFile<W> {
             at_ns,
             sequence,
         };
+        let (exact, drawn) = (self.content != LogContent::Light, self.content != LogContent::Replay);
         if let Some(scene) = self.scene.take() {
             messages.put(self.channels.scene, &scene.to_update(at_ns))?;
-            messages.put(self.channels.scene_points, &scene.to_point_cloud(at_ns))?;
-        }
-        if let Some(frame) = record.frame() {
-            messages.put(self.channels.depth, &display::depth_image(frame, at_ns))?;
-        }
-        messages.put(self.channels.tick, &convert::to_wire(record))?;
-        messages.put(self.channels.status, &display::status(record, self.threshold))?;
-
-        let slow_due = due(&mut self.last_slow_ns, record.now_ns, SLOW_NS);
-        if let Some(frame) = record.frame()
-            && due(&mut self.last_range_ns, record.now_ns, RANGE_NS)
-        {
-            messages.put(self.channels.range, &display::range_image(frame, at_ns))?;
-        }
-        if slow_due {
-            messages.put(self.channels.transform, &display::sensor_transform(at_ns))?;
-        }
-        if let Some(pose) = display::vehicle_pose(record) {
-            self.trail.offer(pose);
-            messages.put(
-                self.channels.transform,
-                &display::transform(MAP_FRAME, display::BODY_FRAME, pose, at_ns),
-            )?;
-            messages.put(self.channels.pose, &display::pose_in_map(pose, at_ns))?;
-            if slow_due {
-                messages.put(self.channels.path, &self.trail.message(at_ns))?;
+            if drawn {
+                messages.put(self.channels.scene_points, &scene.to_point_cloud(at_ns))?;
             }
         }
-        let goal = record.report.goal.filter(|g| g.position_ned_m.is_finite());
-        if let Some(goal) = goal
-            && (slow_due || self.goal != Some(goal))
-        {
-            messages.put(self.channels.goal, &display::goal_in_map(goal, at_ns))?;
+        if let Some(frame) = record.frame().filter(|_| exact) {
+            messages.put(self.channels.depth, &display::depth_image(frame, at_ns))?;
         }
-        self.goal = goal;
+        let mut tick = convert::to_wire(record);
+        if !exact {
+            // A header announces pixels, and there are none.
+            tick.frame = None;
+        }
+        messages.put(self.channels.tick, &tick)?;
+        if drawn {
+            messages.put(self.channels.status, &display::status(record, self.threshold))?;
+            let slow_due = due(&mut self.last_slow_ns, record.now_ns, SLOW_NS);
+            if let Some(frame) = record.frame()
+                && due(&mut self.last_range_ns, record.now_ns, RANGE_NS)
+            {
+                messages.put(self.channels.range, &display::range_image(frame, at_ns))?;
+            }
+            if slow_due {
+                messages.put(self.channels.transform, &display::sensor_transform(at_ns))?;
+            }
+            if let Some(pose) = display::vehicle_pose(record) {
+                self.trail.offer(pose);
+                messages.put(
+                    self.channels.transform,
+                    &display::transform(MAP_FRAME, display::BODY_FRAME, pose, at_ns),
+                )?;
+                messages.put(self.channels.pose, &display::pose_in_map(pose, at_ns))?;
+                if slow_due {
+                    messages.put(self.channels.path, &self.trail.message(at_ns))?;
+                }
+            }
+            let goal = record.report.goal.filter(|g| g.position_ned_m.is_finite());
+            if let Some(goal) = goal
+                && (slow_due || self.goal != Some(goal))
+            {
+                messages.put(self.channels.goal, &display::goal_in_map(goal, at_ns))?;
+            }
+            self.goal = goal;
+        }
 
         let mut told = Ok(());
         self.narrator.lines(record, |level: Level, line| {

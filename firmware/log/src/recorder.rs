@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use vigil_types::LogContent;
 
 /// Where the log goes. The tlog stands beside it, with the extension `tlog`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -47,6 +48,8 @@ pub struct RecorderConfig {
     pub info: FlightInfo,
     /// Obstacles to show.
     pub scene: Option<Scene>,
+    /// What the log holds. The configuration in `info` says the same, so that readers know.
+    pub content: LogContent,
 }
 
 impl RecorderConfig {
@@ -59,6 +62,7 @@ impl RecorderConfig {
             epoch_offset_ns: 0,
             info,
             scene: None,
+            content: LogContent::Everything,
         }
     }
 }
@@ -213,6 +217,7 @@ impl Recorder {
             &config.info,
             config.epoch_offset_ns,
             config.scene,
+            config.content,
         )
         .map_err(|source| StartError::Write {
             path: path.clone(),

@@ -5,6 +5,7 @@ mod common;
 use common::{Draw, bits, drawn, info, lockstep};
 use proptest::prelude::*;
 use vigil_log::{LogEnd, LogPlace, Reader, Recorder, RecorderConfig, StartError, TickRecord, WhenFull};
+use vigil_types::{Choice, LogContent};
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 24, failure_persistence: None, ..ProptestConfig::default() })]
@@ -85,6 +86,35 @@ fn in_real_time_an_idle_recorder_takes_every_record() {
     assert_eq!((summary.records, summary.dropped, summary.failure), (30, 0, None));
     let steps: Vec<u64> = Reader::open(&path).unwrap().map(|r| r.unwrap().timing.step).collect();
     assert!(steps.into_iter().eq(0..30));
+}
+
+#[test]
+fn a_log_holds_what_was_asked_for_and_no_more() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut sizes = Vec::new();
+    for content in [LogContent::Everything, LogContent::Replay, LogContent::Light] {
+        let path = dir.path().join(format!("{}.mcap", content.name()));
+        let config = RecorderConfig {
+            content,
+            ..lockstep(LogPlace::File(path.clone()))
+        };
+        let mut recorder = Recorder::start(config).unwrap();
+        for step in 0..40 {
+            assert!(recorder.record(|slot| Draw(step).record(step, step * 50_000_000, slot)));
+        }
+        sizes.push(recorder.finish().bytes);
+        let mut frames = 0;
+        for (step, read) in (0..).zip(Reader::open(&path).unwrap()) {
+            let (read, mut expected) = (read.unwrap(), drawn(step));
+            frames += usize::from(read.frame().is_some());
+            if content == LogContent::Light {
+                expected.set_frame(None);
+            }
+            assert!(bits(&read) == bits(&expected), "step {step} of {}", content.name());
+        }
+        assert_eq!(frames == 0, content == LogContent::Light, "{frames} frames");
+    }
+    assert!(sizes[0] > sizes[1] && sizes[1] > 2 * sizes[2], "{sizes:?}");
 }
 
 #[test]

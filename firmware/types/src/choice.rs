@@ -96,6 +96,14 @@ choices! {
         ArduPilot = "ardupilot": "ArduPilot (Copter)",
     }
 
+    /// What a flight log holds (docs/log.md, "What is recorded").
+    LogContent {
+        #[default]
+        Everything = "everything": "frames, what a replay needs, what viewers draw",
+        Replay = "replay": "frames and what a replay needs, without what viewers draw",
+        Light = "light": "what viewers draw, with frames for people only: it cannot be replayed",
+    }
+
     /// The pilots there are.
     PilotKind {
         Geometric = "geometric": "goal seeking and potential field on the depth frame",
@@ -128,6 +136,7 @@ mod tests {
         each_value_is_found_by_its_name_and_its_number::<AlarmPolicy>();
         each_value_is_found_by_its_name_and_its_number::<ObstacleReports>();
         each_value_is_found_by_its_name_and_its_number::<AutopilotChoice>();
+        each_value_is_found_by_its_name_and_its_number::<LogContent>();
         each_value_is_found_by_its_name_and_its_number::<PilotKind>();
         assert_eq!(AlarmPolicy::Recover.code(), 2, "DT_ALARM");
         assert_eq!(AtGoal::Land.code(), 1, "GD_AT_GOAL");

@@ -4,7 +4,8 @@
 //! default, the MAVLink parameter of that name, the text of `--help` and the reference in docs/firmware.md.
 
 use crate::{
-    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, EngagePolicy, ObstacleReports, OnNoProgress, PilotKind,
+    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, EngagePolicy, LogContent, ObstacleReports,
+    OnNoProgress, PilotKind,
 };
 use core::fmt;
 
@@ -482,6 +483,7 @@ table! {
     OFFSET = whole("rate.offset_ms", (0, 49), "ms", 5, "how long after each multiple of 50 ms a step is due");
 
     LOG = text("log.directory", "\"runs\"", "folder for the flight log; without it there is none");
+    LOG_CONTENT = choice("log.content", LogContent::WORDS, LogContent::Everything as usize, "what the flight log holds (docs/log.md)");
     SCENE = text("log.scene", "\"scene.json\"", "file with the course's obstacles, for display in the log only");
 
     STATE = text(

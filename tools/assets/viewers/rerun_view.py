@@ -4,13 +4,18 @@ Rerun reads MCAP itself, but draws neither scenes, planned ways nor grids of it,
 the schemas that it carries and hands the viewer what it draws: `vigil view LOG` runs it.
 
 Usage: rerun_view.py LOG [--follow] [--port PORT] [--save FILE.rrd] [--layout FILE.rbl]
+       rerun_view.py FOLDER --flights NAME,NAME,...     logs that come to be there, each in a tab of its own
+       rerun_view.py --course FILE.json                 a course alone
 Packages: rerun-sdk, mcap, mcap-protobuf-support and numpy, in the versions that `vigil view` names.
 """
 
 import argparse
+import json
 import math
 import os
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -50,40 +55,73 @@ PLOTS = {
 }
 
 
-def layout():
-    """Where everything stands."""
-    plot = lambda name, path: rrb.TimeSeriesView(origin=f"/{path}", name=name)
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Spatial3DView(
-                    origin="/map", name="Flight",
-                    contents=["/map/**", "- /map/base_link/depth_sensor/range", "- /map/base_link/depth_sensor/shap"],
-                ),
-                rrb.TextLogView(origin="/log", name="Events: states, alarms and who raised them"),
-                row_shares=[3, 1],
-            ),
-            rrb.Vertical(
-                rrb.Spatial2DView(origin="/map/base_link/depth_sensor", name="Depth in metres, SHAP over it (orange: turns right)"),
-                plot("Detector: score against threshold", "plots/score"),
-                plot("Yaw: wanted and flown", "plots/yaw"),
-                plot("What moved the yaw", "plots/cause"),
-                row_shares=[3, 2, 2, 2],
-            ),
-            rrb.Vertical(
-                plot("Speed", "plots/speed"),
-                plot("Step time", "plots/step"),
-                plot("State and alarm", "plots/state"),
-                plot("Altered frames: change of the actor's yaw", "plots/attack"),
-            ),
-            column_shares=[5, 3, 2],
+def flight_view(prefix, name):
+    """The flight in 3-D, without the pictures that its sensor took."""
+    sensor = f"/{prefix}map/base_link/depth_sensor"
+    return rrb.Spatial3DView(
+        origin=f"/{prefix}map", name=name, contents=[f"/{prefix}map/**", f"- {sensor}/range", f"- {sensor}/shap"],
+    )
+
+
+def panels(prefix="", name=None):
+    """Everything of one flight."""
+    plot = lambda name, path: rrb.TimeSeriesView(origin=f"/{prefix}{path}", name=name)
+    return rrb.Horizontal(
+        rrb.Vertical(
+            flight_view(prefix, "Flight"),
+            rrb.TextLogView(origin=f"/{prefix}log", name="Events: states, alarms and who raised them"),
+            row_shares=[3, 1],
         ),
+        rrb.Vertical(
+            rrb.Spatial2DView(origin=f"/{prefix}map/base_link/depth_sensor", name="Depth in metres, SHAP over it (orange: turns right)"),
+            plot("Detector: score against threshold", "plots/score"),
+            plot("Yaw: wanted and flown", "plots/yaw"),
+            plot("What moved the yaw", "plots/cause"),
+            row_shares=[3, 2, 2, 2],
+        ),
+        rrb.Vertical(
+            plot("Speed", "plots/speed"),
+            plot("Step time", "plots/step"),
+            plot("State and alarm", "plots/state"),
+            plot("Altered frames: change of the actor's yaw", "plots/attack"),
+        ),
+        column_shares=[5, 3, 2],
+        name=name,
+    )
+
+
+def blueprint(root):
+    return rrb.Blueprint(
+        root,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed"),
         auto_views=False,
         auto_layout=False,
     )
+
+
+def layout(names=()):
+    """Where everything stands; of several flights all side by side in the first tab, then a tab for each."""
+    if not names:
+        return blueprint(panels())
+    both = lambda name: rrb.Vertical(
+        flight_view(f"{name}/", name), rrb.TimeSeriesView(origin=f"/{name}/plots/score", name=f"{name}: score"), row_shares=[4, 1],
+    )
+    tabs = [panels(f"{name}/", name) for name in names]
+    return blueprint(rrb.Tabs(rrb.Grid(*map(both, names), name="all flights"), *tabs))
+
+
+def course_layout():
+    """A course alone."""
+    return blueprint(rrb.Horizontal(
+        rrb.Spatial3DView(origin="/map", name="Course", contents=["/map/**", "- /map/start/depth"]),
+        rrb.Vertical(
+            rrb.Spatial2DView(origin="/map/start/depth", name="What the sensor sees at the start, metres"),
+            rrb.TextDocumentView(origin="/about", name="Course"),
+        ),
+        column_shares=[3, 1],
+    ))
 
 
 class Growing:
@@ -116,29 +154,34 @@ def turn(q):
 
 
 class Show:
-    """Hands the viewer one message after the other."""
+    """Hands the viewer one message after the other; what it draws stands below `prefix`."""
 
-    def __init__(self):
+    def __init__(self, prefix=""):
+        self.prefix = prefix
         self.seen = set()
         self.shown_path = []
         self.first_ns = None
+        self.flew = False
+
+    def draw(self, path, what, static=False):
+        rr.log(f"{self.prefix}{path}", what, static=static)
 
     def begin(self, metadata):
         if metadata.get("format") != FORMAT:
             sys.exit(f"the log has format {metadata.get('format')}, written by {metadata.get('program', 'an unknown program')}; "
                      f"this viewer script reads format {FORMAT}")
-        rr.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        rr.log("map/base_link/body", rr.Boxes3D(half_sizes=[[0.2, 0.2, 0.06]], colors=[BLUE], fill_mode="solid"), static=True)
-        rr.log("map/base_link/nose", rr.Arrows3D(vectors=[[0.8, 0, 0]], colors=[BLUE]), static=True)
-        rr.log("map/home", rr.Points3D([[0, 0, 0]], radii=0.1, colors=[GREY], labels=["home"]), static=True)
+        self.draw("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self.draw("map/base_link/body", rr.Boxes3D(half_sizes=[[0.2, 0.2, 0.06]], colors=[BLUE], fill_mode="solid"), static=True)
+        self.draw("map/base_link/nose", rr.Arrows3D(vectors=[[0.8, 0, 0]], colors=[BLUE]), static=True)
+        self.draw("map/home", rr.Points3D([[0, 0, 0]], radii=0.1, colors=[GREY], labels=["home"]), static=True)
         for path, series in PLOTS.items():
             for field, name, colour in series:
-                rr.log(f"{path}/{field}", rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
-        rr.log("plots/attack/yaw_change", rr.SeriesLines(names=["altered by"], colors=[RED]), static=True)
+                self.draw(f"{path}/{field}", rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
+        self.draw("plots/attack/yaw_change", rr.SeriesLines(names=["altered by"], colors=[RED]), static=True)
 
     def about(self, metadata):
         lines = "\n".join(f"- **{key}**: {value}" for key, value in sorted(metadata.items()))
-        rr.log("about", rr.TextDocument(lines, media_type="text/markdown"), static=True)
+        self.draw("about", rr.TextDocument(lines, media_type="text/markdown"), static=True)
 
     def message(self, topic, message, decoded):
         self.seen.add(topic)
@@ -154,31 +197,31 @@ class Show:
             # Columns of a frame are angles, not a pinhole's: the frame is drawn as rays, and as a picture of its own.
             at = None
         if at:
-            rr.log(at, rr.Transform3D(translation=point(tf.translation), quaternion=turn(tf.rotation)))
+            self.draw(at, rr.Transform3D(translation=point(tf.translation), quaternion=turn(tf.rotation)))
 
     def path(self, path):
-        rr.log("map/path", rr.LineStrips3D([[point(p.position) for p in path.poses]], colors=[BLUE], radii=[0.04]))
+        self.draw("map/path", rr.LineStrips3D([[point(p.position) for p in path.poses]], colors=[BLUE], radii=[0.04]))
 
     def goal(self, goal):
-        rr.log("map/goal", rr.Points3D([point(goal.pose.position)], radii=0.3, colors=[GREEN], labels=["goal"]))
+        self.draw("map/goal", rr.Points3D([point(goal.pose.position)], radii=0.3, colors=[GREEN], labels=["goal"]))
 
     def scene(self, update):
         for entity in update.entities:
             cubes, cylinders = entity.cubes, entity.cylinders
             if cubes:
-                rr.log("map/scene/boxes", rr.Boxes3D(
+                self.draw("map/scene/boxes", rr.Boxes3D(
                     centers=[point(c.pose.position) for c in cubes],
                     half_sizes=[[c.size.x / 2, c.size.y / 2, c.size.z / 2] for c in cubes],
                     quaternions=[turn(c.pose.orientation) for c in cubes], colors=[GREY], fill_mode="solid"), static=True)
             if cylinders:
-                rr.log("map/scene/cylinders", rr.Cylinders3D(
+                self.draw("map/scene/cylinders", rr.Cylinders3D(
                     lengths=[c.size.z for c in cylinders], radii=[c.size.x / 2 for c in cylinders],
                     centers=[point(c.pose.position) for c in cylinders],
                     quaternions=[turn(c.pose.orientation) for c in cylinders], colors=[GREY], fill_mode="solid"), static=True)
 
     def depth_range(self, image):
         metres = np.frombuffer(image.data, "<u2").reshape(image.height, image.width) / np.float32(1000)
-        rr.log("map/base_link/depth_sensor/range", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
+        self.draw("map/base_link/depth_sensor/range", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
         rows, cols = np.nonzero((metres > 0) & (metres < 20))
         keep = slice(None, None, 4)
         rows, cols = rows[keep], cols[keep]
@@ -186,11 +229,11 @@ class Show:
         elevation = (0.5 - (rows + 0.5) / image.height) * HEIGHT_RAD
         r = metres[rows, cols]
         points = np.stack([r * np.cos(elevation) * np.cos(bearing), -r * np.cos(elevation) * np.sin(bearing), r * np.sin(elevation)], axis=1)
-        rr.log("map/base_link/returns", rr.Points3D(points, radii=0.03, colors=[ORANGE]))
+        self.draw("map/base_link/returns", rr.Points3D(points, radii=0.03, colors=[ORANGE]))
 
     def depth_clean(self, image):
         metres = np.frombuffer(image.data, "<f4").reshape(image.height, image.width) * 100
-        rr.log("clean", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
+        self.draw("clean", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]))
 
     def shap(self, image):
         sums = np.frombuffer(image.data, "<f4").reshape(image.height, image.width)
@@ -202,35 +245,36 @@ class Show:
         rgba[..., 3] = 220 * np.sqrt(np.abs(share))
         factor = COLS // 2 // image.width
         rgba = rgba.repeat(factor, axis=0).repeat(factor, axis=1)
-        rr.log("map/base_link/depth_sensor/shap", rr.Image(rgba, draw_order=10))
+        self.draw("map/base_link/depth_sensor/shap", rr.Image(rgba, draw_order=10))
 
     def map_grid(self, grid):
         percent = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.row_stride)[:, : grid.column_count]
         rows, cols = np.nonzero(percent >= 33)
         corner, cell = grid.pose.position, grid.cell_size
         centres = np.stack([corner.x + (cols + 0.5) * cell.x, corner.y + (rows + 0.5) * cell.y, np.full(len(rows), 0.03)], axis=1)
-        rr.log("map/grid", rr.Boxes3D(centers=centres, half_sizes=[[cell.x / 2, cell.y / 2, 0.02]], colors=[PINK], fill_mode="solid"))
+        self.draw("map/grid", rr.Boxes3D(centers=centres, half_sizes=[[cell.x / 2, cell.y / 2, 0.02]], colors=[PINK], fill_mode="solid"))
 
     def map_way(self, way):
-        rr.log("map/way", rr.LineStrips3D([[point(p.position) for p in way.poses]], colors=[PINK], radii=[0.06]))
+        self.draw("map/way", rr.LineStrips3D([[point(p.position) for p in way.poses]], colors=[PINK], radii=[0.06]))
 
     def truth_pose(self, truth):
         self.shown_path.append(point(truth.pose.position))
-        rr.log("map/true_path", rr.LineStrips3D([self.shown_path[-600:]], colors=[GREEN], radii=[0.02]))
+        self.draw("map/true_path", rr.LineStrips3D([self.shown_path[-600:]], colors=[GREEN], radii=[0.02]))
 
     def attack(self, attack):
-        rr.log("plots/attack/yaw_change", rr.Scalars(abs(attack.yaw_change) if attack.altered > 0.5 else 0.0))
+        self.draw("plots/attack/yaw_change", rr.Scalars(abs(attack.yaw_change) if attack.altered > 0.5 else 0.0))
 
     def log(self, line):
         level = {3: "WARN", 4: "ERROR", 5: "CRITICAL"}.get(line.level, "INFO")
-        rr.log("log", rr.TextLog(line.message, level=level))
+        self.draw("log", rr.TextLog(line.message, level=level))
 
     def status(self, status):
+        self.flew = self.flew or status.state == "guided" or status.height_m > 0.5
         for path, series in PLOTS.items():
             for field, _, _ in series:
                 value = getattr(status, field)
                 if not math.isnan(value):
-                    rr.log(f"{path}/{field}", rr.Scalars(value))
+                    self.draw(f"{path}/{field}", rr.Scalars(value))
 
 
 def read(file, show):
@@ -258,6 +302,76 @@ def read(file, show):
     return "no end"
 
 
+def follow_all(folder, names):
+    """Shows the logs that come to be in a folder, all at once, until each has ended or is not waited for any more."""
+    no_more, parent = threading.Event(), os.getppid()
+    signal.signal(signal.SIGTERM, lambda *_: no_more.set())
+
+    def follow(name):
+        path = folder / f"{name}.mcap"
+        while not path.exists():
+            if no_more.is_set() or os.getppid() != parent:
+                return
+            time.sleep(0.1)
+        with path.open("rb") as file:
+            read(Growing(file), Show(f"{name}/"))
+
+    threads = [threading.Thread(target=follow, args=(name,)) for name in names]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        # With a limit, so that the signal is seen.
+        while thread.is_alive():
+            thread.join(0.2)
+
+
+def in_map(ned):
+    """Viewers draw with z up: x east, y north."""
+    north, east, down = ned
+    return [east, north, -down]
+
+
+def draw_solids(at, solids, colour, static):
+    boxes = [s["cuboid"] for s in solids if "cuboid" in s]
+    cylinders = [s["cylinder"] for s in solids if "cylinder" in s]
+    if boxes:
+        halves = [(math.pi / 2 - b["yaw_rad"]) / 2 for b in boxes]
+        rr.log(f"{at}/boxes", rr.Boxes3D(
+            centers=[in_map(b["centre_ned_m"]) for b in boxes], half_sizes=[b["half_extents_m"] for b in boxes],
+            quaternions=[rr.Quaternion(xyzw=[0, 0, math.sin(a), math.cos(a)]) for a in halves], colors=[colour], fill_mode="solid"), static=static)
+    if cylinders:
+        rr.log(f"{at}/cylinders", rr.Cylinders3D(
+            lengths=[2 * c["half_height_m"] for c in cylinders], radii=[c["radius_m"] for c in cylinders],
+            centers=[in_map(c["centre_ned_m"]) for c in cylinders], colors=[colour], fill_mode="solid"), static=static)
+
+
+def show_course(course):
+    rr.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    draw_solids("map/still", course["solids"], GREY, True)
+    start, goal, heading = course["start_ned_m"], course["goal_ned_m"], course["heading_rad"]
+    rr.log("map/start", rr.Arrows3D(origins=[in_map(start)], vectors=[[1.5 * math.sin(heading), 1.5 * math.cos(heading), 0]], colors=[BLUE],
+                                    labels=["start"]), static=True)
+    rr.log("map/goal", rr.Ellipsoids3D(centers=[in_map(goal)], half_sizes=[[course["goal_radius_m"]] * 3], colors=[GREEN], labels=["goal"]),
+           static=True)
+    (south, north), (west, east), top = course["bounds"]["north_m"], course["bounds"]["east_m"], course["bounds"]["top_m"]
+    rr.log("map/bounds", rr.Boxes3D(mins=[[west, south, 0]], sizes=[[east - west, north - south, top]], colors=[BLUE], fill_mode="majorwireframe"),
+           static=True)
+    if course["way_ne_m"]:
+        height = -goal[2]
+        rr.log("map/way", rr.LineStrips3D([[[e, n, height] for n, e in course["way_ne_m"]]], colors=[GREEN], radii=[0.04]), static=True)
+    for step, movers in enumerate(course["movers"]):
+        rr.set_time("course", duration=step * course["movers_step_s"])
+        draw_solids("map/moving", movers["solids"], PINK, False)
+    metres = np.array(course["depth_mm"], np.float32) / 1000
+    rr.log("map/start/depth", rr.DepthImage(metres, meter=1.0, colormap="viridis", depth_range=[0, 12]), static=True)
+    moving = len(course["movers"][0]["solids"]) if course["movers"] else 0
+    family = f"family {course['family']}, seed {course['seed']}" if course["family"] else "made by hand"
+    way = "green line: a way that keeps clear" if course["way_ne_m"] else "**no way from start to goal keeps clear of the obstacles**"
+    lines = [f"# {course['name']}", family, f"{len(course['solids'])} obstacles stand still", f"{moving} move (pink; press play)", way,
+             f"goal reached within {course['goal_radius_m']:.1f} m, in {course['time_limit_s']:.0f} s"]
+    rr.log("about", rr.TextDocument("\n\n".join(lines), media_type="text/markdown"), static=True)
+
+
 def wait_for(path, patience_s=15.0):
     """The log, or the one log in a folder, once it is there."""
     begun = time.monotonic()
@@ -276,28 +390,37 @@ def main():
     arguments.add_argument("--port", type=int, default=9876, help="of the viewer")
     arguments.add_argument("--save", help="write a recording for the viewer instead of opening it")
     arguments.add_argument("--layout", help="write the layout alone, as a blueprint file, and end")
+    arguments.add_argument("--flights", help="names of logs that come to be in a folder, with commas between")
+    arguments.add_argument("--course", help="a course (JSON)")
     args = arguments.parse_args()
     if args.layout:
         layout().save("vigil", args.layout)
         return
+    if args.course:
+        course = json.loads(Path(args.course).read_text())
+        open_viewer(args, f"{course['name']}-{os.getpid()}", course_layout())
+        show_course(course)
+        rr.get_global_data_recording().flush()
+        return
     if not args.log:
         arguments.error("which log?")
     path = Path(args.log)
-    if args.follow:
+    if args.follow or args.flights:
         # What is looked at must not take time from what flies.
         os.nice(10)
+    if args.flights:
+        names = args.flights.split(",")
+        open_viewer(args, f"{path.name}-{os.getpid()}", layout(names))
+        follow_all(path, names)
+        rr.get_global_data_recording().flush()
+        return
+    if args.follow:
         path = wait_for(path)
     with path.open("rb") as file:
         if not args.follow and file.read(8) != b"\x89MCAP0\r\n":
             sys.exit(f"{path} is no MCAP file")
         file.seek(0)
-        rr.init("vigil", recording_id=f"{path.parent.name}/{path.stem}-{os.getpid()}")
-        if args.save:
-            rr.save(args.save, default_blueprint=layout())
-        else:
-            # The viewer's program lies beside this Python, which need not be on the path.
-            os.environ["PATH"] = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
-            rr.spawn(port=args.port, hide_welcome_screen=True, default_blueprint=layout())
+        open_viewer(args, f"{path.parent.name}/{path.stem}-{os.getpid()}", layout())
         rr.send_recording_name(path.stem)
         show = Show()
         early = read(Growing(file) if args.follow else file, show)
@@ -306,8 +429,20 @@ def main():
         print(f"{path} was not closed or is damaged ({early}): what stands before is shown", file=sys.stderr)
     for topic in sorted(NEEDED - show.seen):
         print(f"{path} holds nothing on {topic}: that part of the view is empty", file=sys.stderr)
+    if "/status" in show.seen and not show.flew:
+        print(f"the vehicle never took off in {path}: obstacles and events are shown, `vigil log report` says why", file=sys.stderr)
     if not {"/map/grid", "/shap"} <= show.seen and not args.follow:
         print(f"map, planned way and SHAP: `vigil log derive {path}` puts them into the log", file=sys.stderr)
+
+
+def open_viewer(args, recording, place):
+    rr.init("vigil", recording_id=recording)
+    if args.save:
+        rr.save(args.save, default_blueprint=place)
+    else:
+        # The viewer's program lies beside this Python, which need not be on the path.
+        os.environ["PATH"] = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
+        rr.spawn(port=args.port, hide_welcome_screen=True, default_blueprint=place)
 
 
 if __name__ == "__main__":

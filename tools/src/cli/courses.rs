@@ -1,12 +1,14 @@
 //! `vigil courses`: draw, write and check courses.
 
 use crate::cli::output::{self, put, say};
+use crate::cli::view::ViewerArgs;
 use anyhow::{Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use vigil_log::Scene;
 use vigil_sim::{CourseChoice, Models, SimConfig, Simulator, Start};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame};
-use vigil_world::Image;
+use vigil_world::{Course, Image};
 
 /// Arguments of `vigil courses`.
 #[derive(Debug, Clone, clap::Args)]
@@ -14,7 +16,9 @@ use vigil_world::Image;
 Examples:
   vigil courses draw --seed 7 -o 7.png               top view of validation course 7
   vigil courses draw --seed 7 -o 7.svg               the same as vectors, for print
-  vigil courses view --seed 7 -o view.png            what the LiDAR sees at its start
+  vigil courses view --seed 7                        the course in 3-D in the Rerun viewer, moving obstacles included
+  vigil courses view --course my.toml --save my.rrd  the same as a recording: `rerun my.rrd` opens it
+  vigil courses view --seed 7 -o view.png            what the LiDAR sees at its start, as a picture
   vigil courses write --family training --seed 3     the course as TOML, to edit and fly with --course
   vigil courses check my.toml                        is it well formed, and is there a way to the goal?")]
 pub struct CoursesArgs {
@@ -32,13 +36,18 @@ enum CoursesCommand {
         #[arg(short, long, default_value = "course.png")]
         output: PathBuf,
     },
-    /// Draw the depth frame seen at the start as a PNG (near is bright).
+    /// Open a course in 3-D in the Rerun viewer, or draw the depth frame seen at its start.
     View {
         #[command(flatten)]
         course: CourseChoice,
-        /// The picture.
-        #[arg(short, long, default_value = "view.png")]
-        output: PathBuf,
+        /// Draw the depth frame as a PNG (near is bright) instead of opening the viewer.
+        #[arg(short, long, value_name = "FILE", conflicts_with = "save")]
+        output: Option<PathBuf>,
+        /// Write a recording for the viewer instead of opening it.
+        #[arg(long, value_name = "FILE")]
+        save: Option<PathBuf>,
+        #[command(flatten)]
+        viewer: ViewerArgs,
     },
     /// Write a course as TOML to a file or standard output.
     Write {
@@ -59,7 +68,7 @@ enum CoursesCommand {
 /// Runs the command.
 ///
 /// # Errors
-/// Unreadable or malformed courses (file, line, field), a picture that cannot be written.
+/// Unreadable or malformed courses (file, line, field), a picture that cannot be written, no viewer.
 pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
     match &args.command {
         CoursesCommand::Draw { course, output } => {
@@ -80,14 +89,27 @@ pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
                 write_png(&vigil_world::draw(&course, &[]), output)?;
             }
         }
-        CoursesCommand::View { course, output } => {
-            vigil_world::check_png_name(output)?;
+        CoursesCommand::View {
+            course,
+            output,
+            save,
+            viewer,
+        } => {
+            if let Some(output) = output {
+                vigil_world::check_png_name(output)?;
+            }
             let seed = course.seed_or_random();
-            let mut config = SimConfig::with_models(course.load(seed)?, seed, Models::default());
-            config.start = Start::Airborne;
-            let mut frame = Box::new(DepthFrame::EMPTY);
-            Simulator::new(&config, 0)?.capture(&mut frame);
-            write_png(&depth_image(&frame), output)?;
+            let course = course.load(seed)?;
+            let frame = seen_at_start(&course, seed)?;
+            match output {
+                Some(output) => write_png(&depth_image(&frame), output)?,
+                None => {
+                    viewer.course(&in_3d(&course, &frame)?, save.as_deref())?;
+                    if let Some(save) = save {
+                        say!("{}", save.display());
+                    }
+                }
+            }
         }
         CoursesCommand::Write { course, output } => {
             let text = course.load(course.seed_or_random())?.to_toml_string()?;
@@ -99,6 +121,56 @@ pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
         CoursesCommand::Check { files } => return Ok(check(files)),
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The frame that the sensor takes at the start, at flight height.
+fn seen_at_start(course: &Course, seed: u64) -> Result<Box<DepthFrame>> {
+    let mut config = SimConfig::with_models(course.clone(), seed, Models::default());
+    config.start = Start::Airborne;
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    Simulator::new(&config, 0)?.capture(&mut frame);
+    Ok(frame)
+}
+
+/// Moving obstacles are shown for so long, at this pace.
+const MOVERS_S: f64 = 60.0;
+const MOVERS_STEP_S: f64 = 0.2;
+
+/// What the viewer's script draws of a course, as JSON: NED metres, radians clockwise from north, ranges in millimetres (0: no return).
+fn in_3d(course: &Course, frame: &DepthFrame) -> Result<String> {
+    let still = Course {
+        movers: Vec::new(),
+        ..course.clone()
+    };
+    let movers: Vec<Scene> = (0..=(MOVERS_S / MOVERS_STEP_S) as u64)
+        .map(|step| (step as f64 * MOVERS_STEP_S * 1e9) as u64)
+        .map(|at_ns| crate::cli::scene::of_solids(course.movers.iter().map(|m| m.solid_at(at_ns))))
+        .collect();
+    let range_mm = |value: &f32| match *value {
+        value if value < 1.0 => (value * DEPTH_FULL_SCALE_M * 1000.0) as u32,
+        _ => 0,
+    };
+    let every_second = |row: &[f32]| row.iter().step_by(2).map(range_mm).collect::<Vec<u32>>();
+    let depth: Vec<Vec<u32>> = frame.depth.chunks(DEPTH_COLS).step_by(2).map(every_second).collect();
+    let bounds = &course.bounds;
+    let json = serde_json::json!({
+        "name": course.name,
+        "family": course.family.map(|family| family.name()),
+        "seed": course.seed,
+        "start_ned_m": course.start_ned_m().to_array(),
+        "heading_rad": course.start_heading_rad(),
+        "goal_ned_m": course.goal_ned_m().to_array(),
+        "goal_radius_m": course.goal_radius_m,
+        "time_limit_s": course.time_limit_s,
+        "bounds": { "north_m": bounds.north_m, "east_m": bounds.east_m, "top_m": bounds.top_m },
+        "ceiling_height_m": course.ceiling_height_m,
+        "way_ne_m": course.corridor(),
+        "solids": crate::cli::scene::of(&still).solids,
+        "movers": if course.movers.is_empty() { Vec::new() } else { movers },
+        "movers_step_s": MOVERS_STEP_S,
+        "depth_mm": depth,
+    });
+    Ok(serde_json::to_string(&json)?)
 }
 
 fn check(files: &[PathBuf]) -> ExitCode {

@@ -2,8 +2,9 @@
 
 use crate::campaign::part::{self, Part, Shard, Unit};
 use crate::campaign::{self, FaultChoice, FaultTally, Flown, Recording, SensorRecord, WatchRecord};
-use crate::cli::output::{self, Interrupt, Paint, Progress, say};
+use crate::cli::output::{self, Interrupt, Paint, Progress, say, tell};
 use crate::cli::pilot::PilotArgs;
+use crate::cli::view::ViewerArgs;
 use crate::flight_report;
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::{quantile, wilson_95};
@@ -13,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
-use std::time::Instant;
+use std::process::{Child, ExitCode};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::{Attack, AttackArgs, AttackRecord};
 use vigil_adversary::{AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
@@ -31,6 +32,8 @@ const MOST_FLIGHTS: u64 = 10_000_000;
 
 /// More logs than this fill most disks.
 const MOST_LOGS: u64 = 100;
+/// More flights than this are not seen beside each other.
+const MOST_SHOWN: u64 = 16;
 
 /// Arguments of `vigil evaluate`.
 #[derive(Debug, Clone, clap::Args)]
@@ -50,6 +53,7 @@ Examples:
   vigil evaluate --flights 20 --sensor-fault all        a table of all faults of the LiDAR
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
   vigil evaluate --flights 3 --logs runs/logs           each flight's log and its report
+  vigil evaluate --flights 20 --view 4                  the first four in the Rerun viewer, while they fly
   vigil evaluate --flights 9000 -o runs/big.json --shard 2/9
                                                         the second of nine parts, for `vigil merge` (docs/cluster.md)
 
@@ -133,6 +137,14 @@ pub struct EvaluateArgs {
     /// Keep the log of every flight in this folder, SEED.mcap, with its report beside it: about 100 MB for a minute of flight.
     #[arg(long, value_name = "DIR")]
     logs: Option<PathBuf>,
+
+    /// Show the first N flights in one Rerun viewer while they fly: side by side, and each in a tab with all of its plots
+    /// (docs/view.md). Their logs are kept, in the folder of --logs or in one of their own beside the JSON.
+    #[arg(long, value_name = "N", conflicts_with = "shard", value_parser = clap::value_parser!(u64).range(1..=MOST_SHOWN))]
+    view: Option<u64>,
+
+    #[command(flatten)]
+    viewer: ViewerArgs,
 }
 
 /// How far away the goals are.
@@ -256,6 +268,8 @@ impl Plan {
             shard: _,
             draw_failures: _,
             logs: _,
+            view: _,
+            viewer: _,
         } = args;
         let mut firmware = FirmwareConfig::to_goal(NedVector::default());
         pilot.apply(&mut firmware);
@@ -392,12 +406,21 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
     let plan = Plan::of(args, attack.as_ref())?;
     let faults = faults(args.sensor_fault);
     let pool = thread_pool_of(args.threads)?;
+    let mut shown = args
+        .view
+        .map(|count| Shown::begin(args, &path, count, &faults))
+        .transpose()?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(plan.units(), "flights")?;
+    let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
+    let keep = |unit: u64| {
+        let of_shown = live.as_ref().filter(|(count, _)| unit < *count);
+        args.logs.as_deref().or(of_shown.map(|(_, folder)| folder.as_path()))
+    };
     let fly_unit = |unit: u64| {
         let fault = faults.get((unit / args.flights) as usize).copied().flatten();
         let seed = args.seed.wrapping_add(unit % args.flights);
-        let flight = fly(args, &models, attack.as_ref(), fault, seed)?;
+        let flight = fly(args, &models, attack.as_ref(), fault, seed, keep(unit))?;
         if !flight.record.is_success() {
             bar.set_message(format!(
                 "last failure: seed {} ({})",
@@ -423,6 +446,9 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         threads: pool.current_num_threads(),
     };
     report(&plan, &flights, &path, Some(&took))?;
+    if let Some(shown) = &mut shown {
+        shown.end(&interrupt)?;
+    }
     Ok(interrupt.exit_code())
 }
 
@@ -453,6 +479,7 @@ fn fly(
     attack: Option<&Attack>,
     fault: Option<SensorFault>,
     seed: u64,
+    logs: Option<&Path>,
 ) -> Result<Flight> {
     let mut course = match args.goal_distance {
         None => generate(args.family, seed),
@@ -491,7 +518,12 @@ fn fly(
         watch,
         sensor,
         altered_frames_used,
-    } = campaign::fly_recorded(&config, &firmware, attack, recording(args, fault, seed))?;
+    } = campaign::fly_recorded(
+        &config,
+        &firmware,
+        attack,
+        logs.map(|folder| recording(args, folder, fault, seed)),
+    )?;
     let is_attacked = attack.is_some();
     if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
         draw(
@@ -512,13 +544,86 @@ fn fly(
     })
 }
 
+/// Flights in the viewer while they fly.
+struct Shown {
+    count: u64,
+    folder: PathBuf,
+    script: Child,
+}
+
+impl Shown {
+    /// Opens the viewer for the first `count` flights.
+    fn begin(args: &EvaluateArgs, json: &Path, count: u64, faults: &[Option<SensorFault>]) -> Result<Self> {
+        args.viewer.check_with_port()?;
+        let count = count.min(args.flights * faults.len() as u64);
+        let folder = match &args.logs {
+            Some(folder) => folder.clone(),
+            None => {
+                let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
+                let parent = json
+                    .parent()
+                    .filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(json));
+                let parent = parent.unwrap_or(Path::new("runs"));
+                vigil_files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
+                    .with_context(|| format!("cannot make a folder in {}", parent.display()))?
+            }
+        };
+        let names: Vec<String> = (0..count)
+            .map(|unit| {
+                let fault = faults.get((unit / args.flights) as usize).copied().flatten();
+                log_name(args, fault, args.seed.wrapping_add(unit % args.flights))
+            })
+            .collect();
+        let script = args.viewer.follow_all(&folder, &names)?;
+        Ok(Self { count, folder, script })
+    }
+
+    /// All flights are over: the script shows what it has not yet, and ends; the viewer stays open.
+    fn end(&mut self, interrupt: &Interrupt) -> Result<()> {
+        if self.script.try_wait()?.is_none() {
+            // A log that is not there by now does not come any more.
+            rustix::process::kill_process(
+                rustix::process::Pid::from_child(&self.script),
+                rustix::process::Signal::TERM,
+            )?;
+        }
+        let mut told = false;
+        let status = loop {
+            match self.script.try_wait()? {
+                Some(status) => break status,
+                None if interrupt.came() => {
+                    self.script.kill()?;
+                    break self.script.wait()?;
+                }
+                None => std::thread::sleep(Duration::from_millis(100)),
+            }
+            if !told {
+                tell!("vigil: the viewer reads the rest of the logs; Ctrl-C leaves it there");
+                told = true;
+            }
+        };
+        say!("logs             {}", self.folder.display());
+        if !status.success() && !interrupt.came() {
+            tell!(
+                "vigil: the viewer ended early: see {}",
+                self.folder.join("viewer.log").display()
+            );
+        }
+        Ok(())
+    }
+}
+
+/// The name of a flight's log, without its ending.
+fn log_name(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> String {
+    match fault.filter(|_| matches!(args.sensor_fault, Some(FaultChoice::All(_)))) {
+        Some(fault) => format!("{seed}-{}", fault.to_string().replace('@', "-at-")),
+        None => seed.to_string(),
+    }
+}
+
 /// What to keep of a flight.
-fn recording(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Option<Recording> {
-    let folder = args.logs.as_ref()?;
-    let name = match fault.filter(|_| matches!(args.sensor_fault, Some(FaultChoice::All(_)))) {
-        Some(fault) => format!("{seed}-{}.mcap", fault.to_string().replace('@', "-at-")),
-        None => format!("{seed}.mcap"),
-    };
+fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Recording {
+    let name = format!("{}.mcap", log_name(args, fault, seed));
     let command = flight_report::command_again(
         std::env::args(),
         "evaluate",
@@ -531,6 +636,9 @@ fn recording(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Opti
             "-o",
             "--json",
             "--draw-failures",
+            "--view",
+            "--view-port",
+            "--python",
         ],
         &[
             "--flights".to_owned(),
@@ -546,11 +654,11 @@ fn recording(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Opti
     if let Some(attack) = args.attack.attack {
         about.insert("attack".to_owned(), attack.name().to_owned());
     }
-    Some(Recording {
+    Recording {
         log: folder.join(name),
         about,
         explained_frames: 0,
-    })
+    }
 }
 
 /// A wind of mean speed `mean_m_s` from a direction that depends on the seed, with gusts a third as strong.

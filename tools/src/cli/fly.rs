@@ -2,10 +2,12 @@
 
 use crate::cli::family;
 use crate::cli::live::Live;
-use crate::cli::output::{EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
+use crate::cli::log::{FILM_EXPLAINED, FILM_SPEED, check_film, film_name, write_film};
+use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::PilotArgs;
 use crate::cli::view::ViewerArgs;
 use crate::flight_derived::{Wanted, derive};
+use crate::flight_film::FilmOptions;
 use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -20,10 +22,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
 use vigil_firmware::FirmwareConfig;
+use vigil_firmware::arguments::choice;
 use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::{CourseChoice, SensorFault};
-use vigil_types::{Attitude, Nanos, NedVector};
+use vigil_types::{Attitude, Choice, LogContent, Nanos, NedVector};
 use vigil_world::{Course, FlightPath};
 
 /// What simulator and adversary know besides the firmware's log, until it is put into it.
@@ -51,6 +54,8 @@ Examples:
   vigil fly --sensor-fault frozen@12 the LiDAR shows the same image from 12 s on
   vigil fly --course my.toml         your own course (docs/courses.md)
   vigil fly --view                   in the Rerun viewer while it flies
+  vigil fly --seed 7 --record 7.gif  a film of the flight, made after it; or 7.mp4, with ffmpeg
+  vigil fly --log-content light      a log of a few MB, to be looked at only (docs/log.md)
   vigil fly --instance 1             beside another flight on the same machine
 
 While it flies, any MAVLink client can watch on port 14550 and command on 14540, plus the instance number for instances 1 to 9;
@@ -92,6 +97,14 @@ pub struct FlyArgs {
     #[command(flatten)]
     viewer: ViewerArgs,
 
+    /// Film the flight from its log after it: a GIF, or an mp4 where ffmpeg is installed (`vigil log film` has more choices).
+    #[arg(long, value_name = "FILE.gif|mp4", value_parser = film_name)]
+    record: Option<PathBuf>,
+
+    /// What the flight log holds (docs/log.md).
+    #[arg(long, value_name = "WHAT", value_parser = choice::<LogContent>(), default_value = LogContent::Everything.name())]
+    log_content: LogContent,
+
     /// Nothing on the terminal while it flies.
     #[arg(short = 'q', long)]
     quiet: bool,
@@ -113,6 +126,8 @@ impl Default for FlyArgs {
             frame_key: None,
             view: false,
             viewer: ViewerArgs::default(),
+            record: None,
+            log_content: LogContent::default(),
             quiet: false,
             log: PathBuf::from("runs"),
         }
@@ -128,6 +143,10 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let course = args.course.load(seed)?;
     if args.view {
         args.viewer.check_with_port()?;
+    }
+    if let Some(film) = &args.record {
+        check_film(film)?;
+        output::prepare(film)?;
     }
     let interrupt = Interrupt::on_ctrl_c()?;
     let folder = make_folder(&args.log, seed)?;
@@ -178,6 +197,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
             c.arg("--frame-key").arg(key);
         }
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
+        c.args(["--log-content", args.log_content.name()]);
         args.pilot.hand_on(c);
     })?
     .listening();
@@ -214,24 +234,48 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     };
     vigil_world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
     let about = about(args, &course, seed, last.as_ref(), ended_ns);
-    if let Err(error) = complete_log(&folder, &truth, &about) {
+    if let Err(error) = complete_log(&folder, &truth, &about, args.log_content) {
         // The flight is over and its log is as the firmware left it.
         tell!("vigil: {}", vigil_firmware::program::told(&error));
     }
+    let film = args.record.as_deref().map(|to| record(&folder, to, &course));
     if let Some(script) = &mut viewer {
         end_viewer(script, &folder)?;
     }
-    summarise(
+    let code = summarise(
         &course,
         &last,
         &folder,
         (&firmware_said, adversary_said.as_deref()),
         interrupt.came(),
-    )
+    )?;
+    match film {
+        None => {}
+        Some(Ok(told)) => say!("film      {told}"),
+        // The flight has its own end; the film can be made of its log again.
+        Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::told(&error)),
+    }
+    Ok(code)
+}
+
+/// Films the flight that lies in `folder`; what came of it in words.
+fn record(folder: &Path, to: &Path, course: &Course) -> Result<String> {
+    let log = crate::cli::replay::find_log(folder)?;
+    let options = FilmOptions {
+        speed: FILM_SPEED,
+        title: course.name.clone(),
+        explained: FILM_EXPLAINED,
+    };
+    write_film(&log, to, &options)
 }
 
 /// Puts what only the simulation knows into the flight's log, and makes the report beside it.
-fn complete_log(folder: &Path, truth: &[TruePose], about: &BTreeMap<String, String>) -> Result<()> {
+fn complete_log(
+    folder: &Path,
+    truth: &[TruePose],
+    about: &BTreeMap<String, String>,
+    content: LogContent,
+) -> Result<()> {
     let log = crate::cli::replay::find_log(folder)?;
     let truth_file = folder.join(SIMULATOR_NOTES);
     let mut notes = SideLog::create(&truth_file)?;
@@ -251,7 +295,9 @@ fn complete_log(folder: &Path, truth: &[TruePose], about: &BTreeMap<String, Stri
         let _ = std::fs::remove_file(side);
     }
     merged?;
-    derive(&log, Wanted { map: true, shap: false })?;
+    if content != LogContent::Light {
+        derive(&log, Wanted { map: true, shap: false })?;
+    }
     let report = flight_report::beside(&log);
     crate::cli::log::write_report(&log, &report, EXPLAINED)?;
     Ok(())
@@ -295,8 +341,8 @@ fn command_again(args: &FlyArgs, seed: u64) -> String {
     let drawn = ["--seed".to_owned(), seed.to_string()];
     let (dropped, added): (&[&str], &[String]) = match args.course.course {
         // The course's file is named; the seed decides on noise and the adversary.
-        Some(_) => (&["-o", "--log"], &[]),
-        None => (&["-o", "--log", "--seed"], &drawn),
+        Some(_) => (&["-o", "--log", "--record"], &[]),
+        None => (&["-o", "--log", "--record", "--seed"], &drawn),
     };
     flight_report::command_again(std::env::args(), "fly", dropped, added)
 }

@@ -6,10 +6,12 @@ use vigil_world::{Course, Solid};
 /// The obstacles for display in the log; movers stand where they are at time zero.
 pub fn of(course: &Course) -> Scene {
     let movers = course.movers.iter().map(|m| m.solid_at(0));
-    let solids = course
-        .solids()
-        .into_iter()
-        .chain(movers)
+    of_solids(course.solids().into_iter().chain(movers))
+}
+
+/// Any solids in that form.
+pub fn of_solids(solids: impl Iterator<Item = Solid>) -> Scene {
+    let solids = solids
         .map(|solid| match solid {
             Solid::Cuboid {
                 centre_ned_m,

@@ -77,7 +77,7 @@ impl ViewerArgs {
     ///
     /// # Errors
     /// It is not: the message says how to get it.
-    fn check(&self) -> Result<()> {
+    pub fn check(&self) -> Result<()> {
         let how = format!(
             "`{0} -m pip install rerun-sdk=={RERUN_VERSION} mcap==1.6.0 mcap-protobuf-support==0.6.0`, in a virtual environment for \
              example, whose Python --python names",
@@ -156,6 +156,45 @@ impl ViewerArgs {
         let name = folder.join("viewer.log");
         let diagnostics = File::create(&name).with_context(|| format!("cannot write {}", name.display()))?;
         self.start(&[folder.as_os_str(), "--follow".as_ref()], Some(diagnostics))
+    }
+
+    /// Shows several flights whose logs come to be in `folder` under these names (without their ending), each in a tab of its own and
+    /// all side by side. A log that is not there when the script is asked to end (SIGTERM) is not waited for any more.
+    ///
+    /// # Errors
+    /// A script that cannot be started.
+    pub fn follow_all(&self, folder: &Path, names: &[String]) -> Result<Child> {
+        let name = folder.join("viewer.log");
+        let diagnostics = File::create(&name).with_context(|| format!("cannot write {}", name.display()))?;
+        let names = names.join(",");
+        self.start(
+            &[folder.as_os_str(), "--flights".as_ref(), names.as_ref()],
+            Some(diagnostics),
+        )
+    }
+
+    /// Shows a course that is described in JSON, or saves what the viewer would show.
+    ///
+    /// # Errors
+    /// No viewer, a port that is taken, a file that cannot be written.
+    pub fn course(&self, json: &str, save: Option<&Path>) -> Result<()> {
+        match save {
+            Some(to) => {
+                self.check()?;
+                crate::cli::output::prepare(to)?;
+            }
+            None => self.check_with_port()?,
+        }
+        // The script itself comes over standard input.
+        let file = std::env::temp_dir().join(format!("vigil-course-{}.json", std::process::id()));
+        crate::cli::output::write(&file, json)?;
+        let mut arguments = vec!["--course".as_ref(), file.as_os_str()];
+        if let Some(to) = save {
+            arguments.extend(["--save".as_ref(), to.as_os_str()]);
+        }
+        let shown = self.start(&arguments, None).and_then(ended);
+        let _ = std::fs::remove_file(&file);
+        shown.map(|_| ())
     }
 }
 

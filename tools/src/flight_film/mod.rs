@@ -1,24 +1,35 @@
-//! A film of one flight as an animated picture: the course from above, what the sensor saw, the detector's score, who flies.
+//! A film of one flight as an animated picture or a video: the view from behind, the course from above, what the sensor saw and
+//! what in it moved the actor, the detector's score, who flies, whether frames are altered.
 
+mod encode;
 mod picture;
+mod third_person;
 
+use crate::detector_training::{Memory, PixelExplainer, YAW};
+use crate::flight_derived::squares;
 use crate::flight_report::{LogSeen, ReportError, StepSeen, WHO};
-use gif::{DisposalMethod, Encoder, Frame, Repeat};
-use picture::{Canvas, Colour, PALETTE};
-use std::borrow::Cow;
+pub use encode::Video;
+use encode::{Gif, Pictures};
+use picture::{Canvas, Colour};
 use std::io::Write;
 use std::path::Path;
-use vigil_log::{Reader, SceneSolid, TickRecord};
-use vigil_types::{DEPTH_COLS, DEPTH_ROWS, GuidanceState};
+use third_person::{Seen, Stage};
+use vigil_log::{Reader, SHAP_COLS, SceneSolid, TickRecord};
+use vigil_policy::actor::PositionalInputs;
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, GuidanceState, Judgement, NedVector};
 
-/// Size of the film, pixels.
+/// Size of the film, pixels; even, as an mp4 needs it.
 const WIDTH: usize = 640;
-const HEIGHT: usize = 330;
-/// The map is a square at the left, below the banner.
+const HEIGHT: usize = 448;
+/// The banner, then at the left the view from behind with the map below it.
 const BANNER: usize = 26;
-const MAP: usize = HEIGHT - BANNER;
+const VIEW_WIDTH: usize = 358;
+const VIEW_HEIGHT: usize = 208;
+const MAP_TOP: usize = BANNER + VIEW_HEIGHT + 2;
 /// Where the right column begins.
-const RIGHT: usize = MAP + 14;
+const RIGHT: usize = VIEW_WIDTH + 14;
+/// A line of text.
+const LINE: usize = 16;
 /// A picture of the film is shown so long, hundredths of a second.
 const PICTURE_CS: u16 = 10;
 /// The last one is shown so long.
@@ -26,7 +37,11 @@ const LAST_CS: u16 = 250;
 /// Steps of the loop in a second.
 const STEPS_A_SECOND: f64 = 20.0;
 /// A film is never of more pictures: a longer flight is shown faster.
-const MOST_PICTURES: usize = 260;
+const MOST_PICTURES: usize = 200;
+/// So much of the path is shown in the view from behind, steps.
+const TRAIL_STEPS: usize = 160;
+/// Pixels weaker than this share of the strongest are not marked.
+const WEAK: f32 = 0.12;
 
 /// How to film.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,6 +50,8 @@ pub struct FilmOptions {
     pub speed: f64,
     /// What stands in the banner besides who flies.
     pub title: String,
+    /// At most so many pictures get their pixels explained, evenly over the film; the others show the last explanation.
+    pub explained: usize,
 }
 
 /// Why there is no film.
@@ -49,13 +66,36 @@ pub enum FilmError {
     /// The film cannot be encoded or written.
     #[error("the film cannot be written: {0}")]
     Encode(#[from] gif::EncodingError),
+    /// An mp4 needs a program.
+    #[error(
+        "an mp4 is made by the program ffmpeg, and there is none on the path: install it, or give the film a name that ends in .gif"
+    )]
+    NoFfmpeg,
+    /// It did not do it.
+    #[error("ffmpeg did not make the film: {0}")]
+    Ffmpeg(String),
 }
 
-/// Films the log at `path` into `sink`. Returns the number of pictures.
+/// Films the log at `path` as an animated GIF into `sink`. Returns the number of pictures.
 ///
 /// # Errors
 /// [`FilmError`]: a log that cannot be read, a flight that never took off, a sink that takes no more.
 pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usize, FilmError> {
+    shoot(path, options, &mut Gif::begin(sink)?)
+}
+
+/// Films the log at `path` as an mp4. Returns the number of pictures.
+///
+/// # Errors
+/// As [`film`], and no ffmpeg, or one that does not do it.
+pub fn film_video(path: &Path, options: &FilmOptions, to: &Path) -> Result<usize, FilmError> {
+    let mut video = Video::begin(to, 100 / PICTURE_CS)?;
+    let pictures = shoot(path, options, &mut video)?;
+    video.finish()?;
+    Ok(pictures)
+}
+
+fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<usize, FilmError> {
     let log = LogSeen::read(path).map_err(ReportError::from)?;
     let steps = shown(&log);
     let (Some(first), Some(last)) = (steps.first().copied(), steps.last().copied()) else {
@@ -65,36 +105,127 @@ pub fn film(path: &Path, options: &FilmOptions, sink: impl Write) -> Result<usiz
         .round()
         .max(1.0) as usize;
     let stride = stride.max((last - first).div_ceil(MOST_PICTURES));
-    let palette: Vec<u8> = PALETTE.iter().flatten().copied().collect();
-    let mut encoder = Encoder::new(sink, WIDTH as u16, HEIGHT as u16, &palette)?;
-    encoder.set_repeat(Repeat::Infinite)?;
+    let mut explaining = Explaining::of(&log, options.explained, (last - first).div_ceil(stride));
 
     let scene = Scene::of(&log, first, last);
     let background = scene.background(&log);
+    let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
+    let mut stage = Stage::new(&log.story.solids, goal.map(|g| g.position_ned_m));
     let mut reader = Reader::open(path).map_err(ReportError::from)?;
     let mut record = Box::<TickRecord>::default();
-    let mut shown: Option<Canvas> = None;
-    let mut depth = vec![0_u8; DEPTH_COLS / 2 * DEPTH_ROWS / 2];
+    let mut depth = None;
     let mut pictures = 0;
     for number in 0..=last {
+        // The same records were read before.
         if !reader.read_next(&mut record).map_err(ReportError::from)? {
             break;
         }
         let due = number >= first && ((number - first).is_multiple_of(stride) || number == last);
+        explaining.see(&record, due);
         if !due {
             continue;
         }
         if let Some(frame) = record.frame() {
-            half_size(&frame.depth, &mut depth);
+            half_size(&frame.depth, depth.get_or_insert_default());
         }
         let mut canvas = background.clone();
-        scene.draw(&mut canvas, &log, (first, number), &depth, &options.title);
+        scene.view(&mut canvas, &mut stage, &log, (first, number));
+        scene.draw(&mut canvas, &log, (first, number), &options.title);
+        let altered = scene.is_altered(&log.steps[number]);
+        eyes(&mut canvas, depth.as_deref(), &explaining, altered);
         let delay = if number == last { LAST_CS } else { PICTURE_CS };
-        encoder.write_frame(&difference(shown.as_ref(), &canvas, delay))?;
-        shown = Some(canvas);
+        to.picture(&canvas, delay)?;
         pictures += 1;
     }
     Ok(pictures)
+}
+
+/// Explains what the actor was shown, now and then.
+struct Explaining {
+    with: Option<(PixelExplainer, Memory)>,
+    /// Why nothing is explained.
+    none: &'static str,
+    /// Every so many pictures.
+    every: usize,
+    pictures: usize,
+    /// The last explanation, as shares of its strongest pixels: positive turned the vehicle right.
+    shares: Option<Vec<f32>>,
+}
+
+impl Explaining {
+    fn of(log: &LogSeen, most: usize, pictures: usize) -> Self {
+        let (with, none) = match most {
+            0 => (None, "not explained"),
+            _ => match crate::flight_report::explainer(log) {
+                Ok(with) => (Some(with), ""),
+                Err(_) => (None, "no actor of this program flew"),
+            },
+        };
+        Self {
+            with,
+            none,
+            every: pictures.div_ceil(most.max(1)).max(1),
+            pictures: 0,
+            shares: None,
+        }
+    }
+
+    fn see(&mut self, record: &TickRecord, due: bool) {
+        let (Some((explainer, memory)), Some(frame)) = (&mut self.with, record.frame()) else {
+            return;
+        };
+        memory.push(frame);
+        if !due {
+            return;
+        }
+        self.pictures += 1;
+        if !(self.pictures - 1).is_multiple_of(self.every) {
+            return;
+        }
+        let position = record.report.goal_relative.map(PositionalInputs::of_goal);
+        if let Some(inputs) = position.as_ref().and_then(|position| memory.inputs(position))
+            // Inputs of the actor's own sizes are not refused.
+            && let Ok(phi) = explainer.newest_frame(&inputs, YAW)
+        {
+            let sums = squares(&phi);
+            let sizes: Vec<f64> = sums.iter().map(|v| f64::from(v.abs())).collect();
+            let full = crate::statistics::quantile(&sizes, 0.99).unwrap_or(1.0).max(1e-9) as f32;
+            self.shares = Some(sums.iter().map(|v| v / full).collect());
+        }
+    }
+}
+
+/// What the sensor saw, and what in it moved the actor's yaw.
+fn eyes(canvas: &mut Canvas, depth: Option<&[u8]>, explaining: &Explaining, altered: bool) {
+    let (left, top) = (RIGHT, BANNER + 4 + LINE);
+    let below = top + DEPTH_ROWS + 4 + LINE;
+    let Some(depth) = depth else {
+        canvas.text(left + 60, top + 56, "no frames in the log", Colour::SOFT);
+        return;
+    };
+    let draw = |canvas: &mut Canvas, top: usize, shade: &dyn Fn(usize, usize, u8) -> u8| {
+        for (i, grey) in depth.iter().enumerate() {
+            let (row, col) = (i / (DEPTH_COLS / 2), i % (DEPTH_COLS / 2));
+            canvas.rectangle(left + 2 * col, top + 2 * row, 2, 2, shade(row, col, *grey));
+        }
+    };
+    draw(canvas, top, &|_, _, grey| Colour::GREY + grey);
+    match &explaining.shares {
+        // Half as bright, so that the colours stand out.
+        Some(shares) => draw(canvas, below, &|row, col, grey| {
+            let share = shares.get(row / 2 * SHAP_COLS + col / 2).copied().unwrap_or(0.0);
+            let strength = (4.0 * (share.abs() - WEAK) / (1.0 - WEAK)).clamp(0.0, 3.0) as u8;
+            match share {
+                share if share > WEAK => Colour::RIGHT + strength,
+                share if share < -WEAK => Colour::LEFT + strength,
+                _ => Colour::GREY + grey / 2,
+            }
+        }),
+        None => canvas.text(left + 4, below + 56, explaining.none, Colour::SOFT),
+    }
+    if altered {
+        canvas.frame(left - 2, top - 2, DEPTH_COLS + 4, DEPTH_ROWS + 4, Colour::ATTACK);
+    }
 }
 
 /// From a moment before guidance flies to its end.
@@ -112,7 +243,8 @@ fn shown(log: &LogSeen) -> Vec<usize> {
 }
 
 /// The nearest of each four pixels in eight greys: the noise of single pixels would only swell the film.
-fn half_size(depth: &[f32], to: &mut [u8]) {
+fn half_size(depth: &[f32], to: &mut Vec<u8>) {
+    to.resize(DEPTH_COLS / 2 * DEPTH_ROWS / 2, 0);
     let range = |row: usize, col: usize| depth.get(row * DEPTH_COLS + col).copied().unwrap_or(1.0);
     for (i, value) in to.iter_mut().enumerate() {
         let (row, col) = (2 * (i / (DEPTH_COLS / 2)), 2 * (i % (DEPTH_COLS / 2)));
@@ -128,42 +260,9 @@ fn half_size(depth: &[f32], to: &mut [u8]) {
     }
 }
 
-/// What changed since the last picture, as the smallest rectangle around it; pixels in it that did not change are transparent.
-fn difference(before: Option<&Canvas>, now: &Canvas, delay: u16) -> Frame<'static> {
-    let whole = (0, 0, WIDTH, HEIGHT);
-    let (left, top, right, bottom) = before.map_or(whole, |before| {
-        let changed = || (0..WIDTH * HEIGHT).filter(|i| before.pixels[*i] != now.pixels[*i]);
-        let (top, bottom) = (
-            changed().next().map_or(0, |i| i / WIDTH),
-            changed().next_back().map_or(0, |i| i / WIDTH),
-        );
-        let (left, right) = changed().fold((WIDTH - 1, 0), |(l, r), i| (l.min(i % WIDTH), r.max(i % WIDTH)));
-        (left.min(right), top, right + 1, bottom + 1)
-    });
-    let mut buffer = Vec::with_capacity((right - left) * (bottom - top));
-    for y in top..bottom {
-        for x in left..right {
-            let i = y * WIDTH + x;
-            let same = before.is_some_and(|before| before.pixels[i] == now.pixels[i]);
-            buffer.push(if same { Colour::TRANSPARENT } else { now.pixels[i] });
-        }
-    }
-    Frame {
-        delay,
-        dispose: DisposalMethod::Keep,
-        transparent: Some(Colour::TRANSPARENT),
-        left: left as u16,
-        top: top as u16,
-        width: (right - left) as u16,
-        height: (bottom - top) as u16,
-        buffer: Cow::Owned(buffer),
-        ..Frame::default()
-    }
-}
-
 /// The course and how it is laid onto the map.
 struct Scene {
-    /// North and east of the map's lower left corner, metres; pixels in a metre.
+    /// North and east of the map's upper left corner, metres; pixels in a metre. North is to the right, east is down.
     origin: (f32, f32),
     scale: f32,
     altered: std::collections::HashMap<u64, f32>,
@@ -200,10 +299,15 @@ impl Scene {
         };
         let ((n0, n1), (e0, e1)) = (span(|p| p.0), span(|p| p.1));
         let margin = 1.5;
-        let side = (n1 - n0).max(e1 - e0) + 2.0 * margin;
+        let (length, width) = (n1 - n0 + 2.0 * margin, e1 - e0 + 2.0 * margin);
+        let scale = (VIEW_WIDTH as f32 / length).min((HEIGHT - MAP_TOP) as f32 / width);
+        let (over_n, over_e) = (
+            VIEW_WIDTH as f32 / scale - length,
+            (HEIGHT - MAP_TOP) as f32 / scale - width,
+        );
         Self {
-            origin: (0.5 * (n0 + n1 - side), 0.5 * (e0 + e1 - side)),
-            scale: MAP as f32 / side,
+            origin: (n0 - margin - 0.5 * over_n, e0 - margin - 0.5 * over_e),
+            scale,
             altered: log.altered().unwrap_or_default(),
             alarms: log.alarms(),
             threshold: log.threshold(),
@@ -212,9 +316,9 @@ impl Scene {
 
     /// Pixels of a place.
     fn at(&self, north: f32, east: f32) -> (f32, f32) {
-        let x = (east - self.origin.1) * self.scale;
-        let y = HEIGHT as f32 - (north - self.origin.0) * self.scale;
-        (x, y)
+        let x = (north - self.origin.0) * self.scale;
+        let y = (east - self.origin.1) * self.scale;
+        (x, MAP_TOP as f32 + y)
     }
 
     fn background(&self, log: &LogSeen) -> Canvas {
@@ -229,10 +333,15 @@ impl Scene {
             canvas.ring(centre, self.scale, 2.0, Colour::GOAL);
             canvas.disc(centre, 3.0, Colour::GOAL);
         }
-        canvas.rectangle(0, 0, WIDTH, BANNER, Colour::PAPER);
-        canvas.rectangle(MAP, BANNER, WIDTH - MAP, HEIGHT - BANNER, Colour::PAPER);
-        canvas.rectangle(MAP + 2, BANNER, 1, HEIGHT - BANNER, Colour::LINE);
-        canvas.text(RIGHT + 2, BANNER + 152, "score of the detector", Colour::SOFT);
+        canvas.rectangle(0, 0, WIDTH, MAP_TOP, Colour::PAPER);
+        canvas.rectangle(VIEW_WIDTH, BANNER, WIDTH - VIEW_WIDTH, HEIGHT - BANNER, Colour::PAPER);
+        canvas.rectangle(VIEW_WIDTH + 2, BANNER, 1, HEIGHT - BANNER, Colour::LINE);
+        let mut y = BANNER + 2;
+        canvas.text(RIGHT, y, "what the sensor saw", Colour::SOFT);
+        y += DEPTH_ROWS + 4 + LINE;
+        canvas.text(RIGHT, y, "moved the yaw: orange right, blue left", Colour::SOFT);
+        y += DEPTH_ROWS + 4 + LINE;
+        canvas.text(RIGHT, y, "score of the detector", Colour::SOFT);
         canvas
     }
 
@@ -251,7 +360,31 @@ impl Scene {
             .is_some_and(|f| self.altered.contains_key(&f))
     }
 
-    fn draw(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), depth: &[u8], title: &str) {
+    /// The view from behind; until a pose is known it stays empty.
+    fn view(&self, canvas: &mut Canvas, stage: &mut Stage, log: &LogSeen, (first, now): (usize, usize)) {
+        let position = |s: &StepSeen| {
+            let kinematics = s.report.telemetry.kinematics?;
+            Some(kinematics.position_ned_m).filter(|p| p.is_finite())
+        };
+        let trail: Vec<(NedVector, u8)> = log.steps[first.max(now.saturating_sub(TRAIL_STEPS))..=now]
+            .iter()
+            .step_by(2)
+            .filter_map(|s| Some((position(s)?, Self::colour(log.who(&s.report)))))
+            .collect();
+        let step = &log.steps[now];
+        let attitude = step.report.telemetry.attitude.map(|a| a.attitude);
+        if let (Some(position_ned_m), Some(attitude)) = (position(step), attitude.filter(|a| a.is_valid())) {
+            let seen = Seen {
+                position_ned_m,
+                attitude,
+                trail: &trail,
+                colour: Self::colour(log.who(&step.report)),
+            };
+            stage.draw(canvas, [0, BANNER, VIEW_WIDTH, VIEW_HEIGHT], &seen);
+        }
+    }
+
+    fn draw(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
         let place = |s: &StepSeen| {
             let position = s
                 .report
@@ -281,7 +414,7 @@ impl Scene {
         }
         if let (Some((x, y)), Some(attitude)) = (place(step), step.report.telemetry.attitude) {
             let (sin, cos) = attitude.attitude.yaw_rad().sin_cos();
-            let turned = |(ahead, right): (f32, f32)| (x + ahead * sin + right * cos, y - ahead * cos + right * sin);
+            let turned = |(ahead, right): (f32, f32)| (x + ahead * cos - right * sin, y + ahead * sin + right * cos);
             let arrow = [(9.0, 0.0), (-6.0, 6.0), (-3.0, 0.0), (-6.0, -6.0)].map(turned);
             canvas.polygon(&arrow, Colour::INK);
         }
@@ -303,19 +436,11 @@ impl Scene {
             true => "ATTACK: frames altered",
             false => "",
         };
-        canvas.text(RIGHT + 2, 7, state, on);
+        canvas.text(RIGHT, 7, state, on);
         canvas.text(WIDTH - 58, 7, &format!("{time:5.1} s"), on);
 
-        // What it saw.
-        let (left, top) = (RIGHT + 2, BANNER + 6);
-        for (i, grey) in depth.iter().enumerate() {
-            let (row, col) = (2 * (i / (DEPTH_COLS / 2)), 2 * (i % (DEPTH_COLS / 2)));
-            canvas.rectangle(left + col, top + row, 2, 2, Colour::GREY + grey);
-        }
-        if altered {
-            canvas.frame(left - 2, top - 2, DEPTH_COLS + 4, DEPTH_ROWS + 4, Colour::ATTACK);
-        } // The score over the last 10 s.
-        let (left, top, width, height) = (RIGHT + 2, BANNER + 168, 256, 60);
+        // The score over the last 10 s.
+        let (left, top, width, height) = (RIGHT, BANNER + 2 + 2 * (DEPTH_ROWS + 4 + LINE) + LINE, 256, 38);
         canvas.frame(left - 1, top - 1, width + 2, height + 2, Colour::LINE);
         if let Some(threshold) = self.threshold {
             let y = top + ((1.0 - threshold) * (height - 1) as f32) as usize;
@@ -355,15 +480,19 @@ impl Scene {
             before = point;
         }
         if log.info.detector_sha256.is_none() {
-            canvas.text(left + 90, top + 24, "no detector", Colour::SOFT);
+            canvas.text(left + 90, top + 13, "no detector", Colour::SOFT);
+        }
+
+        if let Some(judgement) = step.report.judgement {
+            causes(canvas, (left, top + height + 3), &judgement);
         }
 
         // Who flies, in words.
-        let y = top + height + 12;
+        let y = HEIGHT - 2 * LINE + 2;
         canvas.rectangle(left, y, 14, 12, Self::colour(who));
         let words = match step.report.alarm {
-            Some(alarm) if who == 4 => format!("stopped: alarm ({})", alarm.cause.name()),
-            Some(alarm) => format!("{} flies: alarm ({})", WHO[usize::from(who)], alarm.cause.name()),
+            Some(alarm) if who == 4 => format!("stopped: alarm, {}", alarm.cause.name()),
+            Some(alarm) => format!("{}: alarm, {}", WHO[usize::from(who)], alarm.cause.name()),
             None if who == 4 => "holds".to_owned(),
             None => format!("{} flies", WHO[usize::from(who)]),
         };
@@ -379,7 +508,33 @@ impl Scene {
         });
         if let Some(outcome) = ended {
             let good = outcome.starts_with("success");
-            canvas.text(left, y + 20, outcome, if good { Colour::GOAL } else { Colour::ATTACK });
+            canvas.text(
+                left,
+                y + LINE,
+                outcome,
+                if good { Colour::GOAL } else { Colour::ATTACK },
+            );
         }
+    }
+}
+
+/// How much picture, bearing and distance moved the actor's yaw output: a bar each, to the right where they turned it right.
+fn causes(canvas: &mut Canvas, (left, top): (usize, usize), judgement: &Judgement) {
+    let parts = [
+        ("picture", judgement.image),
+        ("bearing", judgement.bearing),
+        ("distance", judgement.distance),
+    ];
+    for (i, (name, value)) in parts.into_iter().enumerate() {
+        let y = top + 12 * i;
+        canvas.text(left, y, name, Colour::SOFT);
+        let (middle, most) = (left + 160, 90.0);
+        let length = (value.abs().min(1.5) / 1.5 * most) as usize;
+        let (from, colour) = match value > 0.0 {
+            true => (middle, Colour::RECOVERY),
+            false => (middle - length, Colour::ACTOR),
+        };
+        canvas.rectangle(from, y + 3, length, 7, colour);
+        canvas.rectangle(middle, y, 1, 12, Colour::LINE);
     }
 }

@@ -24,8 +24,14 @@ impl Colour {
     pub const GOAL: u8 = 10;
     pub const BANNER: u8 = 11;
     pub const TRANSPARENT: u8 = 12;
+    pub const SOLID_TOP: u8 = 13;
+    pub const SOLID_DARK: u8 = 14;
+    pub const GROUND: u8 = 15;
     /// The first of eight greys.
     pub const GREY: u8 = 16;
+    /// The first of four strengths of what turned the vehicle right, and left.
+    pub const RIGHT: u8 = 24;
+    pub const LEFT: u8 = 28;
 }
 
 /// Red, green, blue of each number: safe for the colour-blind.
@@ -43,6 +49,17 @@ pub const PALETTE: [[u8; 3]; 32] = {
     palette[9] = [247, 214, 190];
     palette[10] = [0, 130, 98];
     palette[11] = [236, 239, 242];
+    palette[13] = [212, 218, 224];
+    palette[14] = [148, 158, 170];
+    palette[15] = [243, 245, 247];
+    let mut strength = 0;
+    while strength < 4 {
+        // From dark, on which they lie, to bright.
+        let share = strength + 1;
+        palette[24 + strength] = [(63 * share) as u8, (40 * share) as u8, 0];
+        palette[28 + strength] = [0, (35 * share) as u8, (62 * share) as u8];
+        strength += 1;
+    }
     let mut grey = 0;
     while grey < 8 {
         palette[16 + grey] = [(grey * 36) as u8; 3];

@@ -1,15 +1,16 @@
 //! The frames that a report shows, and what their pixels did to the actor's decision.
 
-use crate::detector_training::{PixelExplainer, YAW};
+use crate::detector_training::{Memory, PixelExplainer, YAW};
+use crate::flight_derived::squares;
 use crate::flight_report::flight_data::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::path::Path;
 use vigil_log::{Reader, TickRecord};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
+use vigil_policy::actor::PositionalInputs;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// Steps before and after the moment of interest that are shown one by one.
@@ -109,7 +110,6 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
     };
     let altered = log.altered();
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
-    let mut memory: VecDeque<Vec<f32>> = VecDeque::new();
     let mut pictures = Vec::with_capacity(steps.len());
     let mut explanations: Vec<(usize, Vec<f32>)> = Vec::new();
     let mut reader = Reader::open(path)?;
@@ -122,11 +122,8 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
             break;
         }
         let Some(frame) = record.frame() else { continue };
-        if explainer.is_some() {
-            if memory.len() == ACTOR_FRAMES {
-                memory.pop_front();
-            }
-            memory.push_back(frame.depth.to_vec());
+        if let Some((_, memory)) = &mut explainer {
+            memory.push(frame);
         }
         if wanted.peek() != Some(&number) {
             continue;
@@ -135,13 +132,11 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         let step = &log.steps[number];
         let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
         let before = clean.get(&(frame.header.sequence as u32));
-        if let (Some(explainer), Some(goal), true) =
-            (&mut explainer, step.report.goal_relative, explained.contains(&number))
-            && memory.len() == ACTOR_FRAMES
+        let position = step.report.goal_relative.map(PositionalInputs::of_goal);
+        if let (Some((explainer, memory)), Some(position), true) =
+            (&mut explainer, &position, explained.contains(&number))
+            && let Some(inputs) = memory.inputs(position)
         {
-            let position = PositionalInputs::of_goal(goal);
-            let mut inputs: Vec<&[f32]> = memory.iter().map(Vec::as_slice).collect();
-            inputs.push(&position);
             match explainer.newest_frame(&inputs, YAW) {
                 Ok(phi) => explanations.push((pictures.len(), squares(&phi))),
                 Err(error) => note = Some(format!("The pixels of the frames are not explained: {error}.")),
@@ -185,8 +180,8 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
     })
 }
 
-/// The explainer of the actor that flew.
-fn explainer(log: &LogSeen) -> Result<PixelExplainer, String> {
+/// The explainer of the actor that flew, and the frames that it looks back on.
+pub(crate) fn explainer(log: &LogSeen) -> Result<(PixelExplainer, Memory), String> {
     let config = log
         .config
         .as_ref()
@@ -197,7 +192,11 @@ fn explainer(log: &LogSeen) -> Result<PixelExplainer, String> {
         Some(flew) if *flew != actor.sha256() => Err(format!(
             "the actor that flew has SHA-256 {flew}, and this program has another"
         )),
-        _ => PixelExplainer::new(Isa::detect(), &actor).map_err(|e| e.to_string()),
+        _ => {
+            let memory = Memory::new(actor.inputs.frame_ages);
+            let explainer = PixelExplainer::new(Isa::detect(), &actor).map_err(|e| e.to_string())?;
+            Ok((explainer, memory))
+        }
     }
 }
 
@@ -233,16 +232,6 @@ fn depth_picture(depth: &[f32], full_size: bool) -> Result<String, ReportError> 
         pixels.extend(row.iter().step_by(step).map(|range| grey(*range)));
     }
     picture(&pixels, step, png::ColorType::Grayscale)
-}
-
-/// The SHAP values of pixels summed over squares, which keeps their sum: single pixels are too small to see.
-fn squares(phi: &[f32]) -> Vec<f32> {
-    let mut sums = vec![0.0; DEPTH_PIXELS / (SQUARE * SQUARE)];
-    for (i, value) in phi.iter().enumerate() {
-        let (row, col) = (i / DEPTH_COLS, i % DEPTH_COLS);
-        sums[row / SQUARE * (DEPTH_COLS / SQUARE) + col / SQUARE] += value;
-    }
-    sums
 }
 
 /// Orange turns right, blue turns left, white moves nothing: safe for the colour-blind.

@@ -431,6 +431,13 @@ impl ValueConfig {
                 !l.imitation_stays || l.value_weight == 0.0,
                 "only with learning.value_weight = 0: the teacher's weight ends at half of a run by value",
             )
+            .that(
+                "teacher",
+                0.0,
+                self.teacher == Teacher::Expert
+                    || (self.sees == Sees::Pictures && self.led_by == Leader::Path && self.told_of_movers),
+                "geometric only with sees = pictures, led_by = path and told_of_movers = true: it is the pilot that plans this path",
+            )
             .share("replay.alpha", self.replay.alpha)
             .least("replay.decisions", self.replay.decisions as u64, least, LEAST)
             .some("evaluation.every_updates", e.every_updates)

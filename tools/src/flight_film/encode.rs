@@ -1,0 +1,208 @@
+//! Pictures become an animated GIF, or go to ffmpeg, which makes an mp4 of them.
+
+use super::picture::{Canvas, Colour, PALETTE};
+use super::{FilmError, HEIGHT, WIDTH};
+use gif::{DisposalMethod, Encoder, Frame, Repeat};
+use std::borrow::Cow;
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+
+/// The program that makes an mp4.
+const FFMPEG: &str = "ffmpeg";
+
+/// Takes one picture after the other.
+pub trait Pictures {
+    /// A picture that is shown for so many hundredths of a second.
+    ///
+    /// # Errors
+    /// What keeps it from being written.
+    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<(), FilmError>;
+}
+
+/// An animated GIF: only what changed is written.
+pub struct Gif<W: Write> {
+    encoder: Encoder<W>,
+    shown: Option<Canvas>,
+}
+
+impl<W: Write> Gif<W> {
+    /// Begins it.
+    ///
+    /// # Errors
+    /// A sink that takes nothing.
+    pub fn begin(sink: W) -> Result<Self, FilmError> {
+        let palette: Vec<u8> = PALETTE.iter().flatten().copied().collect();
+        let mut encoder = Encoder::new(sink, WIDTH as u16, HEIGHT as u16, &palette)?;
+        encoder.set_repeat(Repeat::Infinite)?;
+        Ok(Self { encoder, shown: None })
+    }
+}
+
+impl<W: Write> Pictures for Gif<W> {
+    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<(), FilmError> {
+        self.encoder
+            .write_frame(&difference(self.shown.as_ref(), canvas, delay_cs))?;
+        self.shown = Some(canvas.clone());
+        Ok(())
+    }
+}
+
+/// What changed since the last picture, as the smallest rectangle around it; pixels in it that did not change are transparent.
+fn difference(before: Option<&Canvas>, now: &Canvas, delay: u16) -> Frame<'static> {
+    let whole = (0, 0, WIDTH, HEIGHT);
+    let (left, top, right, bottom) = before.map_or(whole, |before| {
+        let changed = || (0..WIDTH * HEIGHT).filter(|i| before.pixels[*i] != now.pixels[*i]);
+        let (top, bottom) = (
+            changed().next().map_or(0, |i| i / WIDTH),
+            changed().next_back().map_or(0, |i| i / WIDTH),
+        );
+        let (left, right) = changed().fold((WIDTH - 1, 0), |(l, r), i| (l.min(i % WIDTH), r.max(i % WIDTH)));
+        (left.min(right), top, right + 1, bottom + 1)
+    });
+    let mut buffer = Vec::with_capacity((right - left) * (bottom - top));
+    for y in top..bottom {
+        for x in left..right {
+            let i = y * WIDTH + x;
+            let same = before.is_some_and(|before| before.pixels[i] == now.pixels[i]);
+            buffer.push(if same { Colour::TRANSPARENT } else { now.pixels[i] });
+        }
+    }
+    Frame {
+        delay,
+        dispose: DisposalMethod::Keep,
+        transparent: Some(Colour::TRANSPARENT),
+        left: left as u16,
+        top: top as u16,
+        width: (right - left) as u16,
+        height: (bottom - top) as u16,
+        buffer: Cow::Owned(buffer),
+        ..Frame::default()
+    }
+}
+
+/// An mp4 (H.264), which ffmpeg makes. One that is not finished is removed.
+pub struct Video {
+    ffmpeg: Child,
+    pictures: Option<ChildStdin>,
+    file: PathBuf,
+    /// What ffmpeg writes, until it is whole.
+    part: PathBuf,
+    /// A picture as red, green, blue.
+    bytes: Vec<u8>,
+}
+
+impl Video {
+    /// Whether there is a program that makes it.
+    ///
+    /// # Errors
+    /// There is none: the message says what to do.
+    pub fn check() -> Result<(), FilmError> {
+        let asked = Command::new(FFMPEG)
+            .arg("-version")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        match asked {
+            Ok(status) if status.success() => Ok(()),
+            Err(error) if error.kind() == ErrorKind::NotFound => Err(FilmError::NoFfmpeg),
+            Ok(status) => Err(FilmError::Ffmpeg(format!("`ffmpeg -version` ended with {status}"))),
+            Err(error) => Err(FilmError::Ffmpeg(error.to_string())),
+        }
+    }
+
+    /// Begins it, in the place of a file that may be there, with so many pictures a second.
+    ///
+    /// # Errors
+    /// No ffmpeg.
+    pub fn begin(file: &Path, pictures_per_s: u16) -> Result<Self, FilmError> {
+        Self::check()?;
+        let size = format!("{WIDTH}x{HEIGHT}");
+        let rate = pictures_per_s.to_string();
+        let mut command = Command::new(FFMPEG);
+        command.args(["-loglevel", "error", "-y", "-f", "rawvideo", "-pixel_format", "rgb24"]);
+        command.args(["-video_size", &size, "-framerate", &rate, "-i", "-"]);
+        // What every player shows, and a browser before it has the whole file.
+        command.args([
+            "-c:v",
+            "libx264",
+            "-pix_fmt",
+            "yuv420p",
+            "-movflags",
+            "+faststart",
+            "-f",
+            "mp4",
+        ]);
+        let part = file.with_extension("mp4.part");
+        command.arg(&part);
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        let mut ffmpeg = command.spawn().map_err(|error| FilmError::Ffmpeg(error.to_string()))?;
+        let pictures = ffmpeg.stdin.take();
+        Ok(Self {
+            ffmpeg,
+            pictures,
+            file: file.to_owned(),
+            part,
+            bytes: vec![0; WIDTH * HEIGHT * 3],
+        })
+    }
+
+    /// Waits for the file.
+    ///
+    /// # Errors
+    /// What ffmpeg says, or a file that cannot be replaced.
+    pub fn finish(mut self) -> Result<(), FilmError> {
+        match self.end() {
+            None => std::fs::rename(&self.part, &self.file).map_err(|error| FilmError::Ffmpeg(error.to_string())),
+            Some(why) => Err(FilmError::Ffmpeg(why)),
+        }
+    }
+
+    /// Closes the pipe; what went wrong, if something did.
+    fn end(&mut self) -> Option<String> {
+        self.pictures = None;
+        let mut said = String::new();
+        // A second time there is nothing more to read, and the same end.
+        if let Some(mut stderr) = self.ffmpeg.stderr.take() {
+            // What is no text is not told.
+            let _ = stderr.read_to_string(&mut said);
+        }
+        match self.ffmpeg.wait() {
+            Ok(status) if status.success() => None,
+            Ok(status) => Some(match said.trim() {
+                "" => status.to_string(),
+                said => said.to_owned(),
+            }),
+            Err(error) => Some(error.to_string()),
+        }
+    }
+}
+
+impl Pictures for Video {
+    fn picture(&mut self, canvas: &Canvas, delay_cs: u16) -> Result<(), FilmError> {
+        for (rgb, colour) in self.bytes.chunks_exact_mut(3).zip(&canvas.pixels) {
+            rgb.copy_from_slice(&PALETTE[usize::from(*colour) % PALETTE.len()]);
+        }
+        for _ in 0..(delay_cs / super::PICTURE_CS).max(1) {
+            let written = self.pictures.as_mut().map(|pipe| pipe.write_all(&self.bytes));
+            if let Some(Err(_)) = written {
+                // It ended early, and says why.
+                let why = self.end().unwrap_or_else(|| "it ended early".to_owned());
+                return Err(FilmError::Ffmpeg(why));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Video {
+    fn drop(&mut self) {
+        self.end();
+        // Half a film; a whole one has its name by now.
+        let _ = std::fs::remove_file(&self.part);
+    }
+}
