@@ -149,6 +149,8 @@ fn code(outcome: Option<Outcome>) -> i8 {
     }
 }
 
+/// A flight, if it has begun, and its frames.
+type Place<'a> = (&'a mut Option<Box<Begun>>, &'a mut [f32]);
 type Frames<'py> = PyReadwriteArray4<'py, f32>;
 /// Seconds, metres to the goal, checkpoints passed and all, position NED, velocity NED, heading.
 type Info = (f64, f32, usize, usize, [f32; 3], [f32; 3], f32);
@@ -244,7 +246,7 @@ impl Flights {
         }
         let all = frames.as_slice_mut().map_err(refused)?;
         let (conditions, flights, pool) = (&self.conditions, &mut self.flights, &self.pool);
-        let one = |((flight, frames), seed): ((&mut Option<Box<Begun>>, &mut [f32]), Option<u64>)| {
+        let one = |((flight, frames), seed): (Place<'_>, Option<u64>)| {
             let Some(seed) = seed else { return Ok(()) };
             let begun = conditions.begin(seed)?;
             for frame in frames[(slot - back) * DEPTH_PIXELS..]
@@ -303,7 +305,7 @@ impl Flights {
         let all = frames.as_slice_mut().map_err(refused)?;
         let (conditions, flights, pool) = (&self.conditions, &mut self.flights, &self.pool);
         let results: Vec<(f32, i8)> = py.detach(|| {
-            let one = |((flight, frames), (action, flies)): ((&mut Option<Box<Begun>>, &mut [f32]), (&[f32], bool))| {
+            let one = |((flight, frames), (action, flies)): (Place<'_>, (&[f32], bool))| {
                 let Some(flight) = flight else { return (0.0, -1) };
                 let mut reward = 0.0;
                 if flies {

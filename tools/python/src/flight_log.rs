@@ -4,7 +4,7 @@ use crate::given::{array, refused};
 use numpy::PyArray1;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use vigil_log::{Reader, TickRecord};
 use vigil_types::{DEPTH_FULL_SCALE_M, Verdict};
 
@@ -49,7 +49,7 @@ struct Content {
     info: Vec<(&'static str, Option<String>)>,
 }
 
-fn read(path: &PathBuf, with_frames: bool) -> Result<Content, vigil_log::ReadError> {
+fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError> {
     let mut reader = Reader::open(path)?;
     let mut content = Content::default();
     let mut record = Box::new(TickRecord::default());
