@@ -1,0 +1,258 @@
+"""`vigil.gym`: Gymnasium's own check, the same bits for the same seed, frames that stay true, errors."""
+
+import threading
+import time
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import vigil.gym
+from vigil.gym import VigilEnv, VigilVectorEnv
+
+ACTIONS = np.random.default_rng(3).uniform(-1.5, 1.5, (60, 2)).astype(np.float32)
+
+
+def steps(env, count=60, **reset):
+    """Observations, rewards and ends of a flight under fixed actions."""
+    observation, info = env.reset(**reset)
+    seen = [({k: v.copy() for k, v in observation.items()}, 0.0, False, False)]
+    for action in ACTIONS[:count]:
+        observation, reward, terminated, truncated, info = env.step(action)
+        seen.append(({k: v.copy() for k, v in observation.items()}, reward, terminated, truncated))
+        if terminated or truncated:
+            break
+    return seen
+
+
+def same(a, b):
+    assert len(a) == len(b)
+    for (x, *others), (y, *more) in zip(a, b):
+        assert others == more
+        assert x.keys() == y.keys()
+        for name in x:
+            np.testing.assert_array_equal(x[name], y[name])
+
+
+@pytest.mark.parametrize("frames", [1, 5])
+@pytest.mark.parametrize("privileged", [False, True])
+def test_gymnasium_finds_nothing_wrong(frames, privileged):
+    env = gymnasium.make("Vigil-v0", frames=frames, privileged=privileged, render_mode="rgb_array", disable_env_checker=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Gymnasium recommends actions of ±1; ours are the paper's, and gymnasium.wrappers.RescaleAction makes the others.
+        warnings.filterwarnings("ignore", ".*symmetric and normalized space.*")
+        # The goal's distance and the true state have no end.
+        warnings.filterwarnings("ignore", ".*Box observation space (maximum|minimum) value is .*infinity.*")
+        check_env(env.unwrapped)
+
+
+def test_a_seed_decides_a_flight_to_the_bit():
+    first = steps(VigilEnv(privileged=True, wind=3.0, noise=2.0), seed=11)
+    same(first, steps(VigilEnv(privileged=True, wind=3.0, noise=2.0), seed=11))
+    other = steps(VigilEnv(privileged=True, wind=3.0, noise=2.0), seed=12)
+    assert not np.array_equal(first[0][0]["frames"], other[0][0]["frames"])
+
+
+def test_flights_side_by_side_are_the_flights_alone_on_any_number_of_threads():
+    alone = [steps(VigilEnv("validation", seeds=[4 + i]), 30, seed=0) for i in range(3)]
+    for threads in (1, 3):
+        vector = VigilVectorEnv(3, "validation", threads=threads)
+        vector._draw = lambda number: 4 + number
+        observation, _ = vector.reset(seed=0)
+        for step, action in enumerate(ACTIONS[:30]):
+            for number in range(3):
+                for name in ("frames", "goal"):
+                    np.testing.assert_array_equal(observation[name][number], alone[number][step][0][name])
+            observation, rewards, terminated, truncated, _ = vector.step(np.tile(action, (3, 1)))
+            assert not terminated.any() and not truncated.any()
+            for number in range(3):
+                assert np.float32(rewards[number]) == np.float32(alone[number][step + 1][1])
+
+
+def test_a_frame_that_was_given_stays_as_it_was_and_cannot_be_written_to():
+    one, two = [1.0, 0.3], [[1.0, 0.3]] * 2
+    several = VigilVectorEnv(2, share_frames=True, time_limit=1.0)
+    for env, action in ((VigilEnv(frames=1), one), (VigilEnv(share_frames=True), one), (several, two)):
+        kept, copies = [], []
+        observation, _ = env.reset(seed=5)
+        for step in range(90):
+            assert observation["frames"].base is not None, "a view, not a copy"
+            kept.append(observation["frames"])
+            copies.append(observation["frames"].copy())
+            if step == 50 and isinstance(env, VigilEnv):
+                observation, _ = env.reset(seed=6)
+                continue
+            observation, _, terminated, truncated, _ = env.step(action)
+            if isinstance(env, VigilEnv) and (terminated or truncated):
+                observation, _ = env.reset()
+        for frames, copy in zip(kept, copies):
+            np.testing.assert_array_equal(frames, copy)
+        with pytest.raises(ValueError, match="read-only"):
+            kept[0][...] = 0.0
+    # Copies are the caller's own.
+    env = VigilEnv()
+    first, _ = env.reset(seed=5)
+    first["frames"][...] = 0.0
+    second, *_ = env.step(one)
+    assert second["frames"].min() > 0.0
+
+
+def test_five_frames_are_the_last_five_and_the_first_stands_for_the_missing_ones():
+    env = VigilEnv("validation")
+    observation, _ = env.reset(options={"course_seed": 7})
+    newest = [observation["frames"][-1].copy()] * 5
+    for _ in range(40):
+        np.testing.assert_array_equal(observation["frames"], np.stack(newest))
+        observation, *_ = env.step([1.0, 0.0])
+        newest = newest[1:] + [observation["frames"][-1].copy()]
+    one = VigilEnv("validation", frames=1)
+    alone, _ = one.reset(options={"course_seed": 7})
+    assert alone["frames"].shape == (128, 256)
+    assert alone["frames"].dtype == np.float32
+    assert 0.1 < alone["frames"].min() < 60.0
+    assert alone["frames"].max() == 100.0, "the sky"
+
+
+def test_the_reward_is_the_sum_of_its_terms():
+    terms = {"progress": "line", "success": 0.0, "dead": -7.0, "decision": -0.5}
+    env = VigilEnv("validation", frames=1, reward=terms)
+    _, before = env.reset(options={"course_seed": 7})
+    for _ in range(600):
+        _, reward, terminated, _, info = env.step([1.5, 0.0])
+        progress = before["goal_distance_m"] - info["goal_distance_m"]
+        before = info
+        if terminated:
+            break
+        assert reward == pytest.approx(progress - 0.5, abs=1e-4)
+    assert info["outcome"] in ("collision", "out of bounds")
+    assert not info["is_success"]
+    assert reward == pytest.approx(progress - 0.5 - 7.0, abs=1e-4)
+    with pytest.raises(ValueError, match="has ended: reset"):
+        env.step([1.0, 0.0])
+
+
+def test_a_time_limit_truncates_and_a_vector_begins_anew_in_the_next_step():
+    env = VigilEnv(frames=1, time_limit=0.48)
+    env.reset(seed=1)
+    ends = [env.step([0.0, 0.0])[2:4] for _ in range(10)]
+    assert ends[:-1] == [(False, False)] * 9
+    assert ends[-1] == (False, True)
+    vector = VigilVectorEnv(2, frames=1, time_limit=0.48, threads=1)
+    vector.reset(seed=1)
+    for _ in range(10):
+        _, _, terminated, truncated, info = vector.step(np.zeros((2, 2), np.float32))
+    assert truncated.all() and not terminated.any()
+    assert list(info["outcome"]) == ["time-out"] * 2
+    seeds = list(vector.course_seeds)
+    _, rewards, _, truncated, info = vector.step(np.ones((2, 2), np.float32))
+    assert (rewards == 0.0).all() and not truncated.any() and not info
+    assert vector.course_seeds != seeds
+    _, _, _, truncated, _ = vector.step(np.zeros((2, 2), np.float32))
+    assert not truncated.any()
+
+
+def test_a_course_file_is_flown_and_drawn(tmp_path):
+    file = tmp_path / "field.toml"
+    file.write_text(
+        'name = "field"\ngoal = { north_m = 4.0, east_m = 0.0 }\n'
+        "bounds = { north_m = [-5.0, 25.0], east_m = [-8.0, 8.0], top_m = 6.0 }\n"
+    )
+    env = VigilEnv(course=file, frames=1, render_mode="rgb_array")
+    observation, _ = env.reset(seed=0)
+    assert observation["goal"][0] == pytest.approx(4.0, abs=0.5)
+    at_first = env.render()
+    for _ in range(100):
+        _, _, terminated, _, info = env.step([1.5, 0.0])
+        if terminated:
+            break
+    assert info["outcome"] == "success" and info["is_success"]
+    picture = env.render()
+    assert picture.dtype == np.uint8 and picture.shape == at_first.shape and picture.shape[2] == 3
+    assert (picture != at_first).any(), "the way flown is drawn"
+
+
+def test_wind_and_noise_change_a_flight_and_the_true_state_knows_the_goal():
+    plain = steps(VigilEnv(privileged=True), 20, options={"course_seed": 3})
+    assert plain[0][0]["state"].shape == (75,)
+    assert plain[0][0]["state"][51] * 20.0 == pytest.approx(plain[0][0]["goal"][0], abs=1.0)
+    for options in ({"wind": 5.0}, {"noise": 4.0}):
+        other = steps(VigilEnv(privileged=True, **options), 20, options={"course_seed": 3})
+        assert not np.array_equal(plain[-1][0]["frames"], other[-1][0]["frames"]), options
+
+
+def test_a_step_releases_the_interpreter():
+    vector = VigilVectorEnv(32, frames=1, threads=1)
+    vector.reset(seed=0)
+    counted, over = [0], threading.Event()
+
+    def count():
+        while not over.is_set():
+            counted[0] += 1
+
+    counter = threading.Thread(target=count)
+    actions = np.zeros((32, 2), np.float32)
+    counter.start()
+    try:
+        most = 0
+        for _ in range(5):
+            before, begun = counted[0], time.monotonic()
+            vector.step(actions)
+            took = time.monotonic() - begun
+            # Held all the while, the lock would be given to the counter for one turn of 5 ms at each end of the call.
+            most = max(most, counted[0] - before if took > 0.005 else 0)
+    finally:
+        over.set()
+        counter.join()
+    assert most > 1000, most
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "said"),
+    [
+        ([0.0], ValueError, r"action: expected shape \(2,\)"),
+        ([[0.0, 0.0]], ValueError, r"expected shape \(2,\).*got \(1, 2\)"),
+        ([0.0, np.nan], ValueError, "finite"),
+        ([np.inf, 0.0], ValueError, "finite"),
+        (["a", "b"], TypeError, "expected numbers"),
+        (None, TypeError, "expected numbers"),
+    ],
+)
+def test_an_action_that_is_none_is_refused(action, error, said):
+    env = VigilEnv(frames=1)
+    env.reset(seed=0)
+    with pytest.raises(error, match=said):
+        env.step(action)
+    env.step([0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"family": "nowhere"}, "no course family is called `nowhere`; there are: training"),
+        ({"frames": 3}, "frames: 1"),
+        ({"wind": -1.0}, "wind: 0 to 20"),
+        ({"wind": float("nan")}, "wind: 0 to 20"),
+        ({"noise": 1e9}, "noise: a factor"),
+        ({"time_limit": 0.0}, "time_limit"),
+        ({"reward": {"progres": 1.0}}, "no term is called progres"),
+        ({"reward": {"progress": "up"}}, "'way' or the 'line'"),
+        ({"reward": {"dead": float("inf")}}, "finite"),
+        ({"seeds": []}, "seeds: is empty"),
+        ({"render_mode": "human"}, "render_mode"),
+    ],
+)
+def test_an_option_out_of_range_is_refused_by_name(options, said):
+    with pytest.raises(ValueError, match=said):
+        VigilEnv(**options)
+
+
+def test_what_comes_before_a_reset_is_refused():
+    with pytest.raises(ValueError, match="reset first"):
+        VigilEnv(frames=1).step([0.0, 0.0])
+    with pytest.raises(ValueError, match="reset first"):
+        VigilVectorEnv(2, frames=1).step(np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="num_envs"):
+        VigilVectorEnv(0)

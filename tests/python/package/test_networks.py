@@ -1,0 +1,181 @@
+"""`vigil.policy`, `explain`, `attack`, `detect`: sums, bounds, gradients, the same numbers as in flight, errors."""
+
+import numpy as np
+import pytest
+
+from vigil.attack import FrameAttack, PolicyAttack, StateAttack
+from vigil.detect import Detector, Lstm, Monitor, train, windows
+from vigil.explain import FORWARD, YAW, Pixels, PolicyPixels, SplitPoint
+from vigil.policy import Actor, Policy
+
+
+def test_contributions_and_base_add_up_to_the_decision(flown):
+    frames, goals, states, actions = flown
+    explain = SplitPoint(Actor())
+    for output in (FORWARD, YAW):
+        for i in range(5, 40, 7):
+            found = explain.explain(states[i], goals[i], output)
+            assert found.phi.shape == (48,)
+            assert found.output == pytest.approx(actions[i][output], abs=1e-5)
+            total = found.base + found.phi.sum() + found.bearing + found.distance
+            assert total == pytest.approx(found.output, abs=2e-5)
+
+
+def test_pixels_add_up_to_the_decision_as_well(flown):
+    frames, goals, states, actions = flown
+    found = Pixels(Actor(), (frames[:12:4], goals[:12:4])).explain(frames[30], goals[30])
+    assert found.phi.shape == (5, 128, 256)
+    assert found.output == pytest.approx(actions[30].yaw, abs=1e-4)
+    total = found.base + found.phi.sum(dtype=np.float64) + found.bearing + found.distance
+    assert total == pytest.approx(found.output, abs=5e-5)
+    assert np.abs(found.phi).max() > 1e-5
+
+
+def test_the_monitor_says_what_explainer_and_detector_say(flown):
+    frames, goals, states, actions = flown
+    actor, detector = Actor(), Detector()
+    monitor, explain = Monitor(actor, detector), SplitPoint(actor)
+    judged = [monitor.judge(state, goal) for state, goal in zip(states, goals)]
+    phi = np.stack([explain.explain(state, goal).phi for state, goal in zip(states, goals)])
+    np.testing.assert_array_equal(phi, np.stack([j.phi for j in judged]))
+    scores = detector.scores(phi)
+    assert np.isnan(scores[:9]).all() and [j.score for j in judged[:9]] == [None] * 9
+    np.testing.assert_array_equal(scores[9:], np.array([j.score for j in judged[9:]], np.float32))
+    assert all(j.attacked is False for j in judged[9:])
+    monitor.reset()
+    assert monitor.judge(states[0], goals[0]).attacked is None
+
+
+def test_an_attack_in_flight_is_noticed(flown):
+    frames, goals, states, _ = flown
+    actor = Actor()
+    monitor, adversary = Monitor(actor), FrameAttack(actor)
+    changes, verdicts = [], []
+    for i, (stack, goal) in enumerate(zip(frames, goals)):
+        frame = stack[-1]
+        if i < 20:
+            adversary.pass_on(frame, goal)
+        else:
+            found = adversary.attack(frame, goal)
+            changes.append(abs(found.yaw_change))
+            assert np.abs(found.frames - frame).max() <= 20 * 100.0 / 255.0 + 1e-3
+            frame = found.frames
+        decided = actor.decide(frame, goal)
+        if i >= 20:
+            assert decided.yaw == pytest.approx(found.attacked.yaw, abs=1e-4)
+        verdicts.append(monitor.judge(actor.state(), goal).attacked)
+    assert max(changes) > 0.5
+    assert True not in verdicts[:20] and True in verdicts[20:]
+
+
+@pytest.mark.parametrize("method", ["fgsm", "bim-clipped", "bim-accumulating", "pgd"])
+def test_a_state_is_attacked_within_its_bounds(flown, method):
+    frames, goals, _, actions = flown
+    found = StateAttack(Actor(), method, epsilon=2.0, iterations=5).attack(frames[30], goals[30])
+    reach = 2.0 * 100.0 / 255.0 * (5 if method == "bim-accumulating" else 1)
+    moved = np.abs(found.frames - frames[30]).max()
+    assert 0.1 < moved <= reach + 1e-3
+    assert found.frames.min() >= 0.0 and found.frames.max() <= 100.0
+    assert found.clean.yaw == pytest.approx(actions[30].yaw, abs=1e-4)
+    assert abs(found.yaw_change) > 0.05
+    assert (found.yaw_change < 0.0) == (found.clean.yaw >= 0.0), "away"
+
+
+@pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last", "gru"])
+def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(flown, policies, name):
+    frames, goals, _, _ = flown
+    policy = Policy(policies[name])
+    rows, columns, channels = policy.frame_shape
+    for stack, goal in zip(frames[20:26], goals[20:26]):
+        decided = policy.decide(stack[-1], goal)
+    last = np.stack([frames[26 - channels + i][-1] for i in range(channels)])
+    own, goal = policy.own_frame(last), goals[25]
+    outputs = policy.outputs(own, goal)
+    np.testing.assert_allclose(np.clip(outputs, -1.5, 1.5), decided, atol=1e-5)
+
+    # The gradient is the slope along itself.
+    gradient = policy.gradient(own, goal)
+    assert gradient.shape == own.shape
+    along = gradient / np.linalg.norm(gradient)
+    step = 1e-2
+    slope = (policy.outputs(own + step * along, goal)[1] - policy.outputs(own - step * along, goal)[1]) / (2 * step)
+    assert slope == pytest.approx(np.linalg.norm(gradient), rel=0.1)
+
+    usual = [(policy.own_frame(np.repeat(frames[i][-1:], channels, axis=0)), goals[i]) for i in (0, 10, 35)]
+    found = PolicyPixels(policy, usual).explain(own, goal)
+    assert found.phi.shape == own.shape
+    assert found.output == pytest.approx(outputs[1], abs=1e-5)
+    assert found.base + found.phi.sum() + found.bearing + found.distance == pytest.approx(found.output, abs=5e-5)
+    assert (found.bearing != 0.0) == policy.native.has_position
+
+    for method in PolicyAttack.METHODS:
+        attacked = PolicyAttack(policy, method, epsilon=4.0, iterations=5, towards="right").attack(own, goal)
+        reach = policy.scale * 4.0 / 255.0 * (5 if method == "bim-accumulating" else 1)
+        assert 0.0 < np.abs(attacked.frames - own).max() <= reach * 1.001
+        assert attacked.yaw_change > 0.0 or attacked.clean.yaw == 1.5, method
+
+
+def rows_of(seed, width=7, steps=60):
+    """Noise whose mean moves while it is attacked."""
+    random = np.random.default_rng(seed)
+    attacked = np.arange(steps) >= steps // 2
+    return (random.normal(size=(steps, width)) + 3.0 * attacked[:, None]).astype(np.float32), attacked
+
+
+def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
+    learn, choose = [rows_of(i) for i in range(12)], [rows_of(i) for i in range(12, 15)]
+    trained = train(learn, choose, epochs=4, threads=2)
+    rows, attacked = rows_of(99)
+    scores = trained.lstm.scores(rows)
+    assert np.isnan(scores[:9]).all()
+    assert scores[9:30].max() < 0.5 < scores[35:].min()
+    assert len(trained.epochs) == 4 and trained.epochs[trained.chosen - 1][1] == min(e[1] for e in trained.epochs)
+    again = train(learn, choose, epochs=4, threads=1)
+    np.testing.assert_array_equal(again.lstm.params, trained.lstm.params)
+    trained.lstm.save(tmp_path / "own.npz")
+    np.testing.assert_array_equal(Lstm.load(tmp_path / "own.npz").scores(rows), scores)
+    found, labels = windows([rows_of(1), (rows[:5], attacked[:5])])
+    assert found.shape == (51, 10, 7) and labels.sum() == 30
+
+
+def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
+    frames, goals, states, _ = flown
+    actor, frame, goal = Actor(), frames[0][-1], goals[0]
+    bad = frame.copy()
+    bad[3, 4] = np.nan
+    for given, error, said in [
+        (frame[:64], ValueError, r"frame: expected shape \(128, 256\), got \(64, 256\)"),
+        (bad, ValueError, "frame: holds a value that is not a finite number"),
+        (frame.astype(np.uint8), TypeError, "frame: expected floating-point numbers, got dtype uint8"),
+        (frame * 2.0 + 100.0, ValueError, "frame: ranges are 0 to 100 m"),
+        (-frame, ValueError, "frame: ranges are 0 to 100 m"),
+    ]:
+        with pytest.raises(error, match=said):
+            actor.decide(given, goal)
+    with pytest.raises(ValueError, match=r"goal: expected shape \(2,\)"):
+        actor.decide(frame, [1.0])
+    with pytest.raises(ValueError, match="a distance of 0 m or more"):
+        actor.decide(frame, [-1.0, 0.0])
+    with pytest.raises(ValueError, match=r"state: expected shape \(48,\)"):
+        Monitor(actor).judge(states[0][:47], goal)
+    with pytest.raises(ValueError, match="output: 0"):
+        SplitPoint(actor).explain(states[0], goal, output=2)
+    with pytest.raises(ValueError, match="empty"):
+        SplitPoint(actor, (np.empty((0, 48), np.float32), []))
+    with pytest.raises(ValueError, match="is none of fgsm"):
+        StateAttack(actor, "magic")
+    with pytest.raises(ValueError, match="epsilon must be above 0"):
+        StateAttack(actor, "pgd", epsilon=0.0)
+    with pytest.raises(ValueError, match=r"rows: expected shape \('any', 48\)"):
+        Detector().scores(np.zeros((20, 47), np.float32))
+    with pytest.raises(ValueError, match="attacked and unattacked"):
+        train([(rows_of(1)[0], np.zeros(60, bool))], [rows_of(2)])
+    with pytest.raises(ValueError, match="wide to choose"):
+        train([rows_of(1)], [rows_of(2, width=8)])
+    no_actor = tmp_path / "no.safetensors"
+    no_actor.write_bytes(b"nothing")
+    for kind in (Actor, Policy, Detector):
+        with pytest.raises(ValueError, match="no.safetensors"):
+            kind(no_actor)
+        with pytest.raises(ValueError, match="missing.safetensors"):
+            kind(tmp_path / "missing.safetensors")

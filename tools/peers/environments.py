@@ -1,0 +1,132 @@
+"""Steps per second of our Gymnasium environment beside others with a camera: one process, one run, taken in turns (docs/python.md).
+
+tools/peers/environments.sh [--seconds N]; writes JSON to standard output.
+"""
+
+import argparse
+import json
+import statistics
+import sys
+import time
+
+import numpy as np
+
+
+def vigil(frames):
+    import vigil.gym
+
+    env = vigil.gym.VigilEnv("validation", frames=frames, seeds=range(1000))
+    env.reset(seed=1)
+
+    def step():
+        _, _, terminated, truncated, _ = env.step([0.7, 0.1])
+        if terminated or truncated:
+            env.reset()
+
+    return step, 1
+
+
+def vigil_vector(count, threads, frames=1):
+    import vigil.gym
+
+    env = vigil.gym.VigilVectorEnv(count, "validation", frames=frames, threads=threads, seeds=range(1000))
+    env.reset(seed=1)
+    actions = np.tile(np.array([0.7, 0.1], np.float32), (count, 1))
+    return lambda: env.step(actions), count
+
+
+def pyflyt():
+    """A quadrotor in PyBullet with a depth picture of 128 × 256 pixels in each step of 50 ms, software rendering."""
+    from PyFlyt.core import Aviary
+
+    options = dict(use_camera=True, camera_resolution=(128, 256), camera_FOV_degrees=120, camera_fps=20)
+    aviary = Aviary(np.array([[0.0, 0.0, 1.5]]), np.zeros((1, 3)), drone_type="quadx", drone_options=options, seed=1)
+    aviary.set_mode(7)
+    columns(aviary)
+
+    def step():
+        # Its control runs at 120 Hz: six of its steps are 50 ms, after which the camera has taken one picture.
+        for _ in range(int(round(0.05 / aviary.step_period))):
+            aviary.step()
+        assert aviary.drones[0].depthImg.size == 128 * 256
+
+    return step, 1
+
+
+def columns(client):
+    """Thirty upright cylinders, as many solids as a course of ours has."""
+    random = np.random.default_rng(7)
+    visual = client.createVisualShape(client.GEOM_CYLINDER, radius=0.4, length=4.0)
+    solid = client.createCollisionShape(client.GEOM_CYLINDER, radius=0.4, height=4.0)
+    for x, y in random.uniform([3.0, -8.0], [25.0, 8.0], (30, 2)):
+        client.createMultiBody(0, solid, visual, [x, y, 2.0])
+    if hasattr(client, "register_all_new_bodies"):
+        client.register_all_new_bodies()
+
+
+def pybullet_alone():
+    """PyBullet's physics at 240 Hz and its software picture, nothing else: what gym-pybullet-drones makes its pictures of."""
+    import pybullet
+    from pybullet_utils.bullet_client import BulletClient
+
+    client = BulletClient(pybullet.DIRECT)
+    client.setTimeStep(1.0 / 240.0)
+    columns(client)
+    view = client.computeViewMatrix([0.0, 0.0, 1.5], [1.0, 0.0, 1.5], [0.0, 0.0, 1.0])
+    projection = client.computeProjectionMatrixFOV(60.0, 2.0, 0.1, 100.0)
+
+    def step():
+        for _ in range(12):
+            client.stepSimulation()
+        flags = client.ER_NO_SEGMENTATION_MASK
+        depth = client.getCameraImage(256, 128, view, projection, flags=flags)[3]
+        assert np.asarray(depth).size == 128 * 256
+
+    return step, 1
+
+
+SUBJECTS = {
+    "Vigil, newest frame": lambda: vigil(1),
+    "Vigil, five frames": lambda: vigil(5),
+    "Vigil, 8 flights, 1 thread": lambda: vigil_vector(8, 1),
+    "Vigil, 8 flights, 2 threads": lambda: vigil_vector(8, 2),
+    "Vigil, 8 flights, five frames, 2 threads": lambda: vigil_vector(8, 2, 5),
+    "PyFlyt": pyflyt,
+    "PyBullet alone": pybullet_alone,
+}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=2.0, help="of each turn")
+    parser.add_argument("--turns", type=int, default=5)
+    arguments = parser.parse_args()
+    subjects, rates, cpu, missing = {}, {}, {}, {}
+    for name, make in SUBJECTS.items():
+        try:
+            subjects[name] = make()
+            subjects[name][0]()
+        except Exception as e:  # noqa: BLE001, whatever keeps a peer from running is told
+            missing[name] = f"{type(e).__name__}: {e}".splitlines()[0]
+    for _ in range(arguments.turns):
+        for name, (step, count) in subjects.items():
+            steps, begun, worked = 0, time.perf_counter(), time.process_time()
+            while time.perf_counter() - begun < arguments.seconds:
+                step()
+                steps += count
+            rates.setdefault(name, []).append(steps / (time.perf_counter() - begun))
+            cpu.setdefault(name, []).append(steps / (time.process_time() - worked))
+    found = {
+        name: {
+            "steps_per_second": round(statistics.median(rates[name]), 1),
+            "steps_per_processor_second": round(statistics.median(cpu[name]), 1),
+            "turns": [round(r, 1) for r in rates[name]],
+        }
+        for name in subjects
+    }
+    json.dump({"measured": found, "not_run": missing}, sys.stdout, indent=2)
+    print()
+
+
+if __name__ == "__main__":
+    main()

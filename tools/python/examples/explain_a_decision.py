@@ -1,0 +1,28 @@
+"""What moved the actor's yaw? By the frames, the goal's bearing and distance, then by pixel. Some seconds."""
+
+import numpy as np
+
+import vigil.gym
+from vigil.explain import Pixels, SplitPoint
+from vigil.policy import Actor
+
+env = vigil.gym.VigilEnv("validation")
+actor, split_point = Actor(), SplitPoint(Actor())
+observation, _ = env.reset(options={"course_seed": 7})
+backgrounds = []
+for step in range(120):
+    frames, goal = observation["frames"], observation["goal"]
+    action = actor.decide(frames[-1], goal)
+    found = split_point.explain(actor.state(), goal)
+    if step % 20 == 0:
+        print(
+            f"step {step:3}: yaw {action.yaw:+.2f} = {found.base:+.2f} usually, {found.phi.sum():+.2f} by the frames, "
+            f"{found.bearing:+.2f} by the bearing, {found.distance:+.2f} by the distance"
+        )
+        backgrounds.append((frames, goal))
+    observation, *_ = env.step(action)
+usual = np.stack([f for f, _ in backgrounds]), np.stack([g for _, g in backgrounds])
+found = Pixels(actor, usual).explain(observation["frames"], observation["goal"])
+frame, row, column = np.unravel_index(np.abs(found.phi).argmax(), found.phi.shape)
+metres = observation["frames"][frame, row, column]
+print(f"the pixel that counts most: frame {frame} of 5, row {row}, column {column}, at {metres:.1f} m: {found.phi[frame, row, column]:+.4f}")

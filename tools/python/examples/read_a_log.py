@@ -1,0 +1,20 @@
+"""Reads a flight log. `vigil fly --seed 7` leaves one under runs/.
+
+python3 read_a_log.py runs/fly-…/flight-0001.mcap
+"""
+
+import sys
+
+import numpy as np
+
+import vigil.log
+
+log = vigil.log.read(sys.argv[1], frames=True)
+position = log["position_ned_m"]
+print(f"{len(log.step)} steps, {log.time_s[-1]:.1f} s, {len(log.frames)} frames, seed {log.info['seed']}; {log.end}")
+flown = np.linalg.norm(np.diff(position, axis=0), axis=1)
+print(f"{np.nansum(flown):.1f} m flown, highest score {np.nanmax(log['score'], initial=0.0):.3f}, alarms: {set(log['alarm']) - {None}}")
+try:
+    print(log.table()[["goal_0", "action_0", "action_1", "score", "state"]].iloc[::40])
+except ImportError as e:
+    print(e)

@@ -1,0 +1,239 @@
+//! Actors and imported policies for Python.
+
+use crate::given::{array, failed, frames, position, refused, values};
+use numpy::{PyArray1, PyReadonlyArrayDyn};
+use pyo3::prelude::*;
+use std::path::PathBuf;
+use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::actor::{ACTOR_OUTPUTS, LedBy};
+use vigil_policy::imported::{Channels, Depth};
+use vigil_policy::{FrozenActor, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
+use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+
+/// A frozen actor of Vigil's architecture.
+#[pyclass(module = "vigil._vigil")]
+pub struct Actor {
+    pub frozen: FrozenActor,
+    actor: vigil_policy::actor::Actor,
+}
+
+#[pymethods]
+impl Actor {
+    #[new]
+    #[pyo3(signature = (path=None))]
+    fn new(path: Option<PathBuf>) -> PyResult<Self> {
+        let frozen = match path {
+            Some(path) => FrozenActor::load(&path),
+            None => FrozenActor::built_in(),
+        }
+        .map_err(refused)?;
+        Ok(Self {
+            actor: frozen.actor(Isa::detect()).map_err(refused)?,
+            frozen,
+        })
+    }
+
+    /// One decision on the newest frame, metres.
+    fn decide(
+        &mut self,
+        py: Python<'_>,
+        frame: PyReadonlyArrayDyn<'_, f32>,
+        distance_m: f32,
+        bearing_rad: f32,
+    ) -> PyResult<(f32, f32)> {
+        let frame = frames("frame", &frame, 1)?;
+        let position = position(distance_m, bearing_rad)?;
+        let actor = &mut self.actor;
+        let [forward, yaw] = py.detach(|| actor.decide(&frame, position)).map_err(refused)?;
+        Ok((forward, yaw))
+    }
+
+    /// Forgets the frames.
+    fn reset(&mut self) {
+        self.actor.reset();
+    }
+
+    /// The values at the split point of the last decision.
+    fn state<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        array(py, self.actor.state().to_vec())
+    }
+
+    /// Its digest.
+    #[getter]
+    fn sha256(&self) -> String {
+        self.frozen.sha256()
+    }
+
+    /// What its bearing is of.
+    #[getter]
+    fn led_by(&self) -> &'static str {
+        match self.frozen.inputs.led_by {
+            LedBy::Goal => "goal",
+            LedBy::Path => "path",
+        }
+    }
+}
+
+/// An imported policy (docs/import.md).
+#[pyclass(module = "vigil._vigil")]
+pub struct Policy {
+    pub frozen: FrozenPolicy,
+    pilot: ImportedPilot,
+    graph: Graph,
+    packed: Vec<f32>,
+    tape: Vec<f32>,
+    work: Vec<f32>,
+}
+
+#[pymethods]
+impl Policy {
+    #[new]
+    fn new(path: PathBuf) -> PyResult<Self> {
+        let frozen = FrozenPolicy::load(&path).map_err(refused)?;
+        let graph = frozen.network.graph(Purpose::Gradients).map_err(refused)?;
+        let mut packed = vec![0.0; graph.param_len()];
+        graph.pack(&frozen.params, &mut packed).map_err(refused)?;
+        Ok(Self {
+            pilot: frozen.pilot(Isa::detect(), false).map_err(refused)?,
+            tape: vec![0.0; graph.tape_len()],
+            work: vec![0.0; graph.work_len()],
+            packed,
+            graph,
+            frozen,
+        })
+    }
+
+    /// One decision on the newest frame, metres, as in flight.
+    fn decide(
+        &mut self,
+        frame: PyReadonlyArrayDyn<'_, f32>,
+        distance_m: f32,
+        bearing_rad: f32,
+    ) -> PyResult<(f32, f32)> {
+        let pixels = frames("frame", &frame, 1)?;
+        position(distance_m, bearing_rad)?;
+        let mut depth = Box::new(DepthFrame::EMPTY);
+        depth.depth.copy_from_slice(&pixels);
+        let action = self.pilot.decide(&PilotInput {
+            now_ns: 0,
+            depth: &depth,
+            goal: GoalRelative {
+                distance_m,
+                bearing_rad,
+            },
+            attitude: Attitude::LEVEL_NORTH,
+            velocity_m_s: HeadingVector::ZERO,
+            height_m: 2.5,
+        });
+        Ok((action.forward_m_s, action.yaw))
+    }
+
+    /// Forgets the frames.
+    fn reset(&mut self) {
+        self.pilot.reset();
+    }
+
+    /// The network's outputs for its own inputs.
+    fn forward<'py>(
+        &mut self,
+        py: Python<'py>,
+        inputs: Vec<PyReadonlyArrayDyn<'py, f32>>,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        self.evaluate(&inputs)?;
+        Ok(array(py, self.graph.output(&self.tape).map_err(failed)?.to_vec()))
+    }
+
+    /// Gradient of the outputs, weighted, at each of the network's own inputs.
+    fn gradient<'py>(
+        &mut self,
+        py: Python<'py>,
+        inputs: Vec<PyReadonlyArrayDyn<'py, f32>>,
+        weights: [f32; ACTOR_OUTPUTS],
+    ) -> PyResult<Vec<Bound<'py, PyArray1<f32>>>> {
+        self.evaluate(&inputs)?;
+        self.graph
+            .backward(Isa::detect(), &self.packed, &self.tape, &weights, None, &mut self.work)
+            .map_err(failed)?;
+        (0..self.graph.input_count())
+            .map(|i| {
+                let gradient = self.graph.input_gradient(&self.work, i).map_err(failed)?;
+                Ok(array(py, gradient.to_vec()))
+            })
+            .collect()
+    }
+
+    /// Rows, columns and channels of its frame.
+    #[getter]
+    fn frame_shape(&self) -> (usize, usize, usize) {
+        let inputs = &self.frozen.inputs;
+        (inputs.rows, inputs.cols, inputs.channels)
+    }
+
+    /// Its channels are the last frames.
+    #[getter]
+    fn stacked(&self) -> bool {
+        self.frozen.inputs.order == Channels::Stack
+    }
+
+    /// Near is bright.
+    #[getter]
+    fn contrast(&self) -> bool {
+        self.frozen.inputs.depth == Depth::Contrast
+    }
+
+    /// What its pixels are multiplied by.
+    #[getter]
+    fn scale(&self) -> f32 {
+        self.frozen.inputs.scale
+    }
+
+    /// What its outputs are multiplied by.
+    #[getter]
+    fn output_scale(&self) -> f32 {
+        self.frozen.inputs.output_scale
+    }
+
+    /// Place of the frame among its inputs.
+    #[getter]
+    fn frame_input(&self) -> usize {
+        self.frozen.inputs.frame_input
+    }
+
+    /// It is given the goal.
+    #[getter]
+    fn has_position(&self) -> bool {
+        self.frozen.inputs.has_position
+    }
+
+    /// What it was made of.
+    #[getter]
+    fn source(&self) -> &str {
+        &self.frozen.source
+    }
+
+    /// Its digest.
+    #[getter]
+    fn sha256(&self) -> String {
+        self.frozen.sha256()
+    }
+}
+
+impl Policy {
+    fn evaluate(&mut self, inputs: &[PyReadonlyArrayDyn<'_, f32>]) -> PyResult<()> {
+        let slices = own_inputs(&self.graph, inputs)?;
+        self.graph
+            .forward(Isa::detect(), &self.frozen.params, &slices, &mut self.tape)
+            .map_err(failed)
+    }
+}
+
+/// The inputs of a network, as many and as long as it has them.
+pub fn own_inputs<'a>(graph: &Graph, inputs: &'a [PyReadonlyArrayDyn<'_, f32>]) -> PyResult<Vec<&'a [f32]>> {
+    if inputs.len() != graph.input_count() {
+        let count = graph.input_count();
+        return Err(refused(format!("the network has {count} inputs, got {}", inputs.len())));
+    }
+    let each = inputs.iter().enumerate();
+    each.map(|(i, input)| values(&format!("input {i}"), input, graph.input_len(i)))
+        .collect()
+}

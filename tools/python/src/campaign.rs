@@ -1,0 +1,171 @@
+//! Flights of the whole stack for Python.
+
+use crate::given::{failed, refused};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+use std::convert::Infallible;
+use std::path::PathBuf;
+use vigil_adversary::{Attack, AttackArgs, Method, PassedStep};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep_through};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::{Datagrams, DepthFrame, Nanos, PilotKind};
+use vigil_vehicle::Wind;
+use vigil_world::{Family, generate};
+
+/// What all flights have in common.
+struct Plan {
+    family: Family,
+    wind_m_s: f64,
+    noise: f32,
+    ground: bool,
+    firmware: FirmwareConfig,
+    attack: Option<Attack>,
+}
+
+/// Seed, outcome, seconds, metres flown, closest goal, altered frames, step of the first alarm.
+type FlightRow = (u64, String, f64, f64, f32, u64, Option<u64>);
+
+struct Port {
+    firmware: LockstepFirmware,
+    first_alarm: Option<u64>,
+}
+
+impl FirmwarePort for Port {
+    type Error = Infallible;
+
+    fn step(
+        &mut self,
+        step: u64,
+        now_ns: Nanos,
+        frame: &DepthFrame,
+        received: &Datagrams,
+        sent: &mut Datagrams,
+    ) -> Result<(), Infallible> {
+        let report = self.firmware.step(now_ns, Some(frame), received, sent);
+        if report.alarm.is_some() {
+            self.first_alarm.get_or_insert(step);
+        }
+        Ok(())
+    }
+}
+
+impl Plan {
+    fn fly(&self, seed: u64) -> Result<FlightRow, String> {
+        let mut config = SimConfig::new(generate(self.family, seed), seed);
+        config.lidar.range_noise_sigma_m *= self.noise;
+        config.lidar.dropout_probability = (config.lidar.dropout_probability * self.noise).min(1.0);
+        if self.wind_m_s > 0.0 {
+            let turn = (seed as f64 * 0.618_033_988_749_895) % 1.0;
+            config.wind = Wind::gusty(self.wind_m_s, std::f64::consts::TAU * turn);
+        }
+        config.start = match self.ground {
+            true => Start::Ground,
+            false => Start::Airborne,
+        };
+        let goal = config.course.goal_ned_m();
+        let mut firmware = FirmwareConfig::to_goal(goal);
+        firmware.pilot = self.firmware.pilot.clone();
+        firmware.detector = self.firmware.detector.clone();
+        let mut simulator = Simulator::new(&config, 0).map_err(|e| e.to_string())?;
+        let mut port = Port {
+            firmware: LockstepFirmware::new(&firmware).map_err(|e| e.to_string())?,
+            first_alarm: None,
+        };
+        let adversary = self.attack.as_ref().map(|attack| attack.interceptor(seed, goal));
+        let mut adversary = adversary.transpose().map_err(|e| e.to_string())?;
+        let mut altered = 0;
+        let mut between = |step: u64, frame: &mut DepthFrame| {
+            // Only a frame of another size is refused, and the simulator makes none.
+            if let Some(Ok(PassedStep::Attacked(_))) = adversary.as_mut().map(|a| a.pass(step, frame)) {
+                altered += 1;
+            }
+        };
+        let limit_s = f64::from(config.course.time_limit_s);
+        let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut port, limit_s, 0.0);
+        let outcome = record
+            .outcome
+            .map_or_else(|| "never took off".to_owned(), |o| o.to_string());
+        Ok((
+            seed,
+            outcome,
+            record.flight_time_s,
+            record.path_length_m,
+            record.closest_goal_m,
+            altered,
+            port.first_alarm,
+        ))
+    }
+}
+
+/// Flies generated courses with the whole stack, some after the other on each thread; Ctrl-C ends it between flights.
+#[pyfunction]
+#[pyo3(signature = (*, family, seeds, threads, pilot, actor, apf, detector, guard, wind, noise, ground, attack, epsilon, iterations, burst))]
+#[allow(clippy::too_many_arguments, reason = "the Python side names them")]
+pub fn fly(
+    py: Python<'_>,
+    family: &str,
+    seeds: Vec<u64>,
+    threads: usize,
+    pilot: &str,
+    actor: Option<PathBuf>,
+    apf: bool,
+    detector: Option<bool>,
+    guard: Option<bool>,
+    wind: f64,
+    noise: f32,
+    ground: bool,
+    attack: Option<&str>,
+    epsilon: f32,
+    iterations: u32,
+    burst: &str,
+) -> PyResult<Vec<FlightRow>> {
+    if !(0.0..=20.0).contains(&wind) || !(0.0..=100.0).contains(&noise) {
+        return Err(refused("wind: 0 to 20 m/s; noise: a factor from 0 to 100"));
+    }
+    let mut firmware = FirmwareConfig::default();
+    firmware.pilot.kind = match pilot {
+        "actor" => PilotKind::Actor,
+        "geometric" => PilotKind::Geometric,
+        other => return Err(refused(format!("pilot: actor or geometric, got {other}"))),
+    };
+    (firmware.pilot.actor_file, firmware.pilot.apf) = (actor.clone(), apf);
+    (firmware.detector.enabled, firmware.detector.guard) = (detector, guard);
+    let method = attack.map(|name| {
+        let found = Method::ALL.into_iter().find(|m| m.name() == name);
+        found.ok_or_else(|| {
+            refused(format!(
+                "attack: {name} is none of {}",
+                Method::ALL.map(Method::name).join(", ")
+            ))
+        })
+    });
+    let attack = AttackArgs {
+        attack: method.transpose()?,
+        epsilon,
+        iterations,
+        burst: burst.parse().map_err(refused)?,
+        ..AttackArgs::default()
+    };
+    let plan = Plan {
+        family: family.parse().map_err(refused)?,
+        wind_m_s: wind,
+        noise,
+        ground,
+        attack: attack.attack(actor.as_deref()).map_err(refused)?,
+        firmware,
+    };
+    let threads = threads.max(1);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(failed)?;
+    let mut rows = Vec::with_capacity(seeds.len());
+    for some in seeds.chunks(4 * threads) {
+        let flown: Result<Vec<FlightRow>, String> =
+            py.detach(|| pool.install(|| some.par_iter().map(|seed| plan.fly(*seed)).collect()));
+        rows.append(&mut flown.map_err(refused)?);
+        py.check_signals()?;
+    }
+    Ok(rows)
+}

@@ -1,0 +1,269 @@
+//! LSTM-AD for Python: the frozen one, the monitor of the tick, and training on any rows.
+
+use crate::actor::Actor;
+use crate::given::{array, failed, position, refused, values};
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use std::path::PathBuf;
+use vigil_detector::{FrozenDetector, LstmAd, ROW_LIMIT, WINDOW};
+use vigil_nnet::{Activation, Graph, Isa};
+use vigil_policy::actor::ACTOR_HIDDEN;
+use vigil_tools::detector_training::{Examples, FitConfig, fit};
+use vigil_types::Verdict;
+
+/// A frozen detector.
+#[pyclass(module = "vigil._vigil")]
+pub struct Detector(FrozenDetector);
+
+#[pymethods]
+impl Detector {
+    #[new]
+    #[pyo3(signature = (path=None))]
+    fn new(path: Option<PathBuf>) -> PyResult<Self> {
+        let frozen = match path {
+            Some(path) => FrozenDetector::load(&path),
+            None => FrozenDetector::built_in(),
+        };
+        Ok(Self(frozen.map_err(refused)?))
+    }
+
+    /// A score above it is an attack.
+    #[getter]
+    fn threshold(&self) -> f32 {
+        self.0.threshold
+    }
+
+    /// The digest of the actor that it judges.
+    #[getter]
+    fn actor_sha256(&self) -> &str {
+        &self.0.actor_sha256
+    }
+
+    /// Its digest.
+    #[getter]
+    fn sha256(&self) -> String {
+        self.0.sha256()
+    }
+
+    /// DeepSHAP's background sample: states, one after the other, and positional inputs.
+    fn backgrounds<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
+        let (states, positions): (Vec<_>, Vec<_>) = self.0.backgrounds.iter().copied().unzip();
+        (array(py, states.concat()), array(py, positions.concat()))
+    }
+
+    /// Parameters, shift and scale of its network.
+    #[allow(clippy::type_complexity, reason = "three arrays")]
+    fn network<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> (
+        Bound<'py, PyArray1<f32>>,
+        Bound<'py, PyArray1<f32>>,
+        Bound<'py, PyArray1<f32>>,
+    ) {
+        let d = &self.0;
+        (
+            array(py, d.params.clone()),
+            array(py, d.centre.to_vec()),
+            array(py, d.scale.to_vec()),
+        )
+    }
+}
+
+/// A network over ten rows of any width, with the shift and scale of its rows.
+#[pyclass(module = "vigil._vigil")]
+pub struct Lstm {
+    graph: Graph,
+    params: Vec<f32>,
+    centre: Vec<f32>,
+    scale: Vec<f32>,
+}
+
+#[pymethods]
+impl Lstm {
+    #[new]
+    fn new(
+        params: PyReadonlyArrayDyn<'_, f32>,
+        centre: PyReadonlyArrayDyn<'_, f32>,
+        scale: PyReadonlyArrayDyn<'_, f32>,
+    ) -> PyResult<Self> {
+        let width = centre.len();
+        let graph = LstmAd::graph(width, LstmAd::CELL, Activation::Sigmoid).map_err(refused)?;
+        let scale = values("scale", &scale, width)?.to_vec();
+        if scale.iter().any(|scale| *scale <= 0.0) {
+            return Err(refused("scale: every value has to be above 0"));
+        }
+        Ok(Self {
+            params: values("parameters", &params, graph.param_len())?.to_vec(),
+            centre: values("centre", &centre, width)?.to_vec(),
+            scale,
+            graph,
+        })
+    }
+
+    /// Scores of a flight's rows; the first nine have none (not a number).
+    fn scores<'py>(&self, py: Python<'py>, rows: PyReadonlyArrayDyn<'py, f32>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let width = self.centre.len();
+        let count = rows.len() / width;
+        let rows = values("rows", &rows, count * width)?;
+        let scores = py.detach(|| {
+            let mut rows = rows.to_vec();
+            for row in rows.chunks_exact_mut(width) {
+                for (x, (centre, scale)) in row.iter_mut().zip(self.centre.iter().zip(&self.scale)) {
+                    *x = ((*x - centre) / scale).clamp(-ROW_LIMIT, ROW_LIMIT);
+                }
+            }
+            let rows: Vec<&[f32]> = rows.chunks_exact(width).collect();
+            let mut tape = vec![0.0; self.graph.tape_len()];
+            let mut scores = vec![f32::NAN; count];
+            for (window, score) in rows.windows(WINDOW).zip(scores.iter_mut().skip(WINDOW - 1)) {
+                self.graph.forward(Isa::detect(), &self.params, window, &mut tape)?;
+                *score = self.graph.output(&tape)?[0];
+            }
+            Ok(scores)
+        });
+        Ok(array(py, scores.map_err(|e: vigil_nnet::ShapeError| failed(e))?))
+    }
+}
+
+/// Verdict, score, contributions of image, bearing and distance, base, contributions at the split point.
+type Judged<'py> = (Option<bool>, Option<f32>, f32, f32, f32, f32, Bound<'py, PyArray1<f32>>);
+
+/// Explains and judges an actor's decisions one after the other, as in flight.
+#[pyclass(module = "vigil._vigil")]
+pub struct Monitor(vigil_detector::Monitor);
+
+#[pymethods]
+impl Monitor {
+    #[new]
+    fn new(actor: &Actor, detector: &Detector) -> PyResult<Self> {
+        let (params, sha256) = (&actor.frozen.params, actor.frozen.sha256());
+        let monitor = vigil_detector::Monitor::new(Isa::detect(), params, &sha256, &detector.0);
+        Ok(Self(monitor.map_err(refused)?))
+    }
+
+    /// Judges a decision by the actor's state and the goal it was made from.
+    fn judge<'py>(
+        &mut self,
+        py: Python<'py>,
+        state: PyReadonlyArrayDyn<'py, f32>,
+        distance_m: f32,
+        bearing_rad: f32,
+    ) -> PyResult<Judged<'py>> {
+        let mut own = [0.0; ACTOR_HIDDEN];
+        own.copy_from_slice(values("state", &state, ACTOR_HIDDEN)?);
+        let j = self.0.judge(&own, position(distance_m, bearing_rad)?);
+        let verdict = match j.verdict {
+            Verdict::Unknown => None,
+            Verdict::Clean => Some(false),
+            Verdict::Attack => Some(true),
+        };
+        let phi = array(py, j.phi.to_vec());
+        Ok((verdict, j.score, j.image, j.bearing, j.distance, j.base, phi))
+    }
+
+    /// Forgets the explanations: a new flight.
+    fn reset(&mut self) {
+        self.0.reset();
+    }
+}
+
+/// Windows one after the other, normalised.
+struct Windows<'a> {
+    rows: &'a [f32],
+    width: usize,
+    attacked: &'a [bool],
+}
+
+impl Examples for Windows<'_> {
+    fn len(&self) -> usize {
+        self.attacked.len()
+    }
+
+    fn inputs<'a>(&'a self, i: usize, _: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
+        let window = &self.rows[i * WINDOW * self.width..(i + 1) * WINDOW * self.width];
+        window.chunks_exact(self.width).collect()
+    }
+
+    fn attacked(&self, i: usize) -> bool {
+        self.attacked[i]
+    }
+}
+
+/// Training loss, choosing loss and choosing accuracy of an epoch.
+type EpochRow = (f64, f64, f64);
+
+/// Trains on normalised windows; returns parameters, the epoch chosen (from 1) and all epochs.
+#[pyfunction]
+#[pyo3(signature = (learn, learn_attacked, choose, choose_attacked, *, width, epochs, batch, rate, seed, threads))]
+#[allow(
+    clippy::too_many_arguments,
+    clippy::type_complexity,
+    reason = "the Python side names them"
+)]
+pub fn train<'py>(
+    py: Python<'py>,
+    learn: PyReadonlyArrayDyn<'py, f32>,
+    learn_attacked: PyReadonlyArray1<'py, bool>,
+    choose: PyReadonlyArrayDyn<'py, f32>,
+    choose_attacked: PyReadonlyArray1<'py, bool>,
+    width: usize,
+    epochs: usize,
+    batch: usize,
+    rate: f32,
+    seed: u64,
+    threads: usize,
+) -> PyResult<(Bound<'py, PyArray1<f32>>, usize, Vec<EpochRow>)> {
+    if epochs == 0 || batch == 0 || !(rate > 0.0 && rate < 1.0) || width == 0 {
+        return Err(refused("epochs and batch have to be 1 or more, rate between 0 and 1"));
+    }
+    let windows = |what: &str, rows: &PyReadonlyArrayDyn<'_, f32>, attacked: &PyReadonlyArray1<'_, bool>| {
+        values(what, rows, attacked.len() * WINDOW * width).map(|_| ())
+    };
+    windows("windows to learn from", &learn, &learn_attacked)?;
+    windows("windows that choose", &choose, &choose_attacked)?;
+    let learn = Windows {
+        rows: learn.as_slice().map_err(refused)?,
+        width,
+        attacked: learn_attacked.as_slice().map_err(refused)?,
+    };
+    let choose = Windows {
+        rows: choose.as_slice().map_err(refused)?,
+        width,
+        attacked: choose_attacked.as_slice().map_err(refused)?,
+    };
+    for (what, windows) in [("to learn from", &learn), ("that choose", &choose)] {
+        if !(windows.attacked.contains(&true) && windows.attacked.contains(&false)) {
+            return Err(refused(format!(
+                "the windows {what} have to hold attacked and unattacked ones"
+            )));
+        }
+    }
+    let fitted = py.detach(|| {
+        let graph = LstmAd::graph(width, LstmAd::CELL, Activation::Identity).map_err(|e| e.to_string())?;
+        let mut first = vec![0.0; graph.param_len()];
+        graph
+            .initialize(&mut ChaCha8Rng::seed_from_u64(seed), &mut first)
+            .map_err(|e| e.to_string())?;
+        let config = FitConfig {
+            epochs,
+            batch,
+            rate,
+            gradient_norm: 5.0,
+            weight_decay: 0.01,
+            seed,
+        };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads.max(1)).build();
+        pool.map_err(|e| e.to_string())?.install(|| {
+            fit(&graph, Isa::detect(), first, &learn, &choose, &config, &mut |_, _| {}).map_err(|e| e.to_string())
+        })
+    });
+    let fitted = fitted.map_err(refused)?;
+    let rows = fitted
+        .epochs
+        .iter()
+        .map(|e| (e.train_loss, e.choose_loss, e.choose_accuracy));
+    Ok((array(py, fitted.params), fitted.chosen, rows.collect()))
+}

@@ -1,0 +1,78 @@
+//! DeepSHAP for Python.
+
+use crate::actor::{Actor, Policy, own_inputs};
+use crate::given::{array, refused};
+use numpy::{PyArray1, PyReadonlyArrayDyn};
+use pyo3::prelude::*;
+use vigil_detector::DeepShap;
+use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::actor::ActorSpec;
+
+/// DeepSHAP of one network against one background sample, over the network's own inputs.
+#[pyclass(module = "vigil._vigil")]
+pub struct Explainer(DeepShap);
+
+type Inputs<'py> = Vec<PyReadonlyArrayDyn<'py, f32>>;
+
+fn explainer(py: Python<'_>, graph: Graph, params: &[f32], backgrounds: &[Inputs<'_>]) -> PyResult<Explainer> {
+    let views: Vec<Vec<&[f32]>> = backgrounds
+        .iter()
+        .map(|inputs| own_inputs(&graph, inputs))
+        .collect::<PyResult<_>>()?;
+    let shap = py.detach(|| DeepShap::new(Isa::detect(), graph, params, &views));
+    Ok(Explainer(shap.map_err(refused)?))
+}
+
+#[pymethods]
+impl Explainer {
+    /// An actor's second half: inputs are the 48 values of its state and the two positional ones.
+    #[staticmethod]
+    fn split_point(py: Python<'_>, actor: &Actor, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
+        let graph = ActorSpec::FULL.head_graph(Purpose::Multipliers).map_err(refused)?;
+        explainer(py, graph, &actor.frozen.params, &backgrounds)
+    }
+
+    /// The whole actor: inputs are the five frames over 100 m, oldest first, and the positional values.
+    #[staticmethod]
+    fn pixels(py: Python<'_>, actor: &Actor, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
+        let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true).map_err(refused)?;
+        explainer(py, graph, &actor.frozen.params, &backgrounds)
+    }
+
+    /// An imported policy: its own inputs.
+    #[staticmethod]
+    fn policy(py: Python<'_>, policy: &Policy, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
+        let graph = policy.frozen.network.graph(Purpose::Multipliers).map_err(refused)?;
+        explainer(py, graph, &policy.frozen.params, &backgrounds)
+    }
+
+    /// The network's outputs for a state, and what each value of its inputs contributed to one of them.
+    #[allow(clippy::type_complexity, reason = "two arrays")]
+    fn explain<'py>(
+        &mut self,
+        py: Python<'py>,
+        inputs: Inputs<'py>,
+        output: usize,
+    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+        let slices = own_inputs(self.0.graph(), &inputs)?;
+        let mut phi = vec![0.0; self.0.phi_len()];
+        let shap = &mut self.0;
+        let outputs = py.detach(|| {
+            let outputs = shap.evaluate(&slices)?.to_vec();
+            shap.attribute(output, &mut phi).map(|()| outputs)
+        });
+        Ok((array(py, outputs.map_err(refused)?), array(py, phi)))
+    }
+
+    /// Mean outputs of the background sample.
+    fn expected<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        array(py, self.0.expected().to_vec())
+    }
+
+    /// Lengths of the network's inputs.
+    #[getter]
+    fn input_lengths(&self) -> Vec<usize> {
+        let graph = self.0.graph();
+        (0..graph.input_count()).map(|i| graph.input_len(i)).collect()
+    }
+}

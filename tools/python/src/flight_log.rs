@@ -1,0 +1,142 @@
+//! Flight logs as columns for Python.
+
+use crate::given::{array, refused};
+use numpy::PyArray1;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::path::{Path, PathBuf};
+use vigil_log::{Reader, TickRecord};
+use vigil_types::{DEPTH_FULL_SCALE_M, Verdict};
+
+/// A column of numbers with its values a step.
+#[derive(Default)]
+struct Column {
+    name: &'static str,
+    width: usize,
+    values: Vec<f32>,
+}
+
+#[derive(Default)]
+struct Columns(Vec<Column>);
+
+impl Columns {
+    fn put<const N: usize>(&mut self, name: &'static str, values: Option<[f32; N]>) {
+        let at = self.0.iter().position(|c| c.name == name).unwrap_or_else(|| {
+            self.0.push(Column {
+                name,
+                width: N,
+                values: Vec::new(),
+            });
+            self.0.len() - 1
+        });
+        self.0[at].values.extend(values.unwrap_or([f32::NAN; N]));
+    }
+}
+
+/// What a log holds.
+#[derive(Default)]
+struct Content {
+    step: Vec<u64>,
+    now_ns: Vec<u64>,
+    columns: Columns,
+    state: Vec<&'static str>,
+    reasons: Vec<String>,
+    alarm: Vec<Option<&'static str>>,
+    verdict: Vec<&'static str>,
+    frame_steps: Vec<u64>,
+    frames: Vec<f32>,
+    end: String,
+    info: Vec<(&'static str, Option<String>)>,
+}
+
+fn read(path: &Path, with_frames: bool) -> Result<Content, vigil_log::ReadError> {
+    let mut reader = Reader::open(path)?;
+    let mut content = Content::default();
+    let mut record = Box::new(TickRecord::default());
+    while reader.read_next(&mut record)? {
+        content.take(&record, with_frames);
+    }
+    content.end = reader.end().map(|end| end.to_string()).unwrap_or_default();
+    let info = reader.info();
+    content.info = vec![
+        ("program", Some(info.program.clone())),
+        ("git_commit", info.git_commit.clone()),
+        ("seed", info.seed.map(|seed| seed.to_string())),
+        ("actor_sha256", info.actor_sha256.clone()),
+        ("detector_sha256", info.detector_sha256.clone()),
+        ("detector_threshold", info.detector_threshold.map(|t| t.to_string())),
+        ("config_toml", Some(info.config_toml.clone())),
+    ];
+    Ok(content)
+}
+
+impl Content {
+    fn take(&mut self, record: &TickRecord, with_frames: bool) {
+        let report = &record.report;
+        self.step.push(record.timing.step);
+        self.now_ns.push(record.now_ns);
+        self.state.push(report.state.name());
+        let reasons: Vec<&str> = report.reasons.iter().map(|reason| reason.name()).collect();
+        self.reasons.push(reasons.join(" "));
+        self.alarm.push(report.alarm.map(|alarm| alarm.cause.name()));
+        self.verdict
+            .push(report.judgement.map_or(Verdict::Unknown, |j| j.verdict).name());
+        let c = &mut self.columns;
+        let kinematics = report.telemetry.kinematics;
+        c.put("position_ned_m", kinematics.map(|k| k.position_ned_m.to_array()));
+        c.put("velocity_ned_m_s", kinematics.map(|k| k.velocity_ned_m_s.to_array()));
+        let euler = report.telemetry.attitude.map(|a| a.attitude);
+        c.put(
+            "roll_pitch_yaw_rad",
+            euler.map(|a| [a.roll_rad(), a.pitch_rad(), a.yaw_rad()]),
+        );
+        c.put("goal_ned_m", report.goal.map(|g| g.position_ned_m.to_array()));
+        c.put("goal", report.goal_relative.map(|g| [g.distance_m, g.bearing_rad]));
+        c.put("action", report.action.map(|a| [a.forward_m_s, a.yaw]));
+        c.put(
+            "setpoint_velocity_m_s",
+            report.setpoint.map(|s| s.velocity_m_s.to_array()),
+        );
+        c.put("setpoint_yaw_rate_rad_s", report.setpoint.map(|s| [s.yaw_rate_rad_s]));
+        c.put("score", report.judgement.and_then(|j| j.score).map(|score| [score]));
+        c.put(
+            "contributions",
+            report.judgement.map(|j| [j.image, j.bearing, j.distance, j.base]),
+        );
+        c.put("phi", report.judgement.map(|j| j.phi));
+        c.put("frame_age_s", report.frame_age_ns.map(|age| [age as f32 * 1e-9]));
+        c.put("execution_s", Some([record.timing.previous_execution_ns as f32 * 1e-9]));
+        if let Some(frame) = record.frame().filter(|_| with_frames) {
+            self.frame_steps.push(record.timing.step);
+            self.frames
+                .extend(frame.depth.iter().map(|range| range * DEPTH_FULL_SCALE_M));
+        }
+    }
+}
+
+/// The columns of a log: name to values, one after the other, and how many values a step has of each.
+#[pyfunction]
+pub fn read_log<'py>(py: Python<'py>, path: PathBuf, frames: bool) -> PyResult<Bound<'py, PyDict>> {
+    let content = py.detach(|| read(&path, frames)).map_err(refused)?;
+    let log = PyDict::new(py);
+    log.set_item("step", PyArray1::from_vec(py, content.step))?;
+    log.set_item("now_ns", PyArray1::from_vec(py, content.now_ns))?;
+    let numbers = PyDict::new(py);
+    for column in content.columns.0 {
+        numbers.set_item(column.name, (column.width, array(py, column.values)))?;
+    }
+    log.set_item("numbers", numbers)?;
+    log.set_item("state", content.state)?;
+    log.set_item("reasons", content.reasons)?;
+    log.set_item("alarm", content.alarm)?;
+    log.set_item("verdict", content.verdict)?;
+    log.set_item("frame_steps", PyArray1::from_vec(py, content.frame_steps))?;
+    log.set_item("frames", array(py, content.frames))?;
+    log.set_item("end", content.end)?;
+    let info = PyDict::new(py);
+    for (name, value) in content.info {
+        info.set_item(name, value)?;
+    }
+    log.set_item("info", info)?;
+    Ok(log)
+}

@@ -1,0 +1,52 @@
+"""What callers give, checked: errors name the argument, what is expected and what came."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+ROWS, COLUMNS, FRAMES, STATE = 128, 256, 5, 48
+FULL_SCALE_M = 100.0
+
+
+def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
+    """``values`` as ``float32`` in one piece, of ``shape`` (``None``: any size), all finite.
+
+    Raises:
+        TypeError: values that are no numbers, or integers and booleans where ranges in metres are meant.
+        ValueError: another shape, or a value that is not finite.
+    """
+    array = np.asarray(values)
+    if array.dtype.kind != "f":
+        if array.dtype.kind not in "iu" or len(shape) > 1:
+            raise TypeError(f"{what}: expected floating-point numbers, got dtype {array.dtype}")
+    fits = array.ndim == len(shape) and all(s is None or s == n for s, n in zip(shape, array.shape))
+    if not fits:
+        expected = tuple("any" if s is None else s for s in shape)
+        raise ValueError(f"{what}: expected shape {expected}, got {array.shape}")
+    array = np.ascontiguousarray(array, dtype=np.float32)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what}: holds a value that is not a finite number")
+    return array
+
+
+def goal(value: Any) -> tuple[float, float]:
+    """Distance in metres and bearing in radians."""
+    distance_m, bearing_rad = floats("goal", value, (2,))
+    return float(distance_m), float(bearing_rad)
+
+
+def positional(value: Any) -> Floats:
+    """A goal as the networks take it: distance over 20 m, at most 1.05, and bearing over 1 rad."""
+    distance_m, bearing_rad = goal(value)
+    return np.array([min(distance_m, 21.0) / 20.0, bearing_rad], dtype=np.float32)
+
+
+def frames_of(what: str, value: Any, count: int | None) -> Floats:
+    """Frames in metres, ``[count, 128, 256]``, or one ``[128, 256]`` where ``count`` is ``None``."""
+    shape = (ROWS, COLUMNS) if count is None else (count, ROWS, COLUMNS)
+    return floats(what, value, shape)

@@ -1,0 +1,164 @@
+"""Attacks on what a policy sees (docs/adversary.md): pixels are altered along the policy's own gradient, so that it turns the wrong way.
+
+ε is in 1/255 of the image's range: 1 is 0.39 m. Methods for our actor: ``fgsm``, ``bim-clipped``, ``bim-accumulating`` (the paper's),
+``pgd``, ``momentum``, ``l2``, ``patch``, ``noise``; for imported policies the first four.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vigil import _given, _vigil
+from vigil._given import COLUMNS, FRAMES, ROWS, Floats
+from vigil.policy import Action, Actor, Policy
+
+EFFECTIVE_YAW = 1.0
+"""A change of the yaw by as much, 30 °/s, counts as effective."""
+
+
+@dataclass(frozen=True)
+class Attacked:
+    """What an attack came to."""
+
+    frames: Floats
+    """The altered frames, of the shape that was given."""
+    clean: Action
+    """What the policy would have decided."""
+    attacked: Action
+    """What it decides on the altered frames."""
+
+    @property
+    def yaw_change(self) -> float:
+        """Change of the yaw, units of 30 °/s."""
+        return self.attacked.yaw - self.clean.yaw
+
+    @property
+    def is_effective(self) -> bool:
+        """Whether the yaw moved by 30 °/s or more."""
+        return abs(self.yaw_change) >= EFFECTIVE_YAW
+
+
+class StateAttack:
+    """Alters all five frames of a state of our actor: the paper's attack.
+
+    Args:
+        actor: the actor attacked.
+        method: how (see the module).
+        epsilon: in 1/255 of the image's range, above 0 to 255.
+        iterations: 1 or more.
+        towards: ``left``, ``right``, or ``away`` from what it decides unattacked.
+        seed: for the methods that draw.
+    """
+
+    def __init__(
+        self,
+        actor: Actor,
+        method: str = "bim-accumulating",
+        *,
+        epsilon: float = 1.0,
+        iterations: int = 20,
+        towards: str = "away",
+        seed: int = 0,
+    ) -> None:
+        self.native = _vigil.StateAttack(actor.native, method, epsilon, iterations, towards, seed)
+
+    def attack(self, frames: Any, goal: Any) -> Attacked:
+        """Alters a copy of frames ``[5, 128, 256]`` in metres, oldest first."""
+        altered, clean, attacked = self.native.attack(_given.frames_of("frames", frames, FRAMES), *_given.goal(goal))
+        return Attacked(altered.reshape(FRAMES, ROWS, COLUMNS), Action(*clean), Action(*attacked))
+
+
+class FrameAttack:
+    """Alters frames of our actor as they pass, the newest only, as an attacker in flight has to. Show it every frame of a flight.
+
+    Its arguments are those of :class:`StateAttack`.
+    """
+
+    def __init__(
+        self,
+        actor: Actor,
+        method: str = "bim-accumulating",
+        *,
+        epsilon: float = 1.0,
+        iterations: int = 20,
+        towards: str = "away",
+        seed: int = 0,
+    ) -> None:
+        self.native = _vigil.FrameAttack(actor.native, method, epsilon, iterations, towards, seed)
+
+    def pass_on(self, frame: Any, goal: Any) -> None:
+        """A frame ``[128, 256]`` that passes as it is."""
+        self.native.pass_on(_given.frames_of("frame", frame, None), *_given.goal(goal))
+
+    def attack(self, frame: Any, goal: Any) -> Attacked:
+        """Alters a copy of the frame ``[128, 256]`` in metres. ``clean``: had no frame been altered at all."""
+        altered, clean, attacked = self.native.attack(_given.frames_of("frame", frame, None), *_given.goal(goal))
+        return Attacked(altered.reshape(ROWS, COLUMNS), Action(*clean), Action(*attacked))
+
+    def reset(self) -> None:
+        """Forgets the frames: a new flight."""
+        self.native.reset()
+
+
+class PolicyAttack:
+    """Alters the own frame of an imported policy (:meth:`Policy.own_frame`): every channel.
+
+    Args:
+        policy: the policy attacked.
+        method: ``fgsm``, ``bim-clipped``, ``bim-accumulating`` or ``pgd``.
+        epsilon, iterations, towards, seed: as for :class:`StateAttack`; ε in 1/255 of the policy's own range of pixels.
+    """
+
+    METHODS = ("fgsm", "bim-clipped", "bim-accumulating", "pgd")
+
+    def __init__(
+        self,
+        policy: Policy,
+        method: str = "bim-accumulating",
+        *,
+        epsilon: float = 1.0,
+        iterations: int = 20,
+        towards: str = "away",
+        seed: int = 0,
+    ) -> None:
+        if method not in self.METHODS:
+            raise ValueError(f"method: {method} is none of {', '.join(self.METHODS)}")
+        if not 0.0 < epsilon <= 255.0:
+            raise ValueError(f"epsilon: above 0 and at most 255, got {epsilon}")
+        if iterations < 1:
+            raise ValueError(f"iterations: 1 or more, got {iterations}")
+        if towards not in ("left", "right", "away"):
+            raise ValueError(f"towards: left, right or away, got {towards!r}")
+        self.policy, self.method, self.towards = policy, method, towards
+        self.epsilon, self.iterations = epsilon, 1 if method == "fgsm" else iterations
+        self._random = np.random.default_rng(seed)
+
+    def attack(self, own_frame: Any, goal: Any) -> Attacked:
+        """Alters a copy of the policy's own frame ``[rows, columns, channels]``, whose pixels stay within its range."""
+        clean_frame = _given.floats("own frame", own_frame, self.policy.frame_shape)
+        low, high = min(0.0, self.policy.scale), max(0.0, self.policy.scale)
+        epsilon = np.float32(self.epsilon / 255.0 * (high - low))
+        clean = self.policy.outputs(clean_frame, goal)
+        sign = {"left": -1.0, "right": 1.0}.get(self.towards) or (-1.0 if clean[1] >= 0.0 else 1.0)
+        step = epsilon
+        frame = clean_frame
+        if self.method in ("bim-clipped", "pgd"):
+            step = np.float32(2.5) * epsilon / np.float32(self.iterations)
+        if self.method == "pgd":
+            start = self._random.uniform(-epsilon, epsilon, frame.shape).astype(np.float32)
+            frame = np.clip(frame + start, low, high)
+        for _ in range(self.iterations):
+            along = np.sign(self.policy.gradient(frame, goal)) * np.float32(sign)
+            frame = frame + step * along
+            if self.method in ("bim-clipped", "pgd"):
+                frame = np.clip(frame, clean_frame - epsilon, clean_frame + epsilon)
+            frame = np.clip(frame, low, high).astype(np.float32)
+        return Attacked(frame, _limited(clean), _limited(self.policy.outputs(frame, goal)))
+
+
+def _limited(outputs: Floats) -> Action:
+    forward, yaw = np.clip(outputs, -1.5, 1.5)
+    return Action(float(forward), float(yaw))

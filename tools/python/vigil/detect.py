@@ -1,0 +1,213 @@
+"""LSTM-AD (docs/detectors.md): does a flight's stream of explanations look like an attack's?
+
+:class:`Detector` is the frozen one, :class:`Monitor` explains and judges step by step as in flight, :func:`train` makes a :class:`Lstm` of
+rows of any width: explanations of an imported policy, or anything else that ten steps have.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from vigil import _given, _vigil
+from vigil._given import STATE, Floats
+from vigil.policy import Actor
+
+WINDOW = 10
+"""Steps that a verdict looks at."""
+
+
+class Lstm:
+    """A trained network over ten rows, with the shift and scale of its rows.
+
+    Args:
+        params: the network's parameters.
+        centre: subtracted from a row, ``[width]``.
+        scale: divides a row, ``[width]``, above 0.
+    """
+
+    def __init__(self, params: Any, centre: Any, scale: Any) -> None:
+        self.centre = _given.floats("centre", centre, (None,))
+        self.scale = _given.floats("scale", scale, (len(self.centre),))
+        self.params = _given.floats("parameters", params, (None,))
+        self._native = _vigil.Lstm(self.params, self.centre, self.scale)
+
+    def scores(self, rows: Any) -> Floats:
+        """Scores ``[steps]``, 0 (unattacked) to 1 (attacked), of a flight's rows ``[steps, width]``; nan for the first nine."""
+        return self._native.scores(_given.floats("rows", rows, (None, len(self.centre))))
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Writes it as ``.npz``."""
+        np.savez(path, params=self.params, centre=self.centre, scale=self.scale)
+
+    @classmethod
+    def load(cls, path: str | PathLike[str]) -> Lstm:
+        """Reads what :meth:`save` wrote."""
+        with np.load(path, allow_pickle=False) as file:
+            return cls(file["params"], file["centre"], file["scale"])
+
+
+class Detector(Lstm):
+    """A frozen detector: judges explanations ``[steps, 48]`` of one actor at its split point.
+
+    Args:
+        path: its file; absent: the one built in, of the built-in actor.
+
+    Raises:
+        ValueError: a file that is no unaltered detector.
+    """
+
+    def __init__(self, path: str | PathLike[str] | None = None) -> None:
+        self.native = _vigil.Detector(None if path is None else str(path))
+        super().__init__(*self.native.network())
+
+    @property
+    def threshold(self) -> float:
+        """A score above it is an attack."""
+        return self.native.threshold
+
+    @property
+    def actor_sha256(self) -> str:
+        """Digest of the actor that it judges."""
+        return self.native.actor_sha256
+
+    @property
+    def sha256(self) -> str:
+        """Its digest."""
+        return self.native.sha256
+
+    def backgrounds(self) -> tuple[Floats, Floats]:
+        """DeepSHAP's background sample: states ``[B, 48]`` and positional inputs ``[B, 2]`` (distance / 20 m, bearing / 1 rad)."""
+        states, positions = self.native.backgrounds()
+        return states.reshape(-1, STATE), positions.reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A decision explained and judged. ``base + image + bearing + distance`` is the actor's yaw output, but for rounding."""
+
+    attacked: bool | None
+    """The verdict; ``None`` until ten decisions were explained."""
+    score: float | None
+    """0 (unattacked) to 1 (attacked)."""
+    image: float
+    """Contribution of the frames to the yaw."""
+    bearing: float
+    """Contribution of the goal's bearing."""
+    distance: float
+    """Contribution of the goal's distance."""
+    base: float
+    """Mean yaw of the background sample."""
+    phi: Floats
+    """Contributions at the split point, ``[48]``."""
+
+
+class Monitor:
+    """Explains and judges an actor's decisions one after the other, bit for bit as in flight.
+
+    Args:
+        actor: the actor.
+        detector: of this very actor; absent: the built-in one.
+
+    Raises:
+        ValueError: a detector that was trained for another actor.
+    """
+
+    def __init__(self, actor: Actor, detector: Detector | None = None) -> None:
+        self._native = _vigil.Monitor(actor.native, (detector or Detector()).native)
+
+    def judge(self, state: Any, goal: Any) -> Judgement:
+        """Judges the decision made from a state ``[48]`` (:meth:`Actor.state`) and a goal."""
+        return Judgement(*self._native.judge(_given.floats("state", state, (STATE,)), *_given.goal(goal)))
+
+    def reset(self) -> None:
+        """Forgets the explanations: a new flight."""
+        self._native.reset()
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What training came to."""
+
+    lstm: Lstm
+    """The network of the chosen epoch."""
+    chosen: int
+    """That epoch, from 1: the one with the least loss on what chooses."""
+    epochs: list[tuple[float, float, float]]
+    """Of each epoch: loss while training, loss and accuracy on what chooses."""
+
+
+Flights = Sequence[tuple[Any, Any]]
+
+
+def windows(flights: Flights) -> tuple[Floats, np.ndarray]:
+    """All windows ``[N, 10, width]`` of flights, each ``(rows [steps, width], attacked [steps])``, and whether their newest row is attacked."""
+    found, attacked = [], []
+    width = None
+    for rows, labels in flights:
+        rows = _given.floats("rows", rows, (None, width))
+        width = rows.shape[1]
+        labels = np.asarray(labels)
+        if labels.dtype != np.bool_ or labels.shape != rows.shape[:1]:
+            raise ValueError(f"attacked: expected {len(rows)} booleans, got {labels.dtype} of shape {labels.shape}")
+        if len(rows) >= WINDOW:
+            found.append(np.lib.stride_tricks.sliding_window_view(rows, WINDOW, axis=0).transpose(0, 2, 1))
+            attacked.append(labels[WINDOW - 1 :])
+    if not found:
+        raise ValueError(f"flights: none has {WINDOW} steps")
+    return np.ascontiguousarray(np.concatenate(found), np.float32), np.concatenate(attacked)
+
+
+def train(
+    learn: Flights,
+    choose: Flights,
+    *,
+    epochs: int = 5,
+    batch: int = 64,
+    rate: float = 1e-3,
+    seed: int = 1,
+    threads: int | None = None,
+) -> Trained:
+    """Trains LSTM-AD on flights, each ``(rows [steps, width], attacked [steps])``.
+
+    The rows are shifted and scaled to the mean and deviation of the unattacked ones and clipped to ±10. The same arguments give the same
+    bits on any number of threads. Releases the interpreter's lock.
+
+    Args:
+        learn: flights to learn from.
+        choose: other flights, which choose the epoch.
+
+    Raises:
+        ValueError: flights without attacked or without unattacked windows, rows of different width or not finite.
+    """
+    (rows, attacked), (choosing, choosing_attacked) = windows(learn), windows(choose)
+    width = rows.shape[2]
+    if choosing.shape[2] != width:
+        raise ValueError(f"rows: {width} wide to learn from, {choosing.shape[2]} wide to choose")
+    if attacked.all():
+        raise ValueError("the windows to learn from have to hold attacked and unattacked ones")
+    quiet = rows[~attacked][:, -1].astype(np.float64)
+    centre = quiet.mean(axis=0).astype(np.float32)
+    scale = np.maximum(quiet.std(axis=0), 1e-4).astype(np.float32)
+
+    def normalised(of: Floats) -> Floats:
+        return np.ascontiguousarray(np.clip((of - centre) / scale, -10.0, 10.0), np.float32).ravel()
+
+    params, chosen, rows_of_epochs = _vigil.train(
+        normalised(rows),
+        attacked,
+        normalised(choosing),
+        choosing_attacked,
+        width=width,
+        epochs=epochs,
+        batch=batch,
+        rate=rate,
+        seed=seed,
+        threads=threads or len(os.sched_getaffinity(0)),
+    )
+    return Trained(Lstm(params, centre, scale), chosen, rows_of_epochs)

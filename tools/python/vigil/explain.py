@@ -1,0 +1,121 @@
+"""DeepSHAP (docs/deepshap.md): what each input contributed to an output, against a background sample.
+
+The contributions of an :class:`Explanation` and its ``base`` add up to the network's output, but for rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vigil import _given, _vigil
+from vigil._given import COLUMNS, FRAMES, FULL_SCALE_M, ROWS, STATE, Floats
+from vigil.detect import Detector
+from vigil.policy import Actor, Policy
+
+FORWARD, YAW = 0, 1
+"""Numbers of the outputs."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What each input contributed to an output, in the units of the action."""
+
+    phi: Floats
+    """Contributions, of the shape of what was explained: ``[48]``, ``[5, 128, 256]``, or the policy's own frame."""
+    distance: float
+    """Contribution of the goal's distance."""
+    bearing: float
+    """Contribution of the goal's bearing."""
+    base: float
+    """Mean output of the background sample."""
+    output: float
+    """The output."""
+
+
+def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int, frame_at: int, scale: float) -> Explanation:
+    if output not in (FORWARD, YAW):
+        raise ValueError(f"output: 0 (forward speed) or 1 (yaw), got {output}")
+    outputs, phi = explainer.explain(inputs, output)
+    phi *= np.float32(scale)
+    distance = bearing = 0.0
+    frame = phi
+    if len(phi) > len(inputs[frame_at]) and sum(map(len, inputs)) == len(phi):
+        # The goal's two values stand before the frame or after it.
+        goal, frame = (phi[:2], phi[2:]) if frame_at == 1 else (phi[-2:], phi[:-2])
+        distance, bearing = float(goal[0]), float(goal[1])
+    return Explanation(frame, distance, bearing, float(explainer.expected()[output]) * scale, float(outputs[output]) * scale)
+
+
+class SplitPoint:
+    """Explains an actor's decision at its split point, the 48 values of its state: what the detector looks at in flight.
+
+    Args:
+        actor: the actor.
+        backgrounds: states ``[B, 48]`` and goals ``[B, 2]`` to compare with; absent: the built-in detector's thirty.
+    """
+
+    def __init__(self, actor: Actor, backgrounds: tuple[Any, Any] | None = None) -> None:
+        if backgrounds is None:
+            states, positions = Detector().backgrounds()
+        else:
+            states = _given.floats("background states", backgrounds[0], (None, STATE))
+            positions = np.array([_given.positional(goal) for goal in backgrounds[1]], np.float32)
+            if len(states) != len(positions):
+                raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
+        self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
+
+    def explain(self, state: Any, goal: Any, output: int = YAW) -> Explanation:
+        """Explains the decision made from a state ``[48]`` (:meth:`Actor.state`) and a goal."""
+        inputs = [_given.floats("state", state, (STATE,)), _given.positional(goal)]
+        return _explanation(self.native, inputs, output, 0, 1.0)
+
+
+class Pixels:
+    """Explains an actor's decision by all pixels of its five frames, exactly. A tenth of a second or so for thirty backgrounds.
+
+    Args:
+        actor: the actor.
+        backgrounds: frames in metres ``[B, 5, 128, 256]`` and goals ``[B, 2]`` to compare with. Each takes 10 MB.
+    """
+
+    def __init__(self, actor: Actor, backgrounds: tuple[Any, Any]) -> None:
+        given = _given.floats("background frames", backgrounds[0], (None, FRAMES, ROWS, COLUMNS))
+        if len(given) != len(backgrounds[1]):
+            raise ValueError(f"backgrounds: {len(given)} states, but {len(backgrounds[1])} goals")
+        self.native = _vigil.Explainer.pixels(actor.native, [self._inputs(f, g) for f, g in zip(given, backgrounds[1])])
+
+    @staticmethod
+    def _inputs(frames: Any, goal: Any) -> list[Floats]:
+        given = _given.frames_of("frames", frames, FRAMES) / np.float32(FULL_SCALE_M)
+        return [*given.reshape(FRAMES, -1), _given.positional(goal)]
+
+    def explain(self, frames: Any, goal: Any, output: int = YAW) -> Explanation:
+        """Explains the decision on frames ``[5, 128, 256]`` in metres, oldest first. ``phi`` is ``[5, 128, 256]``."""
+        found = _explanation(self.native, self._inputs(frames, goal), output, 0, 1.0)
+        phi = found.phi.reshape(FRAMES, ROWS, COLUMNS)
+        return Explanation(phi, found.distance, found.bearing, found.base, found.output)
+
+
+class PolicyPixels:
+    """Explains an imported policy's decision by the pixels of its own frame.
+
+    Args:
+        policy: the policy.
+        backgrounds: own frames (:meth:`Policy.own_frame`) with their goals to compare with.
+    """
+
+    def __init__(self, policy: Policy, backgrounds: Iterable[tuple[Any, Any]]) -> None:
+        self.policy = policy
+        self.native = _vigil.Explainer.policy(policy.native, [policy.inputs(f, g) for f, g in backgrounds])
+
+    def explain(self, own_frame: Any, goal: Any, output: int = YAW) -> Explanation:
+        """Explains the decision on its own frame. ``phi`` is ``[rows, columns, channels]``; outputs before they are limited."""
+        native = self.policy.native
+        inputs = self.policy.inputs(own_frame, goal)
+        found = _explanation(self.native, inputs, output, native.frame_input, native.output_scale)
+        phi = found.phi.reshape(self.policy.frame_shape)
+        return Explanation(phi, found.distance, found.bearing, found.base, found.output)

@@ -1,0 +1,131 @@
+"""Policies deciding on frames: the frozen actor of Vigil's architecture, and imported policies of others (docs/import.md)."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from vigil import _given, _vigil
+from vigil._given import COLUMNS, FULL_SCALE_M, ROWS, Floats
+
+
+class Action(NamedTuple):
+    """A decision."""
+
+    forward_m_s: float
+    """Forward speed, m/s, ±1.5."""
+    yaw: float
+    """Yaw in units of 30 °/s, clockwise, ±1.5."""
+
+
+class Actor:
+    """A frozen actor: decides from the newest frame and the four before it, which it remembers.
+
+    Args:
+        path: its file; absent: the one built in.
+
+    Raises:
+        ValueError: a file that is no unaltered actor of this architecture.
+    """
+
+    def __init__(self, path: str | PathLike[str] | None = None) -> None:
+        self.native = _vigil.Actor(None if path is None else str(path))
+
+    def decide(self, frame: Any, goal: Any) -> Action:
+        """Decides on the newest frame ``[128, 256]`` in metres and a goal ``(distance in metres, bearing in radians)``."""
+        return Action(*self.native.decide(_given.frames_of("frame", frame, None), *_given.goal(goal)))
+
+    def state(self) -> Floats:
+        """The 48 values at the split point of the last decision: what is explained in flight."""
+        return self.native.state()
+
+    def reset(self) -> None:
+        """Forgets the frames: a new flight."""
+        self.native.reset()
+
+    @property
+    def sha256(self) -> str:
+        """Its digest, which a detector's file names."""
+        return self.native.sha256
+
+    @property
+    def led_by(self) -> str:
+        """``goal``, or ``path``: the bearing it wants is then that of a planned path (docs/architecture.md)."""
+        return self.native.led_by
+
+
+class Policy:
+    """An imported policy (``vigil import``): decides from frames of its own size, and remembers them if it has several channels.
+
+    Args:
+        path: its file.
+
+    Raises:
+        ValueError: a file that is no unaltered policy.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        self.native = _vigil.Policy(str(path))
+
+    def decide(self, frame: Any, goal: Any) -> Action:
+        """As :meth:`Actor.decide`, exactly as in flight."""
+        return Action(*self.native.decide(_given.frames_of("frame", frame, None), *_given.goal(goal)))
+
+    def reset(self) -> None:
+        """Forgets the frames."""
+        self.native.reset()
+
+    @property
+    def frame_shape(self) -> tuple[int, int, int]:
+        """Rows, columns and channels of its own frame."""
+        return self.native.frame_shape
+
+    @property
+    def scale(self) -> float:
+        """Its pixels are 0 to this."""
+        return self.native.scale
+
+    @property
+    def sha256(self) -> str:
+        """Its digest."""
+        return self.native.sha256
+
+    @property
+    def source(self) -> str:
+        """What it was made of."""
+        return self.native.source
+
+    def own_frame(self, frames: Any) -> Floats:
+        """The policy's own frame ``[rows, columns, channels]`` of our frames ``[channels, 128, 256]`` in metres, the newest last.
+
+        A policy whose channels are all the newest frame takes the last of them.
+        """
+        rows, columns, channels = self.frame_shape
+        given = _given.frames_of("frames", frames, channels)
+        given = given if self.native.stacked else np.repeat(given[-1:], channels, axis=0)
+        row = (2 * np.arange(rows) + 1) * ROWS // (2 * rows)
+        column = (2 * np.arange(columns) + 1) * COLUMNS // (2 * columns)
+        pixels = given[:, row[:, None], column[None, :]].transpose(1, 2, 0) / np.float32(FULL_SCALE_M)
+        if self.native.contrast:
+            pixels = 1.0 / (1.0 + np.float32(FULL_SCALE_M / 3.0) * pixels)
+        return np.ascontiguousarray(pixels * np.float32(self.scale), np.float32)
+
+    def inputs(self, own_frame: Any, goal: Any) -> list[Floats]:
+        """The network's inputs, in its order, of its own frame ``[rows, columns, channels]`` and a goal."""
+        frame = _given.floats("own frame", own_frame, self.frame_shape).ravel()
+        if not self.native.has_position:
+            return [frame]
+        position = _given.positional(goal)
+        return [frame, position] if self.native.frame_input == 0 else [position, frame]
+
+    def outputs(self, own_frame: Any, goal: Any) -> Floats:
+        """Forward speed and yaw ``[2]`` for its own frame, before they are limited to ±1.5."""
+        return self.native.forward(self.inputs(own_frame, goal)) * np.float32(self.native.output_scale)
+
+    def gradient(self, own_frame: Any, goal: Any, weights: tuple[float, float] = (0.0, 1.0)) -> Floats:
+        """Gradient of ``weights · outputs`` at the pixels of its own frame, ``[rows, columns, channels]``."""
+        scale = float(self.native.output_scale)
+        given = self.native.gradient(self.inputs(own_frame, goal), [weights[0] * scale, weights[1] * scale])
+        return given[self.native.frame_input].reshape(self.frame_shape)
