@@ -50,7 +50,8 @@ impl Detector {
     /// DeepSHAP's background sample: states, one after the other, and positional inputs.
     fn backgrounds<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
         let (states, positions): (Vec<_>, Vec<_>) = self.0.backgrounds.iter().copied().unzip();
-        (array(py, states.concat()), array(py, positions.concat()))
+        let positions = positions.iter().flat_map(|inputs| inputs.iter().copied()).collect();
+        (array(py, states.concat()), array(py, positions))
     }
 
     /// Parameters, shift and scale of its network.

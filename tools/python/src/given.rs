@@ -53,7 +53,7 @@ pub fn position(distance_m: f32, bearing_rad: f32) -> PyResult<[f32; 2]> {
             "goal: a distance of 0 m or more and a bearing in radians, got {distance_m} and {bearing_rad}"
         )));
     }
-    Ok(vigil_policy::actor::positional_inputs(vigil_types::GoalRelative {
+    Ok(vigil_policy::actor::goal_inputs(vigil_types::GoalRelative {
         distance_m,
         bearing_rad,
     }))
