@@ -50,6 +50,7 @@ fn small(sees: Sees) -> ValueConfig {
     };
     if sees == Sees::Pictures {
         config.learning.imitation = 0.5;
+        config.learning.critics_told = true;
     }
     config.learning.batch = 4;
     config.learning.decisions_per_update = if sees == Sees::Truth { 1 } else { 10 };

@@ -18,6 +18,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use vigil_nnet::{Aligned, Isa, ShapeError};
+use vigil_policy::actor::PositionalInputs;
 use vigil_policy::apf;
 use vigil_sim::environment::true_state::TRUE_STATE;
 use vigil_types::{ACTION_LIMIT, Action};
@@ -138,6 +139,7 @@ pub struct SlopeReport {
 
 struct Compared {
     truth: [f32; TRUE_STATE],
+    position: PositionalInputs,
     action: [f32; 2],
     returns: [f32; 5],
     yaws: [f32; 5],
@@ -161,8 +163,8 @@ pub fn slope_against_truth(
         let mut returns = compared.returns;
         for (value, last) in returns.iter_mut().zip(&last) {
             // Flights that went on are worth what the critics say of where they got to.
-            if let Some((truth, action, discount)) = last {
-                *value += discount * learner.slope(truth, *action)?.0;
+            if let Some((truth, position, action, discount)) = last {
+                *value += discount * learner.slope(truth, position, *action)?.0;
             }
         }
         states.push(Compared { returns, ..compared });
@@ -173,9 +175,9 @@ pub fn slope_against_truth(
     for c in &states {
         let mut values = [0.0; 5];
         for (value, yaw) in values.iter_mut().zip(c.yaws) {
-            *value = learner.slope(&c.truth, [c.action[0], yaw])?.0;
+            *value = learner.slope(&c.truth, &c.position, [c.action[0], yaw])?.0;
         }
-        let (_, slope) = learner.slope(&c.truth, c.action)?;
+        let (_, slope) = learner.slope(&c.truth, &c.position, c.action)?;
         let less_mean = |v: [f32; 5]| v.map(|x| f64::from(x - v.iter().sum::<f32>() / 5.0));
         said.extend(less_mean(values));
         flown.extend(less_mean(c.returns));
@@ -198,7 +200,7 @@ pub fn slope_against_truth(
 }
 
 /// Where a flight that went on got to: true state, the actor's action there, what its value counts.
-type Last = Option<([f32; TRUE_STATE], [f32; 2], f32)>;
+type Last = Option<([f32; TRUE_STATE], PositionalInputs, [f32; 2], f32)>;
 
 /// One state: the five flights from it.
 fn branch(config: &ValueConfig, chooser: &mut Chooser, i: u64) -> Result<Option<(Compared, [Last; 5])>, CollectError> {
@@ -238,6 +240,7 @@ fn branch(config: &ValueConfig, chooser: &mut Chooser, i: u64) -> Result<Option<
         let middle = own[1].clamp(-ACTION_LIMIT + 1.0, ACTION_LIMIT - 1.0);
         let state = compared.get_or_insert_with(|| Compared {
             truth: flight.state(),
+            position: flight.position(),
             action: [own[0], middle],
             returns: [0.0; 5],
             yaws: YAWS.map(|d| middle + d),
@@ -257,7 +260,7 @@ fn branch(config: &ValueConfig, chooser: &mut Chooser, i: u64) -> Result<Option<
             let [forward_m_s, yaw] = chooser.choose(&mut flight)?;
             action = Action { forward_m_s, yaw };
             if n == DECISIONS_ON {
-                last[k] = Some((flight.state(), [forward_m_s, yaw], discount));
+                last[k] = Some((flight.state(), flight.position(), [forward_m_s, yaw], discount));
             }
         }
     }

@@ -178,6 +178,9 @@ pub struct ValueLearning {
     pub motion: f32,
     /// The critics begin as the expert's.
     pub expert_critics: bool,
+    /// The critics see what the actor is told beside its frames as well as the true state: where it is led, and which movers it knows of. Of
+    /// pictures only.
+    pub critics_told: bool,
     /// Updates that the critics make before the actor begins to move.
     pub critics_first: u64,
     /// Half of the sampled transitions are seen in a mirror; of true states only.
@@ -291,6 +294,7 @@ impl Default for ValueLearning {
             imitation_stays: false,
             motion: 0.0,
             expert_critics: false,
+            critics_told: false,
             critics_first: 0,
             mirror: true,
             freeze_target: true,

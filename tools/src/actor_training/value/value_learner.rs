@@ -3,7 +3,7 @@
 use super::actors::{ActorNetwork, LAST_LAYER_LIMIT, Row, push_truth};
 use super::mlp::{Mlp, MlpTape};
 use super::value_buffer::Step;
-use super::value_config::{ValueConfig, ValueLearning};
+use super::value_config::{Sees, ValueConfig, ValueLearning};
 use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::learner::UpdateError;
 use crate::actor_training::networks::squash;
@@ -12,7 +12,7 @@ use rand::Rng;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::train::soft_update;
 use vigil_nnet::{Activation, Dense, Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, PositionalInputs};
 use vigil_sim::environment::true_state::{SIGHT, TRUE_STATE, mover_in_sight};
 
 const ACTIONS: usize = 2;
@@ -102,6 +102,13 @@ impl ValueReport {
     }
 }
 
+/// A critic's first weights, begun with one that sees the true state alone, of which `units` is the first layer: what it sees beside that
+/// counts for nothing at first.
+fn widened(critic: &[f32], units: usize, further: usize) -> Vec<f32> {
+    let (first, rest) = critic.split_at((CRITIC_INPUTS * units).min(critic.len()));
+    [first, &vec![0.0; further * units], rest].concat()
+}
+
 /// Actor, critics, and the updates made.
 pub struct ValueLearner {
     config: ValueLearning,
@@ -123,6 +130,8 @@ pub struct ValueLearner {
     /// Its optimiser.
     pub readout_adam: Adam,
     critic_mlp: Mlp,
+    /// Positional inputs that the critics see.
+    further: usize,
     critic_shares: Vec<f32>,
     /// One or two.
     pub critics: Vec<Critic>,
@@ -149,13 +158,17 @@ impl ValueLearner {
         let rows = l.batch;
         let network = ActorNetwork::new(config, rows);
         let actor = network.initial(rng)?;
-        let critic_mlp = Mlp::new(CRITIC_INPUTS, &l.critic_units, 1);
+        let further = match (config.sees, l.critics_told) {
+            (Sees::Pictures, true) => config.inputs().spec().positional().inputs,
+            _ => 0,
+        };
+        let critic_mlp = Mlp::new(CRITIC_INPUTS + further, &l.critic_units, 1);
         let len = critic_mlp.param_len();
         let mut critics = Vec::new();
         for i in 0..if l.twin { 2 } else { 1 } {
             let first = critic_mlp.initial(rng, LAST_LAYER_LIMIT);
             let taught = expert.filter(|_| l.expert_critics).and_then(|e| e.critics.get(i));
-            let params = taught.cloned().unwrap_or(first);
+            let params = taught.map_or(first, |critic| widened(critic, l.critic_units[0], further));
             fits("critic of the expert", &params, len)?;
             critics.push(Critic {
                 target: params.clone(),
@@ -193,7 +206,8 @@ impl ValueLearner {
             x: Vec::new(),
             pre: vec![0.0; rows * ACTIONS],
             d_pre: vec![0.0; rows * ACTIONS],
-            d_x: vec![0.0; rows * CRITIC_INPUTS],
+            d_x: vec![0.0; rows * (CRITIC_INPUTS + further)],
+            further,
             targets: vec![0.0; rows],
             config: l.clone(),
         })
@@ -241,17 +255,23 @@ impl ValueLearner {
     ///
     /// # Errors
     /// None for a true state.
-    pub fn slope(&mut self, truth: &[f32; TRUE_STATE], action: [f32; 2]) -> Result<(f32, [f32; 2]), ShapeError> {
+    pub fn slope(
+        &mut self,
+        truth: &[f32; TRUE_STATE],
+        position: &PositionalInputs,
+        action: [f32; 2],
+    ) -> Result<(f32, [f32; 2]), ShapeError> {
         let (isa, mlp) = (self.isa, &self.critic_mlp);
         let mut mean = (0.0, [0.0; 2]);
         let count = self.critics.len() as f32;
         for critic in &mut self.critics {
             let mut x = truth.to_vec();
             x.extend_from_slice(&action);
+            x.extend_from_slice(&position[..self.further]);
             mlp.forward(isa, &critic.params, &x, &mut critic.tape)?;
             mean.0 += critic.tape.out(mlp)[0] / count;
             mlp.pack(&critic.params, &mut critic.packed)?;
-            let d_x = &mut self.d_x[..CRITIC_INPUTS];
+            let d_x = &mut self.d_x[..CRITIC_INPUTS + self.further];
             mlp.backward(
                 isa,
                 &critic.params,
@@ -293,6 +313,7 @@ impl ValueLearner {
                 let noise = (self.config.smoothing * normal(rng)).clamp(-limit, limit);
                 (a + noise).clamp(-ACTOR_LIMIT, ACTOR_LIMIT)
             }));
+            self.x.extend_from_slice(&step.next.position[..self.further]);
         }
         let (mlp, x) = (&self.critic_mlp, &self.x);
         each(&mut self.critics, |c| {
@@ -315,6 +336,7 @@ impl ValueLearner {
         for step in batch {
             push_truth(&mut self.x, step.state.truth, step.mirror);
             self.x.extend_from_slice(&mirrored(step.action, step.mirror));
+            self.x.extend_from_slice(&step.state.position[..self.further]);
         }
         let (x, targets) = (&self.x, &self.targets);
         each(&mut self.critics, |c| {
@@ -348,14 +370,15 @@ impl ValueLearner {
         let states: Vec<Row<'_>> = batch.iter().map(|s| (s.state, s.mirror)).collect();
         let pre = &mut self.pre[..rows * ACTIONS];
         self.network.forward(isa, &self.actor, &states, pre)?;
-        for (row, pre) in self.x.chunks_exact_mut(CRITIC_INPUTS).zip(pre.chunks_exact(ACTIONS)) {
-            row[TRUE_STATE..].copy_from_slice(&squash(pre));
+        let inputs = CRITIC_INPUTS + self.further;
+        for (row, pre) in self.x.chunks_exact_mut(inputs).zip(pre.chunks_exact(ACTIONS)) {
+            row[TRUE_STATE..CRITIC_INPUTS].copy_from_slice(&squash(pre));
         }
         let judge = &mut self.critics[0];
         mlp.forward(isa, &judge.params, &self.x, &mut judge.tape)?;
         report.value = judge.tape.out(mlp).iter().sum::<f32>() / count;
         judge.out[..rows].fill(1.0);
-        let d_x = &mut self.d_x[..rows * CRITIC_INPUTS];
+        let d_x = &mut self.d_x[..rows * inputs];
         mlp.backward(
             isa,
             &judge.params,
@@ -369,7 +392,7 @@ impl ValueLearner {
         if let Some((expert, params, tape)) = &mut self.expert {
             let truths: Vec<f32> = self
                 .x
-                .chunks_exact(CRITIC_INPUTS)
+                .chunks_exact(inputs)
                 .flat_map(|row| row[..TRUE_STATE].iter().copied())
                 .collect();
             expert.forward(isa, params, &truths, tape)?;
@@ -377,7 +400,7 @@ impl ValueLearner {
         for (i, (d_pre, before)) in self.d_pre.iter_mut().zip(&*pre).enumerate() {
             let (row, k) = (i / ACTIONS, i % ACTIONS);
             let action = ACTOR_LIMIT * libm::tanhf(*before);
-            let mut d_action = -self.config.value_weight * d_x[row * CRITIC_INPUTS + TRUE_STATE + k];
+            let mut d_action = -self.config.value_weight * d_x[row * inputs + TRUE_STATE + k];
             let of_expert = || {
                 let (expert, _, tape) = self.expert.as_ref()?;
                 Some(ACTOR_LIMIT * libm::tanhf(tape.out(expert)[i]))
@@ -503,12 +526,12 @@ fn mirrored([forward, yaw]: [f32; 2], mirror: bool) -> [f32; 2] {
 #[cfg(test)]
 mod tests {
     use super::super::value_buffer::{StateView, halve};
-    use super::super::value_config::Sees;
+    use super::super::value_config::Leader;
     use super::*;
     use crate::actor_training::networks::SPEC;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
-    use vigil_policy::actor::PositionalInputs;
+    use vigil_policy::actor::WITH_MOVERS;
     use vigil_sim::environment::true_state::MOVER;
     use vigil_types::GoalRelative;
 
@@ -598,8 +621,8 @@ mod tests {
         // The slope points to what is better, from either side of it.
         let mut truth = [0.0; TRUE_STATE];
         truth[1] = -0.5;
-        let (_, above) = learner.slope(&truth, [0.0, 1.2]).unwrap();
-        let (_, below) = learner.slope(&truth, [0.0, -0.4]).unwrap();
+        let (_, above) = learner.slope(&truth, &[0.0; 2].into(), [0.0, 1.2]).unwrap();
+        let (_, below) = learner.slope(&truth, &[0.0; 2].into(), [0.0, -0.4]).unwrap();
         assert!(above[1] < -0.3 && below[1] > 0.3, "{above:?} {below:?}");
     }
 
@@ -662,6 +685,43 @@ mod tests {
         let (taught, untaught) = (untold_motion(0), untold_motion(u64::MAX));
         // The place without the velocity would leave the velocity's variance, 0.27.
         assert!(taught < 0.1 && taught < 0.5 * untaught, "{taught}; {untaught} untaught");
+    }
+
+    /// Critics that are told more begin with the expert's word, and what they are told has a say once they learn.
+    #[test]
+    fn critics_that_are_told_more_begin_as_the_experts() {
+        let mut config = ValueConfig {
+            sees: Sees::Pictures,
+            led_by: Leader::Path,
+            told_of_movers: true,
+            ..ValueConfig::default()
+        };
+        config.learning.critic_units = [8, 8];
+        config.learning.expert_critics = true;
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let critic = Mlp::new(CRITIC_INPUTS, &[8, 8], 1);
+        let expert = Expert {
+            actor_units: [8, 8],
+            actor: vec![0.0; Mlp::new(TRUE_STATE, &[8, 8], 2).param_len()],
+            critic_units: [8, 8],
+            critics: (0..2).map(|_| critic.initial(&mut rng, 0.5)).collect(),
+        };
+        let truth: [f32; TRUE_STATE] = core::array::from_fn(|_| rng.random_range(-1.0..1.0));
+        let told: Vec<f32> = (0..WITH_MOVERS).map(|_| rng.random_range(-1.0..1.0)).collect();
+        let told = PositionalInputs::from_values(&told).unwrap();
+        let values: Vec<(f32, [f32; 2])> = [false, true]
+            .into_iter()
+            .map(|critics_told| {
+                config.learning.critics_told = critics_told;
+                let mut learner = ValueLearner::new(&config, Isa::detect(), Some(&expert), &mut rng).unwrap();
+                assert_eq!(learner.further, if critics_told { WITH_MOVERS } else { 0 });
+                learner.slope(&truth, &told, [0.3, -0.7]).unwrap()
+            })
+            .collect();
+        assert!((values[0].0 - values[1].0).abs() < 1e-5, "{values:?}");
+        for (a, b) in values[0].1.iter().zip(values[1].1) {
+            assert!((a - b).abs() < 1e-5 && *a != 0.0, "{values:?}");
+        }
     }
 
     #[test]
