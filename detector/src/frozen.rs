@@ -201,13 +201,11 @@ impl FrozenDetector {
     /// # Errors
     /// [`FileError`]: anything but an unaltered detector of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let (read, spec) = match Verified::from_bytes(&KIND, file, bytes) {
-            Err(other @ FileError::Other { .. }) => match Verified::from_bytes(&KIND_WITH_MOVERS, file, bytes) {
-                // Neither is its architecture: the first one's words.
-                Err(FileError::Other { .. }) => return Err(other),
-                told => (told?, ActorSpec::FULL_WITH_MOVERS),
-            },
-            read => (read?, ActorSpec::FULL),
+        let (read, told_of_movers) = Verified::of_either(&KIND, &KIND_WITH_MOVERS, file, bytes)?;
+        let spec = if told_of_movers {
+            ActorSpec::FULL_WITH_MOVERS
+        } else {
+            ActorSpec::FULL
         };
         let mut detector = Self {
             actor_sha256: read.text("actor_sha256")?,

@@ -332,6 +332,25 @@ impl<'a> Verified<'a> {
         Ok(Self { kind, file, contents })
     }
 
+    /// Reads content that is of one of two kinds, and says whether it is the second.
+    ///
+    /// # Errors
+    /// As [`Self::from_bytes`]; where it is of neither, in the first one's words.
+    pub fn of_either(
+        first: &'a Kind,
+        second: &'a Kind,
+        file: &'a str,
+        bytes: &[u8],
+    ) -> Result<(Self, bool), FileError> {
+        match Self::from_bytes(first, file, bytes) {
+            Err(other @ FileError::Other { .. }) => match Self::from_bytes(second, file, bytes) {
+                Err(FileError::Other { .. }) => Err(other),
+                read => Ok((read?, true)),
+            },
+            read => Ok((read?, false)),
+        }
+    }
+
     /// An entry's text.
     ///
     /// # Errors

@@ -162,14 +162,7 @@ impl FrozenActor {
     /// # Errors
     /// [`FileError`]: anything but an unaltered actor of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let (read, told_of_movers) = match Verified::from_bytes(&KIND, file, bytes) {
-            Err(other @ FileError::Other { .. }) => match Verified::from_bytes(&KIND_WITH_MOVERS, file, bytes) {
-                // Neither is its architecture: the first one's words.
-                Err(FileError::Other { .. }) => return Err(other),
-                told => (told?, true),
-            },
-            read => (read?, false),
-        };
+        let (read, told_of_movers) = Verified::of_either(&KIND, &KIND_WITH_MOVERS, file, bytes)?;
         let frame_ages = match read.optional("frame_ages") {
             None => FRAMES_IN_A_ROW,
             Some(text) => {

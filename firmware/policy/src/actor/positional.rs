@@ -177,11 +177,6 @@ impl PositionalSense {
         inputs.with_movers(input, tracker)
     }
 
-    /// Whether the scan is used at all.
-    pub fn needs_scan(&self) -> bool {
-        self.tracker.is_some()
-    }
-
     /// Forgets what it has seen.
     pub fn reset(&mut self) {
         self.last_sequence = None;
