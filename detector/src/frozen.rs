@@ -7,9 +7,10 @@
 use crate::lstm_ad::{LstmAd, ROW};
 use crate::{DeepShap, ShapError};
 use std::path::Path;
+use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
-use vigil_nnet::{Isa, Purpose};
-use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
+use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
+use vigil_policy::{ExplainedHead, FrozenPilot};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil detector 1";
@@ -22,13 +23,18 @@ pub const NORMALISATION: &str =
 pub const NORMALISATION_WITH_MOVERS: &str = "DeepSHAP of the yaw output at the split point of an actor that is told of movers; \
     (phi - centre) / scale, clipped to 10";
 
-/// A state of the background sample: the GRU's 48 values and the positional inputs.
-pub type Background = ([f32; ACTOR_HIDDEN], PositionalInputs);
+/// Value of the entry `normalisation` of a detector of an imported policy.
+pub const NORMALISATION_IMPORTED: &str = "DeepSHAP of the yaw output at an imported policy's split point in rows of 48; (phi - centre) / scale, clipped to 10";
+
+/// A state of the background sample: the split point's values (48 of our actor) and the positional inputs.
+pub type Background = (Vec<f32>, PositionalInputs);
 
 /// A detector with what it needs to explain and judge one actor, and what is known of its origin.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrozenDetector {
-    /// Digest of the actor whose explanations it was trained on; it cannot judge another.
+    /// Whose explanations it judges.
+    pub of: Of,
+    /// Digest of the pilot whose explanations it was trained on; it cannot judge another.
     pub actor_sha256: String,
     /// DeepSHAP's background sample: states of unattacked training flights.
     pub backgrounds: Vec<Background>,
@@ -50,26 +56,52 @@ pub struct FrozenDetector {
     pub git_commit: Option<String>,
 }
 
-/// The dimensions of the actor that met these states.
-pub fn spec_of(backgrounds: &[Background]) -> ActorSpec {
-    match backgrounds.first() {
-        Some((_, position)) if position.len() == WITH_MOVERS => ActorSpec::FULL_WITH_MOVERS,
-        _ => ActorSpec::FULL,
-    }
-}
-
-/// DeepSHAP of an actor at its split point, against a background sample.
+/// DeepSHAP of a pilot at its split point, against a background sample.
 ///
 /// # Errors
 /// Parameters of another architecture, an empty background sample.
-pub fn split_point_shap(
-    isa: Isa,
-    spec: ActorSpec,
-    actor_params: &[f32],
-    backgrounds: &[Background],
-) -> Result<DeepShap, ShapError> {
+pub fn split_point_shap(isa: Isa, head: ExplainedHead, backgrounds: &[Background]) -> Result<DeepShap, ShapError> {
     let views: Vec<[&[f32]; 2]> = backgrounds.iter().map(|(h, p)| [h.as_slice(), &**p]).collect();
-    DeepShap::new(isa, spec.head_graph(Purpose::Multipliers)?, actor_params, &views)
+    DeepShap::new(isa, head.graph, &head.params, &views)
+}
+
+/// Whose explanations a detector judges.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Of {
+    /// An actor of ours.
+    Actor,
+    /// One that is told of movers.
+    ActorWithMovers,
+    /// A policy of others.
+    Imported,
+}
+
+impl Of {
+    const ALL: [Self; 3] = [Self::Actor, Self::ActorWithMovers, Self::Imported];
+
+    fn kind(self) -> &'static Kind {
+        match self {
+            Self::Actor => &KIND,
+            Self::ActorWithMovers => &KIND_WITH_MOVERS,
+            Self::Imported => &KIND_IMPORTED,
+        }
+    }
+
+    fn positional(self) -> usize {
+        match self {
+            Self::Actor | Self::Imported => GOAL_INPUTS,
+            Self::ActorWithMovers => WITH_MOVERS,
+        }
+    }
+
+    /// Of whom a file's detector is.
+    pub fn pilot(pilot: &FrozenPilot) -> Self {
+        match pilot {
+            FrozenPilot::Imported(_) => Self::Imported,
+            FrozenPilot::Actor(actor) if actor.inputs.told_of_movers => Self::ActorWithMovers,
+            FrozenPilot::Actor(_) => Self::Actor,
+        }
+    }
 }
 
 const KIND: Kind = Kind {
@@ -79,7 +111,7 @@ const KIND: Kind = Kind {
         ("architecture", ARCHITECTURE),
         ("normalisation", NORMALISATION),
     ],
-    tensors: || tensors(GOAL_INPUTS),
+    tensors: || tensors(ACTOR_HIDDEN, GOAL_INPUTS),
 };
 
 /// Of an actor that is told of movers.
@@ -89,14 +121,25 @@ const KIND_WITH_MOVERS: Kind = Kind {
         ("architecture", ARCHITECTURE),
         ("normalisation", NORMALISATION_WITH_MOVERS),
     ],
-    tensors: || tensors(WITH_MOVERS),
+    tensors: || tensors(ACTOR_HIDDEN, WITH_MOVERS),
     ..KIND
 };
 
-/// Names and shapes of the tensors: any number of background states.
-fn tensors(positional: usize) -> Vec<(String, Vec<usize>)> {
+/// Of an imported policy, whose split point has any width.
+const KIND_IMPORTED: Kind = Kind {
+    identity: [
+        ("format", FORMAT),
+        ("architecture", ARCHITECTURE),
+        ("normalisation", NORMALISATION_IMPORTED),
+    ],
+    tensors: || tensors(0, GOAL_INPUTS),
+    ..KIND
+};
+
+/// Names and shapes of the tensors: any number of background states; 0 stands for any width.
+fn tensors(state: usize, positional: usize) -> Vec<(String, Vec<usize>)> {
     let own = [
-        ("background.state", vec![0, ACTOR_HIDDEN]),
+        ("background.state", vec![0, state]),
         ("background.position", vec![0, positional]),
         ("centre", vec![ROW]),
         ("scale", vec![ROW]),
@@ -117,25 +160,21 @@ impl FrozenDetector {
         Self::from_bytes("built into this program", BUILT_IN)
     }
 
-    /// DeepSHAP of the actor with these parameters at its split point, against this detector's background sample.
+    /// DeepSHAP of the pilot that decides so behind its split point, against this detector's background sample.
     ///
     /// # Errors
     /// Parameters of another architecture, an empty background sample.
-    pub fn explainer(&self, isa: Isa, spec: ActorSpec, actor_params: &[f32]) -> Result<DeepShap, ShapError> {
-        split_point_shap(isa, spec, actor_params, &self.backgrounds)
-    }
-
-    /// The dimensions of the actors that it can judge.
-    pub fn spec(&self) -> ActorSpec {
-        spec_of(&self.backgrounds)
+    pub fn explainer(&self, isa: Isa, head: ExplainedHead) -> Result<DeepShap, ShapError> {
+        split_point_shap(isa, head, &self.backgrounds)
     }
 
     fn kind(&self) -> &'static Kind {
-        if self.spec().told_of_movers {
-            &KIND_WITH_MOVERS
-        } else {
-            &KIND
-        }
+        self.of.kind()
+    }
+
+    /// Values of the split point.
+    fn width(&self) -> usize {
+        self.backgrounds.first().map_or(ACTOR_HIDDEN, |(state, _)| state.len())
     }
 
     fn contents(&self) -> Contents {
@@ -155,10 +194,10 @@ impl FrozenDetector {
             .iter()
             .flat_map(|(_, position)| position.iter())
             .copied();
-        contents.push("background.state", &[count, ACTOR_HIDDEN], states.collect());
+        contents.push("background.state", &[count, self.width()], states.collect());
         contents.push(
             "background.position",
-            &[count, self.spec().positional().inputs],
+            &[count, self.of.positional()],
             positions.collect(),
         );
         contents.push("centre", &[ROW], self.centre.to_vec());
@@ -201,13 +240,10 @@ impl FrozenDetector {
     /// # Errors
     /// [`FileError`]: anything but an unaltered detector of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let (read, told_of_movers) = Verified::of_either(&KIND, &KIND_WITH_MOVERS, file, bytes)?;
-        let spec = if told_of_movers {
-            ActorSpec::FULL_WITH_MOVERS
-        } else {
-            ActorSpec::FULL
-        };
+        let (read, which) = Verified::of_any(&KIND, &[&KIND_WITH_MOVERS, &KIND_IMPORTED], file, bytes)?;
+        let of = Of::ALL.get(which).copied().unwrap_or(Of::Actor);
         let mut detector = Self {
+            of,
             actor_sha256: read.text("actor_sha256")?,
             backgrounds: Vec::new(),
             centre: [0.0; ROW],
@@ -223,18 +259,20 @@ impl FrozenDetector {
         // The reader has checked every length but the number of states.
         let mut next = || values.next().unwrap_or_default();
         let (states, positions) = (next(), next());
-        let states = states.as_chunks().0;
-        let positions = positions.chunks_exact(spec.positional().inputs);
+        let positions = positions.chunks_exact(of.positional());
         let positions: Vec<PositionalInputs> = positions.filter_map(PositionalInputs::from_values).collect();
-        if states.len() != positions.len() {
+        let width = states.len() / positions.len().max(1);
+        let is_known = of == Of::Imported || width == ACTOR_HIDDEN;
+        if !is_known || width == 0 || states.len() != width * positions.len() {
             let message = format!(
-                "has {} background states, but positions of {}",
+                "has {} values of background states, but positions of {}",
                 states.len(),
                 positions.len()
             );
             return Err(KIND.content_error(file, message));
         }
-        detector.backgrounds = states.iter().copied().zip(positions).collect();
+        let states = states.chunks_exact(width).map(<[f32]>::to_vec);
+        detector.backgrounds = states.zip(positions).collect();
         detector.centre.copy_from_slice(&next());
         detector.scale.copy_from_slice(&next());
         detector.params = values.flatten().collect();

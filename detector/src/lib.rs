@@ -5,7 +5,7 @@
 //! tick (docs/detection.md).
 //!
 //! ```
-//! use vigil_detector::{FrozenDetector, LstmAd, WINDOW, normalise};
+//! use vigil_detector::{FrozenDetector, LstmAd, WINDOW, normalise, row_of};
 //! use vigil_nnet::Isa;
 //!
 //! let detector = FrozenDetector::built_in()?;
@@ -27,9 +27,9 @@ mod pca;
 mod shap;
 
 pub use cnn_ad::{cnn_ad, fcn_ad};
-pub use frozen::{Background, FrozenDetector, spec_of, split_point_shap};
+pub use frozen::{Background, FrozenDetector, Of, split_point_shap};
 pub use images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES, images};
-pub use lstm_ad::{LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
+pub use lstm_ad::{LstmAd, ROW, ROW_LIMIT, WINDOW, normalise, row_of};
 pub use monitor::{Monitor, MonitorError};
 pub use pca::Pca;
 pub use shap::{DeepShap, ShapError};

@@ -16,6 +16,17 @@ pub const ROW_LIMIT: f32 = 10.0;
 const LSTM_UNITS: usize = 100;
 const DENSE_UNITS: [usize; 3] = [64, 32, 16];
 
+/// A row `[48]` of a split point's SHAP values, whatever their number: fewer are followed by zeros, of more each value is the sum of
+/// neighbours, `ceil(n / 48)` of them, so that the row's sum stays the explanation's.
+pub fn row_of(phi: &[f32]) -> [f32; ROW] {
+    let mut row = [0.0; ROW];
+    let neighbours = phi.len().div_ceil(ROW).max(1);
+    for (to, group) in row.iter_mut().zip(phi.chunks(neighbours)) {
+        *to = group.iter().sum();
+    }
+    row
+}
+
 /// Makes a row `[48]` comparable: `(phi - centre) / scale`, clipped to ±[`ROW_LIMIT`]. Not a number stays so.
 pub fn normalise(phi: &[f32; ROW], centre: &[f32; ROW], scale: &[f32; ROW]) -> [f32; ROW] {
     let mut row = *phi;

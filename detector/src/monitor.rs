@@ -1,9 +1,10 @@
 //! What runs in the tick: explains the actor's decision at its split point and judges the last ten explanations.
 
-use crate::lstm_ad::{LstmAd, ROW, WINDOW, normalise};
+use crate::lstm_ad::{LstmAd, ROW, WINDOW, normalise, row_of};
 use crate::{DeepShap, FrozenDetector, ShapError};
 use vigil_nnet::{Isa, ShapeError};
-use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
+use vigil_policy::ExplainedHead;
+use vigil_policy::actor::{GOAL_INPUTS, PositionalInputs};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.
@@ -41,31 +42,38 @@ pub struct Monitor {
     scale: [f32; ROW],
     threshold: f32,
     base: f32,
+    /// The last explanation: the split point's values, then the positional inputs.
+    phi: Vec<f32>,
+    /// Values of the split point.
+    width: usize,
     /// Normalised explanations, oldest first; the last `filled` of them are of this flight.
     rows: [[f32; ROW]; WINDOW],
     filled: usize,
 }
 
 impl Monitor {
-    /// A monitor for the actor with these parameters and digest. Allocates; nothing after it does.
+    /// A monitor for the pilot with this digest, which decides by `head` (for multipliers) behind its split point. Allocates; nothing
+    /// after it does.
     ///
     /// # Errors
-    /// A detector that was trained for another actor, a background sample or parameters that do not fit.
+    /// A detector that was trained for another pilot, a background sample or parameters that do not fit.
     pub fn new(
         isa: Isa,
-        actor_params: &[f32],
-        actor_sha256: &str,
+        head: ExplainedHead,
+        pilot_sha256: &str,
         detector: &FrozenDetector,
     ) -> Result<Self, MonitorError> {
-        if detector.actor_sha256 != actor_sha256 {
+        if detector.actor_sha256 != pilot_sha256 {
             return Err(MonitorError::OtherActor {
                 expected: detector.actor_sha256.clone(),
-                found: actor_sha256.to_owned(),
+                found: pilot_sha256.to_owned(),
             });
         }
-        let shap = detector.explainer(isa, detector.spec(), actor_params)?;
+        let shap = detector.explainer(isa, head)?;
         Ok(Self {
             base: shap.expected().get(YAW).copied().unwrap_or(f32::NAN),
+            phi: vec![0.0; shap.phi_len()],
+            width: shap.graph().input_len(0),
             shap,
             lstm: LstmAd::new(isa, &detector.params)?,
             centre: detector.centre,
@@ -86,9 +94,9 @@ impl Monitor {
         self.threshold = threshold;
     }
 
-    /// Judges a decision by the GRU's state `[48]` and the positional inputs it was made from. Unknown until ten decisions in a row
+    /// Judges a decision by the values at the split point (our actor's 48) and the positional inputs it was made from. Unknown until ten decisions in a row
     /// were explained, and whenever an explanation or the score is not finite. No allocation, no panic.
-    pub fn judge(&mut self, state: &[f32; ACTOR_HIDDEN], position: impl Into<PositionalInputs>) -> Judgement {
+    pub fn judge(&mut self, state: &[f32], position: impl Into<PositionalInputs>) -> Judgement {
         let Ok(phi) = self.explain(state, &position.into()) else {
             // A window has no gaps.
             self.reset();
@@ -126,18 +134,17 @@ impl Monitor {
 
     fn explain(
         &mut self,
-        state: &[f32; ACTOR_HIDDEN],
+        state: &[f32],
         position: &PositionalInputs,
     ) -> Result<([f32; ROW], [f32; GOAL_INPUTS]), ShapError> {
-        let mut phi = [0.0; ACTOR_HIDDEN + WITH_MOVERS];
         self.shap.evaluate(&[state, position])?;
-        let explained = ACTOR_HIDDEN + position.len();
-        self.shap.attribute(YAW, phi.get_mut(..explained).unwrap_or_default())?;
-        let (mut of_state, mut of_position) = ([0.0; ROW], [0.0; GOAL_INPUTS]);
-        for (to, from) in of_state.iter_mut().chain(&mut of_position).zip(phi) {
-            *to = from;
+        self.shap.attribute(YAW, &mut self.phi)?;
+        let (of_state, of_inputs) = self.phi.split_at_checked(self.width).unwrap_or_default();
+        let mut of_position = [0.0; GOAL_INPUTS];
+        for (to, from) in of_position.iter_mut().zip(of_inputs) {
+            *to = *from;
         }
-        Ok((of_state, of_position))
+        Ok((row_of(of_state), of_position))
     }
 
     /// Forgets the explanations: a new flight, or a gap in the frames.

@@ -6,7 +6,7 @@ mod common;
 use common::{dense, lstm, rng, uniform, wide};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
-use vigil_detector::{FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
+use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW, normalise};
 use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Activation, Dense, Isa, Lstm};
 
@@ -145,8 +145,12 @@ fn frozen() -> FrozenDetector {
     let values = uniform(&mut rng(9), 4 * ROW, 1.0);
     let row = |i: usize| *values[i * ROW..].first_chunk().unwrap();
     FrozenDetector {
+        of: Of::Actor,
         actor_sha256: "ab12".to_owned(),
-        backgrounds: vec![(row(0), [0.5, -0.25].into()), (row(1), [0.125, 1.0].into())],
+        backgrounds: vec![
+            (row(0).to_vec(), [0.5, -0.25].into()),
+            (row(1).to_vec(), [0.125, 1.0].into()),
+        ],
         centre: row(2),
         scale: row(3).map(|x: f32| x.abs() + 0.1),
         threshold: 0.5,

@@ -2,9 +2,11 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use vigil_detector::{Background, FrozenDetector, LstmAd, Monitor, MonitorError, WINDOW, normalise};
+use vigil_detector::{Background, FrozenDetector, LstmAd, Monitor, MonitorError, Of, WINDOW, normalise};
 use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::ExplainedHead;
 use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec};
+use vigil_policy::imported::Network;
 use vigil_types::{Judgement, Verdict};
 
 const ACTOR: &str = "0123";
@@ -16,6 +18,11 @@ struct Bench {
     detector: FrozenDetector,
 }
 
+/// An actor's second half.
+fn explained(params: &[f32]) -> ExplainedHead {
+    ExplainedHead::of_actor(ActorSpec::FULL, params, Purpose::Multipliers).unwrap()
+}
+
 impl Bench {
     fn new() -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(7);
@@ -23,6 +30,7 @@ impl Bench {
         let mut draw = |n: usize| -> Vec<f32> { (0..n).map(|_| random.random_range(-0.3..0.3)).collect() };
         let params = draw(head.param_len());
         let detector = FrozenDetector {
+            of: Of::Actor,
             actor_sha256: ACTOR.to_owned(),
             backgrounds: Vec::new(),
             centre: [0.01; ACTOR_HIDDEN],
@@ -52,13 +60,13 @@ impl Bench {
     fn state(&mut self) -> Background {
         let mut draw = || self.random.random_range(-0.9..0.9);
         (
-            core::array::from_fn(|_| draw()),
+            (0..ACTOR_HIDDEN).map(|_| draw()).collect(),
             core::array::from_fn::<_, 2, _>(|_| draw()).into(),
         )
     }
 
     fn monitor(&self) -> Monitor {
-        Monitor::new(Isa::detect(), &self.params, ACTOR, &self.detector).unwrap()
+        Monitor::new(Isa::detect(), explained(&self.params), ACTOR, &self.detector).unwrap()
     }
 
     /// The actor's own yaw output.
@@ -137,7 +145,7 @@ fn an_explanation_that_is_not_finite_is_unknown_and_so_are_the_steps_until_the_w
     }
     assert_ne!(monitor.judge(&good.0, good.1).verdict, Verdict::Unknown);
     for bad in [f32::NAN, f32::INFINITY] {
-        let mut state = good.0;
+        let mut state = good.0.clone();
         state[5] = bad;
         let judgement = monitor.judge(&state, good.1);
         assert_eq!((judgement.verdict, judgement.score), (Verdict::Unknown, None));
@@ -153,7 +161,7 @@ fn an_explanation_that_is_not_finite_is_unknown_and_so_are_the_steps_until_the_w
 fn another_actor_s_detector_and_an_empty_background_are_refused() {
     let mut bench = Bench::new();
     let refused = |params: &[f32], sha256: &str, detector: &FrozenDetector| {
-        Monitor::new(Isa::detect(), params, sha256, detector).unwrap_err()
+        Monitor::new(Isa::detect(), explained(params), sha256, detector).unwrap_err()
     };
     let other = refused(&bench.params, "4567", &bench.detector);
     assert!(matches!(other, MonitorError::OtherActor { .. }));
@@ -169,4 +177,75 @@ fn another_actor_s_detector_and_an_empty_background_are_refused() {
     bench.detector.backgrounds.clear();
     let empty = refused(&bench.params, ACTOR, &bench.detector);
     assert!(empty.to_string().contains("background sample is empty"), "{empty}");
+}
+
+/// What lies behind a split point of `width` values: a hidden layer, the goal beside it.
+fn imported(random: &mut ChaCha8Rng, width: usize) -> ExplainedHead {
+    let text = format!(
+        "input {width}\ninput 2\ndense 0 {width} 20 elu\nconcat 2 1\ndense 3 22 2 tanh*1.5\noutput 4\n"
+    );
+    let graph = text.parse::<Network>().unwrap().graph(Purpose::Multipliers).unwrap();
+    ExplainedHead {
+        params: (0..graph.param_len()).map(|_| random.random_range(-0.3..0.3)).collect(),
+        graph,
+    }
+}
+
+#[test]
+fn an_imported_policy_is_explained_at_as_many_values_as_its_split_point_has() {
+    for width in [16, ACTOR_HIDDEN, 300] {
+        let mut bench = Bench::new();
+        let head = imported(&mut bench.random, width);
+        let mut drawn = |n: usize| -> Vec<f32> { (0..n).map(|_| bench.random.random_range(-0.9..0.9)).collect() };
+        let mut decision = || (drawn(width), [drawn(1)[0], 0.2].into());
+        let backgrounds: Vec<Background> = (0..20).map(|_| decision()).collect();
+        let detector = FrozenDetector {
+            of: Of::Imported,
+            backgrounds,
+            ..bench.detector.clone()
+        };
+        let mut tape = vec![0.0; head.graph.tape_len()];
+        let mut yaw = |(state, position): &Background| {
+            head.graph
+                .forward(Isa::detect(), &head.params, &[state, position], &mut tape)
+                .unwrap();
+            head.graph.output(&tape).unwrap()[1]
+        };
+        let mean = detector.backgrounds.iter().map(&mut yaw).sum::<f32>() / 20.0;
+        let mut monitor = Monitor::new(Isa::detect(), head.clone(), ACTOR, &detector).unwrap();
+        for step in 1..=WINDOW {
+            let made = decision();
+            let j = monitor.judge(&made.0, made.1);
+            assert!((j.base - mean).abs() < 1e-5);
+            assert!(
+                (j.base + j.image + j.bearing + j.distance - yaw(&made)).abs() < 1e-5,
+                "{width} values"
+            );
+            // What is judged and logged are 48 numbers: those, or sums of neighbours, or those and zeros.
+            assert!((j.image - j.phi.iter().sum::<f32>()).abs() < 1e-5);
+            assert_eq!(j.score.is_some(), step == WINDOW);
+            if width < ACTOR_HIDDEN {
+                assert_eq!(j.phi[width..], [0.0; ACTOR_HIDDEN][width..]);
+            }
+        }
+        let short = monitor.judge(&vec![0.0; width - 1], [0.5, 0.2]);
+        assert_eq!(short.verdict, Verdict::Unknown, "a state of another length is no state");
+    }
+}
+
+#[test]
+fn a_detector_comes_back_from_its_file_with_its_split_points_width() {
+    let mut bench = Bench::new();
+    let detector = FrozenDetector {
+        of: Of::Imported,
+        backgrounds: (0..4).map(|i| (vec![0.1 * i as f32; 300], [0.5, 0.1].into())).collect(),
+        ..bench.detector.clone()
+    };
+    let bytes = detector.to_bytes().unwrap();
+    let again = FrozenDetector::from_bytes("the file", &bytes).unwrap();
+    assert_eq!(again, detector);
+    // Its states are not those of another policy's split point.
+    let head = imported(&mut bench.random, 299);
+    let refused = Monitor::new(Isa::detect(), head, ACTOR, &again).unwrap_err().to_string();
+    assert!(refused.contains("299") && refused.contains("300"), "{refused}");
 }

@@ -4,11 +4,10 @@ use crate::config::FirmwareConfig;
 use crate::step::StackError;
 use std::path::Path;
 use vigil_detector::{FrozenDetector, Monitor};
-use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_policy::imported::POLICY_FORMAT;
+use vigil_nnet::{Isa, Purpose};
 use vigil_policy::{
-    ActorPilot, FlightPilot, FrozenActor, FrozenPolicy, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot,
+    ActorPilot, FlightPilot, FrozenActor, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot,
 };
 use vigil_types::PilotKind;
 
@@ -58,30 +57,18 @@ impl Crew {
             }
         }
         let isa = Isa::detect();
-        let frozen = match config.frozen_pilot()? {
-            None => {
-                let pilot = GeometricPilot::new(config.stack().pilot);
-                return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
-            }
-            Some(FrozenPilot::Imported(policy)) => {
-                if config.has_detector() {
-                    return Err(StackError::ImportedPolicyUnwatched);
-                }
-                return Ok(Self {
-                    pilot: FlightPilot::Imported(policy.pilot(isa, config.pilot.apf)?),
-                    monitor: None,
-                    recovery: Some(Box::default()),
-                    watched: config.is_watched(),
-                    led_by: LedBy::Goal,
-                    leader: None,
-                });
-            }
-            Some(FrozenPilot::Actor(actor)) => actor,
+        let Some(frozen) = config.frozen_pilot()? else {
+            let pilot = GeometricPilot::new(config.stack().pilot);
+            return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
         };
+        // The built-in detector is the built-in actor's.
+        if matches!(frozen, FrozenPilot::Imported(_)) && config.has_detector() && config.detector.file.is_none() {
+            return Err(StackError::NoDetectorOfPolicy);
+        }
         let monitor = match config.frozen_detector()? {
             None => None,
             Some(detector) => {
-                let monitor = Monitor::new(isa, &frozen.params, &frozen.sha256(), &detector);
+                let monitor = Monitor::new(isa, frozen.head(Purpose::Multipliers)?, &frozen.sha256(), &detector);
                 let mut monitor = monitor.map_err(|source| StackError::Monitor {
                     file: named(config.detector.file.as_deref()),
                     source,
@@ -90,10 +77,14 @@ impl Crew {
                 Some(Box::new(monitor))
             }
         };
-        let (watched, led_by) = (config.is_watched(), frozen.inputs.led_by);
-        let leads = led_by == LedBy::Path && frozen.inputs.told_of_movers;
+        let inputs = frozen.inputs();
+        let (watched, led_by) = (config.is_watched(), inputs.led_by);
+        let leads = led_by == LedBy::Path && inputs.told_of_movers;
         Ok(Self {
-            pilot: FlightPilot::Actor(ActorPilot::new(frozen.actor(isa)?, config.pilot.apf)),
+            pilot: match frozen {
+                FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, config.pilot.apf)),
+                FrozenPilot::Imported(policy) => FlightPilot::Imported(policy.pilot(isa, config.pilot.apf)?),
+            },
             monitor,
             recovery: Some(Box::default()),
             watched,
@@ -110,38 +101,6 @@ fn named(file: Option<&Path>) -> String {
     )
 }
 
-/// A pilot that comes from a file.
-#[derive(Debug, Clone)]
-pub enum FrozenPilot {
-    /// An actor of ours.
-    Actor(FrozenActor),
-    /// A policy of others.
-    Imported(FrozenPolicy),
-}
-
-impl FrozenPilot {
-    /// Reads and verifies a file of either kind.
-    ///
-    /// # Errors
-    /// [`FileError`]: what is truncated, altered or of another architecture, by name.
-    pub fn load(path: &Path) -> Result<Self, FileError> {
-        match FrozenActor::load(path) {
-            Err(FileError::Other {
-                key: "format", found, ..
-            }) if found == POLICY_FORMAT => FrozenPolicy::load(path).map(Self::Imported),
-            actor => actor.map(Self::Actor),
-        }
-    }
-
-    /// The digest of the network and its metadata.
-    pub fn sha256(&self) -> String {
-        match self {
-            Self::Actor(actor) => actor.sha256(),
-            Self::Imported(policy) => policy.sha256(),
-        }
-    }
-}
-
 impl FirmwareConfig {
     /// The actor or imported policy that is to fly; `None` when another pilot is.
     ///
@@ -150,8 +109,7 @@ impl FirmwareConfig {
     pub fn frozen_pilot(&self) -> Result<Option<FrozenPilot>, FileError> {
         match (self.pilot.kind, &self.pilot.actor_file) {
             (PilotKind::Geometric, _) => Ok(None),
-            (PilotKind::Actor, Some(path)) => FrozenPilot::load(path).map(Some),
-            (PilotKind::Actor, None) => FrozenActor::built_in().map(FrozenPilot::Actor).map(Some),
+            (PilotKind::Actor, file) => FrozenPilot::load_or_built_in(file.as_deref()).map(Some),
         }
     }
 

@@ -28,12 +28,13 @@ pub enum StackError {
         "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
     )]
     NothingToWatch(&'static str),
-    /// A detector explains our own actor's network.
+    /// A detector judges the pilot that it was trained for.
     #[error(
-        "the detector judges what our own actor's 48 values come from, and this is an imported policy: add --detector off, and \
-         --guard on to have the recovery pilot warn and take over before a collision"
+        "an imported policy is to fly, and the detector that comes with this program judges the built-in actor: give the policy's \
+         own (--detector-file FILE, made by `vigil detector collect` and `train` with --actor), or add --detector off, and --guard on to \
+         have the recovery pilot warn and take over before a collision"
     )]
-    ImportedPolicyUnwatched,
+    NoDetectorOfPolicy,
     /// The detector is not this actor's, or cannot explain it.
     #[error("detector {file}: {source}")]
     Monitor {

@@ -2,11 +2,12 @@
 
 mod common;
 
-use common::{Instance, TestVehicle, config, watched_config};
+use common::{Instance, TestVehicle, config, undecided_detector, watched_config};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
+use vigil_detector::{FrozenDetector, Of};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig, StateConfig};
 use vigil_firmware::crew::Crew;
@@ -134,6 +135,7 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
             has_position: true,
             output_scale: 1.0,
         },
+        split: Some(1),
         source: String::new(),
     };
     policy.save(&file).unwrap();
@@ -143,6 +145,23 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     let refused = Crew::of(&config).err().unwrap().to_string();
     assert!(refused.contains("add --detector off"), "{refused}");
     config.detector.enabled = Some(false);
+    whole_flight(&config);
+    // Explained at its convolution, and judged.
+    let detector = folder.path().join("detector.safetensors");
+    FrozenDetector {
+        of: Of::Imported,
+        actor_sha256: policy.sha256(),
+        backgrounds: (0..10)
+            .map(|i| (vec![0.1 * i as f32; 384], [0.5, 0.1].into()))
+            .collect(),
+        ..undecided_detector()
+    }
+    .save(&detector)
+    .unwrap();
+    config.detector.enabled = Some(true);
+    config.detector.file = Some(detector);
+    whole_flight(&config);
+    config.detector.threshold = Some(0.4);
     whole_flight(&config);
 }
 

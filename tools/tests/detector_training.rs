@@ -3,7 +3,7 @@
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Method};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
-use vigil_policy::FrozenActor;
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_tools::detector_training::{
     Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, Plan, Scenario, Step, fit, fly,
 };
@@ -11,8 +11,8 @@ use vigil_tools::threads::thread_pool;
 use vigil_types::DepthFrame;
 use vigil_world::Family;
 
-fn actor() -> FrozenActor {
-    FrozenActor::built_in().unwrap()
+fn actor() -> FrozenPilot {
+    FrozenPilot::load_or_built_in(None).unwrap()
 }
 
 /// Thirty steps with two attacked ones in the middle.
@@ -102,8 +102,9 @@ fn flights_come_back_from_their_file_and_only_for_their_actor() {
     let back = Flights::load(&path, &actor()).unwrap();
     assert_eq!(back, flights);
     assert_eq!(Counts::of(&back.records), Counts::of(&flights.records));
-    let mut other = actor();
+    let mut other = FrozenActor::built_in().unwrap();
     other.seed += 1;
+    let other = FrozenPilot::Actor(other);
     let refused = Flights::load(&path, &other).unwrap_err().to_string();
     assert!(
         refused.contains("collect the data anew") && refused.contains(&other.sha256()),
@@ -141,7 +142,7 @@ fn the_built_in_detector_judges_the_built_in_actor() {
     });
     let bent = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
     let judge = vigil_tools::detector_training::Judge::from_frozen(&frozen);
-    let scores = judge.scores(Isa::detect(), &actor.params, &[quiet, bent]).unwrap();
+    let scores = judge.scores(Isa::detect(), &actor, &[quiet, bent]).unwrap();
     let alarms = |flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count();
     assert_eq!(
         scores[0].iter().flatten().count(),
@@ -161,7 +162,7 @@ fn nothing_to_learn_from_is_said_with_numbers() {
     let config = LstmConfig::default();
     let refused = vigil_tools::detector_training::train(
         Isa::detect(),
-        &actor().params,
+        &actor(),
         vigil_tools::detector_training::Feature::Shap,
         (&[], &[]),
         &config,

@@ -332,23 +332,27 @@ impl<'a> Verified<'a> {
         Ok(Self { kind, file, contents })
     }
 
-    /// Reads content that is of one of two kinds, and says whether it is the second.
+    /// Reads content that is of the first kind or of one of the others, and says of which, 0 for the first.
     ///
     /// # Errors
-    /// As [`Self::from_bytes`]; where it is of neither, in the first one's words.
-    pub fn of_either(
+    /// As [`Self::from_bytes`]; where it is of none, in the first one's words.
+    pub fn of_any(
         first: &'a Kind,
-        second: &'a Kind,
+        others: &[&'a Kind],
         file: &'a str,
         bytes: &[u8],
-    ) -> Result<(Self, bool), FileError> {
-        match Self::from_bytes(first, file, bytes) {
-            Err(other @ FileError::Other { .. }) => match Self::from_bytes(second, file, bytes) {
-                Err(FileError::Other { .. }) => Err(other),
-                read => Ok((read?, true)),
-            },
-            read => Ok((read?, false)),
+    ) -> Result<(Self, usize), FileError> {
+        let refused = match Self::from_bytes(first, file, bytes) {
+            Err(refused @ FileError::Other { .. }) => refused,
+            read => return Ok((read?, 0)),
+        };
+        for (number, kind) in others.iter().enumerate() {
+            match Self::from_bytes(kind, file, bytes) {
+                Err(FileError::Other { .. }) => {}
+                read => return Ok((read?, number + 1)),
+            }
         }
+        Err(refused)
     }
 
     /// An entry's text.

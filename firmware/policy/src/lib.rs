@@ -25,6 +25,8 @@
 pub mod actor;
 pub mod apf;
 mod field;
+#[cfg(feature = "actor-file")]
+mod frozen;
 pub mod geometric;
 pub mod imported;
 pub mod plausibility;
@@ -34,6 +36,8 @@ pub use actor::FrozenActor;
 pub use actor::{ActorInputs, ActorPilot, FlightPilot, LedBy};
 pub use apf::NearestObstacle;
 pub use field::FlightField;
+#[cfg(feature = "actor-file")]
+pub use frozen::{Decider, ExplainedHead, FrozenPilot};
 pub use geometric::{GeometricConfig, GeometricPilot, RangeScan, RecoveryPilot, Scan};
 #[cfg(feature = "actor-file")]
 pub use imported::FrozenPolicy;

@@ -1,7 +1,7 @@
 //! Policies of others: how they are given our frames, what their files may say, and what is refused.
 
-use vigil_nnet::{Activation, Conv2d, Dense, Isa};
-use vigil_policy::imported::{Channels, Depth, FrozenPolicy, ImportedPilot, Layer, Network, PolicyInputs};
+use vigil_nnet::{Activation, Conv2d, Dense, Isa, Purpose};
+use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Head, ImportedPilot, Layer, Network, PolicyInputs};
 use vigil_policy::{Pilot, PilotInput};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, GoalRelative, HeadingVector};
 
@@ -26,6 +26,7 @@ fn picking(inputs: PolicyInputs, pixels: [usize; 2]) -> FrozenPolicy {
         network: Network { layers, output: 1 },
         params,
         inputs,
+        split: None,
         source: "a test".to_owned(),
     }
 }
@@ -123,7 +124,7 @@ fn a_file_comes_back_as_it_was_and_its_text_is_read_as_it_was_written() {
                 0.001\nmax_pool2d 4 4 8 2 2\ndense 7 16 2 relu\ngru 3 1 48 4 9\nlstm 8 1 2 2 10\noutput 8\n";
     let network: Network = text.parse().unwrap();
     assert_eq!(network.to_string(), text);
-    assert!(network.graph(vigil_nnet::Purpose::Multipliers).is_ok());
+    assert!(network.graph(Purpose::Multipliers).is_ok());
 }
 
 #[test]
@@ -179,4 +180,90 @@ fn hostile_descriptions_are_refused_before_anything_is_made_of_them() {
         curve: Activation::Relu,
     };
     assert!(FrozenPolicy::from_bytes("the file", &kernel.to_bytes().unwrap()).is_err());
+}
+
+/// A policy with two ways through it: frame → 12 values → 9 values, and the goal beside them.
+fn branched(split: Option<usize>) -> FrozenPolicy {
+    let text = "input 96\nconv2d 0 4 8 3 6 3 2 1 elu\ncurve 1 tanh*0.9\ndense 2 48 12 relu\ninput 2\nconcat 3 4\n\
+                dense 5 14 9 elu\nconcat 6 4\ndense 7 11 2 tanh*1.5\noutput 8\n";
+    let network: Network = text.parse().unwrap();
+    let len = network.graph(Purpose::Gradients).unwrap().param_len();
+    let params = (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 90.0).collect();
+    FrozenPolicy {
+        network,
+        params,
+        inputs: PolicyInputs {
+            has_position: true,
+            ..INPUTS
+        },
+        split,
+        source: "a test".to_owned(),
+    }
+}
+
+#[test]
+fn what_lies_behind_a_split_point_decides_as_the_whole_policy_does() {
+    for split in [1, 2, 3, 5, 6, 7] {
+        let policy = branched(Some(split));
+        let Head { network, params, width } = policy.head().unwrap();
+        let graph = network.graph(Purpose::Multipliers).unwrap();
+        let mut pilot = policy.pilot(Isa::detect(), false).unwrap();
+        assert_eq!(pilot.state(), None, "nothing was decided");
+        let mut tape = vec![0.0; graph.tape_len()];
+        for level in [0.1, 0.5, 0.3] {
+            let decided = decide(&mut pilot, &frame(level));
+            let (state, position) = (pilot.state().unwrap(), pilot.position().unwrap());
+            assert_eq!(state.len(), width);
+            graph
+                .forward(Isa::detect(), &params, &[state, &position], &mut tape)
+                .unwrap();
+            assert_eq!(graph.output(&tape).unwrap(), decided, "split at layer {split}");
+        }
+    }
+}
+
+#[test]
+fn the_split_point_proposed_is_the_last_one_of_a_size_that_is_explained() {
+    let policy = branched(None);
+    assert_eq!(policy.network.proposed_split(&policy.params, 0), Some(6));
+    // Of the picking policy nothing lies between frame and action.
+    let nothing = picking(INPUTS, [1, 2]);
+    assert_eq!(nothing.network.proposed_split(&nothing.params, 0), None);
+    assert!(nothing.head().unwrap_err().to_string().contains("no split point"));
+}
+
+#[test]
+fn a_layer_that_cannot_be_the_split_point_is_refused_with_its_reason() {
+    let policy = branched(None);
+    let refused = |split| policy.network.head(&policy.params, split, 0).unwrap_err().to_string();
+    for (split, told) in [
+        (0, "the frame itself"),
+        (4, "2 values"),
+        (8, "2 values"),
+        (90, "there are 9 layers"),
+    ] {
+        let told_of = refused(split);
+        assert!(told_of.contains(told), "layer {split}: {told_of}");
+    }
+    // The frame goes around the first of these.
+    let text = "input 96\ndense 0 96 8 relu\ndense 0 96 8 relu\nconcat 1 2\ndense 3 16 2 id\noutput 4\n";
+    let network: Network = text.replace("id\n", "identity\n").parse().unwrap();
+    let len = network.graph(Purpose::Gradients).unwrap().param_len();
+    let around = network.head(&vec![0.1; len], 1, 0).unwrap_err().to_string();
+    assert!(around.contains("by another way"), "{around}");
+    assert!(network.head(&vec![0.1; len], 3, 0).is_ok());
+    // And so is a file that names such a layer.
+    let bytes = branched(Some(6)).to_bytes().unwrap();
+    assert_eq!(FrozenPolicy::from_bytes("the file", &bytes).unwrap().split, Some(6));
+    let file = branched(Some(4)).to_bytes();
+    let refused = file.and_then(|bytes| FrozenPolicy::from_bytes("the file", &bytes));
+    assert!(refused.unwrap_err().to_string().contains("cannot be the split point"));
+}
+
+#[test]
+fn a_slope_that_vanishes_at_the_limit_is_there_without_the_last_curve() {
+    let policy = branched(None);
+    let shown = policy.network.unsaturated().to_string();
+    assert!(shown.contains("dense 7 11 2 identity"), "{shown}");
+    assert!(shown.contains("curve 1 tanh*0.9"), "only the last one: {shown}");
 }

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::os::fd::OwnedFd;
 use std::path::Path;
 use std::time::Duration;
-use vigil_detector::{FrozenDetector, LstmAd};
+use vigil_detector::{FrozenDetector, LstmAd, Of};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{DetectorConfig, GoalConfig, PilotConfig};
 use vigil_mavlink::MavHeader;
@@ -90,9 +90,10 @@ pub fn undecided_detector() -> FrozenDetector {
         .into_iter()
         .map(|(_, shape)| shape.iter().product::<usize>());
     FrozenDetector {
+        of: Of::Actor,
         actor_sha256: vigil_policy::FrozenActor::built_in().unwrap().sha256(),
         backgrounds: (0..30)
-            .map(|i| ([0.03 * i as f32 - 0.4; 48], [0.5, 0.1].into()))
+            .map(|i| (vec![0.03 * i as f32 - 0.4; 48], [0.5, 0.1].into()))
             .collect(),
         centre: [0.0; 48],
         scale: [1.0; 48],

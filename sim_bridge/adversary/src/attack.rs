@@ -1,12 +1,12 @@
 //! Which attack is flown against: the arguments that campaigns, live flights and the adversary's own process share.
 
-use crate::{AttackConfig, AttackError, Burst, BurstPlan, Interceptor, Method, PassedStep, StreamAttack, Towards};
+use crate::{AttackConfig, AttackError, Burst, BurstPlan, FrameAttack, Interceptor, Method, PassedStep, Towards};
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
-use vigil_policy::{ActorInputs, FrozenActor};
+use vigil_policy::FrozenPilot;
 use vigil_types::NedVector;
 
 /// An attack on the frames as they pass.
@@ -68,21 +68,17 @@ impl AttackArgs {
     /// A file that is no actor or no detector, a detector of another actor.
     pub fn attack(&self, flown: Option<&Path>) -> Result<Option<Attack>> {
         let Some(method) = self.attack else { return Ok(None) };
-        let actor = match self.attack_actor.as_deref().or(flown) {
-            Some(file) => FrozenActor::load(file)?,
-            None => FrozenActor::built_in()?,
-        };
+        let pilot = FrozenPilot::load_or_built_in(self.attack_actor.as_deref().or(flown))?;
         let evade = self.evade.as_deref().map(FrozenDetector::load).transpose()?;
         if let Some(detector) = &evade {
-            let (expected, found) = (&detector.actor_sha256, actor.sha256());
+            let (expected, found) = (&detector.actor_sha256, pilot.sha256());
             ensure!(
                 *expected == found,
                 "--evade: the detector judges the actor with SHA-256 {expected}, the attacked one has {found}"
             );
         }
         Ok(Some(Attack {
-            inputs: actor.inputs,
-            params: actor.params,
+            pilot,
             config: AttackConfig {
                 method,
                 epsilon_255: self.epsilon,
@@ -114,10 +110,8 @@ impl AttackArgs {
 /// An attack that many flights can be flown against.
 #[derive(Debug, Clone)]
 pub struct Attack {
-    /// Weights that the attacker has.
-    pub params: Vec<f32>,
-    /// What the actor with these weights decides from.
-    pub inputs: ActorInputs,
+    /// The pilot whose weights the attacker has.
+    pub pilot: FrozenPilot,
     /// How; the seed is each flight's own.
     pub config: AttackConfig,
     /// How long.
@@ -133,13 +127,15 @@ impl Attack {
     /// ε or iterations out of range, a detector that does not fit.
     pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
         let config = AttackConfig { seed, ..self.config };
-        let mut attack = StreamAttack::on(self.inputs.spec(), Isa::detect(), &self.params, &config)?
-            .with_frame_ages(self.inputs.frame_ages);
+        let mut attack = FrameAttack::on(&self.pilot, Isa::detect(), &config)?;
         if let Some(detector) = &self.evade {
-            attack = attack.evading(detector)?;
+            attack = match attack {
+                FrameAttack::Actor(attack) => attack.evading(detector)?.into(),
+                FrameAttack::Policy(_) => return Err(AttackError::EvadingPolicy),
+            };
         }
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
-        Ok(interceptor.with_inputs(self.inputs))
+        Ok(interceptor.with_inputs(self.pilot.inputs()))
     }
 }
 

@@ -173,7 +173,7 @@ impl AttackOutcome {
 }
 
 /// Why there is no attack.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum AttackError {
     /// ε is out of its range.
     #[error("epsilon must be above 0 and at most 255 (in 1/255 of the image's range), got {epsilon_255}")]
@@ -187,6 +187,14 @@ pub enum AttackError {
     /// The detector to be evaded cannot explain the actor.
     #[error("the detector to be evaded cannot be used: {0}")]
     Detector(#[from] ShapError),
+    /// An imported policy that does not fit itself.
+    #[error("the policy cannot be attacked: {0}")]
+    Policy(String),
+    /// Deceiving the detector along with an imported policy.
+    #[error(
+        "an attack that evades the detector knows our own actor's architecture only, and this is an imported policy: leave --evade out"
+    )]
+    EvadingPolicy,
     /// Frames or parameters of another actor.
     #[error(transparent)]
     Shape(#[from] ShapeError),

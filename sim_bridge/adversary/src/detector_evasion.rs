@@ -2,7 +2,8 @@
 
 use crate::config::AttackError;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
-use vigil_nnet::{Activation, Graph, Isa};
+use vigil_nnet::{Activation, Graph, Isa, Purpose};
+use vigil_policy::ExplainedHead;
 use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, PositionalInputs, WITH_MOVERS};
 
 /// The actor's output that the detector explains.
@@ -43,7 +44,7 @@ impl DetectorEvasion {
         let threshold = detector.threshold;
         Ok(Self {
             isa,
-            shap: detector.explainer(isa, spec, actor)?,
+            shap: detector.explainer(isa, ExplainedHead::of_actor(spec, actor, Purpose::Multipliers)?)?,
             params: detector.params.clone(),
             packed,
             tape: vec![0.0; graph.tape_len()],

@@ -2,7 +2,7 @@
 
 use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
-use crate::stream_attack::StreamAttack;
+use crate::frame_attack::FrameAttack;
 use vigil_policy::actor::{Lead, PositionalInputs};
 use vigil_policy::{ActorInputs, PilotInput};
 use vigil_types::{DepthFrame, FrameHeader, GoalRelative, Nanos, NedVector, wrap_pi};
@@ -29,7 +29,7 @@ pub enum PassedStep {
 /// Alters the frames of the planned steps and seals them again; the firmware cannot know.
 #[derive(Debug, Clone)]
 pub struct Interceptor {
-    attack: StreamAttack,
+    attack: FrameAttack,
     plan: BurstPlan,
     goal_ned_m: NedVector,
     /// Leads the actor as its file says, over the frames as they were taken.
@@ -40,9 +40,9 @@ pub struct Interceptor {
 
 impl Interceptor {
     /// An adversary that knows where the vehicle is to fly.
-    pub fn new(attack: StreamAttack, plan: BurstPlan, goal_ned_m: NedVector) -> Self {
+    pub fn new(attack: impl Into<FrameAttack>, plan: BurstPlan, goal_ned_m: NedVector) -> Self {
         Self {
-            attack,
+            attack: attack.into(),
             plan,
             goal_ned_m,
             lead: Lead::new(ActorInputs::default()),

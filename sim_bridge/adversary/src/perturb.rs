@@ -2,7 +2,7 @@
 
 use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN};
 use crate::detector_evasion::DetectorEvasion;
-use crate::surrogate::{Ends, SurrogateActor};
+use crate::surrogate::{Ends, Surrogate};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
@@ -81,7 +81,7 @@ impl Perturber {
     /// the last outputs before saturation.
     pub fn run(
         &mut self,
-        surrogate: &mut SurrogateActor,
+        surrogate: &mut impl Surrogate,
         scene: &Scene<'_>,
         frames: &mut [f32],
         before: [f32; ACTOR_OUTPUTS],
@@ -221,7 +221,7 @@ impl Perturber {
 /// who evades goes down the detector's score instead whenever that is too high (Bryniarski et al., "Evading Adversarial
 /// Example Detection Defenses with Orthogonal Projected Gradient Descent", 2022: the selective variant).
 fn ends(
-    surrogate: &SurrogateActor,
+    surrogate: &impl Surrogate,
     scene: &Scene<'_>,
     outputs: [f32; ACTOR_OUTPUTS],
     evasion: Option<&mut DetectorEvasion>,

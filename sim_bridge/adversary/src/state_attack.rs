@@ -2,7 +2,7 @@
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::perturb::{Perturber, Scene, saturate};
-use crate::surrogate::{Ends, SurrogateActor};
+use crate::surrogate::{Ends, Surrogate, SurrogateActor};
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, PositionalInputs};
 

@@ -3,7 +3,7 @@
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::detector_evasion::DetectorEvasion;
 use crate::perturb::{Perturber, Scene};
-use crate::surrogate::SurrogateActor;
+use crate::surrogate::{Surrogate, SurrogateActor};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::{Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
 use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, FRAMES_IN_A_ROW, PositionalInputs};

@@ -6,6 +6,24 @@ use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, 
 /// A weight for each output before saturation, and for each value of the GRU's last state.
 pub(crate) type Ends = [f32; ACTOR_OUTPUTS + ACTOR_HIDDEN];
 
+/// A pilot as the adversary sees it: pixels to outputs before saturation, and back.
+pub(crate) trait Surrogate {
+    /// Outputs before saturation, for frames one after the other, oldest first. `older` is the GRU's state before them, where one is
+    /// taken.
+    fn look(
+        &mut self,
+        older: &[f32; ACTOR_HIDDEN],
+        frames: &[f32],
+        position: &PositionalInputs,
+    ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError>;
+
+    /// The GRU's last state, as last looked at; empty where an evasion of the detector is not known.
+    fn state(&self) -> Result<&[f32], ShapeError>;
+
+    /// Gradient of `d · (outputs, state)` at what was last looked at, written beside each other for all frames.
+    fn gradient(&mut self, d: &Ends, gradient: &mut [f32]) -> Result<(), ShapeError>;
+}
+
 /// Frames to outputs, with the gradient at the pixels.
 #[derive(Debug, Clone)]
 pub(crate) struct SurrogateActor {
@@ -78,9 +96,14 @@ impl SurrogateActor {
         self.frames * self.frame_len
     }
 
-    /// Outputs before saturation, for frames one after the other, oldest first. `older` is the GRU's state before them,
-    /// where one is taken.
-    pub fn look(
+    /// The newest frame's features, as last looked at.
+    pub fn features(&self) -> Result<&[f32], ShapeError> {
+        self.graph.value(&self.tape, self.features)
+    }
+}
+
+impl Surrogate for SurrogateActor {
+    fn look(
         &mut self,
         older: &[f32; ACTOR_HIDDEN],
         frames: &[f32],
@@ -104,18 +127,11 @@ impl SurrogateActor {
         Ok(outputs)
     }
 
-    /// The newest frame's features, as last looked at.
-    pub fn features(&self) -> Result<&[f32], ShapeError> {
-        self.graph.value(&self.tape, self.features)
-    }
-
-    /// The GRU's last state, as last looked at.
-    pub fn state(&self) -> Result<&[f32], ShapeError> {
+    fn state(&self) -> Result<&[f32], ShapeError> {
         self.graph.value(&self.tape, self.state)
     }
 
-    /// Gradient of `d · (outputs, state)` at what was last looked at, written beside each other for all frames.
-    pub fn gradient(&mut self, d: &Ends, gradient: &mut [f32]) -> Result<(), ShapeError> {
+    fn gradient(&mut self, d: &Ends, gradient: &mut [f32]) -> Result<(), ShapeError> {
         self.graph
             .backward(self.isa, &self.packed, &self.tape, d, None, &mut self.work)?;
         for (i, to) in gradient.chunks_exact_mut(self.frame_len).enumerate() {

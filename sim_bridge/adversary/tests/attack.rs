@@ -5,10 +5,10 @@ mod oracle;
 
 use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
 use vigil_adversary::{AttackConfig, AttackError, Method, StateAttack, StreamAttack, Towards};
-use vigil_detector::{FrozenDetector, LstmAd, ROW, WINDOW, normalise};
+use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
-use vigil_policy::FrozenActor;
 use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, FRAMES_IN_A_ROW};
+use vigil_policy::{ExplainedHead, FrozenActor};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
 
 const SMALL: ActorSpec = ActorSpec {
@@ -351,12 +351,9 @@ fn random_detector() -> FrozenDetector {
         .iter()
         .map(|(_, shape)| shape.iter().product::<usize>())
         .sum();
-    let background = |rng: &mut _| {
-        let mut state = [0.0; ACTOR_HIDDEN];
-        state.copy_from_slice(&uniform(rng, ACTOR_HIDDEN, 0.5));
-        (state, [0.5, 0.1].into())
-    };
+    let background = |rng: &mut _| (uniform(rng, ACTOR_HIDDEN, 0.5), [0.5, 0.1].into());
     FrozenDetector {
+        of: Of::Actor,
         actor_sha256: String::new(),
         backgrounds: (0..5).map(|_| background(&mut rng)).collect(),
         centre: [0.0; ROW],
@@ -375,7 +372,8 @@ fn random_detector() -> FrozenDetector {
 fn score_after(attack: &mut StreamAttack, attacked: bool, detector: &FrozenDetector) -> (f32, f32) {
     let (params, isa, position) = (small_params(3), Isa::detect(), [0.4, 0.3]);
     let mut actor = Actor::new(SMALL, isa, &params).unwrap();
-    let mut shap = detector.explainer(isa, SMALL, &params).unwrap();
+    let head = ExplainedHead::of_actor(SMALL, &params, Purpose::Multipliers).unwrap();
+    let mut shap = detector.explainer(isa, head).unwrap();
     let mut rows = Vec::new();
     let mut bent = 0.0;
     for step in 0..15 {

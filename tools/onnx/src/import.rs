@@ -71,6 +71,8 @@ pub struct Adapter {
     pub output_scale: f32,
     /// The output that is the action, where there are several.
     pub output: Option<String>,
+    /// The node, or its output, whose values are explained; absent: the last layer with weights that can be.
+    pub split: Option<String>,
 }
 
 impl Default for Adapter {
@@ -81,6 +83,7 @@ impl Default for Adapter {
             scale: 1.0,
             output_scale: 1.0,
             output: None,
+            split: None,
         }
     }
 }
@@ -135,9 +138,19 @@ pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolic
         })?;
     }
     importer.output(graph, adapter.output.as_deref()).map_err(of_model)?;
+    let params = importer.params.concat();
+    let split = match adapter.split.as_deref() {
+        None => importer.network.proposed_split(&params, frame.input),
+        Some(name) => Some(
+            importer
+                .split_point(graph, name, &params, frame.input)
+                .map_err(of_model)?,
+        ),
+    };
     let policy = FrozenPolicy {
         network: importer.network,
-        params: importer.params.into_iter().flatten().collect(),
+        params,
+        split,
         inputs: PolicyInputs {
             rows: frame.rows,
             cols: frame.cols,
@@ -370,6 +383,35 @@ impl<'a> Importer<'a> {
             }
         };
         Ok(())
+    }
+
+    /// The layer of a node or of its output, by name.
+    fn split_point(&self, graph: &Graph, name: &str, params: &[f32], frame_input: usize) -> Result<usize, String> {
+        let outputs = graph
+            .node
+            .iter()
+            .filter_map(|node| Some((&node.name, node.output.first()?)));
+        let named = outputs.clone().find(|(node, output)| *node == name || *output == name);
+        let whole = |tensor: &str| match self.tensors.get(tensor) {
+            Some(Value::Live(live)) if self.lens.get(live.layer) == Some(&live.places.len()) => Some(live.layer),
+            _ => None,
+        };
+        let refused = match named.map(|(_, output)| whole(output)) {
+            None => format!("there is no node or value `{name}`"),
+            Some(None) => format!("`{name}` is no layer of its own here: only values are moved there"),
+            Some(Some(layer)) => match self.network.head(params, layer, frame_input) {
+                Ok(_) => return Ok(layer),
+                Err(e) => format!("`{name}`: {e}"),
+            },
+        };
+        let possible = outputs.filter(|(_, output)| {
+            whole(output).is_some_and(|layer| self.network.head(params, layer, frame_input).is_ok())
+        });
+        let possible: Vec<&str> = possible.map(|(_, output)| output.as_str()).collect();
+        Err(match possible.is_empty() {
+            true => format!("{refused}; no value of it can be the split point"),
+            false => format!("{refused}; these can be the split point: {}", possible.join(", ")),
+        })
     }
 
     fn push(&mut self, layer: Layer, params: Vec<f32>, len: usize) -> Result<usize, String> {

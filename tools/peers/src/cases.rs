@@ -151,13 +151,14 @@ fn hidden_shap_case(
     backgrounds: &[State],
 ) -> Result<()> {
     let split = |states: &[State]| -> Result<Vec<Background>> {
-        let each = |s: &State| Ok((decide(isa, frozen, s)?.0, s.position.into()));
+        let each = |s: &State| Ok((decide(isa, frozen, s)?.0.to_vec(), s.position.into()));
         states.iter().map(each).collect()
     };
     let (points, inputs) = (split(backgrounds)?, split(states)?);
     let hidden = points.iter().flat_map(|(hidden, _)| hidden);
     record.floats("background_hidden", &[ACTOR_HIDDEN], hidden);
-    let mut shap = vigil_detector::split_point_shap(isa, ActorSpec::FULL, &frozen.params, &points)?;
+    let head = frozen.head(Purpose::Multipliers)?;
+    let mut shap = vigil_detector::split_point_shap(isa, head, &points)?;
     let mut phi = vec![0.0; shap.phi_len()];
     let mut all = Vec::new();
     for (hidden, position) in &inputs {
@@ -166,7 +167,7 @@ fn hidden_shap_case(
         all.extend_from_slice(&phi);
     }
     record.floats("shap_hidden", &[phi.len()], &all);
-    let (hidden, position) = inputs[0];
+    let (hidden, position) = inputs[0].clone();
     cases.insert(
         "shap-hidden",
         Box::new(move || {

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::{ACTOR_OUTPUTS, LedBy};
 use vigil_policy::imported::{Channels, Depth};
-use vigil_policy::{FrozenActor, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
+use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
 use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
 
 /// A frozen actor of Vigil's architecture.
@@ -85,6 +85,25 @@ pub struct Policy {
     work: Vec<f32>,
 }
 
+/// Either.
+#[derive(FromPyObject)]
+pub enum Learned<'py> {
+    /// Ours.
+    Actor(PyRef<'py, Actor>),
+    /// Of others.
+    Policy(PyRef<'py, Policy>),
+}
+
+impl Learned<'_> {
+    /// What its file says.
+    pub fn frozen(&self) -> FrozenPilot {
+        match self {
+            Self::Actor(actor) => FrozenPilot::Actor(actor.frozen.clone()),
+            Self::Policy(policy) => FrozenPilot::Imported(policy.frozen.clone()),
+        }
+    }
+}
+
 #[pymethods]
 impl Policy {
     #[new]
@@ -131,6 +150,13 @@ impl Policy {
     /// Forgets the frames.
     fn reset(&mut self) {
         self.pilot.reset();
+    }
+
+    /// The values at the split point of the last decision.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let state = self.pilot.state();
+        let state = state.ok_or_else(|| refused("the policy has no split point (vigil import --split)"))?;
+        Ok(array(py, state.to_vec()))
     }
 
     /// The network's outputs for its own inputs.

@@ -1,6 +1,6 @@
-//! Attacks on our actor's frames for Python.
+//! Attacks on what a policy sees for Python.
 
-use crate::actor::Actor;
+use crate::actor::{Actor, Learned};
 use crate::given::{array, frames, position, refused};
 use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
@@ -63,23 +63,33 @@ impl StateAttack {
 
 /// Alters frames as they pass, the newest only.
 #[pyclass(module = "vigil._vigil")]
-pub struct FrameAttack(vigil_adversary::StreamAttack);
+pub struct FrameAttack {
+    attack: vigil_adversary::FrameAttack,
+}
 
 #[pymethods]
 impl FrameAttack {
     #[new]
-    fn new(actor: &Actor, method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<Self> {
+    fn new(
+        pilot: Learned<'_>,
+        method: &str,
+        epsilon_255: f32,
+        iterations: u32,
+        towards: &str,
+        seed: u64,
+    ) -> PyResult<Self> {
         let config = config(method, epsilon_255, iterations, towards, seed)?;
-        let attack = vigil_adversary::StreamAttack::new(Isa::detect(), &actor.frozen.params, &config);
-        let ages = actor.frozen.inputs.frame_ages;
-        Ok(Self(attack.map_err(refused)?.with_frame_ages(ages)))
+        let attack = vigil_adversary::FrameAttack::on(&pilot.frozen(), Isa::detect(), &config);
+        Ok(Self {
+            attack: attack.map_err(refused)?,
+        })
     }
 
     /// A frame that passes as it is.
     fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, distance_m: f32, bearing_rad: f32) -> PyResult<()> {
         let mut frame = frames("frame", &frame, 1)?;
-        self.0
-            .pass(&mut frame, position(distance_m, bearing_rad)?)
+        self.attack
+            .pass(&mut frame, position(distance_m, bearing_rad)?.into())
             .map_err(refused)
     }
 
@@ -93,13 +103,13 @@ impl FrameAttack {
     ) -> PyResult<Attacked<'py>> {
         let mut frame = frames("frame", &frame, 1)?;
         let position = position(distance_m, bearing_rad)?;
-        let attack = &mut self.0;
-        let outcome = py.detach(|| attack.attack(&mut frame, position)).map_err(refused)?;
-        Ok(attacked(py, frame, outcome))
+        let attack = &mut self.attack;
+        let outcome = py.detach(|| attack.attack_while(&mut frame, position.into(), || true));
+        Ok(attacked(py, frame, outcome.map_err(refused)?))
     }
 
     /// Forgets the frames: a new flight.
     fn reset(&mut self) {
-        self.0.reset();
+        self.attack.reset();
     }
 }

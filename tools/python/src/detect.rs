@@ -1,6 +1,6 @@
 //! LSTM-AD for Python: the frozen one, the monitor of the tick, and training on any rows.
 
-use crate::actor::Actor;
+use crate::actor::Learned;
 use crate::given::{array, failed, position, refused, values};
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
@@ -8,8 +8,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use vigil_detector::{FrozenDetector, LstmAd, ROW_LIMIT, WINDOW};
-use vigil_nnet::{Activation, Graph, Isa};
-use vigil_policy::actor::ACTOR_HIDDEN;
+use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_tools::detector_training::{Examples, FitConfig, fit};
 use vigil_types::Verdict;
 
@@ -49,9 +48,16 @@ impl Detector {
 
     /// DeepSHAP's background sample: states, one after the other, and positional inputs.
     fn backgrounds<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
-        let (states, positions): (Vec<_>, Vec<_>) = self.0.backgrounds.iter().copied().unzip();
-        let positions = positions.iter().flat_map(|inputs| inputs.iter().copied()).collect();
-        (array(py, states.concat()), array(py, positions))
+        let backgrounds = &self.0.backgrounds;
+        let states = backgrounds
+            .iter()
+            .flat_map(|(state, _)| state.iter().copied())
+            .collect();
+        let positions = backgrounds
+            .iter()
+            .flat_map(|(_, inputs)| inputs.iter().copied())
+            .collect();
+        (array(py, states), array(py, positions))
     }
 
     /// Parameters, shift and scale of its network.
@@ -132,20 +138,28 @@ impl Lstm {
 /// Verdict, score, contributions of image, bearing and distance, base, contributions at the split point.
 type Judged<'py> = (Option<bool>, Option<f32>, f32, f32, f32, f32, Bound<'py, PyArray1<f32>>);
 
-/// Explains and judges an actor's decisions one after the other, as in flight.
+/// Explains and judges a policy's decisions one after the other, as in flight.
 #[pyclass(module = "vigil._vigil")]
-pub struct Monitor(vigil_detector::Monitor);
+pub struct Monitor {
+    monitor: vigil_detector::Monitor,
+    width: usize,
+}
 
 #[pymethods]
 impl Monitor {
     #[new]
-    fn new(actor: &Actor, detector: &Detector) -> PyResult<Self> {
-        let (params, sha256) = (&actor.frozen.params, actor.frozen.sha256());
-        let monitor = vigil_detector::Monitor::new(Isa::detect(), params, &sha256, &detector.0);
-        Ok(Self(monitor.map_err(refused)?))
+    fn new(pilot: Learned<'_>, detector: &Detector) -> PyResult<Self> {
+        let pilot = pilot.frozen();
+        let head = pilot.head(Purpose::Multipliers).map_err(refused)?;
+        let width = head.graph.input_len(0);
+        let monitor = vigil_detector::Monitor::new(Isa::detect(), head, &pilot.sha256(), &detector.0);
+        Ok(Self {
+            monitor: monitor.map_err(refused)?,
+            width,
+        })
     }
 
-    /// Judges a decision by the actor's state and the goal it was made from.
+    /// Judges a decision by the policy's state and the goal it was made from.
     fn judge<'py>(
         &mut self,
         py: Python<'py>,
@@ -153,9 +167,8 @@ impl Monitor {
         distance_m: f32,
         bearing_rad: f32,
     ) -> PyResult<Judged<'py>> {
-        let mut own = [0.0; ACTOR_HIDDEN];
-        own.copy_from_slice(values("state", &state, ACTOR_HIDDEN)?);
-        let j = self.0.judge(&own, position(distance_m, bearing_rad)?);
+        let state = values("state", &state, self.width)?;
+        let j = self.monitor.judge(state, position(distance_m, bearing_rad)?);
         let verdict = match j.verdict {
             Verdict::Unknown => None,
             Verdict::Clean => Some(false),
@@ -167,7 +180,7 @@ impl Monitor {
 
     /// Forgets the explanations: a new flight.
     fn reset(&mut self) {
-        self.0.reset();
+        self.monitor.reset();
     }
 }
 

@@ -1,6 +1,6 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
-use super::{Common, Victim, write_json};
+use super::{Common, write_json};
 use crate::campaign::part::{self, Part, Shard, Unit};
 use crate::campaign::{self, Tally};
 use crate::cli::output::{Interrupt, Progress, say};
@@ -12,6 +12,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::Attack;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_policy::FrozenPilot;
 use vigil_sim::lockstep_flight::FlightRecord;
 
 /// Arguments of `vigil attack completion`.
@@ -223,12 +224,11 @@ impl Row {
 }
 
 /// Flies one unit.
-fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &Victim), unit: u64) -> Result<RowFlight> {
+fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &FrozenPilot), unit: u64) -> Result<RowFlight> {
     let (row, seed) = plan.place(unit);
     let (apf, setting) = plan.settings.get(row).copied().context("a row for each flight")?;
     let attack = setting.map(|s| Attack {
-        params: victim.params.clone(),
-        inputs: victim.inputs,
+        pilot: victim.clone(),
         config: s.config,
         burst: s.burst,
         evade: None,
@@ -248,8 +248,8 @@ fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &Victim), unit: u64) -> Res
 
 /// Flies every setting over the same courses, prints and writes the table; or a shard of it.
 fn fly_all(common: &Common, mut plan: Plan, shard: Option<Shard>, command: &str) -> Result<ExitCode> {
-    let victim = common.victim()?;
-    plan.actor_sha256.clone_from(&victim.sha256);
+    let victim = common.pilot()?;
+    plan.actor_sha256 = victim.sha256();
     // The file is called as the last word of the command.
     let name = command.rsplit(' ').next().unwrap_or(command);
     let path = common.folder()?.join(format!("{name}.json"));

@@ -407,7 +407,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     let alarm = FirmwareConfig::default().detector;
     let settings = Settings {
         version: env!("CARGO_PKG_VERSION"),
-        actor_sha256: args.common.victim()?.sha256,
+        actor_sha256: args.common.pilot()?.sha256(),
         detector_sha256: match &args.detector {
             Some(file) => FrozenDetector::load(file)?.sha256(),
             None => FrozenDetector::built_in()?.sha256(),

@@ -13,11 +13,11 @@ pub use strength::CellLine as StrengthLine;
 
 use crate::cli::output::{self, say};
 use crate::threads::thread_pool_of;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_policy::{ActorInputs, FrozenActor};
+use vigil_policy::{ActorInputs, FrozenPilot};
 
 /// Arguments of `vigil attack`.
 #[derive(Debug, Clone, clap::Args)]
@@ -59,7 +59,7 @@ enum AttackCommand {
 /// What all of them take.
 #[derive(Debug, Clone, clap::Args)]
 struct Common {
-    /// The actor under attack [default: the one built in].
+    /// The actor or imported policy under attack [default: the actor built in].
     #[arg(long, value_name = "FILE")]
     actor: Option<PathBuf>,
 
@@ -80,10 +80,16 @@ struct Victim {
 }
 
 impl Common {
+    fn pilot(&self) -> Result<FrozenPilot> {
+        Ok(FrozenPilot::load_or_built_in(self.actor.as_deref())?)
+    }
+
     fn victim(&self) -> Result<Victim> {
-        let actor = match &self.actor {
-            Some(file) => FrozenActor::load(file)?,
-            None => FrozenActor::built_in()?,
+        let FrozenPilot::Actor(actor) = self.pilot()? else {
+            bail!(
+                "this attacks five frames of our own actor at once, and --actor is an imported policy: attack it in flight, by \
+                 `vigil attack completion`, `search` or `defended`"
+            );
         };
         Ok(Victim {
             sha256: actor.sha256(),

@@ -8,7 +8,7 @@ use crate::detector_training::{
 use crate::report::{Figure, Panel, Picture, Scale, TextTable, decimals, numbers, to_csv, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_world::Family;
 
 /// First seeds of the flights to learn from and of those that choose; all below 10 000, on training courses.
@@ -198,7 +198,7 @@ type JudgedFlights = (Vec<Set>, Vec<Vec<Record>>);
 /// What every stage needs.
 struct Stage<'a> {
     isa: Isa,
-    actor: FrozenActor,
+    pilot: FrozenPilot,
     folder: &'a Path,
 }
 
@@ -207,13 +207,10 @@ struct Stage<'a> {
 /// # Errors
 /// A file that is no actor, data of another actor, a folder that cannot be written.
 pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
-    let actor = match &args.actor {
-        Some(file) => FrozenActor::load(file)?,
-        None => FrozenActor::built_in()?,
-    };
+    let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
     let stage = Stage {
         isa: Isa::detect(),
-        actor,
+        pilot,
         folder: &args.output,
     };
     let pool = thread_pool_of(args.threads)?;
@@ -242,7 +239,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
             let course = (*seed, *attacked);
             crate::cli::figures::draw(
                 stage.isa,
-                &stage.actor,
+                stage.actor("figures")?,
                 &detector,
                 course,
                 *pictures as usize,
@@ -260,6 +257,17 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
 }
 
 impl Stage<'_> {
+    /// The actor, for what explains all pixels of its five frames.
+    fn actor(&self, command: &str) -> Result<&FrozenActor> {
+        match &self.pilot {
+            FrozenPilot::Actor(actor) => Ok(actor),
+            FrozenPilot::Imported(_) => bail!(
+                "`vigil detector {command}` explains all pixels of our own actor's five frames, and --actor is an imported policy; \
+                 collect, train, evaluate and ablate take one"
+            ),
+        }
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         self.folder.join(name)
     }
@@ -270,7 +278,7 @@ impl Stage<'_> {
         if !path.exists() {
             return Ok(None);
         }
-        Ok(Some(Flights::load(&path, &self.actor)?))
+        Ok(Some(Flights::load(&path, &self.pilot)?))
     }
 
     fn collect(&self, windows: usize) -> Result<ExitCode> {
@@ -291,7 +299,7 @@ impl Stage<'_> {
                     let begun = self.kept(&part)?.map_or_else(Vec::new, |flights| flights.records);
                     let (flights, complete) = crate::detector_training::collect(
                         self.isa,
-                        &self.actor,
+                        &self.pilot,
                         (Family::Training, seed),
                         want,
                         begun,
@@ -334,7 +342,7 @@ impl Stage<'_> {
     }
 
     fn training_flights(&self) -> Result<[Flights; 2]> {
-        let load = |name| Flights::load(&self.path(name), &self.actor).context("run `vigil detector collect` first");
+        let load = |name| Flights::load(&self.path(name), &self.pilot).context("run `vigil detector collect` first");
         Ok([load("learn.safetensors")?, load("choose.safetensors")?])
     }
 
@@ -343,7 +351,7 @@ impl Stage<'_> {
         let bar = Progress::new(steps, "steps")?;
         let judge = crate::detector_training::train(
             self.isa,
-            &self.actor.params,
+            &self.pilot,
             feature,
             (&learn.records, &choose.records),
             config,
@@ -369,9 +377,9 @@ impl Stage<'_> {
         let flights = self.training_flights()?;
         let judge = self.train_on(Feature::Shap, &flights, &config)?;
         let file = self.path("lstm_ad.safetensors");
-        let threshold = judge.threshold(self.isa, &self.actor.params, &flights[1].records)?;
+        let threshold = judge.threshold(self.isa, &self.pilot, &flights[1].records)?;
         judge
-            .freeze(&self.actor, &config, threshold, git_commit())
+            .freeze(&self.pilot, &config, threshold, git_commit())
             .save(&file)?;
         self.write("lstm_ad.csv", curves_csv(&judge.fitted.epochs))?;
         self.write("lstm_ad.png", curves_png(&judge.fitted.epochs))?;
@@ -401,7 +409,7 @@ impl Stage<'_> {
             None => {
                 let bar = Progress::new(scenarios().count() as u64, "flights")?;
                 let interrupt = Interrupt::on_ctrl_c()?;
-                let records = fly_sets(self.isa, &self.actor, &sets, &mut |flights| {
+                let records = fly_sets(self.isa, &self.pilot, &sets, &mut |flights| {
                     bar.inc(flights);
                     match interrupt.came() {
                         true => ControlFlow::Break(()),
@@ -414,7 +422,7 @@ impl Stage<'_> {
                     return Ok(None);
                 };
                 let flights = Flights {
-                    actor_sha256: self.actor.sha256(),
+                    actor_sha256: self.pilot.sha256(),
                     records: records.concat(),
                 };
                 flights.save(&self.path(FILE))?;
@@ -437,7 +445,7 @@ impl Stage<'_> {
         let judge = Judge::from_frozen(&frozen);
         let at = |threshold| {
             let judged = (sets.as_slice(), records.as_slice());
-            crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, threshold, judged)
+            crate::detector_training::evaluate(self.isa, &self.pilot, &judge, threshold, judged)
         };
         let (report, mut in_flight) = (at(0.5)?, at(frozen.threshold)?);
         // The curves are those of any threshold: once is enough.
@@ -473,7 +481,7 @@ impl Stage<'_> {
             true => FrozenDetector::load(&path)?,
             false => FrozenDetector::built_in()?,
         };
-        let (found, expected) = (frozen.actor_sha256.clone(), self.actor.sha256());
+        let (found, expected) = (frozen.actor_sha256.clone(), self.pilot.sha256());
         if found != expected {
             return Err(DetectError::OtherActor { path, found, expected }.into());
         }
@@ -482,7 +490,8 @@ impl Stage<'_> {
 
     fn times(&self, seed: u64, pictures: usize, detector: Option<&Path>) -> Result<()> {
         let detector = self.detector(detector)?;
-        let (record, times) = crate::detector_training::time(self.isa, &self.actor, &detector, seed, pictures)?;
+        let (record, times) =
+            crate::detector_training::time(self.isa, self.actor("times")?, &detector, seed, pictures)?;
         say!(
             "validation course {seed}, {} steps, {} of them with all pixels; one thread, {}",
             record.steps.len(),
@@ -516,7 +525,7 @@ impl Stage<'_> {
         });
         let report = TimesReport {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            actor_sha256: self.actor.sha256(),
+            actor_sha256: self.pilot.sha256(),
             seed,
             isa: self.isa.name().to_owned(),
             rows: rows.into(),
@@ -550,7 +559,7 @@ impl Stage<'_> {
         ] {
             let path = self.path(name);
             if path.exists() {
-                States::load(&path, &self.actor)?;
+                States::load(&path, self.actor("images")?)?;
                 say!("{name:<26} is there already");
                 continue;
             }
@@ -558,7 +567,7 @@ impl Stage<'_> {
             let (place, size) = ((family, seed), (count, backgrounds));
             let part = self.path(&format!("{name}.part"));
             let begun = match part.exists() {
-                true => Some(States::load(&part, &self.actor)?),
+                true => Some(States::load(&part, self.actor("images")?)?),
                 false => None,
             };
             let mut progress = |count| {
@@ -568,8 +577,14 @@ impl Stage<'_> {
                     false => ControlFlow::Continue(()),
                 }
             };
-            let (states, complete) =
-                crate::detector_training::gather_states(self.isa, &self.actor, place, size, begun, &mut progress)?;
+            let (states, complete) = crate::detector_training::gather_states(
+                self.isa,
+                self.actor("images")?,
+                place,
+                size,
+                begun,
+                &mut progress,
+            )?;
             bar.finish();
             if !complete {
                 states.save(&part)?;
@@ -595,7 +610,8 @@ impl Stage<'_> {
 
     fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {
         let frozen = self.detector(detector)?;
-        let load = |name| States::load(&self.path(name), &self.actor).context("run `vigil detector images` first");
+        let load =
+            |name| States::load(&self.path(name), self.actor("table")?).context("run `vigil detector images` first");
         let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
         let judged = load("images-judge.safetensors")?;
         let mut rows = Vec::new();
@@ -623,8 +639,7 @@ impl Stage<'_> {
                 &scores,
             ));
         }
-        let lstm =
-            crate::detector_training::lstm_scores(self.isa, &self.actor.params, &Judge::from_frozen(&frozen), &judged)?;
+        let lstm = crate::detector_training::lstm_scores(self.isa, &self.pilot, &Judge::from_frozen(&frozen), &judged)?;
         rows.push(crate::detector_training::row(
             "LSTM-AD",
             0.91,
@@ -684,8 +699,7 @@ impl Stage<'_> {
         ]);
         for feature in Feature::ALL {
             let judge = self.train_on(feature, &flights, &config)?;
-            let report =
-                crate::detector_training::evaluate(self.isa, &self.actor.params, &judge, 0.5, (&sets, &records))?;
+            let report = crate::detector_training::evaluate(self.isa, &self.pilot, &judge, 0.5, (&sets, &records))?;
             let untrained = report.sets.iter().filter(|s| s.role == Role::Untrained);
             let (count, of) = untrained.fold((0, 0), |(c, o), s| (c + s.detected.count, o + s.detected.of));
             let s = &report.separation;

@@ -20,7 +20,6 @@ use vigil_adversary::{Attack, AttackArgs, AttackRecord};
 use vigil_adversary::{AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_policy::FrozenActor;
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, family_parser};
 use vigil_types::{FrameKey, NedVector, STEP_S};
@@ -261,7 +260,7 @@ impl Plan {
             goal_distance,
             ground_every,
             pilot,
-            attack: attack_args,
+            attack: _,
             sensor_fault,
             authenticate_frames,
             json: _,
@@ -275,10 +274,7 @@ impl Plan {
         pilot.apply(&mut firmware);
         let (actor, detector) = (firmware.frozen_pilot()?, firmware.frozen_detector()?);
         (firmware.pilot.actor_file, firmware.detector.file) = (None, None);
-        let attacked = attack.map(|_| match attack_args.attack_actor.as_deref().or(pilot.actor_file()) {
-            Some(file) => FrozenActor::load(file),
-            None => FrozenActor::built_in(),
-        });
+        let attacked = attack.map(|attack| attack.pilot.sha256());
         let simulation = config
             .as_ref()
             .map(|file| vigil_files::read(file, 1 << 20).with_context(|| format!("cannot read {}", file.display())));
@@ -301,7 +297,7 @@ impl Plan {
                 burst: attack.burst,
                 adaptive: attack.evade.is_some(),
             }),
-            attacked_actor_sha256: attacked.transpose()?.map(|actor| actor.sha256()),
+            attacked_actor_sha256: attacked,
             evaded_detector_sha256: attack.and_then(|a| a.evade.as_ref()).map(FrozenDetector::sha256),
             firmware: serde_json::to_value(&firmware)?,
         })

@@ -30,6 +30,8 @@ Examples:
   vigil evaluate --actor mine.safetensors --detector off          fly it
   vigil evaluate --actor mine.safetensors --detector off --guard on
                                                                   the recovery pilot warns and takes over
+  vigil detector collect --actor mine.safetensors -o runs/mine    its own detector: also `train`, `evaluate`
+  vigil evaluate --actor mine.safetensors --detector runs/mine/lstm_ad.safetensors
 
 The policy has one frame as input, of any size, [1, channels, rows, columns]; beside it, if it wants, [1, 2]: distance of the
 goal over 20 m (at most 1.05) and bearing in radians. Its output is [1, 2]: forward speed in m/s and yaw in units of
@@ -62,6 +64,11 @@ pub struct ImportArgs {
     /// The output that is the action, where there are several.
     #[arg(long, value_name = "NAME")]
     action: Option<String>,
+
+    /// The node, or its output, whose values are explained and judged by a detector: 8 to 512, on every way from the frame to the action
+    /// [default: the last layer with weights that is so].
+    #[arg(long, value_name = "NODE")]
+    split: Option<String>,
 
     /// Print as JSON what the imported network makes of the inputs in FILE, to compare with another runtime: a list of lists of
     /// numbers, one for each input, a frame as [row][column][channel].
@@ -106,6 +113,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         scale: args.scale,
         output_scale: args.output_scale,
         output: args.action.clone(),
+        split: args.split.clone(),
     };
     let policy = vigil_onnx::import(&name, &bytes, &adapter)?;
     let graph = policy.network.graph(Purpose::Gradients)?;
@@ -147,6 +155,17 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         1e3 * longest.as_secs_f64(),
         100.0 * share
     );
+    match policy.split {
+        Some(_) => say!(
+            "split point      {} values; `vigil detector collect --actor {}` begins to train its detector",
+            policy.head()?.width,
+            args.output.display()
+        ),
+        None => say!(
+            "split point      none: no layer of 8 to 512 values stands between all of the frame and the action, so no detector can \
+             watch it (the guard can)"
+        ),
+    }
     say!("written          {}", args.output.display());
     if let Some(output) = computed {
         say!("{}", serde_json::to_string(&output)?);

@@ -10,6 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
 use vigil_nnet::{Activation, Graph, Isa};
+use vigil_policy::FrozenPilot;
 use vigil_policy::actor::ACTOR_FRAMES;
 
 /// A detector's row of the table.
@@ -176,8 +177,8 @@ pub fn pca_scores(learn: &States, choose: &States, test: &States) -> Vec<f32> {
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn lstm_scores(isa: Isa, params: &[f32], judge: &Judge, states: &States) -> Result<Vec<f32>, DetectError> {
-    let scores = judge.scores(isa, params, &states.flights.records)?;
+pub fn lstm_scores(isa: Isa, pilot: &FrozenPilot, judge: &Judge, states: &States) -> Result<Vec<f32>, DetectError> {
+    let scores = judge.scores(isa, pilot, &states.flights.records)?;
     let of = |s: &State| scores.get(s.flight).and_then(|f| *f.get(s.step)?);
     Ok(states.states.iter().map(|s| of(s).unwrap_or(f32::NAN)).collect())
 }

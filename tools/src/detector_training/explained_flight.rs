@@ -6,9 +6,9 @@ use crate::detector_training::pixels::{BACKGROUNDS, Memory, explainer};
 use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Step, fly};
 use crate::detector_training::scenario::Scenario;
 use vigil_detector::{DeepShap, FrozenDetector, Monitor};
-use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_nnet::{Isa, Purpose};
 use vigil_policy::actor::ACTOR_FRAMES;
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{DEPTH_PIXELS, DepthFrame, Judgement};
 
 /// A step of the flight, explained at the split point and judged.
@@ -58,7 +58,7 @@ impl Onlooker for Explaining<'_> {
         let number = self.portrait.steps.len();
         self.portrait.steps.push(ExplainedStep {
             judgement: self.monitor.judge(&step.state, step.position),
-            step: *step,
+            step: step.clone(),
         });
         if self.chosen.contains(&number)
             && let Some(inputs) = self.memory.inputs(&step.position)
@@ -89,13 +89,14 @@ pub fn portray(
     pictures: usize,
 ) -> Result<(Record, Portrait), DetectError> {
     // Explaining changes nothing, so the same flight is flown first to know how long it takes.
-    let steps = fly(isa, actor, scenario, &mut ())?.steps.len();
+    let pilot = FrozenPilot::from(actor);
+    let steps = fly(isa, &pilot, scenario, &mut ())?.steps.len();
     let chosen: Vec<usize> = (0..pictures)
         .map(|i| (ACTOR_FRAMES + (2 * i + 1) * steps.saturating_sub(ACTOR_FRAMES) / (2 * pictures)).min(steps - 1))
         .collect();
     let pixels = explainer(isa, actor, BACKGROUNDS)?;
     let mut onlooker = Explaining {
-        monitor: Monitor::new(isa, &actor.params, &actor.sha256(), detector)?,
+        monitor: Monitor::new(isa, actor.head(Purpose::Multipliers)?, &actor.sha256(), detector)?,
         phi: vec![0.0; pixels.phi_len()],
         pixels,
         memory: Memory::new(actor.inputs.frame_ages),
@@ -105,6 +106,6 @@ pub fn portray(
             frames: Vec::new(),
         },
     };
-    let record = fly(isa, actor, scenario, &mut onlooker)?;
+    let record = fly(isa, &pilot, scenario, &mut onlooker)?;
     Ok((record, onlooker.portrait))
 }

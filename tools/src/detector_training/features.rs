@@ -4,9 +4,10 @@ use crate::detector_training::error::DetectError;
 use crate::detector_training::recorded_flight::{Record, Step};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use vigil_detector::{Background, DeepShap, ROW};
+use vigil_detector::{Background, DeepShap, ROW, row_of};
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS};
+use vigil_policy::{ExplainedHead, FrozenPilot};
 
 /// Number of the actor's yaw output.
 pub const YAW: usize = 1;
@@ -55,6 +56,9 @@ pub struct Extractor {
     isa: Isa,
     shap: DeepShap,
     phi: Vec<f32>,
+    /// Values of the split point.
+    width: usize,
+    row: [f32; ROW],
     /// For the gradient.
     head: Graph,
     params: Vec<f32>,
@@ -68,18 +72,24 @@ impl Extractor {
     ///
     /// # Errors
     /// Parameters of another architecture, an empty background sample.
-    pub fn new(feature: Feature, isa: Isa, params: &[f32], backgrounds: &[Background]) -> Result<Self, DetectError> {
-        let spec = vigil_detector::spec_of(backgrounds);
-        let shap = vigil_detector::split_point_shap(isa, spec, params, backgrounds)?;
-        let head = spec.head_graph(Purpose::Gradients)?;
+    pub fn new(
+        feature: Feature,
+        isa: Isa,
+        pilot: &FrozenPilot,
+        backgrounds: &[Background],
+    ) -> Result<Self, DetectError> {
+        let shap = vigil_detector::split_point_shap(isa, pilot.head(Purpose::Multipliers)?, backgrounds)?;
+        let ExplainedHead { graph: head, params } = pilot.head(Purpose::Gradients)?;
         let mut packed = vec![0.0; head.param_len()];
-        head.pack(params, &mut packed)?;
+        head.pack(&params, &mut packed)?;
         Ok(Self {
             feature,
             isa,
             phi: vec![0.0; shap.phi_len()],
+            width: shap.graph().input_len(0),
             shap,
-            params: params.to_vec(),
+            row: [0.0; ROW],
+            params,
             packed,
             tape: vec![0.0; head.tape_len()],
             work: vec![0.0; head.work_len()],
@@ -96,24 +106,19 @@ impl Extractor {
             Feature::Shap => {
                 self.shap.evaluate(&[&step.state, &step.position])?;
                 self.shap.attribute(YAW, &mut self.phi)?;
-                Ok(&self.phi[..ROW])
+                self.row = row_of(&self.phi[..self.width]);
             }
-            Feature::State => {
-                self.phi[..ACTOR_HIDDEN].copy_from_slice(&step.state);
-                Ok(&self.phi[..ACTOR_HIDDEN])
-            }
-            Feature::Action => {
-                self.phi[..ACTOR_OUTPUTS].copy_from_slice(&step.output);
-                Ok(&self.phi[..ACTOR_OUTPUTS])
-            }
+            Feature::State => self.row = row_of(&step.state),
+            Feature::Action => self.row[..ACTOR_OUTPUTS].copy_from_slice(&step.output),
             Feature::Gradient => {
                 let (isa, tape, work) = (self.isa, &mut self.tape, &mut self.work);
                 self.head
                     .forward(isa, &self.params, &[&step.state, &step.position], tape)?;
                 self.head.backward(isa, &self.packed, tape, &[0.0, 1.0], None, work)?;
-                Ok(self.head.input_gradient(work, 0)?)
+                self.row = row_of(self.head.input_gradient(work, 0)?);
             }
         }
+        Ok(&self.row[..self.feature.width()])
     }
 }
 

@@ -11,7 +11,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_policy::FrozenPilot;
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, PositionalInputs};
 use vigil_world::Family;
 
@@ -95,7 +95,7 @@ const BLOCK: u64 = 12;
 /// Parameters of another architecture.
 pub fn collect(
     isa: Isa,
-    actor: &FrozenActor,
+    pilot: &FrozenPilot,
     (family, first_seed): (Family, u64),
     want: Counts,
     begun: Vec<Record>,
@@ -111,7 +111,7 @@ pub fn collect(
             .map(|i| {
                 let seed = seed.wrapping_add(i);
                 let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
-                fly(isa, actor, &scenario, &mut ())
+                fly(isa, pilot, &scenario, &mut ())
             })
             .collect::<Result<Vec<_>, _>>()?;
         block.iter().for_each(|record| counts.add(record));
@@ -121,7 +121,7 @@ pub fn collect(
         }
     }
     let flights = Flights {
-        actor_sha256: actor.sha256(),
+        actor_sha256: pilot.sha256(),
         records,
     };
     Ok((flights, is_enough(&counts)))
@@ -132,8 +132,8 @@ const SIZE_LIMIT: u64 = 4 << 30;
 
 /// Value of the metadata entry `format`.
 const FORMAT: &str = "vigil detector data 1";
-/// Numbers kept of a step beside the positional inputs.
-const BESIDE_POSITION: usize = ACTOR_HIDDEN + ACTOR_OUTPUTS + 1;
+/// Numbers kept of a step beside the split point's values and the positional inputs.
+const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 
 /// A flight's entry in the file.
 #[derive(Serialize, Deserialize)]
@@ -144,7 +144,7 @@ struct Entry {
 }
 
 impl Flights {
-    /// Writes them: `steps` (float32: GRU state, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
+    /// Writes them: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
     /// attacked, 2 noisy), and what was flown as JSON in the metadata.
     ///
     /// # Errors
@@ -152,8 +152,7 @@ impl Flights {
     pub fn save(&self, path: &Path) -> Result<(), DetectError> {
         let steps = || self.records.iter().flat_map(|r| &r.steps);
         let count = steps().count();
-        let positional = steps().next().map_or(0, |step| step.position.len());
-        let width = BESIDE_POSITION + positional;
+        let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.position.len());
         let mut values = Vec::with_capacity(4 * width * count);
         let mut frames = Vec::with_capacity(count);
         for step in steps() {
@@ -198,7 +197,7 @@ impl Flights {
     ///
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
-    pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
+    pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self, DetectError> {
         let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
         let data = |message: &str| DetectError::Data {
             path: path.to_owned(),
@@ -212,7 +211,7 @@ impl Flights {
         }
         let (found, expected) = (
             metadata.get("actor_sha256").cloned().unwrap_or_default(),
-            actor.sha256(),
+            pilot.sha256(),
         );
         if found != expected {
             return Err(DetectError::OtherActor {
@@ -232,19 +231,23 @@ impl Flights {
             .iter()
             .map(|b| f32::from_le_bytes(*b))
             .collect();
-        let positional = actor.inputs.spec().positional().inputs;
-        let width = BESIDE_POSITION + positional;
+        let positional = pilot.inputs().spec().positional().inputs;
+        let hidden = match pilot {
+            FrozenPilot::Actor(_) => ACTOR_HIDDEN,
+            FrozenPilot::Imported(policy) => policy.head()?.width,
+        };
+        let width = BESIDE_STATE + hidden + positional;
         if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
             || frames.data().len() * width != values.len()
         {
             return Err(data("its flights and its steps do not belong together"));
         }
         let mut steps = values.chunks_exact(width).zip(frames.data()).map(|(values, frame)| {
-            let (state, rest) = values.split_at(ACTOR_HIDDEN);
+            let (state, rest) = values.split_at(hidden);
             let (position, rest) = rest.split_at(positional);
             let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
             let mut step = Step {
-                state: [0.0; ACTOR_HIDDEN],
+                state: state.to_vec(),
                 position: PositionalInputs::from_values(position)
                     .unwrap_or_else(|| unreachable!("as many as an actor has")),
                 output: [0.0; ACTOR_OUTPUTS],
@@ -255,14 +258,13 @@ impl Flights {
                 },
                 yaw_change: yaw_change[0],
             };
-            step.state.copy_from_slice(state);
             step.output.copy_from_slice(output);
             step
         });
         let records = entries
             .into_iter()
             .map(|entry| Record {
-                frame_ages: actor.inputs.frame_ages,
+                frame_ages: pilot.frame_ages(),
                 scenario: entry.scenario,
                 outcome: entry.outcome,
                 steps: steps.by_ref().take(entry.steps).collect(),

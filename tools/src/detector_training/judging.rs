@@ -15,7 +15,7 @@ use std::ops::ControlFlow;
 use vigil_adversary::{AttackConfig, EFFECTIVE_YAW, Method, Towards};
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
+use vigil_policy::FrozenPilot;
 use vigil_types::STEP_NS;
 use vigil_world::Family;
 
@@ -151,7 +151,7 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
 /// Parameters of another architecture.
 pub fn fly_sets(
     isa: Isa,
-    actor: &FrozenActor,
+    pilot: &FrozenPilot,
     sets: &[Set],
     progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
 ) -> Result<Option<Vec<Vec<Record>>>, DetectError> {
@@ -161,7 +161,7 @@ pub fn fly_sets(
         for block in set.scenarios.chunks(8) {
             let flown = block
                 .par_iter()
-                .map(|scenario| fly(isa, actor, scenario, &mut ()))
+                .map(|scenario| fly(isa, pilot, scenario, &mut ()))
                 .collect::<Result<Vec<_>, _>>()?;
             records.extend(flown);
             if progress(block.len() as u64).is_break() {
@@ -273,7 +273,7 @@ fn effective(record: &Record, step: usize) -> bool {
 
 /// No altered frame, attacked or noisy, is in the actor's state.
 fn untouched(record: &Record, step: usize) -> bool {
-    record.altered_of_last(step, 1 + record.frame_ages[0]) == 0
+    record.altered_of_last(step, 1 + record.frame_ages.first().copied().unwrap_or(0)) == 0
 }
 
 /// Altered frames from each burst's beginning to its first alarm; `None` if it ended unnoticed. Bursts that begin before the
@@ -347,14 +347,14 @@ fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32) ->
 /// Parameters of another architecture.
 pub fn evaluate(
     isa: Isa,
-    params: &[f32],
+    pilot: &FrozenPilot,
     judge: &Judge,
     threshold: f32,
     (sets, records): (&[Set], &[Vec<Record>]),
 ) -> Result<Report, DetectError> {
     let scores = records
         .iter()
-        .map(|records| judge.scores(isa, params, records))
+        .map(|records| judge.scores(isa, pilot, records))
         .collect::<Result<Vec<Scores>, _>>()?;
     Ok(report(judge.feature, threshold, sets, records, &scores))
 }
@@ -454,7 +454,7 @@ mod tests {
     /// A flight in which the marked steps were altered: `a` attacked, `w` attacked to no effect, `n` noisy, `.` not.
     fn record(frames: &str) -> Record {
         let step = |c| Step {
-            state: [0.0; 48],
+            state: vec![0.0; 48],
             position: [0.0; 2].into(),
             output: [0.0; 2],
             frame: match c {
@@ -465,7 +465,7 @@ mod tests {
             yaw_change: if c == 'a' { -1.5 } else { 0.0 },
         };
         Record {
-            frame_ages: vigil_policy::actor::FRAMES_IN_A_ROW,
+            frame_ages: vigil_policy::actor::FRAMES_IN_A_ROW.to_vec(),
             scenario: Scenario::unattacked(Family::Validation, 1, Plan::Actor),
             outcome: Some(Ending::Goal),
             steps: frames.chars().map(step).collect(),

@@ -9,9 +9,9 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
-use vigil_detector::{Background, FrozenDetector, LstmAd, ROW, WINDOW};
+use vigil_detector::{Background, FrozenDetector, LstmAd, Of, ROW, WINDOW};
 use vigil_nnet::{Activation, Isa};
-use vigil_policy::FrozenActor;
+use vigil_policy::FrozenPilot;
 
 /// How LSTM-AD is trained. Kept in the frozen file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -100,7 +100,11 @@ fn draw_backgrounds(records: &[Record], count: usize, seed: u64) -> Vec<Backgrou
     let quiet = records.iter().filter(|r| r.scenario.adversary.is_none());
     let mut steps: Vec<_> = quiet.flat_map(|r| &r.steps).collect();
     steps.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-    steps.iter().take(count).map(|s| (s.state, s.position)).collect()
+    steps
+        .iter()
+        .take(count)
+        .map(|s| (s.state.clone(), s.position))
+        .collect()
 }
 
 /// Mean and standard deviation of each value over the unattacked windows' newest rows.
@@ -150,7 +154,7 @@ const HIGHEST_THRESHOLD: f32 = 0.99;
 /// Too few windows, parameters of another architecture, a loss that is not finite.
 pub fn train(
     isa: Isa,
-    params: &[f32],
+    pilot: &FrozenPilot,
     feature: Feature,
     (learn, choose): (&[Record], &[Record]),
     config: &LstmConfig,
@@ -169,7 +173,7 @@ pub fn train(
         }
     }
     let backgrounds = draw_backgrounds(learn, config.backgrounds, seed);
-    let extractor = Extractor::new(feature, isa, params, &backgrounds)?;
+    let extractor = Extractor::new(feature, isa, pilot, &backgrounds)?;
     let (mut learn_rows, mut choose_rows) = (Rows::of(&extractor, learn)?, Rows::of(&extractor, choose)?);
     let (centre, scale) = statistics(&learn_rows, &learn_at);
     learn_rows.normalise(&centre, &scale);
@@ -206,14 +210,15 @@ impl Judge {
     /// Its file's content.
     pub fn freeze(
         &self,
-        actor: &FrozenActor,
+        pilot: &FrozenPilot,
         config: &LstmConfig,
         threshold: f32,
         git_commit: Option<String>,
     ) -> FrozenDetector {
         let row = |values: &[f32]| *values.first_chunk::<ROW>().unwrap_or(&[f32::NAN; ROW]);
         FrozenDetector {
-            actor_sha256: actor.sha256(),
+            of: Of::pilot(pilot),
+            actor_sha256: pilot.sha256(),
             backgrounds: self.backgrounds.clone(),
             centre: row(&self.centre),
             scale: row(&self.scale),
@@ -233,8 +238,8 @@ impl Judge {
     ///
     /// # Errors
     /// Parameters of another architecture.
-    pub fn threshold(&self, isa: Isa, params: &[f32], choose: &[Record]) -> Result<f32, DetectError> {
-        let scores = self.scores(isa, params, choose)?;
+    pub fn threshold(&self, isa: Isa, pilot: &FrozenPilot, choose: &[Record]) -> Result<f32, DetectError> {
+        let scores = self.scores(isa, pilot, choose)?;
         let windows = choose.iter().zip(&scores).flat_map(|(record, scores)| {
             let scored = scores
                 .iter()
@@ -268,8 +273,13 @@ impl Judge {
     ///
     /// # Errors
     /// Parameters of another architecture.
-    pub fn scores(&self, isa: Isa, params: &[f32], records: &[Record]) -> Result<Vec<Vec<Option<f32>>>, DetectError> {
-        let extractor = Extractor::new(self.feature, isa, params, &self.backgrounds)?;
+    pub fn scores(
+        &self,
+        isa: Isa,
+        pilot: &FrozenPilot,
+        records: &[Record],
+    ) -> Result<Vec<Vec<Option<f32>>>, DetectError> {
+        let extractor = Extractor::new(self.feature, isa, pilot, &self.backgrounds)?;
         let mut rows = Rows::of(&extractor, records)?;
         rows.normalise(&self.centre, &self.scale);
         let all = records.iter().enumerate();

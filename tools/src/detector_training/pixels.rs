@@ -15,8 +15,8 @@ use std::path::Path;
 use vigil_adversary::{AttackConfig, Towards};
 use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
 use vigil_nnet::{Isa, Purpose};
-use vigil_policy::FrozenActor;
 use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{DEPTH_PIXELS, DepthFrame};
 use vigil_world::Family;
 
@@ -110,7 +110,7 @@ impl Onlooker for Backgrounds {
 
 /// The explainer of all pixels of five frames, with backgrounds of unattacked training flights.
 pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap, DetectError> {
-    let mut inputs = Vec::new();
+    let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::new());
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
         let mut onlooker = Backgrounds {
             memory: Memory::new(actor.inputs.frame_ages),
@@ -119,7 +119,7 @@ pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<D
         };
         fly(
             isa,
-            actor,
+            &pilot,
             &Scenario::unattacked(Family::Training, seed, Plan::Actor),
             &mut onlooker,
         )?;
@@ -255,6 +255,7 @@ pub fn gather_states(
     begun: Option<States>,
     progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
 ) -> Result<(States, bool), DetectError> {
+    let pilot = FrozenPilot::from(actor);
     let mut shap = explainer(isa, actor, backgrounds)?;
     let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.flights.records, begun.states));
     let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
@@ -274,7 +275,7 @@ pub fn gather_states(
             taken: [0; 2],
             states: &mut states,
         };
-        records.push(fly(isa, actor, &scenario(family, seed), &mut onlooker)?);
+        records.push(fly(isa, &pilot, &scenario(family, seed), &mut onlooker)?);
         seed += 1;
         flow = progress(fewer(&states).min(count));
     }
@@ -333,7 +334,7 @@ impl States {
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
-        let flights = Flights::load(&path.with_extension("flights"), actor)?;
+        let flights = Flights::load(&path.with_extension("flights"), &FrozenPilot::from(actor))?;
         let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
         let data = |message: &str| DetectError::Data {
             path: path.to_owned(),

@@ -4,10 +4,10 @@ use crate::actor_training::Flight;
 use crate::detector_training::error::DetectError;
 use crate::detector_training::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
-use vigil_adversary::{Method, StreamAttack};
+use vigil_adversary::{FrameAttack, Method};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, Lead, PositionalInputs};
-use vigil_policy::{FlightField, FrozenActor, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_policy::actor::{ACTOR_OUTPUTS, Lead, PositionalInputs};
+use vigil_policy::{FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
 
@@ -23,10 +23,10 @@ pub enum Frame {
 }
 
 /// One step: the actor's decision, whichever pilot steered.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Step {
-    /// GRU state: the split point.
-    pub state: [f32; ACTOR_HIDDEN],
+    /// Values at the split point: our actor's GRU state.
+    pub state: Vec<f32>,
     /// Positional inputs.
     pub position: PositionalInputs,
     /// The actor's outputs, without field.
@@ -43,7 +43,7 @@ pub struct Record {
     /// What was flown.
     pub scenario: Scenario,
     /// How many steps ago each frame of a decision was taken, oldest first.
-    pub frame_ages: [usize; ACTOR_FRAMES],
+    pub frame_ages: Vec<usize>,
     /// How it ended; `None` when it was cut off.
     pub outcome: Option<Ending>,
     /// Its steps.
@@ -91,11 +91,11 @@ impl Onlooker for () {
 /// Parameters of another architecture, wind or attack out of range.
 pub fn fly(
     isa: Isa,
-    frozen: &FrozenActor,
+    frozen: &FrozenPilot,
     scenario: &Scenario,
     onlooker: &mut impl Onlooker,
 ) -> Result<Record, DetectError> {
-    let (params, inputs) = (&frozen.params, frozen.inputs);
+    let inputs = frozen.inputs();
     let mut course = generate(scenario.family, scenario.seed);
     course.time_limit_s = 90.0;
     let usual = LidarConfig::default();
@@ -105,14 +105,11 @@ pub fn fly(
         ..usual
     };
     let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
-    let mut actor = frozen.actor(isa)?;
+    let mut actor = frozen.decider(isa)?;
     // What leads the actor sees what was delivered; the adversary sees what was taken.
     let (mut lead, mut seen_through) = (Lead::new(inputs), Lead::new(inputs));
     let mut attack = match &scenario.adversary {
-        Some(adversary) => Some((
-            adversary,
-            StreamAttack::on(inputs.spec(), isa, params, &adversary.config)?.with_frame_ages(inputs.frame_ages),
-        )),
+        Some(adversary) => Some((adversary, FrameAttack::on(frozen, isa, &adversary.config)?)),
         None => None,
     };
     let mut helmsman = scenario.helmsman();
@@ -123,7 +120,7 @@ pub fn fly(
     let mut field = FlightField::default();
     let mut delivered = Box::new(flight.frame().clone());
     let mut record = Record {
-        frame_ages: inputs.frame_ages,
+        frame_ages: frozen.frame_ages(),
         scenario: scenario.clone(),
         outcome: None,
         steps: Vec::new(),
@@ -135,7 +132,9 @@ pub fn fly(
         if let Some((adversary, attack)) = &mut attack {
             let (_, position) = seen_through.inputs(&flight.input());
             if adversary.attacks(number) {
-                yaw_change = attack.attack(&mut delivered.depth, position)?.yaw_change();
+                yaw_change = attack
+                    .attack_while(&mut delivered.depth, position, || true)?
+                    .yaw_change();
                 frame = match adversary.config.method {
                     Method::Noise => Frame::Noisy,
                     _ => Frame::Attacked,
@@ -163,7 +162,7 @@ pub fn fly(
             Helm::Hover => Action::HOVER,
         };
         let step = Step {
-            state: *actor.state(),
+            state: actor.state().to_vec(),
             position,
             output,
             frame,

@@ -10,9 +10,9 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, images, normalise};
-use vigil_nnet::{Activation, Graph, Isa};
-use vigil_policy::FrozenActor;
+use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::actor::{Actor, WITH_MOVERS};
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::DepthFrame;
 use vigil_world::Family;
 
@@ -132,7 +132,7 @@ pub fn time(
     let mut timing = Timing {
         isa,
         actor: actor.actor(isa)?,
-        shap: detector.explainer(isa, actor.inputs.spec(), &actor.params)?,
+        shap: detector.explainer(isa, actor.head(Purpose::Multipliers)?)?,
         detector: detector.clone(),
         lstm: LstmAd::new(isa, &detector.params)?,
         rows: [[0.0; ROW]; WINDOW],
@@ -146,6 +146,6 @@ pub fn time(
         times: Times::default(),
     };
     let scenario = Scenario::unattacked(Family::Validation, seed, Plan::Actor);
-    let record = fly(isa, actor, &scenario, &mut timing)?;
+    let record = fly(isa, &FrozenPilot::from(actor), &scenario, &mut timing)?;
     Ok((record, timing.times))
 }

@@ -6,6 +6,7 @@
 
 extern crate std;
 
+use crate::ExplainedHead;
 use crate::actor::{ACTOR_HIDDEN, Actor, ActorInputs, ActorSpec, FRAMES_IN_A_ROW, LedBy};
 use std::borrow::ToOwned;
 use std::format;
@@ -13,8 +14,8 @@ use std::path::Path;
 use std::string::{String, ToString};
 use std::vec;
 use std::vec::Vec;
-use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
+use vigil_nnet::{Isa, Purpose};
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -144,6 +145,15 @@ impl FrozenActor {
             .map_err(|e| self.kind().content_error("in memory", e.to_string()))
     }
 
+    /// What decides behind its split point.
+    ///
+    /// # Errors
+    /// Parameters of another length.
+    pub fn head(&self, purpose: Purpose) -> Result<ExplainedHead, FileError> {
+        ExplainedHead::of_actor(self.inputs.spec(), &self.params, purpose)
+            .map_err(|e| self.kind().content_error("in memory", e.to_string()))
+    }
+
     /// The digest of the actor and its metadata.
     pub fn sha256(&self) -> String {
         self.contents().sha256()
@@ -162,7 +172,8 @@ impl FrozenActor {
     /// # Errors
     /// [`FileError`]: anything but an unaltered actor of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let (read, told_of_movers) = Verified::of_either(&KIND, &KIND_WITH_MOVERS, file, bytes)?;
+        let (read, which) = Verified::of_any(&KIND, &[&KIND_WITH_MOVERS], file, bytes)?;
+        let told_of_movers = which == 1;
         let frame_ages = match read.optional("frame_ages") {
             None => FRAMES_IN_A_ROW,
             Some(text) => {

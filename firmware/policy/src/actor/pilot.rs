@@ -141,19 +141,21 @@ impl FlightPilot {
         }
     }
 
-    /// The actor's positional inputs of the last decision; `None` without an actor, and before its first.
+    /// The learned pilot's positional inputs of the last decision; `None` without one, and before its first.
     pub fn position(&self) -> Option<PositionalInputs> {
         match self {
-            Self::Geometric(_) | Self::Imported(_) => None,
+            Self::Geometric(_) => None,
             Self::Actor(pilot) => pilot.position(),
+            Self::Imported(pilot) => pilot.position(),
         }
     }
 
-    /// The actor's 48 values at the paper's split point, of the last decision; `None` without an actor.
-    pub fn state(&self) -> Option<&[f32; ACTOR_HIDDEN]> {
+    /// The values at the split point, of the last decision: the actor's 48, an imported policy's own; `None` without one.
+    pub fn state(&self) -> Option<&[f32]> {
         match self {
-            Self::Geometric(_) | Self::Imported(_) => None,
+            Self::Geometric(_) => None,
             Self::Actor(pilot) => Some(pilot.state()),
+            Self::Imported(pilot) => pilot.state(),
         }
     }
 }

@@ -4,6 +4,7 @@ extern crate std;
 
 use super::network::{Network, NetworkError};
 use super::pilot::{Channels, Depth, ImportedPilot, PolicyInputs};
+use super::split::Head;
 use std::format;
 use std::path::Path;
 use std::string::{String, ToString};
@@ -21,6 +22,8 @@ pub struct FrozenPolicy {
     pub params: Vec<f32>,
     /// How it is given what we have.
     pub inputs: PolicyInputs,
+    /// The layer whose values are explained ([`Network::head`]); a detector can watch a policy that has one.
+    pub split: Option<usize>,
     /// What it was made of, for people.
     pub source: String,
 }
@@ -70,7 +73,8 @@ impl FrozenPolicy {
             ("output_scale", output_scale.to_string()),
             ("source", self.source.clone()),
         ];
-        let mut contents = Contents::new(&KIND, entries);
+        let split = self.split.map(|layer| ("split", layer.to_string()));
+        let mut contents = Contents::new(&KIND, entries.into_iter().chain(split));
         contents.push("parameters", &[self.params.len()], self.params.clone());
         contents
     }
@@ -124,6 +128,10 @@ impl FrozenPolicy {
                 has_position: read.number("has_position")?,
                 output_scale: read.number("output_scale")?,
             },
+            split: match read.optional("split") {
+                None => None,
+                Some(text) => Some(text.parse().map_err(|_| wrong("split", &text))?),
+            },
             source: read.text("source")?,
             params: read.into_values().flatten().collect(),
         };
@@ -136,7 +144,7 @@ impl FrozenPolicy {
     }
 
     fn build(&self, isa: Isa, field: bool) -> Result<ImportedPilot, NetworkError> {
-        ImportedPilot::new(&self.network, &self.params, self.inputs, field, isa)
+        ImportedPilot::new(&self.network, &self.params, self.inputs, self.split, field, isa)
     }
 
     /// The policy itself, ready to fly.
@@ -146,6 +154,24 @@ impl FrozenPolicy {
     pub fn pilot(&self, isa: Isa, field: bool) -> Result<ImportedPilot, FileError> {
         self.build(isa, field)
             .map_err(|e| KIND.content_error("in memory", format!("cannot be flown: {e}")))
+    }
+
+    /// The layers behind its split point.
+    ///
+    /// # Errors
+    /// A policy without one.
+    pub fn head(&self) -> Result<Head, FileError> {
+        let head = match self.split {
+            Some(split) => self.network.head(&self.params, split, self.inputs.frame_input),
+            None => Err(NetworkError(
+                "it has no split point: no layer of a size that can be explained stands between all of the frame and the action".to_string(),
+            )),
+        };
+        head.map_err(|e| self.refused(&e))
+    }
+
+    pub(crate) fn refused(&self, error: &NetworkError) -> FileError {
+        KIND.content_error(&self.source, format!("cannot be explained: {error}"))
     }
 
     /// Reads and verifies a file.

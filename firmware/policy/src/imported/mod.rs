@@ -4,8 +4,10 @@
 mod file;
 mod network;
 mod pilot;
+mod split;
 
 #[cfg(feature = "actor-file")]
 pub use file::{FORMAT as POLICY_FORMAT, FrozenPolicy};
-pub use network::{Layer, MOST_MULTIPLY_ADDS, MOST_VALUES, Network, NetworkError};
+pub use network::{Layer, MOST_MULTIPLY_ADDS, MOST_VALUES, Network, NetworkError, SPLIT_VALUES};
 pub use pilot::{Channels, Depth, ImportedPilot, PolicyInputs};
+pub use split::{Head, UNSATURATED};

@@ -18,6 +18,8 @@ use vigil_nnet::{
 pub const MOST_MULTIPLY_ADDS: u64 = 250_000_000;
 /// Values of all layers together, and parameters, at most: 128 MiB each.
 pub const MOST_VALUES: u64 = 32 << 20;
+/// Values of a split point, at least and at most: fewer explain nothing that the outputs do not, and each costs the step time.
+pub const SPLIT_VALUES: core::ops::RangeInclusive<usize> = 8..=512;
 /// No size in a description may be larger: products of four of them cannot overflow.
 const MOST_SIZE: usize = 1 << 24;
 const MOST_LAYERS: usize = 4096;
@@ -196,7 +198,7 @@ impl Layer {
         }
     }
 
-    fn sources(&self) -> Vec<usize> {
+    pub(super) fn sources(&self) -> Vec<usize> {
         match self {
             Self::Input { .. } | Self::Zeros { .. } => Vec::new(),
             Self::Slice { x, .. }
@@ -284,6 +286,11 @@ impl Network {
     /// # Errors
     /// Whatever [`Self::check`] finds, and lengths that do not fit each other.
     pub fn graph(&self, purpose: Purpose) -> Result<Graph, NetworkError> {
+        self.graph_and_nodes(purpose).map(|(graph, _)| graph)
+    }
+
+    /// The graph, and the node of each layer.
+    pub(super) fn graph_and_nodes(&self, purpose: Purpose) -> Result<(Graph, Vec<NodeId>), NetworkError> {
         self.check()?;
         let mut b = GraphBuilder::new();
         let (mut nodes, mut own): (Vec<NodeId>, Vec<Params>) = (Vec::new(), Vec::new());
@@ -325,7 +332,7 @@ impl Network {
         }
         let output = nodes.get(self.output).copied();
         let output = output.ok_or_else(|| NetworkError("the output is not there".to_owned()))?;
-        Ok(b.finish(output, purpose)?)
+        Ok((b.finish(output, purpose)?, nodes))
     }
 }
 

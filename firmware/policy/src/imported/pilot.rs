@@ -10,7 +10,7 @@ use crate::{Pilot, PilotInput};
 use alloc::format;
 use alloc::vec;
 use alloc::vec::Vec;
-use vigil_nnet::{Activation, Aligned, Graph, Isa, Purpose};
+use vigil_nnet::{Activation, Aligned, Graph, Isa, NodeId, Purpose};
 use vigil_types::{Action, DEPTH_COLS, DEPTH_ROWS};
 
 /// What a policy's pixels are.
@@ -69,23 +69,76 @@ pub struct ImportedPilot {
     /// Where each of its pixels is in our frame.
     places: Vec<u32>,
     started: bool,
+    /// The split point, if it has one.
+    split: Option<NodeId>,
+    position: Option<PositionalInputs>,
     surroundings: RangeScan,
     field: Option<FlightField>,
+}
+
+impl PolicyInputs {
+    /// Where each of its frame's pixels `[row][column]` is in ours.
+    pub fn places(&self) -> impl Iterator<Item = u32> + use<> {
+        let Self { rows, cols, .. } = *self;
+        (0..rows.saturating_mul(cols)).map(move |pixel| {
+            let of = |at: usize, own: usize, ours: usize| (2 * at + 1) * ours / (2 * own);
+            (of(pixel / cols, rows, DEPTH_ROWS) * DEPTH_COLS + of(pixel % cols, cols, DEPTH_COLS)) as u32
+        })
+    }
+
+    /// A pixel's value for a range over 100 m.
+    pub fn value(&self, range: f32) -> f32 {
+        self.scale
+            * match (self.depth, Activation::NEAR_CONTRAST) {
+                (Depth::Contrast, Activation::NearContrast { gain }) => 1.0 / (1.0 + gain * range),
+                _ => range,
+            }
+    }
+
+    /// Change of [`Self::value`] over that of the range.
+    pub fn slope(&self, range: f32) -> f32 {
+        self.scale
+            * match (self.depth, Activation::NEAR_CONTRAST) {
+                (Depth::Contrast, Activation::NearContrast { gain }) => {
+                    let value = 1.0 / (1.0 + gain * range);
+                    -gain * value * value
+                }
+                _ => 1.0,
+            }
+    }
+
+    /// Takes our newest frame into the policy's, `[row][column][channel]`; `first` if no frame came before it.
+    pub fn see(&self, places: &[u32], depth: &[f32], first: bool, frame: &mut [f32]) {
+        let all = self.order == Channels::Repeat || first;
+        for (pixel, place) in frame.chunks_exact_mut(self.channels.max(1)).zip(places) {
+            let value = self.value(depth.get(*place as usize).copied().unwrap_or(f32::NAN));
+            if all {
+                pixel.fill(value);
+            } else {
+                pixel.copy_within(1.., 0);
+                if let Some(newest) = pixel.last_mut() {
+                    *newest = value;
+                }
+            }
+        }
+    }
 }
 
 impl ImportedPilot {
     /// A pilot that has seen nothing. Allocates; nothing after it does.
     ///
     /// # Errors
-    /// A network that is too large for the step, or that has other inputs and outputs than `inputs` says.
+    /// A network that is too large for the step, or that has other inputs and outputs than `inputs` says; a layer that cannot be its split
+    /// point.
     pub fn new(
         network: &Network,
         params: &[f32],
         inputs: PolicyInputs,
+        split: Option<usize>,
         field: bool,
         isa: Isa,
     ) -> Result<Self, NetworkError> {
-        let graph = network.graph(Purpose::Gradients)?;
+        let (graph, nodes) = network.graph_and_nodes(Purpose::Gradients)?;
         let (rows, cols) = (inputs.rows, inputs.cols);
         let pixels = rows.saturating_mul(cols);
         let expected = match inputs.has_position {
@@ -115,9 +168,12 @@ impl ImportedPilot {
                 inputs.channels
             )));
         }
-        let place = |pixel: usize| {
-            let of = |at: usize, own: usize, ours: usize| (2 * at + 1) * ours / (2 * own);
-            (of(pixel / cols, rows, DEPTH_ROWS) * DEPTH_COLS + of(pixel % cols, cols, DEPTH_COLS)) as u32
+        let split = match split {
+            None => None,
+            Some(layer) => {
+                network.head(params, layer, inputs.frame_input)?;
+                nodes.get(layer).copied()
+            }
         };
         Ok(Self {
             isa,
@@ -126,7 +182,9 @@ impl ImportedPilot {
             tape: Aligned::zeros(graph.tape_len()),
             graph,
             frame: vec![0.0; frame_len],
-            places: (0..pixels).map(place).collect(),
+            places: inputs.places().collect(),
+            split,
+            position: None,
             started: false,
             surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
@@ -138,33 +196,28 @@ impl ImportedPilot {
         &self.surroundings
     }
 
-    /// Takes a new frame into the policy's.
-    fn see(&mut self, depth: &[f32]) {
-        let PolicyInputs {
-            channels,
-            order,
-            depth: kind,
-            scale,
-            ..
-        } = self.inputs;
-        let all = order == Channels::Repeat || !self.started;
-        for (pixel, place) in self.frame.chunks_exact_mut(channels).zip(&self.places) {
-            let range = depth.get(*place as usize).copied().unwrap_or(f32::NAN);
-            let value = scale
-                * match (kind, Activation::NEAR_CONTRAST) {
-                    (Depth::Contrast, Activation::NearContrast { gain }) => 1.0 / (1.0 + gain * range),
-                    _ => range,
-                };
-            if all {
-                pixel.fill(value);
-            } else {
-                pixel.copy_within(1.., 0);
-                if let Some(newest) = pixel.last_mut() {
-                    *newest = value;
-                }
-            }
-        }
+    /// The values at the split point, of the last decision; `None` without either.
+    pub fn state(&self) -> Option<&[f32]> {
+        self.position?;
+        self.graph.value(&self.tape, self.split?).ok()
+    }
+
+    /// The positional inputs of the last decision; `None` before the first.
+    pub fn position(&self) -> Option<PositionalInputs> {
+        self.position
+    }
+
+    /// Decides on our newest frame, ranges over 100 m; within ±1.5, without the field. Not finite if its network does not give a number.
+    pub fn decide_on(&mut self, depth: &[f32], position: PositionalInputs) -> Action {
+        self.inputs.see(&self.places, depth, !self.started, &mut self.frame);
         self.started = true;
+        self.position = Some(position);
+        let own = self.evaluate(&position).unwrap_or(Action {
+            forward_m_s: f32::NAN,
+            yaw: f32::NAN,
+        });
+        // What is not finite makes the caller hold, and stays what it is.
+        if own.is_finite() { own.clipped() } else { own }
     }
 
     fn evaluate(&mut self, position: &[f32]) -> Option<Action> {
@@ -186,25 +239,17 @@ impl ImportedPilot {
 
 impl Pilot for ImportedPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
-        self.see(&input.depth.depth);
-        let own = self.evaluate(&PositionalInputs::of_goal(input.goal)).unwrap_or(Action {
-            forward_m_s: f32::NAN,
-            yaw: f32::NAN,
-        });
+        let own = self.decide_on(&input.depth.depth, PositionalInputs::of_goal(input.goal));
         let scan = self.surroundings.observe(input);
-        // What is not finite makes the caller hold, and stays what it is.
-        if !own.is_finite() {
-            return own;
-        }
-        let own = own.clipped();
         match &mut self.field {
-            Some(field) => field.add_to(own, input, scan),
-            None => own,
+            Some(field) if own.is_finite() => field.add_to(own, input, scan),
+            _ => own,
         }
     }
 
     fn reset(&mut self) {
         self.started = false;
+        self.position = None;
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }

@@ -1,0 +1,164 @@
+//! A learned pilot's file, of our own architecture or imported, and what detectors and adversaries need of either.
+
+extern crate std;
+
+use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, PositionalInputs};
+use crate::imported::{Channels, Head, POLICY_FORMAT};
+use crate::{ActorInputs, FrozenActor, FrozenPolicy, ImportedPilot};
+use std::boxed::Box;
+use std::path::Path;
+use std::string::String;
+use std::vec::Vec;
+use vigil_nnet::network_file::FileError;
+use vigil_nnet::{Graph, Isa, Purpose, ShapeError};
+use vigil_types::Action;
+
+/// A pilot that comes from a file.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FrozenPilot {
+    /// An actor of ours.
+    Actor(FrozenActor),
+    /// A policy of others.
+    Imported(FrozenPolicy),
+}
+
+/// What decides behind a split point, with its parameters: inputs are the split point's values and the positional inputs, both explained.
+#[derive(Debug, Clone)]
+pub struct ExplainedHead {
+    /// The network, for multipliers or gradients as was asked for.
+    pub graph: Graph,
+    /// Its parameters.
+    pub params: Vec<f32>,
+}
+
+impl ExplainedHead {
+    /// Of an actor of ours.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn of_actor(spec: ActorSpec, params: &[f32], purpose: Purpose) -> Result<Self, ShapeError> {
+        Ok(Self {
+            graph: spec.head_graph(purpose)?,
+            params: params.to_vec(),
+        })
+    }
+}
+
+impl From<&FrozenActor> for FrozenPilot {
+    fn from(actor: &FrozenActor) -> Self {
+        Self::Actor(actor.clone())
+    }
+}
+
+impl FrozenPilot {
+    /// Reads and verifies a file of either kind.
+    ///
+    /// # Errors
+    /// [`FileError`]: what is truncated, altered or of another architecture, by name.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        match FrozenActor::load(path) {
+            Err(FileError::Other {
+                key: "format", found, ..
+            }) if found == POLICY_FORMAT => FrozenPolicy::load(path).map(Self::Imported),
+            actor => actor.map(Self::Actor),
+        }
+    }
+
+    /// The file's, or the actor that comes with this program.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_or_built_in(path: Option<&Path>) -> Result<Self, FileError> {
+        match path {
+            Some(path) => Self::load(path),
+            None => FrozenActor::built_in().map(Self::Actor),
+        }
+    }
+
+    /// The digest of the network and its metadata.
+    pub fn sha256(&self) -> String {
+        match self {
+            Self::Actor(actor) => actor.sha256(),
+            Self::Imported(policy) => policy.sha256(),
+        }
+    }
+
+    /// What it decides from beside its frames. An imported policy is led by the goal, and told of nothing else.
+    pub fn inputs(&self) -> ActorInputs {
+        match self {
+            Self::Actor(actor) => actor.inputs,
+            Self::Imported(_) => ActorInputs::default(),
+        }
+    }
+
+    /// How many decisions ago each frame was taken that it decides from, oldest first.
+    pub fn frame_ages(&self) -> Vec<usize> {
+        match self {
+            Self::Actor(actor) => actor.inputs.frame_ages.to_vec(),
+            Self::Imported(policy) => match policy.inputs.order {
+                Channels::Stack => (0..policy.inputs.channels).rev().collect(),
+                Channels::Repeat => [0].to_vec(),
+            },
+        }
+    }
+
+    /// What decides behind its split point.
+    ///
+    /// # Errors
+    /// A policy without a split point.
+    pub fn head(&self, purpose: Purpose) -> Result<ExplainedHead, FileError> {
+        match self {
+            Self::Actor(actor) => actor.head(purpose),
+            Self::Imported(policy) => {
+                let Head { network, params, .. } = policy.head()?;
+                let graph = network.graph(purpose).map_err(|e| policy.refused(&e))?;
+                Ok(ExplainedHead { graph, params })
+            }
+        }
+    }
+
+    /// The pilot without the vehicle around it: frames and positions in, decisions out.
+    ///
+    /// # Errors
+    /// Parameters of another length.
+    pub fn decider(&self, isa: Isa) -> Result<Decider, FileError> {
+        Ok(match self {
+            Self::Actor(actor) => Decider::Actor(actor.actor(isa)?),
+            Self::Imported(policy) => Decider::Imported(Box::new(policy.pilot(isa, false)?)),
+        })
+    }
+}
+
+/// A learned pilot without the vehicle around it.
+#[derive(Debug, Clone)]
+#[expect(clippy::large_enum_variant, reason = "one per flight")]
+pub enum Decider {
+    /// An actor of ours.
+    Actor(Actor),
+    /// A policy of others.
+    Imported(Box<ImportedPilot>),
+}
+
+impl Decider {
+    /// Decides on the newest frame, `[rows][cols]` ranges over 100 m: forward speed in m/s and yaw, each within ±1.5.
+    ///
+    /// # Errors
+    /// A frame or positional inputs of another length.
+    pub fn decide(&mut self, depth: &[f32], position: PositionalInputs) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        match self {
+            Self::Actor(actor) => actor.decide(depth, position),
+            Self::Imported(policy) => {
+                let Action { forward_m_s, yaw } = policy.decide_on(depth, position);
+                Ok([forward_m_s, yaw])
+            }
+        }
+    }
+
+    /// The values at its split point, of the last decision; none without one.
+    pub fn state(&self) -> &[f32] {
+        match self {
+            Self::Actor(actor) => actor.state(),
+            Self::Imported(policy) => policy.state().unwrap_or_default(),
+        }
+    }
+}
