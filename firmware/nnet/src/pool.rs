@@ -5,7 +5,7 @@ use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
-use crate::shape::{ShapeError, expect, part, part_mut};
+use crate::shape::{ShapeError, expect};
 
 /// The largest value of each window of one image `[row][column][channel]`, without padding; windows do not overlap.
 /// Rows and columns left over at the end are not looked at.
@@ -81,14 +81,7 @@ impl MaxPool2d {
     /// Slices that do not fit.
     pub fn forward(&self, isa: Isa, x: &[f32], y: &mut [f32]) -> Result<(), ShapeError> {
         self.check(x, y)?;
-        for (o, first) in self.windows() {
-            let best = part_mut("max pool output", y, o * self.channels, self.channels)?;
-            best.copy_from_slice(part("max pool input", x, first, self.channels)?);
-            for tap in self.taps().skip(1) {
-                let x = part("max pool input", x, first + tap, self.channels)?;
-                kernels::run(isa, Larger { x, best });
-            }
-        }
+        kernels::run(isa, Pooled { layer: *self, x, y });
         Ok(())
     }
 
@@ -165,18 +158,49 @@ impl MaxPool2d {
     }
 }
 
-/// `best = max(best, x)`.
-struct Larger<'a> {
+/// All windows of an image whose lengths were checked.
+struct Pooled<'a> {
+    layer: MaxPool2d,
     x: &'a [f32],
-    best: &'a mut [f32],
+    y: &'a mut [f32],
 }
 
-impl Task for Larger<'_> {
+impl Task for Pooled<'_> {
     #[inline(always)]
     fn run<const FUSED: bool>(self) {
-        for (best, x) in self.best.iter_mut().zip(self.x) {
-            // A value that is not a number wins, so that it is not hidden.
-            *best = if *x > *best || x.is_nan() { *x } else { *best };
+        // So many channels at a time as fill a register, whose number is known to the compiler.
+        match self.layer.channels {
+            channels if channels % 8 == 0 => self.by::<8>(),
+            channels if channels % 4 == 0 => self.by::<4>(),
+            channels if channels % 3 == 0 => self.by::<3>(),
+            channels if channels % 2 == 0 => self.by::<2>(),
+            _ => self.by::<1>(),
+        }
+    }
+}
+
+impl Pooled<'_> {
+    #[inline(always)]
+    fn by<const C: usize>(self) {
+        let MaxPool2d {
+            cols, channels, window, ..
+        } = self.layer;
+        let (row, side) = (cols * channels, window * channels);
+        for (best, (_, first)) in self.y.chunks_exact_mut(channels).zip(self.layer.windows()) {
+            for (c, best) in best.as_chunks_mut::<C>().0.iter_mut().enumerate() {
+                let mut largest = [f32::NEG_INFINITY; C];
+                for line in 0..window {
+                    let at = first + line * row;
+                    for pixel in self.x.get(at..at + side).unwrap_or_default().chunks_exact(channels) {
+                        let Some(pixel) = pixel.as_chunks::<C>().0.get(c) else { continue };
+                        for (largest, x) in largest.iter_mut().zip(pixel) {
+                            // A value that is not a number wins, so that it is not hidden.
+                            *largest = if *x > *largest || x.is_nan() { *x } else { *largest };
+                        }
+                    }
+                }
+                *best = largest;
+            }
         }
     }
 }

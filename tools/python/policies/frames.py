@@ -23,11 +23,15 @@ SCALE = (0.75, 1.5)
 OFFSET = (0.75, 0.0)
 
 
+def contrast(range_m: np.ndarray) -> np.ndarray:
+    """Near is bright: what ``vigil import --depth contrast`` gives a policy."""
+    return np.asarray(1.0 / (1.0 + range_m / 3.0), np.float32)
+
+
 def pooled(frame_m: np.ndarray) -> np.ndarray:
     """``[128, 256]`` metres to ``[16, 32]`` contrast, near is bright: the nearest of each 8 × 8 pixels."""
     rows, columns = frame_m.shape
-    nearest = frame_m.reshape(rows // POOL, POOL, columns // POOL, POOL).min(axis=(1, 3))
-    return np.asarray(1.0 / (1.0 + nearest / 3.0), np.float32)
+    return contrast(frame_m.reshape(rows // POOL, POOL, columns // POOL, POOL).min(axis=(1, 3)))
 
 
 def goal_inputs(goal: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Trains a policy of Stable-Baselines3 (TD3 or SAC on pictures) through ``vigil.gym`` and exports it to ONNX for ``vigil import``.
 
-    tools/python/sb3/run.sh train.py -o runs/sb3 --steps 40000
+    tools/python/policies/run.sh train_sb3.py -o runs/sb3 --steps 40000
     vigil import runs/sb3/policy.onnx -o runs/sb3/policy.safetensors --depth contrast
 
 Writes ``curve.csv`` (steps, seconds, completion of courses it is not trained on, return), ``model.zip``, ``best.zip``, ``policy.onnx``.
