@@ -181,9 +181,7 @@ fn another_actor_s_detector_and_an_empty_background_are_refused() {
 
 /// What lies behind a split point of `width` values: a hidden layer, the goal beside it.
 fn imported(random: &mut ChaCha8Rng, width: usize) -> ExplainedHead {
-    let text = format!(
-        "input {width}\ninput 2\ndense 0 {width} 20 elu\nconcat 2 1\ndense 3 22 2 tanh*1.5\noutput 4\n"
-    );
+    let text = format!("input {width}\ninput 2\ndense 0 {width} 20 elu\nconcat 2 1\ndense 3 22 2 tanh*1.5\noutput 4\n");
     let graph = text.parse::<Network>().unwrap().graph(Purpose::Multipliers).unwrap();
     ExplainedHead {
         params: (0..graph.param_len()).map(|_| random.random_range(-0.3..0.3)).collect(),
@@ -246,6 +244,8 @@ fn a_detector_comes_back_from_its_file_with_its_split_points_width() {
     assert_eq!(again, detector);
     // Its states are not those of another policy's split point.
     let head = imported(&mut bench.random, 299);
-    let refused = Monitor::new(Isa::detect(), head, ACTOR, &again).unwrap_err().to_string();
+    let refused = Monitor::new(Isa::detect(), head, ACTOR, &again)
+        .unwrap_err()
+        .to_string();
     assert!(refused.contains("299") && refused.contains("300"), "{refused}");
 }

@@ -192,7 +192,9 @@ impl Pooled<'_> {
                 for line in 0..window {
                     let at = first + line * row;
                     for pixel in self.x.get(at..at + side).unwrap_or_default().chunks_exact(channels) {
-                        let Some(pixel) = pixel.as_chunks::<C>().0.get(c) else { continue };
+                        let Some(pixel) = pixel.as_chunks::<C>().0.get(c) else {
+                            continue;
+                        };
                         for (largest, x) in largest.iter_mut().zip(pixel) {
                             // A value that is not a number wins, so that it is not hidden.
                             *largest = if *x > *largest || x.is_nan() { *x } else { *largest };

@@ -28,7 +28,10 @@ fn weight(i: usize) -> f32 {
 /// The yaw is a weighted sum of the frame's values.
 fn linear(inputs: PolicyInputs, curve: Activation) -> FrozenPilot {
     let len = inputs.rows * inputs.cols * inputs.channels;
-    let layer = Dense { inputs: len, outputs: 2 };
+    let layer = Dense {
+        inputs: len,
+        outputs: 2,
+    };
     let mut params = vec![0.0; 2 * len + 2];
     for i in 0..len {
         params[2 * i + 1] = weight(i);
@@ -56,7 +59,9 @@ fn config(method: Method) -> AttackConfig {
 }
 
 fn frame(level: f32) -> Vec<f32> {
-    (0..DEPTH_PIXELS).map(|i| level + (i % DEPTH_COLS) as f32 / 4000.0).collect()
+    (0..DEPTH_PIXELS)
+        .map(|i| level + (i % DEPTH_COLS) as f32 / 4000.0)
+        .collect()
 }
 
 fn position() -> PositionalInputs {
@@ -64,7 +69,9 @@ fn position() -> PositionalInputs {
 }
 
 fn pilot(frozen: &FrozenPilot) -> ImportedPilot {
-    let FrozenPilot::Imported(policy) = frozen else { unreachable!() };
+    let FrozenPilot::Imported(policy) = frozen else {
+        unreachable!()
+    };
     policy.pilot(Isa::detect(), false).unwrap()
 }
 

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+import vigil.policy as policy_module
+from vigil import detect
 from vigil.attack import FrameAttack, PolicyAttack, StateAttack
 from vigil.detect import Detector, Lstm, Monitor, train, windows
+from vigil.evaluate import completion
 from vigil.explain import FORWARD, YAW, Pixels, PolicyPixels, SplitPoint
 from vigil.policy import Actor, Policy
 
@@ -113,6 +116,86 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
         reach = policy.scale * 4.0 / 255.0 * (5 if method == "bim-accumulating" else 1)
         assert 0.0 < np.abs(attacked.frames - own).max() <= reach * 1.001
         assert attacked.yaw_change > 0.0 or attacked.clean.yaw == 1.5, method
+
+
+@pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last"])
+def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_frame(flown, policies, tmp_path, name):
+    frames, goals, _, _ = flown
+    policy = Policy(policies[name])
+    with pytest.raises(ValueError, match="nothing was decided yet"):
+        policy.state()
+    adversary = FrameAttack(policy, "bim-clipped", epsilon=8.0, iterations=5, towards="right")
+    unattacked, states, actions, moved = Policy(policies[name]), [], [], []
+    for i, (stack, goal) in enumerate(zip(frames, goals)):
+        frame = stack[-1]
+        clean = unattacked.decide(frame, goal)
+        if i < 20:
+            adversary.pass_on(frame, goal)
+        else:
+            found = adversary.attack(frame, goal)
+            assert np.abs(found.frames - frame).max() <= 8.0 * 100.0 / 255.0 + 1e-3
+            assert found.clean.yaw == pytest.approx(clean.yaw, abs=1e-5)
+            moved.append(found.yaw_change)
+            frame = found.frames
+        actions.append(policy.decide(frame, goal))
+        if i >= 20:
+            assert actions[-1].yaw == pytest.approx(found.attacked.yaw, abs=1e-5)
+        states.append(policy.state())
+    assert max(moved) > 0.0 and min(moved) >= -1e-5
+
+    usual = np.stack(states[:20:4]), goals[:20:4]
+    explain = SplitPoint(policy, usual)
+    explained = [explain.explain(state, goal) for state, goal in zip(states, goals)]
+    for found, action in zip(explained, actions):
+        assert np.clip(found.output, -1.5, 1.5) == pytest.approx(action.yaw, abs=1e-4)
+        assert found.base + found.phi.sum() + found.bearing + found.distance == pytest.approx(found.output, abs=1e-4)
+
+    # A detector of it, written from Python, judges what the network gives for the explanations of the tick.
+    random = np.random.default_rng(3)
+    params = Detector().native.network()[0]
+    lstm = Lstm(params, np.zeros(48, np.float32), np.full(48, 0.1, np.float32))
+    file = tmp_path / "detector.safetensors"
+    digest = detect.freeze(file, lstm, policy, usual, threshold=0.4, training_config="by = 'hand'")
+    detector = Detector(file)
+    assert (detector.sha256, detector.actor_sha256) == (digest, policy.sha256)
+    assert detector.threshold == pytest.approx(0.4)
+    monitor = Monitor(policy, detector)
+    judged = [monitor.judge(state, goal) for state, goal in zip(states, goals)]
+    scores = lstm.scores(np.stack([j.phi for j in judged]))
+    np.testing.assert_array_equal(scores[9:], np.array([j.score for j in judged[9:]], np.float32))
+    with pytest.raises(ValueError, match="48 wide, the network's 7"):
+        detect.freeze(tmp_path / "no", train([rows_of(1)], [rows_of(2)], epochs=1).lstm, policy, usual)
+    with pytest.raises(ValueError, match="threshold"):
+        detect.freeze(tmp_path / "no", lstm, policy, usual, threshold=float(random.integers(2, 9)))
+    assert not (tmp_path / "no").exists()
+
+
+def test_an_actor_written_from_python_decides_as_the_program_does(flown, tmp_path):
+    frames, goals, _, actions = flown
+    built_in = Actor()
+    tensors = built_in.tensors()
+    same = policy_module.freeze(tmp_path / "same.safetensors", tensors, seed=3, training_config="rate = 0.1")
+    again = Actor(tmp_path / "same.safetensors")
+    assert again.sha256 == same != built_in.sha256
+    assert again.decide(frames[0][-1], goals[0]) == actions[0]
+    # Its yaw's weights the other way round.
+    tensors["output.weight"][:, 1] *= -1.0
+    tensors["output.bias"][1] *= -1.0
+    file = tmp_path / "mirrored.safetensors"
+    digest = policy_module.freeze(file, tensors)
+    mirrored = Actor(file).decide(frames[0][-1], goals[0])
+    assert mirrored.yaw == pytest.approx(-actions[0].yaw, abs=1e-6)
+    assert digest == Actor(file).sha256
+    assert len(completion(seeds=[7], actor=file, detector=False, threads=1).flights) == 1, "it flies"
+    for wrong, said in [
+        ({k: v for k, v in tensors.items() if k != "gru.input_bias"}, "gru.input_bias missing"),
+        ({**tensors, "more": np.zeros(3, np.float32)}, "more unknown"),
+        ({**tensors, "output.bias": np.zeros(3, np.float32)}, r"output.bias: expected shape \(2,\)"),
+        ({**tensors, "output.bias": np.full(2, np.nan, np.float32)}, "output.bias: holds a value that is not"),
+    ]:
+        with pytest.raises(ValueError, match=said):
+            policy_module.freeze(tmp_path / "no", wrong)
+    assert not (tmp_path / "no").exists()
 
 
 def rows_of(seed, width=7, steps=60):

@@ -144,7 +144,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder of the run")
     parser.add_argument("--teacher", help="file of the actor that teaches (default: the built-in one)")
-    parser.add_argument("--rounds", type=int, default=8)
+    parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--courses", type=int, default=50, help="courses a round (default 50)")
     parser.add_argument("--updates", type=int, default=1500, help="updates a round (default 1500)")
     parser.add_argument("--batch", type=int, default=64)

@@ -64,6 +64,41 @@ impl Actor {
         self.frozen.sha256()
     }
 
+    /// Names, shapes and values of its tensors, in their order.
+    #[allow(clippy::type_complexity, reason = "a row of a table")]
+    fn tensors<'py>(&self, py: Python<'py>) -> Vec<(String, Vec<usize>, Bound<'py, PyArray1<f32>>)> {
+        let mut rest = self.frozen.params.as_slice();
+        let shapes = self.frozen.tensor_shapes().into_iter();
+        shapes
+            .map(|(name, shape)| {
+                let (own, after) = rest.split_at(shape.iter().product());
+                rest = after;
+                (name, shape, array(py, own.to_vec()))
+            })
+            .collect()
+    }
+
+    /// Writes an actor that decides from what this one does, with other parameters; its digest.
+    fn write(
+        &self,
+        path: PathBuf,
+        params: PyReadonlyArrayDyn<'_, f32>,
+        training_config: String,
+        seed: u64,
+        updates: u64,
+    ) -> PyResult<String> {
+        let frozen = FrozenActor {
+            params: values("parameters", &params, self.frozen.params.len())?.to_vec(),
+            inputs: self.frozen.inputs,
+            training_config,
+            seed,
+            updates,
+            git_commit: None,
+        };
+        frozen.save(&path).map_err(refused)?;
+        Ok(frozen.sha256())
+    }
+
     /// What its bearing is of.
     #[getter]
     fn led_by(&self) -> &'static str {
@@ -155,7 +190,9 @@ impl Policy {
     /// The values at the split point of the last decision.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let state = self.pilot.state();
-        let state = state.ok_or_else(|| refused("the policy has no split point (vigil import --split)"))?;
+        let state = state.ok_or_else(|| {
+            refused("nothing was decided yet, or the policy has no split point (vigil import --split)")
+        })?;
         Ok(array(py, state.to_vec()))
     }
 

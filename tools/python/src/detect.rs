@@ -7,8 +7,9 @@ use pyo3::prelude::*;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
-use vigil_detector::{FrozenDetector, LstmAd, ROW_LIMIT, WINDOW};
+use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
+use vigil_policy::actor::PositionalInputs;
 use vigil_tools::detector_training::{Examples, FitConfig, fit};
 use vigil_types::Verdict;
 
@@ -77,6 +78,58 @@ impl Detector {
             array(py, d.scale.to_vec()),
         )
     }
+}
+
+/// Writes a detector of a policy's explanations at its split point; its digest.
+#[pyfunction]
+#[pyo3(signature = (path, lstm, pilot, states, positions, *, threshold, threshold_choice, training_config, seed))]
+#[allow(clippy::too_many_arguments, reason = "a file's content")]
+pub fn write_detector(
+    path: PathBuf,
+    lstm: &Lstm,
+    pilot: Learned<'_>,
+    states: PyReadonlyArrayDyn<'_, f32>,
+    positions: PyReadonlyArrayDyn<'_, f32>,
+    threshold: f32,
+    threshold_choice: String,
+    training_config: String,
+    seed: u64,
+) -> PyResult<String> {
+    let pilot = pilot.frozen();
+    let head = pilot.head(Purpose::Multipliers).map_err(refused)?;
+    let (state, position) = (head.graph.input_len(0), head.graph.input_len(1));
+    let count = states.len() / state;
+    let states = values("background states", &states, count * state)?;
+    let positions = values("background positions", &positions, count * position)?;
+    let each = states.chunks_exact(state).zip(positions.chunks_exact(position));
+    let backgrounds = each.map(|(state, position)| {
+        let position = PositionalInputs::from_values(position)
+            .ok_or_else(|| refused("background positions: of another length"))?;
+        Ok((state.to_vec(), position))
+    });
+    let row = |what: &str, values: &[f32]| {
+        <[f32; ROW]>::try_from(values).map_err(|_| {
+            let width = values.len();
+            refused(format!("{what}: the tick's rows are {ROW} wide, the network's {width}"))
+        })
+    };
+    let frozen = FrozenDetector {
+        of: Of::pilot(&pilot),
+        actor_sha256: pilot.sha256(),
+        backgrounds: backgrounds.collect::<PyResult<_>>()?,
+        centre: row("centre", &lstm.centre)?,
+        scale: row("scale", &lstm.scale)?,
+        threshold,
+        threshold_choice,
+        params: lstm.params.clone(),
+        training_config,
+        seed,
+        git_commit: None,
+    };
+    // What it could not judge in flight is not written.
+    vigil_detector::Monitor::new(Isa::detect(), head, &frozen.actor_sha256, &frozen).map_err(refused)?;
+    frozen.save(&path).map_err(refused)?;
+    Ok(frozen.sha256())
 }
 
 /// A network over ten rows of any width, with the shift and scale of its rows.
@@ -157,6 +210,12 @@ impl Monitor {
             monitor: monitor.map_err(refused)?,
             width,
         })
+    }
+
+    /// Values of the state that it judges.
+    #[getter]
+    fn width(&self) -> usize {
+        self.width
     }
 
     /// Judges a decision by the policy's state and the goal it was made from.

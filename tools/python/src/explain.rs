@@ -1,12 +1,11 @@
 //! DeepSHAP for Python.
 
-use crate::actor::{Actor, Policy, own_inputs};
+use crate::actor::{Actor, Learned, Policy, own_inputs};
 use crate::given::{array, refused};
 use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use vigil_detector::DeepShap;
 use vigil_nnet::{Graph, Isa, Purpose};
-use vigil_policy::actor::ActorSpec;
 
 /// DeepSHAP of one network against one background sample, over the network's own inputs.
 #[pyclass(module = "vigil._vigil")]
@@ -25,17 +24,22 @@ fn explainer(py: Python<'_>, graph: Graph, params: &[f32], backgrounds: &[Inputs
 
 #[pymethods]
 impl Explainer {
-    /// An actor's second half: inputs are the 48 values of its state and the two positional ones.
+    /// What lies behind the split point: inputs are the values of the state and the two positional ones.
     #[staticmethod]
-    fn split_point(py: Python<'_>, actor: &Actor, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
-        let graph = ActorSpec::FULL.head_graph(Purpose::Multipliers).map_err(refused)?;
-        explainer(py, graph, &actor.frozen.params, &backgrounds)
+    fn split_point(py: Python<'_>, pilot: Learned<'_>, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
+        let head = pilot.frozen().head(Purpose::Multipliers).map_err(refused)?;
+        explainer(py, head.graph, &head.params, &backgrounds)
     }
 
     /// The whole actor: inputs are the five frames over 100 m, oldest first, and the positional values.
     #[staticmethod]
     fn pixels(py: Python<'_>, actor: &Actor, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
-        let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true).map_err(refused)?;
+        let graph = actor
+            .frozen
+            .inputs
+            .spec()
+            .graph(Purpose::Multipliers, true)
+            .map_err(refused)?;
         explainer(py, graph, &actor.frozen.params, &backgrounds)
     }
 

@@ -24,7 +24,7 @@ mod _vigil {
     #[pymodule_export]
     use crate::campaign::fly;
     #[pymodule_export]
-    use crate::detect::{Detector, Lstm, Monitor, train};
+    use crate::detect::{Detector, Lstm, Monitor, train, write_detector};
     #[pymodule_export]
     use crate::environment::Flights;
     #[pymodule_export]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float32]
-ROWS, COLUMNS, FRAMES, STATE = 128, 256, 5, 48
+ROWS, COLUMNS, FRAMES = 128, 256, 5
 FULL_SCALE_M = 100.0
 
 

@@ -1,7 +1,7 @@
 """Attacks on what a policy sees (docs/adversary.md): pixels are altered along the policy's own gradient, so that it turns the wrong way.
 
-ε is in 1/255 of the image's range: 1 is 0.39 m. Methods for our actor: ``fgsm``, ``bim-clipped``, ``bim-accumulating`` (the paper's),
-``pgd``, ``momentum``, ``l2``, ``patch``, ``noise``; for imported policies the first four.
+ε is in 1/255 of the image's range: 1 is 0.39 m. Methods on our frames, whoever sees them: ``fgsm``, ``bim-clipped``,
+``bim-accumulating`` (the paper's), ``pgd``, ``momentum``, ``l2``, ``patch``, ``noise``; on an imported policy's own frame the first four.
 """
 
 from __future__ import annotations
@@ -72,14 +72,15 @@ class StateAttack:
 
 
 class FrameAttack:
-    """Alters frames of our actor as they pass, the newest only, as an attacker in flight has to. Show it every frame of a flight.
+    """Alters frames as they pass, the newest only, as an attacker in flight has to. Show it every frame of a flight.
 
-    Its arguments are those of :class:`StateAttack`.
+    Its arguments are those of :class:`StateAttack`, but it attacks imported policies as well; pixels that such a policy does not look at
+    stay as they are.
     """
 
     def __init__(
         self,
-        actor: Actor,
+        actor: Actor | Policy,
         method: str = "bim-accumulating",
         *,
         epsilon: float = 1.0,
@@ -104,7 +105,7 @@ class FrameAttack:
 
 
 class PolicyAttack:
-    """Alters the own frame of an imported policy (:meth:`Policy.own_frame`): every channel.
+    """Alters the own frame of an imported policy (:meth:`Policy.own_frame`): every channel, so also what was seen before, as the paper does.
 
     Args:
         policy: the policy attacked.

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from vigil import _given, _vigil
-from vigil._given import STATE, Floats
-from vigil.policy import Actor
+from vigil._given import Floats
+from vigil.policy import Actor, Policy
 
 WINDOW = 10
 """Steps that a verdict looks at."""
@@ -35,11 +35,11 @@ class Lstm:
         self.centre = _given.floats("centre", centre, (None,))
         self.scale = _given.floats("scale", scale, (len(self.centre),))
         self.params = _given.floats("parameters", params, (None,))
-        self._native = _vigil.Lstm(self.params, self.centre, self.scale)
+        self.native_lstm = _vigil.Lstm(self.params, self.centre, self.scale)
 
     def scores(self, rows: Any) -> Floats:
         """Scores ``[steps]``, 0 (unattacked) to 1 (attacked), of a flight's rows ``[steps, width]``; nan for the first nine."""
-        return self._native.scores(_given.floats("rows", rows, (None, len(self.centre))))
+        return self.native_lstm.scores(_given.floats("rows", rows, (None, len(self.centre))))
 
     def save(self, path: str | PathLike[str]) -> None:
         """Writes it as ``.npz``."""
@@ -53,10 +53,10 @@ class Lstm:
 
 
 class Detector(Lstm):
-    """A frozen detector: judges explanations ``[steps, 48]`` of one actor at its split point.
+    """A frozen detector: judges explanations ``[steps, 48]`` of one actor or imported policy at its split point.
 
     Args:
-        path: its file; absent: the one built in, of the built-in actor.
+        path: its file (``vigil detector train``); absent: the one built in, of the built-in actor.
 
     Raises:
         ValueError: a file that is no unaltered detector.
@@ -82,14 +82,15 @@ class Detector(Lstm):
         return self.native.sha256
 
     def backgrounds(self) -> tuple[Floats, Floats]:
-        """DeepSHAP's background sample: states ``[B, 48]`` and positional inputs ``[B, 2]`` (distance / 20 m, bearing / 1 rad)."""
+        """DeepSHAP's background sample: states ``[B, values]`` and positional inputs ``[B, 2]`` (distance / 20 m, bearing / 1 rad)."""
         states, positions = self.native.backgrounds()
-        return states.reshape(-1, STATE), positions.reshape(-1, 2)
+        positions = positions.reshape(-1, 2)
+        return states.reshape(len(positions), -1), positions
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A decision explained and judged. ``base + image + bearing + distance`` is the actor's yaw output, but for rounding."""
+    """A decision explained and judged. ``base + image + bearing + distance`` is the policy's yaw output, but for rounding."""
 
     attacked: bool | None
     """The verdict; ``None`` until ten decisions were explained."""
@@ -104,30 +105,74 @@ class Judgement:
     base: float
     """Mean yaw of the background sample."""
     phi: Floats
-    """Contributions at the split point, ``[48]``."""
+    """Contributions at the split point, ``[48]``: of a split point with more values sums of neighbours, with fewer zeros behind them."""
 
 
 class Monitor:
-    """Explains and judges an actor's decisions one after the other, bit for bit as in flight.
+    """Explains and judges a policy's decisions one after the other, bit for bit as in flight.
 
     Args:
-        actor: the actor.
-        detector: of this very actor; absent: the built-in one.
+        actor: the actor, or an imported policy that has a split point.
+        detector: of this very policy; absent: the built-in one, of the built-in actor.
 
     Raises:
-        ValueError: a detector that was trained for another actor.
+        ValueError: a detector that was trained for another policy.
     """
 
-    def __init__(self, actor: Actor, detector: Detector | None = None) -> None:
+    def __init__(self, actor: Actor | Policy, detector: Detector | None = None) -> None:
         self._native = _vigil.Monitor(actor.native, (detector or Detector()).native)
 
     def judge(self, state: Any, goal: Any) -> Judgement:
-        """Judges the decision made from a state ``[48]`` (:meth:`Actor.state`) and a goal."""
-        return Judgement(*self._native.judge(_given.floats("state", state, (STATE,)), *_given.goal(goal)))
+        """Judges the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and a goal."""
+        return Judgement(*self._native.judge(_given.floats("state", state, (self._native.width,)), *_given.goal(goal)))
 
     def reset(self) -> None:
         """Forgets the explanations: a new flight."""
         self._native.reset()
+
+
+def freeze(
+    path: str | PathLike[str],
+    lstm: Lstm,
+    actor: Actor | Policy,
+    backgrounds: tuple[Any, Any],
+    *,
+    threshold: float = 0.5,
+    threshold_choice: str = "chosen in Python",
+    training_config: str = "",
+    seed: int = 0,
+) -> str:
+    """Writes a detector that flies (``--detector-file``): a network over explanations ``[48]`` (:attr:`Judgement.phi`) of a policy.
+
+    Args:
+        path: the file.
+        lstm: the network.
+        actor: whose explanations it judges; an imported policy needs a split point.
+        backgrounds: DeepSHAP's background sample, states ``[B, values]`` and goals ``[B, 2]``: the one that the explanations were made with.
+        threshold: a score above it is an attack, above 0 and below 1.
+        threshold_choice, training_config, seed: what the file tells of its making; the configuration as TOML.
+
+    Returns:
+        Its SHA-256.
+
+    Raises:
+        ValueError: what could not judge in flight; then nothing is written.
+    """
+    states = _given.floats("background states", backgrounds[0], (None, None))
+    positions = np.array([_given.positional(goal) for goal in backgrounds[1]], np.float32)
+    if len(states) != len(positions):
+        raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
+    return _vigil.write_detector(
+        str(path),
+        lstm.native_lstm,
+        actor.native,
+        states,
+        positions,
+        threshold=threshold,
+        threshold_choice=threshold_choice,
+        training_config=training_config,
+        seed=seed,
+    )
 
 
 @dataclass(frozen=True)

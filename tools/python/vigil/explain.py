@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vigil import _given, _vigil
-from vigil._given import COLUMNS, FRAMES, FULL_SCALE_M, ROWS, STATE, Floats
+from vigil._given import COLUMNS, FRAMES, FULL_SCALE_M, ROWS, Floats
 from vigil.detect import Detector
 from vigil.policy import Actor, Policy
 
@@ -51,27 +51,29 @@ def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int,
 
 
 class SplitPoint:
-    """Explains an actor's decision at its split point, the 48 values of its state: what the detector looks at in flight.
+    """Explains a decision at the policy's split point, the values of its state: what the detector looks at in flight.
 
     Args:
-        actor: the actor.
-        backgrounds: states ``[B, 48]`` and goals ``[B, 2]`` to compare with; absent: the built-in detector's thirty.
+        actor: the actor, or an imported policy that has a split point.
+        backgrounds: states ``[B, values]`` and goals ``[B, 2]`` to compare with, or a detector, which has such a sample; absent: the
+            built-in detector's thirty, of the built-in actor.
     """
 
-    def __init__(self, actor: Actor, backgrounds: tuple[Any, Any] | None = None) -> None:
-        if backgrounds is None:
-            states, positions = Detector().backgrounds()
+    def __init__(self, actor: Actor | Policy, backgrounds: tuple[Any, Any] | Detector | None = None) -> None:
+        self._scale = actor.native.output_scale if isinstance(actor, Policy) else 1.0
+        if backgrounds is None or isinstance(backgrounds, Detector):
+            states, positions = (backgrounds or Detector()).backgrounds()
         else:
-            states = _given.floats("background states", backgrounds[0], (None, STATE))
+            states = _given.floats("background states", backgrounds[0], (None, None))
             positions = np.array([_given.positional(goal) for goal in backgrounds[1]], np.float32)
             if len(states) != len(positions):
                 raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
         self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
 
     def explain(self, state: Any, goal: Any, output: int = YAW) -> Explanation:
-        """Explains the decision made from a state ``[48]`` (:meth:`Actor.state`) and a goal."""
-        inputs = [_given.floats("state", state, (STATE,)), _given.positional(goal)]
-        return _explanation(self.native, inputs, output, 0, 1.0)
+        """Explains the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and a goal."""
+        inputs = [_given.floats("state", state, (self.native.input_lengths[0],)), _given.positional(goal)]
+        return _explanation(self.native, inputs, output, 0, self._scale)
 
 
 class Pixels:

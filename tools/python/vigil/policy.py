@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -45,6 +46,10 @@ class Actor:
         """Forgets the frames: a new flight."""
         self.native.reset()
 
+    def tensors(self) -> dict[str, Floats]:
+        """Its parameters by the names that its file has (docs/architecture.md), in their order; copies."""
+        return {name: values.reshape(shape) for name, shape, values in self.native.tensors()}
+
     @property
     def sha256(self) -> str:
         """Its digest, which a detector's file names."""
@@ -54,6 +59,39 @@ class Actor:
     def led_by(self) -> str:
         """``goal``, or ``path``: the bearing it wants is then that of a planned path (docs/architecture.md)."""
         return self.native.led_by
+
+
+def freeze(
+    path: str | PathLike[str],
+    tensors: Mapping[str, Any],
+    *,
+    like: Actor | None = None,
+    training_config: str = "",
+    seed: int = 0,
+    updates: int = 0,
+) -> str:
+    """Writes a frozen actor of Vigil's architecture, which flies (``--actor``).
+
+    Args:
+        path: the file.
+        tensors: its parameters, of the names and shapes of :meth:`Actor.tensors`.
+        like: the actor that it decides from the same as: the ages of its frames, what its bearing is of; absent: the built-in one.
+        training_config, seed, updates: what the file tells of its training; the configuration as TOML.
+
+    Returns:
+        Its SHA-256, as ``vigil`` and the detector's file name it.
+
+    Raises:
+        ValueError: a tensor that is missing, too many, of another shape or not finite; then nothing is written.
+    """
+    like = like or Actor()
+    shapes = {name: tuple(shape) for name, shape, _ in like.native.tensors()}
+    if missing := [name for name in shapes if name not in tensors]:
+        raise ValueError(f"tensors: {', '.join(missing)} missing")
+    if unknown := [name for name in tensors if name not in shapes]:
+        raise ValueError(f"tensors: {', '.join(unknown)} unknown; there are {', '.join(shapes)}")
+    flat = [_given.floats(name, tensors[name], shape).ravel() for name, shape in shapes.items()]
+    return like.native.write(str(path), np.concatenate(flat), training_config, seed, updates)
 
 
 class Policy:
@@ -72,6 +110,14 @@ class Policy:
     def decide(self, frame: Any, goal: Any) -> Action:
         """As :meth:`Actor.decide`, exactly as in flight."""
         return Action(*self.native.decide(_given.frames_of("frame", frame, None), *_given.goal(goal)))
+
+    def state(self) -> Floats:
+        """The values at the split point of the last decision: what is explained in flight.
+
+        Raises:
+            ValueError: nothing was decided, or the policy has no split point.
+        """
+        return self.native.state()
 
     def reset(self) -> None:
         """Forgets the frames."""

@@ -136,6 +136,11 @@ impl FrozenActor {
         contents
     }
 
+    /// Names and shapes of its tensors, in the order of its parameters.
+    pub fn tensor_shapes(&self) -> Vec<(String, Vec<usize>)> {
+        tensors(self.inputs.spec())
+    }
+
     /// The actor itself, ready to fly.
     ///
     /// # Errors
