@@ -136,9 +136,42 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     let (code, words) = merge(&parts, &two.join("completion.json"));
     assert_eq!(code, Some(0), "{words}");
     assert!(bytes(&one.join("completion.json")) == bytes(&two.join("completion.json")));
+    // With the detector and without it: the flights beside the table are the same as well.
+    let defended = |folder: &Path, more: &[&str]| {
+        let common = [
+            "attack",
+            "defended",
+            "--arms=recover,none",
+            "--flights=1",
+            "--seed=5003",
+            "--iterations=1",
+            "--burst=20",
+        ];
+        let output = run(&[&common, more, &["-o", text(folder)]].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
+    };
+    defended(&one, &[]);
+    for shard in ["2/2", "1/2"] {
+        defended(&two, &["--shard", shard]);
+    }
+    let pieces = ["defended.1-of-2.part.json", "defended.2-of-2.part.json"].map(|name| two.join(name));
+    let (code, words) = merge(&pieces, &two.join("defended.json"));
+    assert_eq!(code, Some(0), "{words}");
+    for name in ["defended.json", "defended.csv"] {
+        assert!(bytes(&one.join(name)) == bytes(&two.join(name)), "{name} differs");
+    }
+    let (code, words) = merge(&[parts[0].clone(), pieces[0].clone()], &two.join("x.json"));
+    assert_eq!(code, Some(1));
+    assert!(
+        words.contains("it was `attack completion`, and is `attack defended`"),
+        "{words}"
+    );
     let (code, words) = merge(&[parts[0].clone(), file("parts.1-of-2.part.json")], &two.join("x.json"));
     assert_eq!(code, Some(1));
-    assert!(words.contains("x.json") || words.contains("part"), "{words}");
+    assert!(
+        words.contains("it was `attack completion`, and is `evaluate`"),
+        "{words}"
+    );
     assert!(!two.join("x.json").exists());
 }
 

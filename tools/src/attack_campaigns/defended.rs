@@ -4,6 +4,7 @@
 //! `--resume` flies what is missing.
 
 use super::{Common, write_json};
+use crate::campaign::part::{self, Part, Shard, Unit};
 use crate::campaign::{self, Flown, Tally};
 use crate::cli::output::{self, Interrupt, Progress, say};
 use crate::report::{TextTable, csv_line, decimals, from_csv, numbers, words};
@@ -81,8 +82,13 @@ pub struct DefendedArgs {
     guard: bool,
 
     /// Fly only what the folder's defended.csv does not have yet, once Ctrl-C or a kill ended an earlier run.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "shard")]
     resume: bool,
+
+    /// Fly part K of N only and leave it in the folder as defended.K-of-N.part.json; `vigil merge` makes the whole of all parts.
+    /// A part that is there already is gone on with.
+    #[arg(long, value_name = "K/N")]
+    shard: Option<Shard>,
 
     #[command(flatten)]
     common: Common,
@@ -137,9 +143,9 @@ impl Arm {
 }
 
 /// What every flight of a campaign has in common; the first line of `defended.csv`.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Settings {
-    version: &'static str,
+    version: String,
     actor_sha256: String,
     detector_sha256: String,
     /// Verdicts that raise the alarm, and of how many.
@@ -149,9 +155,53 @@ struct Settings {
     apf: bool,
     attack: AttackConfig,
     burst: Burst,
-    /// The detector that the attacker deceives as well.
+    /// Digest of the detector that the attacker deceives as well.
     #[serde(skip_serializing_if = "Option::is_none")]
-    evades: Option<PathBuf>,
+    evades_sha256: Option<String>,
+}
+
+/// Everything that decides what the flights are, wherever they are flown.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Plan {
+    settings: Settings,
+    flights: u64,
+    /// In their order, each once.
+    arms: Vec<Arm>,
+}
+
+impl Plan {
+    fn units(&self) -> u64 {
+        self.flights.saturating_mul(self.arms.len() as u64)
+    }
+
+    /// All arms of a course before the next course: an interrupted campaign is one of fewer courses.
+    fn place(&self, unit: u64) -> Result<(u64, Arm)> {
+        let arms = self.arms.len().max(1) as u64;
+        let arm = self
+            .arms
+            .get((unit % arms) as usize)
+            .context("an arm for each flight")?;
+        Ok((self.settings.first_seed.wrapping_add(unit / arms), *arm))
+    }
+}
+
+/// A flight of a part: its line of `defended.csv`, to the letter.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(transparent)]
+struct Written(String);
+
+impl Written {
+    fn line(&self) -> Result<Line> {
+        let lines = from_csv::<Line>(&format!("{COLUMNS}\n{}", self.0));
+        let line = lines.ok().and_then(|mut lines| lines.pop());
+        line.with_context(|| format!("not a flight: {:?}", self.0))
+    }
+}
+
+impl Unit for Written {
+    fn name(&self) -> String {
+        format!("the flight {}", self.0.trim_end())
+    }
 }
 
 /// A flight: a line of `defended.csv`.
@@ -231,14 +281,18 @@ struct Log {
 }
 
 impl Log {
+    /// Without flights.
+    fn new(path: PathBuf, settings: &Settings) -> Result<Self> {
+        Ok(Self {
+            path,
+            heading: format!("# {}\n{COLUMNS}\n", serde_json::to_string(settings)?),
+            lines: BTreeMap::new(),
+        })
+    }
+
     /// Reads what there is, when it is to be gone on with. A line that a killed process left half written is flown again.
     fn open(path: PathBuf, settings: &Settings, resume: bool) -> Result<Self> {
-        let heading = format!("# {}\n{COLUMNS}\n", serde_json::to_string(settings)?);
-        let mut log = Self {
-            path,
-            heading,
-            lines: BTreeMap::new(),
-        };
+        let mut log = Self::new(path, settings)?;
         let name = log.path.display().to_string();
         if !log.path.exists() {
             return Ok(log);
@@ -253,10 +307,9 @@ impl Log {
         };
         let whole = lines.rfind('\n').map_or("", |end| &lines[..end]);
         for (number, text) in whole.lines().enumerate() {
-            let line = from_csv::<Line>(&format!("{COLUMNS}\n{text}"))
-                .ok()
-                .and_then(|mut lines| lines.pop())
-                .with_context(|| format!("{name}, line {}: not a flight: {text:?}", number + 3))?;
+            let line = Written(text.to_owned())
+                .line()
+                .with_context(|| format!("{name}, line {}", number + 3))?;
             log.lines.insert((line.seed, line.arm), line);
         }
         Ok(log)
@@ -406,7 +459,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         .context("an attack was asked for")?;
     let alarm = FirmwareConfig::default().detector;
     let settings = Settings {
-        version: env!("CARGO_PKG_VERSION"),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
         actor_sha256: args.common.pilot()?.sha256(),
         detector_sha256: match &args.detector {
             Some(file) => FrozenDetector::load(file)?.sha256(),
@@ -418,25 +471,60 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         apf: args.apf,
         attack: attack.config,
         burst: attack.burst,
-        evades: args.evade.clone(),
+        evades_sha256: attack.evade.as_ref().map(FrozenDetector::sha256),
     };
-    let log = Log::open(folder.join("defended.csv"), &settings, args.resume)?;
-    fly_missing(args, &attack, log, &settings, folder)
+    let arms = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm));
+    let plan = Plan {
+        settings,
+        flights: args.flights,
+        arms: arms.collect(),
+    };
+    if let Some(shard) = args.shard {
+        return fly_shard(args, &attack, plan, shard, folder);
+    }
+    let log = Log::open(folder.join(CSV), &plan.settings, args.resume)?;
+    fly_missing(args, &attack, log, &plan, folder)
 }
 
-fn fly_missing(
-    args: &DefendedArgs,
-    attack: &Attack,
-    mut log: Log,
-    settings: &Settings,
-    folder: &Path,
-) -> Result<ExitCode> {
-    let seeds = args.seed..args.seed.saturating_add(args.flights);
-    // All arms of a course before the next course: an interrupted campaign is one of fewer courses.
-    let missing: Vec<(u64, Arm)> = seeds
-        .flat_map(|seed| args.arms.iter().map(move |arm| (seed, *arm)))
-        .filter(|key| !log.lines.contains_key(key))
-        .collect();
+/// What parts call this command.
+pub const COMMAND: &str = "attack defended";
+const CSV: &str = "defended.csv";
+
+fn fly_shard(args: &DefendedArgs, attack: &Attack, plan: Plan, shard: Shard, folder: &Path) -> Result<ExitCode> {
+    let path = shard.file(&folder.join("defended.json"));
+    let part = Part::begin(COMMAND, plan.clone(), (shard, plan.units()), &path)?;
+    let (pool, interrupt) = (args.common.pool()?, Interrupt::on_ctrl_c()?);
+    let bar = Progress::new(part.missing().len() as u64, "flights")?;
+    part.fly(&path, (&pool, &bar, &interrupt), |unit| {
+        let (seed, arm) = plan.place(unit)?;
+        Ok(Written(csv_line(Line::of(arm, seed, &fly(args, arm, attack, seed)?))))
+    })?;
+    Ok(interrupt.exit_code())
+}
+
+/// Makes the whole of its parts: the table, the JSON, and the flights beside it, as one machine would have written them.
+///
+/// # Errors
+/// Parts that contradict each other or are not all; a file that cannot be written.
+pub fn merge(parts: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    let (plan, flights) = part::join::<Plan, Written>(parts)?;
+    let lines: Vec<Line> = flights.iter().map(Written::line).collect::<Result<_>>()?;
+    let path = match output::is_stdout(json) {
+        true => PathBuf::from(CSV),
+        false => json.with_extension("csv"),
+    };
+    let mut log = Log::new(path, &plan.settings)?;
+    log.lines = lines.into_iter().map(|line| ((line.seed, line.arm), line)).collect();
+    log.write()?;
+    report(&plan.settings, &log, json)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn fly_missing(args: &DefendedArgs, attack: &Attack, mut log: Log, plan: &Plan, folder: &Path) -> Result<ExitCode> {
+    let missing: Vec<(u64, Arm)> = (0..plan.units())
+        .map(|unit| plan.place(unit))
+        .filter(|key| !key.as_ref().is_ok_and(|key| log.lines.contains_key(key)))
+        .collect::<Result<_>>()?;
     let interrupt = Interrupt::on_ctrl_c()?;
     let bar = Progress::new(missing.len() as u64, "flights")?;
     let file = Mutex::new(log.write()?);
@@ -461,7 +549,12 @@ fn fly_missing(
     if interrupt.came() {
         say!("interrupted: the same command with --resume goes on");
     }
+    report(&plan.settings, &log, &folder.join("defended.json"))?;
+    Ok(interrupt.exit_code())
+}
 
+/// Prints and writes the tables.
+fn report(settings: &Settings, log: &Log, json: &Path) -> Result<()> {
     say!(
         "{}, ε = {}/255, {} iterations, {}, burst {}, field {}; validation courses from seed {}, the same in every arm",
         settings.attack.method.name(),
@@ -496,8 +589,7 @@ fn fly_missing(
     })
     .collect();
     say!("flights   {}", log.path.display());
-    write_json(&folder.join("defended.json"), &Report { settings, rows, pairs })?;
-    Ok(interrupt.exit_code())
+    write_json(json, &Report { settings, rows, pairs })
 }
 
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
@@ -532,7 +624,7 @@ mod tests {
 
     fn settings(burst: u64) -> Settings {
         Settings {
-            version: "0",
+            version: "0".to_owned(),
             actor_sha256: "a".to_owned(),
             detector_sha256: "d".to_owned(),
             raise: (2, 3),
@@ -541,7 +633,7 @@ mod tests {
             apf: false,
             attack: AttackConfig::PAPER,
             burst: Burst::Steps(burst),
-            evades: None,
+            evades_sha256: None,
         }
     }
 
@@ -574,7 +666,7 @@ mod tests {
         log.lines.clone_from(&again.lines);
         assert_eq!(Log::open(path.clone(), &settings(100), true).unwrap().lines, log.lines);
 
-        let refused = |settings, resume| Log::open(path.clone(), &settings, resume).err().unwrap().to_string();
+        let refused = |settings, resume| format!("{:#}", Log::open(path.clone(), &settings, resume).err().unwrap());
         assert!(refused(settings(100), false).contains("--resume"));
         assert!(refused(settings(50), true).contains("another campaign"));
         std::fs::write(&path, format!("{}stop,x,\n", again.heading)).unwrap();

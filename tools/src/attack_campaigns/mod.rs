@@ -6,7 +6,7 @@ mod deflection;
 mod states;
 mod strength;
 
-pub use completion::{COMMANDS as MERGED_COMMANDS, Report as CompletionReport, merge};
+pub use completion::Report as CompletionReport;
 pub use defended::Arm;
 pub use deflection::{GAPS as PAPER_DEFLECTION, Report as DeflectionReport};
 pub use strength::CellLine as StrengthLine;
@@ -34,6 +34,8 @@ Examples:
                                          completion undefended, with the stop alone, with recovery, and not attacked
   vigil attack defended --flights 500 --burst continuous --resume
                                          go on after an interruption
+  vigil attack defended --flights 500 --actor mine.safetensors --detector mine-detector.safetensors
+                                         an imported policy with the detector that was trained for it
 
 One flight under attack: vigil evaluate --attack …, vigil fly --attack …. The same seeds give the same figures on any
 number of threads.")]
@@ -120,6 +122,18 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
         AttackCommand::Completion(args) => completion::run_completion(args),
         AttackCommand::Search(args) => completion::run_search(args),
         AttackCommand::Defended(args) => defended::run(args),
+    }
+}
+
+/// Makes the whole of the parts of one of these commands, if it is one.
+///
+/// # Errors
+/// Parts that contradict each other or are not all; a file that cannot be written.
+pub fn merge(command: &str, parts: &[PathBuf], json: &Path) -> Option<Result<ExitCode>> {
+    match command {
+        defended::COMMAND => Some(defended::merge(parts, json)),
+        command if completion::COMMANDS.contains(&command) => Some(completion::merge(parts, json)),
+        _ => None,
     }
 }
 

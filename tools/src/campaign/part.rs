@@ -348,11 +348,21 @@ pub fn command_of(path: &Path) -> Result<String> {
 /// # Errors
 /// Parts that contradict each other, or that do not make the whole; which, and what is missing.
 pub fn join<P: Serialize + DeserializeOwned, U: Unit>(paths: &[PathBuf]) -> Result<(P, Vec<U>)> {
-    let mut paths = paths.iter();
-    let first_path = paths.next().context("name the parts")?;
+    let (first_path, others) = paths.split_first().context("name the parts")?;
+    // Before they are read: the parts of another command hold other things.
+    let command = command_of(first_path)?;
+    for path in others {
+        let other = command_of(path)?;
+        ensure!(
+            command == other,
+            "{} and {} are of different campaigns: it was `{command}`, and is `{other}`",
+            first_path.display(),
+            path.display()
+        );
+    }
     let mut whole = Part::<P, U>::load(first_path)?;
     let mut shards = vec![whole.shard];
-    for path in paths {
+    for path in others {
         let part = Part::<P, U>::load(path)?;
         if let Some(difference) = whole.difference(&part)? {
             bail!(

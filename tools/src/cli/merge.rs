@@ -15,7 +15,7 @@ Examples:
   vigil evaluate --flights 500 -o runs/a.json --shard 2/2   on another
   vigil merge runs/a.*.part.json -o runs/a.json             what one machine would have written, byte for byte
 
-Parts of `vigil evaluate`, `vigil attack completion` and `vigil attack search`, in any order; the same part twice does no
+Parts of `vigil evaluate`, `vigil attack completion`, `search` and `defended`, in any order; the same part twice does no
 harm; a folder stands for all *.part.json in it. Refused are parts of another campaign, actor or program, parts that
 contradict each other, and too few of them: the message says which are missing. The parts are kept. docs/cluster.md has lines for SLURM, GNU parallel and Ray.
 
@@ -40,11 +40,13 @@ pub fn run(args: &MergeArgs) -> Result<ExitCode> {
     let first = parts.first().context("name the parts")?;
     match part::command_of(first)?.as_str() {
         evaluate::COMMAND => evaluate::merge(&parts, &args.json),
-        command if attack_campaigns::MERGED_COMMANDS.contains(&command) => attack_campaigns::merge(&parts, &args.json),
-        other => bail!(
-            "{} is a part of `{other}`, which this program does not know",
-            first.display()
-        ),
+        other => match attack_campaigns::merge(other, &parts, &args.json) {
+            Some(merged) => merged,
+            None => bail!(
+                "{} is a part of `{other}`, which this program does not know",
+                first.display()
+            ),
+        },
     }
 }
 
