@@ -1,6 +1,7 @@
 """Policies in ONNX: what `vigil import` makes of them is what ONNX Runtime makes of them, or a refusal with the reason."""
 
 import json
+import random
 import subprocess
 from pathlib import Path
 
@@ -41,6 +42,61 @@ def test_every_shape_gives_what_onnx_runtime_gives(models, tmp_path):
     assert all(max(map(abs, output)) > 1e-3 for output in outputs), "an output of nothing shows nothing"
 
 
+def largest_difference(ours, theirs):
+    assert len(ours) == len(theirs) == 2
+    return max(abs(a - b) / max(1.0, abs(b)) for a, b in zip(ours, theirs))
+
+
+def test_what_is_exported_gives_in_onnx_runtime_what_it_gives_here_and_comes_back(models, tmp_path):
+    exported = tmp_path / "exported"
+    exported.mkdir()
+    here = {}
+    for model in sorted(models.glob("*.onnx")):
+        policy, out = tmp_path / f"{model.stem}.safetensors", exported / model.name
+        inputs = model.with_suffix(".inputs.json")
+        assert vigil("import", model, "-o", policy).returncode == 0
+        done = vigil("export", "--actor", policy, "-o", out)
+        assert done.returncode == 0, done.stderr
+        # The very line that it prints brings it back.
+        [line] = [line for line in done.stdout.splitlines() if "vigil import" in line]
+        words = line.split("vigil ")[1].replace("FILE", str(tmp_path / "back.safetensors")).split()
+        done = vigil(*words, "--compute", inputs)
+        assert done.returncode == 0, f"{model.stem}: {done.stderr}"
+        here[model.stem] = json.loads(done.stdout.splitlines()[-1])
+        (exported / inputs.name).write_text(inputs.read_text())
+    # And our own actor, with five frames of noise in front of it.
+    draw = random.Random(1)
+    inputs = [[draw.random() for _ in range(5 * 128 * 256)], [0.8, -0.4]]
+    (exported / "actor.inputs.json").write_text(json.dumps(inputs))
+    done = vigil("export", "-o", exported / "actor.onnx", "--compute", exported / "actor.inputs.json")
+    assert done.returncode == 0, done.stderr
+    here["actor"] = json.loads(done.stdout.splitlines()[-1])
+
+    run = [PYTHON, Path(__file__).with_name("onnx_run.py"), exported]
+    subprocess.run(run, check=True, timeout=120)
+    found = {}
+    for name, ours in here.items():
+        theirs = json.loads((exported / f"{name}.outputs.json").read_text())
+        original = models / f"{name}.outputs.json"
+        of_original = json.loads(original.read_text()) if original.exists() else theirs
+        found[name] = max(largest_difference(ours, theirs), largest_difference(theirs, of_original))
+    print(found)
+    assert len(found) >= 13 and max(found.values()) < TOLERANCE, found
+
+
+def test_an_export_that_fails_leaves_what_was_there(models, tmp_path):
+    kept = tmp_path / "kept.onnx"
+    kept.write_text("an earlier one")
+    broken = tmp_path / "broken.safetensors"
+    broken.write_bytes(b"no actor")
+    inputs = tmp_path / "inputs.json"
+    inputs.write_text("[[0.5], [0.1, 0.2]]")
+    for more, said in [(["--actor", broken], "broken.safetensors"), (["--compute", inputs], "does not fit the policy")]:
+        done = vigil("export", "-o", kept, *more)
+        assert done.returncode == 1 and said in done.stderr, done.stderr
+        assert kept.read_text() == "an earlier one"
+
+
 def test_what_cannot_be_imported_is_refused_with_the_reason_and_nothing_is_written(models, tmp_path):
     words = json.loads((models / "refused.json").read_text())
     assert len(words) >= 18
@@ -71,12 +127,18 @@ def test_an_imported_policy_flies_with_field_and_guard_and_replays_to_the_bit(mo
     report = json.loads(a)
     assert report["actor_sha256"] and len({f["state_hash"] for f in report["flights"]}) == 2
 
+    # It is attacked as our own actor is; what is made for that alone says so.
+    attack = ["attack", "completion", "--flights", "1", "--iterations", "1", "--actor", policy]
+    attacked = vigil(*attack, "-o", tmp_path / "attack")
+    assert attacked.returncode == 0, attacked.stderr
+    refused = vigil("attack", "table", "--actor", policy, "-o", tmp_path / "attack")
+    assert refused.returncode == 1 and "attack completion" in refused.stderr
+    refused = vigil("rollout", "--actor", policy, "--flights", "1")
+    assert refused.returncode == 1 and "vigil policy 1" in refused.stderr
+
     # One flipped bit, and it does not fly.
     content = bytearray(policy.read_bytes())
     content[-3] ^= 1
     policy.write_bytes(content)
     refused = vigil(*flown, tmp_path / "no.json")
     assert refused.returncode == 1 and "was altered" in refused.stderr and "policy.safetensors" in refused.stderr
-    # What is made for our own actor says what it takes.
-    refused = vigil("attack", "table", "--actor", policy, "-o", tmp_path / "attack")
-    assert refused.returncode == 1 and "vigil policy 1" in refused.stderr

@@ -106,6 +106,17 @@ enum Value {
     Live(Live),
 }
 
+/// Weights of a recurrent layer that are among the parameters already.
+#[derive(Debug)]
+struct RecurrentWeights<'a> {
+    is_gru: bool,
+    names: Vec<&'a str>,
+    /// Where the inputs are in a layer of as many values.
+    places: Rc<Vec<u32>>,
+    inputs: usize,
+    layer: usize,
+}
+
 /// Makes a policy of a model. `file` names it in errors.
 ///
 /// # Errors
@@ -187,6 +198,7 @@ struct Importer<'a> {
     tensors: HashMap<&'a str, Value>,
     /// How many nodes read a tensor.
     uses: HashMap<&'a str, usize>,
+    recurrent_weights: Vec<RecurrentWeights<'a>>,
 }
 
 /// A node's settings.
@@ -271,6 +283,7 @@ impl<'a> Importer<'a> {
             lens: Vec::new(),
             tensors: HashMap::new(),
             uses: HashMap::new(),
+            recurrent_weights: Vec::new(),
         };
         for tensor in &graph.initializer {
             let constant = Constant::of(tensor).map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
@@ -1165,6 +1178,46 @@ impl<'a> Importer<'a> {
         Ok(self.fresh(layer, shape, Rc::new(places)))
     }
 
+    /// The layer that holds the state before the first step: of a GRU `h`, of an LSTM `h`, then `c`.
+    fn first_state(&mut self, node: &Node, is_gru: bool, hidden: usize) -> Result<usize, String> {
+        let zero = |constant: &Constant| constant.real().is_ok_and(|all| all.iter().all(|value| *value == 0.0));
+        let inputs = if is_gru { 5..6 } else { 5..7 };
+        let mut given = Vec::new();
+        for i in inputs.clone() {
+            given.push(match node.input.get(i).is_none_or(String::is_empty) {
+                true => None,
+                false => match self.input(node, i)?.1 {
+                    Value::Constant(constant) if zero(&constant) => None,
+                    Value::Constant(_) => return Err("a first state of constants other than zeros".to_owned()),
+                    Value::Live(live) => Some(live),
+                },
+            });
+        }
+        if given.iter().all(Option::is_none) {
+            let len = inputs.len() * hidden;
+            return self.push(Layer::Zeros { len }, Vec::new(), len);
+        }
+        let mut parts = Vec::new();
+        for live in given {
+            let Some(live) = live else {
+                parts.push(self.push(Layer::Zeros { len: hidden }, Vec::new(), hidden)?);
+                continue;
+            };
+            let part = self.narrowed(&live)?;
+            if self.lens.get(part.layer) != Some(&hidden) || !part.places.iter().copied().eq(0..hidden as u32) {
+                return Err(format!(
+                    "a first state of shape {:?} that is not {hidden} values in a row",
+                    live.shape
+                ));
+            }
+            parts.push(part.layer);
+        }
+        match *parts.as_slice() {
+            [only] => Ok(only),
+            _ => self.push(Layer::Concat { parts }, Vec::new(), 2 * hidden),
+        }
+    }
+
     fn recurrent(&mut self, node: &'a Node, settings: &Settings<'_>) -> Result<(), String> {
         let is_gru = node.op_type == "GRU";
         let gates = if is_gru { 3 } else { 4 };
@@ -1193,19 +1246,8 @@ impl<'a> Importer<'a> {
         if self.optional(node, 4)?.is_some() {
             return Err("sequence_lens is not supported".to_owned());
         }
-        for i in 5..8 {
-            let zero = |constant: &Constant| constant.real().is_ok_and(|all| all.iter().all(|value| *value == 0.0));
-            match (i, node.input.get(i).is_none_or(String::is_empty)) {
-                (_, true) => {}
-                (7, false) => return Err("peepholes are not supported".to_owned()),
-                _ if self.constant(node, i).is_ok_and(|constant| zero(&constant)) => {}
-                _ => {
-                    return Err(
-                        "a first state other than zeros is not supported: write the steps out, oldest frame first"
-                            .to_owned(),
-                    );
-                }
-            }
+        if node.input.get(7).is_some_and(|name| !name.is_empty()) {
+            return Err("peepholes are not supported".to_owned());
         }
         let bias = self.optional(node, 3)?;
         let bias = match &bias {
@@ -1217,8 +1259,9 @@ impl<'a> Importer<'a> {
         let order: &[usize] = if is_gru { &[1, 0, 2] } else { &[0, 2, 3, 1] };
         let row_of = |column: usize| order[column / hidden] * hidden + column % hidden;
         let state_len = if is_gru { hidden } else { 2 * hidden };
-        let mut state = self.push(Layer::Zeros { len: state_len }, Vec::new(), state_len)?;
-        let mut first: Option<(usize, Vec<u32>, usize)> = None;
+        let mut state = self.first_state(node, is_gru, hidden)?;
+        // The same weights, in this node or an earlier one, are kept once.
+        let weights: Vec<&str> = (1..4).map(|i| node.input.get(i).map_or("", String::as_str)).collect();
         let mut outputs = Vec::new();
         for step in 0..steps {
             let part = Live {
@@ -1229,10 +1272,10 @@ impl<'a> Importer<'a> {
             };
             let part = self.narrowed(&part)?;
             let own = self.lens.get(part.layer).copied().unwrap_or(0);
-            let params_of = match &first {
-                Some((of, places, len)) if *places == *part.places && *len == own => *of,
-                _ => self.lens.len(),
-            };
+            let kept = self.recurrent_weights.iter().find(|kept| {
+                kept.is_gru == is_gru && kept.names == weights && kept.places == part.places && kept.inputs == own
+            });
+            let params_of = kept.map_or(self.lens.len(), |kept| kept.layer);
             let mut params = Vec::new();
             if params_of == self.lens.len() {
                 let mut input = vec![0.0; len_of(&[own, rows])?];
@@ -1252,7 +1295,13 @@ impl<'a> Importer<'a> {
                     true => params.extend(biases(0).chain(biases(rows))),
                     false => params.extend(biases(0).zip(biases(rows)).map(|(a, b)| a + b)),
                 }
-                first.get_or_insert((params_of, part.places.to_vec(), own));
+                self.recurrent_weights.push(RecurrentWeights {
+                    is_gru,
+                    names: weights.clone(),
+                    places: part.places.clone(),
+                    inputs: own,
+                    layer: params_of,
+                });
             }
             let layer = match is_gru {
                 true => Layer::Gru {

@@ -1,4 +1,4 @@
-//! Policies in ONNX become networks of Vigil's layers (docs/import.md).
+//! Policies in ONNX become networks of Vigil's layers, and networks of Vigil's layers ONNX (docs/import.md).
 //!
 //! ```no_run
 //! use vigil_onnx::{Adapter, import};
@@ -11,8 +11,10 @@
 #![forbid(unsafe_code)]
 
 mod constant;
+mod export;
 mod import;
 mod movement;
 mod proto;
 
+pub use export::{ExportError, export};
 pub use import::{Adapter, ImportError, import};

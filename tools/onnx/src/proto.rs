@@ -10,10 +10,23 @@ pub struct Model {
     pub ir_version: i64,
     #[prost(string, tag = "2")]
     pub producer_name: String,
+    #[prost(string, tag = "3")]
+    pub producer_version: String,
     #[prost(message, optional, tag = "7")]
     pub graph: Option<Graph>,
     #[prost(message, repeated, tag = "8")]
     pub opset_import: Vec<OperatorSet>,
+    #[prost(message, repeated, tag = "14")]
+    pub metadata_props: Vec<Entry>,
+}
+
+/// Something to know about a file.
+#[derive(Clone, PartialEq, Message)]
+pub struct Entry {
+    #[prost(string, tag = "1")]
+    pub key: String,
+    #[prost(string, tag = "2")]
+    pub value: String,
 }
 
 /// A version of a set of operators.
@@ -76,6 +89,23 @@ pub struct Attribute {
     pub ints: Vec<i64>,
     #[prost(bytes = "vec", repeated, tag = "9")]
     pub strings: Vec<Vec<u8>>,
+    /// Which of the others counts: one of [`attribute_type`].
+    #[prost(int32, tag = "20")]
+    pub r#type: i32,
+}
+
+/// Numbers of `AttributeProto.AttributeType`.
+pub mod attribute_type {
+    pub const INT: i32 = 2;
+    pub const FLOAT: i32 = 1;
+    pub const INTS: i32 = 7;
+    pub const STRINGS: i32 = 8;
+}
+
+/// Numbers of `TensorProto.DataType`.
+pub mod data_type {
+    pub const FLOAT: i32 = 1;
+    pub const INT64: i32 = 7;
 }
 
 /// A constant.

@@ -3,7 +3,6 @@
 use crate::cli::output::say;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -117,10 +116,14 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
     };
     let policy = vigil_onnx::import(&name, &bytes, &adapter)?;
     let graph = policy.network.graph(Purpose::Gradients)?;
-    let computed = args
+    let output = args
         .compute
         .as_deref()
-        .map(|file| compute(&policy, &graph, file))
+        .map(|file| {
+            let inputs = read_inputs(file)?;
+            let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+            computed(&graph, &policy.params, &given, file)
+        })
         .transpose()?;
     let longest = time(&policy, &graph)?;
     let share = longest.as_secs_f64() / f64::from(STEP_S);
@@ -167,25 +170,31 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         ),
     }
     say!("written          {}", args.output.display());
-    if let Some(output) = computed {
+    if let Some(output) = output {
         say!("{}", serde_json::to_string(&output)?);
     }
     Ok(ExitCode::SUCCESS)
 }
 
-/// What the network makes of the inputs in a file.
-fn compute(policy: &FrozenPolicy, graph: &Graph, file: &Path) -> Result<Vec<f32>> {
-    #[derive(Deserialize)]
-    struct Inputs(Vec<Vec<f32>>);
+/// The inputs in a file: a list of lists of numbers.
+///
+/// # Errors
+/// A file that cannot be read, or that is none.
+pub fn read_inputs(file: &Path) -> Result<Vec<Vec<f32>>> {
     let name = file.display();
     let text = vigil_files::read_text(file, INPUTS_LIMIT).with_context(|| format!("cannot read {name}"))?;
-    let Inputs(inputs) =
-        serde_json::from_str(&text).with_context(|| format!("{name} is no list of lists of numbers"))?;
-    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+    serde_json::from_str(&text).with_context(|| format!("{name} is no list of lists of numbers"))
+}
+
+/// What a network makes of the inputs that came from `file`.
+///
+/// # Errors
+/// Inputs of other lengths.
+pub fn computed(graph: &Graph, params: &[f32], given: &[&[f32]], file: &Path) -> Result<Vec<f32>> {
     let mut tape = vec![0.0; graph.tape_len()];
     graph
-        .forward(Isa::detect(), &policy.params, &given, &mut tape)
-        .with_context(|| format!("{name} does not fit the policy"))?;
+        .forward(Isa::detect(), params, given, &mut tape)
+        .with_context(|| format!("{} does not fit the policy", file.display()))?;
     Ok(graph.output(&tape)?.to_vec())
 }
 

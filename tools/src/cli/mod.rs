@@ -3,6 +3,7 @@
 mod courses;
 mod detector;
 mod evaluate;
+mod export;
 mod family;
 mod figures;
 mod fly;
@@ -88,6 +89,8 @@ enum Command {
     Recover(recover::RecoverArgs),
     /// Import a policy of others from ONNX.
     Import(import::ImportArgs),
+    /// Export an actor or an imported policy to ONNX.
+    Export(export::ExportArgs),
     /// Train an actor from nothing.
     Train(train::TrainArgs),
     /// Train an expert or an actor by value: critics that see the true state, reward along the shortest free way.
@@ -143,6 +146,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::View(args) => view::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Import(args) => import::run(&args),
+        Command::Export(args) => export::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Learn(args) => learn::run(&args),
         Command::Report(args) => report::run(&args),

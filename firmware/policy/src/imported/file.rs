@@ -54,19 +54,11 @@ impl FrozenPolicy {
             has_position,
             output_scale,
         } = self.inputs;
-        let order = match order {
-            Channels::Stack => "stack",
-            Channels::Repeat => "repeat",
-        };
-        let depth = match depth {
-            Depth::Range => "range",
-            Depth::Contrast => "contrast",
-        };
         let entries = [
             ("layers", self.network.to_string()),
             ("frame", format!("{rows} {cols} {channels}")),
-            ("channels", order.to_string()),
-            ("depth", depth.to_string()),
+            ("channels", order.name().to_string()),
+            ("depth", depth.name().to_string()),
             ("scale", scale.to_string()),
             ("frame_input", frame_input.to_string()),
             ("has_position", has_position.to_string()),
@@ -104,16 +96,10 @@ impl FrozenPolicy {
         let Some([rows, cols, channels]) = sizes.as_deref().and_then(|sizes| <[usize; 3]>::try_from(sizes).ok()) else {
             return Err(wrong("frame", &frame));
         };
-        let order = match read.text("channels")?.as_str() {
-            "stack" => Channels::Stack,
-            "repeat" => Channels::Repeat,
-            other => return Err(wrong("channels", other)),
-        };
-        let depth = match read.text("depth")?.as_str() {
-            "range" => Depth::Range,
-            "contrast" => Depth::Contrast,
-            other => return Err(wrong("depth", other)),
-        };
+        let order = read.text("channels")?;
+        let order = Channels::named(&order).ok_or_else(|| wrong("channels", &order))?;
+        let depth = read.text("depth")?;
+        let depth = Depth::named(&depth).ok_or_else(|| wrong("depth", &depth))?;
         let layers = read.text("layers")?.parse::<Network>();
         let policy = Self {
             network: layers.map_err(|e| KIND.content_error(file, format!("cannot be flown: {e}")))?,

@@ -23,6 +23,26 @@ pub enum Depth {
     Contrast,
 }
 
+impl Depth {
+    /// All, each with the word that files and options have for it.
+    const WORDS: [(Self, &'static str); 2] = [(Self::Range, "range"), (Self::Contrast, "contrast")];
+
+    /// The word that files and options have for it.
+    pub fn name(self) -> &'static str {
+        Self::WORDS
+            .iter()
+            .find_map(|(value, name)| (*value == self).then_some(*name))
+            .unwrap_or_default()
+    }
+
+    /// What a word stands for.
+    pub fn named(word: &str) -> Option<Self> {
+        Self::WORDS
+            .iter()
+            .find_map(|(value, name)| (*name == word).then_some(*value))
+    }
+}
+
 /// What a policy's channels are, if it has several.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Channels {
@@ -31,6 +51,26 @@ pub enum Channels {
     Stack,
     /// The newest frame in each.
     Repeat,
+}
+
+impl Channels {
+    /// All, each with the word that files and options have for it.
+    const WORDS: [(Self, &'static str); 2] = [(Self::Stack, "stack"), (Self::Repeat, "repeat")];
+
+    /// The word that files and options have for it.
+    pub fn name(self) -> &'static str {
+        Self::WORDS
+            .iter()
+            .find_map(|(value, name)| (*value == self).then_some(*name))
+            .unwrap_or_default()
+    }
+
+    /// What a word stands for.
+    pub fn named(word: &str) -> Option<Self> {
+        Self::WORDS
+            .iter()
+            .find_map(|(value, name)| (*name == word).then_some(*value))
+    }
 }
 
 /// How a policy is given what we have, and how its output is taken.

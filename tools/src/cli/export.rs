@@ -1,0 +1,86 @@
+//! `vigil export`: an actor or an imported policy as a model of ONNX.
+
+use super::import::{computed, read_inputs};
+use crate::cli::output::{self, say};
+use anyhow::Result;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use vigil_nnet::Purpose;
+use vigil_policy::FrozenPilot;
+use vigil_policy::actor::ACTOR_FRAMES;
+
+/// Arguments of `vigil export`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil export -o actor.onnx                             the built-in actor, for ONNX Runtime and the like
+  vigil export --actor mine.safetensors -o mine.onnx     an imported policy, back again
+
+Inputs of an actor of ours: `frames` [1, 5, 128, 256], ranges over 100 m, oldest first, and `position` [1, 2], distance over 20 m (at
+most 1.05) and bearing in radians. An imported policy has its own inputs, as `frame` and `position`. Output: `action` [1, 2]. Beside the
+network the model's metadata says what was exported and how its inputs are made. docs/import.md.")]
+pub struct ExportArgs {
+    /// The actor or imported policy [default: the built-in actor].
+    #[arg(long, value_name = "FILE")]
+    actor: Option<PathBuf>,
+
+    /// Where it goes.
+    #[arg(short, long, value_name = "FILE.onnx")]
+    output: PathBuf,
+
+    /// Print as JSON what the network makes here of the inputs in FILE, to compare with another runtime: a list of lists of numbers, one
+    /// for each input, as they are in memory.
+    #[arg(long, value_name = "FILE")]
+    compute: Option<PathBuf>,
+}
+
+/// Writes the model.
+///
+/// # Errors
+/// An actor that cannot be read; a file that cannot be written.
+pub fn run(args: &ExportArgs) -> Result<ExitCode> {
+    let pilot = FrozenPilot::load_or_built_in(args.actor.as_deref())?;
+    let model = vigil_onnx::export(&pilot)?;
+    let computed_here = args
+        .compute
+        .as_deref()
+        .map(|file| -> Result<Vec<f32>> {
+            let inputs = read_inputs(file)?;
+            match &pilot {
+                FrozenPilot::Actor(actor) => {
+                    let spec = actor.inputs.spec();
+                    let graph = spec.graph(Purpose::Gradients, false)?;
+                    // The five frames are one input of the model.
+                    let frames = inputs.first().map_or(&[][..], Vec::as_slice);
+                    let mut given: Vec<&[f32]> = frames.chunks(spec.frame_len()).collect();
+                    given.truncate(ACTOR_FRAMES);
+                    given.extend(inputs.iter().skip(1).map(Vec::as_slice));
+                    computed(&graph, &actor.params, &given, file)
+                }
+                FrozenPilot::Imported(policy) => {
+                    let graph = policy.network.graph(Purpose::Gradients)?;
+                    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+                    computed(&graph, &policy.params, &given, file)
+                }
+            }
+        })
+        .transpose()?;
+    output::write(&args.output, model)?;
+    say!("exported         SHA-256 {}", pilot.sha256());
+    if let FrozenPilot::Imported(policy) = &pilot {
+        let inputs = policy.inputs;
+        say!(
+            "to import it     vigil import {} -o FILE --channels {} --depth {} --scale {} --output-scale {}",
+            args.output.display(),
+            inputs.order.name(),
+            inputs.depth.name(),
+            inputs.scale,
+            inputs.output_scale
+        );
+    }
+    say!("written          {}", args.output.display());
+    if let Some(output) = computed_here {
+        say!("{}", serde_json::to_string(&output)?);
+    }
+    Ok(ExitCode::SUCCESS)
+}
