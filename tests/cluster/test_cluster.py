@@ -17,6 +17,7 @@ from vigil_cluster.campaign import Campaign, CampaignError
 TOP = Path(__file__).resolve().parents[2]
 VIGIL = TOP / "target" / "release" / "vigil"
 ACTOR = TOP / "firmware" / "policy" / "actor" / "actor.safetensors"
+DETECTOR = TOP / "detector" / "frozen" / "lstm_ad.safetensors"
 FLIGHTS = ["--pilot", "geometric", "--family", "training", "--seed", "40", "--flights", "24"]
 
 
@@ -92,6 +93,13 @@ def test_files_are_sent_along_and_what_fails_is_told(tmp_path, capfd):
         actor = ["--seed", "7", "--flights", "1", "--actor", str(ACTOR), "--detector=off"]
         Campaign(["evaluate"], actor, tmp_path / "actor.json", VIGIL).fly()
         assert json.loads((tmp_path / "actor.json").read_bytes())["flights_asked_for"] == 1
+        attack = ["--seed", "5003", "--flights", "1", "--iterations", "1", "--burst", "20", "--arms", "none,recover"]
+        attack += ["--detector", str(DETECTOR)]
+        Campaign(["attack", "defended"], attack, tmp_path / "defended.json", VIGIL, shards=2).fly()
+        one = ["attack", "defended", *attack, "-o", tmp_path / "one"]
+        subprocess.run([VIGIL, *one], check=True, capture_output=True)
+        for name in ["defended.json", "defended.csv"]:
+            assert (tmp_path / name).read_bytes() == (tmp_path / "one" / name).read_bytes(), name
         for arguments, program, told in [
             (["--flights", "2", "--wind", "99"], {}, "--wind must be between 0 and 20"),
             (["--flights", "2", "--actor", "no-such-file"], {}, "cannot read no-such-file"),

@@ -13,7 +13,7 @@ Examples:
   vigil-cluster evaluate --flights 100000 -o runs/big.json --address auto      the cluster that this machine belongs to
   vigil-cluster attack completion --flights 200 -o runs/completion.json        ray://HOST:10001 is an address, too
 
-All other arguments are those of `vigil evaluate`, `vigil attack completion` or `vigil attack search`. The program and the
+All other arguments are those of `vigil evaluate`, `vigil attack completion`, `search` or `defended`. The program and the
 files that the arguments name are sent along. The parts stay in FILE's folder as FILE.parts; after an interruption the same
 command goes on with them. The result is, byte for byte, what one machine writes. docs/cluster.md explains it.
 
@@ -29,7 +29,7 @@ def main(arguments=None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("command", choices=["evaluate", "attack"], help="as in vigil; attack takes completion or search")
+    parser.add_argument("command", choices=["evaluate", "attack"], help="as in vigil; attack takes completion, search or defended")
     parser.add_argument("-o", "--output", "--json", type=Path, required=True, metavar="FILE", help="where the whole goes")
     parser.add_argument("--address", help="the Ray cluster; absent: Ray is started in this process")
     parser.add_argument("--shards", type=int, metavar="N", help="parts [default: so that each has 20 flights]")
@@ -39,8 +39,8 @@ def main(arguments=None) -> int:
     own, rest = parser.parse_known_args(arguments)
     command = [own.command]
     if own.command == "attack":
-        if not rest or rest[0] not in ("completion", "search"):
-            parser.error("attack takes completion or search")
+        if not rest or rest[0] not in ("completion", "search", "defended"):
+            parser.error("attack takes completion, search or defended")
         command.append(rest.pop(0))
     if own.shards is not None and own.shards < 1:
         parser.error("--shards is a number above 0")

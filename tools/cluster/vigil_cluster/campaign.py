@@ -16,12 +16,15 @@ import ray
 from ray.exceptions import RayError, RayTaskError
 
 # Arguments of `vigil` that name files which a flight reads; they are sent along.
-FILES = {"--actor", "--detector-file", "--config", "--attack-actor", "--evade"}
+FILES = {"--actor", "--detector", "--detector-file", "--config", "--attack-actor", "--evade"}
+# Values of theirs that are no file: `vigil evaluate --detector off`.
+NO_FILES = {"on", "off"}
 # Arguments that make no sense for one share of a campaign, and why.
 REFUSED = {
     "--shard": "the driver divides the campaign itself",
     "--threads": "each task flies on one core",
     "--logs": "logs would stay where they were flown; fly these seeds again on one machine",
+    "--resume": "parts that are there are gone on with in any case",
     "--draw-failures": "pictures would stay where they were flown; fly these seeds again on one machine",
 }
 # Tasks known to Ray at once: enough for any cluster to be busy and for an autoscaler to see the demand.
@@ -89,7 +92,7 @@ def _fly(program, files: dict, command: list, arguments: list, shard: str) -> by
 class Campaign:
     """What to fly, and where its whole goes.
 
-    `command` is `["evaluate"]`, `["attack", "completion"]` or `["attack", "search"]`; `arguments` are that command's.
+    `command` is `["evaluate"]` or `["attack", …]` with `completion`, `search` or `defended`; `arguments` are that command's.
     `address` is Ray's: none starts Ray in this process, `auto` joins the cluster of this machine. Raises CampaignError.
     """
 
@@ -159,7 +162,7 @@ class Campaign:
             flag, equals, value = argument.partition("=")
             path = value if flag in FILES and equals else argument if name in FILES else None
             name = argument
-            if path is None:
+            if path is None or path in NO_FILES:
                 sent.append(argument)
                 continue
             try:

@@ -30,7 +30,7 @@ Examples:
   vigil evaluate --actor mine.safetensors --detector off --guard on
                                                                   the recovery pilot warns and takes over
   vigil detector collect --actor mine.safetensors -o runs/mine    its own detector: also `train`, `evaluate`
-  vigil evaluate --actor mine.safetensors --detector runs/mine/lstm_ad.safetensors
+  vigil evaluate --actor mine.safetensors --detector-file runs/mine/lstm_ad.safetensors
 
 The policy has one frame as input, of any size, [1, channels, rows, columns]; beside it, if it wants, [1, 2]: distance of the
 goal over 20 m (at most 1.05) and bearing in radians. Its output is [1, 2]: forward speed in m/s and yaw in units of
