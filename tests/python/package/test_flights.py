@@ -26,8 +26,11 @@ def evaluated(tmp_path_factory):
 
 def test_flights_are_those_of_the_command_line(evaluated):
     flights, _ = evaluated
-    for threads in (1, 3):
-        flown = completion("validation", SEEDS, first_seed=7, attack="bim-accumulating", iterations=5, burst=20, threads=threads)
+    # The detector that is built in, from its file.
+    own_file = TOP / "detector" / "frozen" / "lstm_ad.safetensors"
+    attack = {"attack": "bim-accumulating", "iterations": 5, "burst": 20}
+    for threads, detector in [(1, None), (3, own_file)]:
+        flown = completion("validation", SEEDS, first_seed=7, threads=threads, detector=detector, **attack)
         for ours, theirs in zip(flown.flights, flights, strict=True):
             assert ours.seed == theirs["seed"]
             assert ours.outcome == theirs["outcome"]
@@ -83,6 +86,7 @@ def test_what_is_no_log_is_refused(tmp_path):
         ({"attack": "magic"}, "attack: magic is none of"),
         ({"wind": 50.0}, "wind: 0 to 20"),
         ({"actor": "/no/actor"}, "/no/actor"),
+        ({"detector": "/no/detector"}, "/no/detector"),
         ({"attack": "pgd", "burst": "sometimes"}, "sometimes|burst|number"),
     ],
 )

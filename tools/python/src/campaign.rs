@@ -100,7 +100,7 @@ impl Plan {
 
 /// Flies generated courses with the whole stack, some after the other on each thread; Ctrl-C ends it between flights.
 #[pyfunction]
-#[pyo3(signature = (*, family, seeds, threads, pilot, actor, apf, detector, guard, wind, noise, ground, attack, epsilon, iterations, burst))]
+#[pyo3(signature = (*, family, seeds, threads, pilot, actor, apf, detector, detector_file, guard, wind, noise, ground, attack, epsilon, iterations, burst))]
 #[allow(clippy::too_many_arguments, reason = "the Python side names them")]
 pub fn fly(
     py: Python<'_>,
@@ -111,6 +111,7 @@ pub fn fly(
     actor: Option<PathBuf>,
     apf: bool,
     detector: Option<bool>,
+    detector_file: Option<PathBuf>,
     guard: Option<bool>,
     wind: f64,
     noise: f32,
@@ -131,6 +132,7 @@ pub fn fly(
     };
     (firmware.pilot.actor_file, firmware.pilot.apf) = (actor.clone(), apf);
     (firmware.detector.enabled, firmware.detector.guard) = (detector, guard);
+    firmware.detector.file = detector_file;
     let method = attack.map(|name| {
         let found = Method::ALL.into_iter().find(|m| m.name() == name);
         found.ok_or_else(|| {

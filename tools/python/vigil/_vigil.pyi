@@ -156,6 +156,7 @@ def fly(
     actor: str | None,
     apf: bool,
     detector: bool | None,
+    detector_file: str | None,
     guard: bool | None,
     wind: float,
     noise: float,

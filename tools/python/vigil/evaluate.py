@@ -66,7 +66,7 @@ def completion(
     pilot: str = "actor",
     actor: str | PathLike[str] | None = None,
     apf: bool = True,
-    detector: bool | None = None,
+    detector: bool | str | PathLike[str] | None = None,
     guard: bool | None = None,
     wind: float = 0.0,
     noise: float = 1.0,
@@ -83,9 +83,11 @@ def completion(
         flights, first_seed: seeds ``first_seed`` to ``first_seed + flights − 1``; or ``seeds`` themselves.
         threads: absent: as many as the machine has.
         pilot: ``actor`` or ``geometric``.
-        actor: an actor's or imported policy's file (the latter with ``detector=False``); absent: the actor built in.
+        actor: an actor's or imported policy's file; absent: the actor built in.
         apf: add the potential field to the actor's action.
-        detector, guard: whether the actor is watched, and guarded; absent: as in flight.
+        detector: whether the actor is watched, or the file of the detector that watches it (an imported policy has its own, or ``False``); absent:
+            as in flight.
+        guard: whether it is guarded; absent: as in flight.
         wind: mean wind, m/s.
         noise: multiplies the LiDAR's range noise and dropouts.
         ground: begin on the ground; otherwise hovering.
@@ -109,7 +111,8 @@ def completion(
         pilot=pilot,
         actor=None if actor is None else str(actor),
         apf=apf,
-        detector=detector,
+        detector=detector if detector is None or isinstance(detector, bool) else True,
+        detector_file=None if detector is None or isinstance(detector, bool) else str(detector),
         guard=guard,
         wind=wind,
         noise=noise,
