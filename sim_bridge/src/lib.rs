@@ -24,6 +24,7 @@
 mod companion_view;
 mod config;
 pub mod environment;
+pub mod foreign;
 pub mod lockstep_flight;
 pub mod program;
 mod saved_state;

@@ -27,7 +27,7 @@ use vigil_world::Outcome;
 /// Real time between two looks at the sockets, in milliseconds of physics.
 const SLICE_MS: u64 = 2;
 /// Steps between two status lines: five a second.
-const STATUS_STEPS: u64 = 4;
+pub(crate) const STATUS_STEPS: u64 = 4;
 /// How often the vehicle's state is looked at for changes to store.
 const SAVE_MS: u64 = 1000;
 /// Exit code when Ctrl-C ends a flight in lockstep.
@@ -153,6 +153,9 @@ pub struct Status {
     pub flight_time_s: f64,
     /// Metres flown from lift-off to the ending.
     pub path_length_m: f64,
+    /// Of a foreign vehicle: why its pose cannot be rendered; absent while it can.
+    #[serde(default)]
+    pub pose: Option<String>,
 }
 
 /// Runs the simulator until its end or Ctrl-C.
@@ -267,7 +270,7 @@ fn simulator(args: &SimArgs, config: &SimConfig, epoch_ns: Nanos) -> Result<Simu
 }
 
 /// Tells a person something at once.
-fn announce(text: &str) {
+pub(crate) fn announce(text: &str) {
     // Where nobody listens, nothing can be told; the vehicle does not end for it.
     let _ = writeln!(std::io::stderr(), "{text}");
 }
@@ -450,7 +453,7 @@ pub const NEARNESS_COLS: usize = 64;
 pub const NEARNESS_ROWS: usize = 8;
 
 /// A frame as [`Status::nearness`] has it.
-fn nearness(frame: &DepthFrame) -> String {
+pub(crate) fn nearness(frame: &DepthFrame) -> String {
     const SQUARE: (usize, usize) = (DEPTH_ROWS / NEARNESS_ROWS, DEPTH_COLS / NEARNESS_COLS);
     let mut nearest = [[1.0_f32; NEARNESS_COLS]; NEARNESS_ROWS];
     for (r, row) in frame.depth.chunks_exact(DEPTH_COLS).enumerate() {
@@ -491,11 +494,12 @@ fn status(simulator: &Simulator, companion: &CompanionView, nearness: &str, elap
         outcome: ending.map(|e| e.outcome.to_string()),
         flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
         path_length_m: simulator.path_length_m(),
+        pose: None,
     }
 }
 
 /// A closed pipe means that nobody reads any more: that ends the simulator like Ctrl-C.
-fn print_status(status: &Status) -> Result<()> {
+pub(crate) fn print_status(status: &Status) -> Result<()> {
     let mut out = std::io::stdout().lock();
     serde_json::to_writer(&mut out, status)?;
     writeln!(out)

@@ -34,8 +34,10 @@ pub fn to_local((latitude0_deg, longitude0_deg): (f64, f64), latitude_deg: f64, 
 
 /// Where the local origin is on the globe.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Origin {
+pub struct Origin {
+    /// Latitude, degrees.
     pub latitude_deg: f64,
+    /// Longitude, degrees.
     pub longitude_deg: f64,
     /// Above mean sea level.
     pub altitude_m: f64,

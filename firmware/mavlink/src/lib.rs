@@ -51,3 +51,4 @@ pub use mavlink::dialects::common::{self, MavMessage};
 pub use operator::PendingRequest;
 pub use parameter_table::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
 pub use status_text::StatusText;
+pub use vehicle::Vehicle;

@@ -30,23 +30,26 @@ struct Home {
     place: Option<Origin>,
 }
 
-/// The vehicle as its messages describe it.
+/// The vehicle as its messages describe it: the packets of one autopilot in, what they say out.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Vehicle {
+pub struct Vehicle {
     flavour: Flavour,
     /// The flavour was configured, not recognised.
     fixed: bool,
     /// Guidance has the vehicle: its autopilot is not recognised anew.
     pub in_flight: bool,
+    /// Position, attitude, mode and what else is known, with the time of its arrival.
     pub telemetry: VehicleTelemetry,
     /// The autopilot that its heartbeat names, when it is a known one.
     pub named: Option<Flavour>,
     /// MAV_AUTOPILOT of its heartbeat.
     pub mav_autopilot: u8,
+    /// Where the local origin is on the globe, as GPS_GLOBAL_ORIGIN tells it or else HOME_POSITION implies.
     pub origin: Option<Origin>,
     /// The origin came by GPS_GLOBAL_ORIGIN and was not inferred from home.
     origin_told: bool,
     home: Option<Home>,
+    /// How often the autopilot was seen to start anew.
     pub restarts: u32,
     /// Packets dropped because a newer one came before.
     pub late: u64,

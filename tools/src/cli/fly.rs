@@ -1,6 +1,7 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
 use crate::cli::family;
+use crate::cli::foreign::{ForeignArgs, PoseWatch, start_sensor};
 use crate::cli::live::Live;
 use crate::cli::log::{FILM_EXPLAINED, FILM_SPEED, check_film, film_name, write_film};
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
@@ -57,6 +58,9 @@ Examples:
   vigil fly --seed 7 --record 7.gif  a film of the flight, made after it; or 7.mp4, with ffmpeg
   vigil fly --log-content light      a log of a few MB, to be looked at only (docs/log.md)
   vigil fly --instance 1             beside another flight on the same machine
+  vigil fly --vehicle px4 --link udpin://127.0.0.1:14540
+  vigil fly --vehicle ardupilot --link tcpout://127.0.0.1:5762
+                                     a vehicle that already runs in its own simulation (docs/foreign-vehicles.md)
 
 While it flies, any MAVLink client can watch on port 14550 and command on 14540, plus the instance number for instances 1 to 9;
 instances from 10 on all speak to 14559 and 14549 (docs/scripting.md).
@@ -73,6 +77,9 @@ pub struct FlyArgs {
     /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+
+    #[command(flatten)]
+    foreign: ForeignArgs,
 
     /// Who decides.
     #[command(flatten)]
@@ -120,6 +127,7 @@ impl Default for FlyArgs {
             course: CourseChoice::default(),
             instance: 0,
             config: None,
+            foreign: ForeignArgs::default(),
             pilot: PilotArgs::default(),
             attack: AttackArgs::default(),
             sensor_fault: None,
@@ -155,8 +163,9 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let scene_file = folder.join("scene.json");
     crate::cli::scene::of(&course).save(&scene_file)?;
 
-    let mut simulator = Process::start("simulator", &folder, |c| {
-        c.arg("sim").arg("--status").arg("--course").arg(&course_file);
+    // What simulator and sensor have in common.
+    let world = |c: &mut Command| {
+        c.arg("--status").arg("--course").arg(&course_file);
         c.args(["--seed", &seed.to_string(), "--instance", &args.instance.to_string()]);
         if let Some(config) = &args.config {
             c.arg("--config").arg(config);
@@ -170,7 +179,14 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         if let Some(key) = &args.frame_key {
             c.arg("--frame-key").arg(key);
         }
-    })?;
+    };
+    let mut simulator = match args.foreign.is_foreign() {
+        true => start_sensor(&args.foreign, &folder, args.instance, world)?,
+        false => Process::start("simulator", &folder, |c| {
+            c.arg("sim");
+            world(c);
+        })?,
+    };
     let statuses = read_statuses(&mut simulator.child)?;
     let goal = course.goal_ned_m();
     let adversary = args.attack.attack.map(|_| {
@@ -198,6 +214,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         }
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
         c.args(["--log-content", args.log_content.name()]);
+        args.foreign.firmware(c, args.instance);
         args.pilot.hand_on(c);
     })?
     .listening();
@@ -319,6 +336,9 @@ fn about(
     if let Some(commit) = crate::cli::output::git_commit() {
         about.insert("git_commit".to_owned(), commit);
     }
+    if let Some(vehicle) = args.foreign.in_words() {
+        about.insert("vehicle".to_owned(), vehicle);
+    }
     if let Some(attack) = args.attack.attack {
         about.insert("attack".to_owned(), attack.name().to_owned());
     }
@@ -382,7 +402,7 @@ fn adversary_in_words(said: &str) -> String {
 }
 
 /// A child that is asked to end, and killed if it does not, however this program ends.
-struct Process {
+pub(super) struct Process {
     name: &'static str,
     child: Child,
     /// Its diagnostics.
@@ -392,7 +412,7 @@ struct Process {
 }
 
 impl Process {
-    fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
+    pub(super) fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let stderr_file = folder.join(format!("{name}.log"));
         let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
@@ -568,6 +588,7 @@ fn watch(
     let mut flight = Flight::default();
     let mut last_printed_s = f64::NEG_INFINITY;
     let mut reached_at: Option<Instant> = None;
+    let mut pose = PoseWatch::default();
     while !interrupt.came() {
         match statuses.recv_timeout(SILENCE_LIMIT) {
             Ok(status) => {
@@ -582,33 +603,41 @@ fn watch(
                     }
                     Terminal::Lines(_) | Terminal::Quiet => {}
                 }
-                let [x, y, z] = status.position_ned_m;
-                if status.outcome.is_none() {
-                    flight.path.push(NedVector::new(x, y, z));
+                // Of a foreign vehicle that cannot be placed there is nothing to keep.
+                if status.pose.is_none() {
+                    let [x, y, z] = status.position_ned_m;
+                    if status.outcome.is_none() {
+                        flight.path.push(NedVector::new(x, y, z));
+                    }
+                    let [qw, qx, qy, qz] = status.attitude;
+                    flight.truth.push(TruePose {
+                        at_ns: status.at_ns,
+                        position_ned_m: NedVector::new(x, y, z),
+                        attitude: Attitude {
+                            w: qw,
+                            x: qx,
+                            y: qy,
+                            z: qz,
+                        },
+                    });
                 }
-                let [qw, qx, qy, qz] = status.attitude;
-                flight.truth.push(TruePose {
-                    at_ns: status.at_ns,
-                    position_ned_m: NedVector::new(x, y, z),
-                    attitude: Attitude {
-                        w: qw,
-                        x: qx,
-                        y: qy,
-                        z: qz,
-                    },
-                });
                 flight.last = Some(status);
             }
-            Err(RecvTimeoutError::Timeout) => bail!("the simulator said nothing for {} s", SILENCE_LIMIT.as_secs()),
+            Err(RecvTimeoutError::Timeout) => {
+                bail!("the {} said nothing for {} s", simulator.name, SILENCE_LIMIT.as_secs())
+            }
             Err(RecvTimeoutError::Disconnected) => {
                 // Its pipe closes a moment before its exit status can be read.
                 std::thread::sleep(Duration::from_millis(200));
                 simulator.check()?;
-                bail!("the simulator closed its output");
+                bail!("the {} closed its output", simulator.name);
             }
         }
         firmware.check()?;
         let Some(status) = &flight.last else { continue };
+        if pose.observe(status)? {
+            break;
+        }
         match status.outcome.as_deref() {
             Some("success") => {
                 let since = reached_at.get_or_insert_with(Instant::now);
@@ -626,6 +655,9 @@ fn watch(
 
 /// Where the vehicle is and what guidance does, in a line.
 pub(super) fn state_line(s: &Status) -> String {
+    if let Some(pose) = &s.pose {
+        return format!("{:5.1} s  no frames: {pose}", s.time_s);
+    }
     let guidance = match (&s.guidance, s.reasons.is_empty()) {
         (None, _) => "no firmware yet".to_owned(),
         (Some(state), true) => state.clone(),
@@ -651,7 +683,7 @@ fn summarise(
     interrupted: bool,
 ) -> Result<ExitCode> {
     let Some(status) = flight else {
-        say!("no flight: interrupted before the simulator reported");
+        say!("no flight: interrupted before anything was reported");
         return Ok(ExitCode::from(EXIT_INTERRUPTED));
     };
     let paint = Paint::stdout();
@@ -664,7 +696,10 @@ fn summarise(
             )
         }
         (None, true) => format!("interrupted {:.1} m from the goal", status.goal_distance_m),
-        (None, false) => "no outcome".to_owned(),
+        (None, false) => match &status.pose {
+            Some(pose) => format!("no verdict: {pose}; the flight is to be flown anew"),
+            None => "no outcome".to_owned(),
+        },
     };
     say!("{} on {}", paint.verdict(success, &verdict), course.name);
     if success {
@@ -690,6 +725,7 @@ fn summarise(
     Ok(ExitCode::from(match (&status.outcome, interrupted) {
         (Some(outcome), _) => ending_code(outcome.parse().ok()),
         (None, true) => EXIT_INTERRUPTED,
+        (None, false) if status.pose.is_some() => ending_code(None),
         (None, false) => EXIT_ERROR,
     }))
 }

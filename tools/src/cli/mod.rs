@@ -7,6 +7,7 @@ mod export;
 mod family;
 mod figures;
 mod fly;
+mod foreign;
 mod import;
 mod learn;
 mod live;
@@ -103,7 +104,7 @@ enum Command {
     Rollout(rollout::RolloutArgs),
     /// Gather data for the detector, train it, measure how well it detects.
     Detector(detector::DetectorArgs),
-    /// Check a publisher of depth frames.
+    /// Check a publisher of depth frames, or be one for a foreign vehicle.
     Sensor(sensor::SensorArgs),
     /// Draw, write or check courses.
     Courses(courses::CoursesArgs),

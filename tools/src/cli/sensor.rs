@@ -26,6 +26,8 @@ pub struct SensorArgs {
 enum SensorCommand {
     /// Listen to a publisher of depth frames and say whether it keeps to the interface.
     Check(CheckArgs),
+    /// Publish the depth frames of a course as a foreign vehicle would see it, from the pose that it reports by MAVLink.
+    Render(vigil_sim::foreign::render::RenderArgs),
 }
 
 #[derive(Debug, Clone, clap::Args)]
@@ -73,7 +75,13 @@ struct CheckArgs {
 /// # Errors
 /// Shared memory that cannot be used, a key that is refused.
 pub fn run(args: &SensorArgs) -> Result<ExitCode> {
-    let SensorCommand::Check(args) = &args.command;
+    match &args.command {
+        SensorCommand::Check(args) => check(args),
+        SensorCommand::Render(args) => vigil_sim::foreign::render::run(args),
+    }
+}
+
+fn check(args: &CheckArgs) -> Result<ExitCode> {
     if let Some(path) = &args.json {
         output::prepare(path)?;
     }

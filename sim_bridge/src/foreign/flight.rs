@@ -1,0 +1,454 @@
+//! A course around a vehicle that is not ours: depth frames from the pose that it reports by MAVLink, and the referee's verdict.
+
+use crate::sensor_fault::{FailingSensor, SensorFault};
+use crate::simulator::{Ending, LIDAR_SENSOR_ID};
+use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
+use vigil_mavlink::Vehicle;
+use vigil_mavlink::framing::{self, FramingCounters, Packet};
+use vigil_types::{Attitude, DepthFrame, FrameKey, Nanos, NedVector, VehicleMode, VehicleTelemetry};
+use vigil_world::{Course, Lidar, LidarConfig, LidarConfigError, Outcome, Referee, Shot, World};
+
+/// The autopilot's component; ground stations and companions on the same link are others.
+const AUTOPILOT: u8 = 1;
+
+/// A report older than this is no pose; the firmware's own limit of telemetry.
+const REPORT_AGE_NS: Nanos = 300_000_000;
+
+/// How far a report may be from where the one before leads, metres, and how much farther per second between them.
+const JUMP_M: f32 = 1.0;
+const JUMP_M_S: f32 = 10.0;
+
+/// Height above home from which the vehicle flies, and the referee judges, metres.
+const LIFT_OFF_M: f32 = 0.5;
+
+/// What is known of the vehicle's pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PoseState {
+    /// Nothing was heard of an autopilot.
+    Silent,
+    /// Two autopilots are heard and none was named: whose pose would be rendered is chance, so none is.
+    TwoVehicles,
+    /// An autopilot is heard, but never a LOCAL_POSITION_NED.
+    NoPosition,
+    /// Position is reported, but never ATTITUDE or ATTITUDE_QUATERNION.
+    NoAttitude,
+    /// The true pose is to be rendered, but it is not reported (HIL_STATE_QUATERNION and GPS_GLOBAL_ORIGIN).
+    NoTruth,
+    /// All is fresh: frames are rendered.
+    Tracking,
+    /// Position or attitude is older than 0.3 s: no frames until both are fresh again.
+    Stopped,
+    /// The reported position jumped in flight. It cannot be told where the vehicle was in between, so there are no further
+    /// frames and no verdict: the flight is to be flown anew.
+    Jumped,
+    /// A position, velocity or attitude is not finite, or a quaternion is not of unit length: no frames until one is good.
+    NotFinite,
+}
+
+impl PoseState {
+    /// What a person is told.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Silent => "no autopilot is heard",
+            Self::TwoVehicles => "two vehicles are heard: name one by the link's option system=",
+            Self::NoPosition => "the vehicle never reports LOCAL_POSITION_NED",
+            Self::NoAttitude => "the vehicle reports neither ATTITUDE nor ATTITUDE_QUATERNION",
+            Self::NoTruth => "the vehicle does not report HIL_STATE_QUATERNION and GPS_GLOBAL_ORIGIN",
+            Self::Tracking => "pose is tracked",
+            Self::Stopped => "the vehicle's pose stopped",
+            Self::Jumped => "the vehicle's position jumped in flight",
+            Self::NotFinite => "the vehicle's pose is not finite",
+        }
+    }
+
+    /// Whether it gets better by itself only if somebody does something about it: a flight need not be waited for.
+    pub const fn is_final(self) -> bool {
+        matches!(self, Self::Jumped)
+    }
+}
+
+/// A position and a velocity in the vehicle's local frame, as reported.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Motion {
+    at_ns: Nanos,
+    ned_m: NedVector,
+    velocity_ned_m_s: NedVector,
+}
+
+impl Motion {
+    /// Where the vehicle is at `now_ns`, by its velocity.
+    fn at(&self, now_ns: Nanos) -> NedVector {
+        let since_s = now_ns.saturating_sub(self.at_ns).min(REPORT_AGE_NS) as f32 * 1e-9;
+        self.ned_m + self.velocity_ned_m_s * since_s
+    }
+
+    fn is_finite(&self) -> bool {
+        self.ned_m.is_finite() && self.velocity_ned_m_s.is_finite()
+    }
+
+    fn is_fresh(&self, now_ns: Nanos) -> bool {
+        now_ns.saturating_sub(self.at_ns) <= REPORT_AGE_NS
+    }
+}
+
+/// A pose on the course.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CoursePose {
+    /// Metres from home.
+    pub position_ned_m: NedVector,
+    /// Body to NED.
+    pub attitude: Attitude,
+    /// Metres per second.
+    pub velocity_ned_m_s: NedVector,
+}
+
+/// How a foreign flight is set up.
+#[derive(Debug, Clone, Default)]
+pub struct ForeignConfig {
+    /// LiDAR model.
+    pub lidar: LidarConfig,
+    /// Seed of the LiDAR's noise.
+    pub seed: u64,
+    /// What fails of the LiDAR, if anything.
+    pub sensor_fault: Option<SensorFault>,
+    /// The key with which frames are authenticated.
+    pub frame_key: Option<FrameKey>,
+    /// The vehicle's MAVLink system; the first autopilot that is heard, if none.
+    pub system: Option<u8>,
+    /// Render and judge HIL_STATE_QUATERNION, the truth of a simulated vehicle, instead of what the vehicle believes.
+    pub truth: bool,
+}
+
+/// One flight of a foreign vehicle over a course. It reads no clock and owns no socket. The course's origin is the vehicle's home
+/// (HOME_POSITION; without it the origin of LOCAL_POSITION_NED) as it was at lift-off.
+pub struct ForeignFlight {
+    world: World,
+    referee: Referee,
+    lidar: Lidar,
+    failing: Option<FailingSensor>,
+    frame_key: Option<FrameKey>,
+    counters: FramingCounters,
+    vehicle: Vehicle,
+    system: Option<u8>,
+    system_is_named: bool,
+    other_system: Option<u8>,
+    wants_truth: bool,
+    truth: Option<(Motion, Attitude)>,
+    /// The last position that was good, by which a jump is told.
+    last: Option<Motion>,
+    restarts: u32,
+    jumped: bool,
+    epoch_ns: Nanos,
+    goal_ned_m: NedVector,
+    home_ned_m: NedVector,
+    lifted_off_ns: Option<Nanos>,
+    last_judged_ned_m: Option<NedVector>,
+    path_length_m: f64,
+    next_sequence: u64,
+    ending: Option<Ending>,
+}
+
+impl ForeignFlight {
+    /// Sets the course up. `epoch_ns` is the clock's reading at which the movers begin.
+    ///
+    /// # Errors
+    /// A parameter of the LiDAR that cannot be simulated.
+    pub fn new(course: &Course, config: &ForeignConfig, epoch_ns: Nanos) -> Result<Self, LidarConfigError> {
+        Ok(Self {
+            world: World::new(course),
+            referee: Referee::new(course),
+            lidar: Lidar::new(config.lidar, config.seed)?,
+            failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
+            frame_key: config.frame_key.clone(),
+            counters: FramingCounters::default(),
+            vehicle: Vehicle::new(None),
+            system: config.system,
+            system_is_named: config.system.is_some(),
+            other_system: None,
+            wants_truth: config.truth,
+            truth: None,
+            last: None,
+            restarts: 0,
+            jumped: false,
+            epoch_ns,
+            goal_ned_m: course.goal_ned_m(),
+            home_ned_m: NedVector::ZERO,
+            lifted_off_ns: None,
+            last_judged_ned_m: None,
+            path_length_m: 0.0,
+            next_sequence: 0,
+            ending: None,
+        })
+    }
+
+    /// Takes a datagram that arrived at `now_ns`. Packets of others than the vehicle's autopilot are passed over.
+    pub fn receive(&mut self, now_ns: Nanos, datagram: &[u8]) {
+        let mut counters = self.counters;
+        for packet in framing::packets(datagram, &mut counters) {
+            self.packet(now_ns, &packet);
+        }
+        self.counters = counters;
+    }
+
+    fn packet(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
+        if packet.is_autopilots_heartbeat() {
+            let system = *self.system.get_or_insert(packet.system_id());
+            if system != packet.system_id() {
+                self.other_system = Some(packet.system_id());
+            }
+        }
+        if packet.component_id() != AUTOPILOT || self.system != Some(packet.system_id()) {
+            return;
+        }
+        let before = self.vehicle.telemetry.kinematics;
+        self.vehicle.receive(now_ns, packet);
+        if self.vehicle.restarts != self.restarts {
+            self.restarts = self.vehicle.restarts;
+            // It begins anew: where it was is nothing to go by. In flight it cannot be told where it is.
+            (self.last, self.truth) = (None, None);
+            self.jumped |= self.lifted_off_ns.is_some() && self.ending.is_none();
+        }
+        if self.wants_truth
+            && let Ok(MavMessage::HIL_STATE_QUATERNION(m)) = packet.message()
+        {
+            self.note_truth(now_ns, &m);
+        }
+        if self.vehicle.telemetry.kinematics != before
+            && let Some(motion) = self.reported()
+        {
+            self.note_position(motion);
+            if !self.wants_truth {
+                self.judge(now_ns);
+            }
+        }
+    }
+
+    fn note_truth(&mut self, now_ns: Nanos, m: &HIL_STATE_QUATERNION_DATA) {
+        let Some(origin) = self.vehicle.origin else { return };
+        let degrees = |e7: i32| f64::from(e7) * 1e-7;
+        let (north_m, east_m) = origin.north_east_m(degrees(m.lat), degrees(m.lon));
+        let down_m = (origin.altitude_m - f64::from(m.alt) * 1e-3) as f32;
+        let m_s = |cm_s: i16| f32::from(cm_s) * 0.01;
+        let [w, x, y, z] = m.attitude_quaternion;
+        let motion = Motion {
+            at_ns: now_ns,
+            ned_m: NedVector::new(north_m, east_m, down_m),
+            velocity_ned_m_s: NedVector::new(m_s(m.vx), m_s(m.vy), m_s(m.vz)),
+        };
+        self.truth = Some((motion, Attitude { w, x, y, z }));
+        self.judge(now_ns);
+    }
+
+    /// The position that the vehicle reported last.
+    fn reported(&self) -> Option<Motion> {
+        self.vehicle.telemetry.kinematics.map(|k| Motion {
+            at_ns: k.at_ns,
+            ned_m: k.position_ned_m,
+            velocity_ned_m_s: k.velocity_ned_m_s,
+        })
+    }
+
+    fn note_position(&mut self, new: Motion) {
+        if !new.is_finite() {
+            return;
+        }
+        if let Some(last) = self.last.replace(new) {
+            // After a gap nothing more is allowed than after the longest that is no gap.
+            let since_s = new.at_ns.saturating_sub(last.at_ns).min(REPORT_AGE_NS) as f32 * 1e-9;
+            let astray_m = (new.ned_m - last.at(new.at_ns)).norm();
+            // On the ground an estimator may still find its place. After the end nothing is judged.
+            let flies = self.lifted_off_ns.is_some() && self.ending.is_none();
+            self.jumped |= flies && astray_m > JUMP_M + JUMP_M_S * since_s;
+        }
+        if self.lifted_off_ns.is_none() {
+            self.home_ned_m = self.vehicle.home_ned_m().unwrap_or(NedVector::ZERO);
+        }
+    }
+
+    /// What is rendered and judged: position and attitude in the local frame.
+    fn rendered(&self) -> Option<(Motion, Attitude)> {
+        match self.wants_truth {
+            true => self.truth,
+            false => Some((self.reported()?, self.vehicle.telemetry.attitude?.attitude)),
+        }
+    }
+
+    /// The pose that is rendered, on the course, at `now_ns`.
+    pub fn pose(&self, now_ns: Nanos) -> Option<CoursePose> {
+        let (motion, attitude) = self.rendered()?;
+        Some(CoursePose {
+            position_ned_m: motion.at(now_ns) - self.home_ned_m,
+            attitude,
+            velocity_ned_m_s: motion.velocity_ned_m_s,
+        })
+    }
+
+    /// Shows the referee what was just reported.
+    fn judge(&mut self, now_ns: Nanos) {
+        if self.pose_state(now_ns) != PoseState::Tracking || self.ending.is_some() {
+            return;
+        }
+        let Some(pose) = self.pose(now_ns) else { return };
+        if self.lifted_off_ns.is_none() && -pose.position_ned_m.z >= LIFT_OFF_M {
+            self.lifted_off_ns = Some(now_ns);
+        }
+        let Some(lifted_off_ns) = self.lifted_off_ns else {
+            return;
+        };
+        if let Some(last) = self.last_judged_ned_m.replace(pose.position_ned_m) {
+            self.path_length_m += f64::from((pose.position_ned_m - last).norm());
+        }
+        self.world.set_time_ns(now_ns.saturating_sub(self.epoch_ns));
+        let outcome = self.referee.observe(
+            &self.world,
+            now_ns,
+            pose.position_ned_m,
+            pose.attitude,
+            pose.velocity_ned_m_s,
+        );
+        self.ending = outcome.map(|outcome| Ending {
+            outcome,
+            flight_time_s: (now_ns - lifted_off_ns) as f64 * 1e-9,
+        });
+    }
+
+    /// What is known of the pose at `now_ns`.
+    pub fn pose_state(&self, now_ns: Nanos) -> PoseState {
+        let telemetry = &self.vehicle.telemetry;
+        let (Some(position), Some(attitude)) = (self.reported(), telemetry.attitude) else {
+            return match self.system.and(telemetry.heartbeat) {
+                _ if self.jumped => PoseState::Jumped,
+                None => PoseState::Silent,
+                Some(_) if self.has_two_vehicles() => PoseState::TwoVehicles,
+                Some(_) if telemetry.kinematics.is_none() => PoseState::NoPosition,
+                Some(_) => PoseState::NoAttitude,
+            };
+        };
+        let is_old = !position.is_fresh(now_ns) || now_ns.saturating_sub(attitude.at_ns) > REPORT_AGE_NS;
+        match self.rendered() {
+            _ if self.jumped => PoseState::Jumped,
+            _ if self.has_two_vehicles() => PoseState::TwoVehicles,
+            None => PoseState::NoTruth,
+            Some((rendered, _)) if is_old || !rendered.is_fresh(now_ns) => PoseState::Stopped,
+            Some((rendered, turn))
+                if !rendered.is_finite()
+                    || !position.is_finite()
+                    || !turn.is_valid()
+                    || !attitude.attitude.is_valid() =>
+            {
+                PoseState::NotFinite
+            }
+            Some(_) => PoseState::Tracking,
+        }
+    }
+
+    fn has_two_vehicles(&self) -> bool {
+        !self.system_is_named && self.other_system.is_some()
+    }
+
+    /// Renders and seals the depth frame of `now_ns`, from the reported position carried on by the reported velocity. `false`,
+    /// and the frame is as it was, where the pose is not tracked.
+    pub fn capture(&mut self, now_ns: Nanos, frame: &mut DepthFrame) -> bool {
+        let (PoseState::Tracking, Some(reported), Some(estimate), Some(pose)) = (
+            self.pose_state(now_ns),
+            self.reported(),
+            self.vehicle.telemetry.attitude,
+            self.pose(now_ns),
+        ) else {
+            return false;
+        };
+        let elapsed_ns = now_ns.saturating_sub(self.epoch_ns);
+        self.world.set_time_ns(elapsed_ns);
+        let attitude = match &self.failing {
+            Some(failing) => failing.attitude(elapsed_ns, pose.attitude),
+            None => pose.attitude,
+        };
+        let shot = Shot {
+            position_ned_m: pose.position_ned_m,
+            attitude,
+            estimated_position_ned_m: reported.at(now_ns),
+            estimated_attitude: estimate.attitude,
+            stamp_ns: now_ns,
+            sequence: self.next_sequence,
+            sensor_id: LIDAR_SENSOR_ID,
+        };
+        self.lidar.capture(&self.world, &shot, frame);
+        if let Some(failing) = &mut self.failing {
+            failing.spoil(elapsed_ns, frame);
+        }
+        if let Some(key) = &self.frame_key {
+            frame.authenticate(key);
+        }
+        self.next_sequence += 1;
+        true
+    }
+
+    /// How the flight ended, once it has. A flight whose position jumped before has no ending.
+    pub fn ending(&self) -> Option<Ending> {
+        self.ending
+    }
+
+    /// Whether the vehicle ended by touching something.
+    pub fn has_crashed(&self) -> bool {
+        self.ending.is_some_and(|ending| ending.outcome == Outcome::Collision)
+    }
+
+    /// Metres flown from lift-off to the ending.
+    pub fn path_length_m(&self) -> f64 {
+        self.path_length_m
+    }
+
+    /// Horizontal distance to the goal; infinite while the pose is not known.
+    pub fn goal_distance_m(&self, now_ns: Nanos) -> f32 {
+        self.pose(now_ns).map_or(f32::INFINITY, |pose| {
+            (self.goal_ned_m - pose.position_ned_m).horizontal_norm()
+        })
+    }
+
+    /// What the vehicle reports.
+    pub fn telemetry(&self) -> &VehicleTelemetry {
+        &self.vehicle.telemetry
+    }
+
+    /// The vehicle's system, once it is known.
+    pub fn system(&self) -> Option<u8> {
+        self.system
+    }
+
+    /// A vehicle that is heard and is not the one that is rendered.
+    pub fn other_system(&self) -> Option<u8> {
+        self.other_system
+    }
+
+    /// Whether home and the local origin are known, and the latter's place on the globe.
+    pub fn places_are_told(&self) -> bool {
+        self.vehicle.home_ned_m().is_some() && self.vehicle.is_origin_told()
+    }
+
+    /// Whether HIL_STATE_QUATERNION is wanted and came within the last 0.3 s, or is not wanted.
+    pub fn has_truth(&self, now_ns: Nanos) -> bool {
+        !self.wants_truth || self.truth.is_some_and(|(motion, _)| motion.is_fresh(now_ns))
+    }
+
+    /// The vehicle's mode by name, as far as Vigil tells modes apart.
+    pub fn mode_name(&self) -> &'static str {
+        match self
+            .vehicle
+            .telemetry
+            .heartbeat
+            .map_or(VehicleMode::Unknown, |h| h.mode)
+        {
+            VehicleMode::Unknown => "unknown",
+            VehicleMode::External => "external",
+            VehicleMode::Hold => "hold",
+            VehicleMode::Takeoff => "take-off",
+            VehicleMode::Land => "land",
+            VehicleMode::Return => "return",
+            VehicleMode::Mission => "mission",
+            VehicleMode::Other => "other",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,292 @@
+use super::*;
+use crate::config::{SimConfig, Start};
+use crate::simulator::Simulator;
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_mavlink::{MavHeader, MavMessage};
+use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, STEP_NS};
+use vigil_world::{Column, Family, generate};
+
+/// Pixels in the middle of the image.
+const AHEAD: usize = 64 * DEPTH_COLS + 128;
+
+/// A scripted vehicle 2.5 m above home that reports every 50 ms, as an ArduPilot does with ATTITUDE.
+struct Scripted {
+    flight: ForeignFlight,
+    step: u64,
+    height_m: f32,
+    frame: Box<DepthFrame>,
+}
+
+impl Scripted {
+    fn new(column_at_m: Option<f32>) -> Self {
+        Self::with(column_at_m, ForeignConfig::default())
+    }
+
+    fn with(column_at_m: Option<f32>, config: ForeignConfig) -> Self {
+        let mut course = generate(Family::Validation, 1);
+        (course.columns, course.boxes, course.walls) = (vec![], vec![], vec![]);
+        (course.overhangs, course.movers) = (vec![], vec![]);
+        course.columns.extend(column_at_m.map(|north_m| Column {
+            north_m,
+            east_m: 0.0,
+            radius_m: 0.5,
+            height_m: 5.0,
+        }));
+        (course.goal.north_m, course.goal.east_m) = (15.0, 0.0);
+        course.flight_height_m = 2.5;
+        Self {
+            flight: ForeignFlight::new(&course, &config, 0).expect("valid"),
+            step: 0,
+            height_m: 2.5,
+            frame: Box::new(DepthFrame::EMPTY),
+        }
+    }
+
+    fn hear(&mut self, system_id: u8, component_id: u8, message: &MavMessage) {
+        let mut bytes = [0; MAX_PACKET_LEN];
+        let header = MavHeader {
+            system_id: system_id.into(),
+            component_id,
+            sequence: 0,
+        };
+        let len = serialize(header, message, &mut bytes).expect("fits");
+        self.flight.receive(self.step * STEP_NS, &bytes[..len]);
+    }
+
+    fn heartbeat(&mut self, system: u8) {
+        self.hear(
+            system,
+            1,
+            &MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+                autopilot: MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
+                mavtype: MavType::MAV_TYPE_QUADROTOR,
+                ..Default::default()
+            }),
+        );
+    }
+
+    fn attitude(&mut self) {
+        let time_boot_ms = self.step as u32 * 50;
+        self.hear(
+            1,
+            1,
+            &MavMessage::ATTITUDE(ATTITUDE_DATA {
+                time_boot_ms,
+                ..Default::default()
+            }),
+        );
+    }
+
+    fn position(&mut self, north_m: f32, north_m_s: f32) {
+        let message = LOCAL_POSITION_NED_DATA {
+            time_boot_ms: self.step as u32 * 50,
+            x: north_m,
+            z: -self.height_m,
+            vx: north_m_s,
+            ..Default::default()
+        };
+        self.hear(1, 1, &MavMessage::LOCAL_POSITION_NED(message));
+    }
+
+    /// Reports at `north_m` in the next step; whether there is a frame, and the state.
+    fn report(&mut self, north_m: f32, north_m_s: f32) -> (bool, PoseState) {
+        self.step += 1;
+        self.heartbeat(1);
+        self.attitude();
+        self.position(north_m, north_m_s);
+        self.look()
+    }
+
+    fn look(&mut self) -> (bool, PoseState) {
+        let now_ns = self.step * STEP_NS;
+        (
+            self.flight.capture(now_ns, &mut self.frame),
+            self.flight.pose_state(now_ns),
+        )
+    }
+
+    /// Flies north at 2 m/s from `north_m` until it ends.
+    fn fly_north(&mut self, north_m: f32) -> Option<Outcome> {
+        (0..200).find_map(|step| {
+            self.report(north_m + step as f32 * 0.1, 2.0);
+            self.flight.ending().map(|ending| ending.outcome)
+        })
+    }
+
+    fn ahead_m(&self) -> f32 {
+        self.frame.depth[AHEAD] * DEPTH_FULL_SCALE_M
+    }
+}
+
+#[test]
+fn a_way_through_a_column_is_a_collision_and_a_free_one_arrives() {
+    assert_eq!(Scripted::new(Some(8.0)).fly_north(0.0), Some(Outcome::Collision));
+    let mut free = Scripted::new(None);
+    assert_eq!(free.fly_north(0.0), Some(Outcome::Success));
+    let ending = free.flight.ending().expect("ended");
+    assert!((free.flight.path_length_m() - 2.0 * ending.flight_time_s).abs() < 0.2);
+}
+
+#[test]
+fn the_column_ahead_is_seen_at_its_range_also_between_two_reports() {
+    let mut vehicle = Scripted::new(Some(8.0));
+    vehicle.report(0.0, 2.0);
+    assert!((vehicle.ahead_m() - 7.5).abs() < 0.2, "{}", vehicle.ahead_m());
+    vehicle.step += 4;
+    assert!(vehicle.look().0);
+    // 0.2 s at 2 m/s later.
+    assert!((vehicle.ahead_m() - 7.1).abs() < 0.2, "{}", vehicle.ahead_m());
+}
+
+#[test]
+fn each_way_to_have_no_pose_has_its_name_and_no_frames() {
+    let mut vehicle = Scripted::new(None);
+    assert_eq!(vehicle.look(), (false, PoseState::Silent));
+    // A ground station is no vehicle.
+    vehicle.hear(255, 190, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::default()));
+    assert_eq!(vehicle.look(), (false, PoseState::Silent));
+    vehicle.heartbeat(1);
+    assert_eq!(vehicle.look(), (false, PoseState::NoPosition));
+    vehicle.position(0.0, 0.0);
+    assert_eq!(vehicle.look(), (false, PoseState::NoAttitude));
+    vehicle.attitude();
+    assert_eq!(vehicle.look(), (true, PoseState::Tracking));
+    assert_eq!(vehicle.report(f32::NAN, 0.0), (false, PoseState::NotFinite));
+    assert_eq!(vehicle.report(0.0, 0.0), (true, PoseState::Tracking));
+    vehicle.step += 7;
+    assert_eq!(vehicle.look(), (false, PoseState::Stopped));
+    assert_eq!(vehicle.report(0.5, 0.0), (true, PoseState::Tracking));
+    // Whose pose that is cannot be known any more.
+    vehicle.heartbeat(2);
+    assert_eq!(vehicle.look(), (false, PoseState::TwoVehicles));
+}
+
+#[test]
+fn of_two_vehicles_the_one_that_is_named_is_rendered() {
+    let config = ForeignConfig {
+        system: Some(1),
+        ..Default::default()
+    };
+    let mut vehicle = Scripted::with(None, config);
+    vehicle.heartbeat(2);
+    assert_eq!(vehicle.look(), (false, PoseState::Silent));
+    assert_eq!(vehicle.report(0.0, 0.0), (true, PoseState::Tracking));
+    vehicle.heartbeat(2);
+    assert_eq!(vehicle.look(), (true, PoseState::Tracking));
+}
+
+#[test]
+fn a_jump_through_a_column_is_no_collision_but_the_end_of_judging() {
+    let mut vehicle = Scripted::new(Some(8.0));
+    assert_eq!(vehicle.report(5.0, 0.0), (true, PoseState::Tracking));
+    assert_eq!(vehicle.report(11.0, 0.0), (false, PoseState::Jumped));
+    assert_eq!(vehicle.report(11.0, 0.0), (false, PoseState::Jumped));
+    assert_eq!(vehicle.flight.ending(), None);
+    assert!(PoseState::Jumped.is_final());
+}
+
+#[test]
+fn on_the_ground_the_estimator_may_find_its_place_and_home_is_where_the_course_begins() {
+    let mut vehicle = Scripted::new(Some(8.0));
+    vehicle.height_m = 0.0;
+    vehicle.report(0.0, 0.0);
+    // The estimator is reset, and home with it.
+    vehicle.hear(
+        1,
+        1,
+        &MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+            latitude: 473_977_420,
+            longitude: 85_455_940,
+            altitude: 488_000,
+            x: 30.0,
+            ..Default::default()
+        }),
+    );
+    assert_eq!(vehicle.report(30.0, 0.0), (true, PoseState::Tracking));
+    vehicle.height_m = 2.5;
+    vehicle.report(30.0, 0.0);
+    assert!((vehicle.ahead_m() - 7.5).abs() < 0.2, "{}", vehicle.ahead_m());
+    // The header has the position as the firmware hears it from the vehicle.
+    assert_eq!(vehicle.frame.header.position_ned_m, NedVector::new(30.0, 0.0, -2.5));
+    assert_eq!(vehicle.fly_north(30.0), Some(Outcome::Collision));
+}
+
+#[test]
+fn a_vehicle_that_starts_anew_in_flight_has_no_verdict() {
+    let mut vehicle = Scripted::new(None);
+    vehicle.step = 100;
+    assert_eq!(vehicle.report(5.0, 0.0), (true, PoseState::Tracking));
+    let message = LOCAL_POSITION_NED_DATA {
+        time_boot_ms: 10,
+        ..Default::default()
+    };
+    vehicle.hear(1, 1, &MavMessage::LOCAL_POSITION_NED(message));
+    assert_eq!(vehicle.look(), (false, PoseState::Jumped));
+}
+
+#[test]
+fn the_true_pose_is_rendered_where_it_is_wanted_and_waited_for_where_it_is_missing() {
+    let config = ForeignConfig {
+        truth: true,
+        ..Default::default()
+    };
+    let mut vehicle = Scripted::with(Some(8.0), config);
+    assert_eq!(vehicle.report(0.0, 0.0), (false, PoseState::NoTruth));
+    let (latitude, longitude) = (473_977_420, 85_455_940);
+    vehicle.hear(
+        1,
+        1,
+        &MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
+            latitude,
+            longitude,
+            altitude: 488_000,
+            time_usec: 0,
+        }),
+    );
+    // A hundred units of latitude north of where it believes to be: 1.11 m.
+    vehicle.hear(
+        1,
+        1,
+        &MavMessage::HIL_STATE_QUATERNION(HIL_STATE_QUATERNION_DATA {
+            attitude_quaternion: [1.0, 0.0, 0.0, 0.0],
+            lat: latitude + 100,
+            lon: longitude,
+            alt: 490_500,
+            ..Default::default()
+        }),
+    );
+    assert_eq!(vehicle.look(), (true, PoseState::Tracking));
+    assert!((vehicle.ahead_m() - 6.39).abs() < 0.2, "{}", vehicle.ahead_m());
+    assert_eq!(vehicle.frame.header.position_ned_m.x, 0.0, "what it believes");
+}
+
+#[test]
+fn our_own_vehicle_heard_by_mavlink_alone_sees_what_its_simulator_shows() {
+    let mut config = SimConfig::new(generate(Family::Validation, 7), 7);
+    config.start = Start::Airborne;
+    let mut simulator = Simulator::new(&config, 0).expect("valid");
+    let foreign_config = ForeignConfig {
+        lidar: config.lidar,
+        seed: 7,
+        ..Default::default()
+    };
+    let mut foreign = ForeignFlight::new(&config.course, &foreign_config, 0).expect("valid");
+    let (mut shown, mut rendered) = (Box::new(DepthFrame::EMPTY), Box::new(DepthFrame::EMPTY));
+    let (silence, mut telemetry) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut frames = 0;
+    for _ in 0..60 {
+        simulator.lockstep(&silence, &mut shown, &mut telemetry);
+        for (_, datagram) in telemetry.iter() {
+            foreign.receive(simulator.now_ns(), datagram);
+        }
+        frames += u32::from(foreign.capture(simulator.now_ns(), &mut rendered));
+    }
+    assert!(frames > 35, "{frames} of 60");
+    let pixels = shown.depth.iter().zip(&rendered.depth);
+    let mut apart_m: Vec<f32> = pixels.map(|(a, b)| (a - b).abs() * DEPTH_FULL_SCALE_M).collect();
+    apart_m.sort_by(f32::total_cmp);
+    let median_m = apart_m[apart_m.len() / 2];
+    assert!(median_m < 0.3, "half of the pixels are within {median_m} m");
+    assert_eq!(rendered.header.stamp_ns, simulator.now_ns());
+}

@@ -1,0 +1,312 @@
+//! The sensor of a foreign vehicle as a process: depth frames of a course at 20 Hz from the pose that is heard.
+
+use super::flight::{ForeignConfig, ForeignFlight, PoseState};
+use super::pose_link::PoseLink;
+use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status};
+use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, SensorFault};
+use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use vigil_io::clock::{monotonic_ns, sleep_until};
+use vigil_io::gate::AllowUnsigned;
+use vigil_io::link_spec::LinkSpec;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_types::{GuidanceState, Nanos, Reasons, STEP_NS};
+use vigil_world::Course;
+
+/// Time between two looks at the links.
+const SLICE_NS: Nanos = 2_000_000;
+/// What keeps frames from being rendered is told again this often.
+const TELL_NS: Nanos = 10_000_000_000;
+/// A state of the pose that lasted shorter than this is not worth a word.
+const BRIEF_NS: Nanos = 1_000_000_000;
+
+/// Arguments of `vigil sensor render`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil sensor render --seed 7 --pose udpin://127.0.0.1:14540   validation course 7 around PX4's simulation
+  vigil sensor render --course my.toml --pose tcpout://127.0.0.1:5763
+                                                                ... around ArduPilot's
+  vigil sensor render --seed 7 --pose udpin://127.0.0.1:14540 --truth
+                                                                the true pose, where the simulator tells it
+`vigil fly --vehicle px4|ardupilot --link URL` starts it together with the firmware (docs/foreign-vehicles.md).
+
+Exit code: 0 ended on request; with --end-after 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight; 1 error.")]
+pub struct RenderArgs {
+    /// Course to fly.
+    #[command(flatten)]
+    pub course: CourseChoice,
+
+    /// Where the vehicle's pose is heard: a URL as of `vigil firmware --link`, with the options system=ID and
+    /// unsigned=loopback|never|always. May be repeated: the newest report counts.
+    #[arg(long, value_name = "URL[,OPTION]", required = true)]
+    pub pose: Vec<LinkSpec>,
+
+    /// Render and judge the true pose (HIL_STATE_QUATERNION) instead of what the vehicle believes; for simulators that tell it.
+    #[arg(long)]
+    pub truth: bool,
+
+    /// Number of this set of processes; shared memory follows from it.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    pub instance: u32,
+
+    /// Simulation file (TOML), of which the LiDAR's table counts; see docs/simulation.md.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+
+    /// Let the LiDAR fail, from the start or from a moment on (docs/sensor-faults.md).
+    #[arg(long, value_name = "MODE[@SECONDS|@random]")]
+    pub sensor_fault: Option<SensorFault>,
+
+    /// The frame service to publish on.
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
+    pub frames: String,
+
+    /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
+    #[arg(long, value_name = "WHO", value_enum, default_value_t)]
+    pub allow_unsigned: AllowUnsigned,
+
+    /// File with the secret of the depth frames' key: 64 hexadecimal digits or 32 bytes, mode 0600.
+    #[arg(long, value_name = "FILE")]
+    pub frame_key: Option<PathBuf>,
+
+    /// Print one JSON status line five times a second to standard output.
+    #[arg(long)]
+    pub status: bool,
+
+    /// End this many seconds after the flight ended (the default is to go on until Ctrl-C).
+    #[arg(long, value_name = "SECONDS")]
+    pub end_after: Option<f64>,
+}
+
+/// Runs the sensor until its end or Ctrl-C.
+///
+/// # Errors
+/// Course and configuration errors, a link or a frame service in use.
+pub fn run(args: &RenderArgs) -> Result<ExitCode> {
+    let seed = args.course.seed_or_random();
+    let course = args.course.load(seed)?;
+    let config = configure(args, seed)?;
+    let stop = Arc::new(AtomicBool::new(false));
+    let flag = Arc::clone(&stop);
+    ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+    let mut links = Vec::new();
+    for spec in &args.pose {
+        links.push(PoseLink::open(spec, args.allow_unsigned)?);
+    }
+    let domain = Domain::open(args.instance, "sensor")?;
+    let mut publisher = FramePublisher::create(&domain, &args.frames)?;
+    let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
+    let mut sensor = Sensor {
+        flight: ForeignFlight::new(&course, &config, epoch_ns)?,
+        links,
+        companion: CompanionView::default(),
+        told: Told::default(),
+        seen: String::new(),
+        wants_truth: args.truth,
+        epoch_ns,
+    };
+    announce(&start_lines(args, &course, seed));
+    let (mut now_ns, mut ended_ns) = (epoch_ns, None);
+    while !stop.load(Ordering::Relaxed) {
+        sleep_until(now_ns);
+        sensor.listen(monotonic_ns());
+        let step = (now_ns - epoch_ns) / STEP_NS;
+        if (now_ns - epoch_ns).is_multiple_of(STEP_NS) {
+            let tells = args.status && step.is_multiple_of(STATUS_STEPS);
+            sensor.publish(now_ns, &mut publisher, tells)?;
+            sensor.told.tell(now_ns, &sensor.flight);
+            if tells {
+                print_status(&sensor.status(now_ns))?;
+            }
+        }
+        if sensor.flight.ending().is_some() || sensor.flight.pose_state(now_ns).is_final() {
+            let since_ns = now_ns - *ended_ns.get_or_insert(now_ns);
+            if args.end_after.is_some_and(|s| since_ns as f64 >= s * 1e9) {
+                break;
+            }
+        }
+        // A stall is not made up for by a burst of old frames.
+        now_ns = (now_ns + SLICE_NS).max(monotonic_ns() / SLICE_NS * SLICE_NS);
+    }
+    if args.status {
+        print_status(&sensor.status(now_ns))?;
+    }
+    let ending = sensor.flight.ending().map(|e| e.outcome);
+    Ok(ExitCode::from(args.end_after.map_or(0, |_| ending_code(ending))))
+}
+
+fn configure(args: &RenderArgs, seed: u64) -> Result<ForeignConfig> {
+    let systems: Vec<u8> = args.pose.iter().filter_map(|spec| spec.system).collect();
+    if systems.iter().any(|system| Some(system) != systems.first()) {
+        bail!("--pose: the links name different vehicles: give the same system= on each");
+    }
+    if let Some(spec) = args
+        .pose
+        .iter()
+        .find(|s| s.values_hz.is_some() || s.rate_bytes_s.is_some())
+    {
+        bail!("--pose {spec}: the options rate= and values= are for the firmware's links: leave them out");
+    }
+    let models = args
+        .config
+        .as_deref()
+        .map(Models::load)
+        .transpose()?
+        .unwrap_or_default();
+    let frame_key = match &args.frame_key {
+        Some(path) => Some(vigil_io::key_file::frame_key(path, LIDAR_SENSOR_ID)?),
+        None => None,
+    };
+    Ok(ForeignConfig {
+        lidar: models.lidar,
+        seed,
+        sensor_fault: args.sensor_fault,
+        frame_key,
+        system: systems.first().copied(),
+        truth: args.truth,
+    })
+}
+
+fn start_lines(args: &RenderArgs, course: &Course, seed: u64) -> String {
+    let links: Vec<String> = args.pose.iter().map(ToString::to_string).collect();
+    format!(
+        "sensor     instance {}: {}, seed {seed}, around the {} of the vehicle heard on {}\n\
+         frames     on `{}` in shared memory\n\
+         end        Ctrl-C or SIGTERM",
+        args.instance,
+        course.name,
+        if args.truth { "true pose" } else { "pose" },
+        links.join(" and "),
+        args.frames
+    )
+}
+
+struct Sensor {
+    flight: ForeignFlight,
+    links: Vec<PoseLink>,
+    companion: CompanionView,
+    told: Told,
+    seen: String,
+    wants_truth: bool,
+    epoch_ns: Nanos,
+}
+
+impl Sensor {
+    fn listen(&mut self, now_ns: Nanos) {
+        let Self {
+            flight,
+            links,
+            companion,
+            ..
+        } = self;
+        for link in links.iter_mut() {
+            link.receive(now_ns, |datagram| {
+                companion.observe(datagram);
+                flight.receive(now_ns, datagram);
+            });
+        }
+        let wants_places = !flight.places_are_told();
+        for link in links {
+            link.ask(now_ns, self.wants_truth, wants_places);
+        }
+    }
+
+    fn publish(&mut self, now_ns: Nanos, publisher: &mut FramePublisher, looks: bool) -> Result<()> {
+        // Not tracked: nothing is published. The firmware holds for its frame's age, and says so.
+        if self.flight.pose_state(now_ns) == PoseState::Tracking {
+            let (flight, seen) = (&mut self.flight, &mut self.seen);
+            publisher.publish_with(|frame| {
+                flight.capture(now_ns, frame);
+                if looks {
+                    *seen = nearness(frame);
+                }
+            })?;
+        }
+        Ok(())
+    }
+
+    fn status(&self, now_ns: Nanos) -> Status {
+        let flight = &self.flight;
+        let pose = flight.pose(now_ns);
+        let state = flight.pose_state(now_ns);
+        let ending = flight.ending();
+        Status {
+            time_s: (now_ns - self.epoch_ns) as f64 * 1e-9,
+            at_ns: now_ns,
+            position_ned_m: pose.map_or([0.0; 3], |p| p.position_ned_m.to_array()),
+            attitude: pose.map_or([1.0, 0.0, 0.0, 0.0], |p| {
+                [p.attitude.w, p.attitude.x, p.attitude.y, p.attitude.z]
+            }),
+            speed_m_s: pose.map_or(0.0, |p| p.velocity_ned_m_s.norm()),
+            // JSON has no infinity.
+            goal_distance_m: Some(flight.goal_distance_m(now_ns))
+                .filter(|m| m.is_finite())
+                .unwrap_or(0.0),
+            mode: flight.mode_name().to_owned(),
+            armed: flight.telemetry().heartbeat.is_some_and(|h| h.armed),
+            guidance: self
+                .companion
+                .state_code
+                .and_then(GuidanceState::from_code)
+                .map(|s| s.name().to_owned()),
+            reasons: Reasons(self.companion.reason_bits)
+                .iter()
+                .map(|r| r.name().to_owned())
+                .collect(),
+            nearness: self.seen.clone(),
+            score: self.companion.score,
+            step_us: self.companion.step_us,
+            slips: self.companion.slips,
+            outcome: ending.map(|e| e.outcome.to_string()),
+            flight_time_s: ending.map_or(0.0, |e| e.flight_time_s),
+            path_length_m: flight.path_length_m(),
+            pose: (state != PoseState::Tracking).then(|| state.name().to_owned()),
+        }
+    }
+}
+
+/// What was told of the pose.
+#[derive(Default)]
+struct Told {
+    state: Option<(PoseState, Nanos)>,
+    told: Option<(PoseState, Nanos)>,
+    ended: bool,
+}
+
+impl Told {
+    /// Tells a person, on change and again while there are no frames.
+    fn tell(&mut self, now_ns: Nanos, flight: &ForeignFlight) {
+        let state = flight.pose_state(now_ns);
+        let since_ns = match self.state {
+            Some((known, since_ns)) if known == state => since_ns,
+            _ => now_ns,
+        };
+        self.state = Some((state, since_ns));
+        let is_brief = now_ns - since_ns < BRIEF_NS && state != PoseState::Tracking;
+        let is_due = match self.told {
+            Some((told, _)) if told != state => true,
+            Some((_, at_ns)) => state != PoseState::Tracking && now_ns - at_ns >= TELL_NS,
+            None => true,
+        };
+        if is_due && !is_brief {
+            self.told = Some((state, now_ns));
+            let whose = flight.system().map_or(String::new(), |id| format!(" (system {id})"));
+            let other = match (state, flight.other_system()) {
+                (PoseState::TwoVehicles, Some(other)) => format!("; the other is system {other}"),
+                _ => String::new(),
+            };
+            announce(&format!("pose       {}{whose}{other}", state.name()));
+        }
+        if let (false, Some(ending)) = (self.ended, flight.ending()) {
+            self.ended = true;
+            announce(&format!(
+                "flight     {} after {:.1} s",
+                ending.outcome, ending.flight_time_s
+            ));
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! `vigil fly` around a vehicle that already runs: PX4's or ArduPilot's own simulation, or a hardware-in-the-loop rig.
+
+use super::fly::Process;
+use anyhow::{Result, bail};
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+use vigil_firmware::arguments::choice;
+use vigil_io::gate::AllowUnsigned;
+use vigil_io::link_spec::LinkSpec;
+use vigil_sim::program::Status;
+use vigil_types::{AutopilotChoice, Choice};
+
+/// Where the firmware passes on to the sensor what it hears of the vehicle, of instance 0.
+const POSE_PORT: u32 = 14130;
+/// A vehicle whose pose cannot be rendered for so long is given up.
+const NO_POSE_LIMIT: Duration = Duration::from_secs(30);
+
+/// The foreign vehicle.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct ForeignArgs {
+    /// Fly a vehicle that already runs, instead of the simulated one: px4, ardupilot, or auto, which recognises it.
+    #[arg(long, requires = "link", value_parser = choice::<AutopilotChoice>())]
+    pub vehicle: Option<AutopilotChoice>,
+
+    /// Where that vehicle's MAVLink is: a URL as of `vigil firmware --link`. The pose is heard there too.
+    #[arg(long, value_name = "URL[,OPTION]", requires = "vehicle")]
+    pub link: Option<LinkSpec>,
+
+    /// A further link on which the sensor hears that vehicle's pose, sooner than through the firmware. May be repeated.
+    #[arg(long, value_name = "URL[,OPTION]", requires = "link")]
+    pub pose: Vec<LinkSpec>,
+
+    /// Render and judge that vehicle's true pose (HIL_STATE_QUATERNION); for simulators that tell it.
+    #[arg(long, requires = "link")]
+    pub truth: bool,
+
+    /// From whom on that vehicle's links packets without a signature are accepted: from this machine, nobody, everybody.
+    #[arg(long, value_enum, value_name = "WHO", requires = "link")]
+    pub allow_unsigned: Option<AllowUnsigned>,
+}
+
+impl ForeignArgs {
+    /// Whether the vehicle is one that already runs.
+    pub fn is_foreign(&self) -> bool {
+        self.link.is_some()
+    }
+
+    fn hand_on(&self, command: &mut Command) {
+        if let Some(who) = self.allow_unsigned {
+            let name = match who {
+                AllowUnsigned::Loopback => "loopback",
+                AllowUnsigned::Never => "never",
+                AllowUnsigned::Always => "always",
+            };
+            command.args(["--allow-unsigned", name]);
+        }
+    }
+
+    /// Arguments of the firmware on that vehicle: its link, and the one on which the sensor listens.
+    pub fn firmware(&self, command: &mut Command, instance: u32) {
+        let (Some(vehicle), Some(link)) = (self.vehicle, &self.link) else {
+            return;
+        };
+        command.args(["--vehicle", vehicle.name(), "--link", &link.to_string()]);
+        command
+            .arg("--link")
+            .arg(format!("udpout://127.0.0.1:{}", POSE_PORT + instance));
+        self.hand_on(command);
+    }
+
+    /// Arguments of the sensor around that vehicle.
+    pub fn sensor(&self, command: &mut Command, instance: u32) {
+        let system = self.link.as_ref().and_then(|link| link.system);
+        let option = system.map_or(String::new(), |id| format!(",system={id}"));
+        command.args(["sensor", "render", "--pose"]);
+        command.arg(format!("udpin://127.0.0.1:{}{option}", POSE_PORT + instance));
+        for link in &self.pose {
+            command.arg("--pose").arg(link.to_string());
+        }
+        if self.truth {
+            command.arg("--truth");
+        }
+        self.hand_on(command);
+    }
+
+    /// The vehicle in a flight's log.
+    pub fn in_words(&self) -> Option<String> {
+        let (vehicle, link) = (self.vehicle?, self.link.as_ref()?);
+        Some(format!("{} on {link}", vehicle.name()))
+    }
+}
+
+/// Gives a vehicle up whose pose cannot be rendered.
+#[derive(Default)]
+pub struct PoseWatch {
+    missing_since: Option<Instant>,
+}
+
+impl PoseWatch {
+    /// Looks at a status; `true` when the pose jumped, which ends the flight without a verdict.
+    ///
+    /// # Errors
+    /// No pose for half a minute, with what is missing and what to do.
+    pub fn observe(&mut self, status: &Status) -> Result<bool> {
+        let Some(state) = status.pose.as_deref().filter(|_| status.outcome.is_none()) else {
+            self.missing_since = None;
+            return Ok(false);
+        };
+        if state == vigil_sim::foreign::PoseState::Jumped.name() {
+            return Ok(true);
+        }
+        let since = *self.missing_since.get_or_insert_with(Instant::now);
+        if since.elapsed() > NO_POSE_LIMIT {
+            bail!(
+                "{state}, for {} s: `vigil doctor --link URL` says what is missing (docs/foreign-vehicles.md)",
+                NO_POSE_LIMIT.as_secs()
+            );
+        }
+        Ok(false)
+    }
+}
+
+/// Starts the sensor as a child.
+pub fn start_sensor(
+    args: &ForeignArgs,
+    folder: &Path,
+    instance: u32,
+    arrange: impl FnOnce(&mut Command),
+) -> Result<Process> {
+    Process::start("sensor", folder, |c| {
+        args.sensor(c, instance);
+        arrange(c);
+    })
+}
