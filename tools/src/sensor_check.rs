@@ -22,17 +22,7 @@ const MIDDLE: usize = 4;
 /// How far a wall may be from where it is: the LiDAR model's noise is 2 cm.
 const WALL_TOLERANCE_M: f32 = 0.1;
 
-/// How bad a finding is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Severity {
-    /// As it should be.
-    Good,
-    /// Flies, but not as well as it could.
-    Warning,
-    /// Does not fly, or must not.
-    Failure,
-}
+pub use vigil_doctor::Severity;
 
 /// One line of the report.
 #[derive(Debug, Clone, PartialEq, Serialize)]

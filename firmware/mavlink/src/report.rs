@@ -278,6 +278,16 @@ pub(crate) fn home_text(home_ned_m: NedVector) -> StatusText {
     })
 }
 
+/// "another guidance computer 1/191 is on the link: stop one".
+pub(crate) fn double_text(system: u8, component: u8) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_CRITICAL, |text| {
+        write!(
+            text,
+            "another guidance computer {system}/{component} is on the link: stop one"
+        )
+    })
+}
+
 /// Home was not told when the hand-over began.
 pub(crate) fn no_home_text() -> StatusText {
     StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {

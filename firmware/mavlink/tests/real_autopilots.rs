@@ -284,6 +284,26 @@ fn a_wrong_vehicle_is_named_at_once_and_again_every_half_minute() {
 }
 
 #[test]
+fn a_second_guidance_computer_behind_the_vehicle_is_named_at_once_and_again_every_half_minute() {
+    let told = "another guidance computer 1/191 is on the link: stop one";
+    let mut f = Flight::with(Px4, Peer::on_the_ground(Px4), GuidanceConfig::default());
+    f.run(seconds(3.0));
+    assert!(!has_text(&f, told));
+    // The autopilot passes on what it hears on its other links.
+    let second = MavHeader {
+        component_id: 191,
+        ..VEHICLE
+    };
+    for _ in 0..61 {
+        let heartbeat = heartbeat(MavAutopilot::MAV_AUTOPILOT_INVALID);
+        f.companion.receive(f.now_ns, 0, &bytes_of(second, &heartbeat));
+        f.run(seconds(1.0));
+    }
+    assert_eq!(f.texts.iter().filter(|t| *t == told).count(), 3);
+    assert!(f.peer.flight_commands().is_empty());
+}
+
+#[test]
 fn missing_inputs_are_named_one_by_one_with_their_age() {
     let mut b = Bench::new(Px4);
     let step = |b: &mut Bench, seconds: f64, missing: Reasons, change: &dyn Fn(&mut StepReport)| {

@@ -2,6 +2,7 @@
 
 mod courses;
 mod detector;
+mod doctor;
 mod evaluate;
 mod export;
 mod family;
@@ -104,6 +105,8 @@ enum Command {
     Rollout(rollout::RolloutArgs),
     /// Gather data for the detector, train it, measure how well it detects.
     Detector(detector::DetectorArgs),
+    /// Look at a vehicle and its depth sensor, and say what is missing before Vigil can fly them.
+    Doctor(doctor::DoctorArgs),
     /// Check a publisher of depth frames, or be one for a foreign vehicle.
     Sensor(sensor::SensorArgs),
     /// Draw, write or check courses.
@@ -153,6 +156,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Report(args) => report::run(&args),
         Command::Rollout(args) => rollout::run(&args),
         Command::Detector(args) => detector::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
         Command::Sensor(args) => sensor::run(&args),
         Command::Courses(args) => courses::run(&args),
         Command::Reproduce(args) => reproduce::run(&args),

@@ -2,12 +2,16 @@
 
 use crate::companion::CompanionConfig;
 use crate::core::Core;
+use crate::framing::Packet;
 use crate::inputs::{self, MissingInputs};
+use crate::operator::ReplyTo;
 use crate::report;
 use crate::service::{Service, Step};
+use mavlink::MessageData;
+use mavlink::dialects::common::HEARTBEAT_DATA;
 use vigil_types::{Datagrams, Nanos, NedVector};
 
-/// A vehicle of another autopilot than the configured one is told of this often.
+/// A vehicle of another autopilot than the configured one, and another guidance computer, are told of this often.
 const WRONG_VEHICLE_NS: Nanos = 30_000_000_000;
 /// Home is told of when it is this much elsewhere than last told, metres.
 const HOME_MOVED_M: f32 = 0.5;
@@ -18,6 +22,9 @@ pub(crate) struct WarningService {
     vehicle_named: bool,
     wrong_vehicle_ns: Option<Nanos>,
     home_said_m: NedVector,
+    /// Somebody on the vehicle's link calls itself what we are.
+    double_heard: bool,
+    double_told_ns: Option<Nanos>,
 }
 
 impl WarningService {
@@ -27,11 +34,22 @@ impl WarningService {
             vehicle_named: false,
             wrong_vehicle_ns: None,
             home_said_m: NedVector::ZERO,
+            double_heard: false,
+            double_told_ns: None,
         }
     }
 }
 
 impl Service for WarningService {
+    fn hear(&mut self, core: &mut Core, _: Nanos, packet: &Packet<'_>, from: ReplyTo) -> bool {
+        // No link gives us our own packets back: an autopilot passes them on to its other links only.
+        self.double_heard |= packet.message_id() == HEARTBEAT_DATA::ID
+            && from.link == core.config.link
+            && Some(from.system) == core.system_id
+            && from.component == core.config.component_id;
+        false
+    }
+
     fn speak(&mut self, core: &mut Core, step: &Step<'_>, out: &mut Datagrams) {
         let report = step.report;
         let now_ns = report.now_ns;
@@ -53,6 +71,16 @@ impl Service for WarningService {
         {
             self.home_said_m = home_ned_m;
             core.tell(out, &report::home_text(home_ned_m));
+        }
+        if core::mem::take(&mut self.double_heard) {
+            let is_due = self
+                .double_told_ns
+                .is_none_or(|told_ns| now_ns.saturating_sub(told_ns) >= WRONG_VEHICLE_NS);
+            if is_due {
+                self.double_told_ns = Some(now_ns);
+                let system = core.system_id.unwrap_or_default();
+                core.tell(out, &report::double_text(system, core.config.component_id));
+            }
         }
         for missing in self.missing.due(report).iter().flatten() {
             core.tell_now(out, &inputs::text(missing));

@@ -1,0 +1,231 @@
+//! Vehicles that are not ours, of either autopilot, on our courses: scripted ones over UDP, in real time.
+
+#[path = "../../firmware/mavlink/tests/common/peer.rs"]
+#[allow(
+    dead_code,
+    missing_docs,
+    reason = "the scripted vehicles of the MAVLink crate's tests, of which some is used here"
+)]
+mod peer;
+
+use peer::{Mode, Peer};
+use std::net::UdpSocket;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_sim::foreign::PoseState;
+use vigil_tests::{Running, run, said};
+use vigil_types::{Nanos, STEP_NS};
+
+/// As the peers' module wants it.
+fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, message, &mut out).expect("fits");
+    out[..len].to_vec()
+}
+
+/// Ground, and the goal straight ahead; with a column in the way if wanted.
+fn course(folder: &Path, goal_m: f32, column_m: Option<f32>) -> String {
+    let column = column_m.map_or(String::new(), |north_m| {
+        format!("[[columns]]\nnorth_m = {north_m}\neast_m = 0.0\nradius_m = 0.5\nheight_m = 5.0\n")
+    });
+    let text = format!(
+        "name = \"straight\"\ngoal = {{ north_m = {goal_m}, east_m = 0.0 }}\n\
+         bounds = {{ north_m = [-10.0, 30.0], east_m = [-10.0, 10.0], top_m = 8.0 }}\n{column}"
+    );
+    let path = folder.join("straight.toml");
+    std::fs::write(&path, text).expect("written");
+    path.to_str().expect("a UTF-8 path").to_owned()
+}
+
+/// A scripted vehicle that runs in real time and speaks to a port of this machine.
+struct Vehicle {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Peer>>,
+}
+
+impl Vehicle {
+    /// `script` is shown the vehicle and the time before each step; what it leaves out of the sent messages is `silenced`.
+    fn start(
+        mut peer: Peer,
+        port: u16,
+        silenced: &'static [u32],
+        mut script: impl FnMut(&mut Peer, Nanos) + Send + 'static,
+    ) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
+            socket.set_nonblocking(true).expect("can be");
+            let begun = Instant::now();
+            let (mut step, mut buffer, mut counters) = (0_u32, [0; 2048], FramingCounters::default());
+            while !ends.load(Ordering::Relaxed) {
+                let now_ns = 60_000_000_000 + Nanos::from(step) * STEP_NS;
+                while let Ok(len) = socket.recv(&mut buffer) {
+                    for packet in packets(&buffer[..len], &mut counters) {
+                        // The sensor's questions are not the guidance computer's.
+                        if packet.component_id() == 191 {
+                            peer.receive(now_ns, packet.raw());
+                        }
+                    }
+                }
+                script(&mut peer, now_ns);
+                for datagram in peer.step(now_ns) {
+                    let mut found = packets(&datagram, &mut counters);
+                    if found.next().is_some_and(|p| !silenced.contains(&p.message_id())) {
+                        // Nobody may listen yet.
+                        let _ = socket.send_to(&datagram, ("127.0.0.1", port));
+                    }
+                }
+                step += 1;
+                std::thread::sleep((Duration::from_nanos(STEP_NS) * step).saturating_sub(begun.elapsed()));
+            }
+            peer
+        });
+        Self {
+            stop,
+            thread: Some(thread),
+        }
+    }
+
+    fn end(mut self) -> Peer {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().expect("running").join().expect("it did not fail")
+    }
+}
+
+/// Flies a scripted vehicle to a goal 6 m ahead; exit code and what was said.
+fn fly(
+    flavour: Flavour,
+    instance: u16,
+    script: impl FnMut(&mut Peer, Nanos) + Send + 'static,
+) -> (Option<i32>, String) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let port = 15_100 + instance;
+    let vehicle = Vehicle::start(Peer::on_the_ground(flavour), port, &[], script);
+    let name = match flavour {
+        Flavour::Px4 => "px4",
+        Flavour::ArduPilot => "ardupilot",
+    };
+    let course = course(folder.path(), 6.0, None);
+    let output = run(&[
+        "fly",
+        "--vehicle",
+        name,
+        "--link",
+        &format!("udpin://127.0.0.1:{port}"),
+        "--course",
+        &course,
+        "--seed",
+        "1",
+        "--pilot",
+        "geometric",
+        "--instance",
+        &instance.to_string(),
+        "--log",
+        folder.path().to_str().expect("a UTF-8 path"),
+    ]);
+    let peer = vehicle.end();
+    let text = said(&output);
+    if output.status.code() == Some(0) {
+        assert!(!peer.armed && peer.height_m == 0.0, "it landed and disarmed: {text}");
+        assert!(!peer.disturbed_takeoff);
+    }
+    (output.status.code(), text)
+}
+
+#[test]
+fn a_vehicle_that_already_runs_flies_our_course_whichever_autopilot_it_has() {
+    let flights = [(Flavour::Px4, 71), (Flavour::ArduPilot, 72)]
+        .map(|(flavour, instance)| std::thread::spawn(move || fly(flavour, instance, |_, _| {})));
+    for flight in flights {
+        let (code, text) = flight.join().expect("it did not fail");
+        assert_eq!(code, Some(0), "{text}");
+        for part in ["success after", "on straight", "landed, disarmed", "report    "] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+    }
+}
+
+#[test]
+fn a_position_that_jumps_in_flight_ends_it_without_a_verdict() {
+    let (code, text) = fly(Flavour::Px4, 73, |peer, _| {
+        // In the middle of the way, once.
+        if (2.0..3.0).contains(&peer.north_m) {
+            peer.north_m += 10.0;
+        }
+    });
+    assert_eq!(code, Some(13), "{text}");
+    assert!(
+        text.contains(&format!("no verdict: {}", PoseState::Jumped.name())) && text.contains("flown anew"),
+        "{text}"
+    );
+}
+
+/// `vigil sensor render` on an instance.
+fn sensor(instance: u16, course: &str, further: &[&str]) -> Vec<String> {
+    let port = 15_100 + instance;
+    let (pose, instance) = (format!("udpin://127.0.0.1:{port}"), instance.to_string());
+    let mut arguments = vec!["sensor", "render", "--pose", &pose, "--instance", &instance];
+    arguments.extend(["--course", course, "--seed", "1"]);
+    arguments.extend(further);
+    arguments.into_iter().map(str::to_owned).collect()
+}
+
+fn words(arguments: &[String]) -> Vec<&str> {
+    arguments.iter().map(String::as_str).collect()
+}
+
+#[test]
+fn a_vehicle_that_never_reports_its_position_is_named_and_gets_no_frames() {
+    const LOCAL_POSITION_NED: u32 = 32;
+    let folder = tempfile::tempdir().expect("a folder");
+    let course = course(folder.path(), 6.0, None);
+    let sensor = Running::start(&words(&sensor(74, &course, &["--status"])));
+    let silent = sensor.wait_for_status("a first status", |_| true);
+    assert_eq!(silent.pose.as_deref(), Some(PoseState::Silent.name()));
+    let vehicle = Vehicle::start(
+        Peer::on_the_ground(Flavour::Px4),
+        15_174,
+        &[LOCAL_POSITION_NED],
+        |_, _| {},
+    );
+    sensor.wait_for_status("the missing position", |s| {
+        s.pose.as_deref() == Some(PoseState::NoPosition.name())
+    });
+    // `vigil doctor` is for what is then to be done; it listens on a link of its own.
+    vehicle.end();
+}
+
+#[test]
+fn a_vehicle_that_flies_itself_into_a_column_is_judged_and_a_second_sensor_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let course = course(folder.path(), 15.0, Some(5.0));
+    let mut flight = Running::start(&words(&sensor(75, &course, &["--status", "--end-after", "0"])));
+    flight.wait_for_status("a first status", |_| true);
+    let second = run(&[
+        "sensor",
+        "render",
+        "--pose",
+        "udpin://127.0.0.1:15199",
+        "--instance",
+        "75",
+        "--course",
+        &course,
+    ]);
+    assert_eq!(second.status.code(), Some(1));
+    assert!(said(&second).contains("already"), "{}", said(&second));
+
+    let vehicle = Vehicle::start(Peer::in_the_air(Flavour::Px4), 15_175, &[], |peer, _| {
+        peer.mode = Mode::Loiter;
+        peer.north_m += 0.1;
+    });
+    assert_eq!(flight.wait(), Some(10));
+    let last = flight.rest().pop().expect("a last status");
+    assert!(last.contains("\"outcome\":\"collision\""), "{last}");
+    vehicle.end();
+}

@@ -1,0 +1,113 @@
+//! The autopilots' parameters that decide whether a flight by a guidance computer ends well when something fails.
+//!
+//! PX4: <https://docs.px4.io/main/en/advanced_config/parameter_reference>;
+//! ArduPilot: <https://ardupilot.org/copter/docs/parameters.html>.
+
+use crate::finding::Severity::{self, Failure, Good, Warning};
+use vigil_mavlink::Flavour;
+
+/// A parameter, and how its value is judged.
+pub(crate) struct Row {
+    pub flavour: Flavour,
+    pub name: &'static str,
+    pub unit: &'static str,
+    pub wanted: &'static str,
+    /// Why, and what to do.
+    pub why: &'static str,
+    pub judge: fn(f32) -> Severity,
+}
+
+/// Whether a bit of a parameter that is a set is on.
+fn has_bit(value: f32, bit: u32) -> bool {
+    value >= 0.0 && value as u32 & bit != 0
+}
+
+pub(crate) const ROWS: [Row; 8] = [
+    Row {
+        flavour: Flavour::Px4,
+        name: "COM_OF_LOSS_T",
+        unit: "s",
+        wanted: "at most 1 s",
+        why: "the vehicle keeps to its last setpoint for so long when the guidance computer falls silent",
+        judge: |v| match v {
+            v if v <= 1.0 => Good,
+            v if v <= 5.0 => Warning,
+            _ => Failure,
+        },
+    },
+    Row {
+        flavour: Flavour::Px4,
+        name: "COM_OBL_RC_ACT",
+        unit: "",
+        wanted: "3 (return), 4 (land) or 5 (hold)",
+        why: "what follows a lost setpoint stream: below 0 nothing does, 0 to 2 need a pilot at the sticks at once, 6 and 7 let the \
+              vehicle fall",
+        judge: |v| match v as i32 {
+            3..=5 => Good,
+            0..=2 => Warning,
+            _ => Failure,
+        },
+    },
+    Row {
+        flavour: Flavour::Px4,
+        name: "COM_RC_OVERRIDE",
+        unit: "",
+        wanted: "bit 1 on (add 2)",
+        why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
+        judge: |v| if has_bit(v, 2) { Good } else { Warning },
+    },
+    Row {
+        flavour: Flavour::Px4,
+        name: "COM_RCL_EXCEPT",
+        unit: "",
+        wanted: "bit 2 on (add 4) where nobody has sticks",
+        why: "without it, and without sticks, OFFBOARD ends in the failsafe of lost sticks as soon as it begins",
+        judge: |v| if has_bit(v, 4) { Good } else { Warning },
+    },
+    Row {
+        flavour: Flavour::ArduPilot,
+        name: "GUID_TIMEOUT",
+        unit: "s",
+        wanted: "at most 1 s",
+        why: "the vehicle flies on by its last setpoint for so long when the guidance computer falls silent; Vigil sets 0.5 s when it takes \
+              the vehicle, unless told otherwise",
+        judge: |v| match v {
+            v if v <= 1.0 => Good,
+            v if v <= 5.0 => Warning,
+            _ => Failure,
+        },
+    },
+    Row {
+        flavour: Flavour::ArduPilot,
+        name: "FS_EKF_ACTION",
+        unit: "",
+        wanted: "1 (land), 2 (altitude hold) or 3",
+        why: "at 0 nothing follows when the estimator fails, and setpoints are flown by a position that is wrong",
+        judge: |v| if v > 0.0 { Good } else { Warning },
+    },
+    Row {
+        flavour: Flavour::ArduPilot,
+        name: "ARMING_CHECK",
+        unit: "",
+        wanted: "1 (all)",
+        why: "at 0 the vehicle arms whatever is wrong with it",
+        judge: |v| if v == 0.0 { Warning } else { Good },
+    },
+    Row {
+        flavour: Flavour::ArduPilot,
+        name: "RC_OVERRIDE_TIME",
+        unit: "s",
+        wanted: "0 to 3 s",
+        why: "how long sticks sent by MAVLink count after the last of them: below 0 a program that died holds them for ever",
+        judge: |v| match v {
+            v if v < 0.0 => Failure,
+            v if v <= 3.0 => Good,
+            _ => Warning,
+        },
+    },
+];
+
+/// The rows of an autopilot.
+pub(crate) fn of(flavour: Flavour) -> impl Iterator<Item = &'static Row> {
+    ROWS.iter().filter(move |row| row.flavour == flavour)
+}

@@ -1,0 +1,469 @@
+//! Vehicles that are well and vehicles that are not, and what is said of them.
+
+use std::collections::BTreeMap;
+use vigil_doctor::{Examination, ExaminationConfig, Finding, Severity, ground_tilt};
+use vigil_mavlink::common::*;
+use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
+use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_types::{Attitude, Datagrams, DepthFrame, NedVector};
+use vigil_world::{Family, Lidar, LidarConfig, Shot, World, generate};
+
+const MS: u64 = 1_000_000;
+
+/// A vehicle on the ground that answers what it is asked, written from the protocol's documentation.
+struct Scripted {
+    flavour: Flavour,
+    system: u8,
+    /// Milliseconds between two positions and attitudes.
+    stream_ms: u64,
+    answers_intervals: bool,
+    has_position: bool,
+    has_home: bool,
+    estimator: u16,
+    prearm: bool,
+    heading_deg: f32,
+    yaw_rad: f32,
+    speedup: f64,
+    parameters: BTreeMap<&'static str, f32>,
+    extra: Vec<((u8, u8), u64, MavMessage)>,
+    asked: Vec<MavMessage>,
+    texts: Vec<&'static str>,
+}
+
+impl Scripted {
+    fn well(flavour: Flavour) -> Self {
+        let parameters: &[(&str, f32)] = match flavour {
+            Flavour::Px4 => &[
+                ("COM_OF_LOSS_T", 1.0),
+                // Integers have their bits where the float is.
+                ("COM_OBL_RC_ACT", f32::from_bits(4)),
+                ("COM_RC_OVERRIDE", f32::from_bits(3)),
+                ("COM_RCL_EXCEPT", f32::from_bits(4)),
+            ],
+            Flavour::ArduPilot => &[
+                ("GUID_TIMEOUT", 0.5),
+                ("FS_EKF_ACTION", 1.0),
+                ("ARMING_CHECK", 1.0),
+                ("RC_OVERRIDE_TIME", 3.0),
+            ],
+        };
+        Self {
+            flavour,
+            system: 1,
+            stream_ms: 40,
+            answers_intervals: true,
+            has_position: true,
+            has_home: true,
+            estimator: 1 | 2 | 4 | 8 | 16 | 32,
+            prearm: true,
+            heading_deg: 30.0,
+            yaw_rad: 30_f32.to_radians(),
+            speedup: 1.0,
+            parameters: parameters.iter().copied().collect(),
+            extra: Vec::new(),
+            asked: Vec::new(),
+            texts: Vec::new(),
+        }
+    }
+
+    fn heartbeat(&self) -> MavMessage {
+        MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+            autopilot: match self.flavour {
+                Flavour::Px4 => MavAutopilot::MAV_AUTOPILOT_PX4,
+                Flavour::ArduPilot => MavAutopilot::MAV_AUTOPILOT_ARDUPILOTMEGA,
+            },
+            mavtype: MavType::MAV_TYPE_QUADROTOR,
+            system_status: MavState::MAV_STATE_STANDBY,
+            ..Default::default()
+        })
+    }
+
+    /// What it sends at a millisecond.
+    fn says(&self, ms: u64) -> Vec<MavMessage> {
+        let boot_ms = 20_000 + (ms as f64 * self.speedup) as u32;
+        let mut out = Vec::new();
+        let asked = |id: u32| {
+            self.asked.iter().any(|m| match m {
+                MavMessage::COMMAND_LONG(c) => c.param1 == id as f32,
+                _ => false,
+            })
+        };
+        // PX4 streams unprompted; an ArduPilot sends only what is asked for.
+        let streams = |id: u32| self.flavour == Flavour::Px4 || (self.answers_intervals && asked(id));
+        if ms.is_multiple_of(1000) {
+            out.push(self.heartbeat());
+        }
+        if ms.is_multiple_of(self.stream_ms) {
+            if self.has_position && streams(32) {
+                out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
+                    time_boot_ms: boot_ms,
+                    ..Default::default()
+                }));
+            }
+            if streams(30) {
+                out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
+                    time_boot_ms: boot_ms,
+                    yaw: self.yaw_rad,
+                    ..Default::default()
+                }));
+            }
+        }
+        if ms.is_multiple_of(200) {
+            if streams(33) {
+                out.push(MavMessage::GLOBAL_POSITION_INT(GLOBAL_POSITION_INT_DATA {
+                    hdg: (self.heading_deg * 100.0) as u16,
+                    ..Default::default()
+                }));
+            }
+            if streams(245) {
+                out.push(MavMessage::EXTENDED_SYS_STATE(EXTENDED_SYS_STATE_DATA {
+                    landed_state: MavLandedState::MAV_LANDED_STATE_ON_GROUND,
+                    ..Default::default()
+                }));
+            }
+        }
+        if ms.is_multiple_of(500) {
+            let prearm = MavSysStatusSensor::from_bits_retain(0x1000_0000);
+            if streams(1) {
+                out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
+                    battery_remaining: 87,
+                    onboard_control_sensors_present: prearm,
+                    onboard_control_sensors_enabled: prearm,
+                    onboard_control_sensors_health: match self.prearm {
+                        true => prearm,
+                        false => MavSysStatusSensor::empty(),
+                    },
+                    ..Default::default()
+                }));
+            }
+            // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
+            if streams(230) || asked(193) {
+                out.push(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
+                    flags: EstimatorStatusFlags::from_bits_retain(self.estimator),
+                    ..Default::default()
+                }));
+            }
+            if streams(2) {
+                out.push(MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
+                    time_unix_usec: 1_700_000_000_000_000 + ms * 1000,
+                    time_boot_ms: boot_ms,
+                }));
+            }
+            out.extend(self.texts.iter().map(|text| {
+                MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+                    text: (*text).into(),
+                    ..Default::default()
+                })
+            }));
+        }
+        if self.has_home && ms.is_multiple_of(1000) && streams(242) {
+            out.push(MavMessage::HOME_POSITION(HOME_POSITION_DATA {
+                latitude: 473_977_420,
+                longitude: 85_455_940,
+                altitude: 488_000,
+                ..Default::default()
+            }));
+        }
+        out
+    }
+
+    fn answers(&mut self, message: &MavMessage) -> Option<MavMessage> {
+        match message {
+            MavMessage::PARAM_REQUEST_READ(m) => {
+                let name = m.param_id.to_str().expect("a name").to_owned();
+                let value = self.parameters.get(name.as_str())?;
+                Some(MavMessage::PARAM_VALUE(PARAM_VALUE_DATA {
+                    param_id: name.as_str().into(),
+                    param_value: *value,
+                    param_type: match self.flavour == Flavour::Px4 && name != "COM_OF_LOSS_T" {
+                        true => MavParamType::MAV_PARAM_TYPE_INT32,
+                        false => MavParamType::MAV_PARAM_TYPE_REAL32,
+                    },
+                    ..Default::default()
+                }))
+            }
+            MavMessage::TIMESYNC(m) => Some(MavMessage::TIMESYNC(TIMESYNC_DATA {
+                tc1: 77,
+                ts1: m.ts1,
+                ..Default::default()
+            })),
+            _ => {
+                self.asked.push(message.clone());
+                None
+            }
+        }
+    }
+}
+
+fn bytes_of(from: (u8, u8), message: &MavMessage) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: from.0.into(),
+        component_id: from.1,
+        sequence: 0,
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, message, &mut out).expect("fits");
+    out[..len].to_vec()
+}
+
+/// What is said of a vehicle after eight seconds on a link within this machine.
+fn examined(vehicle: &mut Scripted) -> Vec<Finding> {
+    examined_by(
+        vehicle,
+        ExaminationConfig {
+            is_local: true,
+            ..Default::default()
+        },
+        &[],
+    )
+}
+
+fn examined_by(vehicle: &mut Scripted, config: ExaminationConfig, frames: &[&DepthFrame]) -> Vec<Finding> {
+    let config = ExaminationConfig {
+        unix_time_at_zero_us: 1_700_000_000_000_000,
+        ..config
+    };
+    let mut examination = Examination::new(config, 0);
+    let mut questions = Box::<Datagrams>::default();
+    let mut counters = FramingCounters::default();
+    for ms in 0..8000 {
+        let now_ns = ms * MS;
+        for message in vehicle.says(ms) {
+            examination.receive(now_ns, &bytes_of((vehicle.system, 1), &message));
+        }
+        for (from, every_ms, message) in &vehicle.extra {
+            if ms.is_multiple_of(*every_ms) {
+                examination.receive(now_ns, &bytes_of(*from, message));
+            }
+        }
+        questions.clear();
+        examination.ask(now_ns, &mut questions);
+        for (_, datagram) in questions.iter() {
+            for packet in packets(datagram, &mut counters) {
+                assert_ne!(packet.component_id(), 191, "it does not pass for the guidance computer");
+                let message = packet.message().expect("known");
+                if let Some(answer) = vehicle.answers(&message) {
+                    examination.receive(now_ns + MS / 2, &bytes_of((vehicle.system, 1), &answer));
+                }
+            }
+        }
+    }
+    frames.iter().for_each(|frame| examination.observe_frame(frame));
+    examination.findings(8000 * MS)
+}
+
+/// The findings that are not good.
+fn bad(findings: &[Finding]) -> Vec<(&str, Severity)> {
+    let bad = findings.iter().filter(|f| f.severity > Severity::Good);
+    bad.map(|f| (f.name.as_str(), f.severity)).collect()
+}
+
+fn named<'a>(findings: &'a [Finding], name: &str) -> &'a Finding {
+    let found = findings.iter().find(|f| f.name == name);
+    found.unwrap_or_else(|| panic!("{name} is not among {findings:#?}"))
+}
+
+#[test]
+fn nothing_is_missing_of_a_vehicle_that_is_well_whichever_autopilot_it_has() {
+    for flavour in [Flavour::Px4, Flavour::ArduPilot] {
+        let findings = examined(&mut Scripted::well(flavour));
+        assert_eq!(bad(&findings), [], "{}: {findings:#?}", flavour.name());
+        assert!(
+            named(&findings, "HEARTBEAT")
+                .value
+                .as_deref()
+                .is_some_and(|v| v.contains(flavour.name()))
+        );
+        assert_eq!(
+            findings.iter().filter(|f| f.name.contains('_')).count(),
+            7,
+            "{findings:#?}"
+        );
+    }
+}
+
+#[test]
+fn a_link_on_which_nobody_speaks_is_the_one_finding() {
+    let mut vehicle = Scripted::well(Flavour::Px4);
+    vehicle.flavour = Flavour::Px4;
+    let findings = Examination::new(ExaminationConfig::default(), 0).findings(8000 * MS);
+    assert_eq!(bad(&findings), [("HEARTBEAT", Severity::Failure)]);
+    assert!(findings[0].why.contains("port"), "{}", findings[0].line());
+}
+
+#[test]
+fn everything_that_is_wrong_with_a_vehicle_is_named_with_its_value() {
+    let mut vehicle = Scripted::well(Flavour::Px4);
+    vehicle.stream_ms = 400;
+    vehicle.has_home = false;
+    vehicle.estimator = 1 | 128;
+    vehicle.prearm = false;
+    vehicle.texts = vec!["Preflight Fail: ekf2 missing data"];
+    // A yaw counted from east to the left.
+    vehicle.yaw_rad = 60_f32.to_radians();
+    vehicle.speedup = 0.5;
+    vehicle.parameters = [
+        ("COM_OF_LOSS_T", 60.0),
+        ("COM_OBL_RC_ACT", f32::from_bits(-1_i32 as u32)),
+        ("COM_RC_OVERRIDE", f32::from_bits(1)),
+    ]
+    .into();
+    let findings = examined(&mut vehicle);
+    let mut names = bad(&findings);
+    names.sort();
+    assert_eq!(
+        names,
+        [
+            ("ATTITUDE", Severity::Failure),
+            ("COM_OBL_RC_ACT", Severity::Failure),
+            ("COM_OF_LOSS_T", Severity::Failure),
+            ("COM_RCL_EXCEPT", Severity::Warning),
+            ("COM_RC_OVERRIDE", Severity::Warning),
+            ("HOME_POSITION", Severity::Warning),
+            ("LOCAL_POSITION_NED", Severity::Failure),
+            ("arming", Severity::Failure),
+            ("clock", Severity::Failure),
+            ("estimator", Severity::Failure),
+            ("heading", Severity::Failure),
+        ],
+        "{findings:#?}"
+    );
+    let value = |name: &str| named(&findings, name).value.clone().unwrap_or_default();
+    assert_eq!(value("LOCAL_POSITION_NED"), "2.5 Hz");
+    assert_eq!(value("COM_OF_LOSS_T"), "60 s");
+    assert_eq!(value("COM_OBL_RC_ACT"), "-1");
+    assert_eq!(value("clock"), "0.500 of real time");
+    assert!(value("arming").contains("ekf2 missing data"));
+    assert!(value("estimator").contains("horizontal position"));
+    assert!(named(&findings, "heading").why.contains("east-north-up"));
+}
+
+#[test]
+fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too() {
+    let mut vehicle = Scripted::well(Flavour::ArduPilot);
+    vehicle.has_position = false;
+    vehicle.parameters = [
+        ("GUID_TIMEOUT", 3.0),
+        ("FS_EKF_ACTION", 0.0),
+        ("ARMING_CHECK", 0.0),
+        ("RC_OVERRIDE_TIME", -1.0),
+    ]
+    .into();
+    let findings = examined(&mut vehicle);
+    let mut names = bad(&findings);
+    names.sort();
+    assert_eq!(
+        names,
+        [
+            ("ARMING_CHECK", Severity::Warning),
+            ("FS_EKF_ACTION", Severity::Warning),
+            ("GUID_TIMEOUT", Severity::Warning),
+            ("LOCAL_POSITION_NED", Severity::Failure),
+            ("RC_OVERRIDE_TIME", Severity::Failure),
+        ],
+        "{findings:#?}"
+    );
+    let asks = vehicle.asked.iter().filter(|m| match m {
+        MavMessage::COMMAND_LONG(c) => c.param1 == 32.0,
+        _ => false,
+    });
+    assert!(asks.count() > 1, "it was asked for");
+}
+
+#[test]
+fn who_else_is_on_the_link_is_named() {
+    let companion = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+        ..Default::default()
+    });
+    let one = |every_ms| ((1, 191), every_ms, companion.clone());
+    let mut vehicle = Scripted::well(Flavour::Px4);
+    vehicle.extra = vec![one(1000)];
+    assert_eq!(bad(&examined(&mut vehicle)), [], "one is as it should be");
+
+    // Two under one name, and two under names of their own.
+    vehicle.extra = vec![one(500)];
+    assert_eq!(bad(&examined(&mut vehicle)), [("companions", Severity::Failure)]);
+    vehicle.extra = vec![one(1000), ((1, 192), 1000, companion)];
+    let findings = examined(&mut vehicle);
+    assert_eq!(bad(&findings), [("companions", Severity::Failure)]);
+    assert_eq!(named(&findings, "companions").value.as_deref(), Some("1/191, 1/192"));
+
+    let setpoint = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA::default());
+    let sticks = MavMessage::RC_CHANNELS_OVERRIDE(RC_CHANNELS_OVERRIDE_DATA::default());
+    vehicle.extra = vec![
+        ((255, 190), 100, sticks),
+        ((1, 192), 100, setpoint),
+        ((2, 1), 1000, vehicle.heartbeat()),
+    ];
+    let mut findings = examined(&mut vehicle);
+    assert_eq!(
+        bad(&findings),
+        [
+            ("vehicles", Severity::Failure),
+            ("setpoints", Severity::Failure),
+            ("RC override", Severity::Warning),
+        ]
+    );
+    findings.retain(|f| f.name == "RC override");
+    assert!(findings[0].line().contains("255/190"), "{}", findings[0].line());
+}
+
+#[test]
+fn a_vehicle_of_another_autopilot_and_a_link_without_signatures_are_named() {
+    let config = ExaminationConfig {
+        flavour: Some(Flavour::ArduPilot),
+        ..Default::default()
+    };
+    let findings = examined_by(&mut Scripted::well(Flavour::Px4), config, &[]);
+    assert_eq!(
+        bad(&findings),
+        [("HEARTBEAT", Severity::Failure), ("signing", Severity::Warning)]
+    );
+}
+
+/// A frame taken 1.5 m above level ground, by a sensor that is turned by so much beyond what the header tells.
+fn frame(roll_rad: f32, pitch_rad: f32) -> Box<DepthFrame> {
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let course = generate(Family::Validation, 3);
+    let told = Attitude::from_euler_rad(0.0, 0.0, 30_f32.to_radians());
+    let shot = Shot {
+        position_ned_m: NedVector::new(0.0, 0.0, -1.5),
+        attitude: Attitude::from_euler_rad(roll_rad, pitch_rad, 30_f32.to_radians()),
+        estimated_position_ned_m: NedVector::ZERO,
+        estimated_attitude: told,
+        stamp_ns: 1,
+        sequence: 0,
+        sensor_id: 1,
+    };
+    let mut lidar = Lidar::new(LidarConfig::default(), 3).expect("valid");
+    lidar.capture(&World::new(&course), &shot, &mut frame);
+    frame
+}
+
+#[test]
+fn a_sensor_that_is_mounted_at_an_angle_is_seen_by_the_ground() {
+    for (roll_deg, pitch_deg) in [(0.0, 0.0), (0.0, -6.0), (5.0, 0.0), (-4.0, 4.0_f32)] {
+        let frame = frame(f32::to_radians(roll_deg), f32::to_radians(pitch_deg));
+        let tilt = ground_tilt(&frame).expect("ground");
+        // A nose that is lower is a negative pitch of the sensor.
+        let found = (tilt.roll_rad.to_degrees(), -tilt.pitch_rad.to_degrees());
+        assert!(
+            (found.0 - roll_deg).abs() < 1.0 && (found.1 - pitch_deg).abs() < 1.0,
+            "{roll_deg} {pitch_deg}: {found:?}"
+        );
+        assert!((tilt.height_m - 1.5).abs() < 0.1, "{}", tilt.height_m);
+        let local = ExaminationConfig {
+            is_local: true,
+            ..Default::default()
+        };
+        let findings = examined_by(&mut Scripted::well(Flavour::Px4), local, &[&frame]);
+        let expected: &[_] = match roll_deg == 0.0 && pitch_deg == 0.0 {
+            true => &[],
+            false => &[("mount", Severity::Warning)],
+        };
+        assert_eq!(bad(&findings), expected);
+        assert_eq!(named(&findings, "frame pose").severity, Severity::Good);
+    }
+}

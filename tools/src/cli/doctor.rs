@@ -1,0 +1,233 @@
+//! `vigil doctor`: what a vehicle and its depth sensor lack before a flight.
+
+use crate::cli::output::{self, EXIT_DIFFERS, Interrupt, Paint, say, tell};
+use crate::sensor_check::{Expected, SensorCheck};
+use anyhow::Result;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use vigil_doctor::{Examination, ExaminationConfig, Finding, Severity};
+use vigil_firmware::arguments::choice;
+use vigil_io::clock::monotonic_ns;
+use vigil_io::gate::{AllowUnsigned, SigningGate};
+use vigil_io::key_file::frame_keys;
+use vigil_io::link_spec::LinkSpec;
+use vigil_io::links::{AnyWire, LinkAdmission, PeerRule, somebody_is_heard};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber};
+use vigil_mavlink::Flavour;
+use vigil_types::{AutopilotChoice, Datagrams, DepthFrame};
+
+/// Time between two looks at link and frames.
+const LOOK: Duration = Duration::from_millis(1);
+
+/// Arguments of `vigil doctor`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil doctor --link udpin://127.0.0.1:14540   PX4's simulation, and the frames on this machine
+  vigil doctor --link tcpout://127.0.0.1:5762 --vehicle ardupilot --no-sensor
+                                                ArduPilot's, the vehicle alone
+  vigil doctor --link serial:///dev/ttyUSB0:921600 --signing-key vigil.key --json -
+                                                over a serial line, for a program
+
+It commands nothing: it asks for messages, their rates and parameters. Run it on the link that the firmware will have, while the
+firmware does not run.
+Exit code: 0 nothing is missing or only warned of, 3 something is missing, 1 it could not be looked at.")]
+pub struct DoctorArgs {
+    /// Where the vehicle's MAVLink is: a URL as of `vigil firmware --link`, with the options system=ID and
+    /// unsigned=loopback|never|always.
+    #[arg(long, value_name = "URL[,OPTION]")]
+    link: LinkSpec,
+
+    /// The autopilot that the vehicle must have.
+    #[arg(long, value_parser = choice::<AutopilotChoice>(), default_value = "auto")]
+    vehicle: AutopilotChoice,
+
+    /// File with the key of MAVLink signing.
+    #[arg(long, value_name = "FILE")]
+    signing_key: Option<PathBuf>,
+
+    /// From whom packets without a signature are accepted: from this machine, nobody, everybody.
+    #[arg(long, value_name = "WHO", value_enum, default_value_t)]
+    allow_unsigned: AllowUnsigned,
+
+    /// Number of the set of processes, for the frame service.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    instance: u32,
+
+    /// The frame service.
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
+    frames: String,
+
+    /// File with the secret of the frames' key; may be given twice.
+    #[arg(long, value_name = "FILE")]
+    frame_key: Vec<PathBuf>,
+
+    /// Look at the vehicle alone.
+    #[arg(long)]
+    no_sensor: bool,
+
+    /// How long to look, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(5..=600))]
+    seconds: u64,
+
+    /// Where the findings go as JSON; `-` is standard output.
+    #[arg(short = 'o', long, value_name = "FILE")]
+    json: Option<PathBuf>,
+}
+
+/// The frames that are looked at.
+struct Frames {
+    subscriber: FrameSubscriber,
+    check: SensorCheck,
+    frame: Box<DepthFrame>,
+    _domain: Domain,
+}
+
+impl Frames {
+    fn open(args: &DoctorArgs) -> Result<Self> {
+        let domain = Domain::open(args.instance, "doctor")?;
+        let sensor_id = vigil_sim::LIDAR_SENSOR_ID;
+        Ok(Self {
+            subscriber: FrameSubscriber::create(&domain, &args.frames)?,
+            check: SensorCheck::new(Expected {
+                sensor_id,
+                keys: frame_keys(&args.frame_key, sensor_id)?,
+                wall_m: None,
+            }),
+            frame: Box::new(DepthFrame::EMPTY),
+            _domain: domain,
+        })
+    }
+
+    fn look(&mut self, examination: &mut Examination) -> Result<()> {
+        if let Some(borrowed) = self.subscriber.newest()? {
+            (*self.frame).clone_from(&borrowed);
+            drop(borrowed);
+            self.check.observe(&self.frame, monotonic_ns());
+            if self.frame.check(vigil_sim::LIDAR_SENSOR_ID).is_ok() {
+                examination.observe_frame(&self.frame);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Looks and reports.
+///
+/// # Errors
+/// A link, a key or shared memory that cannot be used.
+pub fn run(args: &DoctorArgs) -> Result<ExitCode> {
+    if let Some(path) = &args.json {
+        output::prepare(path)?;
+    }
+    let policy = args.link.allow_unsigned.unwrap_or(args.allow_unsigned);
+    let mut gate = match &args.signing_key {
+        Some(path) => SigningGate::with_key_file(path, "doctor", policy)?,
+        None => SigningGate::new(None, policy),
+    };
+    somebody_is_heard(&args.link.url, gate.has_key(), policy)?;
+    let system = args.link.system;
+    let mut wire = AnyWire::open(&args.link.url, PeerRule::Vehicle { system })?;
+    let mut frames = match args.no_sensor {
+        true => None,
+        false => Some(Frames::open(args)?),
+    };
+    let interrupt = Interrupt::on_ctrl_c()?;
+    let started_ns = monotonic_ns();
+    let unix_us = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |d| d.as_micros() as u64);
+    let mut examination = Examination::new(
+        ExaminationConfig {
+            flavour: match args.vehicle {
+                AutopilotChoice::Auto => None,
+                AutopilotChoice::Px4 => Some(Flavour::Px4),
+                AutopilotChoice::ArduPilot => Some(Flavour::ArduPilot),
+            },
+            system,
+            is_local: args.link.url.is_on_this_machine(),
+            has_key: gate.has_key(),
+            unix_time_at_zero_us: unix_us.saturating_sub(started_ns / 1000),
+        },
+        started_ns,
+    );
+    tell!("looking at {} for {} s", args.link, args.seconds);
+    let (mut received, mut questions) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut now_ns = started_ns;
+    while now_ns - started_ns < args.seconds * 1_000_000_000 && !interrupt.came() {
+        gate.begin(now_ns);
+        received.clear();
+        let mut admission = LinkAdmission {
+            gate: &mut gate,
+            allow_unsigned: policy,
+            link: 0,
+        };
+        wire.receive(now_ns, &mut admission, &mut received);
+        for (_, datagram) in received.iter() {
+            examination.receive(now_ns, datagram);
+        }
+        questions.clear();
+        examination.ask(now_ns, &mut questions);
+        wire.send(&mut gate, &questions);
+        if let Some(frames) = &mut frames {
+            frames.look(&mut examination)?;
+        }
+        std::thread::sleep(LOOK);
+        now_ns = monotonic_ns();
+    }
+    let mut findings = examination.findings(now_ns);
+    if let Some(other) = wire.statistics().0.other_system {
+        findings.push(Finding {
+            name: "system".to_owned(),
+            severity: Severity::Warning,
+            value: Some(format!("system {other} calls too")),
+            wanted: "the vehicle that was named".to_owned(),
+            why: "its packets are not read: is system=ID of the link right?".to_owned(),
+        });
+    }
+    if let Some(frames) = &frames {
+        findings.extend(of_sensor(&frames.check, (now_ns - started_ns) as f64 * 1e-9));
+    }
+    report(args, &findings)
+}
+
+/// What the sensor's own check says, as findings of the doctor's.
+fn of_sensor(check: &SensorCheck, seconds: f64) -> impl Iterator<Item = Finding> {
+    check.findings(seconds).into_iter().map(|found| Finding {
+        name: format!("sensor {}", found.name),
+        severity: found.severity,
+        value: Some(found.text),
+        wanted: "what docs/sensor-interface.md says".to_owned(),
+        why: "`vigil sensor check` says more".to_owned(),
+    })
+}
+
+fn report(args: &DoctorArgs, findings: &[Finding]) -> Result<ExitCode> {
+    let paint = Paint::stdout();
+    let count = |severity| findings.iter().filter(|f| f.severity == severity).count();
+    for finding in findings {
+        let mark = match finding.severity {
+            Severity::Good => "good   ",
+            Severity::Warning => "warning",
+            Severity::Failure => "MISSING",
+        };
+        let line = format!("{mark}  {}", finding.line());
+        say!("{}", paint.verdict(finding.severity < Severity::Failure, &line));
+    }
+    let (missing, warned) = (count(Severity::Failure), count(Severity::Warning));
+    say!(
+        "{}",
+        paint.verdict(
+            missing == 0,
+            &format!("{missing} missing, {warned} warnings, {} good", count(Severity::Good))
+        )
+    );
+    if let Some(path) = &args.json {
+        output::write(path, serde_json::to_vec_pretty(findings)?)?;
+    }
+    Ok(match missing {
+        0 => ExitCode::SUCCESS,
+        _ => ExitCode::from(EXIT_DIFFERS),
+    })
+}
