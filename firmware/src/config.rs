@@ -17,7 +17,7 @@ use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::{
-    AlarmPolicy, AtGoal, AutopilotChoice, EngagePolicy, FrameKeys, Goal, LogContent, NedVector, ObstacleReports,
+    AlarmPolicy, AtGoal, AutopilotChoice, Duty, EngagePolicy, FrameKeys, Goal, LogContent, NedVector, ObstacleReports,
     OnNoProgress, ParameterSpec, PilotKind,
 };
 
@@ -52,6 +52,9 @@ pub struct FirmwareConfig {
     /// Which autopilot the vehicle has.
     #[serde(with = "choice")]
     pub vehicle: AutopilotChoice,
+    /// Whose flight it is.
+    #[serde(with = "choice")]
+    pub duty: Duty,
     /// When OBSTACLE_DISTANCE is sent.
     #[serde(with = "choice")]
     pub obstacle_distance: ObstacleReports,
@@ -302,6 +305,7 @@ impl Default for FirmwareConfig {
             links: Vec::new(),
             signing: SigningConfig::default(),
             vehicle: AutopilotChoice::default(),
+            duty: Duty::default(),
             obstacle_distance: ObstacleReports::default(),
             sensor_id: parameters::SENSOR_ID.number() as u32,
             frame_key_files: Vec::new(),
@@ -531,7 +535,11 @@ impl FirmwareConfig {
     pub fn stack(&self) -> StackConfig {
         let (limits, alarm) = (&self.limits, AlarmConfig::default());
         let guidance = GuidanceConfig {
-            engage: self.engage,
+            // Who guards somebody else's flight takes it over on command only.
+            engage: match self.duty {
+                Duty::Fly => self.engage,
+                Duty::JustStop => EngagePolicy::Command,
+            },
             taken_over: self.state.taken_over,
             at_goal: self.at_goal,
             frame_age_limit_ns: nanos(limits.frame_age_s),
@@ -567,6 +575,7 @@ impl FirmwareConfig {
         StackConfig {
             sensor_id: self.sensor_id,
             plausibility: self.plausibility,
+            just_stop: self.duty == Duty::JustStop,
             guidance,
             companion: CompanionConfig {
                 flavour: match self.vehicle {

@@ -13,6 +13,7 @@ pub mod config;
 mod console;
 pub mod crew;
 mod frame_keeper;
+mod guarding;
 mod leg;
 pub mod live_loop;
 pub mod lockstep;

@@ -17,7 +17,9 @@ use std::time::Duration;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
 use vigil_types::parameters;
-use vigil_types::{AtGoal, AutopilotChoice, Choice, EngagePolicy, LogContent, ObstacleReports, PilotKind, StepReport};
+use vigil_types::{
+    AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports, PilotKind, StepReport,
+};
 
 /// Arguments of `vigil firmware` and of the `firmware` program.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -67,6 +69,9 @@ pub struct FirmwareArgs {
 
     #[arg(long, value_parser = choice::<AutopilotChoice>(), help = help(&parameters::VEHICLE))]
     vehicle: Option<AutopilotChoice>,
+
+    #[arg(long, value_parser = choice::<Duty>(), help = help(&parameters::DUTY))]
+    duty: Option<Duty>,
 
     #[arg(long, value_name = "WHEN", value_parser = choice::<ObstacleReports>(), help = help(&parameters::OBSTACLE_DISTANCE))]
     obstacle_distance: Option<ObstacleReports>,
@@ -153,6 +158,7 @@ impl FirmwareArgs {
             config.frame_key_files = self.frame_key.clone();
         }
         config.vehicle = self.vehicle.unwrap_or(config.vehicle);
+        config.duty = self.duty.unwrap_or(config.duty);
         config.obstacle_distance = self.obstacle_distance.unwrap_or(config.obstacle_distance);
         config.engage = self.engage.unwrap_or(config.engage);
         config.at_goal = self.at_goal.unwrap_or(config.at_goal);
@@ -287,6 +293,7 @@ impl std::fmt::Display for Start<'_> {
             config.vehicle_link(),
             ground_links(&config.links),
             match config.engage {
+                _ if config.duty == Duty::JustStop => "on command only: it guards somebody else's flight",
                 EngagePolicy::Auto => "by itself",
                 EngagePolicy::Command => "on command",
             },

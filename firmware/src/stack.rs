@@ -11,6 +11,7 @@
 
 use crate::crew::Crew;
 use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
+use crate::guarding::Guarding;
 use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::tunables::Tunables;
 use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
@@ -21,7 +22,7 @@ use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, P
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, FrameDefect, FrameKeys, Goal, GoalRelative,
     GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons, RequestOutcome,
-    StepReport, StepTiming, VehicleTelemetry, Verdict,
+    StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -50,6 +51,8 @@ pub struct StackConfig {
     pub goal: Option<Goal>,
     /// Whether frames are judged before the pilots see them (docs/sensor-faults.md).
     pub plausibility: bool,
+    /// Whether somebody else's flight is guarded while guidance has not the vehicle (docs/just-stop.md).
+    pub just_stop: bool,
 }
 
 /// What one step gets.
@@ -83,6 +86,8 @@ pub struct FlightStack {
     plausibility: Option<PlausibilityJudge>,
     companion: Companion,
     guidance: Guidance,
+    /// Guards somebody else's flight; `None` when that is not its duty.
+    guarding: Option<Guarding>,
     crew: Crew,
     /// The vehicle was flown by the recovery pilot, or by the actor along its path, in the step before.
     along_path: bool,
@@ -140,6 +145,7 @@ impl FlightStack {
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
+            guarding: config.just_stop.then(Guarding::new),
             crew,
             along_path: false,
             pilot_asked: false,
@@ -222,6 +228,18 @@ impl FlightStack {
             telemetry_interval_ns: self.companion.telemetry_interval_ns(),
         });
 
+        let idle = matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready);
+        let guarded = self.guarding.as_mut().filter(|_| idle).map(|guarding| {
+            let seen = self.frames.newest().filter(|_| {
+                doubts.is_empty() && frame_age_ns.is_some_and(|age| age <= self.guidance.config().frame_age_limit_ns)
+            });
+            let known = telemetry
+                .flight_data_age_ns(now_ns)
+                .is_some_and(|age| age <= self.guidance.config().telemetry_age_limit_ns);
+            guarding.step(now_ns, &telemetry, known, seen)
+        });
+        let guards = guarded.unwrap_or_default();
+
         self.along_path = match guidance.alarm {
             Some(alarm) => alarm.response == AlarmResponse::Recovery,
             None => self.pilot_asked && (self.crew.led_by == LedBy::Path || self.leg.is_by_path()),
@@ -232,7 +250,7 @@ impl FlightStack {
             now_ns,
             timing: input.timing,
             state: guidance.state,
-            reasons: guidance.reasons,
+            reasons: guidance.reasons.union(guards.reasons),
             telemetry,
             goal,
             goal_relative: view.map(|view| view.goal),
@@ -245,9 +263,17 @@ impl FlightStack {
             frames_refused: self.frames.refused(),
         };
         output.sent.clear();
-        self.companion.emit(&output.report, guidance.request, &mut output.sent);
-        let sectors = action.map(|_| {
-            let scan = self.crew.pilot.surroundings().scan();
+        let request = match guidance.request {
+            VehicleRequest::None => guards.request,
+            own => own,
+        };
+        self.companion.emit(&output.report, request, &mut output.sent);
+        let looked = match (&self.guarding, action) {
+            (_, Some(_)) => Some(self.crew.pilot.surroundings().scan()),
+            (Some(guarding), None) if guards.looked => Some(guarding.scan()),
+            _ => None,
+        };
+        let sectors = looked.map(|scan| {
             let directions = scan.direction_right.iter().zip(&scan.direction_forward);
             directions
                 .zip(&scan.range_m)

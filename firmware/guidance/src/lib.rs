@@ -37,12 +37,14 @@
 pub mod alarm;
 pub mod conditions;
 mod config;
+pub mod just_stop;
 mod machine;
 mod setpoint;
 pub mod table;
 
 pub use alarm::AlarmConfig;
 pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
+pub use just_stop::{JustStop, JustStopInput, JustStopState, StopCause};
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
 pub use setpoint::guided_setpoint;
 // The policies that its configuration is made of.

@@ -75,6 +75,16 @@ impl Flavour {
         }
     }
 
+    /// DO_SET_MODE's parameters 1 to 3 for the mode in which the vehicle brakes and holds its position by itself.
+    pub const fn hold_mode(self) -> [f32; 3] {
+        match self {
+            // PX4's AUTO, LOITER.
+            Self::Px4 => [129.0, 4.0, 3.0],
+            // Copter's BRAKE.
+            Self::ArduPilot => [1.0, 17.0, 0.0],
+        }
+    }
+
     /// What a person calls the mode that obeys setpoints.
     pub const fn external_mode_name(self) -> &'static str {
         match self {

@@ -278,6 +278,14 @@ pub(crate) fn home_text(home_ned_m: NedVector) -> StatusText {
     })
 }
 
+/// "stop: something 4.2 m ahead on the course", "stop: nobody sees the course".
+pub(crate) fn hold_text(obstacle_m: Option<f32>) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_CRITICAL, |text| match obstacle_m {
+        Some(ahead_m) => write!(text, "stop: something {ahead_m:.1} m ahead on the course"),
+        None => text.write_str("stop: nobody sees the course"),
+    })
+}
+
 /// "another guidance computer 1/191 is on the link: stop one".
 pub(crate) fn double_text(system: u8, component: u8) -> StatusText {
     StatusText::new(MavSeverity::MAV_SEVERITY_CRITICAL, |text| {

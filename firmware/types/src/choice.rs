@@ -57,6 +57,13 @@ choices! {
         Command = "command": "an operator, by MAVLink",
     }
 
+    /// Whose flight it is.
+    Duty {
+        #[default]
+        Fly = "fly": "guidance flies to goals when it is engaged",
+        JustStop = "just-stop": "somebody else flies; the vehicle is told to hold before it hits something (docs/just-stop.md)",
+    }
+
     /// What to do at the goal.
     AtGoal {
         #[default]

@@ -4,7 +4,7 @@
 //! default, the MAVLink parameter of that name, the text of `--help` and the reference in docs/firmware.md.
 
 use crate::{
-    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, EngagePolicy, LogContent, ObstacleReports,
+    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports,
     OnNoProgress, PilotKind,
 };
 use core::fmt;
@@ -381,6 +381,7 @@ table! {
         "for ground stations, at most 4"
     );
     VEHICLE = choice("vehicle", AutopilotChoice::WORDS, AutopilotChoice::Auto as usize, "which autopilot the vehicle has; one of another is not flown");
+    DUTY = choice("duty", Duty::WORDS, Duty::Fly as usize, "whose flight it is: guidance's own, or somebody else's that is guarded");
     OBSTACLE_DISTANCE = choice(
         "obstacle_distance",
         ObstacleReports::WORDS,

@@ -62,6 +62,11 @@ pub enum VehicleRequest {
     },
     /// Land.
     Land,
+    /// Stop by its own means and hold its position: its flight is somebody else's, and is guarded.
+    Hold {
+        /// Metres to what lies on its course; `None` where nobody sees the course.
+        obstacle_m: Option<f32>,
+    },
 }
 
 /// How far the vehicle is with [`VehicleRequest::FlyExternal`].

@@ -21,6 +21,8 @@ const EFFECT_NS: Nanos = 3_000_000_000;
 const TAKEOFF_EFFECT_NS: Nanos = 10_000_000_000;
 /// A land command that failed is asked again after this pause; there is nothing better to do.
 const LAND_PAUSE_NS: Nanos = 2_000_000_000;
+/// The same for a hold: something lies ahead.
+const HOLD_PAUSE_NS: Nanos = 200_000_000;
 /// How far below the asked height a climb counts as finished: a tenth of it, at most this.
 const CLIMB_TOLERANCE_M: f32 = 0.3;
 /// A heartbeat this much later than the beginning of a climb shows the mode that the take-off put the vehicle into.
@@ -62,10 +64,11 @@ pub(crate) struct Handover {
     /// Whether the request of the last step was of this kind.
     flying: bool,
     landing: bool,
+    holding: bool,
     streaming_since_ns: Option<Nanos>,
     /// A take-off was seen or accepted at this time and has not reached its height.
     climbing_since_ns: Option<Nanos>,
-    land_failed_ns: Option<Nanos>,
+    failed_ns: Option<Nanos>,
 }
 
 impl Handover {
@@ -76,9 +79,10 @@ impl Handover {
             tracker: Tracker::default(),
             flying: false,
             landing: false,
+            holding: false,
             streaming_since_ns: None,
             climbing_since_ns: None,
-            land_failed_ns: None,
+            failed_ns: None,
         }
     }
 
@@ -129,15 +133,28 @@ impl Handover {
                 }
                 self.land(now_ns, vehicle)
             }
+            VehicleRequest::Hold { .. } => {
+                if !self.holding {
+                    self.end();
+                    self.holding = true;
+                }
+                let [base, main, sub] = self.flavour.hold_mode();
+                let mode = self.wanted(
+                    command_number::DO_SET_MODE,
+                    EFFECT_NS,
+                    &[(1, base), (2, main), (3, sub)],
+                );
+                self.insist(now_ns, &mode, HOLD_PAUSE_NS, vehicle)
+            }
         }
     }
 
     fn end(&mut self) {
         self.tracker.reset();
         self.progress = HandoverProgress::Idle;
-        (self.flying, self.landing) = (false, false);
+        (self.flying, self.landing, self.holding) = (false, false, false);
         self.climbing_since_ns = None;
-        self.land_failed_ns = None;
+        self.failed_ns = None;
     }
 
     fn fly(&mut self, now_ns: Nanos, takeoff_height_m: f32, vehicle: &Vehicle) -> Action {
@@ -283,25 +300,30 @@ impl Handover {
     }
 
     fn land(&mut self, now_ns: Nanos, vehicle: &Vehicle) -> Action {
+        let wanted = self.wanted(command_number::NAV_LAND, EFFECT_NS, &[]);
+        self.insist(now_ns, &wanted, LAND_PAUSE_NS, vehicle)
+    }
+
+    /// Asks until it is done: what failed is asked again after a pause.
+    fn insist(&mut self, now_ns: Nanos, wanted: &Wanted, pause_ns: Nanos, vehicle: &Vehicle) -> Action {
         if vehicle.is_other_autopilot() {
             return Action::default();
         }
-        if let Some(failed_ns) = self.land_failed_ns {
-            if now_ns.saturating_sub(failed_ns) < LAND_PAUSE_NS {
+        if let Some(failed_ns) = self.failed_ns {
+            if now_ns.saturating_sub(failed_ns) < pause_ns {
                 return Action::default();
             }
-            self.land_failed_ns = None;
+            self.failed_ns = None;
             self.tracker.reset();
         }
-        let wanted = self.wanted(command_number::NAV_LAND, EFFECT_NS, &[]);
-        match self.tracker.next(now_ns, &wanted) {
+        match self.tracker.next(now_ns, wanted) {
             Next::Wait => Action::default(),
             Next::Send(confirmation) => Action {
                 send: Some((wanted.number, wanted.params, confirmation)),
                 trouble: None,
             },
             Next::Failed(failure) => {
-                self.land_failed_ns = Some(now_ns);
+                self.failed_ns = Some(now_ns);
                 Action {
                     send: None,
                     trouble: Some(Trouble::Command {
@@ -352,6 +374,9 @@ impl Service for HandoverService {
             self.handover.unfinished(),
         ) {
             core.tell(out, &report::overdue_text(unfinished));
+        }
+        if let (VehicleRequest::Hold { obstacle_m }, false) = (step.request, self.handover.holding) {
+            core.tell(out, &report::hold_text(obstacle_m));
         }
         let action = self
             .handover

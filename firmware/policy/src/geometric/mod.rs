@@ -3,6 +3,7 @@
 
 mod evasion;
 mod governor;
+mod lookout;
 pub mod movers;
 mod occupancy_grid;
 mod path_planner;
@@ -10,6 +11,7 @@ mod pilot;
 pub mod range_scan;
 mod recovery;
 
+pub use lookout::Lookout;
 pub use occupancy_grid::{CELL_M, HIT, OccupancyGrid, SCORE_LIMIT, SIDE};
 pub(crate) use pilot::position_ned_m;
 pub use pilot::{GeometricConfig, GeometricPilot};
