@@ -124,15 +124,15 @@ macro_rules! parameters {
     };
 }
 
-// In alphabetical order of their names. Speeds end where the vehicle's own limits lie
-// (`vigil_vehicle::ControlParams`): beyond them a parameter would not act.
+// In alphabetical order of their names. Limits are PX4's where scripts set more than this airframe can
+// (`vigil_vehicle::ControlParams`): the description then says where its own limit lies.
 parameters! {
     DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
         "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";
     DisarmPreflightS = "COM_DISARM_PRFLT", Real32(10.0), -1.0, 60.0, "s",
         "Time armed on the ground without a take-off until the vehicle disarms itself; 0 or less: never";
-    OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 3.0, 5.0, "",
-        "What follows a lost setpoint stream: 3 return, 4 land, 5 hold";
+    OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 0.0, 7.0, "",
+        "What follows a lost setpoint stream: 0 position, 1 altitude, 2 stabilized (each of them hold while there are no sticks), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
     OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left";
     SticksLossS = "COM_RC_LOSS_T", Real32(0.5), 0.1, 35.0, "s",
@@ -161,16 +161,16 @@ parameters! {
         "Height above home below which a landing descends with MPC_LAND_SPEED";
     LandSpeedMS = "MPC_LAND_SPEED", Real32(0.7), 0.3, 1.5, "m/s",
         "Rate of descent of the last metres of a landing";
-    TakeoffSpeedMS = "MPC_TKO_SPEED", Real32(1.5), 0.3, 2.5, "m/s",
-        "Rate of climb of a take-off";
-    CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 10.0, "m/s",
-        "Horizontal speed of go-to and return";
+    TakeoffSpeedMS = "MPC_TKO_SPEED", Real32(1.5), 0.3, 5.0, "m/s",
+        "Rate of climb of a take-off; the airframe's own limit is 2.5";
+    CruiseSpeedMS = "MPC_XY_CRUISE", Real32(5.0), 0.5, 20.0, "m/s",
+        "Horizontal speed of go-to, missions and return; MPC_XY_VEL_MAX at most";
     MaxSpeedMS = "MPC_XY_VEL_MAX", Real32(10.0), 0.5, 20.0, "m/s",
         "Limit of horizontal speed; the airframe's own is 10";
-    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 1.5, "m/s",
-        "Limit of the rate of descent";
-    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(2.5), 0.3, 2.5, "m/s",
-        "Limit of the rate of climb of offboard setpoints";
+    MaxDownMS = "MPC_Z_VEL_MAX_DN", Real32(1.5), 0.3, 4.0, "m/s",
+        "Limit of the rate of descent of setpoints and sticks; the airframe's own is 1.5";
+    MaxUpMS = "MPC_Z_VEL_MAX_UP", Real32(2.5), 0.3, 8.0, "m/s",
+        "Limit of the rate of climb of setpoints and sticks; the airframe's own is 2.5";
     AutoDownMS = "MPC_Z_V_AUTO_DN", Real32(1.5), 0.3, 4.0, "m/s",
         "Rate of descent of a landing above MPC_LAND_ALT2; the airframe's own limit is 1.5";
     AutoUpMS = "MPC_Z_V_AUTO_UP", Real32(2.5), 0.3, 8.0, "m/s",
@@ -179,8 +179,8 @@ parameters! {
         "Distance at which a mission item that gives none is reached";
     HeightAcceptanceM = "NAV_MC_ALT_RAD", Real32(0.8), 0.05, 200.0, "m",
         "Height error within which a mission item is reached";
-    SticksLossAction = "NAV_RCL_ACT", Int32(1), 1.0, 3.0, "",
-        "What follows lost sticks in a mode that is flown by them: 1 hold, 2 return, 3 land";
+    SticksLossAction = "NAV_RCL_ACT", Int32(1), 0.0, 6.0, "",
+        "What follows lost sticks in a mode that is flown by them: 2 return, 3 land, 5 terminate, 6 disarm, else hold";
     ReturnMinDistanceM = "RTL_MIN_DIST", Real32(2.0), 0.5, 100.0, "m",
         "Distance from where a return leads within which it lands at once";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",

@@ -26,6 +26,24 @@ const AIRBORNE_AFTER_NS: Nanos = 50_000_000;
 /// Tilt beyond which the vehicle does not arm: it lies on its side.
 const ARMING_TILT_RAD: f32 = core::f32::consts::FRAC_PI_4;
 
+/// What a failsafe does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Response {
+    Enter(FlightMode),
+    Terminate,
+    Disarm,
+}
+
+impl Response {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Enter(mode) => mode.name(),
+            Self::Terminate => "terminate",
+            Self::Disarm => "disarm",
+        }
+    }
+}
+
 impl Core {
     /// Whether the vehicle could be armed now.
     pub fn arming_check(&self) -> Result<(), Denial> {
@@ -286,23 +304,64 @@ impl Core {
         speed_m_s.min(self.param(ParamId::MaxSpeedMS))
     }
 
-    /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until the next mode command.
-    pub(super) fn lose_setpoints(&mut self) {
-        let action = match self.param(ParamId::OffboardLossAction) as i32 {
-            3 => FlightMode::Return,
-            4 => FlightMode::Land,
-            _ => FlightMode::Hold,
-        };
-        let text = format!("setpoint lost: {}", action.name());
-        self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
-        self.fail_over(action, Failsafe::SetpointLost);
+    /// The same where nobody asked for another speed.
+    pub(super) fn default_speed_m_s(&self) -> f32 {
+        self.param(ParamId::CruiseSpeedMS).min(self.param(ParamId::MaxSpeedMS))
     }
 
-    /// Enters Return, Land or Hold by itself; CRITICAL until the next mode command.
+    /// The owner's setpoints stopped: the action of COM_OBL_RC_ACT, and CRITICAL until the next mode command.
+    pub(super) fn lose_setpoints(&mut self) {
+        let by_sticks = match self.param(ParamId::OffboardLossAction) as i32 {
+            0 => Some(FlightMode::Position),
+            1 => Some(FlightMode::Altitude),
+            2 => Some(FlightMode::Stabilized),
+            _ => None,
+        };
+        let response = match self.param(ParamId::OffboardLossAction) as i32 {
+            3 => Response::Enter(FlightMode::Return),
+            4 => Response::Enter(FlightMode::Land),
+            6 => Response::Terminate,
+            7 => Response::Disarm,
+            _ => Response::Enter(
+                by_sticks
+                    .filter(|_| self.current_sticks().is_some())
+                    .unwrap_or(FlightMode::Hold),
+            ),
+        };
+        self.respond("setpoint lost", response, Failsafe::SetpointLost);
+    }
+
+    /// The sticks stopped in a mode that is flown by them: the action of NAV_RCL_ACT.
+    pub(super) fn lose_sticks(&mut self) {
+        let response = match self.param(ParamId::SticksLossAction) as i32 {
+            2 => Response::Enter(FlightMode::Return),
+            3 => Response::Enter(FlightMode::Land),
+            5 => Response::Terminate,
+            6 => Response::Disarm,
+            _ => Response::Enter(FlightMode::Hold),
+        };
+        self.respond("manual control lost", response, Failsafe::ManualControlLost);
+    }
+
+    fn respond(&mut self, cause: &str, response: Response, failsafe: Failsafe) {
+        let text = format!("{cause}: {}", response.name());
+        self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
+        match response {
+            Response::Enter(mode) => self.fail_over(mode, failsafe),
+            Response::Terminate => {
+                self.fail_over(FlightMode::Hold, failsafe);
+                self.terminate();
+            }
+            Response::Disarm => self.disarm_with("disarmed: failsafe"),
+        }
+    }
+
+    /// Changes to Return, Land, Hold or a mode that is flown by sticks, by itself; CRITICAL until the next mode command.
     pub(super) fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
         match action {
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(action, Maneuver::Descend),
+            mode if mode.needs_sticks() => self.enter(mode, Maneuver::Sticks { held_down_m: None }),
             _ => self.enter(FlightMode::Hold, Maneuver::default()),
         }
         self.commander.failsafe = Some(failsafe);

@@ -159,7 +159,7 @@ impl Core {
     fn fly_offboard(&mut self, on_ground: bool) -> ControlCommand {
         let Some(command) = self.setpoints.current(self.now_ns, self.owner_max_age_ns()) else {
             self.lose_setpoints();
-            return if on_ground {
+            return if on_ground || self.commander.is_terminated() || !self.commander.is_armed() {
                 ControlCommand::Idle
             } else {
                 ControlCommand::VelocityNed {

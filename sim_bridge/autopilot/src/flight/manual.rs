@@ -3,10 +3,9 @@
 use crate::core::Core;
 use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
-use crate::flight::state::{Deflections, Denial, Failsafe, Maneuver};
+use crate::flight::state::{Deflections, Denial, Maneuver};
 use crate::source::Source;
 use crate::vehicle_parameters::ParamId;
-use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
@@ -55,15 +54,8 @@ impl Core {
     /// end in NAV_RCL_ACT.
     pub(super) fn fly_by_sticks(&mut self, held_down_m: Option<f32>, on_ground: bool) -> ControlCommand {
         let Some(sticks) = self.current_sticks() else {
-            let action = match self.param(ParamId::SticksLossAction) as i32 {
-                2 => FlightMode::Return,
-                3 => FlightMode::Land,
-                _ => FlightMode::Hold,
-            };
-            let text = format!("manual control lost: {}", action.name());
-            self.text(MavSeverity::MAV_SEVERITY_CRITICAL, &text);
-            self.fail_over(action, Failsafe::ManualControlLost);
-            return if on_ground {
+            self.lose_sticks();
+            return if on_ground || self.commander.is_terminated() || !self.commander.is_armed() {
                 ControlCommand::Idle
             } else {
                 self.velocity_by(Deflections::default())
@@ -92,7 +84,7 @@ impl Core {
     fn velocity_by(&self, sticks: Deflections) -> ControlCommand {
         let [forward, right, clockwise] = [sticks.forward, sticks.right, sticks.clockwise].map(beyond_dead_zone);
         let norm = libm::hypotf(forward, right).max(1.0);
-        let speed_m_s = self.param(ParamId::CruiseSpeedMS) / norm;
+        let speed_m_s = self.default_speed_m_s() / norm;
         ControlCommand::VelocityHeading {
             velocity_m_s: HeadingVector::new(forward * speed_m_s, right * speed_m_s, -self.climb_m_s(sticks)),
             yaw: YawCommand::Rate {

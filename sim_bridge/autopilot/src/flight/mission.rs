@@ -198,7 +198,7 @@ impl Core {
         let max_m_s = self.param(ParamId::MaxSpeedMS);
         match self.plans.mission.speed_m_s {
             Some(speed_m_s) => speed_m_s.min(max_m_s),
-            None => self.param(ParamId::CruiseSpeedMS),
+            None => self.default_speed_m_s(),
         }
     }
 
@@ -212,7 +212,7 @@ impl Core {
         } else {
             self.commander.speed_m_s = wanted;
         }
-        let now_m_s = wanted.unwrap_or(self.param(ParamId::CruiseSpeedMS));
+        let now_m_s = wanted.unwrap_or(self.default_speed_m_s());
         if let Maneuver::Station { speed_limit_m_s, .. } = &mut self.commander.maneuver {
             *speed_limit_m_s = now_m_s;
         }

@@ -17,4 +17,4 @@ pub use state::{Failsafe, LandedState};
 pub(crate) use control::{attitude_target, position_target};
 pub(crate) use mode::Requested;
 pub(crate) use setpoints::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
-pub(crate) use state::{Deflections, Denial, Facing, Orbit};
+pub(crate) use state::{Deflections, Denial, Facing, Orbit, SensorFault};

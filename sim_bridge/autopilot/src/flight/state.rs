@@ -4,7 +4,7 @@
 use crate::flight::mode::FlightMode;
 use crate::plan::Breach;
 use crate::source::Source;
-use vigil_types::{Nanos, NedVector};
+use vigil_types::{FrdVector, Nanos, NedVector};
 use vigil_vehicle::{Estimate, YawCommand};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
@@ -221,13 +221,41 @@ pub(crate) struct Orbit {
     pub bearing_rad: Option<f32>,
 }
 
-/// Sensors that INJECT_FAILURE has switched off.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+/// What INJECT_FAILURE did to a sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) enum SensorFault<T> {
+    #[default]
+    None,
+    /// No readings any more.
+    Off,
+    /// The same reading again and again: the estimator notices and does without.
+    Stuck(T),
+}
+
+impl<T: Copy + PartialEq> SensorFault<T> {
+    pub fn is_lost(self) -> bool {
+        self != Self::None
+    }
+
+    /// What the sensor reports where it measures `measured`.
+    pub fn reading(self, measured: T) -> Option<T> {
+        match self {
+            Self::None => Some(measured),
+            Self::Off => None,
+            Self::Stuck(reading) => Some(reading),
+        }
+    }
+}
+
+/// Sensors that INJECT_FAILURE has taken away.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct LostSensors {
     /// Since when.
     pub gps_since_ns: Option<Nanos>,
-    pub barometer: bool,
-    pub magnetometer: bool,
+    /// Height above home, metres.
+    pub barometer: SensorFault<f32>,
+    /// Field in gauss.
+    pub magnetometer: SensorFault<FrdVector>,
 }
 
 impl LostSensors {
@@ -237,8 +265,8 @@ impl LostSensors {
             Self {
                 gps_since_ns: Some(_), ..
             } => Some("GPS"),
-            Self { barometer: true, .. } => Some("barometer"),
-            Self { magnetometer: true, .. } => Some("compass"),
+            lost if lost.barometer.is_lost() => Some("barometer"),
+            lost if lost.magnetometer.is_lost() => Some("compass"),
             _ => None,
         }
     }

@@ -1,9 +1,11 @@
-//! INJECT_FAILURE: switching sensors off and on again. <https://docs.px4.io/main/en/debug/failure_injection.html>
+//! INJECT_FAILURE: switching sensors off, letting them stick, and making them whole again. <https://docs.px4.io/main/en/debug/failure_injection.html>
 //!
 //! What follows is flight's business: without GPS the vehicle lands when the position is no longer known.
 
 use crate::core::Core;
+use crate::flight::SensorFault;
 use crate::service::{Answer, Service, Source};
+use crate::services::sensors::field_gauss;
 use vigil_mavlink::common::MavSeverity;
 use vigil_mavlink::framing::Command;
 
@@ -15,6 +17,7 @@ const GPS: f32 = 4.0;
 /// FAILURE_TYPE_*.
 const OK: f32 = 0.0;
 const OFF: f32 = 1.0;
+const STUCK: f32 = 2.0;
 
 #[derive(Default)]
 pub(crate) struct Failures;
@@ -31,39 +34,45 @@ impl Service for Failures {
             );
             return Some(Answer::DENIED);
         }
-        // Stuck and wrong readings are not modelled.
-        let is_off = match command.param(2) {
-            Some(OK) => false,
-            Some(OFF) => true,
-            _ => return Some(Answer::UNSUPPORTED),
+        let Some(kind @ (OK | OFF | STUCK)) = command.param(2) else {
+            // Wrong, slow or noisy readings are not modelled.
+            return Some(Answer::UNSUPPORTED);
         };
         // 0 is all of a kind, and there is one of each.
         if !matches!(command.param(3), None | Some(0.0 | 1.0)) {
             return Some(Answer::DENIED);
         }
         let name = match command.param(1) {
-            Some(GPS) => {
+            Some(GPS) if kind != STUCK => {
                 let now_ns = core.now_ns;
                 let since_ns = core.lost_sensors.gps_since_ns;
-                core.lost_sensors.gps_since_ns = is_off.then(|| since_ns.unwrap_or(now_ns));
+                core.lost_sensors.gps_since_ns = (kind == OFF).then(|| since_ns.unwrap_or(now_ns));
                 "GPS"
             }
             Some(BAROMETER) => {
-                core.lost_sensors.barometer = is_off;
+                core.lost_sensors.barometer = fault(kind, core.view.sensors.barometer_height_m);
                 "barometer"
             }
             Some(MAGNETOMETER) => {
-                core.lost_sensors.magnetometer = is_off;
+                core.lost_sensors.magnetometer = fault(kind, field_gauss(core));
                 "compass"
             }
             _ => return Some(Answer::UNSUPPORTED),
         };
-        let (severity, what) = if is_off {
-            (MavSeverity::MAV_SEVERITY_WARNING, "lost")
-        } else {
-            (MavSeverity::MAV_SEVERITY_INFO, "back")
+        let (severity, what) = match kind {
+            OK => (MavSeverity::MAV_SEVERITY_INFO, "back"),
+            STUCK => (MavSeverity::MAV_SEVERITY_WARNING, "stuck"),
+            _ => (MavSeverity::MAV_SEVERITY_WARNING, "lost"),
         };
         core.text(severity, &format!("{name} {what}"));
         Some(Answer::ACCEPTED)
+    }
+}
+
+fn fault<T>(kind: f32, reading: T) -> SensorFault<T> {
+    match kind {
+        OFF => SensorFault::Off,
+        STUCK => SensorFault::Stuck(reading),
+        _ => SensorFault::None,
     }
 }

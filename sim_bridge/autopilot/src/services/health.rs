@@ -35,8 +35,11 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
     health.set(Sensor::MAV_SYS_STATUS_GEOFENCE, core.fence_watch.breach.is_none());
     let lost = core.lost_sensors;
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_GPS, lost.gps_since_ns.is_none());
-    health.set(Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE, !lost.barometer);
-    health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, !lost.magnetometer);
+    health.set(
+        Sensor::MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE,
+        !lost.barometer.is_lost(),
+    );
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, !lost.magnetometer.is_lost());
     let attitude = core.view.estimate.attitude;
     health.set(
         Sensor::MAV_SYS_STATUS_AHRS,

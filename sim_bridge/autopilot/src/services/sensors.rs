@@ -1,6 +1,7 @@
 //! Sensor readings: IMU, pressure, GPS.
 
 use crate::core::Core;
+use crate::flight::SensorFault;
 use crate::geo;
 use crate::service::{Build, Produced, Service};
 use vigil_mavlink::MavMessage;
@@ -56,22 +57,38 @@ fn pressure_hpa(altitude_m: f64) -> f32 {
     (1013.25 * libm::pow(1.0 - 2.255_77e-5 * altitude_m, 5.255_88)) as f32
 }
 
-fn barometric_altitude_m(core: &Core) -> f64 {
-    core.home.altitude_m + f64::from(core.view.sensors.barometer_height_m)
+/// What the barometer reports, as metres above sea level; `None` where it is off.
+fn barometric_altitude_m(core: &Core) -> Option<f64> {
+    let reading_m = core
+        .lost_sensors
+        .barometer
+        .reading(core.view.sensors.barometer_height_m)?;
+    Some(core.home.altitude_m + f64::from(reading_m))
+}
+
+/// The earth's field about the vehicle in gauss.
+pub(super) fn field_gauss(core: &Core) -> FrdVector {
+    let [n, e, d] = FIELD_NED_GAUSS;
+    core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d))
+}
+
+/// What the compass reports: zeros where it is off.
+fn compass_gauss(core: &Core) -> FrdVector {
+    let reading = core.lost_sensors.magnetometer.reading(field_gauss(core));
+    reading.unwrap_or(FrdVector::new(0.0, 0.0, 0.0))
 }
 
 fn imu(core: &Core) -> Option<MavMessage> {
     let s = &core.view.sensors;
-    let [n, e, d] = FIELD_NED_GAUSS;
-    let field = core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d));
-    let altitude_m = barometric_altitude_m(core);
+    let field = compass_gauss(core);
+    let barometric_m = barometric_altitude_m(core);
+    let altitude_m = barometric_m.unwrap_or(core.home.altitude_m);
     // All but differential pressure.
     let mut updated = Updated::from_bits_truncate(0x1BFF);
-    let lost = core.lost_sensors;
-    if lost.barometer {
+    if barometric_m.is_none() {
         updated &= !Updated::from_bits_truncate(0xA00);
     }
-    if lost.magnetometer {
+    if core.lost_sensors.magnetometer == SensorFault::Off {
         updated &= !Updated::from_bits_truncate(0x1C0);
     }
     Some(MavMessage::HIGHRES_IMU(HIGHRES_IMU_DATA {
@@ -105,8 +122,7 @@ struct ScaledReadings {
 
 fn scaled_readings(core: &Core) -> ScaledReadings {
     let s = &core.view.sensors;
-    let [n, e, d] = FIELD_NED_GAUSS;
-    let field = core.view.estimate.attitude.to_frd(vigil_types::NedVector::new(n, e, d));
+    let field = compass_gauss(core);
     let thousandths = |v: FrdVector, unit: f32| [v.x, v.y, v.z].map(|value| libm::roundf(value / unit * 1e3) as i16);
     ScaledReadings {
         acceleration: thousandths(s.accelerometer_frd_m_s2, STANDARD_GRAVITY_M_S2),
@@ -155,12 +171,10 @@ fn raw_imu(core: &Core) -> Option<MavMessage> {
 }
 
 fn pressure(core: &Core) -> Option<MavMessage> {
-    if core.lost_sensors.barometer {
-        return None;
-    }
+    let altitude_m = barometric_altitude_m(core)?;
     Some(MavMessage::SCALED_PRESSURE(SCALED_PRESSURE_DATA {
         time_boot_ms: core.time_boot_ms(),
-        press_abs: pressure_hpa(barometric_altitude_m(core)),
+        press_abs: pressure_hpa(altitude_m),
         press_diff: 0.0,
         temperature: (TEMPERATURE_C * 100.0) as i16,
         ..Default::default()

@@ -201,6 +201,16 @@ fn parameters_that_scripts_set_without_asking_are_taken() {
         ("MPC_XY_VEL_MAX", ParameterValue::Real32(12.0)),
         ("COM_OF_LOSS_T", ParameterValue::Real32(1.0)),
         ("CBRK_SUPPLY_CHK", ParameterValue::Int32(0)),
+        ("COM_OBL_RC_ACT", ParameterValue::Int32(0)),
+        ("NAV_RCL_ACT", ParameterValue::Int32(0)),
+        ("EKF2_EV_CTRL", ParameterValue::Int32(3)),
+        ("EKF2_GPS_CTRL", ParameterValue::Int32(0)),
+        ("MIS_TKO_LAND_REQ", ParameterValue::Int32(2)),
+        ("MPC_XY_CRUISE", ParameterValue::Real32(12.0)),
+        ("MPC_Z_VEL_MAX_UP", ParameterValue::Real32(5.0)),
+        ("MPC_Z_VEL_MAX_DN", ParameterValue::Real32(3.0)),
+        ("MPC_TKO_SPEED", ParameterValue::Real32(3.0)),
+        ("GF_PREDICT", ParameterValue::Int32(1)),
     ] {
         b.set_parameter(name, value);
         let saved = b.endpoint.saved().parameters.get(name).copied();

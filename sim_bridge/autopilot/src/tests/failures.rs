@@ -94,6 +94,23 @@ fn without_barometer_or_compass_it_flies_on_and_does_not_arm() {
         if name == "barometer" {
             assert_eq!(b.count(API, SCALED_PRESSURE_DATA::ID), 0);
         }
+        // Stuck: readings again, always the same, and still not healthy.
+        assert_eq!(inject(&mut b, unit, 2.0), ACCEPTED);
+        b.sent.clear();
+        b.run_ms(3_000);
+        assert!(!health(&b).contains(bit));
+        let readings: Vec<_> = b
+            .messages(API)
+            .filter_map(|m| match m {
+                MavMessage::HIGHRES_IMU(m) if name == "barometer" => Some([m.abs_pressure, 0.0, 0.0]),
+                MavMessage::HIGHRES_IMU(m) => Some([m.xmag, m.ymag, m.zmag]),
+                _ => None,
+            })
+            .collect();
+        assert!(readings.len() > 50 && readings.iter().all(|reading| *reading == readings[0]));
+        assert_eq!(inject(&mut b, unit, 0.0), ACCEPTED);
+        b.run_ms(2_000);
+        assert!(health(&b).contains(bit));
         let mut b = Bench::new();
         enable(&mut b);
         assert_eq!(inject(&mut b, unit, 1.0), ACCEPTED);

@@ -18,6 +18,7 @@ mod plans;
 mod protocol;
 mod rejection;
 mod routing;
+mod scenarios;
 mod shell;
 mod sticks;
 mod telemetry;

@@ -162,3 +162,45 @@ fn a_changed_speed_holds_for_the_next_way_too() {
     let normal = fastest(&mut b, 20.0);
     assert!(normal > 3.5, "{normal}");
 }
+
+#[test]
+fn a_lost_stream_ends_as_com_obl_rc_act_says() {
+    use crate::ParameterValue::Int32;
+    let sticks = MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
+        target: 1,
+        z: 500,
+        ..Default::default()
+    });
+    for (action, has_sticks, mode) in [
+        (0, false, FlightMode::Hold),
+        (0, true, FlightMode::Position),
+        (1, true, FlightMode::Altitude),
+        (2, true, FlightMode::Stabilized),
+        (3, false, FlightMode::Return),
+        (4, false, FlightMode::Land),
+        (5, true, FlightMode::Hold),
+    ] {
+        let mut b = Bench::airborne();
+        b.set_parameter("COM_OBL_RC_ACT", Int32(action));
+        fly(&mut b, &local(0x9C7, |m| m.vx = 0.5), 1_000);
+        for _ in 0..24 {
+            if has_sticks {
+                b.send(GCS, STATION, &sticks);
+            }
+            b.run_ms(50);
+        }
+        assert_eq!(b.status().mode, mode, "{action}");
+        assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+    }
+    for (action, is_terminated) in [(6, true), (7, false)] {
+        let mut b = Bench::airborne();
+        b.set_parameter("COM_OBL_RC_ACT", Int32(action));
+        fly(&mut b, &local(0x9C7, |m| m.vx = 0.5), 1_000);
+        b.run_ms(1_100);
+        assert_eq!(
+            (b.status().terminated, b.status().armed),
+            (is_terminated, is_terminated)
+        );
+        assert_eq!(b.command, vigil_vehicle::ControlCommand::MotorsOff);
+    }
+}

@@ -1,0 +1,366 @@
+//! PX4's own flight tests for multicopters (`test/mavsdk_tests` of its sources), as flights of this vehicle: what a client
+//! sends, what it asks for and how long it waits are theirs.
+
+use crate::testing::*;
+use crate::tests::plans::{MISSION, action, item, waypoint};
+use crate::{FlightMode, HomePosition, LandedState, ParameterValue, geo};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::*;
+use vigil_types::NedVector;
+
+const START_MISSION: u16 = 300;
+const INJECT_FAILURE: u16 = 420;
+const SQUARE_M: f32 = 20.0;
+const HEIGHT_M: f32 = 10.0;
+
+/// MAVSDK's mission with "return to launch" as its last item.
+fn upload_square(b: &mut Bench) {
+    let corners = [(SQUARE_M, 0.0), (SQUARE_M, SQUARE_M), (0.0, SQUARE_M)];
+    let mut plan: Vec<_> = corners.map(|corner| waypoint(corner, HEIGHT_M)).to_vec();
+    plan.push(action(20, [0.0; 4]));
+    assert_eq!(b.upload(MISSION, &plan), MavMissionResult::MAV_MISSION_ACCEPTED);
+}
+
+fn start_mission(b: &mut Bench) {
+    assert_eq!(b.command_long(API, SCRIPT, START_MISSION, [0.0; 7]), ACCEPTED);
+}
+
+fn current_item(b: &Bench) -> Option<u16> {
+    b.messages(API).rev().find_map(|m| match m {
+        MavMessage::MISSION_CURRENT(m) => Some(m.seq),
+        _ => None,
+    })
+}
+
+fn wait_until_disarmed(b: &mut Bench, limit_s: u64) {
+    b.run_until(limit_s, "disarmed", |b| !b.status().armed);
+    assert_eq!(b.status().landed, LandedState::OnGround);
+}
+
+fn inject(b: &mut Bench, unit: f32, kind: f32) -> u8 {
+    b.command_long(API, SCRIPT, INJECT_FAILURE, [unit, kind, 0.0, 0.0, 0.0, 0.0, 0.0])
+}
+
+fn attitude(pitch_deg: f32, thrust: f32) -> MavMessage {
+    let half_rad = pitch_deg.to_radians() / 2.0;
+    MavMessage::SET_ATTITUDE_TARGET(SET_ATTITUDE_TARGET_DATA {
+        q: [half_rad.cos(), 0.0, half_rad.sin(), 0.0],
+        thrust,
+        type_mask: AttitudeTargetTypemask::from_bits_retain(0x07),
+        target_system: 1,
+        target_component: 1,
+        ..Default::default()
+    })
+}
+
+fn stream(b: &mut Bench, message: &MavMessage, ms: u64) {
+    for _ in 0..ms / 50 {
+        b.send(API, SCRIPT, message);
+        b.run_ms(50);
+    }
+}
+
+fn gps_altitude_m(b: &Bench) -> f32 {
+    let altitude_mm = b.messages(API).rev().find_map(|m| match m {
+        MavMessage::GPS_RAW_INT(m) => Some(m.alt_ellipsoid),
+        _ => None,
+    });
+    altitude_mm.expect("GPS_RAW_INT") as f32 * 1e-3
+}
+
+#[test]
+fn a_flight_by_attitude_climbs_by_gps_flies_forward_falls_and_disarms() {
+    let mut b = Bench::new();
+    b.run_ms(1_500);
+    let start_m = gps_altitude_m(&b);
+    assert!(start_m > 0.0);
+    stream(&mut b, &attitude(0.0, 0.0), 100);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    assert_eq!(b.arm(), ACCEPTED);
+    for _ in 0..200 {
+        stream(&mut b, &attitude(0.0, 0.8), 50);
+        if gps_altitude_m(&b) - start_m >= 10.0 {
+            break;
+        }
+    }
+    stream(&mut b, &attitude(-20.0, 0.8), 3_000);
+    let pitch_deg = b.view().estimate.attitude.pitch_rad().to_degrees();
+    assert!((pitch_deg + 20.0).abs() < 5.0, "{pitch_deg}");
+    stream(&mut b, &attitude(0.0, 0.4), 6_000);
+    for _ in 0..2_400 {
+        stream(&mut b, &attitude(0.0, 0.0), 50);
+        if !b.status().armed {
+            break;
+        }
+    }
+    assert!(!b.status().armed, "{:?}", b.status());
+    assert_eq!(b.status().landed, LandedState::OnGround);
+}
+
+#[test]
+fn a_straight_mission_keeps_its_speed() {
+    let mut b = Bench::new();
+    // A fly-through item of MAVSDK: no stay, its own radius.
+    let plan: Vec<_> = (0..5).map(|i| waypoint((SQUARE_M * i as f32, 0.0), HEIGHT_M)).collect();
+    b.upload(MISSION, &plan);
+    assert_eq!(b.arm(), ACCEPTED);
+    start_mission(&mut b);
+    b.run_until(60, "the second item", |b| current_item(b) == Some(2));
+    let mut slowest_m_s = f32::INFINITY;
+    while current_item(&b) == Some(2) {
+        b.run_ms(100);
+        slowest_m_s = slowest_m_s.min(b.view().estimate.velocity_ned_m_s.horizontal_norm());
+    }
+    assert!(slowest_m_s > 4.0, "{slowest_m_s}");
+    b.run_until(60, "the end", |b| b.status().mode == FlightMode::Hold);
+    assert_eq!(b.command_long(API, SCRIPT, 20, [0.0; 7]), ACCEPTED);
+    wait_until_disarmed(&mut b, 180);
+}
+
+#[test]
+fn a_mission_ends_in_a_landing_within_30_seconds_of_losing_gps() {
+    const GPS: f32 = 4.0;
+    let mut b = Bench::new();
+    b.set_parameter("EKF2_HGT_REF", ParameterValue::Int32(0));
+    upload_square(&mut b);
+    assert_eq!(b.arm(), ACCEPTED);
+    b.set_parameter("SYS_FAILURE_EN", ParameterValue::Int32(1));
+    start_mission(&mut b);
+    b.run_until(60, "the first item", |b| current_item(b) == Some(1));
+    assert_eq!(inject(&mut b, GPS, 1.0), ACCEPTED);
+    wait_until_disarmed(&mut b, 30);
+}
+
+#[test]
+fn a_mission_goes_on_without_compass_or_barometer_and_with_readings_that_are_stuck() {
+    const MAGNETOMETER: f32 = 2.0;
+    const BAROMETER: f32 = 3.0;
+    const OFF: f32 = 1.0;
+    const STUCK: f32 = 2.0;
+    for (unit, kind) in [
+        (MAGNETOMETER, OFF),
+        (MAGNETOMETER, STUCK),
+        (BAROMETER, OFF),
+        (BAROMETER, STUCK),
+    ] {
+        let mut b = Bench::new();
+        upload_square(&mut b);
+        assert_eq!(b.arm(), ACCEPTED);
+        b.set_parameter("SYS_FAILURE_EN", ParameterValue::Int32(1));
+        start_mission(&mut b);
+        b.run_until(60, "the first item", |b| current_item(b) == Some(1));
+        assert_eq!(inject(&mut b, unit, kind), ACCEPTED);
+        b.run_until(90, "the return", |b| b.status().mode == FlightMode::Return);
+        wait_until_disarmed(&mut b, 120);
+        let [x, y, _] = b.position_m();
+        assert!(x.hypot(y) < 2.0, "{x} {y}");
+    }
+}
+
+#[test]
+fn sticks_fly_forward_in_position_and_altitude_mode_and_descend_until_disarmed() {
+    let sticks = |x: i16, z: i16| {
+        MavMessage::MANUAL_CONTROL(MANUAL_CONTROL_DATA {
+            target: 1,
+            x,
+            z,
+            ..Default::default()
+        })
+    };
+    for main in [3, 2] {
+        let mut b = Bench::new();
+        stream(&mut b, &sticks(0, 500), 1_000);
+        assert_eq!(b.set_mode(API, SCRIPT, main, 0), ACCEPTED);
+        stream(&mut b, &sticks(0, 500), 3_000);
+        assert_eq!(b.arm(), ACCEPTED);
+        stream(&mut b, &sticks(0, 500), 1_000);
+        stream(&mut b, &sticks(0, 1_000), 5_000);
+        stream(&mut b, &sticks(500, 500), 10_000);
+        for _ in 0..1_200 {
+            stream(&mut b, &sticks(0, 0), 50);
+            if b.status().landed == LandedState::OnGround {
+                break;
+            }
+        }
+        wait_until_disarmed(&mut b, 180);
+        let [x, y, _] = b.position_m();
+        assert!(x.hypot(y) > 5.0, "{x} {y}");
+    }
+}
+
+#[test]
+fn offboard_reaches_each_place_within_ten_seconds_and_lands_by_a_velocity() {
+    let place = |x: f32, y: f32, z: f32, yaw_deg: f32| {
+        MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+            x,
+            y,
+            z,
+            yaw: yaw_deg.to_radians(),
+            type_mask: PositionTargetTypemask::from_bits_retain(0x9F8),
+            target_system: 1,
+            target_component: 1,
+            coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+            ..Default::default()
+        })
+    };
+    let mut b = Bench::new();
+    assert_eq!(b.arm(), ACCEPTED);
+    for (x, y, z, yaw_deg) in [
+        (0.0, 0.0, -2.0, 0.0),
+        (0.0, 5.0, -2.0, 180.0),
+        (5.0, 5.0, -4.0, 180.0),
+        (5.0, 0.0, -4.0, 90.0),
+        (0.0, 0.0, -2.0, 0.0),
+    ] {
+        let off_m = |b: &Bench| (b.view().estimate.position_ned_m - NedVector::new(x, y, z)).norm();
+        for _ in 0..200 {
+            stream(&mut b, &place(x, y, z, yaw_deg), 50);
+            if b.status().mode != FlightMode::Offboard {
+                assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+            }
+            if off_m(&b) < 0.3 {
+                break;
+            }
+        }
+        assert!(off_m(&b) < 0.3, "{x} {y} {z}: {}", off_m(&b));
+    }
+    let down = MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+        vz: 1.0,
+        type_mask: PositionTargetTypemask::from_bits_retain(0x9C7),
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+        ..Default::default()
+    });
+    for _ in 0..2_400 {
+        stream(&mut b, &down, 50);
+        if !b.status().armed {
+            break;
+        }
+    }
+    assert!(!b.status().armed);
+    let [x, y, _] = b.position_m();
+    assert!(x.hypot(y) < 2.0);
+}
+
+#[test]
+fn a_take_off_keeps_its_height_for_a_minute() {
+    let mut b = Bench::new();
+    b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real32(10.0));
+    b.take_off();
+    b.run_until(30, "the height", |b| {
+        (b.view().estimate.position_ned_m.z + 10.0).abs() < 0.35
+    });
+    let down_m = b.view().estimate.position_ned_m.z;
+    for _ in 0..600 {
+        b.run_ms(100);
+        assert!((b.view().estimate.position_ned_m.z - down_m).abs() < 0.25);
+    }
+}
+
+#[test]
+fn a_jump_that_is_made_the_current_item_is_jumped() {
+    let mut b = Bench::new();
+    let leg_m = 60.0;
+    let plan = [
+        item(22, [0.0, 0.0, 0.0, 0.0], (0.0, 0.0), 15.0),
+        item(16, [0.0, 0.0, 0.0, 0.0], (leg_m, 0.0), 15.0),
+        item(16, [0.0, 0.0, 0.0, 0.0], (leg_m, leg_m), 15.0),
+        action(177, [1.0, 1.0, 0.0, 0.0]),
+        item(16, [0.0, 0.0, 0.0, 0.0], (0.0, leg_m), 15.0),
+        item(21, [0.0, 0.0, 0.0, 0.0], (0.0, 0.0), 0.0),
+    ];
+    assert_eq!(b.upload(MISSION, &plan), MavMissionResult::MAV_MISSION_ACCEPTED);
+    assert_eq!(b.arm(), ACCEPTED);
+    start_mission(&mut b);
+    b.run_until(60, "the second way", |b| current_item(b) == Some(2));
+    b.run_until(30, "away from the first place", |b| b.position_m()[1] > 10.0);
+    let message = MavMessage::MISSION_SET_CURRENT(MISSION_SET_CURRENT_DATA {
+        seq: 3,
+        target_system: 1,
+        target_component: 1,
+    });
+    b.send(API, SCRIPT, &message);
+    b.run_ms(1_000);
+    assert_eq!(current_item(&b), Some(1), "jumped");
+    wait_until_disarmed(&mut b, 240);
+}
+
+#[test]
+fn a_target_is_followed_from_every_side_though_its_reports_are_noisy() {
+    // Standard normal deviates, drawn once.
+    const NOISE: [f32; 12] = [0.3, -1.1, 0.6, 1.4, -0.2, -0.7, 0.1, 0.9, -1.6, 0.4, -0.5, 0.8];
+    for has_velocity in [false, true] {
+        let mut b = Bench::new();
+        b.set_parameter("MIS_TAKEOFF_ALT", ParameterValue::Real32(10.0));
+        b.set_parameter("FLW_TGT_HT", ParameterValue::Real32(10.0));
+        b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(8.0));
+        b.set_parameter("FLW_TGT_MAX_VEL", ParameterValue::Real32(15.0));
+        b.set_parameter("FLW_TGT_FA", ParameterValue::Real32(0.0));
+        b.take_off();
+        assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+        b.run_ms(1_000);
+        let mut north_m = 0.0;
+        let mut angle_deg: f32 = 0.0;
+        for second in 0..75 {
+            let turned = match second {
+                5 => Some(180.0),
+                20 => Some(0.0),
+                35 => Some(45.0),
+                55 => Some(-45.0),
+                _ => None,
+            };
+            if let Some(turned) = turned {
+                angle_deg = turned;
+                b.set_parameter("FLW_TGT_FA", ParameterValue::Real32(angle_deg));
+            }
+            if matches!(second, 15..20 | 30..35 | 45..55 | 65..75) {
+                let [x, y, z] = b.position_m();
+                let off_x = x - north_m - 8.0 * angle_deg.to_radians().cos();
+                let off_y = y - 8.0 * angle_deg.to_radians().sin();
+                assert!(off_x.abs() < 11.0 && off_y.abs() < 11.0, "{second}: {off_x} {off_y}");
+                assert!((z + 10.0).abs() < 1.5, "{second}: {z}");
+            }
+            if second > 5 {
+                north_m += 2.0;
+            }
+            let noise = |n: usize| NOISE[(second * 3 + n) % NOISE.len()];
+            let at = NedVector::new(north_m + noise(0), noise(1), 0.0);
+            let (lat, lon, _) = geo::to_global(&HomePosition::default(), at);
+            let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
+                lat: geo::deg_e7(lat),
+                lon: geo::deg_e7(lon),
+                alt: 488.0 + noise(2),
+                vel: if has_velocity { [2.0, 0.0, 0.0] } else { [0.0; 3] },
+                est_capabilities: if has_velocity { 0b11 } else { 0b01 },
+                ..Default::default()
+            });
+            b.send(API, SCRIPT, &message);
+            b.run_ms(1_000);
+        }
+        assert_eq!(b.command_long(API, SCRIPT, 21, [f32::NAN; 7]), ACCEPTED);
+        wait_until_disarmed(&mut b, 300);
+    }
+}
+
+#[test]
+fn reports_of_a_velocity_alone_move_nothing() {
+    let mut b = Bench::airborne();
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+    let before = b.position_m();
+    for _ in 0..15 {
+        // What MAVSDK makes of a place that is not a number.
+        let message = MavMessage::FOLLOW_TARGET(FOLLOW_TARGET_DATA {
+            lat: i32::MIN,
+            lon: i32::MIN,
+            alt: f32::NAN,
+            vel: [2.0, 1.0, 0.5],
+            est_capabilities: 0b10,
+            ..Default::default()
+        });
+        b.send(API, SCRIPT, &message);
+        b.run_ms(1_000);
+    }
+    let after = b.position_m();
+    assert!((after[0] - before[0]).hypot(after[1] - before[1]) < 1.0);
+}
