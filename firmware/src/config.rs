@@ -234,6 +234,8 @@ pub struct DetectorConfig {
     /// means that it does where the detector is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub guard: Option<bool>,
+    /// Whether after an alarm of the guard only an operator, or the end of the flight, gives the vehicle back to the actor.
+    pub guard_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
     #[serde(deserialize_with = "number::clear_steps")]
     pub clear_steps: u16,
@@ -251,6 +253,7 @@ impl Default for DetectorConfig {
             raise_window: d.raise_window,
             unknown_steps: d.unknown_limit,
             guard: None,
+            guard_final: d.guard_is_final,
             clear_steps: d.clear_steps,
         }
     }
@@ -568,6 +571,7 @@ impl FirmwareConfig {
                 unknown_limit: self.detector.unknown_steps,
                 clear_steps: self.detector.clear_steps,
                 guard_steps: if self.has_guard() { alarm.guard_steps } else { 0 },
+                guard_is_final: self.detector.guard_final,
                 ..alarm
             },
             ..GuidanceConfig::default()

@@ -91,6 +91,8 @@ pub struct FlightStack {
     crew: Crew,
     /// The vehicle was flown by the recovery pilot, or by the actor along its path, in the step before.
     along_path: bool,
+    /// The recovery pilot flew since the alarm was raised; while the vehicle stops for its own course too.
+    recovery_flew: bool,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
     /// What the actor follows to a far goal.
@@ -148,6 +150,7 @@ impl FlightStack {
             guarding: config.just_stop.then(Guarding::new),
             crew,
             along_path: false,
+            recovery_flew: false,
             pilot_asked: false,
             leg: Leg::default(),
             recovery_is_new: true,
@@ -202,6 +205,7 @@ impl FlightStack {
             recovery,
             judgement,
             collision_course,
+            recovery_course,
         } = self.decide(now_ns, view.filter(|_| flying));
         // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
         let verdict = judgement.map_or(Verdict::Unknown, |judgement| judgement.verdict);
@@ -220,6 +224,7 @@ impl FlightStack {
             recovery,
             verdict: self.crew.monitor.as_ref().map(|_| verdict),
             collision_course,
+            recovery_course,
             timing: input.timing,
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
@@ -240,8 +245,13 @@ impl FlightStack {
         });
         let guards = guarded.unwrap_or_default();
 
+        self.recovery_flew = guidance.alarm.is_some_and(|alarm| match alarm.response {
+            AlarmResponse::Recovery => true,
+            AlarmResponse::Stop => self.recovery_flew,
+            AlarmResponse::Ignored => false,
+        });
         self.along_path = match guidance.alarm {
-            Some(alarm) => alarm.response == AlarmResponse::Recovery,
+            Some(_) => self.recovery_flew,
             None => self.pilot_asked && (self.crew.led_by == LedBy::Path || self.leg.is_by_path()),
         };
 
@@ -490,8 +500,13 @@ impl FlightStack {
             decision.judgement = Some(monitor.judge(state, position));
         }
         if let (true, Some(recovery)) = (*watched, recovery) {
-            decision.recovery = Some(limited(recovery.decide(&planned)));
+            let own = limited(recovery.decide(&planned));
+            decision.recovery = Some(own);
             decision.collision_course = Some(recovery.foresees_collision(&planned, action));
+            // Where stopping does not help either, in a cell that was marked wrongly, say, it would stand for ever.
+            decision.recovery_course = Some(
+                recovery.foresees_collision(&planned, own) && !recovery.foresees_collision(&planned, Action::HOVER),
+            );
         }
         decision
     }
@@ -505,6 +520,8 @@ struct Decision {
     judgement: Option<Judgement>,
     /// Whether the recovery pilot sees the action lead into something; `None` when it was not asked.
     collision_course: Option<bool>,
+    /// Whether it sees its own action lead into something that stopping avoids.
+    recovery_course: Option<bool>,
 }
 
 /// What the pilot may see of the vehicle and the goal.

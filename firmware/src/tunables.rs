@@ -25,6 +25,8 @@ pub(crate) struct Tunables {
     pub threshold: Option<f32>,
     /// `None` when nothing raises an alarm.
     alarm: Option<AlarmPolicy>,
+    /// `None` without a guard.
+    guard_is_final: Option<bool>,
 }
 
 /// A parameter of the table that may be set while the firmware runs.
@@ -36,7 +38,7 @@ struct Tunable {
 }
 
 /// In the order in which they are listed to a ground station.
-const TUNABLES: [Tunable; 7] = [
+const TUNABLES: [Tunable; 8] = [
     Tunable {
         spec: parameters::CRUISE,
         get: |all| Some(ParameterValue::Real(all.pilot.cruise_m_s)),
@@ -72,6 +74,14 @@ const TUNABLES: [Tunable; 7] = [
         get: |all| all.alarm.map(|policy| ParameterValue::Integer(policy.code())),
         set: |all, value| all.alarm = all.alarm.map(|policy| value.as_choice().unwrap_or(policy)),
     },
+    Tunable {
+        spec: parameters::GUARD_FINAL,
+        get: |all| {
+            all.guard_is_final
+                .map(|is_final| ParameterValue::Integer(is_final.into()))
+        },
+        set: |all, value| all.guard_is_final = all.guard_is_final.map(|_| value.as_f32() > 0.5),
+    },
 ];
 
 impl Tunables {
@@ -85,6 +95,7 @@ impl Tunables {
             at_goal: config.guidance.at_goal,
             threshold,
             alarm: is_watched.then_some(config.guidance.alarm.policy),
+            guard_is_final: (config.guidance.alarm.guard_steps > 0).then_some(config.guidance.alarm.guard_is_final),
         }
     }
 
@@ -119,6 +130,7 @@ impl Tunables {
             at_goal: self.at_goal,
             alarm: AlarmConfig {
                 policy: self.alarm.unwrap_or(config.alarm.policy),
+                guard_is_final: self.guard_is_final.unwrap_or(config.alarm.guard_is_final),
                 ..config.alarm
             },
             ..*config

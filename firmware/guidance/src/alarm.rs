@@ -2,7 +2,8 @@
 //!
 //! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false
 //! verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one. So does, whatever the
-//! verdict, an action that leads into something.
+//! verdict, an action that leads into something: such an alarm clean verdicts do not end, for who leads an actor into
+//! something under clean verdicts goes on supplying them.
 
 use crate::config::own;
 use vigil_types::parameters::{self, OutOfRange, Range};
@@ -26,6 +27,8 @@ pub struct AlarmConfig {
     pub unknown_limit: u16,
     /// Consecutive steps on a collision course that raise the alarm; 0 raises none.
     pub guard_steps: u16,
+    /// Whether clean verdicts do not end an alarm of the guard: then an operator does, or the end of the flight.
+    pub guard_is_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
     pub clear_steps: u16,
     /// The vehicle counts as stopped below this speed, metres per second.
@@ -42,6 +45,7 @@ impl Default for AlarmConfig {
             raise_window: parameters::RAISE_WINDOW.number() as u8,
             unknown_limit: parameters::UNKNOWN_STEPS.number() as u16,
             guard_steps: GUARD_STEPS.number() as u16,
+            guard_is_final: parameters::GUARD_FINAL.is_on(),
             clear_steps: parameters::CLEAR_STEPS.number() as u16,
             stopped_m_s: STOPPED.number_f32(),
             stop_limit_ns: STOP_LIMIT.nanos(),
@@ -87,6 +91,8 @@ pub(crate) struct AlarmInput {
     pub verdict: Option<Verdict>,
     /// Whether the actor's action leads into something; `None` when the guard did not look.
     pub collision_course: Option<bool>,
+    /// Whether the recovery pilot's action leads into something that stopping avoids; `None` when the guard did not look.
+    pub recovery_course: Option<bool>,
     /// Guidance is in a flight.
     pub in_flight: bool,
     /// The pilot's actions reach the vehicle.
@@ -101,6 +107,19 @@ struct Raised {
     since_ns: Nanos,
     /// The vehicle has stopped since.
     stopped: bool,
+    /// It stops because the recovery pilot was about to fly into something.
+    recovery_stopped: bool,
+}
+
+impl Raised {
+    /// Whether only an operator gives the vehicle back to the actor in this flight. The verdict then had nothing to say when the actor
+    /// was led astray, so it has nothing to say on when that is over.
+    fn is_final(&self, config: &AlarmConfig) -> bool {
+        match self.cause {
+            AlarmCause::CollisionCourse => config.guard_is_final,
+            AlarmCause::Attack | AlarmCause::NoVerdict => false,
+        }
+    }
 }
 
 /// The alarm's state.
@@ -112,8 +131,9 @@ pub(crate) struct AlarmLogic {
     /// Consecutive steps without a verdict, and clean ones.
     unknown_steps: u16,
     clean_steps: u16,
-    /// Consecutive steps on a collision course.
+    /// Consecutive steps on a collision course, by the actor's action and by the recovery pilot's while that one flies.
     course_steps: u16,
+    recovery_course_steps: u16,
     /// Alarms of this flight that have ended.
     ended: u8,
 }
@@ -125,6 +145,20 @@ impl AlarmLogic {
     /// Consecutive clean steps that end this alarm: an attack that came back in a flight is likely to come back again.
     fn clear_steps(&self, config: &AlarmConfig) -> u32 {
         u32::from(config.clear_steps) << self.ended.min(MOST_DOUBLINGS)
+    }
+
+    /// An operator trusts the actor again: ends an alarm that nothing else ends.
+    pub fn trust_again(&mut self, config: &AlarmConfig) {
+        if self.raised.is_some_and(|raised| raised.is_final(config)) {
+            self.end();
+        }
+    }
+
+    fn end(&mut self) {
+        *self = Self {
+            ended: self.ended.saturating_add(1),
+            ..Self::default()
+        };
     }
 
     /// One step; says what is raised after it.
@@ -166,25 +200,37 @@ impl AlarmLogic {
                     cause,
                     since_ns: input.now_ns,
                     stopped: false,
+                    recovery_stopped: false,
                 });
             }
+            (Some(raised), _) if raised.is_final(config) => {}
             // It is known now to be an attack; the actor does not fly any more, so there is nothing to stop anew.
             (Some(raised), Some(AlarmCause::Attack)) => raised.cause = AlarmCause::Attack,
-            (Some(_), _) if clean => {
-                *self = Self {
-                    ended: self.ended.saturating_add(1),
-                    ..Self::default()
-                };
-            }
+            (Some(_), _) if clean => self.end(),
             _ => {}
         }
         let raised = self.raised.as_mut()?;
+        let recovers = raised.stopped && input.guided && config.policy == AlarmPolicy::Recover;
+        count(
+            &mut self.recovery_course_steps,
+            recovers && input.recovery_course == Some(true),
+        );
+        if config.guard_steps > 0 && self.recovery_course_steps >= config.guard_steps {
+            // It begins anew from where the vehicle then stands.
+            self.recovery_course_steps = 0;
+            (raised.since_ns, raised.stopped, raised.recovery_stopped) = (input.now_ns, false, true);
+        }
         let begins = raised.since_ns == input.now_ns;
         let still = input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < config.stopped_m_s);
         let long = input.now_ns.saturating_sub(raised.since_ns) >= config.stop_limit_ns;
         raised.stopped |= !begins && (still || long);
+        raised.recovery_stopped &= !raised.stopped;
         Some(Alarm {
-            cause: raised.cause,
+            cause: if raised.recovery_stopped {
+                AlarmCause::CollisionCourse
+            } else {
+                raised.cause
+            },
             response: match config.policy {
                 AlarmPolicy::Ignore => AlarmResponse::Ignored,
                 AlarmPolicy::Recover if raised.stopped => AlarmResponse::Recovery,
@@ -204,6 +250,7 @@ mod tests {
         now_ns: 0,
         verdict: Some(Clean),
         collision_course: Some(false),
+        recovery_course: Some(false),
         in_flight: true,
         guided: true,
         speed_m_s: Some(1.5),
@@ -280,11 +327,11 @@ mod tests {
     }
 
     #[test]
-    fn without_a_detector_the_guard_raises_the_alarm_and_steps_that_it_saw_to_be_free_end_it() {
+    fn without_a_detector_the_guard_raises_the_alarm_and_nothing_but_an_operator_ends_it() {
         let mut logic = AlarmLogic::default();
         let config = AlarmConfig::default();
         let mut now_ns = 0;
-        let mut step = |collision_course: Option<bool>| {
+        let mut step = |logic: &mut AlarmLogic, collision_course: Option<bool>| {
             now_ns += 50_000_000;
             let input = AlarmInput {
                 now_ns,
@@ -294,15 +341,27 @@ mod tests {
             };
             logic.step(&config, &input).map(|alarm| alarm.cause)
         };
-        assert_eq!(step(Some(true)), None, "a single step raises nothing");
-        assert_eq!(step(Some(true)), Some(AlarmCause::CollisionCourse));
-        for _ in 0..39 {
-            assert!(step(Some(false)).is_some());
+        assert_eq!(step(&mut logic, Some(true)), None, "a single step raises nothing");
+        assert_eq!(step(&mut logic, Some(true)), Some(AlarmCause::CollisionCourse));
+        for _ in 0..5000 {
+            assert!(step(&mut logic, Some(false)).is_some());
         }
-        assert!(step(None).is_some(), "nobody looked: the count begins anew");
-        for _ in 0..39 {
-            assert!(step(Some(false)).is_some());
+        logic.trust_again(&config);
+        assert_eq!(step(&mut logic, Some(false)), None);
+    }
+
+    #[test]
+    fn an_operator_who_trusts_the_actor_does_not_end_what_the_verdict_raised() {
+        let config = AlarmConfig::default();
+        let mut logic = AlarmLogic::default();
+        let input = AlarmInput {
+            verdict: Some(Attack),
+            ..FLYING
+        };
+        for _ in 0..5 {
+            logic.step(&config, &input);
         }
-        assert_eq!(step(Some(false)), None);
+        logic.trust_again(&config);
+        assert!(logic.step(&config, &input).is_some());
     }
 }

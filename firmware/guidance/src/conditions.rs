@@ -177,14 +177,14 @@ pub static CONDITIONS: [Condition; 28] = [
         Demand::Recover,
         false,
         "the policy is *recover*, and *attack*, *no verdict* or *collision course* has stopped the vehicle",
-        "{alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; the end of the flight",
+        "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after *collision course* an operator's engage (with `guard_final = false` as after *attack*); the end of the flight",
     ),
     condition(
         Reason::CollisionCourse,
         Demand::Hold,
         false,
-        "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
-        "as *attack*",
+        "the recovery pilot saw the flying actor's action, or its own, lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
+        "*recover*: as *attack*; *stop*: an operator engages; the end of the flight",
     ),
     condition(
         Reason::BlindSensor,

@@ -19,6 +19,7 @@
 //!     recovery: None,
 //!     verdict: None,
 //!     collision_course: None,
+//!     recovery_course: None,
 //!     timing: StepTiming::default(),
 //!     handover: HandoverProgress::default(),
 //!     vehicle_restarts: 0,

@@ -52,6 +52,8 @@ pub struct GuidanceInput<'a> {
     pub verdict: Option<Verdict>,
     /// Whether the recovery pilot sees the pilot's action lead into something; `None` when it did not look, or there is none.
     pub collision_course: Option<bool>,
+    /// Whether it sees its own action lead into something that stopping avoids; `None` as above.
+    pub recovery_course: Option<bool>,
     /// Steps missed.
     pub timing: StepTiming,
     /// How far the vehicle is with the hand-over.
@@ -366,6 +368,7 @@ impl Guidance {
         self.operator_land = false;
         self.handover_failed_ns = None;
         self.progress = Progress::default();
+        self.alarm.trust_again(&self.config.alarm);
         RequestOutcome::Accepted
     }
 
@@ -576,6 +579,7 @@ impl Guidance {
                 now_ns: input.now_ns,
                 verdict: input.verdict,
                 collision_course: input.collision_course,
+                recovery_course: input.recovery_course,
                 // A hand-over in the air regains a flight; the alarm survives it.
                 in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
                 guided: self.state == GuidanceState::Guided,

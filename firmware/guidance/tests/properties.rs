@@ -34,6 +34,7 @@ enum Event {
     Recovery(Option<[f32; 2]>),
     Verdict(Option<Verdict>),
     CollisionCourse(bool),
+    RecoveryCourse(bool),
     Velocity([f32; 3]),
     Handover(HandoverProgress),
     Slips(u64),
@@ -90,6 +91,7 @@ fn event() -> impl Strategy<Value = Event> {
         2 => proptest::option::of([number(), number()]).prop_map(Event::Recovery),
         4 => prop_oneof![2 => Just(Some(Verdict::Attack)), 1 => Just(Some(Verdict::Unknown)), 1 => Just(Some(Verdict::Clean)), 1 => Just(None)].prop_map(Event::Verdict),
         2 => any::<bool>().prop_map(Event::CollisionCourse),
+        1 => any::<bool>().prop_map(Event::RecoveryCourse),
         1 => [number(), number(), number()].prop_map(Event::Velocity),
         2 => handover.prop_map(Event::Handover),
         1 => (0u64..9).prop_map(Event::Slips),
@@ -148,6 +150,7 @@ fn good(s: &mut Story) {
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
     s.collision_course = Some(false);
+    s.recovery_course = Some(false);
     s.velocity_ned_m_s = NedVector::ZERO;
 }
 
@@ -176,6 +179,7 @@ fn apply(s: &mut Story, event: &Event) -> usize {
         }
         Event::Verdict(verdict) => s.verdict = verdict,
         Event::CollisionCourse(course) => s.collision_course = Some(course),
+        Event::RecoveryCourse(course) => s.recovery_course = Some(course),
         Event::Velocity([x, y, z]) => s.velocity_ned_m_s = NedVector::new(x, y, z),
         Event::Handover(handover) => s.handover = handover,
         Event::Slips(slips) => s.slips += slips,

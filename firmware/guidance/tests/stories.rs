@@ -1100,41 +1100,99 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
     s.until(Guided);
     assert_eq!(s.last.unwrap().action, Some(RECOVERY));
 
-    // Clean verdicts are worth nothing while the actor would fly into it again.
-    assert_eq!(s.run(seconds(20.0)).setpoint.unwrap().velocity_m_s.x, 0.6);
+    // Clean verdicts and a way that looks free are what led it here.
     s.collision_course = Some(false);
-    s.run(39);
-    assert!(s.last.unwrap().alarm.is_some());
-    assert_eq!(s.step().alarm, None);
+    let flying = s.run(seconds(60.0));
+    assert_eq!(
+        (flying.reasons, flying.setpoint.unwrap().velocity_m_s.x),
+        (Reasons::of(Reason::Recovering), 0.6)
+    );
+    s.verdict = Some(Verdict::Attack);
+    assert_eq!(s.run(5).alarm.unwrap().cause, AlarmCause::CollisionCourse);
+    s.verdict = Some(Verdict::Clean);
 
-    // The second time in a flight it takes twice as many, for the verdicts were clean the first time too.
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    let trusted = s.step();
+    assert_eq!((trusted.alarm, trusted.setpoint.unwrap().velocity_m_s.x), (None, 1.0));
+
     s.collision_course = Some(true);
     assert_eq!(s.run(2).alarm.unwrap().cause, AlarmCause::CollisionCourse);
+}
+
+#[test]
+fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator() {
+    let mut s = watched(AlarmPolicy::Stop);
+    s.verdict = Some(Verdict::Clean);
+    s.collision_course = Some(true);
+    s.run(2);
     s.collision_course = Some(false);
-    s.run(79);
-    assert!(s.last.unwrap().alarm.is_some());
+    let standing = s.run(seconds(300.0));
+    assert_eq!(
+        (standing.state, standing.reasons),
+        (Hold, Reasons::of(Reason::CollisionCourse))
+    );
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn where_the_guard_s_alarm_is_not_final_clean_verdicts_give_the_vehicle_back_to_the_actor() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    s.collision_course = Some(true);
+    s.run(2);
+    s.collision_course = Some(false);
+    s.velocity_ned_m_s.x = 0.0;
+    assert!(s.run(seconds(30.0)).alarm.is_some());
+    // An operator sets it in flight.
+    let mut config = *s.guidance.config();
+    config.alarm.guard_is_final = false;
+    s.guidance.reconfigure(config).unwrap();
+    assert_eq!(s.step().alarm, None, "the verdicts have been clean for long");
+    assert_eq!(s.run(20).setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn a_new_flight_begins_with_the_actor() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    s.collision_course = Some(true);
+    assert!(s.run(2).alarm.is_some());
+    s.collision_course = Some(false);
+    s.armed = false;
+    s.until(Standby);
     assert_eq!(s.step().alarm, None);
 }
 
 #[test]
-fn without_a_detector_the_guard_stops_the_actor_and_lets_it_fly_on_when_its_way_is_free() {
+fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_from_there() {
     let mut s = watched(AlarmPolicy::Recover);
-    s.verdict = None;
-    assert_eq!(s.run(seconds(1.0)).alarm, None, "nothing to raise it for");
-    s.collision_course = Some(true);
-    assert_eq!(s.step().alarm, None, "one step may be noise");
-    let alarm = s.step();
+    s.verdict = Some(Verdict::Attack);
+    s.run(5);
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    s.velocity_ned_m_s.x = 0.6;
+    s.recovery_course = Some(true);
+    assert_eq!(s.step().state, Guided, "one step may be noise");
+    let stop = s.step();
     assert_eq!(
-        (alarm.state, alarm.reasons, alarm.setpoint),
+        (stop.state, stop.reasons, stop.setpoint),
         (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
     );
     s.velocity_ned_m_s.x = 0.0;
+    s.recovery_course = Some(false);
     s.until(Guided);
-    assert_eq!(s.last.unwrap().action, Some(RECOVERY));
-    s.collision_course = Some(false);
-    s.run(39);
-    assert!(s.last.unwrap().alarm.is_some());
-    assert_eq!(s.step().alarm, None, "forty steps in a row whose way was free");
+    let again = s.last.unwrap();
+    assert_eq!(
+        (again.reasons, again.action),
+        (Reasons::of(Reason::Recovering), Some(RECOVERY))
+    );
+    // Its own error says nothing of the actor: the alarm is still the verdict's, and ends as such.
+    assert_eq!(again.alarm.unwrap().cause, AlarmCause::Attack);
+    s.verdict = Some(Verdict::Clean);
+    s.run(40);
+    assert_eq!(s.last.unwrap().alarm, None);
 }
 
 #[test]

@@ -470,6 +470,12 @@ table! {
          where the detector is"
     )
     .absent("true");
+    GUARD_FINAL = switch(
+        "detector.guard_final",
+        true,
+        "after an alarm of the guard the actor flies again only when an operator engages, or in the next flight; false: after clear_steps, as after one of the detector"
+    )
+    .mavlink("DT_GUARD_FINAL", true);
     DETECTOR_FILE = text("detector.file", "\"my.safetensors\"", "the frozen detector; without it the one built into the program");
     THRESHOLD = real("detector.threshold", (0.01, 0.999), "", 0.0, "score above which a verdict is attack; default: the detector's own")
         .absent("0.5")

@@ -23,6 +23,7 @@ pub struct Story {
     pub recovery: Option<Action>,
     pub verdict: Option<Verdict>,
     pub collision_course: Option<bool>,
+    pub recovery_course: Option<bool>,
     pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
     pub slips: u64,
@@ -66,6 +67,7 @@ impl Story {
             recovery: None,
             verdict: None,
             collision_course: Some(false),
+            recovery_course: Some(false),
             velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
             slips: 0,
@@ -138,6 +140,7 @@ impl Story {
             recovery: self.recovery,
             verdict: self.verdict,
             collision_course: self.collision_course,
+            recovery_course: self.recovery_course,
             timing: StepTiming {
                 slips: self.slips,
                 ..Default::default()

@@ -200,6 +200,7 @@ impl Flight {
             recovery: None,
             verdict: None,
             collision_course: Some(false),
+            recovery_course: Some(false),
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
