@@ -43,10 +43,10 @@ impl Service for Failures {
             return Some(Answer::DENIED);
         }
         let name = match command.param(1) {
-            Some(GPS) if kind != STUCK => {
+            Some(GPS) if !matches!(kind, STUCK) => {
                 let now_ns = core.now_ns;
                 let since_ns = core.lost_sensors.gps_since_ns;
-                core.lost_sensors.gps_since_ns = (kind == OFF).then(|| since_ns.unwrap_or(now_ns));
+                core.lost_sensors.gps_since_ns = matches!(kind, OFF).then(|| since_ns.unwrap_or(now_ns));
                 "GPS"
             }
             Some(BAROMETER) => {
