@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
-use vigil_guidance::{AlarmConfig, FenceShape, Geofence, GuidanceConfig};
+use vigil_guidance::{AlarmConfig, FenceShape, Geofence, GuidanceConfig, JustStopConfig};
 use vigil_io::key_file::{KeyFileError, frame_keys};
 use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour};
@@ -80,6 +80,8 @@ pub struct FirmwareConfig {
     pub goal: Option<GoalConfig>,
     /// When to hold or land.
     pub limits: Limits,
+    /// How a guarded vehicle stops.
+    pub just_stop: JustStopSection,
     /// Who decides.
     pub pilot: PilotConfig,
     /// What watches the actor.
@@ -183,6 +185,27 @@ pub struct GeofenceConfig {
     /// Greatest height, metres above home.
     #[serde(deserialize_with = "number::fence_max_height")]
     pub max_height_m: f32,
+}
+
+/// How a vehicle that is guarded stops.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JustStopSection {
+    /// From the frame that shows an obstacle until the vehicle begins to change its acceleration.
+    #[serde(deserialize_with = "number::stop_reaction")]
+    pub reaction_s: f32,
+    /// What it brakes with.
+    #[serde(deserialize_with = "number::stop_braking")]
+    pub braking_m_s2: f32,
+    /// How fast it gets there.
+    #[serde(deserialize_with = "number::stop_jerk")]
+    pub jerk_m_s3: f32,
+    /// Kept between its stop and what it must not touch.
+    #[serde(deserialize_with = "number::stop_spare")]
+    pub spare_m: f32,
+    /// Moved so long where the sensor does not look, it is stopped; 0 is never.
+    #[serde(deserialize_with = "number::stop_unseen")]
+    pub unseen_s: f64,
 }
 
 /// Who decides.
@@ -318,6 +341,7 @@ impl Default for FirmwareConfig {
             height_m: parameters::HEIGHT.number_f32(),
             goal: None,
             limits: Limits::default(),
+            just_stop: JustStopSection::default(),
             pilot: PilotConfig::default(),
             detector: DetectorConfig::default(),
             rate: RateConfig::default(),
@@ -344,6 +368,19 @@ impl Default for Limits {
             battery: d.battery_limit,
             flight_time_s: None,
             geofence: None,
+        }
+    }
+}
+
+impl Default for JustStopSection {
+    fn default() -> Self {
+        let d = JustStopConfig::default();
+        Self {
+            reaction_s: d.reaction_s,
+            braking_m_s2: d.braking_m_s2,
+            jerk_m_s3: d.jerk_m_s3,
+            spare_m: d.spare_m,
+            unseen_s: d.unseen_limit_ns.map_or(0.0, seconds),
         }
     }
 }
@@ -579,7 +616,14 @@ impl FirmwareConfig {
         StackConfig {
             sensor_id: self.sensor_id,
             plausibility: self.plausibility,
-            just_stop: self.duty == Duty::JustStop,
+            duty: self.duty,
+            just_stop: JustStopConfig {
+                reaction_s: self.just_stop.reaction_s,
+                braking_m_s2: self.just_stop.braking_m_s2,
+                jerk_m_s3: self.just_stop.jerk_m_s3,
+                spare_m: self.just_stop.spare_m,
+                unseen_limit_ns: Some(nanos(self.just_stop.unseen_s)).filter(|limit_ns| *limit_ns > 0),
+            },
             guidance,
             companion: CompanionConfig {
                 flavour: match self.vehicle {
@@ -700,6 +744,11 @@ mod number {
         fence_radius: f32 = FENCE_RADIUS;
         fence_min_height: f32 = FENCE_MIN_HEIGHT;
         fence_max_height: f32 = FENCE_MAX_HEIGHT;
+        stop_reaction: f32 = STOP_REACTION;
+        stop_braking: f32 = STOP_BRAKING;
+        stop_jerk: f32 = STOP_JERK;
+        stop_spare: f32 = STOP_SPARE;
+        stop_unseen: f64 = STOP_UNSEEN;
         cruise: f32 = CRUISE;
         repulsive_range: f32 = REPULSIVE_RANGE;
         threshold: Option<f32> = THRESHOLD;

@@ -9,14 +9,28 @@
     clippy::alloc_instead_of_core
 )]
 
-use vigil_guidance::just_stop::{Course, JustStop, JustStopInput, JustStopState, StopCause, stopping_reach_m};
+use vigil_guidance::just_stop::{Course, JustStop, JustStopConfig, JustStopInput, JustStopState};
 use vigil_policy::{Lookout, PilotInput, Scan};
-use vigil_types::{DepthFrame, GoalRelative, Nanos, Reason, Reasons, VehicleRequest, VehicleTelemetry};
+use vigil_types::{
+    Attitude, DepthFrame, FrdVector, GoalRelative, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector,
+    Reason, Reasons, StopCause, VehicleRequest, VehicleTelemetry, wrap_pi,
+};
+
+const G_M_S2: f32 = 9.81;
+/// Steepest tilt whose thrust is believed, as the sine of the thrust's elevation.
+const LEAST_LIFT: f32 = 0.3;
+/// So near to the edge of the field of view a course does not count as seen: the vehicle has a width.
+const FOV_MARGIN_RAD: f32 = 0.17;
+/// A position this far from where the velocity led since the last one has jumped; the second allows for each second between them.
+const JUMP_M: f32 = 1.0;
+const JUMP_M_S: f32 = 10.0;
 
 /// Lookout and guard.
 pub(crate) struct Guarding {
+    config: JustStopConfig,
     lookout: Lookout,
     guard: JustStop,
+    last: Option<Kinematics>,
 }
 
 /// What they want in a step.
@@ -28,13 +42,17 @@ pub(crate) struct Guarded {
     pub reasons: Reasons,
     /// The lookout looked: what it sees may be told as obstacles.
     pub looked: bool,
+    /// What to tell people.
+    pub notice: Option<GuardNotice>,
 }
 
 impl Guarding {
-    pub fn new() -> Self {
+    pub fn new(config: JustStopConfig) -> Self {
         Self {
+            config,
             lookout: Lookout::new(),
             guard: JustStop::default(),
+            last: None,
         }
     }
 
@@ -57,52 +75,89 @@ impl Guarding {
             (Some(k), Some(a)) if known && telemetry.is_finite() => (Some(k), Some(a.attitude)),
             _ => (None, None),
         };
-        let mut course = None;
-        match (kinematics, attitude, frame) {
-            (Some(k), Some(attitude), Some(depth)) if airborne => {
-                self.lookout.observe(&PilotInput {
-                    now_ns,
-                    depth,
-                    goal: GoalRelative {
-                        distance_m: 0.0,
-                        bearing_rad: 0.0,
-                    },
-                    attitude,
-                    velocity_m_s: k.velocity_ned_m_s.to_heading(attitude.yaw_rad()),
-                    height_m: -k.position_ned_m.z,
-                });
-                let reach_m = stopping_reach_m(k.velocity_ned_m_s.horizontal_norm());
-                course = Some(Course {
-                    obstacle_m: self
-                        .lookout
-                        .obstacle_ahead_m(k.position_ned_m, k.velocity_ned_m_s, reach_m),
-                });
-            }
-            _ if !airborne => self.lookout.reset(),
-            _ => {}
+        let jumped = kinematics.is_some_and(|kinematics| self.has_jumped(kinematics));
+        if jumped || !airborne {
+            self.lookout.reset();
         }
-        let state = self.guard.step(&JustStopInput {
-            now_ns,
-            heartbeat: telemetry.heartbeat,
-            airborne,
-            velocity_ned_m_s: kinematics.map(|k| k.velocity_ned_m_s),
-            course,
-        });
-        let request = match state {
-            JustStopState::Stopping(StopCause::Obstacle { ahead_m }) => VehicleRequest::Hold {
-                obstacle_m: Some(ahead_m),
+        let mut course = None;
+        if let (Some(k), Some(attitude), Some(depth), true) = (kinematics, attitude, frame, airborne) {
+            self.lookout.observe(&PilotInput {
+                now_ns,
+                depth,
+                goal: GoalRelative {
+                    distance_m: 0.0,
+                    bearing_rad: 0.0,
+                },
+                attitude,
+                velocity_m_s: k.velocity_ned_m_s.to_heading(attitude.yaw_rad()),
+                height_m: -k.position_ned_m.z,
+            });
+            course = Some(self.course(&k, attitude));
+        }
+        let before = self.guard.state();
+        let state = self.guard.step(
+            &self.config,
+            &JustStopInput {
+                now_ns,
+                heartbeat: telemetry.heartbeat,
+                airborne,
+                speed_m_s: kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm()),
+                course,
             },
-            JustStopState::Stopping(StopCause::Blind) => VehicleRequest::Hold { obstacle_m: None },
-            _ => VehicleRequest::None,
-        };
+        );
         Guarded {
-            request,
+            request: match state {
+                JustStopState::Stopping(cause) => VehicleRequest::Hold(cause),
+                _ => VehicleRequest::None,
+            },
             // A blind stop has its reasons among guidance's own.
             reasons: Reasons::NONE.with_if(
                 matches!(state.cause(), Some(StopCause::Obstacle { .. })),
                 Reason::CollisionCourse,
             ),
             looked: course.is_some(),
+            notice: match (state, before) {
+                (JustStopState::Unguarded, before) if before != JustStopState::Unguarded => {
+                    Some(GuardNotice::Unguarded)
+                }
+                _ if jumped && airborne => Some(GuardNotice::Jumped),
+                _ => None,
+            },
         }
     }
+
+    /// What is seen along the velocity.
+    fn course(&self, kinematics: &Kinematics, attitude: Attitude) -> Course {
+        let velocity = kinematics.velocity_ned_m_s;
+        let speed_m_s = velocity.horizontal_norm();
+        if speed_m_s <= 0.0 {
+            return Course::default();
+        }
+        let reach_m = self.config.reach_m(speed_m_s, gain_m_s2(attitude, velocity, speed_m_s));
+        let off_nose_rad = wrap_pi(libm::atan2f(velocity.y, velocity.x) - attitude.yaw_rad());
+        Course {
+            obstacle_m: self
+                .lookout
+                .obstacle_ahead_m(kinematics.position_ned_m, velocity, reach_m),
+            unseen: off_nose_rad.abs() > 0.5 * HORIZONTAL_FOV_RAD - FOV_MARGIN_RAD,
+        }
+    }
+
+    /// Whether the vehicle is told to be where it cannot have come to since the last position.
+    fn has_jumped(&mut self, now: Kinematics) -> bool {
+        let Some(last) = self.last.replace(now) else {
+            return false;
+        };
+        let passed_s = now.at_ns.saturating_sub(last.at_ns) as f32 * 1e-9;
+        let led_to_ned_m = last.position_ned_m + last.velocity_ned_m_s * passed_s;
+        (now.position_ned_m - led_to_ned_m).norm() > JUMP_M + JUMP_M_S * passed_s
+    }
+}
+
+/// Acceleration along the velocity, metres per second squared, as the thrust's lean gives it: what drag takes away is not
+/// counted, which errs to the careful side.
+fn gain_m_s2(attitude: Attitude, velocity: NedVector, speed_m_s: f32) -> f32 {
+    let thrust = attitude.to_ned(FrdVector::new(0.0, 0.0, -1.0));
+    let lift = (-thrust.z).max(LEAST_LIFT);
+    G_M_S2 * (thrust.x * velocity.x + thrust.y * velocity.y) / (lift * speed_m_s)
 }

@@ -14,15 +14,15 @@ use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
 use crate::guarding::Guarding;
 use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::tunables::Tunables;
-use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
+use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, JustStopConfig};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::PositionalInputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
-    Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, FrameDefect, FrameKeys, Goal, GoalRelative,
-    GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons, RequestOutcome,
-    StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
+    Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal,
+    GoalRelative, GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons,
+    RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -52,7 +52,9 @@ pub struct StackConfig {
     /// Whether frames are judged before the pilots see them (docs/sensor-faults.md).
     pub plausibility: bool,
     /// Whether somebody else's flight is guarded while guidance has not the vehicle (docs/just-stop.md).
-    pub just_stop: bool,
+    pub duty: Duty,
+    /// How a guarded vehicle stops.
+    pub just_stop: JustStopConfig,
 }
 
 /// What one step gets.
@@ -147,7 +149,7 @@ impl FlightStack {
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
-            guarding: config.just_stop.then(Guarding::new),
+            guarding: (config.duty != Duty::Fly).then(|| Guarding::new(config.just_stop)),
             crew,
             along_path: false,
             recovery_flew: false,
@@ -234,7 +236,8 @@ impl FlightStack {
         });
 
         let idle = matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready);
-        let guarded = self.guarding.as_mut().filter(|_| idle).map(|guarding| {
+        let guards = idle && self.tunables.duty() != Duty::Fly;
+        let guarded = self.guarding.as_mut().filter(|_| guards).map(|guarding| {
             let seen = self.frames.newest().filter(|_| {
                 doubts.is_empty() && frame_age_ns.is_some_and(|age| age <= self.guidance.config().frame_age_limit_ns)
             });
@@ -278,6 +281,9 @@ impl FlightStack {
             own => own,
         };
         self.companion.emit(&output.report, request, &mut output.sent);
+        if let Some(notice) = guards.notice {
+            self.companion.tell_of_guard(notice, &mut output.sent);
+        }
         let looked = match (&self.guarding, action) {
             (_, Some(_)) => Some(self.crew.pilot.surroundings().scan()),
             (Some(guarding), None) if guards.looked => Some(guarding.scan()),

@@ -12,7 +12,7 @@ use crate::stack::StackConfig;
 use vigil_guidance::{AlarmConfig, GuidanceConfig};
 use vigil_mavlink::{Parameter, ParameterValue, Parameters};
 use vigil_policy::GeometricConfig;
-use vigil_types::{AlarmPolicy, AtGoal, Choice, ParameterSpec, parameters};
+use vigil_types::{AlarmPolicy, AtGoal, Choice, Duty, ParameterSpec, parameters};
 
 /// The values in force.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,6 +27,8 @@ pub(crate) struct Tunables {
     alarm: Option<AlarmPolicy>,
     /// `None` without a guard.
     guard_is_final: Option<bool>,
+    /// `None` where somebody else's flight is not guarded from the start.
+    duty: Option<Duty>,
 }
 
 /// A parameter of the table that may be set while the firmware runs.
@@ -38,7 +40,7 @@ struct Tunable {
 }
 
 /// In the order in which they are listed to a ground station.
-const TUNABLES: [Tunable; 8] = [
+const TUNABLES: [Tunable; 9] = [
     Tunable {
         spec: parameters::CRUISE,
         get: |all| Some(ParameterValue::Real(all.pilot.cruise_m_s)),
@@ -82,6 +84,11 @@ const TUNABLES: [Tunable; 8] = [
         },
         set: |all, value| all.guard_is_final = all.guard_is_final.map(|_| value.as_f32() > 0.5),
     },
+    Tunable {
+        spec: parameters::DUTY,
+        get: |all| all.duty.map(|duty| ParameterValue::Integer(duty.code())),
+        set: |all, value| all.duty = all.duty.map(|duty| value.as_choice().unwrap_or(duty)),
+    },
 ];
 
 impl Tunables {
@@ -96,7 +103,13 @@ impl Tunables {
             threshold,
             alarm: is_watched.then_some(config.guidance.alarm.policy),
             guard_is_final: (config.guidance.alarm.guard_steps > 0).then_some(config.guidance.alarm.guard_is_final),
+            duty: (config.duty != Duty::Fly).then_some(config.duty),
         }
+    }
+
+    /// Whose flight it is.
+    pub fn duty(&self) -> Duty {
+        self.duty.unwrap_or_default()
     }
 
     /// The table of what this firmware has.
@@ -110,7 +123,9 @@ impl Tunables {
 
     /// The table of a firmware with everything that can be set.
     pub fn full_table(config: &StackConfig) -> Parameters {
-        Self::of(config, Some(0.0), true).parameters()
+        let mut full = Self::of(config, Some(0.0), true);
+        full.duty = Some(config.duty);
+        full.parameters()
     }
 
     /// Takes the table's values over.

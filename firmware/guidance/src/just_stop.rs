@@ -1,22 +1,75 @@
 //! Just stop: guards a flight that somebody else flies. The vehicle follows its own mission or a pilot's sticks; when something
 //! lies on its course, or nobody can see whether something does, it is told to hold. No setpoint is ever sent.
 
-use vigil_types::{Heartbeat, Nanos, NedVector, VehicleMode};
+use vigil_types::{Heartbeat, Nanos, StopCause, VehicleMode, parameters};
 
-/// Time from the frame that shows an obstacle to the beginning of braking: two frames that show it, the command, and the
-/// autopilot's own delay.
-const REACTION_S: f32 = 0.6;
-/// What a multicopter brakes with, metres per second squared: PX4's MPC_ACC_HOR is 3 by default, ArduPilot's BRAKE 2.5; less is
-/// reckoned with.
-const BRAKING_M_S2: f32 = 1.5;
-/// Kept between the place of the stop and the obstacle's clearance, metres.
-const SPARE_M: f32 = 0.5;
 /// Slower than this no course can be told, and nothing is run into, metres per second.
 const STANDS_M_S: f32 = 0.25;
 /// Steps in a row in which something must lie on the course: a single one may be noise.
 const CONFIRMED: u8 = 2;
 /// Without a picture for longer than this, a vehicle that moves is stopped.
 const BLIND_NS: Nanos = 500_000_000;
+/// Step of the reckoned stop, seconds, and the most of them: 20 s.
+const RECKON_S: f32 = 0.05;
+const RECKON_STEPS: usize = 400;
+/// Fastest that a vehicle is believed to gain speed, metres per second squared.
+const GREATEST_GAIN_M_S2: f32 = 6.0;
+
+/// How the vehicle stops. [`JustStopConfig::default`] is what docs/just-stop.md states.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JustStopConfig {
+    /// From the frame that shows an obstacle until the vehicle begins to change its acceleration, seconds.
+    pub reaction_s: f32,
+    /// What it brakes with, metres per second squared. PX4: MPC_ACC_HOR, 3 by default; Copter's BRAKE: 7.5.
+    pub braking_m_s2: f32,
+    /// How fast it gets there, metres per second cubed. PX4: MPC_JERK_AUTO, 4 by default; Copter: PSC_JERK_XY, 5.
+    pub jerk_m_s3: f32,
+    /// Kept between its stop and what it must not touch, metres.
+    pub spare_m: f32,
+    /// Moved so long where the sensor does not look, it is stopped; `None` is never.
+    pub unseen_limit_ns: Option<Nanos>,
+}
+
+impl Default for JustStopConfig {
+    fn default() -> Self {
+        Self {
+            reaction_s: parameters::STOP_REACTION.number_f32(),
+            braking_m_s2: parameters::STOP_BRAKING.number_f32(),
+            jerk_m_s3: parameters::STOP_JERK.number_f32(),
+            spare_m: parameters::STOP_SPARE.number_f32(),
+            unseen_limit_ns: Some((parameters::STOP_UNSEEN.number() * 1e9) as Nanos),
+        }
+    }
+}
+
+impl JustStopConfig {
+    /// Metres within which something on the course stops a vehicle of this speed, metres per second, that gains speed with this
+    /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is told to
+    /// hold while it gains speed goes on gaining it for a while.
+    pub fn reach_m(&self, speed_m_s: f32, gain_m_s2: f32) -> f32 {
+        let mut speed_m_s = speed_m_s.max(0.0);
+        // It may cease braking in the moment in which it is looked at.
+        let mut gain_m_s2 = if gain_m_s2.is_finite() {
+            gain_m_s2.clamp(-0.5 * self.braking_m_s2, GREATEST_GAIN_M_S2)
+        } else {
+            GREATEST_GAIN_M_S2
+        };
+        let (mut reach_m, mut reaction_s) = (self.spare_m, self.reaction_s);
+        for _ in 0..RECKON_STEPS {
+            if reaction_s > 0.0 {
+                reaction_s -= RECKON_S;
+            } else {
+                gain_m_s2 = (gain_m_s2 - self.jerk_m_s3 * RECKON_S).max(-self.braking_m_s2);
+            }
+            speed_m_s += gain_m_s2 * RECKON_S;
+            if speed_m_s <= 0.0 {
+                break;
+            }
+            reach_m += speed_m_s * RECKON_S;
+        }
+        reach_m
+    }
+}
 
 /// What the guard knows in a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,30 +80,20 @@ pub struct JustStopInput {
     pub heartbeat: Option<Heartbeat>,
     /// Whether the vehicle is in the air.
     pub airborne: bool,
-    /// Its velocity, metres per second; `None` when it is not known, too old or not finite.
-    pub velocity_ned_m_s: Option<NedVector>,
+    /// Its horizontal speed, metres per second; `None` when it is not known, too old or not finite.
+    pub speed_m_s: Option<f32>,
     /// What is seen of the course; `None` without a picture that can be believed.
     pub course: Option<Course>,
 }
 
-/// What is seen ahead, along the velocity.
+/// What is seen along the velocity.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Course {
-    /// Metres to where the vehicle would come too near to something; `None` when nothing lies within the reach that was asked
-    /// for.
+    /// Metres to where the vehicle would come too near to something; `None` when nothing lies within
+    /// [`JustStopConfig::reach_m`].
     pub obstacle_m: Option<f32>,
-}
-
-/// Why the vehicle was stopped.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum StopCause {
-    /// Something lies so many metres ahead on its course.
-    Obstacle {
-        /// Metres.
-        ahead_m: f32,
-    },
-    /// It moves, and nobody can see where to: no picture, or no velocity.
-    Blind,
+    /// The velocity points out of the sensor's field of view.
+    pub unseen: bool,
 }
 
 /// Where the guard is.
@@ -59,6 +102,8 @@ pub enum JustStopState {
     /// The vehicle is on the ground, disarmed, taking off, or landing: nothing to guard.
     #[default]
     Idle,
+    /// It flies and never told where it is and how fast: it cannot be guarded, and it could not hold its position either.
+    Unguarded,
     /// It flies, and its course is free.
     Watching,
     /// It is told to hold.
@@ -72,14 +117,16 @@ impl JustStopState {
     pub fn cause(self) -> Option<StopCause> {
         match self {
             Self::Stopping(cause) | Self::Stopped(cause) => Some(cause),
-            Self::Idle | Self::Watching => None,
+            Self::Idle | Self::Unguarded | Self::Watching => None,
         }
     }
 }
 
-/// Metres within which something on the course stops a vehicle of this speed.
-pub fn stopping_reach_m(speed_m_s: f32) -> f32 {
-    speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2.0 * BRAKING_M_S2) + SPARE_M
+/// A stop as it was begun.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Begun {
+    at_ns: Nanos,
+    mode: VehicleMode,
 }
 
 /// The guard. No clock, no allocation.
@@ -87,63 +134,84 @@ pub fn stopping_reach_m(speed_m_s: f32) -> f32 {
 pub struct JustStop {
     state: JustStopState,
     confirmed: u8,
+    located: bool,
     blind_since_ns: Option<Nanos>,
-    stopping_since_ns: Nanos,
+    unseen_since_ns: Option<Nanos>,
+    begun: Begun,
 }
 
 impl JustStop {
     /// One step; the state from now on. While it is [`JustStopState::Stopping`] the vehicle is to be told to hold.
-    pub fn step(&mut self, input: &JustStopInput) -> JustStopState {
-        let Some(heartbeat) = input.heartbeat.filter(|h| h.armed && input.airborne) else {
+    pub fn step(&mut self, config: &JustStopConfig, input: &JustStopInput) -> JustStopState {
+        // What goes up and down by itself, the grid of a level cannot judge.
+        let guarded =
+            |h: &Heartbeat| h.armed && input.airborne && !matches!(h.mode, VehicleMode::Takeoff | VehicleMode::Land);
+        let Some(heartbeat) = input.heartbeat.filter(guarded) else {
             *self = Self::default();
             return self.state;
         };
-        // What goes up and down by itself, the grid of a level cannot judge.
-        if matches!(heartbeat.mode, VehicleMode::Takeoff | VehicleMode::Land) {
-            *self = Self::default();
+        self.located |= input.speed_m_s.is_some();
+        if !self.located {
+            self.state = JustStopState::Unguarded;
             return self.state;
         }
-        let speed_m_s = input.velocity_ned_m_s.map(NedVector::horizontal_norm);
-        let moves = speed_m_s.is_none_or(|speed_m_s| speed_m_s > STANDS_M_S);
-        let danger = match (input.course, speed_m_s) {
-            (Some(course), Some(speed_m_s)) => {
-                self.blind_since_ns = None;
-                let ahead_m = course
-                    .obstacle_m
-                    .filter(|ahead_m| moves && *ahead_m <= stopping_reach_m(speed_m_s));
-                self.confirmed = match ahead_m {
-                    Some(_) => self.confirmed.saturating_add(1),
-                    None => 0,
-                };
-                ahead_m
-                    .filter(|_| self.confirmed >= CONFIRMED)
-                    .map(|ahead_m| StopCause::Obstacle { ahead_m })
-            }
-            _ => {
-                self.confirmed = 0;
-                let since_ns = *self.blind_since_ns.get_or_insert(input.now_ns);
-                let long = input.now_ns.saturating_sub(since_ns) > BLIND_NS;
-                (moves && long).then_some(StopCause::Blind)
-            }
-        };
+        let danger = self.danger(config, input, &heartbeat);
         let holds = heartbeat.mode == VehicleMode::Hold;
+        // A heartbeat of before the command says nothing of it.
+        let newer = heartbeat.at_ns > self.begun.at_ns;
         self.state = match self.state {
-            // A heartbeat of before the command says nothing of it.
-            JustStopState::Stopping(cause) if holds && heartbeat.at_ns > self.stopping_since_ns => {
-                JustStopState::Stopped(cause)
+            JustStopState::Stopping(cause) if holds && newer => JustStopState::Stopped(cause),
+            // Somebody chose yet another mode: this stop is over, and what comes of that mode is looked at anew.
+            JustStopState::Stopping(_) if newer && heartbeat.mode != self.begun.mode => {
+                self.confirmed = 0;
+                JustStopState::Watching
             }
             JustStopState::Stopping(cause) => JustStopState::Stopping(cause),
             JustStopState::Stopped(cause) if holds => JustStopState::Stopped(cause),
-            JustStopState::Idle | JustStopState::Watching | JustStopState::Stopped(_) => match danger {
-                // A vehicle that is braking already needs no telling.
-                Some(cause) if !holds => {
-                    self.stopping_since_ns = input.now_ns;
-                    JustStopState::Stopping(cause)
+            JustStopState::Idle | JustStopState::Unguarded | JustStopState::Watching | JustStopState::Stopped(_) => {
+                match danger {
+                    // A vehicle that is braking already needs no telling.
+                    Some(cause) if !holds => {
+                        self.begun = Begun {
+                            at_ns: input.now_ns,
+                            mode: heartbeat.mode,
+                        };
+                        JustStopState::Stopping(cause)
+                    }
+                    _ => JustStopState::Watching,
                 }
-                _ => JustStopState::Watching,
-            },
+            }
         };
         self.state
+    }
+
+    /// Why the vehicle must not go on as it does, if it must not.
+    fn danger(&mut self, config: &JustStopConfig, input: &JustStopInput, heartbeat: &Heartbeat) -> Option<StopCause> {
+        let moves = input.speed_m_s.is_none_or(|speed_m_s| speed_m_s > STANDS_M_S);
+        let longer = |since_ns: &mut Option<Nanos>, holds: bool, limit_ns: Nanos| {
+            *since_ns = since_ns.or(Some(input.now_ns)).filter(|_| holds);
+            since_ns.is_some_and(|since_ns| input.now_ns.saturating_sub(since_ns) > limit_ns)
+        };
+        let seen = input.course.filter(|_| input.speed_m_s.is_some());
+        let blind = longer(&mut self.blind_since_ns, seen.is_none(), BLIND_NS);
+        let unseen = longer(
+            &mut self.unseen_since_ns,
+            moves && seen.is_some_and(|course| course.unseen),
+            config.unseen_limit_ns.unwrap_or(Nanos::MAX),
+        );
+        let obstacle_m = seen.and_then(|course| course.obstacle_m).filter(|_| moves);
+        self.confirmed = match obstacle_m {
+            Some(_) => self.confirmed.saturating_add(1),
+            None => 0,
+        };
+        // A vehicle that returns by itself, or acts on a failsafe, has a reason that weighs more than what might be there.
+        let may_wait = heartbeat.mode != VehicleMode::Return && !heartbeat.failsafe;
+        match obstacle_m {
+            Some(ahead_m) if self.confirmed >= CONFIRMED => Some(StopCause::Obstacle { ahead_m }),
+            _ if blind && moves && may_wait => Some(StopCause::Blind),
+            _ if unseen && may_wait => Some(StopCause::Unseen),
+            _ => None,
+        }
     }
 
     /// Where the guard is.
@@ -161,8 +229,10 @@ mod tests {
         guard: JustStop,
         now_ns: Nanos,
         mode: VehicleMode,
-        speed_m_s: f32,
+        failsafe: bool,
+        speed_m_s: Option<f32>,
         sees: bool,
+        unseen: bool,
     }
 
     impl Flight {
@@ -171,26 +241,57 @@ mod tests {
                 guard: JustStop::default(),
                 now_ns: 0,
                 mode: VehicleMode::Mission,
-                speed_m_s,
+                failsafe: false,
+                speed_m_s: Some(speed_m_s),
                 sees: true,
+                unseen: false,
             }
         }
 
         fn step(&mut self, obstacle_m: Option<f32>) -> JustStopState {
             self.now_ns += STEP_NS;
-            self.guard.step(&JustStopInput {
-                now_ns: self.now_ns,
-                heartbeat: Some(Heartbeat {
-                    at_ns: self.now_ns,
-                    armed: true,
-                    mode: self.mode,
-                    failsafe: false,
-                }),
-                airborne: true,
-                velocity_ned_m_s: Some(NedVector::new(self.speed_m_s, 0.0, 0.0)),
-                course: self.sees.then_some(Course { obstacle_m }),
-            })
+            self.guard.step(
+                &JustStopConfig::default(),
+                &JustStopInput {
+                    now_ns: self.now_ns,
+                    heartbeat: Some(Heartbeat {
+                        at_ns: self.now_ns,
+                        armed: true,
+                        mode: self.mode,
+                        failsafe: self.failsafe,
+                    }),
+                    airborne: true,
+                    speed_m_s: self.speed_m_s,
+                    course: self.sees.then_some(Course {
+                        obstacle_m,
+                        unseen: self.unseen,
+                    }),
+                },
+            )
         }
+
+        /// Seconds until it is stopped; `None` within 5 s.
+        fn stopped_after_s(&mut self) -> Option<(f32, StopCause)> {
+            (1..=100).find_map(|step| Some((step as f32 * 0.05, self.step(None).cause()?)))
+        }
+    }
+
+    #[test]
+    fn the_reach_is_that_of_a_stop_with_delay_jerk_and_braking() {
+        let config = JustStopConfig::default();
+        // 1.2 m in 0.4 s; half a second to 2 m/s² costs 0.5 m/s; 2.5² / 4 = 1.56 m from there; half a metre spare.
+        let ramp_m = 3.0 * 0.5 - 4.0 * 0.125 / 6.0;
+        let by_hand_m = 1.2 + ramp_m + 1.5625 + 0.5;
+        assert!(
+            (config.reach_m(3.0, 0.0) - by_hand_m).abs() < 0.15,
+            "{}",
+            config.reach_m(3.0, 0.0)
+        );
+        assert!((config.reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
+        // Who gains 3 m/s² gains another 1.2 m/s during the reaction and 1.125 while it is taken back.
+        assert!(config.reach_m(2.0, 3.0) > config.reach_m(4.3, 0.0));
+        assert!(config.reach_m(3.0, -2.0) < config.reach_m(3.0, 0.0) - 0.5);
+        assert!(config.reach_m(3.0, f32::NAN).is_finite() && config.reach_m(f32::MAX, 9.0) > 1e6);
     }
 
     #[test]
@@ -199,15 +300,13 @@ mod tests {
         for _ in 0..100 {
             assert_eq!(flight.step(None), JustStopState::Watching);
         }
-        // 3 m/s stop within 1.8 m of reaction, 3 m of braking, and half a metre.
-        assert_eq!(flight.step(Some(5.5)), JustStopState::Watching);
-        assert_eq!(flight.step(Some(5.2)), JustStopState::Watching, "one frame may err");
-        let cause = StopCause::Obstacle { ahead_m: 5.1 };
-        assert_eq!(flight.step(Some(5.1)), JustStopState::Stopping(cause));
+        assert_eq!(flight.step(Some(4.2)), JustStopState::Watching, "one frame may err");
+        let cause = StopCause::Obstacle { ahead_m: 4.1 };
+        assert_eq!(flight.step(Some(4.1)), JustStopState::Stopping(cause));
         assert_eq!(flight.step(None), JustStopState::Stopping(cause), "until it obeys");
         flight.mode = VehicleMode::Hold;
         assert_eq!(flight.step(None), JustStopState::Stopped(cause));
-        flight.speed_m_s = 0.0;
+        flight.speed_m_s = Some(0.0);
         assert_eq!(flight.step(Some(1.0)), JustStopState::Stopped(cause));
     }
 
@@ -218,12 +317,22 @@ mod tests {
         flight.step(Some(1.0));
         flight.mode = VehicleMode::Hold;
         assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopped(_)));
-        (flight.mode, flight.speed_m_s) = (VehicleMode::Other, 0.1);
+        (flight.mode, flight.speed_m_s) = (VehicleMode::Other, Some(0.1));
         assert_eq!(flight.step(Some(1.0)), JustStopState::Watching, "it does not move yet");
-        flight.speed_m_s = 1.0;
+        flight.speed_m_s = Some(1.0);
         assert_eq!(flight.step(None), JustStopState::Watching, "away from it");
         flight.step(Some(0.9));
         assert!(matches!(flight.step(Some(0.9)), JustStopState::Stopping(_)));
+    }
+
+    #[test]
+    fn who_takes_the_vehicle_over_during_a_stop_has_it_and_is_watched_like_anybody() {
+        let mut flight = Flight::at(2.0);
+        flight.step(Some(1.0));
+        assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopping(_)));
+        flight.mode = VehicleMode::Return;
+        assert_eq!(flight.step(Some(1.0)), JustStopState::Watching);
+        assert_eq!(flight.step(None), JustStopState::Watching, "home lies the other way");
     }
 
     #[test]
@@ -231,15 +340,44 @@ mod tests {
         let mut flight = Flight::at(2.0);
         flight.step(None);
         flight.sees = false;
-        for _ in 0..11 {
-            assert_eq!(flight.step(None), JustStopState::Watching);
+        let (after_s, cause) = flight.stopped_after_s().expect("stopped");
+        assert_eq!(cause, StopCause::Blind);
+        assert!((0.5..0.65).contains(&after_s), "{after_s}");
+
+        let mut backwards = Flight::at(2.0);
+        backwards.unseen = true;
+        let (after_s, cause) = backwards.stopped_after_s().expect("stopped");
+        assert_eq!(cause, StopCause::Unseen);
+        assert!((1.0..1.15).contains(&after_s), "{after_s}");
+
+        for sees in [true, false] {
+            let mut hovers = Flight::at(0.1);
+            (hovers.sees, hovers.unseen) = (sees, true);
+            assert_eq!(hovers.stopped_after_s(), None);
         }
-        assert_eq!(flight.step(None), JustStopState::Stopping(StopCause::Blind));
-        let mut hovers = Flight::at(0.1);
-        hovers.sees = false;
-        for _ in 0..40 {
-            assert_eq!(hovers.step(None), JustStopState::Watching);
+    }
+
+    #[test]
+    fn a_return_or_a_failsafe_is_stopped_by_what_is_there_and_not_by_what_might_be() {
+        for (mode, failsafe) in [(VehicleMode::Return, false), (VehicleMode::Mission, true)] {
+            let mut flight = Flight::at(2.0);
+            (flight.mode, flight.failsafe, flight.unseen) = (mode, failsafe, true);
+            assert_eq!(flight.stopped_after_s(), None);
+            flight.step(Some(1.0));
+            assert!(matches!(flight.step(Some(1.0)), JustStopState::Stopping(_)));
         }
+    }
+
+    #[test]
+    fn a_vehicle_that_never_told_its_position_is_unguarded_and_one_that_ceases_to_is_stopped() {
+        let mut flight = Flight::at(0.0);
+        flight.speed_m_s = None;
+        assert_eq!(flight.stopped_after_s(), None);
+        assert_eq!(flight.guard.state(), JustStopState::Unguarded);
+        flight.speed_m_s = Some(2.0);
+        assert_eq!(flight.step(None), JustStopState::Watching);
+        flight.speed_m_s = None;
+        assert!(matches!(flight.stopped_after_s(), Some((_, StopCause::Blind))));
     }
 
     #[test]

@@ -45,7 +45,7 @@ pub mod table;
 
 pub use alarm::AlarmConfig;
 pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
-pub use just_stop::{JustStop, JustStopInput, JustStopState, StopCause};
+pub use just_stop::{JustStop, JustStopConfig, JustStopInput, JustStopState};
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
 pub use setpoint::guided_setpoint;
 // The policies that its configuration is made of.

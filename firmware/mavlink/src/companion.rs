@@ -11,8 +11,8 @@ use crate::services::Services;
 use crate::status_text::StatusText;
 use mavlink::dialects::common::MavState;
 use vigil_types::{
-    Datagrams, GuidanceState, HandoverProgress, Nanos, NedVector, ObstacleReports, RequestOutcome, StepReport,
-    VehicleRequest, VehicleTelemetry, parameters,
+    Datagrams, GuardNotice, GuidanceState, HandoverProgress, Nanos, NedVector, ObstacleReports, RequestOutcome,
+    StepReport, VehicleRequest, VehicleTelemetry, parameters,
 };
 
 /// The autopilot's component.
@@ -217,6 +217,11 @@ impl Companion {
         out: &mut Datagrams,
     ) {
         self.services.obstacles.tell(&mut self.core, now_ns, sectors, out);
+    }
+
+    /// Tells people of a guarded flight.
+    pub fn tell_of_guard(&mut self, notice: GuardNotice, out: &mut Datagrams) {
+        self.core.tell(out, &report::guard_text(notice));
     }
 
     /// The last packets before the guidance computer falls silent: zero setpoints if it was streaming, and word of it.

@@ -13,7 +13,8 @@ use mavlink::dialects::common::{
     NAMED_VALUE_FLOAT_DATA, PositionTargetTypemask, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_types::{
-    Alarm, AlarmResponse, GuidanceState, Nanos, NedVector, Reason, Reasons, StepReport, VelocitySetpoint,
+    Alarm, AlarmResponse, GuardNotice, GuidanceState, Nanos, NedVector, Reason, Reasons, StepReport, StopCause,
+    VelocitySetpoint,
 };
 
 /// MAVLink's time since boot. Wraps after 49 days, as the protocol's field does.
@@ -278,11 +279,22 @@ pub(crate) fn home_text(home_ned_m: NedVector) -> StatusText {
     })
 }
 
-/// "stop: something 4.2 m ahead on the course", "stop: nobody sees the course".
-pub(crate) fn hold_text(obstacle_m: Option<f32>) -> StatusText {
-    StatusText::new(MavSeverity::MAV_SEVERITY_CRITICAL, |text| match obstacle_m {
-        Some(ahead_m) => write!(text, "stop: something {ahead_m:.1} m ahead on the course"),
-        None => text.write_str("stop: nobody sees the course"),
+/// "stop: something 4.2 m ahead on the course", and its like.
+pub(crate) fn hold_text(cause: StopCause) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_CRITICAL, |text| match cause {
+        StopCause::Obstacle { ahead_m } => write!(text, "stop: something {ahead_m:.1} m ahead on the course"),
+        StopCause::Blind => text.write_str("stop: nobody sees the course"),
+        StopCause::Unseen => text.write_str("stop: it moves where the sensor does not look"),
+    })
+}
+
+/// What people are told of a guarded flight.
+pub(crate) fn guard_text(notice: GuardNotice) -> StatusText {
+    StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
+        text.write_str(match notice {
+            GuardNotice::Unguarded => "not guarded: the vehicle does not tell its position",
+            GuardNotice::Jumped => "the position jumped: what was seen before is forgotten",
+        })
     })
 }
 

@@ -320,6 +320,11 @@ pub const SECTIONS: &[Section] = &[
         is_optional: true,
     },
     Section {
+        name: "just_stop",
+        text: "how a vehicle that is guarded stops (docs/just-stop.md)",
+        is_optional: false,
+    },
+    Section {
         name: "pilot",
         text: "who decides",
         is_optional: false,
@@ -381,7 +386,7 @@ table! {
         "for ground stations, at most 4"
     );
     VEHICLE = choice("vehicle", AutopilotChoice::WORDS, AutopilotChoice::Auto as usize, "which autopilot the vehicle has; one of another is not flown");
-    DUTY = choice("duty", Duty::WORDS, Duty::Fly as usize, "whose flight it is: guidance's own, or somebody else's that is guarded");
+    DUTY = choice("duty", Duty::WORDS, Duty::Fly as usize, "whose flight it is (docs/just-stop.md)").mavlink("GD_DUTY", true);
     OBSTACLE_DISTANCE = choice(
         "obstacle_distance",
         ObstacleReports::WORDS,
@@ -455,6 +460,12 @@ table! {
     FENCE_RADIUS = real("limits.geofence.radius_m", LENGTH_M, "m", 0.0, "horizontal distance from home").absent("100.0");
     FENCE_MIN_HEIGHT = real("limits.geofence.min_height_m", COORDINATE_M, "m", 0.0, "lowest height in flight, above home");
     FENCE_MAX_HEIGHT = real("limits.geofence.max_height_m", LENGTH_M, "m", 0.0, "greatest height, above home").absent("30.0");
+
+    STOP_REACTION = real("just_stop.reaction_s", (0.05, 5.0), "s", 0.4, "from the frame that shows an obstacle until the vehicle begins to change its acceleration");
+    STOP_BRAKING = real("just_stop.braking_m_s2", (0.2, 10.0), "m/s²", 2.0, "what it brakes with");
+    STOP_JERK = real("just_stop.jerk_m_s3", (0.5, 100.0), "m/s³", 4.0, "how fast it gets there");
+    STOP_SPARE = real("just_stop.spare_m", (0.0, 20.0), "m", 0.5, "kept between its stop and what it must not touch, besides 0.5 m around its middle");
+    STOP_UNSEEN = real("just_stop.unseen_s", (0.1, 60.0), "s", 1.0, "moved so long where the sensor does not look, it is stopped; 0 is never").or_zero();
 
     PILOT = choice("pilot.kind", PilotKind::WORDS, PilotKind::Actor as usize, "who decides");
     APF = switch("pilot.apf", true, "add the potential field to the actor's action");

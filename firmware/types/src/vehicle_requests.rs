@@ -63,10 +63,30 @@ pub enum VehicleRequest {
     /// Land.
     Land,
     /// Stop by its own means and hold its position: its flight is somebody else's, and is guarded.
-    Hold {
-        /// Metres to what lies on its course; `None` where nobody sees the course.
-        obstacle_m: Option<f32>,
+    Hold(StopCause),
+}
+
+/// Why a guarded vehicle is stopped.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum StopCause {
+    /// Something lies so many metres ahead on its course.
+    Obstacle {
+        /// Metres.
+        ahead_m: f32,
     },
+    /// It moves, and nobody can see where to: no frame that can be believed, or no position.
+    Blind,
+    /// It moves where the sensor does not look.
+    Unseen,
+}
+
+/// What people are told of a guarded flight, once each time it begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GuardNotice {
+    /// The vehicle flies and never told where it is: it is not guarded.
+    Unguarded,
+    /// Its position jumped: what was seen before is forgotten.
+    Jumped,
 }
 
 /// How far the vehicle is with [`VehicleRequest::FlyExternal`].

@@ -133,7 +133,7 @@ impl Handover {
                 }
                 self.land(now_ns, vehicle)
             }
-            VehicleRequest::Hold { .. } => {
+            VehicleRequest::Hold(_) => {
                 if !self.holding {
                     self.end();
                     self.holding = true;
@@ -375,8 +375,8 @@ impl Service for HandoverService {
         ) {
             core.tell(out, &report::overdue_text(unfinished));
         }
-        if let (VehicleRequest::Hold { obstacle_m }, false) = (step.request, self.handover.holding) {
-            core.tell(out, &report::hold_text(obstacle_m));
+        if let (VehicleRequest::Hold(cause), false) = (step.request, self.handover.holding) {
+            core.tell(out, &report::hold_text(cause));
         }
         let action = self
             .handover
