@@ -165,6 +165,11 @@ pub(crate) const TOLD: &[ParameterInfo] = &[
         "Sticks are taken from MAVLink whatever it says",
     ),
     fixed(
+        "COM_RC_OVERRIDE",
+        I(0),
+        "Moved sticks take over by a mode command alone: what brakes before a wall must not end by a stick held forward",
+    ),
+    fixed(
         "CP_DIST",
         R(-1.0),
         "No collision prevention of its own: that is the guidance computer's",

@@ -259,6 +259,7 @@ impl Core {
     /// Changes mode and maneuver; leaving OFFBOARD clears its owner.
     pub(super) fn enter(&mut self, mode: FlightMode, maneuver: Maneuver) {
         self.commander.maneuver = maneuver;
+        self.commander.intended_mode = mode;
         if self.setpoints.owner().is_some() && mode != FlightMode::Offboard {
             self.setpoints.set_owner(None);
             self.text(MavSeverity::MAV_SEVERITY_INFO, "setpoint owner: none");
@@ -358,12 +359,14 @@ impl Core {
 
     /// Changes to Return, Land, Hold or a mode that is flown by sticks, by itself; CRITICAL until the next mode command.
     pub(super) fn fail_over(&mut self, action: FlightMode, failsafe: Failsafe) {
+        let intended = self.commander.intended_mode;
         match action {
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(action, Maneuver::Descend),
             mode if mode.needs_sticks() => self.enter(mode, Maneuver::Sticks { held_down_m: None }),
             _ => self.enter(FlightMode::Hold, Maneuver::default()),
         }
+        self.commander.intended_mode = intended;
         self.commander.failsafe = Some(failsafe);
         self.announce(message_ids::HEARTBEAT);
     }

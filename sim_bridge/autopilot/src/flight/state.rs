@@ -82,6 +82,8 @@ pub(crate) struct Commander {
     pub(super) armed: bool,
     pub(super) terminated: bool,
     pub(super) mode: FlightMode,
+    /// The mode before a failsafe changed it.
+    pub(super) intended_mode: FlightMode,
     pub(super) maneuver: Maneuver,
     pub(super) failsafe: Option<Failsafe>,
     pub(super) landed: LandedState,
@@ -107,6 +109,11 @@ pub(crate) struct Commander {
 impl Commander {
     pub fn mode(&self) -> FlightMode {
         self.mode
+    }
+
+    /// The mode that was asked for; during a failsafe another one is flown.
+    pub fn intended_mode(&self) -> FlightMode {
+        self.intended_mode
     }
 
     pub fn is_armed(&self) -> bool {

@@ -17,6 +17,7 @@ const NAV_RETURN_TO_LAUNCH: u16 = 20;
 const NAV_LAND: u16 = 21;
 const NAV_TAKEOFF: u16 = 22;
 const DO_SET_MODE: u16 = 176;
+const DO_CHANGE_ALTITUDE: u16 = 186;
 const DO_REPOSITION: u16 = 192;
 /// MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
 const CUSTOM_MODE: u8 = 1;
@@ -59,6 +60,7 @@ impl Service for Actions {
             NAV_RETURN_TO_LAUNCH => set_mode(Requested::Flown(FlightMode::Return), source, core),
             NAV_LAND => set_mode(Requested::Flown(FlightMode::Land), source, core),
             NAV_TAKEOFF => take_off(command, core),
+            DO_CHANGE_ALTITUDE => change_altitude(command, core),
             DO_REPOSITION => reposition(command, core),
             _ => return None,
         })
@@ -140,5 +142,20 @@ fn reposition(command: &Command, core: &mut Core) -> Answer {
     };
     let speed_m_s = command.param(1).filter(|s| s.is_finite() && *s > 0.0);
     let outcome = core.go_to(position, yaw, speed_m_s);
+    answer(outcome, core)
+}
+
+/// Climbs or descends where it is: parameter 1 the altitude, 2 the frame that it is in.
+fn change_altitude(command: &Command, core: &mut Core) -> Answer {
+    let frame = command.param(2).filter(|frame| (0.0..=11.0).contains(frame));
+    let (Some(altitude_m), Some(frame)) = (command.param(1), frame) else {
+        return Answer::DENIED;
+    };
+    let height = height_m(core, frame as u8, altitude_m).filter(|height| (0.0..=MAX_HEIGHT_M).contains(height));
+    let Some(height) = height else {
+        return Answer::DENIED;
+    };
+    let here = core.view.estimate.position_ned_m;
+    let outcome = core.go_to(NedVector::new(here.x, here.y, -height), YawCommand::Hold, None);
     answer(outcome, core)
 }

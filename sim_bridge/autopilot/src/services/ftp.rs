@@ -125,7 +125,7 @@ struct Session {
     client: Source,
     number: u8,
     path: String,
-    /// What is read instead of a file of that path: made when it was opened.
+    /// What is read or written instead of a file of that path: made when it was opened.
     made: Option<Vec<u8>>,
     writes: bool,
     used_ns: Nanos,
@@ -274,7 +274,10 @@ impl Ftp {
             done()
         } else if is(MAV_FTP_OPCODE_TERMINATESESSION) {
             let index = self.find(client, request.session)?;
-            self.sessions.remove(index);
+            let session = self.sessions.remove(index);
+            if let Some(stored) = session.made.filter(|_| session.writes) {
+                packed_parameters::store(&stored, core).map_err(|()| MavFtpErr::MAV_FTP_ERR_FAIL)?;
+            }
             done()
         } else if is(MAV_FTP_OPCODE_RESETSESSION) {
             self.sessions.retain(|s| s.client != client);
@@ -294,6 +297,11 @@ impl Ftp {
             Reply::number(size as u32)
         } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
             let path = request.path()?;
+            if packed_parameters::is_it(path) {
+                // It takes effect as a whole when the session ends.
+                self.open(client, request.session, path, true, core.now_ns)?.made = Some(Vec::new());
+                return Ok(Some(Reply::number(0)));
+            }
             self.make_room(client, request.session, core.now_ns)?;
             core.files
                 .open_for_writing(path, is(MAV_FTP_OPCODE_OPENFILEWO), now_s)?;
@@ -320,6 +328,15 @@ impl Ftp {
             let session = self.session(client, request.session, core.now_ns)?;
             if !session.writes {
                 return Err(FileError::Protected.into());
+            }
+            if let Some(made) = &mut session.made {
+                let end = request.offset.saturating_add(request.data.len());
+                if end > packed_parameters::MAX_STORED {
+                    return Err(FileError::NoSpace.into());
+                }
+                made.resize(made.len().max(end), 0);
+                made[request.offset..end].copy_from_slice(request.data);
+                return Ok(Some(Reply::number(request.data.len() as u32)));
             }
             core.files.write(&session.path, request.offset, request.data, now_s)?;
             Reply::number(request.data.len() as u32)

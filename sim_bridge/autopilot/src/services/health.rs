@@ -13,7 +13,7 @@ impl Service for Health {
     fn messages(&self) -> &'static [Produced] {
         &[Produced {
             id: SYS_STATUS_DATA::ID,
-            rate_hz: [1.0, 1.0, 1.0],
+            rate_hz: [1.0, 5.0, 1.0],
             build: Build::From(sys_status),
         }]
     }

@@ -143,8 +143,7 @@ fn current(core: &Core) -> Option<MavMessage> {
     let mode = core.commander.mode();
     Some(MavMessage::CURRENT_MODE(CURRENT_MODE_DATA {
         custom_mode: mode.custom_mode(),
-        // What is flown is what was asked for, or a failsafe's choice that nobody asked for.
-        intended_custom_mode: mode.custom_mode(),
+        intended_custom_mode: core.commander.intended_mode().custom_mode(),
         standard_mode: standard(mode),
     }))
 }

@@ -1,9 +1,13 @@
-//! All parameters as one file, `@PARAM/param.pck`: what ground stations of ArduPilot fetch instead of a list.
+//! All parameters as one file, `@PARAM/param.pck`: what ground stations fetch instead of a list, and store to set many at once.
 //! <https://mavlink.io/en/services/ftp.html#param-pck>, format: libraries/AP_Filesystem/README.md of ArduPilot.
 
 use crate::core::Core;
+use crate::services::parameters::value_message;
 use crate::vehicle_parameters::{ParameterValue, Parameters};
+use vigil_mavlink::common::MavSeverity;
 
+/// Longest file that is taken: all parameters with their defaults are far below it.
+pub(super) const MAX_STORED: usize = 65_536;
 /// Its path, behind which options may follow: `?start=N&count=N&withdefaults=1`.
 const PATH: &str = "@PARAM/param.pck";
 /// The first word of the file, without and with defaults.
@@ -15,11 +19,15 @@ const FLOAT: u8 = 4;
 /// Flag of an entry: its default follows, because it differs.
 const HAS_DEFAULT: u8 = 1;
 
+/// Whether a path is the file's.
+pub(super) fn is_it(path: &str) -> bool {
+    path.strip_prefix('/').unwrap_or(path) == PATH
+}
+
 /// The file that a path names; `None` if it names another.
 pub(super) fn read(path: &str, core: &Core) -> Option<Vec<u8>> {
-    let path = path.strip_prefix('/').unwrap_or(path);
     let (path, options) = path.split_once('?').unwrap_or((path, ""));
-    if path != PATH {
+    if !is_it(path) {
         return None;
     }
     let option = |name: &str| {
@@ -69,4 +77,70 @@ pub(super) fn read(path: &str, core: &Core) -> Option<Vec<u8>> {
         last = info.name;
     }
     Some(file)
+}
+
+/// A parameter of a stored file: name, type, bits of the value.
+type Stored = (String, u8, [u8; 4]);
+
+/// The parameters of a stored file; `None` if it is not one. Its third word is its own length or anything: clients differ.
+fn parse(file: &[u8]) -> Option<Vec<Stored>> {
+    let word = |at: usize| Some(u16::from_le_bytes([*file.get(at)?, *file.get(at + 1)?]));
+    if !matches!(word(0)?, MAGIC | MAGIC_WITH_DEFAULTS) {
+        return None;
+    }
+    let count = usize::from(word(2)?);
+    let mut rest = file.get(6..)?;
+    let mut stored: Vec<Stored> = Vec::new();
+    while let [first, after_first @ ..] = rest {
+        // Zeros between entries fill up packets.
+        if *first == 0 {
+            rest = after_first;
+            continue;
+        }
+        let (lengths, behind) = after_first.split_first()?;
+        let (common, own) = (usize::from(lengths & 15), usize::from(lengths >> 4) + 1);
+        let (name_end, behind) = behind.split_at_checked(own)?;
+        let (value, behind) = behind.split_first_chunk::<4>()?;
+        let before = stored.last().map_or("", |(name, ..)| name.as_str());
+        let name = before.get(..common)?.to_owned() + core::str::from_utf8(name_end).ok()?;
+        stored.push((name, first & 15, *value));
+        rest = match first >> 4 & HAS_DEFAULT {
+            0 => behind,
+            _ => behind.get(4..)?,
+        };
+    }
+    (stored.len() == count).then_some(stored)
+}
+
+/// Sets what a stored file says: all of it, or nothing where it is no such file or a value is refused. Tells what changed.
+pub(super) fn store(file: &[u8], core: &mut Core) -> Result<(), ()> {
+    let mut parameters = core.parameters.clone();
+    let outcome = parse(file)
+        .ok_or_else(|| "it is not one".to_owned())
+        .and_then(|stored| {
+            for (name, kind, value) in &stored {
+                let index = Parameters::index_of(name).ok_or(format!("there is no parameter {name}"))?;
+                let value = match *kind {
+                    INT32 => ParameterValue::Int32(i32::from_le_bytes(*value)),
+                    FLOAT => ParameterValue::Real32(f32::from_le_bytes(*value)),
+                    _ => return Err(format!("{name} is of another type")),
+                };
+                parameters.set(index, value).map_err(|error| error.to_string())?;
+            }
+            Ok(())
+        });
+    if let Err(why) = outcome {
+        let text = format!("parameter file refused: {why}");
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        return Err(());
+    }
+    let before = std::mem::replace(&mut core.parameters, parameters);
+    for index in 0..Parameters::count() {
+        if core.parameters.at(index) != before.at(index)
+            && let Some(message) = value_message(core, index)
+        {
+            core.outbox.send_all(&message);
+        }
+    }
+    Ok(())
 }

@@ -45,7 +45,7 @@ impl Service for SensorReadings {
             },
             Produced {
                 id: GPS_RAW_INT_DATA::ID,
-                rate_hz: [1.0, 1.0, 1.0],
+                rate_hz: [1.0, 5.0, 1.0],
                 build: Build::From(gps),
             },
         ]

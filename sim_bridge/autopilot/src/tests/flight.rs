@@ -347,3 +347,24 @@ fn a_campaign_starts_in_the_air_and_holds_its_height() {
     b.run_ms(3_000);
     assert!((b.height_m() - 3.0).abs() < 0.2, "{}", b.height_m());
 }
+
+#[test]
+fn the_height_alone_can_be_changed() {
+    const CHANGE_ALTITUDE: u16 = 186;
+    let mut b = Bench::airborne();
+    let change = |b: &mut Bench, altitude: f32, frame: f32| {
+        b.command_long(API, SCRIPT, CHANGE_ALTITUDE, [altitude, frame, 0.0, 0.0, 0.0, 0.0, 0.0])
+    };
+    // Above home, then above sea level.
+    for (altitude, frame) in [(6.0, 3.0), (492.0, 0.0)] {
+        assert_eq!(change(&mut b, altitude, frame), ACCEPTED);
+        b.run_ms(8_000);
+        let wanted_m = if frame == 0.0 { altitude - 488.0 } else { altitude };
+        assert!((b.height_m() - wanted_m).abs() < 0.3, "{}", b.height_m());
+        assert!(b.position_m()[0].hypot(b.position_m()[1]) < 0.5);
+    }
+    assert_eq!(change(&mut b, f32::NAN, 3.0), DENIED);
+    assert_eq!(change(&mut b, 5.0, 1.0), DENIED);
+    assert_eq!(change(&mut b, 900.0, 3.0), DENIED);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}

@@ -21,6 +21,7 @@ const CRC: u8 = 14;
 const BURST: u8 = 15;
 const LIST_TIME: u8 = 16;
 const TERMINATE: u8 = 1;
+const FAIL: u8 = 1;
 const EOF: u8 = 6;
 const INVALID_SESSION: u8 = 4;
 const NO_SESSIONS: u8 = 5;
@@ -416,4 +417,59 @@ fn all_parameters_come_as_one_packed_file() {
         crc32(&file)
     );
     assert_eq!(c.ask(&mut b, OPEN, 6, 0, b"@PARAM/other").error(), NOT_FOUND);
+}
+
+#[test]
+fn a_stored_parameter_file_sets_all_of_it_or_nothing() {
+    fn packed(entries: &[(&str, u8, [u8; 4])]) -> Vec<u8> {
+        let mut file = Vec::new();
+        for word in [0x671B, entries.len() as u16, 0] {
+            file.extend_from_slice(&u16::to_le_bytes(word));
+        }
+        for (name, kind, value) in entries {
+            file.extend_from_slice(&[*kind, (name.len() as u8 - 1) << 4]);
+            file.extend_from_slice(name.as_bytes());
+            file.extend_from_slice(value);
+        }
+        file
+    }
+    fn store(b: &mut Bench, c: &mut Client, file: &[u8]) -> Reply {
+        assert!(c.ask(b, CREATE, 0, 0, b"@PARAM/param.pck").is_ack);
+        for (index, piece) in file.chunks(20).enumerate() {
+            assert!(c.ask(b, WRITE, 0, index as u32 * 20, piece).is_ack);
+        }
+        c.ask(b, TERMINATE, 0, 0, &[])
+    }
+    let value = |b: &Bench, name: &str| b.endpoint.saved().parameters.get(name).copied();
+    let (mut b, mut c) = (Bench::new(), Client::new());
+    let radius = ("NAV_ACC_RAD", 4, 3.5_f32.to_le_bytes());
+    let action = ("GF_ACTION", 3, 3_i32.to_le_bytes());
+    assert!(store(&mut b, &mut c, &packed(&[action, radius])).is_ack);
+    assert_eq!(
+        (value(&b, "NAV_ACC_RAD"), value(&b, "GF_ACTION")),
+        (Some(3.5), Some(3.0))
+    );
+    b.sent.clear();
+    for bad in [
+        packed(&[("NAV_ACC_RAD", 4, 9.0_f32.to_le_bytes()), ("NO_SUCH", 4, [0; 4])]),
+        packed(&[
+            ("NAV_ACC_RAD", 4, 9.0_f32.to_le_bytes()),
+            ("GF_ACTION", 3, 99_i32.to_le_bytes()),
+        ]),
+        packed(&[("NAV_ACC_RAD", 3, [9, 0, 0, 0])]),
+        packed(&[radius])[..12].to_vec(),
+        b"nonsense".to_vec(),
+    ] {
+        assert_eq!(store(&mut b, &mut c, &bad).error(), FAIL);
+    }
+    assert_eq!(
+        (value(&b, "NAV_ACC_RAD"), value(&b, "GF_ACTION")),
+        (Some(3.5), Some(3.0))
+    );
+    assert!(b.texts().join("").contains("parameter file refused"));
+    // What was fetched may be stored again.
+    let file = c.download(&mut b, 3, "@PARAM/param.pck?withdefaults=1");
+    b.set_parameter("NAV_ACC_RAD", crate::ParameterValue::Real32(1.0));
+    assert!(store(&mut b, &mut c, &file).is_ack);
+    assert_eq!(value(&b, "NAV_ACC_RAD"), Some(3.5));
 }

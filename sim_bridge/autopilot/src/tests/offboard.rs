@@ -191,6 +191,11 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         }
         assert_eq!(b.status().mode, mode, "{action}");
         assert_eq!(b.status().failsafe, Some(Failsafe::SetpointLost));
+        let told = b.messages(GCS).rev().find_map(|m| match m {
+            MavMessage::CURRENT_MODE(m) => Some((m.custom_mode, m.intended_custom_mode)),
+            _ => None,
+        });
+        assert_eq!(told, Some((mode.custom_mode(), FlightMode::Offboard.custom_mode())));
     }
     for (action, is_terminated) in [(6, true), (7, false)] {
         let mut b = Bench::airborne();

@@ -22,8 +22,8 @@ fn telemetry_streams_unasked_at_the_rates_of_each_link() {
         (LOCAL_POSITION_NED_DATA::ID, 200, 120, 40),
         (GLOBAL_POSITION_INT_DATA::ID, 20, 40, 20),
         (EXTENDED_SYS_STATE_DATA::ID, 20, 20, 4),
-        (SYS_STATUS_DATA::ID, 4, 4, 4),
-        (GPS_RAW_INT_DATA::ID, 4, 4, 4),
+        (SYS_STATUS_DATA::ID, 4, 20, 4),
+        (GPS_RAW_INT_DATA::ID, 4, 20, 4),
         (BATTERY_STATUS_DATA::ID, 2, 2, 2),
         (HOME_POSITION_DATA::ID, 2, 2, 2),
     ] {
