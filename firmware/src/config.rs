@@ -578,10 +578,15 @@ impl FirmwareConfig {
             // Who guards somebody else's flight takes it over on command only.
             engage: match self.duty {
                 Duty::Fly => self.engage,
-                Duty::JustStop => EngagePolicy::Command,
+                Duty::JustStop | Duty::FlyAround => EngagePolicy::Command,
             },
             taken_over: self.state.taken_over,
-            at_goal: self.at_goal,
+            // A mission that was flown around something is handed back, and does not end there.
+            at_goal: if self.duty == Duty::FlyAround {
+                AtGoal::Hold
+            } else {
+                self.at_goal
+            },
             frame_age_limit_ns: nanos(limits.frame_age_s),
             telemetry_age_limit_ns: nanos(limits.telemetry_age_s),
             heartbeat_age_limit_ns: nanos(limits.heartbeat_age_s),
@@ -589,7 +594,11 @@ impl FirmwareConfig {
             goal_radius_m: limits.goal_radius_m,
             goal_limit_m: limits.goal_m,
             no_progress_limit_ns: Some(nanos(limits.no_progress_s)).filter(|limit_ns| *limit_ns > 0),
-            on_no_progress: limits.no_progress,
+            on_no_progress: if self.duty == Duty::FlyAround {
+                OnNoProgress::Hold
+            } else {
+                limits.no_progress
+            },
             battery_limit: limits.battery,
             default_height_m: self.height_m,
             time_limit_ns: limits.flight_time_s.map(nanos),
@@ -632,6 +641,7 @@ impl FirmwareConfig {
                     AutopilotChoice::ArduPilot => Some(Flavour::ArduPilot),
                 },
                 obstacles: self.obstacle_distance,
+                wants_mission_place: self.duty == Duty::FlyAround,
                 setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
                 system_id: self.link.as_ref().and_then(|link| link.system),
                 ..CompanionConfig::default()

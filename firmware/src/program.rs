@@ -294,6 +294,7 @@ impl std::fmt::Display for Start<'_> {
             ground_links(&config.links),
             match config.engage {
                 _ if config.duty == Duty::JustStop => "on command only: it guards somebody else's flight",
+                _ if config.duty == Duty::FlyAround => "to fly a guarded mission around what is there, or on command",
                 EngagePolicy::Auto => "by itself",
                 EngagePolicy::Command => "on command",
             },

@@ -11,18 +11,20 @@
 
 use crate::crew::Crew;
 use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
-use crate::guarding::Guarding;
+use crate::guarding::{Guarded, Guarding, GuardingInput};
 use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::tunables::Tunables;
-use vigil_guidance::{ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, JustStopConfig};
+use vigil_guidance::{
+    ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, JustStopConfig,
+};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::PositionalInputs;
 use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge};
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal,
-    GoalRelative, GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest, Reasons,
-    RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
+    GoalRelative, GuardNotice, GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest,
+    Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -235,18 +237,7 @@ impl FlightStack {
             telemetry_interval_ns: self.companion.telemetry_interval_ns(),
         });
 
-        let idle = matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready);
-        let guards = idle && self.tunables.duty() != Duty::Fly;
-        let guarded = self.guarding.as_mut().filter(|_| guards).map(|guarding| {
-            let seen = self.frames.newest().filter(|_| {
-                doubts.is_empty() && frame_age_ns.is_some_and(|age| age <= self.guidance.config().frame_age_limit_ns)
-            });
-            let known = telemetry
-                .flight_data_age_ns(now_ns)
-                .is_some_and(|age| age <= self.guidance.config().telemetry_age_limit_ns);
-            guarding.step(now_ns, &telemetry, known, seen)
-        });
-        let guards = guarded.unwrap_or_default();
+        let guards = self.guard(now_ns, &telemetry, doubts, frame_age_ns, &guidance);
 
         self.recovery_flew = guidance.alarm.is_some_and(|alarm| match alarm.response {
             AlarmResponse::Recovery => true,
@@ -296,6 +287,64 @@ impl FlightStack {
                 .map(|((right, forward), range_m)| (libm::atan2f(*right, *forward), *range_m))
         });
         self.companion.emit_obstacles(now_ns, sectors, &mut output.sent);
+    }
+
+    /// Guards somebody else's flight, and takes a mission around what stopped it.
+    fn guard(
+        &mut self,
+        now_ns: Nanos,
+        telemetry: &VehicleTelemetry,
+        doubts: Reasons,
+        frame_age_ns: Option<Nanos>,
+        guidance: &GuidanceOutput,
+    ) -> Guarded {
+        let limits = *self.guidance.config();
+        let duty = self.tunables.duty();
+        let Some(guarding) = self.guarding.as_mut().filter(|_| duty != Duty::Fly) else {
+            return Guarded::default();
+        };
+        let input = GuardingInput {
+            now_ns,
+            telemetry,
+            known: telemetry
+                .flight_data_age_ns(now_ns)
+                .is_some_and(|age_ns| age_ns <= limits.telemetry_age_limit_ns),
+            frame: self
+                .frames
+                .newest()
+                .filter(|_| doubts.is_empty() && frame_age_ns.is_some_and(|ns| ns <= limits.frame_age_limit_ns)),
+            flies_around: duty == Duty::FlyAround,
+            mission_place_m: self.companion.mission_place_m(),
+        };
+        if !matches!(guidance.state, GuidanceState::Standby | GuidanceState::Ready) {
+            let guided = guidance.state == GuidanceState::Guided;
+            let reached = guidance.state == GuidanceState::Hold && guidance.reasons.contains(Reason::GoalReached);
+            return Guarded {
+                request: guarding.accompany(&input, guided, reached),
+                ..Guarded::default()
+            };
+        }
+        let mut guarded = guarding.step(&input);
+        if let Some((north_m, east_m, height_m)) = guarded.fly_to_m {
+            let known = self
+                .guidance
+                .goal()
+                .is_some_and(|goal| (goal.position_ned_m.x, goal.position_ned_m.y) == (north_m, east_m));
+            let outcome = if known {
+                self.guidance.request(OperatorRequest::Engage)
+            } else {
+                self.guidance.request(OperatorRequest::FixedGoal {
+                    north_m,
+                    east_m,
+                    height_m: Some(height_m),
+                })
+            };
+            if known && outcome == RequestOutcome::Accepted {
+                guarding.engaged();
+                guarded.notice = Some(GuardNotice::FliesAround);
+            }
+        }
+        guarded
     }
 
     /// Takes over the parameters that an operator set.

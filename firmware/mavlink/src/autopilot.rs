@@ -85,6 +85,16 @@ impl Flavour {
         }
     }
 
+    /// DO_SET_MODE's parameters 1 to 3 for the mode that flies the mission.
+    pub const fn mission_mode(self) -> [f32; 3] {
+        match self {
+            // PX4's AUTO, MISSION.
+            Self::Px4 => [129.0, 4.0, 4.0],
+            // Copter's AUTO.
+            Self::ArduPilot => [1.0, 3.0, 0.0],
+        }
+    }
+
     /// What a person calls the mode that obeys setpoints.
     pub const fn external_mode_name(self) -> &'static str {
         match self {

@@ -32,6 +32,8 @@ pub struct CompanionConfig {
     /// The longest time, seconds, that the vehicle may keep to its last setpoint; a longer one is set in the vehicle's
     /// parameters when it is taken over. `None` neither asks nor sets.
     pub setpoint_timeout_s: Option<f32>,
+    /// The place to which the vehicle's mission leads is asked for (POSITION_TARGET_GLOBAL_INT).
+    pub wants_mission_place: bool,
     /// Link to the vehicle, which is heard there and nowhere else; answers go back on the link that the question came
     /// from.
     pub link: u8,
@@ -46,6 +48,7 @@ impl Default for CompanionConfig {
             flavour: None,
             obstacles: ObstacleReports::default(),
             setpoint_timeout_s: Some(parameters::SETPOINT_TIMEOUT.number_f32()),
+            wants_mission_place: false,
             link: 0,
         }
     }
@@ -129,6 +132,11 @@ impl Companion {
     /// Home in the local frame; `None` when the vehicle has not told.
     pub fn home_ned_m(&self) -> Option<NedVector> {
         self.core.vehicle.home_ned_m()
+    }
+
+    /// Metres north and east, in the local frame, of the place to which the vehicle's mission leads; `None` when it has not told.
+    pub fn mission_place_m(&self) -> Option<(f32, f32)> {
+        self.core.vehicle.mission_place_m()
     }
 
     /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.

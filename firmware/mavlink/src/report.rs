@@ -293,6 +293,11 @@ pub(crate) fn guard_text(notice: GuardNotice) -> StatusText {
     StatusText::new(MavSeverity::MAV_SEVERITY_WARNING, |text| {
         text.write_str(match notice {
             GuardNotice::Unguarded => "not guarded: the vehicle does not tell its position",
+            GuardNotice::FliesAround => "flying around it to the mission's next place",
+            GuardNotice::HandedBack => "handed back: the mission goes on",
+            GuardNotice::StaysStopped => {
+                "not flown around: guidance cannot take it, or the mission's next place is unknown"
+            }
             GuardNotice::Jumped => "the position jumped: what was seen before is forgotten",
         })
     })

@@ -6,7 +6,7 @@ use crate::globe::Origin;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA,
-    HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavMessage, SYS_STATUS_DATA,
+    HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavMessage, POSITION_TARGET_GLOBAL_INT_DATA, SYS_STATUS_DATA,
 };
 use vigil_types::{
     Attitude, AttitudeSample, FrdVector, Heartbeat, Kinematics, Landed, Nanos, NedVector, VehicleMode, VehicleTelemetry,
@@ -49,6 +49,8 @@ pub struct Vehicle {
     /// The origin came by GPS_GLOBAL_ORIGIN and was not inferred from home.
     origin_told: bool,
     home: Option<Home>,
+    /// Latitude and longitude, degrees, of the place to which its mission leads, as it was told last in that mode.
+    mission_place_deg: Option<(f64, f64)>,
     /// How often the autopilot was seen to start anew.
     pub restarts: u32,
     /// Packets dropped because a newer one came before.
@@ -70,6 +72,7 @@ impl Vehicle {
             origin: None,
             origin_told: false,
             home: None,
+            mission_place_deg: None,
             restarts: 0,
             late: 0,
             position_ms: None,
@@ -103,6 +106,12 @@ impl Vehicle {
         if is_filled { Some(home.ned_m) } else { on_globe }
     }
 
+    /// Metres north and east, in the local frame, of the place to which its mission leads; `None` when it has not told.
+    pub fn mission_place_m(&self) -> Option<(f32, f32)> {
+        let (latitude_deg, longitude_deg) = self.mission_place_deg?;
+        Some(self.origin?.north_east_m(latitude_deg, longitude_deg))
+    }
+
     /// Height of home above the local origin; 0 where it is not known.
     pub fn home_height_m(&self) -> f32 {
         self.home_ned_m().map_or(0.0, |home_ned_m| -home_ned_m.z)
@@ -130,7 +139,8 @@ impl Vehicle {
             | ATTITUDE_QUATERNION_DATA::ID
             | LOCAL_POSITION_NED_DATA::ID
             | GPS_GLOBAL_ORIGIN_DATA::ID
-            | HOME_POSITION_DATA::ID => match packet.message() {
+            | HOME_POSITION_DATA::ID
+            | POSITION_TARGET_GLOBAL_INT_DATA::ID => match packet.message() {
                 Ok(message) => self.message(now_ns, &message),
                 Err(_) => return false,
             },
@@ -195,6 +205,14 @@ impl Vehicle {
                 if let Some(origin) = Origin::from_integers(m.latitude, m.longitude, m.altitude) {
                     (self.origin, self.origin_told) = (Some(origin), true);
                 }
+            }
+            // In other modes the message tells what they fly to.
+            MavMessage::POSITION_TARGET_GLOBAL_INT(m)
+                if self.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Mission) =>
+            {
+                self.mission_place_deg = Origin::from_integers(m.lat_int, m.lon_int, 0)
+                    .filter(|place| place.latitude_deg != 0.0 || place.longitude_deg != 0.0)
+                    .map(|place| (place.latitude_deg, place.longitude_deg));
             }
             MavMessage::HOME_POSITION(m) => {
                 self.home = Some(Home {

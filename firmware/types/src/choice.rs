@@ -62,6 +62,7 @@ choices! {
         #[default]
         Fly = "fly": "guidance flies to goals when it is engaged",
         JustStop = "just-stop": "somebody else flies; the vehicle is told to hold before it hits something (docs/just-stop.md)",
+        FlyAround = "fly-around": "the same, and a mission that was stopped is flown around what is there and handed back",
     }
 
     /// What to do at the goal.

@@ -64,6 +64,8 @@ pub enum VehicleRequest {
     Land,
     /// Stop by its own means and hold its position: its flight is somebody else's, and is guarded.
     Hold(StopCause),
+    /// Go on with its mission.
+    Resume,
 }
 
 /// Why a guarded vehicle is stopped.
@@ -87,6 +89,12 @@ pub enum GuardNotice {
     Unguarded,
     /// Its position jumped: what was seen before is forgotten.
     Jumped,
+    /// Its mission was stopped, and guidance flies it around what is there.
+    FliesAround,
+    /// It goes on with its mission.
+    HandedBack,
+    /// Guidance could not take it, or the mission's next place is not known: it stays where it was stopped.
+    StaysStopped,
 }
 
 /// How far the vehicle is with [`VehicleRequest::FlyExternal`].

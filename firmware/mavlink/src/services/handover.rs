@@ -21,7 +21,7 @@ const EFFECT_NS: Nanos = 3_000_000_000;
 const TAKEOFF_EFFECT_NS: Nanos = 10_000_000_000;
 /// A land command that failed is asked again after this pause; there is nothing better to do.
 const LAND_PAUSE_NS: Nanos = 2_000_000_000;
-/// The same for a hold: something lies ahead.
+/// The same for the modes of a guarded flight: something lies ahead.
 const HOLD_PAUSE_NS: Nanos = 200_000_000;
 /// How far below the asked height a climb counts as finished: a tenth of it, at most this.
 const CLIMB_TOLERANCE_M: f32 = 0.3;
@@ -64,7 +64,8 @@ pub(crate) struct Handover {
     /// Whether the request of the last step was of this kind.
     flying: bool,
     landing: bool,
-    holding: bool,
+    /// Or the mode that it asked for.
+    asked_mode: Option<[f32; 3]>,
     streaming_since_ns: Option<Nanos>,
     /// A take-off was seen or accepted at this time and has not reached its height.
     climbing_since_ns: Option<Nanos>,
@@ -79,7 +80,7 @@ impl Handover {
             tracker: Tracker::default(),
             flying: false,
             landing: false,
-            holding: false,
+            asked_mode: None,
             streaming_since_ns: None,
             climbing_since_ns: None,
             failed_ns: None,
@@ -133,12 +134,16 @@ impl Handover {
                 }
                 self.land(now_ns, vehicle)
             }
-            VehicleRequest::Hold(_) => {
-                if !self.holding {
+            VehicleRequest::Hold(_) | VehicleRequest::Resume => {
+                let asked = match request {
+                    VehicleRequest::Resume => self.flavour.mission_mode(),
+                    _ => self.flavour.hold_mode(),
+                };
+                if self.asked_mode != Some(asked) {
                     self.end();
-                    self.holding = true;
+                    self.asked_mode = Some(asked);
                 }
-                let [base, main, sub] = self.flavour.hold_mode();
+                let [base, main, sub] = asked;
                 let mode = self.wanted(
                     command_number::DO_SET_MODE,
                     EFFECT_NS,
@@ -152,7 +157,7 @@ impl Handover {
     fn end(&mut self) {
         self.tracker.reset();
         self.progress = HandoverProgress::Idle;
-        (self.flying, self.landing, self.holding) = (false, false, false);
+        (self.flying, self.landing, self.asked_mode) = (false, false, None);
         self.climbing_since_ns = None;
         self.failed_ns = None;
     }
@@ -375,7 +380,7 @@ impl Service for HandoverService {
         ) {
             core.tell(out, &report::overdue_text(unfinished));
         }
-        if let (VehicleRequest::Hold(cause), false) = (step.request, self.handover.holding) {
+        if let (VehicleRequest::Hold(cause), None) = (step.request, self.handover.asked_mode) {
             core.tell(out, &report::hold_text(cause));
         }
         let action = self

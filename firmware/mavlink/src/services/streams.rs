@@ -12,7 +12,7 @@ use crate::vehicle::Vehicle;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HOME_POSITION_DATA,
-    LOCAL_POSITION_NED_DATA, SYS_STATUS_DATA,
+    LOCAL_POSITION_NED_DATA, POSITION_TARGET_GLOBAL_INT_DATA, SYS_STATUS_DATA,
 };
 use vigil_types::{Datagrams, Nanos};
 
@@ -38,8 +38,10 @@ struct Needed {
 /// Places in the table.
 const POSITION: usize = 0;
 const ATTITUDE: usize = 1;
+/// Wanted only by who flies a mission around something.
+const MISSION_PLACE: usize = 5;
 
-const NEEDED: [Needed; 5] = [
+const NEEDED: [Needed; 6] = [
     Needed {
         id: LOCAL_POSITION_NED_DATA::ID,
         or: LOCAL_POSITION_NED_DATA::ID,
@@ -89,6 +91,17 @@ const NEEDED: [Needed; 5] = [
         stream: 0,
         flies: false,
         of_ardupilot: true,
+    },
+    Needed {
+        id: POSITION_TARGET_GLOBAL_INT_DATA::ID,
+        or: POSITION_TARGET_GLOBAL_INT_DATA::ID,
+        name: "POSITION_TARGET_GLOBAL_INT",
+        interval_us: 500_000.0,
+        // Outside of missions there is none.
+        slow_ns: 5_000_000_000,
+        stream: 0,
+        flies: false,
+        of_ardupilot: false,
     },
 ];
 /// Where local origin and home are; asked for by turns until both are known.
@@ -196,6 +209,7 @@ pub(crate) struct Streams {
     restarts: u32,
     places_asked: u8,
     flavour: Flavour,
+    wants_mission_place: bool,
     /// To be told, once.
     slow: Option<Slow>,
     /// Questions because a message came too rarely, since start.
@@ -203,14 +217,19 @@ pub(crate) struct Streams {
 }
 
 impl Streams {
-    pub fn new() -> Self {
-        Self::of(Flavour::Px4)
+    pub fn new(wants_mission_place: bool) -> Self {
+        Self::of(Flavour::Px4, wants_mission_place)
     }
 
-    fn of(flavour: Flavour) -> Self {
+    fn of(flavour: Flavour, wants_mission_place: bool) -> Self {
+        let mut ask = [flavour == Flavour::ArduPilot; NEEDED.len()];
+        if let Some(ask) = ask.get_mut(MISSION_PLACE) {
+            *ask = wants_mission_place;
+        }
         Self {
             watched: [Watched::default(); NEEDED.len()],
-            ask: [flavour == Flavour::ArduPilot; NEEDED.len()],
+            ask,
+            wants_mission_place,
             asked_ns: 0,
             restarts: 0,
             places_asked: 0,
@@ -249,13 +268,16 @@ impl Streams {
             *self = Self {
                 restarts: vehicle.restarts,
                 slow_asked: self.slow_asked,
-                ..Self::of(vehicle.flavour())
+                ..Self::of(vehicle.flavour(), self.wants_mission_place)
             };
         }
         if !heard || vehicle.is_other_autopilot() || now_ns.saturating_sub(self.asked_ns) < PAUSE_NS {
             return None;
         }
         for ((needed, watched), ask) in NEEDED.iter().zip(&mut self.watched).zip(&mut self.ask) {
+            if needed.id == POSITION_TARGET_GLOBAL_INT_DATA::ID && !self.wants_mission_place {
+                continue;
+            }
             if needed.of_ardupilot && self.flavour != Flavour::ArduPilot {
                 continue;
             }
@@ -333,9 +355,9 @@ pub(crate) struct StreamService {
 }
 
 impl StreamService {
-    pub fn new(_: &CompanionConfig) -> Self {
+    pub fn new(config: &CompanionConfig) -> Self {
         Self {
-            streams: Streams::new(),
+            streams: Streams::new(config.wants_mission_place),
         }
     }
 }

@@ -24,6 +24,10 @@ pub enum Mode {
     Land,
     /// POSCTL or STABILIZE.
     Manual,
+    /// AUTO.MISSION or AUTO: north, at [`Peer::cruise_m_s`].
+    Mission,
+    /// BRAKE; a PX4 has no such mode.
+    Brake,
 }
 
 /// What a command is answered with instead of what is right.
@@ -55,6 +59,10 @@ pub struct Peer {
     pub east_m: f32,
     /// Above the local origin.
     pub height_m: f32,
+    /// What it reports; only missions and what stops them fly by it.
+    pub speed_north_m_s: f32,
+    /// In missions.
+    pub cruise_m_s: f32,
     /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
     pub setpoint_timeout_s: f32,
     /// VGL_OF_LOSS_T, seconds, of a vehicle that has it.
@@ -105,6 +113,8 @@ impl Peer {
             north_m: 0.0,
             east_m: 0.0,
             height_m: 0.0,
+            speed_north_m_s: 0.0,
+            cruise_m_s: 3.0,
             // What either autopilot ships with.
             setpoint_timeout_s: match flavour {
                 Flavour::Px4 => 1.0,
@@ -162,7 +172,10 @@ impl Peer {
 
     fn custom_mode(&self) -> u32 {
         match (self.flavour, self.mode) {
-            (Flavour::Px4, Mode::Loiter) => 4 << 16 | 3 << 24,
+            (Flavour::Px4, Mode::Mission) => 4 << 16 | 4 << 24,
+            (Flavour::ArduPilot, Mode::Mission) => 3,
+            (Flavour::ArduPilot, Mode::Brake) => 17,
+            (Flavour::Px4, Mode::Loiter | Mode::Brake) => 4 << 16 | 3 << 24,
             (Flavour::Px4, Mode::Takeoff) => 4 << 16 | 2 << 24,
             (Flavour::Px4, Mode::External) => 6 << 16,
             (Flavour::Px4, Mode::Land) => 4 << 16 | 6 << 24,
@@ -222,6 +235,7 @@ impl Peer {
                 x: self.north_m,
                 y: self.east_m,
                 z: -self.height_m,
+                vx: self.speed_north_m_s,
                 ..Default::default()
             }));
         }
@@ -318,8 +332,17 @@ impl Peer {
                     self.armed = false;
                 }
             }
+            Mode::Mission => self.gain(self.cruise_m_s),
+            Mode::Loiter | Mode::Brake => self.gain(0.0),
             _ => {}
         }
+    }
+
+    /// Flies north; 2.5 m/s² to another speed.
+    fn gain(&mut self, wanted_m_s: f32) {
+        let most_m_s = 2.5 * STEP_S;
+        self.speed_north_m_s += (wanted_m_s - self.speed_north_m_s).clamp(-most_m_s, most_m_s);
+        self.north_m += self.speed_north_m_s * STEP_S;
     }
 
     pub fn receive(&mut self, now_ns: Nanos, datagram: &[u8]) {
@@ -462,11 +485,19 @@ impl Peer {
                     (self.mode, self.failsafe) = (Mode::External, false);
                     ACCEPTED
                 }
+                (4.0, 3.0) => {
+                    self.mode = Mode::Loiter;
+                    ACCEPTED
+                }
                 _ => DENIED,
             },
             176 => match (c.param1, c.param2) {
                 (1.0, 4.0) => {
                     self.mode = Mode::External;
+                    ACCEPTED
+                }
+                (1.0, 17.0) => {
+                    self.mode = Mode::Brake;
                     ACCEPTED
                 }
                 _ => DENIED,

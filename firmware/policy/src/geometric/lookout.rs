@@ -6,8 +6,12 @@ use crate::geometric::range_scan::{RangeScan, Scan};
 use crate::{PilotInput, smaller};
 use vigil_types::{Nanos, NedVector};
 
-/// Kept between the vehicle's middle and what is remembered, squared cells: 0.50 m, its radius of 0.30 m and a cell's error.
-const KEEP_CLEAR_SQUARED_CELLS: u8 = 4;
+/// Kept between the vehicle's middle and what is remembered, cells: 0.50 m, its radius of 0.30 m and a cell's error.
+const KEEP_CLEAR_CELLS: f32 = 2.0;
+/// And more for what is farther ahead, cells a metre: the velocity turns, and drifts, by some 0.1 rad before the vehicle is there.
+const WIDENS_CELLS_PER_M: f32 = 0.4;
+/// The most that the grid's clearance tells is 6.
+const WIDEST_CELLS: f32 = 4.0;
 /// The course is looked at this often, metres: no cell is passed over.
 const LOOK_EVERY_M: f32 = CELL_M / 2.0;
 /// Farther than this nothing is entered into the grid.
@@ -53,11 +57,15 @@ impl Lookout {
             self.grid
                 .clearance_squared_at(here_ned_m.x + north * ahead_m, here_ned_m.y + east * ahead_m)
         };
-        let keep = clearance(0.0).min(KEEP_CLEAR_SQUARED_CELLS);
+        let here = clearance(0.0);
+        let keep = |ahead_m: f32| {
+            let cells = smaller(KEEP_CLEAR_CELLS + WIDENS_CELLS_PER_M * ahead_m, WIDEST_CELLS);
+            here.min((cells * cells) as u8)
+        };
         let looks = (smaller(reach_m, FARTHEST_M) / LOOK_EVERY_M) as usize;
         (1..=looks)
             .map(|look| look as f32 * LOOK_EVERY_M)
-            .find(|ahead_m| clearance(*ahead_m) < keep)
+            .find(|ahead_m| clearance(*ahead_m) < keep(*ahead_m))
     }
 
     /// The surroundings as they were last seen.

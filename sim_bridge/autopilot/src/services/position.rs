@@ -1,16 +1,17 @@
 //! Where the vehicle is and how fast: local, global, height, heads-up display, odometry; and what OFFBOARD flies.
 
 use crate::core::Core;
-use crate::flight::position_target;
+use crate::flight::{FlightMode, position_target};
 use crate::geo;
+use crate::plan::MissionItem;
 use crate::service::{Build, Produced, Service};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     ALTITUDE_DATA, GLOBAL_POSITION_INT_DATA, LOCAL_POSITION_NED_DATA, MavEstimatorType, MavFrame, ODOMETRY_DATA,
-    POSITION_TARGET_LOCAL_NED_DATA, VFR_HUD_DATA,
+    POSITION_TARGET_GLOBAL_INT_DATA, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask, VFR_HUD_DATA,
 };
 use vigil_mavlink::mavlink::MessageData;
-use vigil_types::Attitude;
+use vigil_types::{Attitude, NedVector};
 
 pub(crate) struct Position;
 
@@ -46,6 +47,12 @@ impl Service for Position {
                 id: POSITION_TARGET_LOCAL_NED_DATA::ID,
                 rate_hz: [0.0, 5.0, 2.0],
                 build: Build::From(target),
+            },
+            Produced {
+                id: POSITION_TARGET_GLOBAL_INT_DATA::ID,
+                // On request.
+                rate_hz: [0.0; 3],
+                build: Build::From(mission_place),
             },
         ]
     }
@@ -143,4 +150,30 @@ fn odometry(core: &Core) -> Option<MavMessage> {
 /// The setpoint in force; nothing while the vehicle flies by itself.
 fn target(core: &Core) -> Option<MavMessage> {
     position_target(core).map(MavMessage::POSITION_TARGET_LOCAL_NED)
+}
+
+/// Where the mission's current leg leads, as PX4 tells its current position setpoint; nothing outside of missions.
+fn mission_place(core: &Core) -> Option<MavMessage> {
+    let Some(MissionItem::Leg(leg)) = core.plans.mission.item() else {
+        return None;
+    };
+    let (north_m, east_m) = leg
+        .place
+        .north_east_m
+        .filter(|_| core.commander.mode() == FlightMode::Mission)?;
+    let here = core.view.estimate.position_ned_m;
+    let place = NedVector::new(north_m, east_m, leg.place.height_m.map_or(here.z, |height_m| -height_m));
+    let (lat, lon, alt_m) = geo::to_global(&core.home, place);
+    Some(MavMessage::POSITION_TARGET_GLOBAL_INT(
+        POSITION_TARGET_GLOBAL_INT_DATA {
+            time_boot_ms: core.time_boot_ms(),
+            lat_int: geo::deg_e7(lat),
+            lon_int: geo::deg_e7(lon),
+            alt: alt_m as f32,
+            // A position alone.
+            type_mask: PositionTargetTypemask::from_bits_truncate(0xDF8),
+            coordinate_frame: MavFrame::MAV_FRAME_GLOBAL,
+            ..Default::default()
+        },
+    ))
 }
