@@ -6,6 +6,10 @@
 
 use crate::lstm_ad::{LstmAd, ROW};
 use crate::{DeepShap, ShapError};
+use alloc::borrow::ToOwned;
+use alloc::string::{String, ToString};
+use alloc::vec::Vec;
+#[cfg(feature = "std")]
 use std::path::Path;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
@@ -230,6 +234,7 @@ impl FrozenDetector {
     ///
     /// # Errors
     /// [`FileError`]: what a reader would refuse, parameters of another length.
+    #[cfg(feature = "std")]
     pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
         self.check("to be written")?;
         self.contents().to_bytes(self.kind())
@@ -284,6 +289,7 @@ impl FrozenDetector {
     ///
     /// # Errors
     /// [`FileError`].
+    #[cfg(feature = "std")]
     pub fn load(path: &Path) -> Result<Self, FileError> {
         Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
     }
@@ -292,6 +298,7 @@ impl FrozenDetector {
     ///
     /// # Errors
     /// [`FileError`].
+    #[cfg(feature = "std")]
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         KIND.save(path, &self.to_bytes()?)
     }

@@ -1,5 +1,8 @@
 //! LSTM-AD: says from ten steps' explanations whether somebody is altering the actor's frames.
 
+use alloc::borrow::ToOwned;
+use alloc::string::String;
+use alloc::vec::Vec;
 use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Lstm, Purpose, ShapeError};
 use vigil_policy::actor::ACTOR_HIDDEN;
 

@@ -2,6 +2,9 @@
 
 use crate::lstm_ad::{LstmAd, ROW, WINDOW, normalise, row_of};
 use crate::{DeepShap, FrozenDetector, ShapError};
+use alloc::borrow::ToOwned;
+use alloc::string::String;
+use alloc::vec::Vec;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::ExplainedHead;
 use vigil_policy::actor::{GOAL_INPUTS, PositionalInputs};

@@ -1,5 +1,6 @@
 //! DeepSHAP: what each input contributed to an output, against a background sample.
 
+use alloc::vec::Vec;
 use vigil_nnet::{Graph, Isa, Purpose, ShapeError};
 
 /// Why there is no explanation.
@@ -175,6 +176,7 @@ impl DeepShap {
     ///
     /// # Errors
     /// As [`Self::attribute`].
+    #[cfg(feature = "std")]
     pub fn attribute_on_threads(&self, output: usize, threads: usize, phi: &mut [f32]) -> Result<(), ShapError> {
         let mut seed = vec![0.0; self.seed.len()];
         self.seed(output, phi, &mut seed)?;

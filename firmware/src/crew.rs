@@ -1,15 +1,15 @@
 //! Who flies, and what watches it: made and verified before anything flies.
 
-use crate::config::FirmwareConfig;
-use crate::step::StackError;
-use std::path::Path;
-use vigil_detector::{FrozenDetector, Monitor};
+use alloc::boxed::Box;
+use vigil_detector::Monitor;
+use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_nnet::{Isa, Purpose};
-use vigil_policy::{
-    ActorPilot, FlightPilot, FrozenActor, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot,
+use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot};
+#[cfg(feature = "std")]
+use {
+    crate::config::FirmwareConfig, crate::step::StackError, std::path::Path, vigil_detector::FrozenDetector,
+    vigil_nnet::Purpose, vigil_policy::FrozenActor, vigil_types::PilotKind,
 };
-use vigil_types::PilotKind;
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
 pub struct Crew {
@@ -42,11 +42,38 @@ impl Crew {
         }
     }
 
+    /// A learned pilot, alone or watched by `monitor`, the guard or both; `field` adds the potential field to it.
+    ///
+    /// # Errors
+    /// Parameters of another length.
+    pub fn learned(
+        isa: Isa,
+        frozen: &FrozenPilot,
+        field: bool,
+        monitor: Option<Box<Monitor>>,
+        watched: bool,
+    ) -> Result<Self, FileError> {
+        let inputs = frozen.inputs();
+        let leads = inputs.led_by == LedBy::Path && inputs.told_of_movers;
+        Ok(Self {
+            pilot: match frozen {
+                FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, field)),
+                FrozenPilot::Imported(policy) => FlightPilot::Imported(policy.pilot(isa, field)?),
+            },
+            monitor,
+            recovery: Some(Box::default()),
+            watched,
+            led_by: inputs.led_by,
+            leader: leads.then(|| Box::new(GeometricPilot::new(GeometricConfig::default()))),
+        })
+    }
+
     /// The crew of a configuration.
     ///
     /// # Errors
     /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name. A
     /// detector or a guard that was asked for where no actor flies.
+    #[cfg(feature = "std")]
     pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
         for (asked_for, is_there, what) in [
             (config.detector.enabled, config.has_detector(), "detector"),
@@ -77,23 +104,12 @@ impl Crew {
                 Some(Box::new(monitor))
             }
         };
-        let inputs = frozen.inputs();
-        let (watched, led_by) = (config.is_watched(), inputs.led_by);
-        let leads = led_by == LedBy::Path && inputs.told_of_movers;
-        Ok(Self {
-            pilot: match frozen {
-                FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, config.pilot.apf)),
-                FrozenPilot::Imported(policy) => FlightPilot::Imported(policy.pilot(isa, config.pilot.apf)?),
-            },
-            monitor,
-            recovery: Some(Box::default()),
-            watched,
-            led_by,
-            leader: leads.then(|| Box::new(GeometricPilot::new(GeometricConfig::default()))),
-        })
+        let watched = config.is_watched();
+        Ok(Self::learned(isa, &frozen, config.pilot.apf, monitor, watched)?)
     }
 }
 
+#[cfg(feature = "std")]
 fn named(file: Option<&Path>) -> String {
     file.map_or_else(
         || "built into this program".to_owned(),
@@ -101,6 +117,7 @@ fn named(file: Option<&Path>) -> String {
     )
 }
 
+#[cfg(feature = "std")]
 impl FirmwareConfig {
     /// The actor or imported policy that is to fly; `None` when another pilot is.
     ///

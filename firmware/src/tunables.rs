@@ -122,6 +122,7 @@ impl Tunables {
     }
 
     /// The table of a firmware with everything that can be set.
+    #[cfg(feature = "std")]
     pub fn full_table(config: &StackConfig) -> Parameters {
         let mut full = Self::of(config, Some(0.0), true);
         full.duty = Some(config.duty);

@@ -9,14 +9,14 @@ use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 use core::str::FromStr;
-use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
-use std::collections::HashMap;
-use std::path::Path;
-use vigil_files::Access;
+#[cfg(feature = "std")]
+use {safetensors::tensor::TensorView, std::collections::HashMap, std::path::Path, vigil_files::Access};
 
 const DIGEST: &str = "sha256";
 /// The networks that fly have 0.2 to 2 MB.
+#[cfg(feature = "std")]
 const SIZE_LIMIT: u64 = 64 << 20;
 
 /// What a file must be.
@@ -45,6 +45,7 @@ pub struct Tensor {
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
     /// It cannot be read or written.
+    #[cfg(feature = "std")]
     #[error("cannot access {noun} {file}: {source}")]
     Access {
         /// What it should be.
@@ -154,6 +155,7 @@ impl Kind {
     ///
     /// # Errors
     /// [`FileError::Access`].
+    #[cfg(feature = "std")]
     pub fn load(&self, path: &Path) -> Result<Vec<u8>, FileError> {
         vigil_files::read(path, SIZE_LIMIT).map_err(|source| self.access_error(path, source))
     }
@@ -162,10 +164,12 @@ impl Kind {
     ///
     /// # Errors
     /// [`FileError::Access`].
+    #[cfg(feature = "std")]
     pub fn save(&self, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
         vigil_files::replace(path, bytes, Access::Shared).map_err(|source| self.access_error(path, source))
     }
 
+    #[cfg(feature = "std")]
     fn access_error(&self, path: &Path, source: std::io::Error) -> FileError {
         FileError::Access {
             noun: self.noun,
@@ -236,6 +240,7 @@ impl Contents {
     ///
     /// # Errors
     /// A tensor whose values do not fill its shape or are not finite.
+    #[cfg(feature = "std")]
     pub fn to_bytes(&self, kind: &Kind) -> Result<Vec<u8>, FileError> {
         const FILE: &str = "to be written";
         self.check(kind, FILE)?;

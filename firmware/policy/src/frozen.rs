@@ -1,14 +1,19 @@
 //! A learned pilot's file, of our own architecture or imported, and what detectors and adversaries need of either.
 
+extern crate alloc;
+#[cfg(feature = "std")]
 extern crate std;
 
 use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, PositionalInputs};
-use crate::imported::{Channels, Head, POLICY_FORMAT};
+#[cfg(feature = "std")]
+use crate::imported::POLICY_FORMAT;
+use crate::imported::{Channels, Head};
 use crate::{ActorInputs, FrozenActor, FrozenPolicy, ImportedPilot};
-use std::boxed::Box;
+use alloc::boxed::Box;
+use alloc::string::String;
+use alloc::vec::Vec;
+#[cfg(feature = "std")]
 use std::path::Path;
-use std::string::String;
-use std::vec::Vec;
 use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Graph, Isa, Purpose, ShapeError};
 use vigil_types::Action;
@@ -55,6 +60,7 @@ impl FrozenPilot {
     ///
     /// # Errors
     /// [`FileError`]: what is truncated, altered or of another architecture, by name.
+    #[cfg(feature = "std")]
     pub fn load(path: &Path) -> Result<Self, FileError> {
         match FrozenActor::load(path) {
             Err(FileError::Other {
@@ -68,6 +74,7 @@ impl FrozenPilot {
     ///
     /// # Errors
     /// As [`Self::load`].
+    #[cfg(feature = "std")]
     pub fn load_or_built_in(path: Option<&Path>) -> Result<Self, FileError> {
         match path {
             Some(path) => Self::load(path),

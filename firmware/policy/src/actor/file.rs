@@ -4,16 +4,19 @@
 //! `seed`, `updates`, `git_commit`, `sha256`, `frame_ages` where the five frames are not in a row, and `led_by` where it is not the
 //! goal whose bearing it is given; tensors in the order of [`ActorParams`](crate::actor::ActorParams).
 
+extern crate alloc;
+#[cfg(feature = "std")]
 extern crate std;
 
 use crate::ExplainedHead;
 use crate::actor::{ACTOR_HIDDEN, Actor, ActorInputs, ActorSpec, FRAMES_IN_A_ROW, LedBy};
-use std::borrow::ToOwned;
-use std::format;
+use alloc::borrow::ToOwned;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec;
+use alloc::vec::Vec;
+#[cfg(feature = "std")]
 use std::path::Path;
-use std::string::{String, ToString};
-use std::vec;
-use std::vec::Vec;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{Isa, Purpose};
 
@@ -168,6 +171,7 @@ impl FrozenActor {
     ///
     /// # Errors
     /// Parameters of another length, or not finite.
+    #[cfg(feature = "std")]
     pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
         self.contents().to_bytes(self.kind())
     }
@@ -213,6 +217,7 @@ impl FrozenActor {
     ///
     /// # Errors
     /// [`FileError`].
+    #[cfg(feature = "std")]
     pub fn load(path: &Path) -> Result<Self, FileError> {
         Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
     }
@@ -221,6 +226,7 @@ impl FrozenActor {
     ///
     /// # Errors
     /// [`FileError`].
+    #[cfg(feature = "std")]
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         KIND.save(path, &self.to_bytes()?)
     }

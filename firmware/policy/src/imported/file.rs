@@ -1,15 +1,18 @@
 //! Files of imported policies: the network's layers, how it is given what we have, and its parameters, sealed as an actor's.
 
+extern crate alloc;
+#[cfg(feature = "std")]
 extern crate std;
 
 use super::network::{Network, NetworkError};
 use super::pilot::{Channels, Depth, ImportedPilot, PolicyInputs};
 use super::split::Head;
-use std::format;
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec;
+use alloc::vec::Vec;
+#[cfg(feature = "std")]
 use std::path::Path;
-use std::string::{String, ToString};
-use std::vec;
-use std::vec::Vec;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 
@@ -80,6 +83,7 @@ impl FrozenPolicy {
     ///
     /// # Errors
     /// Parameters that are not finite.
+    #[cfg(feature = "std")]
     pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
         self.contents().to_bytes(&KIND)
     }
@@ -164,6 +168,7 @@ impl FrozenPolicy {
     ///
     /// # Errors
     /// [`FileError`].
+    #[cfg(feature = "std")]
     pub fn load(path: &Path) -> Result<Self, FileError> {
         Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
     }
@@ -172,6 +177,7 @@ impl FrozenPolicy {
     ///
     /// # Errors
     /// [`FileError`].
+    #[cfg(feature = "std")]
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         KIND.save(path, &self.to_bytes()?)
     }
