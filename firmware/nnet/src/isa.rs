@@ -9,7 +9,10 @@ pub struct Isa(pub(crate) Level);
 
 /// The kernels there are. On a target without vector kernels of its own only [`Level::Portable`] exists in practice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(not(feature = "std"), allow(dead_code, reason = "only detection makes the others"))]
+#[cfg_attr(
+    not(feature = "std"),
+    allow(dead_code, reason = "only detection makes some of the others")
+)]
 pub(crate) enum Level {
     /// Multiply, then add, four lanes at a time in whatever the target's baseline offers.
     Portable,
@@ -19,14 +22,17 @@ pub(crate) enum Level {
     /// 512-bit vectors with fused multiply-add and lane masks.
     #[cfg(target_arch = "x86_64")]
     Avx512,
+    /// 128-bit vectors with fused multiply-add, which every 64-bit ARM processor has.
+    #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+    Neon,
 }
 
 impl Isa {
     /// Runs everywhere.
     pub const PORTABLE: Self = Self(Level::Portable);
 
-    /// The fastest kernels for this processor. Call it once at start and pass the value on.
-    #[cfg(feature = "std")]
+    /// The fastest kernels for this processor; without `std` those that every processor of the target has. Call it once at start and
+    /// pass the value on.
     pub fn detect() -> Self {
         let mut best = Self::PORTABLE;
         for isa in Self::available() {
@@ -36,9 +42,8 @@ impl Isa {
     }
 
     /// All kernels that this processor can run, slowest first.
-    #[cfg(feature = "std")]
     pub fn available() -> impl Iterator<Item = Self> {
-        #[cfg(target_arch = "x86_64")]
+        #[cfg(all(target_arch = "x86_64", feature = "std"))]
         let vectors = {
             let avx2 = std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma");
             // The AVX-512 kernels are compiled with AVX2 and FMA as well, for what is not 512 bits wide.
@@ -48,7 +53,12 @@ impl Isa {
                 avx512.then_some(Self(Level::Avx512)),
             ]
         };
-        #[cfg(not(target_arch = "x86_64"))]
+        #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+        let vectors = [Some(Self(Level::Neon))];
+        #[cfg(not(any(
+            all(target_arch = "x86_64", feature = "std"),
+            all(target_arch = "aarch64", target_feature = "neon")
+        )))]
         let vectors: [Option<Self>; 0] = [];
         core::iter::once(Self::PORTABLE).chain(vectors.into_iter().flatten())
     }
@@ -61,6 +71,8 @@ impl Isa {
             Level::Avx2Fma => "avx2+fma",
             #[cfg(target_arch = "x86_64")]
             Level::Avx512 => "avx512",
+            #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+            Level::Neon => "neon",
         }
     }
 }

@@ -4,8 +4,8 @@
 //! is one or a few [`Product`]s. A product checks, before it touches memory, that the furthest elements its strides can
 //! reach lie inside the slices it was given; the tiles below it work on raw pointers within that range.
 //!
-//! Each output is summed in the same order on every instruction set and for every tile shape, so AVX2 and AVX-512 give
-//! the same bits (both fuse), and the portable kernels differ from them only by the rounding of each product.
+//! Each output is summed in the same order on every instruction set and for every tile shape, so AVX2, AVX-512 and NEON
+//! give the same bits (all fuse), and the portable kernels differ from them only by the rounding of each product.
 
 #![allow(unsafe_code)]
 
@@ -26,11 +26,18 @@ pub(crate) trait Task {
 /// `a · b + c`, rounded once if `FUSED`.
 #[inline(always)]
 pub(crate) fn mul_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
-    // Without `std` there is no detection, hence no instruction set that fuses.
     #[cfg(feature = "std")]
     if FUSED {
         return a.mul_add(b, c);
     }
+    // `core` has no fused multiply-add of numbers, but the processor's own, which vectorises as well.
+    #[cfg(all(not(feature = "std"), target_arch = "aarch64", target_feature = "neon"))]
+    if FUSED {
+        use core::arch::aarch64::{vdup_n_f32, vfmas_lane_f32};
+        // SAFETY: the target has NEON.
+        return unsafe { vfmas_lane_f32::<0>(c, a, vdup_n_f32(b)) };
+    }
+    // Elsewhere there is no detection without `std`, hence no instruction set that fuses.
     a * b + c
 }
 
@@ -45,6 +52,8 @@ pub(crate) fn run<T: Task>(isa: Isa, task: T) {
         // SAFETY: as above.
         #[cfg(target_arch = "x86_64")]
         Level::Avx512 => unsafe { run_avx512(task) },
+        #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+        Level::Neon => task.run::<true>(),
     }
 }
 

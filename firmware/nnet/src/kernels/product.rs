@@ -1,5 +1,7 @@
 //! The product kernel.
 
+#[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+use super::simd::Neon;
 #[cfg(target_arch = "x86_64")]
 use super::simd::{Avx2Fma, Avx512};
 use super::simd::{Portable, Simd};
@@ -113,6 +115,8 @@ impl Product {
                 Level::Avx2Fma => tiles.all::<Avx2Fma>(),
                 #[cfg(target_arch = "x86_64")]
                 Level::Avx512 => tiles.all::<Avx512>(),
+                #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+                Level::Neon => tiles.all::<Neon>(),
             }
         }
         Ok(())

@@ -1,4 +1,4 @@
-//! Vectors of three widths behind one trait.
+//! Vectors of several widths behind one trait.
 
 use super::product::Tiles;
 
@@ -41,7 +41,7 @@ pub(super) trait Simd: Sized {
     unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize);
 }
 
-/// Four lanes of plain Rust: SSE2 or NEON registers after optimisation.
+/// Four lanes of plain Rust: the registers of the target's baseline after optimisation.
 pub(super) struct Portable;
 
 impl Simd for Portable {
@@ -260,6 +260,84 @@ mod x86 {
         }
 
         #[target_feature(enable = "avx512f,avx2,fma")]
+        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+            // SAFETY: the caller's.
+            unsafe { tiles.strip::<Self, R>(row, col) }
+        }
+    }
+}
+
+#[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+pub(super) use arm::Neon;
+
+#[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
+mod arm {
+    use super::{Portable, Simd, Tiles};
+    use core::arch::aarch64::*;
+
+    /// Four lanes; thirty-two registers.
+    pub(in super::super) struct Neon;
+
+    // SAFETY of the bodies below: the target has NEON; the trait's contract gives the valid lanes.
+    impl Simd for Neon {
+        type V = float32x4_t;
+        const LANES: usize = 4;
+        const ROWS_2: usize = 8;
+        const ROWS_1: usize = 8;
+        const CONSTANT: bool = false;
+
+        #[inline(always)]
+        unsafe fn splat(x: f32) -> Self::V {
+            unsafe { vdupq_n_f32(x) }
+        }
+
+        #[inline(always)]
+        unsafe fn load(p: *const f32) -> Self::V {
+            unsafe { vld1q_f32(p) }
+        }
+
+        #[inline(always)]
+        unsafe fn store(p: *mut f32, v: Self::V) {
+            unsafe { vst1q_f32(p, v) }
+        }
+
+        #[inline(always)]
+        unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
+            unsafe {
+                let lanes = Portable::load_first(p, n);
+                vld1q_f32(lanes.as_ptr())
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
+            let mut lanes = [0.0; 4];
+            unsafe {
+                vst1q_f32(lanes.as_mut_ptr(), v);
+                Portable::store_first(p, lanes, n);
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+            unsafe { vfmaq_f32(c, a, b) }
+        }
+
+        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+            tiles: &Tiles,
+            row: usize,
+            col: usize,
+            last: usize,
+        ) {
+            // SAFETY: the caller's.
+            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+        }
+
+        unsafe fn square(tiles: &Tiles) {
+            // SAFETY: the caller's.
+            unsafe { tiles.square::<Self>() }
+        }
+
         unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
             // SAFETY: the caller's.
             unsafe { tiles.strip::<Self, R>(row, col) }
