@@ -7,14 +7,16 @@ from pathlib import Path
 
 from vigil_cluster.campaign import Campaign, CampaignError
 
+# Commands of two words, by the first.
+MORE = {"attack": ["completion", "search", "defended"], "detector": ["collect"]}
 EPILOG = """\
 Examples:
   vigil-cluster evaluate --flights 500 --seed 1000000 -o runs/a.json           Ray in this process, all cores
   vigil-cluster evaluate --flights 100000 -o runs/big.json --address auto      the cluster that this machine belongs to
   vigil-cluster attack completion --flights 200 -o runs/completion.json        ray://HOST:10001 is an address, too
 
-All other arguments are those of `vigil evaluate`, `vigil attack completion`, `search` or `defended`. The program and the
-files that the arguments name are sent along. The parts stay in FILE's folder as FILE.parts; after an interruption the same
+All other arguments are those of `vigil evaluate`, `vigil attack completion`, `search` or `defended`, `vigil detector
+collect`. The program and the files that the arguments name are sent along. The parts stay in FILE's folder as FILE.parts; after an interruption the same
 command goes on with them. The result is, byte for byte, what one machine writes. docs/cluster.md explains it.
 
 Exit code: 0 the whole was written, 1 error, 130 interrupted."""
@@ -29,7 +31,7 @@ def main(arguments=None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("command", choices=["evaluate", "attack"], help="as in vigil; attack takes completion, search or defended")
+    parser.add_argument("command", choices=["evaluate", "attack", "detector"], help="as in vigil; with what follows it")
     parser.add_argument("-o", "--output", "--json", type=Path, required=True, metavar="FILE", help="where the whole goes")
     parser.add_argument("--address", help="the Ray cluster; absent: Ray is started in this process")
     parser.add_argument("--shards", type=int, metavar="N", help="parts [default: so that each has 20 flights]")
@@ -38,9 +40,9 @@ def main(arguments=None) -> int:
     parser.add_argument("--installed", action="store_true", help="it is at the same place on every node: send nothing")
     own, rest = parser.parse_known_args(arguments)
     command = [own.command]
-    if own.command == "attack":
-        if not rest or rest[0] not in ("completion", "search", "defended"):
-            parser.error("attack takes completion, search or defended")
+    if own.command in MORE:
+        if not rest or rest[0] not in MORE[own.command]:
+            parser.error(f"{own.command} takes {' or '.join(MORE[own.command])}")
         command.append(rest.pop(0))
     if own.shards is not None and own.shards < 1:
         parser.error("--shards is a number above 0")

@@ -92,7 +92,8 @@ def _fly(program, files: dict, command: list, arguments: list, shard: str) -> by
 class Campaign:
     """What to fly, and where its whole goes.
 
-    `command` is `["evaluate"]` or `["attack", …]` with `completion`, `search` or `defended`; `arguments` are that command's.
+    `command` is `["evaluate"]`, `["attack", …]` with `completion`, `search` or `defended`, or `["detector", "collect"]`;
+    `arguments` are that command's.
     `address` is Ray's: none starts Ray in this process, `auto` joins the cluster of this machine. Raises CampaignError.
     """
 
@@ -124,7 +125,7 @@ class Campaign:
             name, _, given = name.partition("=")
             if name == "--flights" and (given or value).isdigit():
                 return int(given or value)
-        return 100 if self.command == ["evaluate"] else 40
+        return {"evaluate": 100, "detector": 600}.get(self.command[0], 40)
 
     @property
     def parts(self) -> Path:

@@ -1,5 +1,7 @@
 //! `vigil detector`: data for the detectors, their training, and how well they detect.
 
+use crate::campaign::part::Shard;
+use crate::cli::collected_parts::{self, GatheredSet};
 use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
     Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Record,
@@ -40,6 +42,7 @@ Examples:
   vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
   vigil detector times                      how long deciding, explaining and judging take
   vigil detector collect --actor my.safetensors -o runs/mine
+  vigil detector collect -o runs/a --shard 2/4      a quarter of the flights, on another machine; then vigil merge
 
 But for figures and times, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
 pub struct DetectorArgs {
@@ -66,6 +69,13 @@ enum DetectorCommand {
         /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
         #[arg(long, default_value_t = 15_000, value_parser = clap::value_parser!(u64).range(100..))]
         windows: u64,
+        /// Fly part K of N only and leave it in the folder as collect.K-of-N.part.json; `vigil merge` makes the files of all parts.
+        #[arg(long, value_name = "K/N")]
+        shard: Option<Shard>,
+        /// With --shard: flights to learn from that all parts together fly; those that are not needed are left out of the whole
+        /// [default: one for 30 windows].
+        #[arg(long, requires = "shard", value_parser = clap::value_parser!(u64).range(1..))]
+        flights: Option<u64>,
     },
     /// Train LSTM-AD and freeze it.
     Train {
@@ -195,6 +205,22 @@ pub(crate) struct TimeRow {
 /// The sets of an evaluation, and the flights of each.
 type JudgedFlights = (Vec<Set>, Vec<Vec<Record>>);
 
+/// Attacked windows of a flight, fewer than any actor had so far (45): the parts are to be enough.
+const WINDOWS_PER_FLIGHT: u64 = 30;
+
+/// The flights that are learned from, and those that choose the epoch.
+fn gathered_sets(windows: usize) -> [GatheredSet; 2] {
+    let set = |file: &str, first_seed, windows| GatheredSet {
+        file: file.to_owned(),
+        first_seed,
+        windows,
+    };
+    [
+        set("learn.safetensors", LEARN_SEED, windows),
+        set("choose.safetensors", CHOOSE_SEED, windows / 5),
+    ]
+}
+
 /// What every stage needs.
 struct Stage<'a> {
     isa: Isa,
@@ -216,7 +242,17 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
     let pool = thread_pool_of(args.threads)?;
     // What can be interrupted tells by its exit code whether it was.
     match &args.command {
-        DetectorCommand::Collect { windows } => return pool.install(|| stage.collect(*windows as usize)),
+        DetectorCommand::Collect {
+            windows,
+            shard: Some(shard),
+            flights,
+        } => {
+            let flights = flights.unwrap_or(windows.div_ceil(WINDOWS_PER_FLIGHT));
+            let pilot = (stage.isa, &stage.pilot);
+            let sets = gathered_sets(*windows as usize).into();
+            return collected_parts::fly_shard(pilot, sets, (*shard, flights), stage.folder, &pool);
+        }
+        DetectorCommand::Collect { windows, .. } => return pool.install(|| stage.collect(*windows as usize)),
         DetectorCommand::Images {
             states,
             judged,
@@ -283,18 +319,16 @@ impl Stage<'_> {
 
     fn collect(&self, windows: usize) -> Result<ExitCode> {
         let interrupt = Interrupt::on_ctrl_c()?;
-        for (name, seed, count) in [
-            ("learn.safetensors", LEARN_SEED, windows),
-            ("choose.safetensors", CHOOSE_SEED, windows / 5),
-        ] {
+        for set in gathered_sets(windows) {
+            let (name, seed) = (set.file.as_str(), set.first_seed);
             let want = Counts {
-                attacked: count,
-                unattacked: count,
+                attacked: set.windows,
+                unattacked: set.windows,
             };
             let flights = match self.kept(name)? {
                 Some(flights) => flights,
                 None => {
-                    let bar = Progress::new(count as u64, "attacked windows")?;
+                    let bar = Progress::new(want.attacked as u64, "attacked windows")?;
                     let part = format!("{name}.part");
                     let begun = self.kept(&part)?.map_or_else(Vec::new, |flights| flights.records);
                     let (flights, complete) = crate::detector_training::collect(

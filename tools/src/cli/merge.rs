@@ -2,7 +2,7 @@
 
 use crate::attack_campaigns;
 use crate::campaign::part;
-use crate::cli::{evaluate, output};
+use crate::cli::{collected_parts, evaluate, output};
 use anyhow::{Context, Result, bail, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -14,8 +14,9 @@ Examples:
   vigil evaluate --flights 500 -o runs/a.json --shard 1/2   on one machine
   vigil evaluate --flights 500 -o runs/a.json --shard 2/2   on another
   vigil merge runs/a.*.part.json -o runs/a.json             what one machine would have written, byte for byte
+  vigil merge runs/mine -o runs/mine/learn.safetensors      what `vigil detector collect` gathers, choose.safetensors beside it
 
-Parts of `vigil evaluate`, `vigil attack completion`, `search` and `defended`, in any order; the same part twice does no
+Parts of `vigil evaluate`, `vigil attack completion`, `search` and `defended`, and `vigil detector collect`, in any order; the same part twice does no
 harm; a folder stands for all *.part.json in it. Refused are parts of another campaign, actor or program, parts that
 contradict each other, and too few of them: the message says which are missing. The parts are kept. docs/cluster.md has lines for SLURM, GNU parallel and Ray.
 
@@ -40,6 +41,7 @@ pub fn run(args: &MergeArgs) -> Result<ExitCode> {
     let first = parts.first().context("name the parts")?;
     match part::command_of(first)?.as_str() {
         evaluate::COMMAND => evaluate::merge(&parts, &args.json),
+        collected_parts::COMMAND => collected_parts::merge(&parts, &args.json),
         other => match attack_campaigns::merge(other, &parts, &args.json) {
             Some(merged) => merged,
             None => bail!(

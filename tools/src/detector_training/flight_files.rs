@@ -34,7 +34,8 @@ pub struct Counts {
 }
 
 impl Counts {
-    fn add(&mut self, record: &Record) {
+    /// Adds a flight's.
+    pub fn add(&mut self, record: &Record) {
         for step in WINDOW - 1..record.steps.len() {
             match Class::of(record, step) {
                 Class::Attacked => self.attacked += 1,
@@ -42,6 +43,11 @@ impl Counts {
                 Class::Weak | Class::Lingering => {}
             }
         }
+    }
+
+    /// Whether there are as many of both as wanted.
+    pub fn reach(&self, want: Self) -> bool {
+        self.attacked >= want.attacked && self.unattacked >= want.unattacked
     }
 
     /// Of some flights.
@@ -84,7 +90,22 @@ impl Class {
 }
 
 /// Flights flown at once; fixed, so that what is gathered does not depend on the number of threads.
-const BLOCK: u64 = 12;
+pub const BLOCK: u64 = 12;
+
+/// Draws and flies the [`BLOCK`] scenarios from a seed on.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn fly_block(isa: Isa, pilot: &FrozenPilot, family: Family, first_seed: u64) -> Result<Vec<Record>, DetectError> {
+    (0..BLOCK)
+        .into_par_iter()
+        .map(|i| {
+            let seed = first_seed.wrapping_add(i);
+            let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
+            fly(isa, pilot, &scenario, &mut ())
+        })
+        .collect()
+}
 
 /// Draws and flies scenarios, two attacked for each unattacked, until there are so many windows of each class. `begun` are
 /// the flights of an earlier call that `progress` broke off; what is gathered is then the same as in one go.
@@ -103,17 +124,8 @@ pub fn collect(
 ) -> Result<(Flights, bool), DetectError> {
     let mut records = begun;
     let mut counts = Counts::of(&records);
-    let is_enough = |counts: &Counts| counts.attacked >= want.attacked && counts.unattacked >= want.unattacked;
-    while !is_enough(&counts) {
-        let seed = first_seed.wrapping_add(records.len() as u64);
-        let block = (0..BLOCK)
-            .into_par_iter()
-            .map(|i| {
-                let seed = seed.wrapping_add(i);
-                let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
-                fly(isa, pilot, &scenario, &mut ())
-            })
-            .collect::<Result<Vec<_>, _>>()?;
+    while !counts.reach(want) {
+        let block = fly_block(isa, pilot, family, first_seed.wrapping_add(records.len() as u64))?;
         block.iter().for_each(|record| counts.add(record));
         records.extend(block);
         if progress(counts, records.len()).is_break() {
@@ -124,7 +136,7 @@ pub fn collect(
         actor_sha256: pilot.sha256(),
         records,
     };
-    Ok((flights, is_enough(&counts)))
+    Ok((flights, counts.reach(want)))
 }
 
 /// An hour of flight has 15 MB.
@@ -135,6 +147,37 @@ const FORMAT: &str = "vigil detector data 1";
 /// Numbers kept of a step beside the split point's values and the positional inputs.
 const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 
+/// What a pilot's flights have in common: whose they are, and how wide their steps.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Recorded {
+    /// Digest of the pilot.
+    pub actor_sha256: String,
+    /// Values of its split point.
+    pub state: usize,
+    /// Its positional inputs.
+    pub position: usize,
+    /// How many decisions ago each frame of a decision was taken, oldest first.
+    pub frame_ages: Vec<usize>,
+}
+
+impl Recorded {
+    /// By a pilot.
+    ///
+    /// # Errors
+    /// A policy without a split point.
+    pub fn by(pilot: &FrozenPilot) -> Result<Self, DetectError> {
+        Ok(Self {
+            actor_sha256: pilot.sha256(),
+            state: match pilot {
+                FrozenPilot::Actor(_) => ACTOR_HIDDEN,
+                FrozenPilot::Imported(policy) => policy.head()?.width,
+            },
+            position: pilot.inputs().spec().positional().inputs,
+            frame_ages: pilot.frame_ages(),
+        })
+    }
+}
+
 /// A flight's entry in the file.
 #[derive(Serialize, Deserialize)]
 struct Entry {
@@ -144,12 +187,24 @@ struct Entry {
 }
 
 impl Flights {
-    /// Writes them: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
-    /// attacked, 2 noisy), and what was flown as JSON in the metadata.
+    /// Writes them.
     ///
     /// # Errors
     /// A file that cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), DetectError> {
+        let bytes = self.to_bytes(path)?;
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(access(folder))?;
+        }
+        vigil_files::replace(path, &bytes, vigil_files::Access::Shared).map_err(access(path))
+    }
+
+    /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
+    /// attacked, 2 noisy), and what was flown as JSON in the metadata. `path` names it in errors.
+    ///
+    /// # Errors
+    /// Steps of different widths.
+    pub fn to_bytes(&self, path: &Path) -> Result<Vec<u8>, DetectError> {
         let steps = || self.records.iter().flat_map(|r| &r.steps);
         let count = steps().count();
         let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.position.len());
@@ -186,11 +241,7 @@ impl Flights {
             ("steps", view(Dtype::F32, vec![count, width], &values)?),
             ("frames", view(Dtype::U8, vec![count], &frames)?),
         ];
-        let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(access(folder))?;
-        }
-        vigil_files::replace(path, &bytes, vigil_files::Access::Shared).map_err(access(path))
+        safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))
     }
 
     /// Reads them.
@@ -199,19 +250,27 @@ impl Flights {
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self, DetectError> {
         let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
+        Self::from_bytes(path, &bytes, &Recorded::by(pilot)?)
+    }
+
+    /// Reads a file's content. `path` names it in errors.
+    ///
+    /// # Errors
+    /// Something else, or flights of another actor.
+    pub fn from_bytes(path: &Path, bytes: &[u8], recorded: &Recorded) -> Result<Self, DetectError> {
         let data = |message: &str| DetectError::Data {
             path: path.to_owned(),
             message: message.to_owned(),
         };
-        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| data(&e.to_string()))?;
-        let content = SafeTensors::deserialize(&bytes).map_err(|e| data(&e.to_string()))?;
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| data(&e.to_string()))?;
+        let content = SafeTensors::deserialize(bytes).map_err(|e| data(&e.to_string()))?;
         let metadata = header.metadata().clone().unwrap_or_default();
         if metadata.get("format").map(String::as_str) != Some(FORMAT) {
             return Err(data("it is of another format"));
         }
         let (found, expected) = (
             metadata.get("actor_sha256").cloned().unwrap_or_default(),
-            pilot.sha256(),
+            recorded.actor_sha256.clone(),
         );
         if found != expected {
             return Err(DetectError::OtherActor {
@@ -231,11 +290,7 @@ impl Flights {
             .iter()
             .map(|b| f32::from_le_bytes(*b))
             .collect();
-        let positional = pilot.inputs().spec().positional().inputs;
-        let hidden = match pilot {
-            FrozenPilot::Actor(_) => ACTOR_HIDDEN,
-            FrozenPilot::Imported(policy) => policy.head()?.width,
-        };
+        let (hidden, positional) = (recorded.state, recorded.position);
         let width = BESIDE_STATE + hidden + positional;
         if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
             || frames.data().len() * width != values.len()
@@ -264,7 +319,7 @@ impl Flights {
         let records = entries
             .into_iter()
             .map(|entry| Record {
-                frame_ages: pilot.frame_ages(),
+                frame_ages: recorded.frame_ages.clone(),
                 scenario: entry.scenario,
                 outcome: entry.outcome,
                 steps: steps.by_ref().take(entry.steps).collect(),
