@@ -43,7 +43,7 @@ impl Service for Failures {
             return Some(Answer::DENIED);
         }
         let name = match command.param(1) {
-            Some(GPS) if !matches!(kind, STUCK) => {
+            Some(GPS) if matches!(kind, OK | OFF) => {
                 let now_ns = core.now_ns;
                 let since_ns = core.lost_sensors.gps_since_ns;
                 core.lost_sensors.gps_since_ns = matches!(kind, OFF).then(|| since_ns.unwrap_or(now_ns));

@@ -1,0 +1,144 @@
+"""Runs the examples of MAVSDK-Python unmodified against the vehicle, each against a simulator of its own, and says what came of it.
+
+    target/venv-mavsdk3/bin/python tests/python/mavsdk_examples.py FOLDER [NAME ...]
+
+FOLDER is `examples` of a checkout of https://github.com/mavlink/MAVSDK-Python for version 3 of MAVSDK. The examples use port 14540, so
+that instance 0 must be free. Ends with 1 if an example did not do what is expected of it; docs/mavsdk.md has the outcomes.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from stack import Simulator
+
+START_S = 20.0
+
+
+@dataclass
+class Example:
+    """What is expected: the modes that are flown, in order; the height that is reached; how it ends."""
+
+    modes: tuple = ()
+    height_m: tuple = (0.0, 0.3)
+    limit_s: float = 40.0
+    # Interrupted after `limit_s`, because it never ends.
+    endless: bool = False
+    disarms: bool = False
+    # Words of the error that it ends with.
+    error: str = ""
+    says: str = ""
+    arguments: tuple = field(default=())
+
+
+EXAMPLES = {
+    "all_params": Example(says="SYS_AUTOSTART: 4001"),
+    "calibration": Example(error="COMMAND_DENIED", says="Gyroscope calibration finished"),
+    "do_orbit": Example(("takeoff", "orbit", "return"), (25.0, 31.0), 120.0, disarms=True),
+    "failure_injection": Example(("takeoff", "hold", "land"), (15.0, 26.0), 90.0, disarms=True),
+    "firmware_version": Example(says="flight_sw_major"),
+    "follow_me_example": Example(error="FollowDirection"),
+    "geofence": Example(says="Geofence uploaded!"),
+    "goto": Example(("takeoff", "hold"), (15.0, 21.0), 60.0, endless=True),
+    "highres_imu": Example(endless=True, limit_s=10.0, says="HIGHRES_IMU (105)"),
+    "logfile_download": Example(error="NO_LOGFILES"),
+    "manual_control": Example(("takeoff", "position"), (2.0, 30.0), 40.0, endless=True),
+    "mavlink_direct_receive": Example(endless=True, limit_s=10.0, says="ATTITUDE from 1/1"),
+    "mission": Example(("mission", "return"), (24.0, 31.0), 240.0, disarms=True),
+    "mission_import": Example(error="NO_MISSION_AVAILABLE", says="5 mission items"),
+    "mission_raw": Example(says="-- Done"),
+    "offboard_attitude": Example(("offboard", "land"), (15.0, 60.0), 60.0, disarms=True),
+    "offboard_position_ned": Example(("offboard",), (4.7, 6.0), 90.0),
+    "offboard_position_velocity_ned": Example(("offboard", "land"), (9.5, 12.0), 90.0),
+    "offboard_velocity_body": Example(("offboard", "hold"), (4.0, 6.0), 120.0),
+    "offboard_velocity_ned": Example(("offboard", "hold"), (6.0, 9.0), 90.0),
+    "takeoff_and_land": Example(("takeoff", "land"), (2.0, 3.0), 60.0, disarms=True),
+    "telemetry": Example(endless=True, limit_s=10.0, says="In air: False"),
+    "telemetry_takeoff_and_land": Example(("takeoff", "land"), (9.0, 10.5), 90.0, disarms=True),
+}
+
+
+def flown(truth):
+    """The modes, each once where it began."""
+    modes = []
+    for line in truth:
+        if not modes or modes[-1] != line["mode"]:
+            modes.append(line["mode"])
+    return modes
+
+
+def in_order(wanted, modes):
+    rest = iter(modes)
+    return all(mode in rest for mode in wanted)
+
+
+def run(path, expected):
+    """Runs one; the modes, the height, and what was not as expected."""
+    with tempfile.TemporaryDirectory() as folder, Simulator(0, "wide_field.toml", folder) as simulator:
+        with open(Path(folder) / "said", "w+", encoding="utf-8") as said:
+            command = [sys.executable, "-u", path.name, *expected.arguments]
+            child = subprocess.Popen(command, cwd=path.parent, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
+            # MAVSDK 3 hangs in its end after an error: it is interrupted as if it were endless.
+            started, is_over = time.monotonic(), False
+            while time.monotonic() < started + expected.limit_s and not is_over:
+                time.sleep(0.2)
+                is_over = child.poll() is not None or bool(expected.error and expected.error in (Path(folder) / "said").read_text())
+            ended_itself = child.poll() is not None
+            if not ended_itself:
+                child.send_signal(signal.SIGINT)
+                try:
+                    child.wait(5.0)
+                except subprocess.TimeoutExpired:
+                    child.kill()
+                    child.wait()
+            said.seek(0)
+            text = said.read()
+        if expected.disarms:
+            limit = time.monotonic() + 200.0
+            while time.monotonic() < limit and simulator.truth[-1]["armed"]:
+                time.sleep(0.2)
+        truth = simulator.truth
+    modes, height = flown(truth), max(-line["position_ned_m"][2] for line in truth)
+    wrong = []
+    if expected.endless == ended_itself and not expected.error:
+        wrong.append(f"ended by itself: {ended_itself}")
+    if "Traceback" in text.split("KeyboardInterrupt")[0] and not expected.error and not expected.endless:
+        wrong.append("an error")
+    if expected.error and expected.error not in text:
+        wrong.append(f"did not say {expected.error}")
+    if expected.says not in text:
+        wrong.append(f"did not say {expected.says}")
+    if not in_order(expected.modes, modes):
+        wrong.append(f"flew {modes}")
+    if not expected.height_m[0] <= height <= expected.height_m[1]:
+        wrong.append(f"highest {height:.1f} m")
+    if expected.disarms and truth[-1]["armed"]:
+        wrong.append("is armed at the end")
+    return modes, height, wrong, text
+
+
+def main(folder, names):
+    bad = 0
+    for name in names or EXAMPLES:
+        path = Path(folder) / f"{name}.py"
+        if not path.exists():
+            print(json.dumps({"example": name, "outcome": "not in the folder"}), flush=True)
+            continue
+        modes, height, wrong, text = run(path, EXAMPLES[name])
+        bad += bool(wrong)
+        outcome = "; ".join(wrong) or EXAMPLES[name].error or "works"
+        print(json.dumps({"example": name, "outcome": outcome, "modes": modes, "highest_m": round(height, 1)}), flush=True)
+        if wrong:
+            print(text[-1500:], file=sys.stderr)
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    sys.exit(main(sys.argv[1], sys.argv[2:]))
