@@ -62,7 +62,8 @@ EXAMPLES = {
     "mission_raw": Example(says="-- Done"),
     "offboard_attitude": Example(("offboard", "land"), (15.0, 60.0), 60.0, disarms=True),
     "offboard_position_ned": Example(("offboard",), (4.7, 6.0), 90.0),
-    "offboard_position_velocity_ned": Example(("offboard", "land"), (9.5, 12.0), 90.0),
+    # Its landing is ended at once by the hold that `offboard.stop` asks for.
+    "offboard_position_velocity_ned": Example(("offboard", "hold"), (9.5, 12.0), 90.0),
     "offboard_velocity_body": Example(("offboard", "hold"), (4.0, 6.0), 120.0),
     "offboard_velocity_ned": Example(("offboard", "hold"), (6.0, 9.0), 90.0),
     "takeoff_and_land": Example(("takeoff", "land"), (2.0, 3.0), 60.0, disarms=True),
