@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from stack import TOP, Simulator
@@ -23,7 +23,7 @@ PAGE = TOP / "docs" / "mavsdk.md"
 NOTES = {
     "calibration": "the gyroscope's works; nobody turns a simulated vehicle by hand for the accelerometer's",
     "follow_me_example": "written for MAVSDK 1, whose types MAVSDK 3 has not: an error before anything is sent. Following itself works: `follow_me.*` above",
-    "logfile_download": "there is no log before the first flight, and MAVSDK takes that for an error; `log_files.*` above are after a flight",
+    "logfile_download": "after `takeoff_and_land`: before the first flight there is no log, and MAVSDK says NO_LOGFILES",
     "mission_import": "the mission is uploaded; MAVSDK refuses an empty list of rally points before it sends anything",
 }
 
@@ -41,7 +41,8 @@ class Example:
     # Words of the error that it ends with.
     error: str = ""
     says: str = ""
-    arguments: tuple = field(default=())
+    # An example that is run before it, until the vehicle has disarmed.
+    before: str = ""
 
 
 EXAMPLES = {
@@ -54,9 +55,10 @@ EXAMPLES = {
     "geofence": Example(says="Geofence uploaded!"),
     "goto": Example(("takeoff", "hold"), (15.0, 21.0), 60.0, endless=True),
     "highres_imu": Example(endless=True, limit_s=10.0, says="HIGHRES_IMU (105)"),
-    "logfile_download": Example(error="NO_LOGFILES"),
+    "logfile_download": Example(("takeoff", "land"), (2.0, 3.0), before="takeoff_and_land", says="100 %"),
     "manual_control": Example(("takeoff", "position"), (2.0, 30.0), 40.0, endless=True),
     "mavlink_direct_receive": Example(endless=True, limit_s=10.0, says="ATTITUDE from 1/1"),
+    "mavlink_direct_send": Example(says="Sending airspeed 19"),
     "mission": Example(("mission", "return"), (24.0, 31.0), 240.0, disarms=True),
     "mission_import": Example(error="NO_MISSION_AVAILABLE", says="5 mission items"),
     "mission_raw": Example(says="-- Done"),
@@ -66,8 +68,11 @@ EXAMPLES = {
     "offboard_position_velocity_ned": Example(("offboard", "hold"), (9.5, 12.0), 90.0),
     "offboard_velocity_body": Example(("offboard", "hold"), (4.0, 6.0), 120.0),
     "offboard_velocity_ned": Example(("offboard", "hold"), (6.0, 9.0), 90.0),
+    "send_status_message": Example(says="Connected to drone!"),
     "takeoff_and_land": Example(("takeoff", "land"), (2.0, 3.0), 60.0, disarms=True),
     "telemetry": Example(endless=True, limit_s=10.0, says="In air: False"),
+    "telemetry_is_armed_is_in_air": Example(endless=True, limit_s=10.0, says="Is_in_air: False"),
+    "telemetry_status_text": Example(endless=True, limit_s=10.0, says="Connected to drone!"),
     "telemetry_takeoff_and_land": Example(("takeoff", "land"), (9.0, 10.5), 90.0, disarms=True),
 }
 
@@ -86,11 +91,20 @@ def in_order(wanted, modes):
     return all(mode in rest for mode in wanted)
 
 
+def wait_until_disarmed(simulator, limit_s=200.0):
+    limit = time.monotonic() + limit_s
+    while time.monotonic() < limit and simulator.truth[-1]["armed"]:
+        time.sleep(0.2)
+
+
 def run(path, expected):
     """Runs one; the modes, the height, and what was not as expected."""
     with tempfile.TemporaryDirectory() as folder, Simulator(0, "wide_field.toml", folder) as simulator:
+        if expected.before:
+            subprocess.run([sys.executable, f"{expected.before}.py"], cwd=path.parent, check=True, timeout=60.0)
+            wait_until_disarmed(simulator)
         with open(Path(folder) / "said", "w+", encoding="utf-8") as said:
-            command = [sys.executable, "-u", path.name, *expected.arguments]
+            command = [sys.executable, "-u", path.name]
             child = subprocess.Popen(command, cwd=path.parent, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT,
                                      start_new_session=True)  # fmt: skip
             # MAVSDK 3 hangs in its end after an error: it is interrupted as if it were endless.
@@ -112,9 +126,7 @@ def run(path, expected):
             said.seek(0)
             text = said.read()
         if expected.disarms:
-            limit = time.monotonic() + 200.0
-            while time.monotonic() < limit and simulator.truth[-1]["armed"]:
-                time.sleep(0.2)
+            wait_until_disarmed(simulator)
         truth = simulator.truth
     modes, height = flown(truth), max(-line["position_ned_m"][2] for line in truth)
     wrong = []

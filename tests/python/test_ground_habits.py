@@ -40,9 +40,9 @@ def test_every_item_works(outcomes, part):
 
 def test_the_documentation_has_the_outcomes(outcomes):
     rows = [f"| {name} | {outcome} |" for part in outcomes.values() for name, outcome in part.items()]
-    table = "\n".join(["| What | |", "| --- | --- |", *rows])
+    table = "\n".join(["| What | |", "| --- | --- |", *rows, ""])
     text = PAGE.read_text(encoding="utf-8")
-    begin, end = "<!-- habits: generated -->\n", "\n<!-- habits: end -->"
+    begin, end = "<!-- habits: generated -->\n", "<!-- habits: end -->"
     before, rest = text.split(begin)
     written, after = rest.split(end, 1)
     if os.environ.get("UPDATE_DOCS"):
