@@ -24,6 +24,7 @@ NOTES = {
     "calibration": "the gyroscope's works; nobody turns a simulated vehicle by hand for the accelerometer's",
     "follow_me_example": "written for MAVSDK 1, whose types MAVSDK 3 has not: an error before anything is sent. Following itself works: `follow_me.*` above",
     "logfile_download": "after `takeoff_and_land`: before the first flight there is no log, and MAVSDK says NO_LOGFILES",
+    "manual_control": "its last line named a function that is not there and was put right: `manual_controls`",
     "mission_import": "the mission is uploaded; MAVSDK refuses an empty list of rally points before it sends anything",
 }
 
@@ -55,7 +56,7 @@ EXAMPLES = {
     "geofence": Example(says="Geofence uploaded!"),
     "goto": Example(("takeoff", "hold"), (15.0, 21.0), 60.0, endless=True),
     "highres_imu": Example(endless=True, limit_s=10.0, says="HIGHRES_IMU (105)"),
-    "logfile_download": Example(("takeoff", "land"), (2.0, 3.0), before="takeoff_and_land", says="100 %"),
+    "logfile_download": Example(("takeoff", "land"), (2.0, 3.0), before="takeoff_and_land", says="Downloading: log 0"),
     "manual_control": Example(("takeoff", "position"), (2.0, 30.0), 40.0, endless=True),
     "mavlink_direct_receive": Example(endless=True, limit_s=10.0, says="ATTITUDE from 1/1"),
     "mavlink_direct_send": Example(says="Sending airspeed 19"),
@@ -155,7 +156,7 @@ def write_rows(outcomes):
     written, after = rest.split(end, 1)
     rows = {line.split("`")[1]: line for line in written.splitlines() if line.startswith("| `")}
     for name, (outcome, modes, height) in outcomes.items():
-        flight = f"{', '.join(modes[1:])}; {height:.0f} m at most" if len(modes) > 1 else ""
+        flight = f"{', '.join(modes[1:])}; {height:.1f} m at most" if len(modes) > 1 else ""
         rows[name] = f"| `{name}` | {outcome} | {flight} | {NOTES.get(name, '')} |"
     head = ["| Example | 3.17 | Modes flown after hold, height | Note |", "| --- | --- | --- | --- |"]
     PAGE.write_text(before + begin + "\n".join(head + [rows[name] for name in sorted(rows)]) + "\n" + end + after, encoding="utf-8")
