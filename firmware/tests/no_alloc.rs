@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Instance, TestVehicle, config, undecided_detector, watched_config};
+use common::{Instance, LOITER, MISSION, SYSTEM_ID, TestVehicle, config, undecided_detector, watched_config};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::net::UdpSocket;
@@ -17,13 +17,15 @@ use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_mavlink::MavHeader;
-use vigil_mavlink::common::{MavMessage, MavParamType, PARAM_SET_DATA};
+use vigil_mavlink::common::{
+    GPS_GLOBAL_ORIGIN_DATA, MavMessage, MavParamType, PARAM_SET_DATA, POSITION_TARGET_GLOBAL_INT_DATA,
+};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_nnet::Purpose;
 use vigil_policy::actor::{ActorSpec, FRAMES_SPREAD};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
-use vigil_types::{GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
+use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 thread_local! {
     /// Allocations of this thread; other threads may allocate as they like.
@@ -213,6 +215,71 @@ fn whole_flight(config: &FirmwareConfig) {
     }
     assert!(sent_bytes > 10_000);
     assert_eq!(recovered, config.detector.threshold.is_some());
+}
+
+#[test]
+fn a_guarded_flight_that_is_stopped_and_flown_around_allocates_nothing() {
+    let mut config = config();
+    config.duty = Duty::FlyAround;
+    config.goal = None;
+    let mut stack = Box::new(FlightStack::new(&config.stack()).unwrap());
+    let mut output = Box::new(TickOutput::default());
+    let mut vehicle = TestVehicle::hovering(2.5);
+    let (mut stopped, mut guided) = (false, false);
+    for step in 0..1200 {
+        let now_ns = (step + 1) * STEP_NS;
+        if step == 100 {
+            vehicle.mode = MISSION;
+        }
+        let (frame, mut received) = (vehicle.frame_with_wall(now_ns, 12.0), vehicle.telemetry());
+        for message in places(step) {
+            assert!(received.push(0, &message));
+        }
+        let input = TickInput {
+            now_ns,
+            timing: StepTiming {
+                step,
+                ..StepTiming::default()
+            },
+            frame: Some(&*frame),
+            frame_known_altered: false,
+            received: &received,
+        };
+        assert_eq!(counted(|| stack.tick(&input, &mut output)), 0, "step {step}");
+        for (_, datagram) in output.sent.iter() {
+            vehicle.hear(datagram);
+        }
+        stopped |= vehicle.mode == LOITER && output.report.reasons.contains(Reason::CollisionCourse);
+        guided |= output.report.state == GuidanceState::Guided;
+        vehicle.advance();
+    }
+    assert!(stopped && guided, "{stopped} {guided}");
+}
+
+/// Where the vehicle's local origin is on the globe, and its mission's place 30 m north of it.
+fn places(step: u64) -> [Vec<u8>; 2] {
+    let (latitude, longitude) = (473_977_420, 85_455_940);
+    let origin = MavMessage::GPS_GLOBAL_ORIGIN(GPS_GLOBAL_ORIGIN_DATA {
+        latitude,
+        longitude,
+        ..GPS_GLOBAL_ORIGIN_DATA::DEFAULT
+    });
+    let place = MavMessage::POSITION_TARGET_GLOBAL_INT(POSITION_TARGET_GLOBAL_INT_DATA {
+        time_boot_ms: step as u32 * 50,
+        lat_int: latitude + 2_698,
+        lon_int: longitude,
+        ..POSITION_TARGET_GLOBAL_INT_DATA::DEFAULT
+    });
+    [origin, place].map(|message| {
+        let header = MavHeader {
+            system_id: SYSTEM_ID.into(),
+            component_id: 1,
+            sequence: 0,
+        };
+        let mut packet = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &message, &mut packet).unwrap();
+        packet[..len].to_vec()
+    })
 }
 
 #[test]

@@ -125,13 +125,15 @@ pub fn watched_config(folder: &Path) -> FirmwareConfig {
 }
 
 pub const SENSOR_ID: u32 = 1;
-const SYSTEM_ID: u8 = 1;
+pub const SYSTEM_ID: u8 = 1;
 
 /// PX4's flight modes as (main, sub) of its custom mode.
 pub const OFFBOARD: (u8, u8) = (6, 0);
 pub const TAKEOFF: (u8, u8) = (4, 2);
 pub const LOITER: (u8, u8) = (4, 3);
 pub const LAND: (u8, u8) = (4, 6);
+/// Northwards, through whatever stands there.
+pub const MISSION: (u8, u8) = (4, 4);
 
 pub struct TestVehicle {
     pub position_ned_m: NedVector,
@@ -258,6 +260,7 @@ impl TestVehicle {
                 self.yaw_rad += s.yaw_rate * STEP_S;
                 vigil_types::HeadingVector::new(s.vx, s.vy, s.vz).to_ned(self.yaw_rad)
             }),
+            (true, MISSION) => NedVector::new(1.5, 0.0, 0.0),
             _ => NedVector::ZERO,
         };
         self.position_ned_m = self.position_ned_m + self.velocity_ned_m_s * STEP_S;
