@@ -184,18 +184,11 @@ impl TrueCourse {
                 near * to.y / length_m,
                 velocity.x,
                 velocity.y,
-                turns_in_s(mover, truth.at_ns).min(TURN_AHEAD_S) / TURN_AHEAD_S,
+                mover.turns_in_s(truth.at_ns).min(TURN_AHEAD_S) / TURN_AHEAD_S,
             ]);
         }
         state
     }
-}
-
-/// Seconds until a mover turns at an end of its way.
-fn turns_in_s(mover: &Mover, at_ns: u64) -> f32 {
-    let turns = at_ns as f64 * 1e-9 / mover.period_s() + f64::from(mover.phase);
-    let halves = 2.0 * turns;
-    ((1.0 - (halves - libm::floor(halves))) * 0.5 * mover.period_s()) as f32
 }
 
 /// The range of a contrast, metres.

@@ -59,6 +59,12 @@ impl Mover {
         2.0 * f64::from(self.length_m()) / f64::from(self.speed_m_s)
     }
 
+    /// Seconds from `at_ns` until it turns at an end of its way.
+    pub fn turns_in_s(&self, at_ns: Nanos) -> f32 {
+        let halves = 2.0 * (at_ns as f64 * 1e-9 / self.period_s() + f64::from(self.phase));
+        ((1.0 - (halves - libm::floor(halves))) * 0.5 * self.period_s()) as f32
+    }
+
     /// Its geometry at `at_ns` of simulated time.
     pub fn solid_at(&self, at_ns: Nanos) -> Solid {
         let [north_m, east_m] = self.centre_at_m(at_ns);

@@ -28,7 +28,7 @@ pub mod value;
 mod weights;
 
 pub use config::{ConfigError, TrainConfig};
-pub use evaluation::{EvaluatedActor, EvaluationResult, EvaluationSpec, RolloutError, evaluate};
+pub use evaluation::{EvaluatedActor, EvaluationResult, EvaluationSpec, KnownMovers, RolloutError, evaluate};
 pub use flight::Flight;
 pub use learner::{UpdateError, UpdateReport};
 pub use progress::{FlightLine, Progress, Row};

@@ -1,6 +1,6 @@
 //! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
 
-use crate::actor_training::{EvaluatedActor, EvaluationSpec};
+use crate::actor_training::{EvaluatedActor, EvaluationSpec, KnownMovers};
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::wilson_95;
@@ -20,16 +20,23 @@ Examples:
   vigil rollout --actor runs/train/actor.safetensors    100 validation courses, the field off and on
   vigil rollout --actor zero                            what the field does without any actor
   vigil rollout --actor random                          ... and with one that draws its action evenly each step
+  vigil rollout --actor geometric --family hard         the geometric pilot
+  vigil rollout --actor geometric --family hard --knows all
+                                                        ... that is told how all movers move
 
 The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
 pub struct RolloutArgs {
-    /// A frozen actor, or `zero` or `random`.
+    /// A frozen actor, or `zero`, `random` or `geometric`.
     #[arg(long, value_name = "FILE")]
     actor: String,
 
     /// Lead the actor by the goal or by the planned path, whatever its file says.
     #[arg(long, value_enum)]
     led_by: Option<LedByName>,
+
+    /// What the geometric pilot knows of movers: place, velocity, size and lane from the simulator, not from its frames.
+    #[arg(long, value_enum, default_value_t = KnownMovers::Followed)]
+    knows: KnownMovers,
 
     /// Number of flights; flight i uses seed SEED + i.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
@@ -79,6 +86,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,
         "random" => EvaluatedActor::Random,
+        "geometric" => EvaluatedActor::Geometric(args.knows),
         file => {
             frozen = FrozenActor::load(Path::new(file))?;
             EvaluatedActor::Actor(&frozen.params, inputs(args, frozen.inputs))
@@ -94,7 +102,12 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
         numbers("time-out"),
         numbers("mean time"),
     ]);
-    for field in [false, true] {
+    // The geometric pilot has the field in it.
+    let fields: &[bool] = match evaluated {
+        EvaluatedActor::Geometric(_) => &[false],
+        _ => &[false, true],
+    };
+    for &field in fields {
         let what = EvaluationSpec {
             family: args.family,
             first_seed: args.seed,

@@ -58,6 +58,8 @@ struct Guess {
     north_m_s: f32,
     east_m_s: f32,
     radius_m: f32,
+    /// When it turns back.
+    turns_after_s: f32,
     weight: f32,
 }
 
@@ -81,6 +83,7 @@ impl Guesses {
             north_m_s: 0.0,
             east_m_s: 0.0,
             radius_m: 0.0,
+            turns_after_s: f32::INFINITY,
             weight: 0.0,
         };
         let mut all = Self {
@@ -88,7 +91,7 @@ impl Guesses {
             used: 0,
         };
         for m in movers {
-            let mut add = |(north_m, east_m): (f32, f32), direction: f32, weight| {
+            let mut add = |(north_m, east_m): (f32, f32), direction: f32, turns_after_s: f32, weight| {
                 if let Some(guess) = all.guesses.get_mut(all.used) {
                     *guess = Guess {
                         north_m,
@@ -96,20 +99,24 @@ impl Guesses {
                         north_m_s: direction * m.north_m_s,
                         east_m_s: direction * m.east_m_s,
                         radius_m: m.radius_m,
+                        turns_after_s,
                         weight,
                     };
                     all.used += 1;
                 }
             };
             if m.is_located() {
-                add(m.position_after(age_s), 1.0, 1.0);
-                add(m.position_after(age_s), -1.0, TURNS_BACK);
+                let turns_after_s = m.turns_after_s() - age_s;
+                add(m.position_after(age_s), 1.0, turns_after_s, 1.0);
+                if !turns_after_s.is_finite() {
+                    add(m.position_after(age_s), -1.0, f32::INFINITY, TURNS_BACK);
+                }
             } else {
                 for (direction, weight) in [(1.0, WENT_ON), (-1.0, CAME_BACK)] {
                     let place = m.gone_on(direction, LONGEST_LANE_M);
                     if !sees_past(place.0, place.1, m.radius_m) {
-                        add(place, direction, weight);
-                        add(place, -direction, weight);
+                        add(place, direction, f32::INFINITY, weight);
+                        add(place, -direction, f32::INFINITY, weight);
                     }
                 }
             }
@@ -205,8 +212,10 @@ fn fly_on<'a>(
         let (north_m, east_m) = vehicle.at;
         let after_s = (step + 1) as f32 * STEP_S;
         for (guess, (least, met_at)) in guesses.all().iter().zip(&mut least) {
-            let n = guess.north_m + guess.north_m_s * after_s - north_m;
-            let e = guess.east_m + guess.east_m_s * after_s - east_m;
+            // What it has gone on by then, less what it has come back.
+            let on_s = after_s - 2.0 * larger(after_s - guess.turns_after_s, 0.0);
+            let n = guess.north_m + guess.north_m_s * on_s - north_m;
+            let e = guess.east_m + guess.east_m_s * on_s - east_m;
             let squared = n * n + e * e;
             *least = smaller(*least, squared);
             let met_m = guess.radius_m + VEHICLE_M + MET_M;

@@ -47,6 +47,8 @@ const FORGET_S: f32 = 0.5;
 const FORGET_MOVER_S: f32 = 20.0;
 /// A mover that is not seen goes on for so long, seconds; then it may be anywhere on its lane.
 const GOES_ON_S: f32 = 1.5;
+/// A mover's trace is forgotten for so many frames since it is known to move: later it leaves none, and what stands beside its way stays known.
+const TRACE_FRAMES: u16 = 10;
 /// A thing this near to where a lost mover can be is that mover, metres.
 const LANE_GATE_M: f32 = 0.4;
 /// Where the scan sees this much past a mover's place, it is not there, metres.
@@ -83,9 +85,13 @@ pub struct Track {
     seen_m: (f32, f32),
     frames: u16,
     slow_frames: u8,
+    /// Frames in which it was seen since it is known to move.
+    moving_frames: u16,
     unseen_s: f32,
     /// Not where it would be had it gone on.
     lost: bool,
+    /// When it turns back, seconds from now, where that is known; otherwise infinite.
+    turns_after_s: f32,
 }
 
 impl Track {
@@ -103,9 +109,30 @@ impl Track {
             seen_m: (thing.north_m, thing.east_m),
             frames: 1,
             slow_frames: 0,
+            moving_frames: 0,
             unseen_s: 0.0,
             lost: false,
+            turns_after_s: f32::INFINITY,
         }
+    }
+
+    /// A mover of which everything is known: place, velocity, size, the ends of its lane and when it turns. For measurements in the simulator.
+    #[cfg(feature = "teacher")]
+    pub fn known(
+        place_m: (f32, f32),
+        velocity_m_s: (f32, f32),
+        radius_m: f32,
+        lane_m: [(f32, f32); 2],
+        turns_after_s: f32,
+    ) -> Self {
+        let mut track = Self::new(&Thing {
+            north_m: place_m.0,
+            east_m: place_m.1,
+            radius_m,
+        });
+        (track.north_m_s, track.east_m_s) = velocity_m_s;
+        (track.moves, track.lane_m, track.turns_after_s) = (true, lane_m, turns_after_s);
+        track
     }
 
     /// Where it will be, metres north and east.
@@ -114,6 +141,11 @@ impl Track {
             self.north_m + self.north_m_s * seconds,
             self.east_m + self.east_m_s * seconds,
         )
+    }
+
+    /// When it turns back, seconds from now; infinite where that is not known.
+    pub fn turns_after_s(&self) -> f32 {
+        self.turns_after_s
     }
 
     /// Where it is if it went on (1) or back (−1) since it was last seen, at most so far.
@@ -190,6 +222,7 @@ impl Track {
         self.seen_m = (self.north_m, self.east_m);
         self.judge();
         if self.moves {
+            self.moving_frames = self.moving_frames.saturating_add(1);
             let apart_m = |a: (f32, f32), b: (f32, f32)| libm::hypotf(a.0 - b.0, a.1 - b.1);
             let [from, to] = self.lane_m;
             if apart_m(self.seen_m, from) > apart_m(from, to) {
@@ -200,14 +233,13 @@ impl Track {
         }
     }
 
-    /// A lost mover that is found again, it is not known going which way.
-    fn find(&mut self, thing: &Thing) {
-        (self.north_m, self.east_m) = (thing.north_m, thing.east_m);
-        (self.north_m_s, self.east_m_s) = (0.0, 0.0);
-        self.variance = [MIDDLE_VARIANCE_M2, 0.0, VELOCITY_VARIANCE];
-        self.frames = MOVER_FRAMES - SETTLING_FRAMES;
-        (self.slow_frames, self.unseen_s, self.lost) = (0, 0.0, false);
-        self.seen_m = (self.north_m, self.east_m);
+    /// What may be a lost mover, it is not known going which way: it counts as one until it is seen to stand.
+    fn found(thing: &Thing) -> Self {
+        Self {
+            moves: true,
+            frames: MOVER_FRAMES - SETTLING_FRAMES,
+            ..Self::new(thing)
+        }
     }
 
     fn judge(&mut self) {
@@ -296,6 +328,15 @@ impl MoverTracker {
         *self = Self::default();
     }
 
+    /// Forgets what it has followed and takes these as they are. For measurements in the simulator.
+    #[cfg(feature = "teacher")]
+    pub fn know(&mut self, movers: impl Iterator<Item = Track>) {
+        self.clear();
+        for (slot, track) in self.tracks.iter_mut().zip(movers) {
+            *slot = Some(track);
+        }
+    }
+
     /// What moves, as of the last frame.
     pub fn movers(&self) -> impl Iterator<Item = &Track> + Clone {
         self.tracks.iter().flatten().filter(|track| track.moves)
@@ -360,28 +401,21 @@ impl MoverTracker {
             *corrected = true;
             return;
         }
-        let lost = self
-            .tracks
-            .iter_mut()
-            .zip(corrected.iter_mut())
-            .filter_map(|(track, corrected)| track.as_mut().map(|track| (track, corrected)))
-            .filter(|(track, corrected)| !**corrected && track.moves && !track.is_located())
-            .map(|(track, corrected)| (track.off_lane_m(thing.north_m, thing.east_m, 0.0), track, corrected))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((off_m, track, corrected)) = lost
-            && off_m < LANE_GATE_M
-        {
-            track.find(thing);
-            *corrected = true;
-            return;
-        }
+        // What stands on a lost mover's lane is not that mover, which stays lost until the thing is seen to move.
+        let on_a_lane = self
+            .movers()
+            .any(|lost| !lost.is_located() && lost.off_lane_m(thing.north_m, thing.east_m, 0.0) < LANE_GATE_M);
         let free = self
             .tracks
             .iter_mut()
             .zip(corrected.iter_mut())
             .find(|(slot, _)| slot.is_none());
         if let Some((slot, corrected)) = free {
-            *slot = Some(Track::new(thing));
+            *slot = Some(if on_a_lane {
+                Track::found(thing)
+            } else {
+                Track::new(thing)
+            });
             *corrected = true;
         }
     }
@@ -408,19 +442,33 @@ impl MoverTracker {
         }
     }
 
-    /// Forgets a lost mover on whose lane another is seen: it is the same.
+    /// Forgets a lost mover on whose lane another is seen to move: it is the same, and its lane is known already.
     fn forget_doubles(&mut self) {
-        let found = self.tracks;
-        for slot in &mut self.tracks {
-            let double = slot.as_ref().is_some_and(|lost| {
-                let is_it =
-                    |m: &Track| m.moves && m.is_located() && lost.off_lane_m(m.north_m, m.east_m, 0.0) < LANE_GATE_M;
-                lost.moves && !lost.is_located() && found.iter().flatten().any(is_it)
-            });
-            if double {
-                *slot = None;
+        let before = self.tracks;
+        for (i, slot) in before.iter().enumerate() {
+            let Some(lost) = slot.filter(|lost| lost.moves && !lost.is_located()) else {
+                continue;
+            };
+            let is_it = |m: &&mut Track| {
+                m.moves
+                    && m.is_located()
+                    && m.frames >= MOVER_FRAMES
+                    && m.speed_m_s() > MOVER_SPEED_M_S
+                    && lost.off_lane_m(m.north_m, m.east_m, 0.0) < LANE_GATE_M
+            };
+            if let Some(found) = self.tracks.iter_mut().flatten().find(is_it) {
+                found.lane_m = lost.lane_m;
+                if let Some(slot) = self.tracks.get_mut(i) {
+                    *slot = None;
+                }
             }
         }
+    }
+
+    /// Movers that have left something in the grid before they were known to move.
+    pub fn traces(&self) -> impl Iterator<Item = &Track> {
+        self.movers()
+            .filter(|mover| mover.is_located() && mover.moving_frames <= TRACE_FRAMES)
     }
 
     /// Whether a place is a mover's own, as of the last frame.
@@ -481,7 +529,10 @@ fn for_each_outline(scan: &Scan, mut each: impl FnMut(&Outline)) {
 
 #[cfg(test)]
 pub(super) mod tests {
+    extern crate std;
+
     use super::*;
+    use std::vec::Vec;
 
     /// One round thing before a wall that stands 8 m north.
     pub(crate) struct Scene {
@@ -590,6 +641,41 @@ pub(super) mod tests {
         }
         let mover = tracker.movers().next().expect("it moves");
         assert!((mover.east_m_s + 0.6).abs() < 0.15, "{mover:?}");
+    }
+
+    #[test]
+    fn what_stands_on_the_lane_of_a_lost_mover_does_not_take_its_place() {
+        let mut tracker = MoverTracker::new();
+        // A mover goes to the right and is lost; a column comes into view beside its way, where the mover may be by then.
+        for frame in 0..120_u32 {
+            let at_s = frame as f32 * 0.05;
+            let place = if frame < 60 { (3.0, 0.6 * at_s) } else { (3.0, 2.1) };
+            let shown = if (60..70).contains(&frame) { (3.0, 50.0) } else { place };
+            tracker.observe(
+                &seen(NedVector::ZERO, shown, 0.3),
+                NedVector::ZERO,
+                0.0,
+                u64::from(frame) * 50_000_000,
+            );
+        }
+        let lost: Vec<&Track> = tracker.movers().collect();
+        assert_eq!(lost.len(), 1, "the column stands: {lost:?}");
+        assert!(
+            !lost[0].is_located() && lost[0].speed_m_s() > 0.4,
+            "the mover is still out there: {lost:?}"
+        );
+    }
+
+    #[test]
+    fn the_trace_of_a_mover_is_forgotten_once() {
+        let scene = Scene {
+            start_m: (4.0, -1.5),
+            velocity_m_s: (0.0, 0.6),
+            radius_m: 0.3,
+        };
+        assert_eq!(track(&scene, 12).traces().count(), 1, "just known to move");
+        assert_eq!(track(&scene, 60).traces().count(), 0);
+        assert_eq!(track(&scene, 60).movers().count(), 1);
     }
 
     #[test]

@@ -110,6 +110,9 @@ enum Strategy {
     /// Teaches the actor: decides by the newest frame alone, and keeps farther from obstacles than a pilot that flies itself.
     #[cfg(feature = "teacher")]
     Teacher,
+    /// As `Mapping`, but told how what moves does so: what following movers could bring at best.
+    #[cfg(feature = "teacher")]
+    Knowing,
 }
 
 impl Strategy {
@@ -117,19 +120,29 @@ impl Strategy {
         match self {
             Self::Mapping | Self::Recovery => &TIGHT,
             #[cfg(feature = "teacher")]
+            Self::Knowing => &TIGHT,
+            #[cfg(feature = "teacher")]
             Self::Teacher => &GENEROUS,
         }
     }
 
     /// Whether the grid holds more than the newest frame.
     fn remembers(self) -> bool {
-        matches!(self, Self::Mapping | Self::Recovery)
+        match self {
+            Self::Mapping | Self::Recovery => true,
+            #[cfg(feature = "teacher")]
+            Self::Knowing => true,
+            #[cfg(feature = "teacher")]
+            Self::Teacher => false,
+        }
     }
 
     /// Cells that the search settles in one step.
     fn search_budget(self) -> usize {
         match self {
             Self::Mapping | Self::Recovery => SEARCH_BUDGET,
+            #[cfg(feature = "teacher")]
+            Self::Knowing => SEARCH_BUDGET,
             #[cfg(feature = "teacher")]
             Self::Teacher => occupancy_grid::CELLS,
         }
@@ -175,6 +188,19 @@ impl GeometricPilot {
             .planner
             .set_clearance(GENEROUS_CLEARANCE_M, GENEROUS_NARROW_FACTOR);
         pilot
+    }
+
+    /// The pilot that flies, but told by [`Self::know_movers`] how what moves does so: what following movers could bring at best. For
+    /// measurements in the simulator.
+    #[cfg(feature = "teacher")]
+    pub fn knowing(config: GeometricConfig) -> Self {
+        Self::of(Strategy::Knowing, config)
+    }
+
+    /// What moves now. Before [`Pilot::decide`], in every step.
+    #[cfg(feature = "teacher")]
+    pub fn know_movers(&mut self, movers: impl Iterator<Item = movers::Track>) {
+        self.movers.know(movers);
     }
 
     fn of(strategy: Strategy, config: GeometricConfig) -> Self {
@@ -377,7 +403,7 @@ impl GeometricPilot {
             if self.strategy == Strategy::Mapping {
                 self.movers.observe(scan, here, yaw_rad, header.stamp_ns);
             }
-            for mover in self.movers.movers().filter(|mover| mover.is_located()) {
+            for mover in self.movers.traces() {
                 self.grid
                     .forget_around(mover.north_m, mover.east_m, mover.radius_m + TRACE_M);
             }
