@@ -64,6 +64,8 @@ impl std::fmt::Display for AlarmTally {
                 AlarmCause::Attack => "by the detector: an attack",
                 AlarmCause::NoVerdict => "for want of a verdict",
                 AlarmCause::CollisionCourse => "by the guard: a collision course",
+                AlarmCause::LedAstray => "by the guard: led astray",
+                AlarmCause::Disagreement => "by the guard: a disagreement",
             };
             write!(f, "{separator}{count} {by}")?;
             separator = ", ";

@@ -257,6 +257,13 @@ pub struct DetectorConfig {
     /// means that it does where the detector is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub guard: Option<bool>,
+    /// The guard raises the alarm when the actor falls so far behind along the guard's way, metres; 0 is never.
+    #[serde(deserialize_with = "number::astray_m")]
+    pub astray_m: f32,
+    /// The guard raises the alarm when actor and recovery pilot have wanted to turn apart for so much longer than they have not,
+    /// seconds; 0 is never.
+    #[serde(deserialize_with = "number::disagreement_s")]
+    pub disagreement_s: f32,
     /// Whether after an alarm of the guard only an operator, or the end of the flight, gives the vehicle back to the actor.
     pub guard_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
@@ -276,6 +283,8 @@ impl Default for DetectorConfig {
             raise_window: d.raise_window,
             unknown_steps: d.unknown_limit,
             guard: None,
+            astray_m: d.astray_limit_m,
+            disagreement_s: d.disagreement_limit_s,
             guard_final: d.guard_is_final,
             clear_steps: d.clear_steps,
         }
@@ -617,6 +626,12 @@ impl FirmwareConfig {
                 unknown_limit: self.detector.unknown_steps,
                 clear_steps: self.detector.clear_steps,
                 guard_steps: if self.has_guard() { alarm.guard_steps } else { 0 },
+                astray_limit_m: if self.has_guard() { self.detector.astray_m } else { 0.0 },
+                disagreement_limit_s: if self.has_guard() {
+                    self.detector.disagreement_s
+                } else {
+                    0.0
+                },
                 guard_is_final: self.detector.guard_final,
                 ..alarm
             },
@@ -766,6 +781,8 @@ mod number {
         raise_window: u8 = RAISE_WINDOW;
         unknown_steps: u16 = UNKNOWN_STEPS;
         clear_steps: u16 = CLEAR_STEPS;
+        astray_m: f32 = ASTRAY;
+        disagreement_s: f32 = DISAGREEMENT;
         priority: u8 = PRIORITY;
         offset: u8 = OFFSET;
     }

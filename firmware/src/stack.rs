@@ -210,6 +210,7 @@ impl FlightStack {
             judgement,
             collision_course,
             recovery_course,
+            speed_along_way_m_s,
         } = self.decide(now_ns, view.filter(|_| flying));
         // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
         let verdict = judgement.map_or(Verdict::Unknown, |judgement| judgement.verdict);
@@ -229,6 +230,7 @@ impl FlightStack {
             verdict: self.crew.monitor.as_ref().map(|_| verdict),
             collision_course,
             recovery_course,
+            speed_along_way_m_s,
             timing: input.timing,
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),
@@ -558,6 +560,7 @@ impl FlightStack {
             let own = limited(recovery.decide(&planned));
             decision.recovery = Some(own);
             decision.collision_course = Some(recovery.foresees_collision(&planned, action));
+            decision.speed_along_way_m_s = Some(recovery.speed_along_way_m_s(&planned).unwrap_or(0.0));
             // Where stopping does not help either, in a cell that was marked wrongly, say, it would stand for ever.
             decision.recovery_course = Some(
                 recovery.foresees_collision(&planned, own) && !recovery.foresees_collision(&planned, Action::HOVER),
@@ -577,6 +580,8 @@ struct Decision {
     collision_course: Option<bool>,
     /// Whether it sees its own action lead into something that stopping avoids.
     recovery_course: Option<bool>,
+    /// How fast the vehicle flies along the way that it plans; 0 where it has none.
+    speed_along_way_m_s: Option<f32>,
 }
 
 /// What the pilot may see of the vehicle and the goal.

@@ -557,6 +557,47 @@ fn the_guard_stops_an_actor_before_a_wall_with_and_without_the_detector_and_eith
     assert_eq!(cause, Some(AlarmCause::Attack));
 }
 
+/// What raises the alarm in ten seconds in which a vehicle is carried away from its goal over open ground, whatever it is told.
+fn alarm_while_carried_away(config: &FirmwareConfig) -> Option<AlarmCause> {
+    let mut flight = Flight::guided_by(config);
+    for _ in 0..60 {
+        flight.step();
+    }
+    let carried_m_s = NedVector::new(-0.5, 0.0, 0.0);
+    (0..200).find_map(|_| {
+        flight.vehicle.velocity_ned_m_s = carried_m_s;
+        let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
+        let (frame, telemetry) = (flight.vehicle.frame(flight.now_ns), flight.vehicle.telemetry());
+        let alarm = flight.step_with(Some(&frame), &telemetry).alarm;
+        (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad) = (from + carried_m_s * STEP_S, yaw_rad);
+        alarm.map(|alarm| alarm.cause)
+    })
+}
+
+#[test]
+fn the_guard_finds_that_the_vehicle_is_led_astray_with_and_without_the_detector_and_can_be_told_not_to() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    config.plausibility = false;
+    for (detector, guard, astray_m, raised) in [
+        (false, Some(true), 6.0, Some(AlarmCause::LedAstray)),
+        (true, None, 6.0, Some(AlarmCause::LedAstray)),
+        (true, Some(true), 0.0, None),
+        (true, Some(false), 6.0, None),
+        (false, None, 6.0, None),
+    ] {
+        config.detector.enabled = Some(detector);
+        config.detector.guard = guard;
+        config.detector.astray_m = astray_m;
+        config.detector.disagreement_s = 0.0;
+        assert_eq!(
+            alarm_while_carried_away(&config),
+            raised,
+            "detector {detector}, guard {guard:?}, {astray_m} m"
+        );
+    }
+}
+
 #[test]
 fn a_guard_without_an_actor_to_watch_is_refused_by_name() {
     let mut config = config();

@@ -2,15 +2,18 @@
 //!
 //! A single verdict neither raises nor ends an alarm: five attacked steps (0.25 s) hardly turn the vehicle, and false
 //! verdicts seldom last as long. *Unknown* ends none, and too many of them in a row raise one. So does, whatever the
-//! verdict, an action that leads into something: such an alarm clean verdicts do not end, for who leads an actor into
-//! something under clean verdicts goes on supplying them.
+//! verdict, an action that leads into something, and an actor that does not bring the vehicle on along the way that the
+//! guard plans: such an alarm clean verdicts do not end, for who leads an actor astray under clean verdicts goes on
+//! supplying them.
 
 use crate::config::own;
 use vigil_types::parameters::{self, OutOfRange, Range};
-use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, Verdict};
+use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
 // What only programs set, stated as the table states the rest.
 const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 2.0);
+const WAY_SPEED: ParameterSpec = own("way_speed", (0.0, 1.5), "m/s", 0.5);
+const APART: ParameterSpec = own("apart", (0.1, 3.0), "", 2.0);
 const STOPPED: ParameterSpec = own("stopped", (0.05, 1.0), "m/s", 0.2);
 const STOP_LIMIT: ParameterSpec = own("stop_limit", (0.05, 60.0), "s", 3.0);
 
@@ -27,6 +30,15 @@ pub struct AlarmConfig {
     pub unknown_limit: u16,
     /// Consecutive steps on a collision course that raise the alarm; 0 raises none.
     pub guard_steps: u16,
+    /// How far the actor may fall behind a vehicle that flies along the guard's way at [`AlarmConfig::way_speed_m_s`], metres; 0 is as far as
+    /// it likes. What it gains on that vehicle does not count.
+    pub astray_limit_m: f32,
+    /// The least that an actor gets on along the guard's way in the long run, metres per second.
+    pub way_speed_m_s: f32,
+    /// So much longer may actor and recovery pilot want to turn apart than they do not, seconds; 0 is as long as they like.
+    pub disagreement_limit_s: f32,
+    /// They turn apart when their yaw outputs differ by more than this.
+    pub apart_yaw: f32,
     /// Whether clean verdicts do not end an alarm of the guard: then an operator does, or the end of the flight.
     pub guard_is_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
@@ -45,6 +57,10 @@ impl Default for AlarmConfig {
             raise_window: parameters::RAISE_WINDOW.number() as u8,
             unknown_limit: parameters::UNKNOWN_STEPS.number() as u16,
             guard_steps: GUARD_STEPS.number() as u16,
+            astray_limit_m: parameters::ASTRAY.number_f32(),
+            way_speed_m_s: WAY_SPEED.number_f32(),
+            disagreement_limit_s: parameters::DISAGREEMENT.number_f32(),
+            apart_yaw: APART.number_f32(),
             guard_is_final: parameters::GUARD_FINAL.is_on(),
             clear_steps: parameters::CLEAR_STEPS.number() as u16,
             stopped_m_s: STOPPED.number_f32(),
@@ -61,6 +77,10 @@ impl AlarmConfig {
             (&parameters::RAISE_COUNT, self.raise_count.into()),
             (&parameters::UNKNOWN_STEPS, self.unknown_limit.into()),
             (&GUARD_STEPS, self.guard_steps.into()),
+            (&parameters::ASTRAY, self.astray_limit_m.into()),
+            (&WAY_SPEED, self.way_speed_m_s.into()),
+            (&parameters::DISAGREEMENT, self.disagreement_limit_s.into()),
+            (&APART, self.apart_yaw.into()),
             (&parameters::CLEAR_STEPS, self.clear_steps.into()),
             (&STOPPED, self.stopped_m_s.into()),
             (&STOP_LIMIT, self.stop_limit_ns as f64 / 1e9),
@@ -93,6 +113,10 @@ pub(crate) struct AlarmInput {
     pub collision_course: Option<bool>,
     /// Whether the recovery pilot's action leads into something that stopping avoids; `None` when the guard did not look.
     pub recovery_course: Option<bool>,
+    /// How fast the vehicle flies along the way that the guard plans; 0 where there is none, `None` when the guard did not look.
+    pub speed_along_way_m_s: Option<f32>,
+    /// How far the yaw outputs of actor and recovery pilot are apart; `None` when one of them did not decide.
+    pub yaw_apart: Option<f32>,
     /// Guidance is in a flight.
     pub in_flight: bool,
     /// The pilot's actions reach the vehicle.
@@ -116,7 +140,7 @@ impl Raised {
     /// was led astray, so it has nothing to say on when that is over.
     fn is_final(&self, config: &AlarmConfig) -> bool {
         match self.cause {
-            AlarmCause::CollisionCourse => config.guard_is_final,
+            AlarmCause::CollisionCourse | AlarmCause::LedAstray | AlarmCause::Disagreement => config.guard_is_final,
             AlarmCause::Attack | AlarmCause::NoVerdict => false,
         }
     }
@@ -134,6 +158,10 @@ pub(crate) struct AlarmLogic {
     /// Consecutive steps on a collision course, by the actor's action and by the recovery pilot's while that one flies.
     course_steps: u16,
     recovery_course_steps: u16,
+    /// How far the actor has fallen behind a vehicle that flies along the guard's way, metres.
+    behind_m: f32,
+    /// Steps in which they turned apart, less those in which they did not, since that was last 0.
+    apart_steps: u16,
     /// Alarms of this flight that have ended.
     ended: u8,
 }
@@ -178,6 +206,20 @@ impl AlarmLogic {
         count(&mut self.unknown_steps, input.verdict == Some(Verdict::Unknown));
         count(&mut self.clean_steps, looks_clean && !on_collision_course);
         count(&mut self.course_steps, on_collision_course);
+        // Of two vehicles, one along the way at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which tells a
+        // lasting change soonest and forgets what went well before.
+        if let (None, true, Some(speed_m_s)) = (self.raised, input.guided, input.speed_along_way_m_s)
+            && speed_m_s.is_finite()
+        {
+            self.behind_m = (self.behind_m + (config.way_speed_m_s - speed_m_s) * STEP_S).max(0.0);
+        }
+        if let (None, true, Some(apart)) = (self.raised, input.guided, input.yaw_apart) {
+            self.apart_steps = if apart > config.apart_yaw {
+                self.apart_steps.saturating_add(1)
+            } else {
+                self.apart_steps.saturating_sub(1)
+            };
+        }
         if self.raised.is_none() && !input.guided {
             // What is judged while the vehicle holds moves nothing.
             (self.attacks, self.unknown_steps, self.course_steps) = (0, 0, 0);
@@ -190,6 +232,12 @@ impl AlarmLogic {
             Some(AlarmCause::NoVerdict)
         } else if config.guard_steps > 0 && self.course_steps >= config.guard_steps {
             Some(AlarmCause::CollisionCourse)
+        } else if config.astray_limit_m > 0.0 && self.behind_m > config.astray_limit_m {
+            Some(AlarmCause::LedAstray)
+        } else if config.disagreement_limit_s > 0.0
+            && f32::from(self.apart_steps) * STEP_S > config.disagreement_limit_s
+        {
+            Some(AlarmCause::Disagreement)
         } else {
             None
         };
@@ -251,6 +299,8 @@ mod tests {
         verdict: Some(Clean),
         collision_course: Some(false),
         recovery_course: Some(false),
+        speed_along_way_m_s: Some(1.2),
+        yaw_apart: Some(0.2),
         in_flight: true,
         guided: true,
         speed_m_s: Some(1.5),
@@ -348,6 +398,69 @@ mod tests {
         }
         logic.trust_again(&config);
         assert_eq!(step(&mut logic, Some(false)), None);
+    }
+
+    /// Steps until the guard finds that the actor is led astray, when the vehicle flies along its way as these speeds say, over and over.
+    fn steps_until_astray(speeds_m_s: &[f32]) -> Option<usize> {
+        let mut logic = AlarmLogic::default();
+        let config = AlarmConfig {
+            astray_limit_m: 3.0,
+            way_speed_m_s: 0.3,
+            ..AlarmConfig::default()
+        };
+        (0..2400).find(|&i| {
+            let input = AlarmInput {
+                now_ns: i as u64 * 50_000_000,
+                speed_along_way_m_s: speeds_m_s.get(i % speeds_m_s.len()).copied(),
+                ..FLYING
+            };
+            logic.step(&config, &input).map(|alarm| alarm.cause) == Some(AlarmCause::LedAstray)
+        })
+    }
+
+    #[test]
+    fn a_vehicle_led_away_is_found_in_seconds_one_led_in_circles_later_and_one_that_gets_on_never() {
+        assert!(
+            steps_until_astray(&[-1.2]).is_some_and(|steps| (39..=40).contains(&steps)),
+            "3 m at 1.5 m/s: two seconds"
+        );
+        assert!(
+            steps_until_astray(&[1.2, -1.2]).is_some_and(|steps| (180..240).contains(&steps)),
+            "3 m at 0.3 m/s: ten seconds"
+        );
+        assert_eq!(steps_until_astray(&[0.4]), None);
+        // Round something, away for a second and on for two.
+        let detour: Vec<f32> = (0..60).map(|i| if i < 20 { -0.5 } else { 1.2 }).collect();
+        assert_eq!(steps_until_astray(&detour), None);
+        assert_eq!(steps_until_astray(&[f32::NAN]), None);
+    }
+
+    #[test]
+    fn pilots_that_go_on_turning_apart_raise_the_alarm_and_those_that_differ_now_and_then_do_not() {
+        let steps_until_disagreement = |apart: &[f32]| {
+            let mut logic = AlarmLogic::default();
+            (0..2400).find(|&i| {
+                let input = AlarmInput {
+                    now_ns: i as u64 * 50_000_000,
+                    yaw_apart: apart.get(i % apart.len()).copied(),
+                    ..FLYING
+                };
+                let alarm = logic.step(&AlarmConfig::default(), &input);
+                alarm.map(|alarm| alarm.cause) == Some(AlarmCause::Disagreement)
+            })
+        };
+        assert_eq!(steps_until_disagreement(&[3.0]), Some(50), "two and a half seconds");
+        assert!(steps_until_disagreement(&[3.0, 3.0, 0.0]).is_some_and(|steps| (140..160).contains(&steps)));
+        assert_eq!(steps_until_disagreement(&[3.0, 0.0]), None);
+        assert_eq!(steps_until_disagreement(&[1.9]), None, "a swerve");
+        assert_eq!(steps_until_disagreement(&[f32::NAN]), None);
+    }
+
+    #[test]
+    fn what_an_actor_gained_before_does_not_cover_for_it_later() {
+        let mut speeds = vec![1.5; 400];
+        speeds.extend([-1.2; 60]);
+        assert!(steps_until_astray(&speeds).is_some_and(|steps| (439..=440).contains(&steps)));
     }
 
     #[test]

@@ -51,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 28] = [
+pub static CONDITIONS: [Condition; 30] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -176,8 +176,8 @@ pub static CONDITIONS: [Condition; 28] = [
         Reason::Recovering,
         Demand::Recover,
         false,
-        "the policy is *recover*, and *attack*, *no verdict* or *collision course* has stopped the vehicle",
-        "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after *collision course* an operator's engage (with `guard_final = false` as after *attack*); the end of the flight",
+        "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray* or *disagreement* has stopped the vehicle",
+        "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after one of the last three an operator's engage (with `guard_final = false` as after *attack*); the end of the flight",
     ),
     condition(
         Reason::CollisionCourse,
@@ -241,6 +241,20 @@ pub static CONDITIONS: [Condition; 28] = [
         true,
         "frame keys are configured, and a frame in this step was not made with one of them",
         "a step without such a frame",
+    ),
+    condition(
+        Reason::LedAstray,
+        Demand::Hold,
+        false,
+        "the flying actor fell more than {astray_limit} behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*",
+        "as *collision course*",
+    ),
+    condition(
+        Reason::Disagreement,
+        Demand::Hold,
+        false,
+        "the yaw outputs of the flying actor and the recovery pilot were more than {apart} (of 3) apart, for {disagreement} longer than they were not; and the policy is *stop* or *recover*",
+        "as *collision course*",
     ),
 ];
 

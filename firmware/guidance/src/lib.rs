@@ -20,6 +20,7 @@
 //!     verdict: None,
 //!     collision_course: None,
 //!     recovery_course: None,
+//!     speed_along_way_m_s: None,
 //!     timing: StepTiming::default(),
 //!     handover: HandoverProgress::default(),
 //!     vehicle_restarts: 0,

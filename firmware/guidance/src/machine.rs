@@ -54,6 +54,8 @@ pub struct GuidanceInput<'a> {
     pub collision_course: Option<bool>,
     /// Whether it sees its own action lead into something that stopping avoids; `None` as above.
     pub recovery_course: Option<bool>,
+    /// How fast the vehicle flies along the way that it plans, metres per second; 0 where it has none, `None` as above.
+    pub speed_along_way_m_s: Option<f32>,
     /// Steps missed.
     pub timing: StepTiming,
     /// How far the vehicle is with the hand-over.
@@ -564,6 +566,8 @@ impl Guidance {
             .with_if(stops_for(AlarmCause::NoVerdict), Reason::NoVerdict)
             .with_if(recovering, Reason::Recovering)
             .with_if(stops_for(AlarmCause::CollisionCourse), Reason::CollisionCourse)
+            .with_if(stops_for(AlarmCause::LedAstray), Reason::LedAstray)
+            .with_if(stops_for(AlarmCause::Disagreement), Reason::Disagreement)
             .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
             .with_if(slow_telemetry, Reason::SlowTelemetry)
             .with_if(pilot_in_command, Reason::PilotInCommand)
@@ -580,6 +584,11 @@ impl Guidance {
                 verdict: input.verdict,
                 collision_course: input.collision_course,
                 recovery_course: input.recovery_course,
+                speed_along_way_m_s: input.speed_along_way_m_s,
+                yaw_apart: match (input.action, input.recovery) {
+                    (Some(actor), Some(own)) => Some((actor.clipped().yaw - own.clipped().yaw).abs()),
+                    _ => None,
+                },
                 // A hand-over in the air regains a flight; the alarm survives it.
                 in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
                 guided: self.state == GuidanceState::Guided,

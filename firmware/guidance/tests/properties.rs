@@ -35,6 +35,7 @@ enum Event {
     Verdict(Option<Verdict>),
     CollisionCourse(bool),
     RecoveryCourse(bool),
+    SpeedAlongWay(f32),
     Velocity([f32; 3]),
     Handover(HandoverProgress),
     Slips(u64),
@@ -92,6 +93,7 @@ fn event() -> impl Strategy<Value = Event> {
         4 => prop_oneof![2 => Just(Some(Verdict::Attack)), 1 => Just(Some(Verdict::Unknown)), 1 => Just(Some(Verdict::Clean)), 1 => Just(None)].prop_map(Event::Verdict),
         2 => any::<bool>().prop_map(Event::CollisionCourse),
         1 => any::<bool>().prop_map(Event::RecoveryCourse),
+        1 => number().prop_map(Event::SpeedAlongWay),
         1 => [number(), number(), number()].prop_map(Event::Velocity),
         2 => handover.prop_map(Event::Handover),
         1 => (0u64..9).prop_map(Event::Slips),
@@ -151,6 +153,7 @@ fn good(s: &mut Story) {
     s.verdict = Some(Verdict::Clean);
     s.collision_course = Some(false);
     s.recovery_course = Some(false);
+    s.speed_along_way_m_s = Some(1.0);
     s.velocity_ned_m_s = NedVector::ZERO;
 }
 
@@ -180,6 +183,7 @@ fn apply(s: &mut Story, event: &Event) -> usize {
         Event::Verdict(verdict) => s.verdict = verdict,
         Event::CollisionCourse(course) => s.collision_course = Some(course),
         Event::RecoveryCourse(course) => s.recovery_course = Some(course),
+        Event::SpeedAlongWay(speed) => s.speed_along_way_m_s = Some(speed),
         Event::Velocity([x, y, z]) => s.velocity_ned_m_s = NedVector::new(x, y, z),
         Event::Handover(handover) => s.handover = handover,
         Event::Slips(slips) => s.slips += slips,
@@ -231,7 +235,7 @@ proptest! {
                         let moved_by = if recovers { s.recovery } else { s.action };
                         prop_assert_eq!(v.velocity_m_s.x, moved_by.expect("somebody decides").clipped().forward_m_s);
                         prop_assert!(moved_by.is_some_and(Action::is_finite));
-                        for stops in [Reason::Attack, Reason::NoVerdict, Reason::CollisionCourse] {
+                        for stops in [Reason::Attack, Reason::NoVerdict, Reason::CollisionCourse, Reason::LedAstray, Reason::Disagreement] {
                             prop_assert!(!out.reasons.contains(stops));
                         }
                         let answered = out.alarm.is_none_or(|alarm| alarm.response != AlarmResponse::Stop);

@@ -1137,6 +1137,88 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
 }
 
 #[test]
+fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean_and_does_not_come_back() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    s.speed_along_way_m_s = Some(0.8);
+    assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
+    // Astray, away from the way.
+    s.speed_along_way_m_s = Some(-1.0);
+    s.velocity_ned_m_s.x = 1.0;
+    let flown = s.until(Hold);
+    assert!((80..90).contains(&flown), "6 m at 1.5 m/s, found after {flown} steps");
+    let stop = s.last.unwrap();
+    assert_eq!(
+        (stop.reasons, stop.setpoint, stop.alarm.unwrap().cause),
+        (
+            Reasons::of(Reason::LedAstray),
+            Some(VelocitySetpoint::HOLD),
+            AlarmCause::LedAstray
+        )
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    s.speed_along_way_m_s = Some(0.6);
+    let flying = s.run(seconds(60.0));
+    assert_eq!(
+        (flying.reasons, flying.action),
+        (Reasons::of(Reason::Recovering), Some(RECOVERY))
+    );
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.step().alarm, None, "the operator trusts it again");
+}
+
+#[test]
+fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_led_astray() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
+        s.speed_along_way_m_s = Some(speed_m_s);
+        assert_eq!(s.run(seconds(3.0)).alarm, None, "{speed_m_s}");
+    }
+    // A hold is not the actor's doing.
+    s.speed_along_way_m_s = Some(0.0);
+    s.frame.age_ns = Some(1_000_000_000);
+    assert_eq!(s.run(seconds(30.0)).alarm, None);
+}
+
+#[test]
+fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_although_it_gets_on() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    let recovery_yaw = s.recovery.unwrap().yaw;
+    let turn_apart = |s: &mut Story, apart: f32| s.action.as_mut().unwrap().yaw = recovery_yaw + apart;
+    for _ in 0..20 {
+        turn_apart(&mut s, 1.4);
+        assert_eq!(s.run(seconds(1.5)).alarm, None, "a swerve");
+        turn_apart(&mut s, 0.0);
+        assert_eq!(s.run(seconds(1.5)).alarm, None);
+    }
+    s.recovery.as_mut().unwrap().yaw = 1.5;
+    s.action.as_mut().unwrap().yaw = -1.5;
+    assert!((50..52).contains(&s.until(Hold)));
+    let stop = s.last.unwrap();
+    assert_eq!(
+        (stop.reasons, stop.alarm.unwrap().cause),
+        (Reasons::of(Reason::Disagreement), AlarmCause::Disagreement)
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    s.action.as_mut().unwrap().yaw = 1.5;
+    assert!(s.run(seconds(60.0)).alarm.is_some(), "final");
+}
+
+#[test]
+fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
+    let mut config = GuidanceConfig::default();
+    config.alarm.astray_limit_m = 0.0;
+    let mut s = Story::guided(config);
+    s.verdict = Some(Verdict::Clean);
+    s.speed_along_way_m_s = Some(-1.0);
+    assert_eq!(s.run(seconds(60.0)).alarm, None);
+}
+
+#[test]
 fn where_the_guard_s_alarm_is_not_final_clean_verdicts_give_the_vehicle_back_to_the_actor() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Clean);

@@ -108,11 +108,15 @@ pub enum Reason {
     PilotInCommand = 27,
     /// A frame arrived that was not made with the sensor's key.
     UnauthenticatedFrame = 28,
+    /// The actor did not bring the vehicle on along the guard's way; the vehicle is being stopped.
+    LedAstray = 29,
+    /// The actor and the guard's planner went on turning apart; the vehicle is being stopped.
+    Disagreement = 30,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 28] = [
+    pub const ALL: [Self; 30] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -141,6 +145,8 @@ impl Reason {
         Self::SlowTelemetry,
         Self::PilotInCommand,
         Self::UnauthenticatedFrame,
+        Self::LedAstray,
+        Self::Disagreement,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -174,6 +180,8 @@ impl Reason {
             Self::SlowTelemetry => "slow telemetry",
             Self::PilotInCommand => "pilot in command",
             Self::UnauthenticatedFrame => "unauthenticated frame",
+            Self::LedAstray => "led astray",
+            Self::Disagreement => "disagreement",
         }
     }
 }

@@ -74,11 +74,29 @@ pub enum AlarmCause {
     NoVerdict = 1,
     /// The actor was about to fly into something, whatever the verdict.
     CollisionCourse = 2,
+    /// The actor did not bring the vehicle on along the way that the guard plans, whatever the verdict.
+    LedAstray = 3,
+    /// The actor and the guard's planner went on turning apart, whatever the verdict.
+    Disagreement = 4,
 }
 
 impl AlarmCause {
     /// All causes, in the order of their numbers.
-    pub const ALL: [Self; 3] = [Self::Attack, Self::NoVerdict, Self::CollisionCourse];
+    pub const ALL: [Self; 5] = [
+        Self::Attack,
+        Self::NoVerdict,
+        Self::CollisionCourse,
+        Self::LedAstray,
+        Self::Disagreement,
+    ];
+
+    /// Whether the guard raised it: by what the vehicle would do, whatever the verdict on the actor's explanation.
+    pub const fn is_of_guard(self) -> bool {
+        match self {
+            Self::CollisionCourse | Self::LedAstray | Self::Disagreement => true,
+            Self::Attack | Self::NoVerdict => false,
+        }
+    }
 
     /// Name as it appears in STATUSTEXT, log and documentation.
     pub const fn name(self) -> &'static str {
@@ -86,6 +104,8 @@ impl AlarmCause {
             Self::Attack => "attack",
             Self::NoVerdict => "no verdict",
             Self::CollisionCourse => "collision course",
+            Self::LedAstray => "led astray",
+            Self::Disagreement => "disagreement",
         }
     }
 }

@@ -481,6 +481,22 @@ table! {
          where the detector is"
     )
     .absent("true");
+    ASTRAY = real(
+        "detector.astray_m",
+        (0.0, 100.0),
+        "m",
+        6.0,
+        "the guard raises the alarm when the actor falls so far behind 0.5 m/s along the way that the recovery pilot plans; 0 is never"
+    )
+    .mavlink("DT_ASTRAY", true);
+    DISAGREEMENT = real(
+        "detector.disagreement_s",
+        (0.0, 60.0),
+        "s",
+        2.5,
+        "the guard raises the alarm when actor and recovery pilot have wanted to turn apart by more than 60 deg/s for so much longer than they have not; 0 is never"
+    )
+    .mavlink("DT_DISAGREE", true);
     GUARD_FINAL = switch(
         "detector.guard_final",
         true,

@@ -20,9 +20,10 @@ use vigil_adversary::{Attack, AttackArgs};
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::arguments::parse_switch;
+use vigil_firmware::arguments::{number, parse_switch};
 use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
+use vigil_types::parameters;
 use vigil_world::Outcome;
 
 /// Arguments of `vigil attack defended`.
@@ -80,6 +81,18 @@ pub struct DefendedArgs {
     /// Whether the recovery pilot raises the alarm as well when the actor is about to fly into something.
     #[arg(long, value_name = "on|off", value_parser = parse_switch, default_value = "on", action = clap::ArgAction::Set)]
     guard: bool,
+
+    /// The guard raises the alarm when the actor falls so far behind along its way, metres; 0 is never [default: the firmware's]
+    #[arg(long, value_name = "M", value_parser = number::<f32>(&parameters::ASTRAY))]
+    astray: Option<f32>,
+
+    /// The guard raises the alarm when actor and recovery pilot want to turn apart for so long, seconds; 0 is never [default: the firmware's]
+    #[arg(long, value_name = "S", value_parser = number::<f32>(&parameters::DISAGREEMENT))]
+    disagreement: Option<f32>,
+
+    /// Whether only an operator ends an alarm of the guard [default: the firmware's]
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    guard_final: Option<bool>,
 
     /// Fly only what the folder's defended.csv does not have yet, once Ctrl-C or a kill ended an earlier run.
     #[arg(long, conflicts_with = "shard")]
@@ -151,6 +164,9 @@ struct Settings {
     /// Verdicts that raise the alarm, and of how many.
     raise: (u8, u8),
     guard: bool,
+    astray_m: f32,
+    disagreement_s: f32,
+    guard_final: bool,
     first_seed: u64,
     apf: bool,
     attack: AttackConfig,
@@ -222,13 +238,19 @@ struct Line {
     alarms: u64,
     /// Alarms of these that the guard raised, not the verdict.
     guard_alarms: u64,
+    /// Of these because the actor was led astray.
+    astray_alarms: u64,
+    /// Of these because it disagreed with the planner.
+    disagreement_alarms: u64,
+    /// Step of the first alarm, if there was one.
+    first_alarm_step: Option<u64>,
     stop_steps: u64,
     recovery_steps: u64,
 }
 
 /// A flight has a line of 100 bytes.
 const SIZE_LIMIT: u64 = 1 << 30;
-const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,stop_steps,recovery_steps";
+const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,astray_alarms,disagreement_alarms,first_alarm_step,stop_steps,recovery_steps";
 
 /// An outcome by its name, and `none` for a vehicle that never took off.
 mod outcome_or_none {
@@ -263,6 +285,9 @@ impl Line {
             judged_steps: watch.judged_steps,
             alarms: watch.alarms,
             guard_alarms: watch.guard_alarms,
+            astray_alarms: watch.astray_alarms,
+            disagreement_alarms: watch.disagreement_alarms,
+            first_alarm_step: watch.first_alarm_step,
             stop_steps: watch.stop_steps,
             recovery_steps: watch.recovery_steps,
         }
@@ -341,6 +366,8 @@ struct Row {
     alarmed_flights: usize,
     alarms: u64,
     guard_alarms: u64,
+    astray_alarms: u64,
+    disagreement_alarms: u64,
     alarms_per_hour: f64,
     stopping_share: f64,
     recovering_share: f64,
@@ -362,6 +389,8 @@ impl Row {
             alarmed_flights: lines.iter().filter(|l| l.alarms > 0).count(),
             alarms,
             guard_alarms: sum(|l| l.guard_alarms),
+            astray_alarms: sum(|l| l.astray_alarms),
+            disagreement_alarms: sum(|l| l.disagreement_alarms),
             alarms_per_hour: alarms as f64 / (judged * f64::from(STEP_S) / 3600.0),
             stopping_share: sum(|l| l.stop_steps) as f64 / judged,
             recovering_share: sum(|l| l.recovery_steps) as f64 / judged,
@@ -393,9 +422,11 @@ impl Row {
             return "—".to_owned();
         }
         format!(
-            "{} ({} by the guard) in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
+            "{} ({} by the guard: {} led astray, {} disagreements) in {} flights, {:.1} per hour; stopping {:.1} %, recovering {:.1} % of the time",
             self.alarms,
             self.guard_alarms,
+            self.astray_alarms,
+            self.disagreement_alarms,
             self.alarmed_flights,
             self.alarms_per_hour,
             100.0 * self.stopping_share,
@@ -467,6 +498,9 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         },
         raise: (alarm.raise_count, alarm.raise_window),
         guard: args.guard,
+        astray_m: args.astray.unwrap_or(alarm.astray_m),
+        disagreement_s: args.disagreement.unwrap_or(alarm.disagreement_s),
+        guard_final: args.guard_final.unwrap_or(alarm.guard_final),
         first_seed: args.seed,
         apf: args.apf,
         attack: attack.config,
@@ -597,6 +631,9 @@ fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flow
     firmware.detector.enabled = Some(arm.alarm().is_some());
     firmware.detector.file.clone_from(&args.detector);
     firmware.detector.guard = (!args.guard).then_some(false);
+    firmware.detector.astray_m = args.astray.unwrap_or(firmware.detector.astray_m);
+    firmware.detector.disagreement_s = args.disagreement.unwrap_or(firmware.detector.disagreement_s);
+    firmware.detector.guard_final = args.guard_final.unwrap_or(firmware.detector.guard_final);
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
 }
@@ -617,6 +654,9 @@ mod tests {
             judged_steps: 418,
             alarms: 1,
             guard_alarms: 0,
+            astray_alarms: 0,
+            disagreement_alarms: 0,
+            first_alarm_step: Some(212),
             stop_steps: 14,
             recovery_steps: 120,
         }
@@ -629,6 +669,9 @@ mod tests {
             detector_sha256: "d".to_owned(),
             raise: (2, 3),
             guard: true,
+            astray_m: 6.0,
+            disagreement_s: 2.5,
+            guard_final: true,
             first_seed: 7,
             apf: false,
             attack: AttackConfig::PAPER,

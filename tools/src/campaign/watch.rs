@@ -14,8 +14,14 @@ pub struct WatchRecord {
     pub unknown_verdicts: u64,
     /// How often the alarm was raised.
     pub alarms: u64,
-    /// How often of these by the guard: the actor was about to fly into something.
+    /// How often of these by the guard: the actor was about to fly into something, was led astray, or disagreed with the planner.
     pub guard_alarms: u64,
+    /// How often of these because it was led astray.
+    #[serde(default)]
+    pub astray_alarms: u64,
+    /// How often of these because it disagreed.
+    #[serde(default)]
+    pub disagreement_alarms: u64,
     /// Step of the first alarm.
     pub first_alarm_step: Option<u64>,
     /// Steps in which the alarm demanded a stop.
@@ -40,10 +46,10 @@ impl WatchRecord {
         self.recovery_steps += u64::from(response == Some(AlarmResponse::Recovery));
         if response.is_some() && !self.raised {
             self.alarms += 1;
-            let guard = report
-                .alarm
-                .is_some_and(|alarm| alarm.cause == AlarmCause::CollisionCourse);
-            self.guard_alarms += u64::from(guard);
+            let raised_by = |of: fn(AlarmCause) -> bool| u64::from(report.alarm.is_some_and(|alarm| of(alarm.cause)));
+            self.guard_alarms += raised_by(AlarmCause::is_of_guard);
+            self.astray_alarms += raised_by(|cause| cause == AlarmCause::LedAstray);
+            self.disagreement_alarms += raised_by(|cause| cause == AlarmCause::Disagreement);
             self.first_alarm_step = self.first_alarm_step.or(Some(step));
         }
         self.raised = response.is_some();
@@ -63,15 +69,19 @@ impl WatchRecord {
             sum.judged_steps += flight.judged_steps;
             sum.alarms += flight.alarms;
             sum.guard_alarms += flight.guard_alarms;
+            sum.astray_alarms += flight.astray_alarms;
+            sum.disagreement_alarms += flight.disagreement_alarms;
             sum.stop_steps += flight.stop_steps;
             sum.recovery_steps += flight.recovery_steps;
         }
         let share = |steps: u64| 100.0 * steps as f64 / sum.judged_steps.max(1) as f64;
         let hours = sum.judged_steps as f64 * f64::from(STEP_S) / 3600.0;
         format!(
-            "{} alarms ({} by the guard) in {alarmed} of {count} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
+            "{} alarms ({} by the guard: {} led astray, {} disagreements) in {alarmed} of {count} flights, {:.1} per flight hour; stopping {:.1} %, recovering {:.1} % of the time",
             sum.alarms,
             sum.guard_alarms,
+            sum.astray_alarms,
+            sum.disagreement_alarms,
             sum.alarms as f64 / hours.max(f64::MIN_POSITIVE),
             share(sum.stop_steps),
             share(sum.recovery_steps),
@@ -115,7 +125,7 @@ mod tests {
         assert_eq!((record.judged_steps, record.unknown_verdicts), (6, 6));
         let line = WatchRecord::summary([&record, &WatchRecord::default()].into_iter());
         assert!(
-            line.starts_with("2 alarms (0 by the guard) in 1 of 2 flights"),
+            line.starts_with("2 alarms (0 by the guard: 0 led astray, 0 disagreements) in 1 of 2 flights"),
             "{line}"
         );
     }

@@ -24,6 +24,7 @@ pub struct Story {
     pub verdict: Option<Verdict>,
     pub collision_course: Option<bool>,
     pub recovery_course: Option<bool>,
+    pub speed_along_way_m_s: Option<f32>,
     pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
     pub slips: u64,
@@ -68,6 +69,7 @@ impl Story {
             verdict: None,
             collision_course: Some(false),
             recovery_course: Some(false),
+            speed_along_way_m_s: Some(1.0),
             velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
             slips: 0,
@@ -141,6 +143,7 @@ impl Story {
             verdict: self.verdict,
             collision_course: self.collision_course,
             recovery_course: self.recovery_course,
+            speed_along_way_m_s: self.speed_along_way_m_s,
             timing: StepTiming {
                 slips: self.slips,
                 ..Default::default()

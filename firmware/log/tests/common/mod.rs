@@ -162,7 +162,7 @@ impl Draw {
                 phi: std::array::from_fn(|_| d.float()),
             }),
             alarm: self.maybe(|d| Alarm {
-                cause: AlarmCause::ALL[d.below(3) as usize],
+                cause: AlarmCause::ALL[d.below(5) as usize],
                 response: AlarmResponse::ALL[d.below(3) as usize],
             }),
         }

@@ -201,6 +201,7 @@ impl Flight {
             verdict: None,
             collision_course: Some(false),
             recovery_course: Some(false),
+            speed_along_way_m_s: None,
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),

@@ -44,7 +44,7 @@ const LOOKAHEAD_M: f32 = 4.0;
 /// Nearest waypoint: taken even where the straight line to it is tight.
 const SHORT_LOOKAHEAD_M: f32 = 0.9;
 /// A waypoint nearer than this has no bearing to speak of, metres.
-const LEAST_LEAD_M: f32 = 0.05;
+pub(crate) const LEAST_LEAD_M: f32 = 0.05;
 /// Around the vehicle itself the line may be as tight as it is, metres.
 const SIGHT_FROM_M: f32 = 0.5;
 /// A waypoint farther off the nose than this has chosen the side to pass on; the field does not overrule it.
@@ -238,6 +238,11 @@ impl GeometricPilot {
     /// The last way found, NED metres (north, east), from where the vehicle was when the search began; empty without one.
     pub fn way_ned_m(&self) -> &[(f32, f32)] {
         self.planner.points()
+    }
+
+    /// What that way costs, metres.
+    pub(crate) fn cost_to_go_m(&self) -> Option<f32> {
+        self.planner.cost_to_go_m()
     }
 
     /// The last step's scan.

@@ -1,7 +1,7 @@
 //! The recovery pilot: flies on when an attack on the depth frames is detected, or the actor is about to fly into something
 //! (docs/detection.md). The path that it plans meanwhile leads an actor whose file asks for one (docs/architecture.md).
 
-use crate::geometric::pilot::led_to;
+use crate::geometric::pilot::{LEAST_LEAD_M, led_to, position_ned_m};
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{Action, GoalRelative, NedVector};
 
@@ -53,6 +53,22 @@ impl RecoveryPilot {
     /// Decides. After [`Self::observe`], with the same input.
     pub fn decide(&self, input: &PilotInput<'_>) -> Action {
         self.pilot.steer(input, self.waypoint)
+    }
+
+    /// How fast the vehicle flies along the planned way, metres per second: the part of its horizontal velocity that points to the waypoint;
+    /// `None` without a way, or at its end. After [`Self::observe`], with the same input.
+    pub fn speed_along_way_m_s(&self, input: &PilotInput<'_>) -> Option<f32> {
+        let to_waypoint = self.waypoint? - position_ned_m(input);
+        let distance_m = to_waypoint.horizontal_norm();
+        let velocity_m_s = input.velocity_m_s.to_ned(input.attitude.yaw_rad());
+        let along_m2_s = velocity_m_s.x * to_waypoint.x + velocity_m_s.y * to_waypoint.y;
+        (distance_m > LEAST_LEAD_M).then(|| along_m2_s / distance_m)
+    }
+
+    /// What the way to the goal costs ([`PathPlanner::cost_to_go_m`](crate::geometric::path_planner::PathPlanner::cost_to_go_m)); `None`
+    /// without a way.
+    pub fn cost_to_go_m(&self) -> Option<f32> {
+        self.pilot.cost_to_go_m()
     }
 
     /// Forgets everything it remembered: a new flight.
