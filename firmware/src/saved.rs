@@ -183,6 +183,7 @@ fn put(config: &mut FirmwareConfig, name: &str, value: ParameterValue) -> Result
             let (word, _) = word.ok_or_else(|| format!("there is no choice {code}"))?;
             toml::Value::from(*word)
         }
+        (Kind::Switch, ParameterValue::Integer(code)) => toml::Value::from(code != 0),
         (_, ParameterValue::Real(v)) => v.into(),
         (_, ParameterValue::Integer(v)) => v.into(),
     };
