@@ -246,7 +246,7 @@ pub static CONDITIONS: [Condition; 30] = [
         Reason::LedAstray,
         Demand::Hold,
         false,
-        "the flying actor fell more than {astray_limit} behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*",
+        "the flying actor fell more than `detector.astray_m`, if that is not 0, behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*",
         "as *collision course*",
     ),
     condition(

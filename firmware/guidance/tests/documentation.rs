@@ -33,7 +33,6 @@ fn thresholds(text: &str) -> String {
         ("{stop_limit}", seconds(c.alarm.stop_limit_ns)),
         ("{alarm_clear_steps}", c.alarm.clear_steps.to_string()),
         ("{guard_steps}", c.alarm.guard_steps.to_string()),
-        ("{astray_limit}", format!("{} m", c.alarm.astray_limit_m)),
         ("{apart}", c.alarm.apart_yaw.to_string()),
         ("{disagreement}", format!("{} s", c.alarm.disagreement_limit_s)),
         ("{way_speed}", format!("{} m/s", c.alarm.way_speed_m_s)),

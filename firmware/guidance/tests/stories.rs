@@ -982,13 +982,23 @@ const RECOVERY: Action = Action {
 
 /// A flight at 1 m/s under a detector.
 fn watched(policy: AlarmPolicy) -> Story {
-    let mut s = Story::guided(GuidanceConfig {
-        alarm: AlarmConfig {
-            policy,
-            ..AlarmConfig::default()
-        },
-        ..auto()
-    });
+    watched_with(AlarmConfig {
+        policy,
+        ..AlarmConfig::default()
+    })
+}
+
+/// The same, and the guard raises the alarm when the actor falls 6 m behind.
+fn watched_for_leading_astray() -> Story {
+    watched_with(AlarmConfig {
+        policy: AlarmPolicy::Recover,
+        astray_limit_m: 6.0,
+        ..AlarmConfig::default()
+    })
+}
+
+fn watched_with(alarm: AlarmConfig) -> Story {
+    let mut s = Story::guided(GuidanceConfig { alarm, ..auto() });
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
     s.velocity_ned_m_s.x = 1.0;
@@ -1138,7 +1148,7 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
 
 #[test]
 fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean_and_does_not_come_back() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = watched_for_leading_astray();
     s.verdict = Some(Verdict::Clean);
     s.speed_along_way_m_s = Some(0.8);
     assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
@@ -1170,7 +1180,7 @@ fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verd
 
 #[test]
 fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_led_astray() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = watched_for_leading_astray();
     s.verdict = Some(Verdict::Clean);
     for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
         s.speed_along_way_m_s = Some(speed_m_s);
@@ -1210,9 +1220,7 @@ fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_altho
 
 #[test]
 fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
-    let mut config = GuidanceConfig::default();
-    config.alarm.astray_limit_m = 0.0;
-    let mut s = Story::guided(config);
+    let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Clean);
     s.speed_along_way_m_s = Some(-1.0);
     assert_eq!(s.run(seconds(60.0)).alarm, None);

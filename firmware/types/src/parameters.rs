@@ -485,7 +485,7 @@ table! {
         "detector.astray_m",
         (0.0, 100.0),
         "m",
-        6.0,
+        0.0,
         "the guard raises the alarm when the actor falls so far behind 0.5 m/s along the way that the recovery pilot plans; 0 is never"
     )
     .mavlink("DT_ASTRAY", true);

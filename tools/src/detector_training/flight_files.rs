@@ -142,8 +142,8 @@ pub fn collect(
 /// An hour of flight has 15 MB.
 const SIZE_LIMIT: u64 = 4 << 30;
 
-/// Value of the metadata entry `format`.
-const FORMAT: &str = "vigil detector data 1";
+/// Key of the only metadata entry: with several the order, and so the file, would be another in each process.
+const FORMAT: &str = "vigil detector data 2";
 /// Numbers kept of a step beside the split point's values and the positional inputs.
 const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
 
@@ -176,6 +176,13 @@ impl Recorded {
             frame_ages: pilot.frame_ages(),
         })
     }
+}
+
+/// The metadata entry, JSON.
+#[derive(Serialize, Deserialize)]
+struct About {
+    actor_sha256: String,
+    flights: Vec<Entry>,
 }
 
 /// A flight's entry in the file.
@@ -217,7 +224,7 @@ impl Flights {
             }
             frames.push(step.frame as u8);
         }
-        let entries: Vec<Entry> = self
+        let flights: Vec<Entry> = self
             .records
             .iter()
             .map(|r| Entry {
@@ -230,12 +237,12 @@ impl Flights {
             path: path.to_owned(),
             message,
         };
-        let json = serde_json::to_string(&entries).map_err(|e| data(e.to_string()))?;
-        let metadata = HashMap::from([
-            ("format".to_owned(), FORMAT.to_owned()),
-            ("actor_sha256".to_owned(), self.actor_sha256.clone()),
-            ("flights".to_owned(), json),
-        ]);
+        let about = About {
+            actor_sha256: self.actor_sha256.clone(),
+            flights,
+        };
+        let json = serde_json::to_string(&about).map_err(|e| data(e.to_string()))?;
+        let metadata = HashMap::from([(FORMAT.to_owned(), json)]);
         let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
         let tensors = [
             ("steps", view(Dtype::F32, vec![count, width], &values)?),
@@ -264,23 +271,19 @@ impl Flights {
         };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| data(&e.to_string()))?;
         let content = SafeTensors::deserialize(bytes).map_err(|e| data(&e.to_string()))?;
-        let metadata = header.metadata().clone().unwrap_or_default();
-        if metadata.get("format").map(String::as_str) != Some(FORMAT) {
-            return Err(data("it is of another format"));
-        }
-        let (found, expected) = (
-            metadata.get("actor_sha256").cloned().unwrap_or_default(),
-            recorded.actor_sha256.clone(),
-        );
-        if found != expected {
+        let metadata = header.metadata().as_ref();
+        let json = metadata
+            .and_then(|entries| entries.get(FORMAT))
+            .ok_or_else(|| data("it is of another format"))?;
+        let about: About = serde_json::from_str(json).map_err(|e| data(&e.to_string()))?;
+        if about.actor_sha256 != recorded.actor_sha256 {
             return Err(DetectError::OtherActor {
                 path: path.to_owned(),
-                found,
-                expected,
+                found: about.actor_sha256,
+                expected: recorded.actor_sha256.clone(),
             });
         }
-        let entries: Vec<Entry> = serde_json::from_str(metadata.get("flights").map_or("", String::as_str))
-            .map_err(|e| data(&e.to_string()))?;
+        let entries = about.flights;
         let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
         let (values, frames) = (tensor("steps")?, tensor("frames")?);
         let values: Vec<f32> = values
@@ -326,7 +329,7 @@ impl Flights {
             })
             .collect();
         Ok(Self {
-            actor_sha256: found,
+            actor_sha256: about.actor_sha256,
             records,
         })
     }
