@@ -96,10 +96,6 @@ pub struct PathPlanner {
     on_way: [bool; CELLS],
     points: [(f32, f32); WAY_POINTS],
     len: usize,
-    /// Cost from the goal to the nearest cell where a way may end; `cost` counts from there.
-    to_end: u32,
-    /// Cost of the last way found, from the vehicle to the goal.
-    way_cost: Option<u32>,
     /// North and east part of the nose's direction when cells off it cost more.
     #[cfg(feature = "teacher")]
     nose: Option<(f32, f32)>,
@@ -130,8 +126,6 @@ impl PathPlanner {
             on_way: [false; CELLS],
             points: [(0.0, 0.0); WAY_POINTS],
             len: 0,
-            to_end: 0,
-            way_cost: None,
             #[cfg(feature = "teacher")]
             nose: None,
         };
@@ -150,13 +144,6 @@ impl PathPlanner {
     pub fn clear(&mut self) {
         self.working = false;
         self.len = 0;
-        self.way_cost = None;
-    }
-
-    /// What the last way found costs from where the vehicle was when its search began: metres, those in narrow places counted up to six
-    /// times; `None` without a way.
-    pub fn cost_to_go_m(&self) -> Option<f32> {
-        Some(self.way_cost? as f32 * (CELL_M / STRAIGHT as f32))
     }
 
     /// Counts clearance up to `wanted_m`, and its lack more.
@@ -256,8 +243,6 @@ impl PathPlanner {
             let cell = Cell::of_index(index);
             if cell == self.vehicle {
                 self.working = false;
-                let cost = u32::from(self.cost.get(index).copied().unwrap_or(UNREACHED));
-                self.way_cost = Some(self.to_end.saturating_add(cost));
                 self.keep_way(memory);
                 return Search::Found;
             }
@@ -294,7 +279,6 @@ impl PathPlanner {
         // Costs count from the nearest end, so that a goal kilometres away costs no more bits.
         let (goal, vehicle) = (self.goal, self.vehicle);
         let nearest = cells.clone().map(|c| octile(c, goal)).min().unwrap_or(0);
-        self.to_end = nearest;
         let total = |c: Cell| (octile(c, goal) - nearest).saturating_add(octile(c, vehicle));
         self.base = cells.clone().map(total).min().unwrap_or(0);
         for cell in cells {

@@ -240,11 +240,6 @@ impl GeometricPilot {
         self.planner.points()
     }
 
-    /// What that way costs, metres.
-    pub(crate) fn cost_to_go_m(&self) -> Option<f32> {
-        self.planner.cost_to_go_m()
-    }
-
     /// The last step's scan.
     pub fn surroundings(&self) -> &RangeScan {
         &self.surroundings

@@ -65,12 +65,6 @@ impl RecoveryPilot {
         (distance_m > LEAST_LEAD_M).then(|| along_m2_s / distance_m)
     }
 
-    /// What the way to the goal costs ([`PathPlanner::cost_to_go_m`](crate::geometric::path_planner::PathPlanner::cost_to_go_m)); `None`
-    /// without a way.
-    pub fn cost_to_go_m(&self) -> Option<f32> {
-        self.pilot.cost_to_go_m()
-    }
-
     /// Forgets everything it remembered: a new flight.
     pub fn reset(&mut self) {
         self.pilot.reset();
