@@ -31,7 +31,7 @@ fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
 /// Ground, and the goal straight ahead; with a column in the way if wanted.
 fn course(folder: &Path, goal_m: f32, column_m: Option<f32>) -> String {
     let column = column_m.map_or(String::new(), |north_m| {
-        format!("[[columns]]\nnorth_m = {north_m}\neast_m = 0.0\nradius_m = 0.5\nheight_m = 5.0\n")
+        format!("[[column]]\nnorth_m = {north_m}\neast_m = 0.0\nradius_m = 0.5\nheight_m = 5.0\n")
     });
     let text = format!(
         "name = \"straight\"\ngoal = {{ north_m = {goal_m}, east_m = 0.0 }}\n\
