@@ -21,6 +21,10 @@ const JUMP_M_S: f32 = 10.0;
 /// Height above home from which the vehicle flies, and the referee judges, metres.
 const LIFT_OFF_M: f32 = 0.5;
 
+/// The sensor is never lower above the ground than this, metres: a vehicle stands on its gear, but its position is 0 there, or
+/// below where the estimator errs, and from the plane of the ground no ground is seen.
+const LOWEST_SENSOR_M: f32 = 0.1;
+
 /// What is known of the vehicle's pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PoseState {
@@ -363,8 +367,10 @@ impl ForeignFlight {
             Some(failing) => failing.attitude(elapsed_ns, pose.attitude),
             None => pose.attitude,
         };
+        let mut position_ned_m = pose.position_ned_m;
+        position_ned_m.z = position_ned_m.z.min(-LOWEST_SENSOR_M);
         let shot = Shot {
-            position_ned_m: pose.position_ned_m,
+            position_ned_m,
             attitude,
             estimated_position_ned_m: reported.at(now_ns),
             estimated_attitude: estimate.attitude,

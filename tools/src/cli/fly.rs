@@ -1,7 +1,7 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
 use crate::cli::family;
-use crate::cli::foreign::{ForeignArgs, PoseWatch, start_sensor};
+use crate::cli::foreign::{ForeignArgs, PilotWatch, PoseWatch, start_sensor};
 use crate::cli::live::Live;
 use crate::cli::log::{FILM_EXPLAINED, FILM_SPEED, check_film, film_name, write_film};
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
@@ -588,7 +588,7 @@ fn watch(
     let mut flight = Flight::default();
     let mut last_printed_s = f64::NEG_INFINITY;
     let mut reached_at: Option<Instant> = None;
-    let mut pose = PoseWatch::default();
+    let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
     while !interrupt.came() {
         match statuses.recv_timeout(SILENCE_LIMIT) {
             Ok(status) => {
@@ -637,6 +637,9 @@ fn watch(
         let Some(status) = &flight.last else { continue };
         if pose.observe(status)? {
             break;
+        }
+        if let Some(advice) = pilot.observe(status) {
+            bar.suspend(|| say!("{advice}"));
         }
         match status.outcome.as_deref() {
             Some("success") => {

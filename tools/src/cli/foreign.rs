@@ -9,12 +9,15 @@ use vigil_firmware::arguments::choice;
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
 use vigil_sim::program::Status;
-use vigil_types::{AutopilotChoice, Choice};
+use vigil_types::{AutopilotChoice, Choice, Reason};
 
 /// Where the firmware passes on to the sensor what it hears of the vehicle, of instance 0.
 const POSE_PORT: u32 = 14130;
 /// A vehicle whose pose cannot be rendered for so long is given up.
 const NO_POSE_LIMIT: Duration = Duration::from_secs(30);
+
+/// How long a vehicle may be its pilot's before somebody is told what to do.
+const PILOT_PATIENCE: Duration = Duration::from_secs(3);
 
 /// The foreign vehicle.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -118,6 +121,36 @@ impl PoseWatch {
             );
         }
         Ok(false)
+    }
+}
+
+/// Says once what to do with a vehicle that its pilot has: guidance arms nothing in a mode that somebody may fly by sticks.
+#[derive(Default)]
+pub struct PilotWatch {
+    waits_since: Option<Instant>,
+    told: bool,
+}
+
+impl PilotWatch {
+    /// Looks at a status; what to tell, if it is time to.
+    pub fn observe(&mut self, status: &Status) -> Option<String> {
+        let waits = status
+            .reasons
+            .iter()
+            .any(|reason| reason == Reason::PilotInCommand.name());
+        if self.told || !waits {
+            self.waits_since = None;
+            return None;
+        }
+        if self.waits_since.get_or_insert_with(Instant::now).elapsed() < PILOT_PATIENCE {
+            return None;
+        }
+        self.told = true;
+        Some(format!(
+            "waiting    the vehicle is in its pilot's mode {}: change it to GUIDED (ArduPilot) or Hold (PX4) when it may go, or engage \
+             from a ground station (docs/guidance.md, \"Where auto engages\")",
+            status.mode
+        ))
     }
 }
 

@@ -213,6 +213,21 @@ fn on_the_ground_the_estimator_may_find_its_place_and_home_is_where_the_course_b
 }
 
 #[test]
+fn a_vehicle_that_stands_on_the_ground_or_believes_to_be_below_it_sees_the_ground_before_it() {
+    for height_m in [0.0, -0.4] {
+        let mut vehicle = Scripted::new(None);
+        vehicle.height_m = height_m;
+        assert_eq!(vehicle.report(0.0, 0.0), (true, PoseState::Tracking));
+        let seen = vehicle.frame.depth.iter().filter(|depth| **depth < 1.0).count();
+        assert!(seen > vehicle.frame.depth.len() / 4, "{seen} pixels have a return");
+        assert_eq!(
+            vehicle.frame.header.position_ned_m.z, -height_m,
+            "as the firmware hears it"
+        );
+    }
+}
+
+#[test]
 fn a_vehicle_that_starts_anew_in_flight_has_no_verdict() {
     let mut vehicle = Scripted::new(None);
     vehicle.step = 100;
