@@ -351,3 +351,92 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
         said(&full)
     );
 }
+
+/// Every file below a folder by its path from there.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(inner) = folders.pop() {
+        for entry in fs::read_dir(&inner).expect("a folder") {
+            let path = entry.expect("readable").path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => {
+                    let name = path.strip_prefix(folder).expect("below the folder").to_owned();
+                    found.insert(name, fs::read(&path).expect("a file"));
+                }
+            }
+        }
+    }
+    found
+}
+
+#[test]
+fn two_machines_measure_a_part_each_and_the_page_of_both_is_the_page_of_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let [one, first, second, whole] = ["one", "first", "second", "whole"].map(|name| folder.path().join(name));
+    // The quickest units of which none is a time.
+    let quick = ["--quick", "--only", "figure-12,figure-14"];
+    let measured = |output: &Path, more: &[&str]| {
+        let made = reproduce(output, &[&quick[..], more].concat());
+        assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+        said(&made)
+    };
+    measured(&one, &[]);
+    measured(&first, &["--shard", "1/2"]);
+    assert!(!first.join("index.html").exists(), "a part has no page");
+    let data = root().join("docs/measured");
+    let merge = |parts: &[&Path]| {
+        let parts: Vec<&str> = parts.iter().map(|part| text(part)).collect();
+        run(&[&["merge", "--data", text(&data), "-o", text(&whole)], &parts[..]].concat())
+    };
+    let missing = merge(&[&first]);
+    assert_eq!(missing.status.code(), Some(1), "{}", said(&missing));
+    assert!(said(&missing).contains("measure --shard 2/2"), "{}", said(&missing));
+    assert!(!whole.exists(), "nothing was written");
+
+    measured(&second, &["--shard", "2/2"]);
+    let merged = merge(&[&second, &first]);
+    assert_eq!(merged.status.code(), Some(0), "{}", said(&merged));
+    let expected = files(&one);
+    assert!(expected.contains_key(Path::new("index.html")) && expected.contains_key(Path::new("data/index.toml")));
+    let differing: Vec<&PathBuf> = expected
+        .iter()
+        .filter(|(name, content)| files(&whole).get(*name) != Some(content))
+        .map(|(name, _)| name)
+        .collect();
+    assert!(differing.is_empty(), "{differing:?}");
+    assert_eq!(files(&whole).len(), expected.len());
+    // The whole is a folder as any other.
+    assert!(measured(&whole, &[]).contains("is there"));
+    assert!(files(&whole) == expected);
+
+    for (output, more, why) in [
+        (
+            &first,
+            &["--quick", "--only", "figure-12,figure-14"][..],
+            "give its --shard",
+        ),
+        (
+            &first,
+            &["--quick", "--only", "figure-12,figure-14", "--shard", "2/2"],
+            "it is shard 1/2",
+        ),
+        (
+            &one,
+            &["--quick", "--only", "figure-12,figure-14", "--shard", "2/2"],
+            "without --shard",
+        ),
+        (
+            &folder.path().join("third"),
+            &["--only", "figure-12", "--shard", "1/2"],
+            "1 units are measured",
+        ),
+    ] {
+        let refused = reproduce(output, more);
+        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
+        assert!(said(&refused).contains(why), "{}", said(&refused));
+    }
+    let mixed = merge(&[&first, &data.join("index.toml")]);
+    assert!(said(&mixed).contains("index.toml is no folder of"), "{}", said(&mixed));
+}

@@ -77,6 +77,21 @@ impl Shard {
         edge(self.number - 1)..edge(self.number)
     }
 
+    /// K, from 1 on.
+    pub fn number(self) -> u64 {
+        self.number
+    }
+
+    /// N.
+    pub fn of(self) -> u64 {
+        self.of
+    }
+
+    /// All N.
+    pub fn all(of: u64) -> impl Iterator<Item = Self> {
+        (1..=of).map(move |number| Self { number, of })
+    }
+
     /// Where a part goes whose whole would be `whole`: `NAME.K-of-N.part.json` beside it; standard output stays.
     pub fn file(self, whole: &Path) -> PathBuf {
         if output::is_stdout(whole) {
@@ -95,7 +110,7 @@ pub trait Unit: Serialize + DeserializeOwned + Send {
 
 /// What has to be the same for two programs to give the same bits.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Program {
+pub struct Program {
     version: String,
     sha256: String,
     /// Kernels with and without fused multiply-add round differently.
@@ -105,7 +120,11 @@ struct Program {
 }
 
 impl Program {
-    fn this() -> Result<Self> {
+    /// The one that runs.
+    ///
+    /// # Errors
+    /// Its file cannot be read.
+    pub fn this() -> Result<Self> {
         let file = std::env::current_exe().context("cannot find this program's file")?;
         let bytes = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
         Ok(Self {
@@ -121,7 +140,8 @@ impl Program {
         })
     }
 
-    fn difference(&self, other: &Self) -> Option<String> {
+    /// How another program differs from this one, if it does, in words.
+    pub fn difference(&self, other: &Self) -> Option<String> {
         let commit = |program: &Self| program.git_commit.clone().unwrap_or_else(|| "unknown".to_owned());
         if self.sha256 != other.sha256 || self.version != other.version {
             return Some(format!(
@@ -394,8 +414,7 @@ fn missing_in_words(missing: &[u64], units: u64, shards: &[Shard]) -> String {
     const MOST: usize = 12;
     let of = shards.first().map_or(1, |shard| shard.of);
     let (names, what) = if shards.iter().all(|shard| shard.of == of) {
-        let mut names: Vec<String> = (1..=of)
-            .map(|number| Shard { number, of })
+        let mut names: Vec<String> = Shard::all(of)
             .filter(|shard| shard.units(units).any(|unit| missing.binary_search(&unit).is_ok()))
             .map(|shard| match shards.contains(&shard) {
                 true => format!("{shard} (interrupted)"),

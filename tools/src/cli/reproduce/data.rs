@@ -95,6 +95,11 @@ impl Data {
         })
     }
 
+    /// Where it lies.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
     /// The folder that a unit's command writes to.
     pub fn folder_of(&self, unit: &str) -> PathBuf {
         self.folder.join(unit)
@@ -103,6 +108,11 @@ impl Data {
     /// A unit, if it was measured.
     pub fn unit(&self, name: &str) -> Option<&Unit> {
         self.index.units.get(name)
+    }
+
+    /// The units that were measured.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.index.units.keys().map(String::as_str)
     }
 
     /// Whether a unit was measured by this command and is whole.
@@ -124,11 +134,46 @@ impl Data {
                 vigil_files::read(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
             unit.files.insert(file, sha256(&content));
         }
+        self.enter_whole(name, unit)
+    }
+
+    /// Enters a unit whose files lie in their places and have the digests that it says.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn enter_whole(&mut self, name: &str, unit: Unit) -> Result<()> {
         self.index.units.insert(name.to_owned(), unit);
         output::write(&self.folder.join(INDEX), toml::to_string_pretty(&self.index)?)
     }
 
-    fn content(&self, unit: &Unit, file: &str) -> Result<Vec<u8>> {
+    /// Finds a unit to be the one that was to be measured, with these files and none else, each of them whole.
+    ///
+    /// # Errors
+    /// What is not.
+    pub fn check(&self, name: &str, expected: &Unit, files: &[&str]) -> Result<()> {
+        let unit = self.known(name)?;
+        let of_command = Unit {
+            files: BTreeMap::new(),
+            ..unit.clone()
+        };
+        let mut names: Vec<String> = files.iter().map(|file| format!("{name}/{file}")).collect();
+        names.sort();
+        ensure!(
+            of_command == *expected && unit.files.keys().eq(&names),
+            "{} is damaged: it says of {name} what `{}` does not leave",
+            self.folder.join(INDEX).display(),
+            expected.command
+        );
+        unit.files
+            .keys()
+            .try_for_each(|file| self.content(unit, file).map(drop))
+    }
+
+    /// A file of a unit, if it is what was measured.
+    ///
+    /// # Errors
+    /// It is missing or damaged.
+    pub fn content(&self, unit: &Unit, file: &str) -> Result<Vec<u8>> {
         let path = self.folder.join(file);
         let mend = match self.is_fresh {
             true => "start again in another folder".to_owned(),

@@ -3,16 +3,20 @@
 mod data;
 mod items;
 mod page;
+mod parts;
 mod units;
 
+use crate::campaign::part::Shard;
 use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result, ensure};
 use data::{Data, Sources, Unit};
 use items::{ITEMS, Item, Kind, Made};
+use parts::PartOf;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use units::{COMMITTED_ONLY, Setting, Size};
@@ -25,6 +29,8 @@ Examples:
   vigil reproduce --quick                      flown anew with few flights: some 15 minutes on two cores
   vigil reproduce                              flown anew with as many flights as the figures need: hours
   vigil reproduce --committed --only table-1,figure-9
+  vigil reproduce --shard 1/3 -o runs/1        a third of it, on one of three machines; no page
+  vigil merge runs/1 runs/2 runs/3 -o runs/all the page of all three
   vigil reproduce --list                       what there is
 
 The folder then holds index.html (one file, which needs no network), figures/*.svg and *.png (300 dpi), tables/*.csv,
@@ -65,6 +71,10 @@ pub struct ReproduceArgs {
     #[arg(long, value_name = "FILE")]
     detector: Option<PathBuf>,
 
+    /// Measure only part K of N of what is to be measured, and make no page; `vigil merge` makes the whole of all parts' folders.
+    #[arg(long, value_name = "K/N", conflicts_with_all = ["committed", "list"])]
+    shard: Option<Shard>,
+
     /// Threads; all cores when absent.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
@@ -81,8 +91,8 @@ struct MadeBy {
 }
 
 const MADE_BY: &str = "made-by.toml";
-/// A few lines.
-const MADE_BY_LIMIT: u64 = 1 << 16;
+/// Some lines of TOML, bytes.
+const SMALL_FILE: u64 = 1 << 16;
 
 impl MadeBy {
     /// Makes the folder, or finds it made by the same.
@@ -98,20 +108,7 @@ impl MadeBy {
             );
             return output::write(&path, toml::to_string_pretty(self)?);
         }
-        let text =
-            vigil_files::read_text(&path, MADE_BY_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
-        let other: Self = toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))?;
-        let differences: Vec<String> = [
-            ("version", &other.version, &self.version),
-            ("commit", &other.commit, &self.commit),
-            ("mode", &other.mode, &self.mode),
-            ("actor", &other.actor_sha256, &self.actor_sha256),
-            ("detector", &other.detector_sha256, &self.detector_sha256),
-        ]
-        .into_iter()
-        .filter(|(_, theirs, ours)| theirs != ours)
-        .map(|(what, theirs, ours)| format!("its {what} is {theirs}, this one's {ours}"))
-        .collect();
+        let differences = Self::load(folder)?.differences(self, "this one's");
         ensure!(
             differences.is_empty(),
             "{} holds results of something else: {}; name another folder with --output, or remove it",
@@ -119,7 +116,29 @@ impl MadeBy {
             differences.join("; ")
         );
         // What cannot be written is told before the work.
-        output::write(&path, text)
+        output::write(&path, toml::to_string_pretty(self)?)
+    }
+
+    fn load(folder: &Path) -> Result<Self> {
+        let path = folder.join(MADE_BY);
+        let text =
+            vigil_files::read_text(&path, SMALL_FILE).with_context(|| format!("cannot read {}", path.display()))?;
+        toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))
+    }
+
+    /// In what another differs from this one.
+    fn differences(&self, other: &Self, others_name: &str) -> Vec<String> {
+        [
+            ("version", &self.version, &other.version),
+            ("commit", &self.commit, &other.commit),
+            ("mode", &self.mode, &other.mode),
+            ("actor", &self.actor_sha256, &other.actor_sha256),
+            ("detector", &self.detector_sha256, &other.detector_sha256),
+        ]
+        .into_iter()
+        .filter(|(_, own, others)| own != others)
+        .map(|(what, own, others)| format!("its {what} is {own}, {others_name} {others}"))
+        .collect()
     }
 }
 
@@ -184,14 +203,26 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         actor_sha256: setting.actor_sha256.clone(),
         detector_sha256: setting.detector_sha256.clone(),
     };
+    let shard = match args.shard {
+        Some(shard) => Some(PartOf::new(shard, &items, &setting)?),
+        None => None,
+    };
+    if shard.is_none() {
+        ensure!(
+            !PartOf::is_in(&args.output),
+            "{} holds a part of a run: give its --shard, or name another folder with --output",
+            args.output.display()
+        );
+    }
     made_by.claim(&args.output)?;
+    if let Some(part) = &shard {
+        return measure_part(part, &args.output, &setting, &super::run_words);
+    }
     let mut whole = true;
     let fresh = match args.committed {
         true => None,
         false => {
-            let folder = args.output.join("data");
-            std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
-            let mut fresh = Data::fresh(&folder)?;
+            let mut fresh = measured_in(&args.output)?;
             let names: Vec<&str> = items.iter().flat_map(|item| item.units.iter().copied()).collect();
             whole = units::measure(&names, &setting, &mut fresh, &super::run_words)?;
             Some(fresh)
@@ -199,26 +230,85 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     };
     let sources = Sources { fresh, committed };
     // After an interruption only what was measured now, so that nothing old stands for it.
-    let ready = |item: &&&Item| {
+    let ready = |item: &&Item| {
         let there = |unit: &&str| COMMITTED_ONLY.contains(unit) || sources.of(unit).is_fresh;
         args.committed || item.units.iter().all(there)
     };
-    let made: Vec<Shown> = items
-        .iter()
-        .filter(ready)
-        .map(|item| show(item, &sources))
-        .collect::<Result<_>>()?;
-    write(&args.output, &made_by, &made)?;
-    say!(
-        "{} tables and figures: {}",
-        made.len(),
-        args.output.join("index.html").display()
-    );
+    let ready: Vec<&Item> = items.iter().copied().filter(ready).collect();
+    make(&ready, &sources, &args.output, &made_by)?;
     if !whole {
         say!("interrupted: what is whole is kept; the same command goes on");
         return Ok(ExitCode::from(EXIT_INTERRUPTED));
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// The data folder of a folder of results, made if it is not there.
+fn measured_in(output: &Path) -> Result<Data> {
+    let folder = output.join("data");
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    Data::fresh(&folder)
+}
+
+/// Measures a shard's share.
+fn measure_part(
+    part: &PartOf,
+    output: &Path,
+    setting: &Setting,
+    run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
+) -> Result<ExitCode> {
+    part.claim(output)?;
+    let names = part.units(setting.size)?;
+    let whole = units::measure(&names, setting, &mut measured_in(output)?, run)?;
+    if !whole {
+        say!("interrupted: what is whole is kept; the same command goes on");
+        return Ok(ExitCode::from(EXIT_INTERRUPTED));
+    }
+    say!(
+        "shard {}: {} units in {}; `vigil merge` makes the page of all shards' folders",
+        part.shard(),
+        names.len(),
+        output.display()
+    );
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Whether a folder is one of `vigil reproduce`.
+pub fn is_folder_of_results(folder: &Path) -> bool {
+    folder.join(MADE_BY).exists()
+}
+
+/// Joins the folders of shards and makes the tables, figures and page of the whole; `committed` is the committed data's folder.
+///
+/// # Errors
+/// Folders that are no parts, that contradict each other or are not all; a folder of something else at `output`.
+pub fn merge(parts: &[PathBuf], output: &Path, committed: &Path) -> Result<ExitCode> {
+    let committed = Data::committed(committed)?;
+    let joined = parts::join(parts)?;
+    // What only the repository has, before anything is written.
+    for item in &joined.items {
+        for unit in item.units.iter().filter(|unit| COMMITTED_ONLY.contains(unit)) {
+            committed.folders(unit)?;
+        }
+    }
+    let sources = Sources {
+        fresh: Some(joined.copy_to(output)?),
+        committed,
+    };
+    make(&joined.items, &sources, output, &joined.made_by)?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Makes the items and the page.
+fn make(items: &[&Item], sources: &Sources, output: &Path, made_by: &MadeBy) -> Result<()> {
+    let made: Vec<Shown> = items.iter().map(|item| show(item, sources)).collect::<Result<_>>()?;
+    write(output, made_by, &made)?;
+    say!(
+        "{} tables and figures: {}",
+        made.len(),
+        output.join("index.html").display()
+    );
+    Ok(())
 }
 
 fn list() -> String {

@@ -26,6 +26,8 @@ pub struct Spec {
     /// Commands in their order, but for folder, threads, actor and detector.
     quick: &'static [&'static str],
     full: &'static [&'static str],
+    /// Seconds of one core, quick and full, by which shards are balanced (docs/reproduce.md says how they were measured).
+    cost_s: (u32, u32),
     /// What is kept.
     pub files: &'static [&'static str],
     /// What the last command needed and is large.
@@ -40,6 +42,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "sensor noise of seeds from 5000",
         quick: &["attack deflection --states 2 --seed 5000"],
         full: &["attack deflection --states 5 --seed 5000"],
+        cost_s: (10, 24),
         files: &["table-2.json"],
         scratch: &[],
     },
@@ -49,6 +52,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation course 7",
         quick: &["detector times --seed 7 --pictures 10"],
         full: &["detector times --seed 7 --pictures 20"],
+        cost_s: (5, 10),
         files: &["times.json"],
         scratch: &[],
     },
@@ -58,6 +62,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation course 7",
         quick: &["detector figures --seed 7"],
         full: &["detector figures --seed 7"],
+        cost_s: (2, 2),
         files: &["pixels.json", "explanations.csv"],
         scratch: &[],
     },
@@ -67,6 +72,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation course 7",
         quick: &["detector figures --seed 7 --attacked --pictures 1"],
         full: &["detector figures --seed 7 --attacked --pictures 1"],
+        cost_s: (3, 3),
         files: &["pixels.json", "explanations.csv"],
         scratch: &[],
     },
@@ -76,6 +82,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "from 29000000",
         quick: &["evaluate --family training --flights 30 --seed 29000000"],
         full: &["evaluate --family training --flights 500 --seed 29000000"],
+        cost_s: (9, 150),
         files: &["evaluate.json"],
         scratch: &[],
     },
@@ -85,6 +92,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "from 29000000",
         quick: &["evaluate --family validation --flights 30 --seed 29000000"],
         full: &["evaluate --family validation --flights 500 --seed 29000000"],
+        cost_s: (9, 150),
         files: &["evaluate.json"],
         scratch: &[],
     },
@@ -94,6 +102,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "from 29000000",
         quick: &["evaluate --family dense --flights 30 --seed 29000000"],
         full: &["evaluate --family dense --flights 500 --seed 29000000"],
+        cost_s: (9, 150),
         files: &["evaluate.json"],
         scratch: &[],
     },
@@ -103,6 +112,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "from 29000000",
         quick: &["evaluate --family hard --flights 30 --seed 29000000"],
         full: &["evaluate --family hard --flights 500 --seed 29000000"],
+        cost_s: (9, 150),
         files: &["evaluate.json"],
         scratch: &[],
     },
@@ -112,6 +122,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation courses from 9000000",
         quick: &["attack completion --flights 20 --seed 9000000"],
         full: &["attack completion --flights 200 --seed 9000000"],
+        cost_s: (48, 480),
         files: &["completion.json"],
         scratch: &[],
     },
@@ -121,6 +132,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "states of validation courses from 5000",
         quick: &["attack table --states 60 --seed 5000"],
         full: &["attack table --states 1000 --seed 5000"],
+        cost_s: (120, 2_000),
         files: &["figure-11.csv"],
         scratch: &["frames.png"],
     },
@@ -130,6 +142,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation courses from 8300000",
         quick: &["attack defended --burst 100 --flights 10 --seed 8300000 --arms undefended,stop,recover --resume"],
         full: &["attack defended --burst 100 --flights 100 --seed 8300000 --arms undefended,stop,recover --resume"],
+        cost_s: (44, 440),
         files: &["defended.csv"],
         scratch: &[],
     },
@@ -139,6 +152,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation courses from 8000000",
         quick: &["attack defended --burst continuous --flights 8 --seed 8000000 --resume"],
         full: &["attack defended --burst continuous --flights 200 --seed 8000000 --resume"],
+        cost_s: (300, 7_400),
         files: &["defended.csv"],
         scratch: &[],
     },
@@ -152,6 +166,7 @@ pub const SPECS: [Spec; 16] = [
         full: &[
             "attack defended --burst continuous --flights 50 --seed 8200000 --arms undefended,recover --evade DETECTOR --resume",
         ],
+        cost_s: (90, 1_130),
         files: &["defended.csv"],
         scratch: &[],
     },
@@ -165,6 +180,7 @@ pub const SPECS: [Spec; 16] = [
         full: &[
             "attack defended --burst continuous --flights 20 --seed 8200000 --arms recover --evade DETECTOR --guard off --resume",
         ],
+        cost_s: (25, 166),
         files: &["defended.csv"],
         scratch: &[],
     },
@@ -174,6 +190,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "validation courses from 6000",
         quick: &["detector evaluate --unattacked 40 --attacked 12 --other 4"],
         full: &["detector evaluate"],
+        cost_s: (60, 220),
         files: &["evaluate.json"],
         scratch: &["evaluate.safetensors", "roc.png", "roc.svg"],
     },
@@ -183,6 +200,7 @@ pub const SPECS: [Spec; 16] = [
         seeds: "states of training courses from 5000 and 5700, and of validation courses from 7000",
         quick: &["detector images --states 300 --judged 200", "detector table"],
         full: &["detector images --states 2000 --judged 2000", "detector table"],
+        cost_s: (140, 1_000),
         files: &["table.json"],
         scratch: &[
             "images-learn.safetensors",
@@ -323,16 +341,28 @@ impl Spec {
             // Not every size leaves each of them.
             let _ = std::fs::remove_file(folder.join(file));
         }
-        let unit = Unit {
+        data.enter(self.name, self.unit(setting), self.files)?;
+        Ok(true)
+    }
+
+    /// What the index says of it, but for the files.
+    pub fn unit(&self, setting: &Setting) -> Unit {
+        Unit {
             command: self.command(setting),
             seeds: self.seeds.to_owned(),
             commit: setting.commit.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             note: String::new(),
             files: BTreeMap::new(),
-        };
-        data.enter(self.name, unit, self.files)?;
-        Ok(true)
+        }
+    }
+
+    /// What it costs, seconds of one core; only the proportions count.
+    pub fn cost_s(&self, size: Size) -> u32 {
+        match size {
+            Size::Quick => self.cost_s.0,
+            Size::Full => self.cost_s.1,
+        }
     }
 }
 
