@@ -326,6 +326,11 @@ impl LiveLoop {
         &self.last
     }
 
+    /// How long the last step took, from wake-up to its end.
+    pub fn last_execution_ns(&self) -> u64 {
+        self.schedule.previous_execution_ns()
+    }
+
     /// Brakes, sends zeros for some steps, closes the log.
     pub fn finish(mut self) -> FlightSummary {
         // What follows is the program's own end, and no person's take-over to be kept. Dropped last: it waits for its writer.

@@ -60,6 +60,11 @@ impl RateSchedule {
         self.previous_execution_ns
     }
 
+    /// How long the last step took that has ended.
+    pub fn previous_execution_ns(&self) -> u64 {
+        self.previous_execution_ns
+    }
+
     /// Steps begun.
     pub fn steps(&self) -> u64 {
         self.step

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use vigil_tests::{Running, run, said};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
-const OTHER_PICTURES: [(&str, &str); 12] = [
+const OTHER_PICTURES: [(&str, &str); 14] = [
     ("attacked-undefended.gif", "vigil log film"),
     ("attacked-defended.gif", "vigil log film"),
     ("flight-report.png", "a screenshot of the report of vigil log report"),
@@ -23,6 +23,8 @@ const OTHER_PICTURES: [(&str, &str); 12] = [
     ("training-curves.png", "vigil train"),
     ("view-rerun.png", "a screenshot of vigil view"),
     ("reproduce.png", "a screenshot of the page of vigil reproduce"),
+    ("real-time-fifo.svg", "vigil bench realtime --figure"),
+    ("real-time-normal.svg", "vigil bench realtime --figure"),
 ];
 
 fn root() -> PathBuf {

@@ -9,6 +9,7 @@ pub mod detector_training;
 pub mod flight_derived;
 pub mod flight_film;
 pub mod flight_report;
+mod realtime_bench;
 pub mod report;
 mod sensor_check;
 pub mod statistics;

@@ -187,7 +187,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
             world(c);
         })?,
     };
-    let statuses = read_statuses(&mut simulator.child)?;
+    let statuses = read_statuses(&mut simulator)?;
     let goal = course.goal_ned_m();
     let adversary = args.attack.attack.map(|_| {
         Process::start("adversary", &folder, |c| {
@@ -443,7 +443,7 @@ impl Process {
     }
 
     /// Fails when the child has ended, with the last of what it said.
-    fn check(&mut self) -> Result<()> {
+    pub(super) fn check(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
             let said = self.said();
             let lines: Vec<&str> = said.lines().collect();
@@ -458,7 +458,7 @@ impl Process {
     }
 
     /// Ends the child and returns what it reported.
-    fn end(&mut self) -> Result<String> {
+    pub(super) fn end(&mut self) -> Result<String> {
         if self.child.try_wait()?.is_none() {
             let pid = rustix::process::Pid::from_child(&self.child);
             rustix::process::kill_process(pid, rustix::process::Signal::TERM)?;
@@ -494,8 +494,9 @@ impl Drop for Process {
     }
 }
 
-fn read_statuses(simulator: &mut Child) -> Result<Receiver<Status>> {
-    let pipe = simulator.stdout.take().context("the simulator has no output")?;
+/// The simulator's statuses, as they come.
+pub(super) fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
+    let pipe = simulator.child.stdout.take().context("the simulator has no output")?;
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         for line in BufReader::new(pipe).lines().map_while(Result::ok) {

@@ -1,5 +1,6 @@
 //! The `vigil` command line: everything a person does with Vigil starts here.
 
+mod bench;
 mod collected_parts;
 mod courses;
 mod detector;
@@ -110,6 +111,8 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// Check a publisher of depth frames, or be one for a foreign vehicle.
     Sensor(sensor::SensorArgs),
+    /// Measure what this machine makes of the loop.
+    Bench(bench::BenchArgs),
     /// Draw, write or check courses.
     Courses(courses::CoursesArgs),
 }
@@ -159,6 +162,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Detector(args) => detector::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Sensor(args) => sensor::run(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::Courses(args) => courses::run(&args),
         Command::Reproduce(args) => reproduce::run(&args),
     }

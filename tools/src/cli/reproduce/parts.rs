@@ -217,7 +217,7 @@ pub fn join(folders: &[PathBuf]) -> Result<Joined> {
             .with_context(|| format!("{} is damaged", folder.join(PART).display()))?;
         for name in data.names() {
             ensure!(
-                own.iter().any(|unit| *unit == name),
+                own.contains(&name),
                 "{} holds the unit {name}, which is not of shard {}",
                 folder.display(),
                 other.shard

@@ -1,0 +1,277 @@
+//! Why a step began late or took long, as far as what was counted tells it.
+
+use super::ObservedStep;
+use std::fmt;
+use vigil_types::{StepReport, Verdict};
+
+/// A step that begins later, or takes so much longer than usual, is asked for its cause.
+const NOTABLE_NS: u64 = 1_000_000;
+
+/// What a step had to do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Work {
+    /// A new frame was there.
+    pub frame: bool,
+    /// A pilot decided.
+    pub decided: bool,
+    /// The decision was explained and judged.
+    pub judged: bool,
+    /// An alarm was raised.
+    pub alarm: bool,
+}
+
+impl Work {
+    /// Of a step after one whose frame was `previous_frame`.
+    pub fn of(report: &StepReport, previous_frame: Option<u64>) -> Self {
+        Self {
+            frame: report.frame_sequence.is_some() && report.frame_sequence != previous_frame,
+            decided: report.action.is_some(),
+            judged: report.judgement.as_ref().is_some_and(|j| j.verdict != Verdict::Unknown),
+            alarm: report.alarm.is_some(),
+        }
+    }
+}
+
+impl fmt::Display for Work {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts = [
+            (self.frame, "new frame"),
+            (self.decided, "decision"),
+            (self.judged, "explanation and verdict"),
+            (self.alarm, "alarm"),
+        ];
+        let words: Vec<_> = parts.iter().filter(|(is, _)| *is).map(|(_, word)| *word).collect();
+        match words.is_empty() {
+            true => f.write_str("telemetry only"),
+            false => f.write_str(&words.join(", ")),
+        }
+    }
+}
+
+/// What kept a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Cause {
+    /// The step before ran past the deadline.
+    Overrun,
+    /// Others had the processors while the thread was ready.
+    Queued,
+    /// The hypervisor had given the processor to another machine.
+    Stolen,
+    /// The kernel woke the thread late, though a processor was free for it.
+    WokenLate,
+    /// Pages came from the disk.
+    Disk,
+    /// It waited for something within the step: a lock, a full pipe.
+    Blocked,
+    /// Pages were touched for the first time.
+    Pages,
+    /// It computed longer.
+    Computed,
+    /// It was off the processor for a reason that is not counted.
+    Unknown,
+}
+
+impl Cause {
+    /// In one or two words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Overrun => "overrun",
+            Self::Queued => "queued",
+            Self::Stolen => "stolen",
+            Self::WokenLate => "woken late",
+            Self::Disk => "disk",
+            Self::Blocked => "blocked",
+            Self::Pages => "pages",
+            Self::Computed => "computed",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    /// In words, with the step's figures.
+    pub fn told(self, step: &ObservedStep) -> String {
+        let c = &step.counted;
+        let ms = |ns: u64| format!("{:.2} ms", ns as f64 * 1e-6);
+        match self {
+            Self::Overrun => "the step before ran past this one's deadline".to_owned(),
+            Self::Queued => format!(
+                "ready to run, it waited {} for a processor that others had; it was put aside {} times",
+                ms(c.queued_ns),
+                c.involuntary
+            ),
+            Self::Stolen => format!("the hypervisor gave {} of the processors to other machines", ms(c.stolen_ns)),
+            Self::WokenLate => {
+                "the kernel woke it late, with a processor free for it: timer, interrupts, a processor asleep, or the hypervisor".to_owned()
+            }
+            Self::Disk => format!("{} pages were read from the disk", c.major_faults),
+            Self::Blocked => format!("it waited within the step ({} times in all)", c.voluntary),
+            Self::Pages => format!("{} pages were touched for the first time", c.minor_faults),
+            Self::Computed => "it computed longer: caches, clock, or interrupts that are counted as its own".to_owned(),
+            Self::Unknown => {
+                "it was off the processor for a reason that the kernel does not count: interrupts, or the hypervisor".to_owned()
+            }
+        }
+    }
+}
+
+/// Why a step began more than [`NOTABLE_NS`] late.
+pub fn of_lateness(step: &ObservedStep) -> Option<Cause> {
+    let late_ns = step.lateness_ns();
+    (late_ns > NOTABLE_NS).then(|| {
+        if step.held_up {
+            Cause::Overrun
+        } else if step.counted.queued_ns >= late_ns / 2 {
+            Cause::Queued
+        } else if step.counted.stolen_ns > 0 {
+            Cause::Stolen
+        } else {
+            Cause::WokenLate
+        }
+    })
+}
+
+/// Why a step took more than [`NOTABLE_NS`] longer than the `usual_ns` of steps with the same work.
+pub fn of_duration(step: &ObservedStep, usual_ns: u64) -> Option<Cause> {
+    let c = &step.counted;
+    let longer_ns = step.took_ns.saturating_sub(usual_ns);
+    if longer_ns <= NOTABLE_NS {
+        return None;
+    }
+    // The counted processor time ends a little after the step: this is the least that it was off the processor.
+    let off_ns = step.took_ns.saturating_sub(c.processor_ns);
+    // What it was queued for before it began is its lateness.
+    let queued_ns = c.queued_ns.saturating_sub(step.late_ns);
+    Some(if off_ns < longer_ns / 2 {
+        if c.stolen_ns >= longer_ns {
+            Cause::Stolen
+        } else if c.minor_faults >= 10 {
+            Cause::Pages
+        } else {
+            Cause::Computed
+        }
+    } else if c.major_faults > 0 {
+        Cause::Disk
+    } else if c.involuntary > 0 || queued_ns >= off_ns / 2 {
+        Cause::Queued
+    } else if c.stolen_ns > 0 {
+        Cause::Stolen
+    } else if c.voluntary > 1 {
+        Cause::Blocked
+    } else {
+        Cause::Unknown
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::realtime_bench::Counters;
+
+    const MS: u64 = 1_000_000;
+
+    fn step(late_ns: u64, took_ns: u64, counted: Counters) -> ObservedStep {
+        ObservedStep {
+            late_ns,
+            took_ns,
+            counted,
+            ..ObservedStep::default()
+        }
+    }
+
+    #[test]
+    fn a_late_wake_up_is_the_step_befores_the_queues_the_hypervisors_or_the_timers() {
+        let counted = |queued_ns, stolen_ns| Counters {
+            queued_ns,
+            stolen_ns,
+            ..Counters::default()
+        };
+        assert_eq!(of_lateness(&step(4 * MS, MS, counted(3 * MS, 0))), Some(Cause::Queued));
+        assert_eq!(
+            of_lateness(&step(4 * MS, MS, counted(MS, 10 * MS))),
+            Some(Cause::Stolen)
+        );
+        assert_eq!(of_lateness(&step(4 * MS, MS, counted(MS, 0))), Some(Cause::WokenLate));
+        assert_eq!(of_lateness(&step(MS, MS, counted(MS, 0))), None);
+        let held_up = ObservedStep {
+            held_up: true,
+            ..step(4 * MS, MS, counted(4 * MS, 10 * MS))
+        };
+        assert_eq!(of_lateness(&held_up), Some(Cause::Overrun));
+        // 60 ms late are a missed step and 10 ms: 3 ms in the queue do not explain it.
+        let missed = ObservedStep {
+            missed: 1,
+            ..step(10 * MS, MS, counted(6 * MS, 0))
+        };
+        assert_eq!(of_lateness(&missed), Some(Cause::WokenLate));
+    }
+
+    #[test]
+    fn a_long_step_that_was_on_the_processor_computed_and_one_that_was_off_it_was_kept() {
+        let counted = |processor_ns| Counters {
+            processor_ns,
+            voluntary: 1,
+            ..Counters::default()
+        };
+        let cause = |counted| of_duration(&step(0, 8 * MS, counted), MS);
+        assert_eq!(cause(counted(8 * MS)), Some(Cause::Computed));
+        assert_eq!(of_duration(&step(0, 2 * MS, counted(2 * MS)), MS), None);
+        let faults = Counters {
+            minor_faults: 300,
+            ..counted(8 * MS)
+        };
+        assert_eq!(cause(faults), Some(Cause::Pages));
+        assert_eq!(cause(counted(MS)), Some(Cause::Unknown));
+        let kept = [
+            (
+                Counters {
+                    involuntary: 1,
+                    ..counted(MS)
+                },
+                Cause::Queued,
+            ),
+            (
+                Counters {
+                    queued_ns: 6 * MS,
+                    ..counted(MS)
+                },
+                Cause::Queued,
+            ),
+            (
+                Counters {
+                    major_faults: 1,
+                    involuntary: 1,
+                    ..counted(MS)
+                },
+                Cause::Disk,
+            ),
+            (
+                Counters {
+                    stolen_ns: 10 * MS,
+                    ..counted(MS)
+                },
+                Cause::Stolen,
+            ),
+            (
+                Counters {
+                    voluntary: 2,
+                    ..counted(MS)
+                },
+                Cause::Blocked,
+            ),
+        ];
+        for (counted, expected) in kept {
+            assert_eq!(cause(counted), Some(expected), "{counted:?}");
+        }
+    }
+
+    #[test]
+    fn what_a_step_had_to_do_is_told_by_its_parts() {
+        let work = Work {
+            frame: true,
+            decided: true,
+            judged: true,
+            alarm: false,
+        };
+        assert_eq!(work.to_string(), "new frame, decision, explanation and verdict");
+        assert_eq!(Work::default().to_string(), "telemetry only");
+    }
+}
