@@ -1,0 +1,78 @@
+//! A depth camera's raw stream: images of 16-bit units one behind the other, nothing between (V4L2's `Z16 `, RealSense's Z16).
+
+use crate::Fault;
+use vigil_projection::{Mount, Pinhole, ProjectionError, Projector, View};
+use vigil_types::DEPTH_PIXELS;
+
+/// Images of a raw stream become depth images.
+pub struct DepthStream {
+    camera: Pinhole,
+    mount: Mount,
+    metres_per_unit: f32,
+    projector: Projector,
+    units: Vec<u16>,
+    view: Option<View>,
+}
+
+impl DepthStream {
+    /// For a rectified camera that is mounted so; `metres_per_unit` is 0.001 for most.
+    ///
+    /// # Errors
+    /// A unit or a resolution that cannot be.
+    pub fn new(camera: Pinhole, mount: Mount, metres_per_unit: f32) -> Result<Self, ProjectionError> {
+        if !(metres_per_unit > 0.0 && metres_per_unit <= 0.1) {
+            return Err(ProjectionError::Camera {
+                field: "unit",
+                value: metres_per_unit,
+                expected: "metres, above 0 and at most 0.1",
+            });
+        }
+        let mut projector = Projector::new(camera.resolution()?);
+        let [width, height] = camera.size_px();
+        projector.add_depth_m(&mount, &camera, &vec![10.0; width * height])?;
+        let mut depth = Box::new([1.0; DEPTH_PIXELS]);
+        projector.finish(&mut depth);
+        Ok(Self {
+            view: View::of(&depth),
+            units: vec![0; width * height],
+            camera,
+            mount,
+            metres_per_unit,
+            projector,
+        })
+    }
+
+    /// The part of our image that the camera sees.
+    pub fn view(&self) -> Option<View> {
+        self.view
+    }
+
+    /// Bytes of an image.
+    pub fn image_bytes(&self) -> usize {
+        2 * self.units.len()
+    }
+
+    /// Projects an image.
+    ///
+    /// # Errors
+    /// [`Fault::ImageLength`], [`Fault::EmptyImage`].
+    pub fn image(&mut self, bytes: &[u8], depth: &mut [f32; DEPTH_PIXELS]) -> Result<(), Fault> {
+        let wrong = Fault::ImageLength {
+            got: bytes.len(),
+            expected: self.image_bytes(),
+        };
+        if bytes.len() != self.image_bytes() {
+            return Err(wrong);
+        }
+        for (unit, pair) in self.units.iter_mut().zip(bytes.chunks_exact(2)) {
+            *unit = u16::from_le_bytes([pair[0], pair[1]]);
+        }
+        self.projector
+            .add_depth_units(&self.mount, &self.camera, &self.units, self.metres_per_unit)
+            .map_err(|_| wrong)?;
+        match self.projector.finish(depth) {
+            0 => Err(Fault::EmptyImage),
+            _ => Ok(()),
+        }
+    }
+}

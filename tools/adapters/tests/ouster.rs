@@ -1,0 +1,290 @@
+//! A scanner's packets, made by code of its own, become the image that the LiDAR model takes from the same place; what is wrong with
+//! packets is named and gives no frame.
+
+#[path = "common/device.rs"]
+mod device;
+#[path = "../../projection/tests/common/rays.rs"]
+mod rays;
+
+use device::{COLUMNS, Device, PER_PACKET};
+use vigil_adapters::{Fault, MetadataError, OusterAdapter, OusterDevice, SetupError};
+use vigil_projection::Mount;
+use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, FrdVector, Nanos, NedVector};
+use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
+
+const STEP_NS: Nanos = 50_000_000;
+const START_NS: Nanos = 200_000_000_000;
+
+fn mount() -> (FrdVector, Attitude) {
+    (
+        FrdVector::new(0.08, 0.0, -0.06),
+        Attitude::from_euler_rad(0.0, 0.1, 0.0),
+    )
+}
+
+struct Bench {
+    device: Device,
+    adapter: OusterAdapter,
+    course: Course,
+    world: World,
+    pose: (NedVector, Attitude),
+    depth: Box<[f32; DEPTH_PIXELS]>,
+}
+
+impl Bench {
+    fn new(beams: usize, seed: u64) -> Self {
+        let course = generate(Family::Validation, seed);
+        let device = Device::new(beams, mount());
+        let described = OusterDevice::from_metadata(&device.metadata(seed.is_multiple_of(2))).expect("metadata");
+        let (position, turn) = device.mount;
+        let adapter = OusterAdapter::new(described, Mount::new(position, turn).unwrap()).expect("an adapter");
+        let start = course.start_ned_m();
+        Self {
+            device,
+            adapter,
+            world: World::new(&course),
+            pose: (
+                NedVector::new(start.x, start.y, -course.flight_height_m),
+                Attitude::from_euler_rad(0.04, -0.06, 0.1),
+            ),
+            course,
+            depth: Box::new([1.0; DEPTH_PIXELS]),
+        }
+    }
+
+    /// A turn's packets, the machine's clock reading `START_NS` + `number` steps in its middle.
+    fn turn(&self, number: u16) -> Vec<Vec<u8>> {
+        self.device
+            .turn(&self.world, self.pose, number, START_NS + u64::from(number) * STEP_NS)
+    }
+
+    /// Hands packets over as they would arrive, 0.2 ms after their last column; what came of it but for nothing.
+    fn feed(&mut self, number: u16, packets: &[Vec<u8>]) -> Vec<Result<Nanos, Fault>> {
+        let middle_ns = START_NS + u64::from(number) * STEP_NS;
+        let mut out = Vec::new();
+        for (i, packet) in packets.iter().enumerate() {
+            let arrived_ns = middle_ns + (i as u64 + 1) * PER_PACKET as u64 * device::COLUMN_NS - 25_000_000 + 200_000;
+            match self.adapter.packet(packet, arrived_ns, &mut self.depth) {
+                Ok(None) => {}
+                Ok(Some(stamp_ns)) => out.push(Ok(stamp_ns)),
+                Err(fault) => out.push(Err(fault)),
+            }
+        }
+        out
+    }
+}
+
+#[test]
+fn recorded_packets_of_a_course_become_the_lidar_models_image_with_the_stamp_of_its_middle() {
+    for (beams, seed) in [(128, 7), (64, 8)] {
+        let mut bench = Bench::new(beams, seed);
+        assert!(
+            bench.adapter.view().is_some_and(|v| v.is_whole()),
+            "{:?}",
+            bench.adapter.view()
+        );
+        assert_eq!(bench.adapter.packet_bytes(), 16 * (16 + 12 * beams + 4));
+        let stamps: Vec<Nanos> = (0..3u16)
+            .flat_map(|n| {
+                let turn = bench.turn(n);
+                bench.feed(n, &turn)
+            })
+            .map(|taken| taken.expect("a frame"))
+            .collect();
+        assert_eq!(stamps.len(), 3, "one a turn");
+        for (n, stamp_ns) in stamps.iter().enumerate() {
+            let error_ns = *stamp_ns as i64 - (START_NS + n as u64 * STEP_NS) as i64;
+            assert!(
+                (0..1_500_000).contains(&error_ns),
+                "a stamp is {error_ns} ns beside the middle of the turn"
+            );
+        }
+        let shot = Shot {
+            position_ned_m: bench.pose.0,
+            attitude: bench.pose.1,
+            estimated_position_ned_m: bench.pose.0,
+            estimated_attitude: bench.pose.1,
+            stamp_ns: 0,
+            sequence: 0,
+            sensor_id: 1,
+        };
+        let mut lidar = Box::new(DepthFrame::EMPTY);
+        let mut model = Lidar::new(LidarConfig::ideal(), 1).unwrap();
+        model.capture(&World::new(&bench.course), &shot, &mut lidar);
+        // Where the model sees one surface, away from the image's border.
+        let mut errors_m = Vec::new();
+        for pixel in (4 * DEPTH_COLS..120 * DEPTH_COLS).filter(|p| (4..252).contains(&(p % DEPTH_COLS))) {
+            let around = [pixel - 2, pixel + 2, pixel - 2 * DEPTH_COLS, pixel + 2 * DEPTH_COLS];
+            let here = lidar.depth[pixel];
+            let is_smooth = here < 1.0 && around.iter().all(|p| (lidar.depth[*p] - here).abs() < 0.1 * here);
+            if is_smooth {
+                errors_m.push((bench.depth[pixel] - here).abs() * 100.0);
+            }
+        }
+        errors_m.sort_by(f32::total_cmp);
+        let within = errors_m.iter().filter(|e| **e <= 0.3).count() as f32 / errors_m.len() as f32;
+        let median_m = errors_m[errors_m.len() / 2];
+        println!(
+            "{beams} beams, course {seed}: median {median_m} m, {within} within 0.3 m of {} pixels",
+            errors_m.len()
+        );
+        assert!(
+            errors_m.len() > 5000 && median_m < 0.02 && within > 0.97,
+            "{median_m} m, {within}"
+        );
+    }
+}
+
+#[test]
+fn a_turn_with_a_lost_packet_is_no_frame_and_the_next_one_is() {
+    let mut bench = Bench::new(64, 7);
+    let turns: Vec<_> = (0..4).map(|n| bench.turn(n)).collect();
+    assert!(matches!(bench.feed(0, &turns[0])[..], [Ok(_)]));
+    let mut holed = turns[1].clone();
+    holed.remove(COLUMNS / PER_PACKET / 2);
+    assert_eq!(bench.feed(1, &holed), [], "it may still come");
+    let after = bench.feed(2, &turns[2]);
+    assert!(
+        matches!(after[..], [Err(Fault::LostColumns { missing: 16, needed }), Ok(_)] if (340..400).contains(&needed)),
+        "{after:?}"
+    );
+    // Behind the vehicle nothing is needed.
+    let mut holed = turns[3].clone();
+    holed.remove(2);
+    assert!(matches!(bench.feed(3, &holed)[..], [Ok(_)]));
+}
+
+#[test]
+fn packets_out_of_order_within_a_turn_are_as_good_and_late_ones_are_named() {
+    let mut bench = Bench::new(64, 7);
+    let (first, mut second) = (bench.turn(0), bench.turn(1));
+    bench.feed(0, &first);
+    second.swap(30, 31);
+    assert!(matches!(bench.feed(1, &second)[..], [Ok(_)]));
+    assert_eq!(bench.feed(1, &first[40..41]), [Err(Fault::LatePacket)]);
+}
+
+#[test]
+fn a_column_that_the_device_calls_bad_counts_as_lost() {
+    let mut bench = Bench::new(64, 7);
+    let (mut turn, next) = (bench.turn(0), bench.turn(1));
+    let len = turn[32].len();
+    turn[32][len - 1] = 0;
+    assert_eq!(bench.feed(0, &turn), []);
+    assert!(matches!(
+        bench.feed(1, &next)[..],
+        [Err(Fault::LostColumns { missing: 1, .. }), Ok(_)]
+    ));
+}
+
+#[test]
+fn what_is_not_the_devices_packet_is_named_and_disturbs_nothing() {
+    let mut bench = Bench::new(64, 7);
+    let turn = bench.turn(0);
+    let mut given = turn.clone();
+    let mut shuffled = turn[5].clone();
+    shuffled[8] ^= 0x40;
+    let beyond = {
+        let mut packet = turn[5].clone();
+        packet[9] = 0x7f;
+        packet
+    };
+    given.insert(20, turn[19][..12_000].to_vec());
+    given.insert(21, Vec::new());
+    given.insert(22, shuffled);
+    given.insert(23, beyond);
+    let taken = bench.feed(0, &given);
+    let length = |got| -> Result<Nanos, Fault> { Err(Fault::PacketLength { got, expected: 12_608 }) };
+    assert_eq!(taken[..2], [length(12_000), length(0)]);
+    assert_eq!(taken[2..4], [Err(Fault::PacketContent); 2]);
+    assert!(matches!(taken[4..], [Ok(_)]), "{taken:?}");
+}
+
+#[test]
+fn a_clock_that_goes_back_and_packets_held_up_are_no_frames() {
+    let mut bench = Bench::new(64, 7);
+    for n in 0..3 {
+        let turn = bench.turn(n);
+        assert!(matches!(bench.feed(n, &turn)[..], [Ok(_)]));
+    }
+    bench.device.clock_ns -= 10_000_000_000;
+    let turn = bench.turn(3);
+    assert!(matches!(bench.feed(3, &turn)[..], [Err(Fault::ClockBack { .. })]));
+    let turn = bench.turn(4);
+    assert!(matches!(bench.feed(4, &turn)[..], [Ok(_)]));
+    // Packets whose stamps are 0.2 s older than they were.
+    let turn = bench.turn(5);
+    assert!(
+        matches!(bench.feed(9, &turn)[..], [Err(Fault::ClockBehind { behind_s })] if (behind_s - 0.2).abs() < 0.01)
+    );
+    let turn = bench.turn(10);
+    let after = bench.feed(10, &turn);
+    assert!(
+        matches!(after[..], [Err(Fault::LostColumns { .. }), Ok(_)]),
+        "{after:?}"
+    );
+}
+
+#[test]
+fn an_empty_sky_all_around_is_named() {
+    let mut bench = Bench::new(64, 7);
+    bench.pose.0.z = -5000.0;
+    let turn = bench.turn(0);
+    assert_eq!(bench.feed(0, &turn), [Err(Fault::EmptyImage)]);
+}
+
+#[test]
+fn a_sensor_that_looks_elsewhere_or_begins_its_turns_ahead_is_refused_at_the_start() {
+    let device = || OusterDevice::from_metadata(&Device::new(64, mount()).metadata(false)).unwrap();
+    let turned = |pitch: f32, yaw: f32| {
+        let turn = Attitude::from_euler_rad(0.0, pitch.to_radians(), yaw.to_radians());
+        OusterAdapter::new(device(), Mount::new(FrdVector::ZERO, turn).unwrap()).err()
+    };
+    assert_eq!(turned(0.0, 180.0), Some(SetupError::TurnBeginsInView));
+    assert_eq!(turned(0.0, 20.0), None);
+}
+
+#[test]
+fn metadata_that_cannot_be_used_says_what_is_missing() {
+    let good = Device::new(64, mount()).metadata(false);
+    for (from, to, word) in [
+        ("LEGACY", "RNG19_RFL8_SIG16_NIR16", "LEGACY"),
+        ("1024x20", "1000x20", "lidar_mode"),
+        ("1024x20", "1024x7", "lidar_mode"),
+        (
+            "\"pixels_per_column\": 64",
+            "\"pixels_per_column\": 32",
+            "pixels_per_column",
+        ),
+        (
+            "beam_azimuth_angles\": [",
+            "beam_azimuth_angles\": [0.5, ",
+            "beam_azimuth_angles",
+        ),
+        (
+            "lidar_to_sensor_transform\": [-1,",
+            "lidar_to_sensor_transform\": [",
+            "lidar_to_sensor_transform",
+        ),
+        (
+            "lidar_origin_to_beam_origin_mm",
+            "origin",
+            "lidar_origin_to_beam_origin_mm",
+        ),
+        (
+            "\"columns_per_packet\": 16",
+            "\"columns_per_packet\": 15",
+            "columns_per_packet",
+        ),
+    ] {
+        assert!(good.contains(from), "{from}");
+        let error = OusterDevice::from_metadata(&good.replace(from, to))
+            .expect_err(from)
+            .to_string();
+        assert!(error.contains(word), "{from}: {error}");
+    }
+    assert!(matches!(
+        OusterDevice::from_metadata("<html>"),
+        Err(MetadataError::Json(_))
+    ));
+}
