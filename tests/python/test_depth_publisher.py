@@ -13,6 +13,8 @@ from stack import VIGIL
 
 TOP = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(TOP / "tools" / "publishers" / "python"))
+sys.path.insert(0, str(TOP / "tools" / "publishers" / "ros2"))
+import depth_bridge  # noqa: E402
 import vigil_depth  # noqa: E402
 
 INSTANCE = 93
@@ -95,3 +97,53 @@ def test_with_a_key_its_frames_are_authentic_and_without_they_are_refused_by_nam
 def test_nobody_publishing_is_said_with_where_to_look():
     code, findings = check()
     assert code == 3 and "none within 1 s" in findings["frames"]["text"]
+
+
+def test_the_ros_bridges_cloud_is_projected_and_published_by_the_c_library():
+    library = depth_bridge.DepthLibrary(str(Path(VIGIL).with_name("libvigil_depth.so")))
+    # A wall 4 m ahead as a PointCloud2 lays it out: forward, left, up, and an intensity between.
+    left, up = np.meshgrid(np.linspace(-8, 8, 400), np.linspace(-3, 3, 200))
+    cloud = np.zeros(left.size + 1, dtype=[("x", "<f4"), ("i", "<f4"), ("y", "<f4"), ("z", "<f4")])
+    cloud["x"], cloud["y"][:-1], cloud["z"][:-1] = 4.0, left.ravel(), up.ravel()
+    cloud["x"][-1] = np.nan
+    points = depth_bridge.points_of_cloud(cloud.tobytes(), len(cloud), 16, {"x": 0, "y": 8, "z": 12})
+    assert not points[-1].any() and points[0].tolist() == [4.0, 8.0, 3.0]
+    library.open(INSTANCE)
+    noise, end = np.random.default_rng(3), threading.Event()
+
+    def drive():
+        while not end.wait(0.05):
+            shaken = points * (1 + noise.normal(0.0, 0.002, (len(points), 1)))
+            ranges_m = library.project(shaken, [0.0] * 6, 0.6, 0.6)
+            library.publish(ranges_m, (0.0, 0.0, -1.5), (1.0, 0.0, 0.0, 0.0), time.monotonic_ns())
+
+    # Its own thread: a publisher belongs to the one that opened it, here this one, so the check runs beside.
+    found = []
+    beside = threading.Thread(target=lambda: (found.append(check("--wall", 4)), end.set()))
+    beside.start()
+    drive()
+    beside.join()
+    library.close()
+    code, findings = found[0]
+    assert code == 0 and findings["wall"]["severity"] == "good", findings
+    with pytest.raises(RuntimeError, match="angle between beams"):
+        library.project(points, [0.0] * 6, 0.0, 0.6)
+
+
+def test_the_ros_bridge_turns_poses_and_stamps_into_ours_and_refuses_another_clock():
+    # Facing east is yaw 0 in ENU, 90 degrees clockwise from north in NED.
+    position, attitude = depth_bridge.pose_of_odometry((1.0, 2.0, 3.0), (0.0, 0.0, 0.0, 1.0))
+    assert position == [2.0, 1.0, -3.0] and np.allclose(attitude, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
+    # Rolled right by 0.2 rad while facing north: yaw 90 degrees in ENU.
+    yaw, roll = np.array([np.cos(np.pi / 4), 0, 0, np.sin(np.pi / 4)]), np.array([np.cos(0.1), np.sin(0.1), 0, 0])
+    w, x, y, z = (
+        yaw[0] * roll[0],
+        yaw[0] * roll[1],
+        yaw[3] * roll[1],
+        yaw[3] * roll[0],
+    )
+    _, attitude = depth_bridge.pose_of_odometry((0, 0, 0), (x, y, z, w))
+    assert np.allclose(attitude, [np.cos(0.1), np.sin(0.1), 0, 0])
+    assert depth_bridge.monotonic_of(5_000_000_000, 5_010_000_000, 90_000_000_000) == 89_990_000_000
+    with pytest.raises(ValueError, match="synchronise the clocks"):
+        depth_bridge.monotonic_of(0, 5_000_000_000, 90_000_000_000)

@@ -134,7 +134,10 @@ pub struct PilotWatch {
 impl PilotWatch {
     /// Looks at a status; what to tell, if it is time to.
     pub fn observe(&mut self, status: &Status) -> Option<String> {
-        let waits = status.reasons.iter().any(|reason| reason == Reason::PilotInCommand.name());
+        let waits = status
+            .reasons
+            .iter()
+            .any(|reason| reason == Reason::PilotInCommand.name());
         if self.told || !waits {
             self.waits_since = None;
             return None;

@@ -1,5 +1,6 @@
 //! The `vigil` command line: everything a person does with Vigil starts here.
 
+mod adapter;
 mod bench;
 mod collected_parts;
 mod courses;

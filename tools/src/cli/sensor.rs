@@ -1,5 +1,6 @@
 //! `vigil sensor`: what a driver's author needs.
 
+use crate::cli::adapter::{self, DepthStreamArgs, OusterArgs};
 use crate::cli::output::{self, EXIT_DIFFERS, Paint, say, tell};
 use crate::sensor_check::{Expected, SensorCheck, Severity};
 use anyhow::Result;
@@ -28,6 +29,10 @@ enum SensorCommand {
     Check(CheckArgs),
     /// Publish the depth frames of a course as a foreign vehicle would see it, from the pose that it reports by MAVLink.
     Render(vigil_sim::foreign::render::RenderArgs),
+    /// Publish what an Ouster scanner sends by UDP.
+    Ouster(OusterArgs),
+    /// Publish a depth camera's raw stream of 16-bit images (V4L2 and RealSense Z16).
+    Z16(DepthStreamArgs),
 }
 
 #[derive(Debug, Clone, clap::Args)]
@@ -78,6 +83,8 @@ pub fn run(args: &SensorArgs) -> Result<ExitCode> {
     match &args.command {
         SensorCommand::Check(args) => check(args),
         SensorCommand::Render(args) => vigil_sim::foreign::render::run(args),
+        SensorCommand::Ouster(args) => adapter::ouster(args),
+        SensorCommand::Z16(args) => adapter::z16(args),
     }
 }
 

@@ -1,0 +1,418 @@
+//! Depth frames from outside: a scanner's packets over UDP, a camera's raw stream and drivers in C and Rust, each by the program or the
+//! library that carries it, against the checking command; and a flight by a scanner's packets.
+
+#[path = "../../tools/adapters/tests/common/device.rs"]
+mod device;
+#[path = "../../tools/projection/tests/common/rays.rs"]
+mod rays;
+
+use device::{COLUMN_NS, Device, PER_PACKET};
+use std::io::{BufRead, BufReader};
+use std::net::UdpSocket;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+use vigil_adapters::{OusterAdapter, OusterDevice};
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_io::clock::{monotonic_ns, sleep_until};
+use vigil_projection::Mount;
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_tests::{PATIENCE, run, said, vigil};
+use vigil_types::{Attitude, Datagrams, DepthFrame, FrdVector, NedVector, STEP_NS};
+use vigil_world::{Course, Family, Outcome, World, generate};
+
+/// A wall across the way, 4 m ahead of the start.
+fn walled(folder: &Path) -> Course {
+    let text = "name = \"wall\"\ngoal = { north_m = 20.0, east_m = 0.0 }\n\
+                bounds = { north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 12.0 }\n\
+                [[wall]]\nfrom_m = [4.25, -15.0]\nto_m = [4.25, 15.0]\nthickness_m = 0.5\nheight_m = 10.0\n";
+    let path = folder.join("wall.toml");
+    std::fs::write(&path, text).expect("written");
+    Course::load(&path).expect("a course")
+}
+
+/// A `vigil` command whose diagnostics are read line by line; killed when dropped.
+struct Adapter {
+    child: Child,
+    lines: Receiver<String>,
+}
+
+impl Adapter {
+    fn start(arguments: &[&str]) -> Self {
+        let mut child = Command::new(vigil())
+            .args(arguments)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("vigil starts");
+        let (sender, lines) = channel();
+        let (out, error) = (child.stdout.take().expect("piped"), child.stderr.take().expect("piped"));
+        let read = |pipe: Box<dyn std::io::Read + Send>, sender: std::sync::mpsc::Sender<String>| {
+            std::thread::spawn(move || {
+                for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+                    let _ = sender.send(line);
+                }
+            });
+        };
+        read(Box::new(out), sender.clone());
+        read(Box::new(error), sender);
+        Self { child, lines }
+    }
+
+    fn wait_for(&self, words: &str) -> String {
+        let mut heard = Vec::new();
+        while let Ok(line) = self.lines.recv_timeout(PATIENCE) {
+            if line.contains(words) {
+                return line;
+            }
+            heard.push(line);
+        }
+        panic!("never said `{words}`: {heard:#?}");
+    }
+}
+
+impl Drop for Adapter {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// What `vigil sensor check` finds, as JSON, and its exit code.
+fn check(instance: u32, further: &[&str]) -> (Option<i32>, String) {
+    let instance = instance.to_string();
+    let mut arguments = vec!["sensor", "check", "--instance", &instance, "--seconds", "2", "-o", "-"];
+    arguments.extend(further);
+    let output = run(&arguments);
+    (output.status.code(), said(&output))
+}
+
+/// What a check finds that nothing fails. A busy machine may hold a driver up beyond the age limit, so there are five looks.
+fn good(instance: u32, further: &[&str]) -> String {
+    let mut last = String::new();
+    for _ in 0..5 {
+        match check(instance, further) {
+            (Some(0), findings) => return findings,
+            (_, findings) => last = findings,
+        }
+    }
+    panic!("{last}");
+}
+
+/// A scanner that sends one recorded turn again and again, each with fresh stamps, until it is dropped.
+struct Sender {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Sender {
+    /// `spoil` may alter what is sent: given the turn's and the packet's number, it says whether the packet goes out.
+    fn start(turn: Vec<Vec<u8>>, port: u16, spoil: impl Fn(u16, usize, &mut Vec<u8>) -> bool + Send + 'static) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            let socket = UdpSocket::bind("127.0.0.1:0").expect("a port");
+            let (begun_ns, mut number) = (monotonic_ns(), 0u16);
+            while !ends.load(Ordering::Relaxed) {
+                for (i, packet) in turn.iter().enumerate() {
+                    let column_ns = PER_PACKET as u64 * COLUMN_NS;
+                    let at_ns = begun_ns + u64::from(number) * STEP_NS + (i as u64 + 1) * column_ns;
+                    let mut packet = packet.clone();
+                    let block = packet.len() / PER_PACKET;
+                    for (k, column) in packet.chunks_exact_mut(block).enumerate() {
+                        let stamp_ns = at_ns - column_ns + k as u64 * COLUMN_NS + 77_000_000_000;
+                        column[..8].copy_from_slice(&stamp_ns.to_le_bytes());
+                        column[10..12].copy_from_slice(&number.to_le_bytes());
+                    }
+                    sleep_until(at_ns);
+                    if spoil(number, i, &mut packet) {
+                        // Nobody may listen yet.
+                        let _ = socket.send_to(&packet, ("127.0.0.1", port));
+                    }
+                }
+                number = number.wrapping_add(1);
+            }
+        });
+        Self {
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Sender {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn recorded(folder: &Path) -> (PathBuf, Vec<Vec<u8>>) {
+    let device = Device::new(64, (FrdVector::ZERO, Attitude::LEVEL_NORTH));
+    let metadata = folder.join("os0.json");
+    std::fs::write(&metadata, device.metadata(true)).expect("written");
+    let world = World::new(&walled(folder));
+    let pose = (NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH);
+    (metadata, device.turn(&world, pose, 0, 100_000_000_000))
+}
+
+#[test]
+fn a_scanners_packets_over_udp_are_frames_that_the_check_accepts() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (metadata, turn) = recorded(folder.path());
+    let adapter = Adapter::start(&[
+        "sensor",
+        "ouster",
+        "--metadata",
+        metadata.to_str().expect("UTF-8"),
+        "--listen",
+        "127.0.0.1:17502",
+        "--still",
+        "1.5",
+        "--instance",
+        "61",
+    ]);
+    assert!(
+        adapter
+            .wait_for("view ")
+            .contains("-60° to 60° across and -30° to 30° in height")
+    );
+    adapter.wait_for("nothing for");
+    let sender = Sender::start(turn.clone(), 17502, |_, _, _| true);
+    let findings = good(61, &["--wall", "4"]);
+    for part in ["are taken", "-60° to 60° across", "4.00 m in the middle"] {
+        assert!(findings.contains(part), "{part}: {findings}");
+    }
+    drop(sender);
+    // What is wrong is named, and gives no frame.
+    let sender = Sender::start(turn, 17502, |number, packet, bytes| match (packet, number % 4) {
+        (30, 1) => false,
+        (31, 2) => {
+            bytes.truncate(900);
+            true
+        }
+        _ => true,
+    });
+    for words in ["packets were lost, no frame", "a packet of 900 bytes, 12608 expected"] {
+        adapter.wait_for(words);
+    }
+    drop(sender);
+}
+
+#[test]
+fn a_second_adapter_and_metadata_that_cannot_be_used_are_refused_with_what_to_do() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (metadata, _) = recorded(folder.path());
+    let metadata = metadata.to_str().expect("UTF-8");
+    let adapter = |listen: &'static str| {
+        vec![
+            "sensor",
+            "ouster",
+            "--metadata",
+            metadata,
+            "--listen",
+            listen,
+            "--still",
+            "1.5",
+            "--instance",
+            "62",
+        ]
+    };
+    let first = Adapter::start(&adapter("127.0.0.1:17503"));
+    first.wait_for("frames ");
+    let second = run(&adapter("127.0.0.1:17504"));
+    assert_eq!(second.status.code(), Some(1));
+    assert!(said(&second).contains("already publishes"), "{}", said(&second));
+    let text = std::fs::read_to_string(metadata).expect("it is there");
+    std::fs::write(metadata, text.replace("LEGACY", "RNG19_RFL8_SIG16_NIR16")).expect("written");
+    let other = run(&adapter("127.0.0.1:17505"));
+    assert_eq!(other.status.code(), Some(1));
+    assert!(
+        said(&other).contains("set udp_profile_lidar to LEGACY"),
+        "{}",
+        said(&other)
+    );
+}
+
+#[test]
+fn a_cameras_recorded_stream_is_published_and_its_broken_end_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let world = World::new(&walled(folder.path()));
+    let (width, height, focal) = (160usize, 90usize, 84.0f32);
+    let mut recording = Vec::new();
+    for image in 0..200u32 {
+        for pixel in 0..width * height {
+            let (u, v) = ((pixel % width) as f32 - 79.5, (pixel / width) as f32 - 44.5);
+            let met = match image {
+                0 => rays::cast(&world, NedVector::new(0.0, 0.0, -1.5), NedVector::new(focal, u, v)),
+                _ => None,
+            };
+            let range_m = met.map_or(0.0, |(range_m, _)| range_m as f32);
+            let depth_mm = range_m * focal / (focal * focal + u * u + v * v).sqrt() * 1e3;
+            recording.extend((depth_mm.round() as u16).to_le_bytes());
+        }
+    }
+    // All images as the first, each a little different.
+    let bytes = 2 * width * height;
+    for image in 1..200 {
+        recording.copy_within(..bytes, image * bytes);
+        recording[image * bytes] ^= 1 + image as u8 % 3;
+    }
+    recording.truncate(200 * bytes - 100);
+    let path = folder.path().join("wall.z16");
+    std::fs::write(&path, recording).expect("written");
+    let adapter = Adapter::start(&[
+        "sensor",
+        "z16",
+        path.to_str().expect("UTF-8"),
+        "--size",
+        "160,90",
+        "--focal",
+        "84,84",
+        "--centre",
+        "79.5,44.5",
+        "--rate",
+        "30",
+        "--still",
+        "1.5",
+        "--instance",
+        "63",
+    ]);
+    adapter.wait_for("warning: where the device does not look");
+    let (_, findings) = check(63, &["--wall", "4"]);
+    assert!(
+        findings.contains("4.00 m in the middle") && findings.contains("never returned anything"),
+        "{findings}"
+    );
+    adapter.wait_for("the stream ended 28700 bytes into an image of 28800");
+    adapter.wait_for("199 published");
+}
+
+#[test]
+fn a_vehicle_flies_a_course_by_a_scanners_packets() {
+    let course = generate(Family::Validation, 7);
+    let world = World::new(&course);
+    let mount = (FrdVector::new(0.05, 0.0, -0.05), Attitude::LEVEL_NORTH);
+    let device = Device::new(64, mount);
+    let described = OusterDevice::from_metadata(&device.metadata(false)).expect("metadata");
+    let mut adapter =
+        OusterAdapter::new(described, Mount::new(mount.0, mount.1).expect("a mount")).expect("an adapter");
+
+    let mut config = SimConfig::new(course, 7);
+    config.start = Start::Airborne;
+    let mut firmware = LockstepFirmware::new(&FirmwareConfig::to_goal(config.course.goal_ned_m())).expect("a firmware");
+    let mut simulator = Simulator::new(&config, 0).expect("a simulator");
+    let (mut model, mut seen) = (Box::new(DepthFrame::EMPTY), Box::new(DepthFrame::EMPTY));
+    let (mut received, mut sent) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut steps = 0u16;
+    while simulator.ending().is_none() && steps < 1600 {
+        simulator.lockstep(&sent, &mut model, &mut received);
+        let truth = simulator.truth();
+        // Twenty seconds before the simulation began the device was on: its stamps are never negative.
+        let ahead_ns = simulator.now_ns() + 20 * 1_000_000_000;
+        let pose = (truth.position_ned_m, truth.attitude);
+        let mut taken = None;
+        for packet in device.turn(&world, pose, steps, ahead_ns) {
+            taken = taken.or(adapter
+                .packet(&packet, ahead_ns, &mut seen.depth)
+                .expect("sound packets"));
+        }
+        taken.expect("a frame a turn");
+        // Captured now; pose and numbers as the driver of a vehicle has them.
+        (seen.header, seen.header.checksum) = (model.header, 0);
+        seen.seal();
+        firmware.step(simulator.now_ns(), Some(&seen), &received, &mut sent);
+        steps += 1;
+    }
+    let ending = simulator.ending().unwrap_or_else(|| panic!("no end in {steps} steps"));
+    assert_eq!(ending.outcome, Outcome::Success, "{} s", ending.flight_time_s);
+}
+
+/// Compiles the C driver against the library; `None` where there is no C compiler.
+fn c_driver(folder: &Path) -> Option<PathBuf> {
+    Command::new("cc")
+        .arg("--version")
+        .output()
+        .ok()
+        .filter(|out| out.status.success())?;
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let library = vigil().parent().expect("a folder").to_owned();
+    assert!(
+        library.join("libvigil_depth.so").is_file(),
+        "run `cargo build --release -p vigil-depth`"
+    );
+    let program = folder.join("publish_wall");
+    let sources = root.join("tools/publishers/c");
+    let output = Command::new("cc")
+        .args(["-std=c11", "-Wall", "-Wextra", "-Werror"])
+        .arg(sources.join("publish_wall.c"))
+        .arg("-I")
+        .arg(&sources)
+        .arg("-L")
+        .arg(&library)
+        .arg("-lvigil_depth")
+        .arg(format!("-Wl,-rpath,{}", library.display()))
+        .arg("-o")
+        .arg(&program)
+        .output()
+        .expect("cc starts");
+    assert!(output.status.success(), "{}", said(&output));
+    Some(program)
+}
+
+/// A driver's frames with a key and without, as the check sees them.
+fn accepted(program: &Path, instance: u32, folder: &Path) {
+    let key = folder.join("depth.key");
+    std::fs::write(&key, [7; 32]).expect("written");
+    std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).expect("set");
+    let key = key.to_str().expect("UTF-8");
+    for with_key in [false, true] {
+        let mut driver = Command::new(program);
+        driver.args([&instance.to_string(), "60"]);
+        if with_key {
+            driver.arg(key);
+        }
+        let mut driver = driver.spawn().expect("it starts");
+        let further: &[&str] = if with_key {
+            &["--wall", "2.5", "--frame-key", key]
+        } else {
+            &["--wall", "2.5"]
+        };
+        let findings = good(instance, further);
+        driver.kill().expect("it runs");
+        driver.wait().expect("it ends");
+        assert!(findings.contains("2.50 m in the middle"), "{findings}");
+    }
+}
+
+#[test]
+fn a_driver_in_c_is_accepted_with_a_key_and_without_and_says_what_is_wrong() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(program) = c_driver(folder.path()) else {
+        println!("left out: there is no C compiler");
+        return;
+    };
+    accepted(&program, 64, folder.path());
+    let output = Command::new(&program)
+        .args(["64", "1", "/no/such.key"])
+        .output()
+        .expect("it starts");
+    assert_eq!(output.status.code(), Some(1));
+    assert!(said(&output).contains("/no/such.key"), "{}", said(&output));
+    let output = Command::new(&program).args(["100", "1"]).output().expect("it starts");
+    assert!(said(&output).contains("from 0 to 99"), "{}", said(&output));
+}
+
+#[test]
+fn the_driver_in_rust_is_accepted_with_a_key_and_without() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let program = vigil().with_file_name("examples").join("depth_publisher");
+    assert!(program.is_file(), "run `cargo build --release -p vigil-io --examples`");
+    accepted(&program, 65, folder.path());
+}

@@ -1,0 +1,157 @@
+"""Publishes a ROS 2 point cloud as Vigil's depth frames: docs/sensor-interface.md, "ROS 2".
+
+    cargo build --release -p vigil-depth
+    python3 depth_bridge.py --ros-args -p library:=target/release/libvigil_depth.so \
+        -r points:=/ouster/points -r odometry:=/mavros/local_position/odom
+
+Subscribes to `points` (sensor_msgs/PointCloud2 with float32 x, y, z; axes forward, left, up) and `odometry` (nav_msgs/Odometry, ENU
+and forward-left-up, origin at the vehicle's home). What does not need ROS is above the node and tested by
+tests/python/test_depth_publisher.py; the node itself was not run against ROS.
+"""
+
+import ctypes
+import math
+import time
+
+import numpy as np
+
+PIXELS = 128 * 256
+FLOATS = ctypes.POINTER(ctypes.c_float)
+
+
+def _floats(array: np.ndarray):
+    return array.ctypes.data_as(FLOATS)
+
+
+class DepthLibrary:
+    """libvigil_depth.so: projects clouds, publishes images. A RuntimeError says what went wrong."""
+
+    def __init__(self, path: str):
+        lib = ctypes.CDLL(path)
+        lib.vigil_depth_open.restype = ctypes.c_void_p
+        lib.vigil_depth_open.argtypes = [ctypes.c_uint32, ctypes.c_uint32, ctypes.c_char_p]
+        lib.vigil_depth_publish.argtypes = [ctypes.c_void_p, FLOATS, FLOATS, FLOATS, ctypes.c_uint64]
+        lib.vigil_depth_project_points.argtypes = [FLOATS, ctypes.c_size_t, FLOATS, ctypes.c_float, ctypes.c_float, FLOATS]
+        lib.vigil_depth_error.restype = ctypes.c_char_p
+        lib.vigil_depth_close.argtypes = [ctypes.c_void_p]
+        self._lib, self._publisher = lib, None
+
+    def _checked(self, result: int) -> int:
+        if result < 0:
+            raise RuntimeError(self._lib.vigil_depth_error().decode())
+        return result
+
+    def open(self, instance: int = 0, sensor_id: int = 1, key_file: str | None = None) -> None:
+        self._publisher = self._lib.vigil_depth_open(instance, sensor_id, key_file.encode() if key_file else None)
+        if not self._publisher:
+            raise RuntimeError(self._lib.vigil_depth_error().decode())
+
+    def project(self, points_frd_m: np.ndarray, mount, across_deg: float, down_deg: float) -> np.ndarray:
+        """Ranges of the image, metres, infinity for no return; (n, 3) points forward, right, down."""
+        points = np.ascontiguousarray(points_frd_m, dtype=np.float32).reshape(-1, 3)
+        place, ranges_m = np.asarray(mount, dtype=np.float32), np.empty(PIXELS, dtype=np.float32)
+        if place.shape != (6,):
+            raise ValueError("mount: x, y, z, roll, pitch, yaw")
+        self._checked(
+            self._lib.vigil_depth_project_points(
+                _floats(points), len(points), _floats(place), across_deg, down_deg, _floats(ranges_m)
+            )
+        )
+        return ranges_m
+
+    def publish(self, ranges_m: np.ndarray, position_ned_m, attitude_wxyz, stamp_ns: int) -> int:
+        """Returns the number of readers."""
+        ranges_m = np.ascontiguousarray(ranges_m, dtype=np.float32)
+        position, attitude = (np.asarray(v, dtype=np.float32) for v in (position_ned_m, attitude_wxyz))
+        if ranges_m.size != PIXELS or position.shape != (3,) or attitude.shape != (4,):
+            raise ValueError("128 x 256 ranges, a position of 3 and a quaternion of 4 numbers are needed")
+        return self._checked(
+            self._lib.vigil_depth_publish(
+                self._publisher, _floats(ranges_m), _floats(position), _floats(attitude), stamp_ns
+            )
+        )
+
+    def close(self) -> None:
+        self._lib.vigil_depth_close(self._publisher)
+        self._publisher = None
+
+
+def points_of_cloud(data: bytes, count: int, point_step: int, offsets: dict[str, int]) -> np.ndarray:
+    """Points of a PointCloud2, forward-left-up, as (n, 3) forward, right, down; a point that is not finite is no return."""
+    layout = np.dtype(
+        {"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [offsets[k] for k in "xyz"], "itemsize": point_step}
+    )
+    cloud = np.frombuffer(data, dtype=layout, count=count)
+    points = np.stack([cloud["x"], -cloud["y"], -cloud["z"]], axis=1)
+    points[~np.isfinite(points).all(axis=1)] = 0.0
+    return points
+
+
+def pose_of_odometry(position_enu_m, attitude_xyzw) -> tuple[list[float], list[float]]:
+    """ENU position and forward-left-up to ENU quaternion as NED position and body (FRD) to NED quaternion w, x, y, z."""
+    east, north, up = position_enu_m
+    x, y, z, w = attitude_xyzw
+    # (0, s, s, 0) turns ENU into NED; (0, 1, 0, 0) turns forward-right-down into forward-left-up.
+    s = math.sqrt(0.5)
+    return [north, east, -up], [s * (w + z), s * (x + y), s * (x - y), s * (w - z)]
+
+
+def monotonic_of(stamp_ns: int, now_wall_ns: int, now_monotonic_ns: int) -> int:
+    """A stamp of the system's clock on CLOCK_MONOTONIC; refuses one that is not of this machine's clock."""
+    age_ns = now_wall_ns - stamp_ns
+    if not -50_000_000 <= age_ns <= 1_000_000_000:
+        raise ValueError(f"a cloud's stamp is {age_ns * 1e-9:.3f} s old by this machine's clock: synchronise the clocks")
+    return now_monotonic_ns - age_ns
+
+
+def main() -> None:
+    import rclpy
+    from nav_msgs.msg import Odometry
+    from rclpy.node import Node
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import PointCloud2
+
+    class DepthBridge(Node):
+        def __init__(self):
+            super().__init__("vigil_depth_bridge")
+            value = lambda name, usual: self.declare_parameter(name, usual).value  # noqa: E731
+            self.library = DepthLibrary(value("library", "libvigil_depth.so"))
+            self.library.open(value("instance", 0), value("sensor_id", 1), value("key_file", "") or None)
+            self.mount = value("mount", [0.0] * 6)
+            self.restamp = value("restamp", False)
+            self.resolution = value("across_deg", 0.352), value("down_deg", 0.704)
+            self.pose = None
+            self.create_subscription(Odometry, "odometry", self.on_odometry, qos_profile_sensor_data)
+            self.create_subscription(PointCloud2, "points", self.on_points, qos_profile_sensor_data)
+
+        def on_odometry(self, message):
+            p, q = message.pose.pose.position, message.pose.pose.orientation
+            self.pose = pose_of_odometry((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+        def on_points(self, message):
+            if self.pose is None:
+                self.get_logger().warning("no odometry yet: no frame", throttle_duration_sec=10.0)
+                return
+            stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+            offsets = {field.name: field.offset for field in message.fields}
+            try:
+                now_ns = time.monotonic_ns()
+                stamp_ns = now_ns if self.restamp else monotonic_of(stamp_ns, time.time_ns(), now_ns)
+                points = points_of_cloud(
+                    bytes(message.data), message.width * message.height, message.point_step, offsets
+                )
+                ranges_m = self.library.project(points, self.mount, *self.resolution)
+                self.library.publish(ranges_m, *self.pose, stamp_ns)
+            except (KeyError, RuntimeError, ValueError) as error:
+                self.get_logger().warning(f"no frame: {error}", throttle_duration_sec=10.0)
+
+    rclpy.init()
+    node = DepthBridge()
+    try:
+        rclpy.spin(node)
+    finally:
+        node.library.close()
+
+
+if __name__ == "__main__":
+    main()

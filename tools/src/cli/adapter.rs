@@ -1,0 +1,501 @@
+//! `vigil sensor ouster` and `vigil sensor z16`: what devices send becomes depth frames.
+
+use crate::cli::output::{say, tell};
+use anyhow::{Context, Result, bail};
+use std::io::{ErrorKind, Read};
+use std::net::{IpAddr, SocketAddr, UdpSocket};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::time::Duration;
+use vigil_adapters::{DepthStream, Fault, OusterAdapter, OusterDevice, PoseTrack, Tally};
+use vigil_io::clock::{monotonic_ns, sleep_until};
+use vigil_io::gate::AllowUnsigned;
+use vigil_io::key_file::frame_key;
+use vigil_io::link_spec::LinkSpec;
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_mavlink::Vehicle;
+use vigil_mavlink::framing::{FramingCounters, packets};
+use vigil_projection::{Mount, Pinhole, View};
+use vigil_sim::foreign::PoseLink;
+use vigil_types::{Attitude, DepthFrame, FrameKey, FrdVector, Nanos, NedVector};
+
+/// The device's packets are waited for so long before the vehicle's are looked at again.
+const LOOK: Duration = Duration::from_millis(2);
+/// Nothing for so long is worth a word.
+const SILENCE_NS: Nanos = 500_000_000;
+/// Room for the packets of some turns: a sensor sends 30 MB in a second.
+const RECEIVE_BUFFER: usize = 4 << 20;
+/// A metadata file is longer than this only by mistake.
+const METADATA_LIMIT: u64 = 1 << 20;
+/// Position and attitude that came farther apart are no pose, seconds.
+const MOST_APART_S: f32 = 0.3;
+/// The autopilot's component.
+const AUTOPILOT: u8 = 1;
+
+/// What all adapters are told.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CommonArgs {
+    /// Where the sensor sits and how it is turned: metres forward, right and down of the vehicle's middle, then roll, pitch and yaw in
+    /// degrees.
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", value_parser = mount, default_value = "0,0,0,0,0,0", allow_hyphen_values = true)]
+    mount: Mount,
+
+    /// Where the vehicle's pose is heard: a URL as of `vigil firmware --link`. May be repeated.
+    #[arg(long, value_name = "URL[,OPTION]", required_unless_present = "still")]
+    pose: Vec<LinkSpec>,
+
+    /// Instead of a vehicle: a level sensor that stands still this many metres above the ground, to be tried on the bench.
+    #[arg(long, value_name = "METRES", conflicts_with = "pose")]
+    still: Option<f32>,
+
+    /// Number of the set of processes.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    instance: u32,
+
+    /// The frame service.
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
+    frames: String,
+
+    /// The sensor's number.
+    #[arg(long, default_value_t = 1)]
+    sensor_id: u32,
+
+    /// File with the secret of the frames' key.
+    #[arg(long, value_name = "FILE")]
+    frame_key: Option<PathBuf>,
+
+    /// From whom MAVLink packets without a signature are accepted: from this machine, nobody, everybody.
+    #[arg(long, value_name = "WHO", value_enum, default_value_t)]
+    allow_unsigned: AllowUnsigned,
+}
+
+/// Arguments of `vigil sensor ouster`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil sensor ouster --metadata os0.json --pose udpin://0.0.0.0:14545 --mount 0.1,0,-0.05,0,0,0
+  vigil sensor ouster --metadata os0.json --still 1.5        on the bench; beside it: vigil sensor check
+The sensor sends LEGACY packets to this machine, 20 turns a second (lidar_mode 1024x20). What is refused is told on the terminal.
+
+Exit code: 0 ended on request, 1 it could not begin. docs/sensor-interface.md, \"Adapters\".")]
+pub struct OusterArgs {
+    /// The sensor's metadata file (JSON), as its web page and its tools save it.
+    #[arg(long, value_name = "FILE")]
+    metadata: PathBuf,
+
+    /// Where the packets arrive.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "0.0.0.0:7502")]
+    listen: SocketAddr,
+
+    /// The sensor's address; packets of others are passed over.
+    #[arg(long, value_name = "ADDRESS")]
+    from: Option<IpAddr>,
+
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+/// Arguments of `vigil sensor z16`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  v4l2-ctl -d /dev/video2 --set-fmt-video=width=848,height=480,pixelformat='Z16 ' --stream-mmap --stream-to=- |
+    vigil sensor z16 - --size 848,480 --focal 421.3,421.3 --centre 423.1,238.9 --pose udpin://0.0.0.0:14545
+  vigil sensor z16 recorded.z16 --rate 30 --size 640,480 --focal 382,382 --centre 320,240 --still 1.5
+
+A stream of images of 16-bit little-endian units one behind the other, rectified, depth along the camera's axis, 0 for no return.
+
+Exit code: 0 the stream ended, or it ended on request; 1 it could not begin. docs/sensor-interface.md, \"Adapters\".")]
+pub struct DepthStreamArgs {
+    /// The stream: a file, a named pipe, or `-` for standard input.
+    #[arg(value_name = "FILE")]
+    input: PathBuf,
+
+    /// Width and height, pixels.
+    #[arg(long, value_name = "W,H", value_parser = pair::<usize>)]
+    size: [usize; 2],
+
+    /// Focal lengths, pixels.
+    #[arg(long, value_name = "FX,FY", value_parser = pair::<f32>)]
+    focal: [f32; 2],
+
+    /// Principal point, pixels.
+    #[arg(long, value_name = "CX,CY", value_parser = pair::<f32>)]
+    centre: [f32; 2],
+
+    /// Metres of a unit.
+    #[arg(long, value_name = "METRES", default_value_t = 0.001)]
+    unit: f32,
+
+    /// How old an image is when it has arrived: exposure, matching and transfer, milliseconds.
+    #[arg(long, value_name = "MS", default_value_t = 0)]
+    latency_ms: u32,
+
+    /// Images in a second of a recorded file; without it they are taken as they come.
+    #[arg(long, value_name = "HZ", value_parser = clap::value_parser!(u32).range(1..=120))]
+    rate: Option<u32>,
+
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+fn numbers<T: std::str::FromStr, const N: usize>(text: &str, what: &str) -> Result<[T; N], String> {
+    let numbers: Option<Vec<T>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    numbers
+        .and_then(|numbers| numbers.try_into().ok())
+        .ok_or_else(|| format!("{what} separated by commas are needed"))
+}
+
+fn pair<T: std::str::FromStr>(text: &str) -> Result<[T; 2], String> {
+    numbers(text, "two numbers")
+}
+
+fn mount(text: &str) -> Result<Mount, String> {
+    let [x, y, z, roll, pitch, yaw] = numbers::<f32, 6>(text, "six numbers")?;
+    let turn = Attitude::from_euler_rad(roll.to_radians(), pitch.to_radians(), yaw.to_radians());
+    Mount::new(FrdVector::new(x, y, z), turn).map_err(|e| e.to_string())
+}
+
+/// Where poses come from.
+enum PoseSource {
+    Still(NedVector),
+    Heard(Box<Heard>),
+}
+
+struct Heard {
+    links: Vec<PoseLink>,
+    vehicle: Vehicle,
+    system: Option<u8>,
+    counters: FramingCounters,
+    track: PoseTrack,
+}
+
+impl PoseSource {
+    fn open(args: &CommonArgs) -> Result<Self> {
+        if let Some(height_m) = args.still {
+            if !(0.0..=1000.0).contains(&height_m) {
+                bail!("--still {height_m}: a height from 0 to 1000 m is needed");
+            }
+            return Ok(Self::Still(NedVector::new(0.0, 0.0, -height_m)));
+        }
+        let links: Result<Vec<PoseLink>, _> = args
+            .pose
+            .iter()
+            .map(|spec| PoseLink::open(spec, args.allow_unsigned))
+            .collect();
+        Ok(Self::Heard(Box::new(Heard {
+            links: links?,
+            vehicle: Vehicle::new(None),
+            system: args.pose.iter().find_map(|spec| spec.system),
+            counters: FramingCounters::default(),
+            track: PoseTrack::default(),
+        })))
+    }
+
+    /// Hears what arrived. Never waits.
+    fn listen(&mut self, now_ns: Nanos) {
+        let Self::Heard(heard) = self else { return };
+        let Heard {
+            links,
+            vehicle,
+            system,
+            counters,
+            track,
+        } = &mut **heard;
+        for link in links.iter_mut() {
+            link.receive(now_ns, |datagram| {
+                for packet in packets(datagram, counters) {
+                    if packet.is_autopilots_heartbeat() {
+                        system.get_or_insert(packet.system_id());
+                    }
+                    if packet.component_id() != AUTOPILOT || *system != Some(packet.system_id()) {
+                        continue;
+                    }
+                    vehicle.receive(now_ns, &packet);
+                }
+            });
+        }
+        let telemetry = &vehicle.telemetry;
+        if let (Some(position), Some(attitude)) = (telemetry.kinematics, telemetry.attitude) {
+            let home_ned_m = vehicle.home_ned_m().unwrap_or(NedVector::ZERO);
+            // The position at the attitude's time.
+            let lead_s = (attitude.at_ns as f64 - position.at_ns as f64) as f32 * 1e-9;
+            if lead_s.abs() <= MOST_APART_S {
+                let position_ned_m = position.position_ned_m + position.velocity_ned_m_s * lead_s - home_ned_m;
+                track.note(attitude.at_ns, position_ned_m, attitude.attitude);
+            }
+        }
+        for link in links {
+            link.ask(now_ns, false, vehicle.home_ned_m().is_none());
+        }
+    }
+
+    fn at(&self, stamp_ns: Nanos) -> Option<(NedVector, Attitude)> {
+        match self {
+            Self::Still(position_ned_m) => Some((*position_ned_m, Attitude::LEVEL_NORTH)),
+            Self::Heard(heard) => heard.track.at(stamp_ns),
+        }
+    }
+}
+
+/// Where images go, and what is told of those that are none.
+struct Output {
+    publisher: FramePublisher,
+    key: Option<FrameKey>,
+    pose: PoseSource,
+    frame: Box<DepthFrame>,
+    published: u64,
+    tally: Tally,
+    heard_ns: Nanos,
+    stop: Arc<AtomicBool>,
+}
+
+impl Output {
+    fn open(args: &CommonArgs, what: &str, view: Option<View>) -> Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&stop);
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).context("cannot install the Ctrl-C handler")?;
+        let key = args
+            .frame_key
+            .as_ref()
+            .map(|path| frame_key(path, args.sensor_id))
+            .transpose()?;
+        let pose = PoseSource::open(args)?;
+        let domain = Domain::open(args.instance, "adapter")?;
+        let publisher = FramePublisher::create(&domain, &args.frames)?;
+        let mut frame = Box::new(DepthFrame::EMPTY);
+        frame.header.sensor_id = args.sensor_id;
+        say!("device     {what}");
+        say!(
+            "frames     on `{}` of instance {}, sensor {}{}",
+            args.frames,
+            args.instance,
+            args.sensor_id,
+            if key.is_some() { "" } else { ", not authenticated" }
+        );
+        if let Some(view) = view {
+            say!("view       {view}");
+            if !view.is_whole() {
+                tell!(
+                    "warning: where the device does not look frames show no return, which is free space to a pilot; the firmware holds (blind sensor) where the ground should be seen there"
+                );
+            }
+        }
+        Ok(Self {
+            publisher,
+            key,
+            pose,
+            frame,
+            published: 0,
+            tally: Tally::default(),
+            heard_ns: monotonic_ns(),
+            stop,
+        })
+    }
+
+    fn goes_on(&self) -> bool {
+        !self.stop.load(Ordering::Relaxed)
+    }
+
+    fn refuse(&mut self, now_ns: Nanos, fault: Fault) {
+        if let Some(line) = self.tally.note(now_ns, fault) {
+            tell!("vigil: {line}");
+        }
+    }
+
+    /// Hears the vehicle, and says where the device is silent.
+    fn look_around(&mut self) {
+        let now_ns = monotonic_ns();
+        self.pose.listen(now_ns);
+        let silent_ns = now_ns.saturating_sub(self.heard_ns);
+        if silent_ns > SILENCE_NS {
+            let since_s = silent_ns as f64 * 1e-9;
+            self.refuse(now_ns, Fault::Silence { since_s });
+        }
+    }
+
+    /// Publishes the image in the frame, taken at `stamp_ns`.
+    fn publish(&mut self, stamp_ns: Nanos) -> Result<()> {
+        let Some((position_ned_m, attitude)) = self.pose.at(stamp_ns) else {
+            self.refuse(monotonic_ns(), Fault::NoPose);
+            return Ok(());
+        };
+        let header = &mut self.frame.header;
+        (header.stamp_ns, header.sequence) = (stamp_ns, self.published);
+        (header.position_ned_m, header.attitude) = (position_ned_m, attitude);
+        match &self.key {
+            Some(key) => self.frame.authenticate(key),
+            None => self.frame.seal(),
+        }
+        self.publisher.publish(&self.frame)?;
+        self.published += 1;
+        Ok(())
+    }
+
+    fn end(&self) -> ExitCode {
+        say!("frames     {} published", self.published);
+        for line in self.tally.summary().lines() {
+            say!("refused    {line}");
+        }
+        ExitCode::SUCCESS
+    }
+}
+
+/// Runs `vigil sensor ouster`.
+///
+/// # Errors
+/// A metadata file that cannot be used, an address or a frame service in use.
+pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
+    let path = &args.metadata;
+    let text =
+        vigil_files::read_text(path, METADATA_LIMIT).with_context(|| format!("--metadata {}", path.display()))?;
+    let device = OusterDevice::from_metadata(&text).with_context(|| format!("--metadata {}", path.display()))?;
+    let mut adapter = OusterAdapter::new(device, args.common.mount)?;
+    let socket = UdpSocket::bind(args.listen).with_context(|| format!("--listen {}", args.listen))?;
+    socket.set_read_timeout(Some(LOOK))?;
+    // The system may give less; then packets are lost sooner, which is told.
+    let _ = rustix::net::sockopt::set_socket_recv_buffer_size(&socket, RECEIVE_BUFFER);
+    let what = {
+        let device = adapter.device();
+        format!(
+            "{} beams, {} columns, {} turns a second, on {}",
+            device.beams(),
+            device.columns(),
+            device.rate_hz(),
+            args.listen
+        )
+    };
+    let mut out = Output::open(&args.common, &what, adapter.view())?;
+    if adapter.device().rate_hz() < 20.0 {
+        tell!(
+            "warning: fewer than 20 turns a second: some steps of the loop have no new picture; lidar_mode 1024x20 is right"
+        );
+    }
+    let mut buffer = vec![0; 1 << 16];
+    while out.goes_on() {
+        match socket.recv_from(&mut buffer) {
+            Ok((len, peer)) if args.from.is_none_or(|from| from == peer.ip()) => {
+                let arrived_ns = monotonic_ns();
+                out.heard_ns = arrived_ns;
+                match adapter.packet(&buffer[..len], arrived_ns, &mut out.frame.depth) {
+                    Ok(Some(stamp_ns)) => {
+                        out.look_around();
+                        out.publish(stamp_ns)?;
+                    }
+                    Ok(None) => {}
+                    Err(fault) => out.refuse(arrived_ns, fault),
+                }
+            }
+            Ok(_) => {}
+            Err(e)
+                if matches!(
+                    e.kind(),
+                    ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
+                ) => {}
+            Err(e) => return Err(e).context("the socket of the sensor's packets"),
+        }
+        out.look_around();
+    }
+    Ok(out.end())
+}
+
+/// Runs `vigil sensor z16`.
+///
+/// # Errors
+/// A camera that cannot be, a file that cannot be read, a frame service in use.
+pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
+    let camera = Pinhole::new(args.size, args.focal, args.centre)?;
+    let mut stream = DepthStream::new(camera, args.common.mount, args.unit)?;
+    let shown = args.input.display();
+    let mut input: Box<dyn Read + Send> = match args.input.to_str() {
+        Some("-") => Box::new(std::io::stdin()),
+        _ => Box::new(std::fs::File::open(&args.input).with_context(|| shown.to_string())?),
+    };
+    let [width, height] = args.size;
+    let what = format!("{width} x {height} pixels of {} m, from {shown}", args.unit);
+    let mut out = Output::open(&args.common, &what, stream.view())?;
+    let (sender, images) = sync_channel(1);
+    let (bytes, rate) = (stream.image_bytes(), args.rate);
+    // Ends with the process where the stream does not.
+    std::thread::spawn(move || read_images(&mut *input, bytes, rate, &sender));
+    while out.goes_on() {
+        match next_image(&images) {
+            Next::Nothing => {}
+            Next::Image(arrived_ns, image) => {
+                out.heard_ns = arrived_ns;
+                match stream.image(&image, &mut out.frame.depth) {
+                    Ok(()) => {
+                        out.look_around();
+                        out.publish(arrived_ns.saturating_sub(u64::from(args.latency_ms) * 1_000_000))?;
+                    }
+                    // Less than an image is the rest of a stream that ended.
+                    Err(fault) => out.refuse(arrived_ns, fault),
+                }
+            }
+            Next::End(error) => {
+                if let Some(error) = error {
+                    return Err(error).with_context(|| shown.to_string());
+                }
+                break;
+            }
+        }
+        out.look_around();
+    }
+    Ok(out.end())
+}
+
+enum Next {
+    Nothing,
+    Image(Nanos, Vec<u8>),
+    End(Option<std::io::Error>),
+}
+
+/// An image and when it arrived, or why there are no more.
+type Arrival = Result<(Nanos, Vec<u8>), Option<std::io::Error>>;
+
+fn next_image(images: &Receiver<Arrival>) -> Next {
+    match images.recv_timeout(LOOK) {
+        Ok(Ok((arrived_ns, image))) => Next::Image(arrived_ns, image),
+        Ok(Err(error)) => Next::End(error),
+        Err(RecvTimeoutError::Timeout) => Next::Nothing,
+        Err(RecvTimeoutError::Disconnected) => Next::End(None),
+    }
+}
+
+/// Reads images until the stream's end. Of a live stream one that nobody is ready for is dropped: the next is newer.
+fn read_images(input: &mut dyn Read, bytes: usize, rate_hz: Option<u32>, sender: &SyncSender<Arrival>) {
+    let mut due_ns = monotonic_ns();
+    loop {
+        let mut image = Vec::with_capacity(bytes);
+        let read = Read::take(&mut *input, bytes as u64).read_to_end(&mut image);
+        let ended = match read {
+            Err(error) => Some(Err(Some(error))),
+            Ok(0) => Some(Err(None)),
+            Ok(_) => None,
+        };
+        if let Some(end) = ended {
+            let _ = sender.send(end);
+            return;
+        }
+        let is_rest = image.len() < bytes;
+        match rate_hz {
+            Some(hz) => {
+                sleep_until(due_ns);
+                due_ns += 1_000_000_000 / u64::from(hz);
+                if sender.send(Ok((monotonic_ns(), image))).is_err() {
+                    return;
+                }
+            }
+            None if is_rest => {
+                let _ = sender.send(Ok((monotonic_ns(), image)));
+            }
+            None => match sender.try_send(Ok((monotonic_ns(), image))) {
+                Ok(()) | Err(TrySendError::Full(_)) => {}
+                Err(TrySendError::Disconnected(_)) => return,
+            },
+        }
+    }
+}
