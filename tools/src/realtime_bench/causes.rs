@@ -116,16 +116,17 @@ impl Cause {
 /// Why a step began more than [`NOTABLE_NS`] late.
 pub fn of_lateness(step: &ObservedStep) -> Option<Cause> {
     let late_ns = step.lateness_ns();
-    (late_ns > NOTABLE_NS).then(|| {
-        if step.held_up {
-            Cause::Overrun
-        } else if step.counted.queued_ns >= late_ns / 2 {
-            Cause::Queued
-        } else if step.counted.stolen_ns > 0 {
-            Cause::Stolen
-        } else {
-            Cause::WokenLate
-        }
+    if late_ns <= NOTABLE_NS {
+        return None;
+    }
+    Some(if step.held_up {
+        Cause::Overrun
+    } else if step.counted.queued_ns >= late_ns / 2 {
+        Cause::Queued
+    } else if step.counted.stolen_ns > 0 {
+        Cause::Stolen
+    } else {
+        Cause::WokenLate
     })
 }
 
