@@ -1,6 +1,7 @@
 //! `vigil sensor ouster` and `vigil sensor z16`: what devices send becomes depth frames.
 
 use crate::cli::output::{say, tell};
+use crate::cli::sensor::ServiceArgs;
 use anyhow::{Context, Result, bail};
 use std::io::{ErrorKind, Read};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
@@ -15,7 +16,7 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
+use vigil_io::shared_memory::{Domain, FramePublisher};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_projection::{Mount, Pinhole, View};
@@ -51,17 +52,8 @@ pub struct CommonArgs {
     #[arg(long, value_name = "METRES", conflicts_with = "pose")]
     still: Option<f32>,
 
-    /// Number of the set of processes.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
-    instance: u32,
-
-    /// The frame service.
-    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
-    frames: String,
-
-    /// The sensor's number.
-    #[arg(long, default_value_t = 1)]
-    sensor_id: u32,
+    #[command(flatten)]
+    service: ServiceArgs,
 
     /// File with the secret of the frames' key.
     #[arg(long, value_name = "FILE")]
@@ -261,19 +253,19 @@ impl Output {
         let key = args
             .frame_key
             .as_ref()
-            .map(|path| frame_key(path, args.sensor_id))
+            .map(|path| frame_key(path, args.service.sensor_id))
             .transpose()?;
         let pose = PoseSource::open(args)?;
-        let domain = Domain::open(args.instance, "adapter")?;
-        let publisher = FramePublisher::create(&domain, &args.frames)?;
+        let domain = Domain::open(args.service.instance, "adapter")?;
+        let publisher = FramePublisher::create(&domain, &args.service.frames)?;
         let mut frame = Box::new(DepthFrame::EMPTY);
-        frame.header.sensor_id = args.sensor_id;
+        frame.header.sensor_id = args.service.sensor_id;
         say!("device     {what}");
         say!(
             "frames     on `{}` of instance {}, sensor {}{}",
-            args.frames,
-            args.instance,
-            args.sensor_id,
+            args.service.frames,
+            args.service.instance,
+            args.service.sensor_id,
             if key.is_some() { "" } else { ", not authenticated" }
         );
         if let Some(view) = view {

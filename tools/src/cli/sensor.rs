@@ -35,6 +35,22 @@ enum SensorCommand {
     Z16(DepthStreamArgs),
 }
 
+/// The frames of a sensor: where they are published.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ServiceArgs {
+    /// Number of the set of processes.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    pub instance: u32,
+
+    /// The frame service.
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
+    pub frames: String,
+
+    /// The sensor's number.
+    #[arg(long, default_value_t = 1)]
+    pub sensor_id: u32,
+}
+
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -46,17 +62,8 @@ Examples:
 Exit code: 0 all is as it should be or only warned of, 3 something fails, 1 the check could not be made.
 docs/sensor-interface.md is the interface; tools/publishers has drivers to begin with.")]
 struct CheckArgs {
-    /// Number of the set of processes.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
-    instance: u32,
-
-    /// The frame service.
-    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
-    frames: String,
-
-    /// The sensor's number.
-    #[arg(long, default_value_t = 1)]
-    sensor_id: u32,
+    #[command(flatten)]
+    service: ServiceArgs,
 
     /// File with the secret of the frames' key; may be given twice.
     #[arg(long, value_name = "FILE")]
@@ -93,16 +100,16 @@ fn check(args: &CheckArgs) -> Result<ExitCode> {
         output::prepare(path)?;
     }
     let mut check = SensorCheck::new(Expected {
-        sensor_id: args.sensor_id,
-        keys: frame_keys(&args.frame_key, args.sensor_id)?,
+        sensor_id: args.service.sensor_id,
+        keys: frame_keys(&args.frame_key, args.service.sensor_id)?,
         wall_m: args.wall,
     });
-    let domain = Domain::open(args.instance, "sensor-check")?;
-    let mut frames = FrameSubscriber::create(&domain, &args.frames)?;
+    let domain = Domain::open(args.service.instance, "sensor-check")?;
+    let mut frames = FrameSubscriber::create(&domain, &args.service.frames)?;
     tell!(
         "listening to `{}` on instance {} for {} s",
-        args.frames,
-        args.instance,
+        args.service.frames,
+        args.service.instance,
         args.seconds
     );
     let end_ns = monotonic_ns() + args.seconds * 1_000_000_000;
