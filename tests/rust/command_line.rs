@@ -477,6 +477,38 @@ fn simulator_and_firmware_say_at_start_what_they_are_and_how_they_end() {
 }
 
 #[test]
+fn a_bench_whose_load_ends_too_early_tells_what_it_measured_until_then() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("bench.json");
+    let bench = run(&[
+        "bench",
+        "realtime",
+        "--minutes",
+        "5",
+        "--instance",
+        "95",
+        "--seed",
+        "5",
+        "--load",
+        "sleep 8",
+        "--log",
+        text(folder.path()),
+        "-o",
+        text(&file),
+    ]);
+    assert_eq!(bench.status.code(), Some(1), "{}", said(&bench));
+    assert!(
+        said(&bench).contains("the load ended before the run did"),
+        "{}",
+        said(&bench)
+    );
+    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).expect("a report")).expect("JSON");
+    assert!(report["steps"].as_u64().expect("steps") > 20, "{report}");
+    let early = report["run"]["ended_early"].as_str().expect("why");
+    assert!(early.contains("the load ended"), "{early}");
+}
+
+#[test]
 fn a_detector_that_would_watch_nothing_is_refused() {
     for command in [
         &["firmware", "--instance", "94"][..],

@@ -100,6 +100,27 @@ def test_a_frame_that_was_given_stays_as_it_was_and_cannot_be_written_to():
     assert second["frames"].min() > 0.0
 
 
+def test_memory_of_frames_that_nobody_holds_is_used_again_and_that_of_held_ones_is_not():
+    env = VigilVectorEnv(2, frames=1, time_limit=2.0)
+    forward = [[1.0, 0.3]] * 2
+    observation, _ = env.reset(seed=5)
+    blocks, kept, copies = set(), [], []
+    for step in range(400):
+        block = observation["frames"].base
+        blocks.add(block.__array_interface__["data"][0])
+        del block
+        # One frame in fifty is held, by a slice of a slice, for the whole run.
+        if step >= 200 and step % 50 == 0:
+            kept.append(observation["frames"][1][10:20])
+            copies.append(kept[-1].copy())
+        observation, *_ = env.step(forward)
+        if step == 200:
+            assert len(blocks) <= 4, len(blocks)
+    for frames, copy in zip(kept, copies):
+        np.testing.assert_array_equal(frames, copy)
+    assert len(kept) == 4
+
+
 def test_five_frames_are_the_last_five_and_the_first_stands_for_the_missing_ones():
     env = VigilEnv("validation")
     observation, _ = env.reset(options={"course_seed": 7})

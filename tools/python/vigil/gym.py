@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ DEFAULT_REWARD: Mapping[str, float | str] = {
 """The reward's terms and their defaults, those of ``vigil learn`` (docs/training.md)."""
 # Frames of a block: the views handed out lie in it, and a new one is begun when it is full.
 _BLOCK = 32
+# Blocks kept to be written anew: memory that the system has just given costs as much as the flight itself.
+_SPARE_BLOCKS = 3
 _SEEDS = 2**48
 
 
@@ -56,8 +59,17 @@ def spaces_of(frames: int, privileged: bool) -> tuple[spaces.Dict, spaces.Box]:
     return spaces.Dict(parts), spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
 
 
+def _references(blocks: list[Floats], number: int) -> int:
+    return sys.getrefcount(blocks[number])
+
+
+# Of a block that nobody but the list holds: a view holds the block that it lies in.
+_UNSEEN = _references([np.empty(1, np.float32)], 0)
+
+
 class _Flown:
-    """Flights and the memory of their frames: each frame is written once, by Rust, and never again, so views of it stay true."""
+    """Flights and the memory of their frames. Rust writes each frame once; a block is written anew only when no view of it is left,
+    so views stay true."""
 
     def __init__(self, count: int, frames: int, threads: int, options: Mapping[str, Any]) -> None:
         if frames not in (1, FRAMES):
@@ -90,6 +102,7 @@ class _Flown:
         self.back = frames - 1
         self.slot = -1
         self.block: Floats = np.empty((0,), np.float32)
+        self._spare: list[Floats] = []
 
     def _next_slot(self, fresh: bool) -> None:
         """Where the next frames go. ``fresh``: a flight begins, whose older frames must not be written over those of the last."""
@@ -97,11 +110,18 @@ class _Flown:
             self.slot += 1
             return
         older, at = self.block, self.slot
-        # Pages that are not written take no memory.
-        self.block = np.empty((self.count, self.back + _BLOCK, ROWS, COLUMNS), np.float32)
+        self.block = self._unseen_block()
         if at >= 0:
             self.block[:, : self.back] = older[:, at - self.back + 1 : at + 1]
+            self._spare = [*self._spare, older][-_SPARE_BLOCKS:]
         self.slot = self.back
+
+    def _unseen_block(self) -> Floats:
+        for number in range(len(self._spare)):
+            if _references(self._spare, number) == _UNSEEN:
+                return self._spare.pop(number)
+        # Pages that are not written take no memory.
+        return np.empty((self.count, self.back + _BLOCK, ROWS, COLUMNS), np.float32)
 
     def reset(self, seeds: Sequence[int | None]) -> None:
         self._next_slot(fresh=True)

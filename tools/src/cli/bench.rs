@@ -53,7 +53,8 @@ Examples:
 
 It flies course after course against the simulator, with log and everything else as in flight. FIFO priority and locked memory need
 rights (docs/real-time.md); without them it measures what a flight without them would have.
-Exit code: 0 no step was missed, 3 steps were missed, 1 it could not fly, 130 interrupted (what was measured until then is told).")]
+Exit code: 0 no step was missed, 3 steps were missed, 1 it could not fly or its load ended, 130 interrupted (what was measured
+until then is told in each case).")]
 struct RealtimeArgs {
     /// How long to fly, minutes.
     #[arg(long, value_name = "MINUTES", default_value_t = 1.0, value_parser = minutes)]
@@ -137,6 +138,13 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
             false => output::write(file, report.figure().svg())?,
         }
     }
+    if let (None, Some(reason)) = (&args.from, &report.run.ended_early) {
+        anyhow::bail!(
+            "the run ended after {:.1} of {} minutes: {reason}",
+            report.run.minutes,
+            args.minutes
+        );
+    }
     Ok(match report.missed {
         _ if interrupt.came() => interrupt.exit_code(),
         0 => ExitCode::SUCCESS,
@@ -184,12 +192,16 @@ fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport>
     let before = ProcessorTime::now();
     let mut flight = 0;
     while !interrupt.came() && Instant::now() < bench.ends {
-        let outcome = bench.fly(seed + flight)?;
-        *run.flights.entry(outcome).or_default() += 1;
-        flight += 1;
-        if let Some(load) = &mut load {
-            load.check()?;
+        match bench.fly(seed + flight, load.as_mut()) {
+            Ok(outcome) => *run.flights.entry(outcome).or_default() += 1,
+            // What was measured until then holds, and is told.
+            Err(error) if bench.granted.is_some() && !bench.steps.is_empty() => {
+                run.ended_early = Some(format!("{error:#}"));
+                break;
+            }
+            Err(error) => return Err(error),
         }
+        flight += 1;
     }
     run.busy = ProcessorTime::now().busy_since(&before);
     drop(load);
@@ -216,7 +228,10 @@ struct RealtimeBench<'a> {
 
 impl RealtimeBench<'_> {
     /// One flight, to its end or the run's; how it ended.
-    fn fly(&mut self, seed: u64) -> Result<String> {
+    ///
+    /// # Errors
+    /// A process that cannot be started or ends too early, the load among them.
+    fn fly(&mut self, seed: u64, mut load: Option<&mut Load>) -> Result<String> {
         let (args, interrupt, ends) = (self.args, self.interrupt, self.ends);
         let course = args.course.load(seed)?;
         let folder = vigil_files::make_new_folder(&self.folder, &seed.to_string())?;
@@ -233,13 +248,16 @@ impl RealtimeBench<'_> {
         })?;
         let statuses = read_statuses(&mut simulator)?;
         let stop = AtomicBool::new(false);
-        let (granted, outcome) = std::thread::scope(|scope| {
+        let (granted, watched) = std::thread::scope(|scope| {
             let looping = std::thread::Builder::new()
                 .name("loop".to_owned())
                 .spawn_scoped(scope, || self.run_loop(&config, &stop))?;
             let mut watch = || -> Result<String> {
                 let mut heard = Instant::now();
                 while !interrupt.came() && Instant::now() < ends && !looping.is_finished() {
+                    if let Some(load) = &mut load {
+                        load.check()?;
+                    }
                     match statuses.recv_timeout(Duration::from_millis(200)) {
                         Ok(status) => {
                             heard = Instant::now();
@@ -267,9 +285,10 @@ impl RealtimeBench<'_> {
             let granted = looping
                 .join()
                 .map_err(|_| anyhow::anyhow!("the loop's thread failed"))??;
-            Ok::<_, anyhow::Error>((granted, watched?))
+            Ok::<_, anyhow::Error>((granted, watched))
         })?;
         self.granted = Some(granted);
+        let outcome = watched?;
         simulator.end()?;
         std::fs::remove_dir_all(&folder).with_context(|| format!("cannot remove {}", folder.display()))?;
         Ok(outcome)

@@ -23,6 +23,9 @@ pub struct RunFacts {
     pub flights: BTreeMap<String, u64>,
     /// What else ran because it was asked for.
     pub load: Option<String>,
+    /// Why the run ended before its time; none if it did not.
+    #[serde(default)]
+    pub ended_early: Option<String>,
     /// Share of the time that all processors were busy, this run's own work among it.
     pub busy: f64,
     /// FIFO priority of the loop's thread; none under normal scheduling.
@@ -393,6 +396,9 @@ impl fmt::Display for RealtimeReport {
             "load        {load}; all processors busy for {:.0} % of the time",
             run.busy * 100.0
         )?;
+        if let Some(reason) = &run.ended_early {
+            writeln!(f, "ended early {reason}")?;
+        }
         writeln!(f)?;
         let mut table = TextTable::new([
             words(""),
