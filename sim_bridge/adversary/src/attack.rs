@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
-use vigil_types::NedVector;
+use vigil_types::{NedVector, parameters};
 
 /// An attack on the frames as they pass.
 #[derive(Debug, Clone, clap::Args)]
@@ -39,6 +39,10 @@ pub struct AttackArgs {
     /// Adaptive: deceive this detector as well.
     #[arg(long, value_name = "FILE", requires = "attack")]
     pub evade: Option<PathBuf>,
+
+    /// Adaptive: stay within what the guard lets pass.
+    #[arg(long, requires = "attack")]
+    pub evade_guard: bool,
 }
 
 impl Default for AttackArgs {
@@ -57,6 +61,7 @@ impl Default for AttackArgs {
             towards,
             attack_actor: None,
             evade: None,
+            evade_guard: false,
         }
     }
 }
@@ -88,6 +93,7 @@ impl AttackArgs {
             },
             burst: self.burst,
             evade,
+            evades_guard_m: self.evade_guard.then(|| parameters::ASTRAY.number_f32()),
         }))
     }
 
@@ -104,6 +110,9 @@ impl AttackArgs {
         if let Some(file) = &self.evade {
             command.arg("--evade").arg(file);
         }
+        if self.evade_guard {
+            command.arg("--evade-guard");
+        }
     }
 }
 
@@ -118,6 +127,8 @@ pub struct Attack {
     pub burst: Burst,
     /// The detector to deceive along with the actor.
     pub evade: Option<FrozenDetector>,
+    /// The guard is to stay silent as well, which finds the actor astray so far behind, metres (0 is never).
+    pub evades_guard_m: Option<f32>,
 }
 
 impl Attack {
@@ -135,7 +146,11 @@ impl Attack {
             };
         }
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
-        Ok(interceptor.with_inputs(self.pilot.inputs()))
+        let interceptor = interceptor.with_inputs(self.pilot.inputs());
+        match self.evades_guard_m {
+            Some(astray_m) => interceptor.evading_guard(astray_m),
+            None => Ok(interceptor),
+        }
     }
 }
 

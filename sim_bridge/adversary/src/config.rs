@@ -192,7 +192,7 @@ pub enum AttackError {
     Policy(String),
     /// Deceiving the detector along with an imported policy.
     #[error(
-        "an attack that evades the detector knows our own actor's architecture only, and this is an imported policy: leave --evade out"
+        "an attack that evades detector or guard knows our own actor's architecture only, and this is an imported policy: leave --evade and --evade-guard out"
     )]
     EvadingPolicy,
     /// Frames or parameters of another actor.

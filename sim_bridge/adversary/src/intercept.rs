@@ -3,7 +3,8 @@
 use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
 use crate::frame_attack::FrameAttack;
-use vigil_policy::actor::{Lead, PositionalInputs};
+use crate::guard_evasion::GuardEvasion;
+use vigil_policy::actor::Lead;
 use vigil_policy::{ActorInputs, PilotInput};
 use vigil_types::{DepthFrame, FrameHeader, GoalRelative, Nanos, NedVector, wrap_pi};
 
@@ -14,6 +15,19 @@ pub fn goal_seen_from(header: &FrameHeader, goal_ned_m: NedVector) -> GoalRelati
     GoalRelative {
         distance_m: to_goal.horizontal_norm(),
         bearing_rad: wrap_pi(libm::atan2f(to_goal.y, to_goal.x) - header.attitude.yaw_rad()),
+    }
+}
+
+/// What a pilot is given with a frame, from its header.
+fn seen(frame: &DepthFrame, goal_ned_m: NedVector, velocity: NedVector) -> PilotInput<'_> {
+    let header = &frame.header;
+    PilotInput {
+        now_ns: header.stamp_ns,
+        depth: frame,
+        goal: goal_seen_from(header, goal_ned_m),
+        attitude: header.attitude,
+        velocity_m_s: velocity.to_heading(header.attitude.yaw_rad()),
+        height_m: -header.position_ned_m.z,
     }
 }
 
@@ -34,6 +48,8 @@ pub struct Interceptor {
     goal_ned_m: NedVector,
     /// Leads the actor as its file says, over the frames as they were taken.
     lead: Lead,
+    /// The guard that is to stay silent.
+    guard: Option<GuardEvasion>,
     /// When and where the frame before was taken.
     before: Option<(Nanos, NedVector)>,
 }
@@ -46,6 +62,7 @@ impl Interceptor {
             plan,
             goal_ned_m,
             lead: Lead::new(ActorInputs::default()),
+            guard: None,
             before: None,
         }
     }
@@ -58,23 +75,25 @@ impl Interceptor {
         self
     }
 
-    /// What the actor decides from beside its frames, as seen from the frame as it was taken.
-    fn position(&mut self, frame: &DepthFrame) -> PositionalInputs {
-        let header = &frame.header;
+    /// Makes the attack adaptive: it keeps the actor within what a guard lets pass that finds it astray so far behind, metres (0 is never).
+    ///
+    /// # Errors
+    /// An attack on an imported policy.
+    pub fn evading_guard(mut self, astray_m: f32) -> Result<Self, AttackError> {
+        if matches!(self.attack, FrameAttack::Policy(_)) {
+            return Err(AttackError::EvadingPolicy);
+        }
+        self.guard = Some(GuardEvasion::new(astray_m));
+        Ok(self)
+    }
+
+    /// The vehicle's velocity, from where the last two frames were taken, NED.
+    fn velocity(&mut self, header: &FrameHeader) -> NedVector {
         let now = (header.stamp_ns, header.position_ned_m);
-        let velocity = match self.before.replace(now) {
+        match self.before.replace(now) {
             Some((then_ns, there)) if then_ns < now.0 => (now.1 - there) * (1e9 / (now.0 - then_ns) as f32),
             _ => NedVector::ZERO,
-        };
-        let input = PilotInput {
-            now_ns: header.stamp_ns,
-            depth: frame,
-            goal: goal_seen_from(header, self.goal_ned_m),
-            attitude: header.attitude,
-            velocity_m_s: velocity.to_heading(header.attitude.yaw_rad()),
-            height_m: -header.position_ned_m.z,
-        };
-        self.lead.inputs(&input).1
+        }
     }
 
     /// Takes the frame of step number `step`, in place.
@@ -95,13 +114,20 @@ impl Interceptor {
         frame: &mut DepthFrame,
         go_on: impl FnMut() -> bool,
     ) -> Result<PassedStep, AttackError> {
-        let position = self.position(frame);
+        let velocity = self.velocity(&frame.header);
+        let position = self.lead.inputs(&seen(frame, self.goal_ned_m, velocity)).1;
         if !self.plan.attacks(step) {
             self.attack.pass(&mut frame.depth, position)?;
             return Ok(PassedStep::Unaltered);
         }
+        if let (Some(guard), FrameAttack::Actor(attack)) = (&self.guard, &mut self.attack) {
+            attack.keep_yaw_within(guard.yaw_bounds());
+        }
         let outcome = self.attack.attack_while(&mut frame.depth, position, go_on)?;
         frame.seal();
+        if let Some(guard) = &mut self.guard {
+            guard.delivered(&seen(frame, self.goal_ned_m, velocity), outcome.attacked);
+        }
         Ok(PassedStep::Attacked(outcome))
     }
 }

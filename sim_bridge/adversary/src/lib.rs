@@ -25,6 +25,7 @@ mod burst;
 mod config;
 mod detector_evasion;
 mod frame_attack;
+mod guard_evasion;
 mod intercept;
 mod perturb;
 mod policy_attack;

@@ -8,8 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
 
-/// Target of the yaw output before its saturation, times the direction: 1.5 · tanh(10) is the limit to the last bit.
-const TARGET: f32 = 10.0;
+/// The yaw output's limit before its saturation: 1.5 · tanh(10) is the limit to the last bit.
+const LIMIT: f32 = 10.0;
 /// Steps of the projected methods, in ε over iterations: enough to cross the whole range and come back (Madry et al., 2018).
 const STEP_GAIN: f32 = 2.5;
 /// The patch's share of rows and columns; their product is 1 / [`PATCH_GAIN`].
@@ -20,6 +20,16 @@ const PATCH_COLS: usize = 8;
 pub(crate) fn saturate(isa: Isa, mut before: [f32; ACTOR_OUTPUTS]) -> [f32; ACTOR_OUTPUTS] {
     Activation::Tanh { scale: ACTOR_LIMIT }.apply_in_place(isa, &mut before);
     before
+}
+
+/// The yaw limit on the side of `direction`, −1 left or 1 right, before its saturation.
+pub(crate) fn limit(direction: f32) -> f32 {
+    direction * LIMIT
+}
+
+/// A yaw output before its saturation.
+pub(crate) fn before_saturation(yaw: f32) -> f32 {
+    libm::atanhf(yaw / ACTOR_LIMIT).clamp(-LIMIT, LIMIT)
 }
 
 /// Alters pixels. One for each attacker; keeps its buffers.
@@ -41,8 +51,8 @@ pub(crate) struct Scene<'a> {
     /// GRU state before the frames, where the surrogate takes one.
     pub older: &'a [f32; ACTOR_HIDDEN],
     pub position: &'a PositionalInputs,
-    /// −1 aims left, 1 right.
-    pub direction: f32,
+    /// The yaw output before its saturation that is aimed at.
+    pub target: f32,
 }
 
 impl Perturber {
@@ -234,7 +244,7 @@ fn ends(
             return Ok(d);
         }
     }
-    d[1] = 2.0 * (outputs[1] - scene.direction * TARGET);
+    d[1] = 2.0 * (outputs[1] - scene.target);
     Ok(d)
 }
 

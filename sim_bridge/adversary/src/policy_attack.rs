@@ -1,7 +1,7 @@
 //! The attack in flight on an imported policy: as [`crate::StreamAttack`], on its own frame, of which the newest channel is ours.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::perturb::{Perturber, Scene};
+use crate::perturb::{Perturber, Scene, limit};
 use crate::surrogate::{Ends, Surrogate};
 use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
@@ -199,7 +199,7 @@ impl PolicyAttack {
         let scene = Scene {
             older: &NOTHING_OLDER,
             position,
-            direction,
+            target: limit(direction),
         };
         self.perturber
             .run(&mut self.surrogate, &scene, frame, before, None, |_, _, _| go_on())?;

@@ -1,7 +1,7 @@
 //! The paper's attack: all five frames of a state.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::perturb::{Perturber, Scene, saturate};
+use crate::perturb::{Perturber, Scene, limit, saturate};
 use crate::surrogate::{Ends, Surrogate, SurrogateActor};
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, PositionalInputs};
@@ -117,7 +117,7 @@ impl StateAttack {
         let scene = Scene {
             older: &NOTHING_OLDER,
             position: &position,
-            direction: self.perturber.config().towards.sign(clean[1]),
+            target: limit(self.perturber.config().towards.sign(clean[1])),
         };
         let outcome = |outputs| AttackOutcome {
             clean,

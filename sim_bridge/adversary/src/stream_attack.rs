@@ -2,11 +2,13 @@
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::detector_evasion::DetectorEvasion;
-use crate::perturb::{Perturber, Scene};
+use crate::perturb::{Perturber, Scene, before_saturation, limit};
 use crate::surrogate::{Surrogate, SurrogateActor};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::{Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, FRAMES_IN_A_ROW, PositionalInputs};
+use vigil_policy::actor::{
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ActorSpec, FRAMES_IN_A_ROW, PositionalInputs,
+};
 
 /// Alters frames as they pass. It remembers what it delivered, as the actor does, and what it was given, so as to know what the
 /// actor would have decided.
@@ -21,6 +23,8 @@ pub struct StreamAttack {
     clean: Trail,
     /// Where the burst under way aims, so that it does not turn back half-way.
     direction: Option<f32>,
+    /// Least and greatest yaw output that the next attack may aim at.
+    yaw_bounds: Option<(f32, f32)>,
     /// The detector whose score is to stay low.
     evasion: Option<Box<DetectorEvasion>>,
     spec: ActorSpec,
@@ -51,6 +55,7 @@ impl StreamAttack {
             delivered: Trail::new(spec, FRAMES_IN_A_ROW),
             clean: Trail::new(spec, FRAMES_IN_A_ROW),
             direction: None,
+            yaw_bounds: None,
             evasion: None,
             spec,
         })
@@ -72,6 +77,11 @@ impl StreamAttack {
         let evasion = DetectorEvasion::new(self.spec, self.isa, &self.params, detector)?;
         self.evasion = Some(Box::new(evasion));
         Ok(self)
+    }
+
+    /// From now on aims at no yaw output below the first or above the second, both within ±1.5 and in this order; without bounds, at a limit.
+    pub(crate) fn keep_yaw_within(&mut self, bounds: Option<(f32, f32)>) {
+        self.yaw_bounds = bounds;
     }
 
     /// Lets a frame (`[rows][cols]` ranges over 100 m) pass unaltered, but remembers it. Ends a burst. `position` is
@@ -139,7 +149,10 @@ impl StreamAttack {
         let scene = Scene {
             older: &older,
             position: &position,
-            direction,
+            target: match self.yaw_bounds {
+                None => limit(direction),
+                Some((low, high)) => before_saturation((direction * ACTOR_LIMIT).clamp(low, high)),
+            },
         };
         if let Some(evasion) = &mut self.evasion {
             evasion.begin_step();
@@ -174,6 +187,7 @@ impl StreamAttack {
         self.delivered.started = false;
         self.clean.started = false;
         self.direction = None;
+        self.yaw_bounds = None;
         if let Some(evasion) = &mut self.evasion {
             evasion.reset();
         }
@@ -332,5 +346,34 @@ impl Memory {
         let mut state = [0.0; ACTOR_HIDDEN];
         state.copy_from_slice(self.older.output(&self.older_tape)?);
         Ok(state)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Towards;
+    use vigil_policy::FrozenActor;
+    use vigil_types::DEPTH_PIXELS;
+
+    #[test]
+    fn an_attack_within_bounds_bends_the_yaw_to_the_bound_and_without_them_to_the_limit() {
+        let actor = FrozenActor::built_in().unwrap();
+        let config = AttackConfig {
+            towards: Towards::Right,
+            ..AttackConfig::PAPER
+        };
+        let attacked = |bounds: Option<(f32, f32)>| {
+            let mut adversary = StreamAttack::new(Isa::detect(), &actor.params, &config).unwrap();
+            adversary.keep_yaw_within(bounds);
+            // A wall at 8 m; all five frames are altered.
+            let last = (0..8).map(|_| adversary.attack(&mut vec![0.08; DEPTH_PIXELS], [1.0, 0.0]).unwrap());
+            last.last().unwrap().attacked[1]
+        };
+        assert!(attacked(None) > 1.4, "{}", attacked(None));
+        for bound in [-0.4, 0.3] {
+            let yaw = attacked(Some((-1.5, bound)));
+            assert!((yaw - bound).abs() < 0.3, "{yaw} where {bound} was aimed at");
+        }
     }
 }

@@ -70,6 +70,10 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "FILE")]
     evade: Option<PathBuf>,
 
+    /// Adaptive: stay within what the guard lets pass as well.
+    #[arg(long)]
+    evade_guard: bool,
+
     /// The detector that judges the actor [default: the one built in].
     #[arg(long, value_name = "FILE")]
     detector: Option<PathBuf>,
@@ -174,6 +178,9 @@ struct Settings {
     /// Digest of the detector that the attacker deceives as well.
     #[serde(skip_serializing_if = "Option::is_none")]
     evades_sha256: Option<String>,
+    /// Whether the attacker stays within what the guard lets pass.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    evades_guard: bool,
 }
 
 /// Everything that decides what the flights are, wherever they are flown.
@@ -484,11 +491,17 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         towards: args.towards,
         attack_actor: None,
         evade: args.evade.clone(),
+        evade_guard: args.evade_guard,
     };
     let attack = attack
         .attack(args.common.actor.as_deref())?
         .context("an attack was asked for")?;
     let alarm = FirmwareConfig::default().detector;
+    let astray_m = args.astray.unwrap_or(alarm.astray_m);
+    let attack = Attack {
+        evades_guard_m: args.evade_guard.then_some(astray_m),
+        ..attack
+    };
     let settings = Settings {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         actor_sha256: args.common.pilot()?.sha256(),
@@ -498,7 +511,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         },
         raise: (alarm.raise_count, alarm.raise_window),
         guard: args.guard,
-        astray_m: args.astray.unwrap_or(alarm.astray_m),
+        astray_m,
         disagreement_s: args.disagreement.unwrap_or(alarm.disagreement_s),
         guard_final: args.guard_final.unwrap_or(alarm.guard_final),
         first_seed: args.seed,
@@ -506,6 +519,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         attack: attack.config,
         burst: attack.burst,
         evades_sha256: attack.evade.as_ref().map(FrozenDetector::sha256),
+        evades_guard: args.evade_guard,
     };
     let arms = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm));
     let plan = Plan {
@@ -677,6 +691,7 @@ mod tests {
             attack: AttackConfig::PAPER,
             burst: Burst::Steps(burst),
             evades_sha256: None,
+            evades_guard: false,
         }
     }
 

@@ -23,9 +23,10 @@ const HIGH_M: f32 = 0.4 * GROUND_M;
 /// Columns of cells that are judged together: 7.5°.
 const STRIP: usize = 4;
 const STRIPS: usize = COLS / STRIP;
-/// Strips without a ground that make a sensor blind, and cells of zeros and of ranges of anywhere that do.
+/// Strips without a ground that make a sensor blind, and cells of zeros, with many of them, and of ranges of anywhere that do.
 const BLIND_STRIPS: usize = 2;
 const BLIND_ZEROS: usize = ROWS * COLS / 50;
+const BLIND_HOLES: usize = ROWS * COLS / 3;
 const BLIND_WILD: usize = ROWS * COLS / 4;
 /// Cells of a strip that must show the ground before its absence says anything.
 const LEAST_GROUND: u16 = 8;
@@ -394,7 +395,8 @@ impl PlausibilityJudge {
         let dead = strips
             .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
             .count();
-        let blind = odd.zeros >= BLIND_ZEROS || odd.wild >= BLIND_WILD || (low && !returns) || dead >= BLIND_STRIPS;
+        let no_ranges = odd.zeros >= BLIND_ZEROS || odd.holes >= BLIND_HOLES || odd.wild >= BLIND_WILD;
+        let blind = no_ranges || (low && !returns) || dead >= BLIND_STRIPS;
         count(&mut self.blind_frames, blind);
         count(&mut self.seeing_frames, !blind);
         self.blind = if self.blind {

@@ -24,6 +24,8 @@ const SMOOTH_M: f32 = 0.16;
 /// Ranges of a cell that lie farther apart, with a return in each pixel, are of an edge, or of no picture at all. What an adversary
 /// adds, within 20 / 255 of the image's range, is less.
 const WILD_M: f32 = 40.0;
+/// Pixels of a cell, of 16, that are zero in a cell with holes.
+const HOLES: f32 = 4.5;
 /// What lies between four cells is interpolated if the farthest of them is no more than this times as far as the nearest.
 const BETWEEN_RATIO: f32 = 1.3;
 
@@ -100,6 +102,8 @@ fn arc_tangent(t: f32) -> f32 {
 pub(super) struct Oddities {
     /// Nothing but zeros, which are no ranges.
     pub zeros: usize,
+    /// Zeros in more than a quarter of its pixels.
+    pub holes: usize,
     /// Ranges of anywhere.
     pub wild: usize,
 }
@@ -120,13 +124,18 @@ impl Picture {
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
         for (band, cells) in bands.iter().zip(self.inverse.as_chunks_mut::<COLS>().0) {
             let (mut sum, mut low, mut high) = ([0.0_f32; DEPTH_COLS], [1.0_f32; DEPTH_COLS], [0.0_f32; DEPTH_COLS]);
+            let mut zero = [0.0_f32; DEPTH_COLS];
             for row in band.as_chunks::<DEPTH_COLS>().0 {
-                for (((sum, low), high), v) in sum.iter_mut().zip(&mut low).zip(&mut high).zip(row) {
+                let limits = low.iter_mut().zip(&mut high).zip(&mut zero);
+                for ((sum, ((low, high), zero)), v) in sum.iter_mut().zip(limits).zip(row) {
                     *sum += v;
                     *low = smaller(*low, *v);
                     *high = larger(*high, *v);
+                    *zero += if *v <= 0.0 { 1.0 } else { 0.0 };
                 }
             }
+            let holed = |zero: &[f32; SIDE]| zero.iter().sum::<f32>() > HOLES;
+            odd.holes += zero.as_chunks::<SIDE>().0.iter().filter(|zero| holed(zero)).count();
             let sides = sum.as_chunks::<SIDE>().0.iter();
             let limits = low.as_chunks::<SIDE>().0.iter().zip(high.as_chunks::<SIDE>().0);
             for ((cell, sum), (low, high)) in cells.iter_mut().zip(sides).zip(limits) {

@@ -204,6 +204,19 @@ fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_th
             *depth = (state >> 8) as f32 / (1 << 24) as f32;
         }
     });
+    let mut state = 1_u32;
+    found(
+        "ranges of which each is 7.8 m too long or too short",
+        Reason::BlindSensor,
+        2,
+        move |f| {
+            for depth in &mut f.depth {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let sign = if state >> 31 == 0 { 1.0 } else { -1.0 };
+                *depth = (*depth + sign * 20.0 / 255.0).clamp(0.0, 1.0);
+            }
+        },
+    );
     found("lower half dead", Reason::BlindSensor, 2, |f| {
         f.depth[DEPTH_PIXELS / 2..].fill(1.0)
     });
