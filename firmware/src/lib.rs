@@ -40,6 +40,8 @@ pub mod reference;
 pub mod replay;
 #[cfg(feature = "std")]
 pub mod saved;
+#[cfg(feature = "std")]
+mod service;
 pub mod stack;
 #[cfg(feature = "std")]
 pub mod step;

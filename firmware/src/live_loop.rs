@@ -11,6 +11,7 @@ use crate::ports::{Clock, Link};
 use crate::rate::RateSchedule;
 use crate::realtime::{self, Granted};
 use crate::saved::{ParameterKeeper, SavedError};
+use crate::service::ServiceManager;
 use crate::step::Firmware;
 use crate::timing::{Durations, Spread};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -55,6 +56,9 @@ pub enum LiveError {
     /// No thread for the console.
     #[error("cannot start the console thread: {0}")]
     Console(std::io::Error),
+    /// No thread for the service manager.
+    #[error("cannot start the thread that tells the service manager: {0}")]
+    Service(std::io::Error),
 }
 
 /// What came of a flight.
@@ -395,9 +399,16 @@ pub fn fly(
     started: impl FnOnce(&Granted),
 ) -> Result<FlightSummary, LiveError> {
     let mut flight = LiveLoop::open(config)?;
+    let manager = ServiceManager::find().map_err(LiveError::Service)?;
     started(&flight.start());
     while !stop.load(Ordering::Relaxed) {
-        flight.step();
+        let report = flight.step();
+        if let Some(manager) = &manager {
+            manager.observe(report);
+        }
+    }
+    if let Some(manager) = manager {
+        manager.end();
     }
     Ok(flight.finish())
 }

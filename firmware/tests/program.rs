@@ -5,6 +5,7 @@ mod common;
 use common::{LOITER, PATIENCE, TestVehicle, config};
 use std::fmt::Write as _;
 use std::net::UdpSocket;
+use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -290,6 +291,98 @@ fn a_vehicle_that_a_person_took_over_is_not_taken_by_a_firmware_that_is_killed_a
         "{}",
         said(&ended)
     );
+}
+
+/// What a service manager hears from now on for `patience`, one line after the other.
+fn hear_service(manager: &UnixDatagram, patience: Duration) -> Vec<String> {
+    let begun = Instant::now();
+    let mut heard = Vec::new();
+    let mut buffer = [0; 512];
+    while let Some(left) = patience.checked_sub(begun.elapsed()).filter(|left| !left.is_zero()) {
+        manager.set_read_timeout(Some(left)).unwrap();
+        if let Ok(len) = manager.recv(&mut buffer) {
+            heard.extend(std::str::from_utf8(&buffer[..len]).unwrap().lines().map(str::to_owned));
+        }
+    }
+    heard
+}
+
+/// Waits until a service manager hears `what`; returns all that it heard.
+fn until_service(manager: &UnixDatagram, what: &str) -> Vec<String> {
+    let begun = Instant::now();
+    let mut heard = Vec::new();
+    while !heard.iter().any(|line| line == what) {
+        assert!(begun.elapsed() < PATIENCE, "{what}: never, but {heard:?}");
+        heard.extend(hear_service(manager, Duration::from_millis(100)));
+    }
+    heard
+}
+
+#[test]
+fn a_service_manager_hears_that_it_is_ready_that_its_loop_advances_and_that_it_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("notify");
+    let manager = UnixDatagram::bind(&socket).unwrap();
+    let (instance, domain, publisher) = free_instance();
+    let child = firmware(&["--priority", "0", "--instance", &instance.to_string()])
+        .args(["--link", &format!("udpin://127.0.0.1:{}", free_port())])
+        .env("NOTIFY_SOCKET", &socket)
+        .env("WATCHDOG_USEC", "2000000")
+        .spawn()
+        .unwrap();
+    let heard = until_service(&manager, "STATUS=standby");
+    assert_eq!(heard[0], "READY=1", "{heard:?}");
+    let alive = |lines: &[String]| lines.iter().filter(|line| *line == "WATCHDOG=1").count();
+    let heard = hear_service(&manager, Duration::from_secs(2));
+    assert!(alive(&heard) >= 2, "{heard:?}");
+
+    // The loop's thread stands still, the others run.
+    let pid = rustix::process::Pid::from_child(&child);
+    if let Some(stopped) = StoppedThread::stop(pid) {
+        hear_service(&manager, Duration::from_millis(600));
+        let heard = hear_service(&manager, Duration::from_secs(1));
+        assert!(heard.is_empty(), "{heard:?}");
+        drop(stopped);
+        until_service(&manager, "WATCHDOG=1");
+    } else {
+        eprintln!("left out: no thread may be stopped here");
+    }
+
+    rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
+    let heard = until_service(&manager, "STOPPING=1");
+    assert_eq!(heard.last().unwrap(), "STOPPING=1");
+    let ended = child.wait_with_output().unwrap();
+    assert!(ended.status.success(), "{}", said(&ended));
+    assert!(hear_service(&manager, Duration::from_millis(100)).is_empty());
+    drop((publisher, domain));
+    let _ = remove_leftovers(instance);
+}
+
+/// The first thread of a child of ours, stopped alone as a debugger does it; goes on when dropped.
+struct StoppedThread(libc::pid_t);
+
+impl StoppedThread {
+    /// `None` where the system forbids it.
+    fn stop(pid: rustix::process::Pid) -> Option<Self> {
+        let thread = pid.as_raw_nonzero().get();
+        let none = std::ptr::null_mut::<libc::c_void>();
+        // SAFETY: these requests write nothing to this process's memory.
+        let ordered = unsafe {
+            libc::ptrace(libc::PTRACE_SEIZE, thread, none, none) == 0
+                && libc::ptrace(libc::PTRACE_INTERRUPT, thread, none, none) == 0
+        };
+        // SAFETY: no status is written; __WALL as the thread is another's.
+        let stopped = ordered && unsafe { libc::waitpid(thread, std::ptr::null_mut(), libc::__WALL) } == thread;
+        stopped.then_some(Self(thread))
+    }
+}
+
+impl Drop for StoppedThread {
+    fn drop(&mut self) {
+        let none = std::ptr::null_mut::<libc::c_void>();
+        // SAFETY: as above.
+        unsafe { libc::ptrace(libc::PTRACE_DETACH, self.0, none, none) };
+    }
 }
 
 #[test]
