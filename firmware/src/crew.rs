@@ -5,6 +5,7 @@ use vigil_detector::Monitor;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
 use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot};
+use vigil_types::Encoder;
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig, crate::step::StackError, std::path::Path, vigil_detector::FrozenDetector,
@@ -42,7 +43,8 @@ impl Crew {
         }
     }
 
-    /// A learned pilot, alone or watched by `monitor`, the guard or both; `field` adds the potential field to it.
+    /// A learned pilot, alone or watched by `monitor`, the guard or both; `field` adds the potential field to it. An
+    /// imported policy has no `encoder` but its own.
     ///
     /// # Errors
     /// Parameters of another length.
@@ -50,6 +52,7 @@ impl Crew {
         isa: Isa,
         frozen: &FrozenPilot,
         field: bool,
+        encoder: Encoder,
         monitor: Option<Box<Monitor>>,
         watched: bool,
     ) -> Result<Self, FileError> {
@@ -57,7 +60,9 @@ impl Crew {
         let leads = inputs.led_by == LedBy::Path && inputs.told_of_movers;
         Ok(Self {
             pilot: match frozen {
-                FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, field)),
+                FrozenPilot::Actor(actor) => {
+                    FlightPilot::Actor(ActorPilot::new(actor.actor_with(isa, encoder)?, field))
+                }
                 FrozenPilot::Imported(policy) => FlightPilot::Imported(policy.pilot(isa, field)?),
             },
             monitor,
@@ -88,6 +93,9 @@ impl Crew {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
         };
+        if matches!(frozen, FrozenPilot::Imported(_)) && config.pilot.encoder != Encoder::default() {
+            return Err(StackError::EncoderOfPolicy);
+        }
         // The built-in detector is the built-in actor's.
         if matches!(frozen, FrozenPilot::Imported(_)) && config.has_detector() && config.detector.file.is_none() {
             return Err(StackError::NoDetectorOfPolicy);
@@ -105,7 +113,14 @@ impl Crew {
             }
         };
         let watched = config.is_watched();
-        Ok(Self::learned(isa, &frozen, config.pilot.apf, monitor, watched)?)
+        Ok(Self::learned(
+            isa,
+            &frozen,
+            config.pilot.apf,
+            config.pilot.encoder,
+            monitor,
+            watched,
+        )?)
     }
 }
 

@@ -28,14 +28,18 @@ pub enum ShapeError {
 /// # Errors
 /// [`ShapeError::Length`], with `what` it is.
 pub fn expect(what: &'static str, slice: &[f32], expected: usize) -> Result<(), ShapeError> {
-    if slice.len() == expected {
+    expect_len(what, slice.len(), expected)
+}
+
+/// Checks the length of a slice of any type.
+///
+/// # Errors
+/// [`ShapeError::Length`], with `what` it is.
+pub(crate) fn expect_len(what: &'static str, got: usize, expected: usize) -> Result<(), ShapeError> {
+    if got == expected {
         Ok(())
     } else {
-        Err(ShapeError::Length {
-            what,
-            expected,
-            got: slice.len(),
-        })
+        Err(ShapeError::Length { what, expected, got })
     }
 }
 

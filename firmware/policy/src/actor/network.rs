@@ -11,8 +11,9 @@ use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::shape::{expect, part, part_mut};
 use vigil_nnet::{
-    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, NodeId, Params, Purpose, ShapeError,
+    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Gru, Int8Chain, Isa, NodeId, Params, Purpose, ShapeError,
 };
+use vigil_types::Encoder;
 
 /// Frames in one state (docs/paper.md, "State").
 pub const ACTOR_FRAMES: usize = 5;
@@ -289,6 +290,24 @@ impl ActorSpec {
         b.finish(features, purpose)
     }
 
+    /// The encoder with weights and values rounded to bytes.
+    ///
+    /// # Errors
+    /// Parameters of another length.
+    pub fn int8_encoder(&self, params: &[f32]) -> Result<Int8Chain, ShapeError> {
+        let layout = self.reserve(&mut GraphBuilder::new());
+        let mut layers = Vec::with_capacity(ENCODER.len());
+        for (layer, Params { at, len }) in self.convolutions().into_iter().zip(layout.convolutions) {
+            layers.push((layer, part("actor parameters", params, at, len)?));
+        }
+        let input = if self.near_contrast {
+            Activation::NEAR_CONTRAST
+        } else {
+            Activation::Identity
+        };
+        Int8Chain::new(input, layers)
+    }
+
     /// The second half model: inputs are the GRU's state and the positional values.
     ///
     /// # Errors
@@ -303,6 +322,42 @@ impl ActorSpec {
     }
 }
 
+/// What makes features of a frame.
+#[derive(Debug, Clone)]
+enum FrameEncoder {
+    Float32 { graph: Graph, tape: Aligned },
+    Int8 { chain: Int8Chain, features: Vec<f32> },
+}
+
+impl FrameEncoder {
+    fn new(encoder: Encoder, spec: ActorSpec, params: &[f32]) -> Result<Self, ShapeError> {
+        Ok(match encoder {
+            Encoder::Float32 => {
+                let graph = spec.encoder_graph(Purpose::Gradients, false)?;
+                let tape = Aligned::zeros(graph.tape_len());
+                Self::Float32 { graph, tape }
+            }
+            Encoder::Int8 => Self::Int8 {
+                chain: spec.int8_encoder(params)?,
+                features: vec![0.0; spec.features()],
+            },
+        })
+    }
+
+    fn encode(&mut self, isa: Isa, params: &[f32], frame: &[f32]) -> Result<&[f32], ShapeError> {
+        match self {
+            Self::Float32 { graph, tape } => {
+                graph.forward(isa, params, &[frame], tape)?;
+                graph.output(tape)
+            }
+            Self::Int8 { chain, features } => {
+                chain.forward(isa, frame, features)?;
+                Ok(features)
+            }
+        }
+    }
+}
+
 /// A frozen actor in flight: encodes only the new frame and remembers what the four older ones gave the GRU.
 #[derive(Debug, Clone)]
 pub struct Actor {
@@ -310,8 +365,7 @@ pub struct Actor {
     isa: Isa,
     params: Aligned,
     layout: ActorParams,
-    encoder: Graph,
-    encoder_tape: Aligned,
+    encoder: FrameEncoder,
     head: Graph,
     head_tape: Vec<f32>,
     /// How many decisions ago each frame was taken, oldest first.
@@ -358,7 +412,6 @@ impl Actor {
                 why: "they have to fall from at most 64 to 0",
             });
         };
-        let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
         let head = spec.head_graph(Purpose::Gradients)?;
         expect("actor parameters", params, head.param_len())?;
         let layout = spec.reserve(&mut GraphBuilder::new());
@@ -366,8 +419,7 @@ impl Actor {
             isa,
             params: Aligned::from(params),
             layout,
-            encoder_tape: Aligned::zeros(encoder.tape_len()),
-            encoder,
+            encoder: FrameEncoder::new(Encoder::Float32, spec, params)?,
             head_tape: vec![0.0; head.tape_len()],
             head,
             features: vec![0.0; kept * spec.features()],
@@ -380,6 +432,16 @@ impl Actor {
             state: [0.0; ACTOR_HIDDEN],
             spec,
         })
+    }
+
+    /// The same actor with another encoder. It has forgotten the frames.
+    ///
+    /// # Errors
+    /// None for an actor that was made.
+    pub fn with_encoder(mut self, encoder: Encoder) -> Result<Self, ShapeError> {
+        self.encoder = FrameEncoder::new(encoder, self.spec, &self.params)?;
+        self.reset();
+        Ok(self)
     }
 
     /// Forgets the frames.
@@ -400,9 +462,7 @@ impl Actor {
     ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         let gru = self.spec.gru();
         let len = gru.projection_len();
-        self.encoder
-            .forward(self.isa, &self.params, &[frame], &mut self.encoder_tape)?;
-        let features = self.encoder.output(&self.encoder_tape)?;
+        let features = self.encoder.encode(self.isa, &self.params, frame)?;
         let gru_params = part(
             "actor parameters",
             &self.params,
