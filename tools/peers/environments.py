@@ -91,6 +91,8 @@ SUBJECTS = {
     "Vigil, 8 flights, 1 thread": lambda: vigil_vector(8, 1),
     "Vigil, 8 flights, 2 threads": lambda: vigil_vector(8, 2),
     "Vigil, 8 flights, five frames, 2 threads": lambda: vigil_vector(8, 2, 5),
+    "Vigil, 32 flights, 1 thread": lambda: vigil_vector(32, 1),
+    "Vigil, 32 flights, 2 threads": lambda: vigil_vector(32, 2),
     "PyFlyt": pyflyt,
     "PyBullet alone": pybullet_alone,
 }
