@@ -66,6 +66,7 @@ impl std::fmt::Display for AlarmTally {
                 AlarmCause::CollisionCourse => "by the guard: a collision course",
                 AlarmCause::LedAstray => "by the guard: led astray",
                 AlarmCause::Disagreement => "by the guard: a disagreement",
+                AlarmCause::RoughPicture => "by the guard: a rough picture",
             };
             write!(f, "{separator}{count} {by}")?;
             separator = ", ";

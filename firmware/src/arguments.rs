@@ -121,6 +121,9 @@ pub struct PilotArgs {
     #[arg(long, value_name = "S", value_parser = number::<f32>(&parameters::DISAGREEMENT), help = help(&parameters::DISAGREEMENT))]
     disagreement: Option<f32>,
 
+    #[arg(long, value_name = "SHARE", value_parser = number::<f32>(&parameters::SMOOTH_SHARE), help = help(&parameters::SMOOTH_SHARE))]
+    smooth_share: Option<f32>,
+
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::GUARD_FINAL))]
     guard_final: Option<bool>,
 
@@ -147,6 +150,7 @@ impl PilotArgs {
         config.detector.guard = self.guard.or(config.detector.guard);
         config.detector.astray_m = self.astray.unwrap_or(config.detector.astray_m);
         config.detector.disagreement_s = self.disagreement.unwrap_or(config.detector.disagreement_s);
+        config.detector.smooth_share = self.smooth_share.unwrap_or(config.detector.smooth_share);
         config.detector.guard_final = self.guard_final.unwrap_or(config.detector.guard_final);
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
         config.plausibility = self.plausibility.unwrap_or(config.plausibility);
@@ -174,6 +178,7 @@ impl PilotArgs {
         hand("--guard", self.guard.map(switch));
         hand("--astray", self.astray.map(|limit_m| limit_m.to_string()));
         hand("--disagreement", self.disagreement.map(|limit_s| limit_s.to_string()));
+        hand("--smooth-share", self.smooth_share.map(|share| share.to_string()));
         hand("--guard-final", self.guard_final.map(switch));
         hand("--alarm", self.alarm.map(|policy| policy.name().to_owned()));
         hand("--plausibility", self.plausibility.map(switch));

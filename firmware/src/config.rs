@@ -267,6 +267,9 @@ pub struct DetectorConfig {
     /// seconds; 0 is never.
     #[serde(deserialize_with = "number::disagreement_s")]
     pub disagreement_s: f32,
+    /// The guard raises the alarm when fewer cells of the frames show one surface, in `raise_count` of `raise_window` frames; 0 is never.
+    #[serde(deserialize_with = "number::smooth_share")]
+    pub smooth_share: f32,
     /// Whether after an alarm of the guard only an operator, or the end of the flight, gives the vehicle back to the actor.
     pub guard_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
@@ -288,6 +291,7 @@ impl Default for DetectorConfig {
             guard: None,
             astray_m: d.astray_limit_m,
             disagreement_s: d.disagreement_limit_s,
+            smooth_share: d.smooth_share,
             guard_final: d.guard_is_final,
             clear_steps: d.clear_steps,
         }
@@ -636,6 +640,11 @@ impl FirmwareConfig {
                 } else {
                     0.0
                 },
+                smooth_share: if self.has_guard() {
+                    self.detector.smooth_share
+                } else {
+                    0.0
+                },
                 guard_is_final: self.detector.guard_final,
                 ..alarm
             },
@@ -787,6 +796,7 @@ mod number {
         clear_steps: u16 = CLEAR_STEPS;
         astray_m: f32 = ASTRAY;
         disagreement_s: f32 = DISAGREEMENT;
+        smooth_share: f32 = SMOOTH_SHARE;
         priority: u8 = PRIORITY;
         offset: u8 = OFFSET;
     }

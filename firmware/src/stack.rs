@@ -231,6 +231,10 @@ impl FlightStack {
             collision_course,
             recovery_course,
             speed_along_way_m_s,
+            smooth_share: match (&self.plausibility, taken) {
+                (Some(judge), Some(true)) => judge.smooth_share(),
+                _ => None,
+            },
             timing: input.timing,
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),

@@ -28,6 +28,7 @@ pub(crate) struct Tunables {
     /// `None` without a guard, as are the next.
     astray_limit_m: Option<f32>,
     disagreement_limit_s: Option<f32>,
+    smooth_share: Option<f32>,
     guard_is_final: Option<bool>,
     /// `None` where somebody else's flight is not guarded from the start.
     duty: Option<Duty>,
@@ -89,6 +90,11 @@ const TUNABLES: [Tunable; 11] = [
         set: |all, value| all.disagreement_limit_s = all.disagreement_limit_s.map(|_| value.as_f32()),
     },
     Tunable {
+        spec: parameters::SMOOTH_SHARE,
+        get: |all| all.smooth_share.map(ParameterValue::Real),
+        set: |all, value| all.smooth_share = all.smooth_share.map(|_| value.as_f32()),
+    },
+    Tunable {
         spec: parameters::GUARD_FINAL,
         get: |all| {
             all.guard_is_final
@@ -117,6 +123,7 @@ impl Tunables {
             alarm: is_watched.then_some(config.guidance.alarm.policy),
             astray_limit_m: has_guard.then_some(config.guidance.alarm.astray_limit_m),
             disagreement_limit_s: has_guard.then_some(config.guidance.alarm.disagreement_limit_s),
+            smooth_share: has_guard.then_some(config.guidance.alarm.smooth_share),
             guard_is_final: has_guard.then_some(config.guidance.alarm.guard_is_final),
             duty: (config.duty != Duty::Fly).then_some(config.duty),
         }
@@ -163,6 +170,7 @@ impl Tunables {
                 policy: self.alarm.unwrap_or(config.alarm.policy),
                 astray_limit_m: self.astray_limit_m.unwrap_or(config.alarm.astray_limit_m),
                 disagreement_limit_s: self.disagreement_limit_s.unwrap_or(config.alarm.disagreement_limit_s),
+                smooth_share: self.smooth_share.unwrap_or(config.alarm.smooth_share),
                 guard_is_final: self.guard_is_final.unwrap_or(config.alarm.guard_is_final),
                 ..config.alarm
             },

@@ -39,6 +39,8 @@ pub struct AlarmConfig {
     pub disagreement_limit_s: f32,
     /// They turn apart when their yaw outputs differ by more than this.
     pub apart_yaw: f32,
+    /// Fewer cells of one surface than this share make a picture rough; as many rough ones as verdicts of attack raise the alarm. 0 is never.
+    pub smooth_share: f32,
     /// Whether clean verdicts do not end an alarm of the guard: then an operator does, or the end of the flight.
     pub guard_is_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
@@ -61,6 +63,7 @@ impl Default for AlarmConfig {
             way_speed_m_s: WAY_SPEED.number_f32(),
             disagreement_limit_s: parameters::DISAGREEMENT.number_f32(),
             apart_yaw: APART.number_f32(),
+            smooth_share: parameters::SMOOTH_SHARE.number_f32(),
             guard_is_final: parameters::GUARD_FINAL.is_on(),
             clear_steps: parameters::CLEAR_STEPS.number() as u16,
             stopped_m_s: STOPPED.number_f32(),
@@ -81,6 +84,7 @@ impl AlarmConfig {
             (&WAY_SPEED, self.way_speed_m_s.into()),
             (&parameters::DISAGREEMENT, self.disagreement_limit_s.into()),
             (&APART, self.apart_yaw.into()),
+            (&parameters::SMOOTH_SHARE, self.smooth_share.into()),
             (&parameters::CLEAR_STEPS, self.clear_steps.into()),
             (&STOPPED, self.stopped_m_s.into()),
             (&STOP_LIMIT, self.stop_limit_ns as f64 / 1e9),
@@ -115,6 +119,8 @@ pub(crate) struct AlarmInput {
     pub recovery_course: Option<bool>,
     /// How fast the vehicle flies along the way that the guard plans; 0 where there is none, `None` when the guard did not look.
     pub speed_along_way_m_s: Option<f32>,
+    /// Share of one surface among the new frame's cells in which something is seen; `None` without a new frame.
+    pub smooth_share: Option<f32>,
     /// How far the yaw outputs of actor and recovery pilot are apart; `None` when one of them did not decide.
     pub yaw_apart: Option<f32>,
     /// Guidance is in a flight.
@@ -140,8 +146,11 @@ impl Raised {
     /// was led astray, so it has nothing to say on when that is over.
     fn is_final(&self, config: &AlarmConfig) -> bool {
         match self.cause {
-            AlarmCause::CollisionCourse | AlarmCause::LedAstray | AlarmCause::Disagreement => config.guard_is_final,
             AlarmCause::Attack | AlarmCause::NoVerdict => false,
+            AlarmCause::CollisionCourse
+            | AlarmCause::LedAstray
+            | AlarmCause::Disagreement
+            | AlarmCause::RoughPicture => config.guard_is_final,
         }
     }
 }
@@ -152,6 +161,8 @@ pub(crate) struct AlarmLogic {
     raised: Option<Raised>,
     /// The last verdicts, newest in the lowest bit; set where it was attack.
     attacks: u32,
+    /// The last frames, newest in the lowest bit; set where the picture was rough.
+    rough: u32,
     /// Consecutive steps without a verdict, and clean ones.
     unknown_steps: u16,
     clean_steps: u16,
@@ -220,13 +231,17 @@ impl AlarmLogic {
                 self.apart_steps.saturating_sub(1)
             };
         }
+        if let Some(smooth_share) = input.smooth_share {
+            self.rough = self.rough << 1 | u32::from(smooth_share < config.smooth_share);
+        }
         if self.raised.is_none() && !input.guided {
             // What is judged while the vehicle holds moves nothing.
-            (self.attacks, self.unknown_steps, self.course_steps) = (0, 0, 0);
+            (self.attacks, self.rough, self.unknown_steps, self.course_steps) = (0, 0, 0, 0);
         }
 
         let looked_back_on = u32::MAX >> (32 - u32::from(config.raise_window.clamp(1, 32)));
-        let cause = if (self.attacks & looked_back_on).count_ones() >= u32::from(config.raise_count) {
+        let enough = |of: u32| (of & looked_back_on).count_ones() >= u32::from(config.raise_count);
+        let cause = if enough(self.attacks) {
             Some(AlarmCause::Attack)
         } else if self.unknown_steps > config.unknown_limit {
             Some(AlarmCause::NoVerdict)
@@ -238,6 +253,8 @@ impl AlarmLogic {
             && f32::from(self.apart_steps) * STEP_S > config.disagreement_limit_s
         {
             Some(AlarmCause::Disagreement)
+        } else if enough(self.rough) {
+            Some(AlarmCause::RoughPicture)
         } else {
             None
         };
@@ -301,6 +318,7 @@ mod tests {
         recovery_course: Some(false),
         speed_along_way_m_s: Some(1.2),
         yaw_apart: Some(0.2),
+        smooth_share: Some(0.8),
         in_flight: true,
         guided: true,
         speed_m_s: Some(1.5),
@@ -398,6 +416,33 @@ mod tests {
         }
         logic.trust_again(&config);
         assert_eq!(step(&mut logic, Some(false)), None);
+    }
+
+    #[test]
+    fn pictures_that_are_rough_again_and_again_raise_the_alarm_for_good_and_single_ones_do_not() {
+        let config = AlarmConfig::default();
+        let steps_until_rough = |smooth_shares: &[f32], config: &AlarmConfig| {
+            let mut logic = AlarmLogic::default();
+            (1..200).find(|i| {
+                let input = AlarmInput {
+                    now_ns: i * 50_000_000,
+                    smooth_share: smooth_shares.get(*i as usize % smooth_shares.len()).copied(),
+                    ..FLYING
+                };
+                let alarm = logic.step(config, &input);
+                alarm.is_some_and(|alarm| alarm.cause == AlarmCause::RoughPicture)
+            })
+        };
+        assert_eq!(steps_until_rough(&[0.3], &config), Some(5));
+        assert_eq!(steps_until_rough(&[0.3, 0.3, 0.8], &config), None);
+        assert_eq!(steps_until_rough(&[0.65], &config), None, "a crowded hall");
+        assert_eq!(steps_until_rough(&[f32::NAN], &config), None);
+        let off = AlarmConfig {
+            smooth_share: 0.0,
+            ..config
+        };
+        assert_eq!(steps_until_rough(&[0.0], &off), None);
+        assert!(AlarmCause::RoughPicture.is_of_guard());
     }
 
     /// Steps until the guard finds that the actor is led astray, when the vehicle flies along its way as these speeds say, over and over.

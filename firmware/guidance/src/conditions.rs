@@ -51,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 30] = [
+pub static CONDITIONS: [Condition; 31] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -176,7 +176,7 @@ pub static CONDITIONS: [Condition; 30] = [
         Reason::Recovering,
         Demand::Recover,
         false,
-        "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray* or *disagreement* has stopped the vehicle",
+        "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray*, *disagreement* or *rough picture* has stopped the vehicle",
         "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after one of the last three an operator's engage (with `guard_final = false` as after *attack*); the end of the flight",
     ),
     condition(
@@ -254,6 +254,13 @@ pub static CONDITIONS: [Condition; 30] = [
         Demand::Hold,
         false,
         "the yaw outputs of the flying actor and the recovery pilot were more than {apart} (of 3) apart, for {disagreement} longer than they were not; and the policy is *stop* or *recover*",
+        "as *collision course*",
+    ),
+    condition(
+        Reason::RoughPicture,
+        Demand::Hold,
+        false,
+        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than `detector.smooth_share` of the cells of 4 × 4 pixels in which something is seen showed one surface; and the policy is *stop* or *recover*",
         "as *collision course*",
     ),
 ];

@@ -21,6 +21,7 @@
 //!     collision_course: None,
 //!     recovery_course: None,
 //!     speed_along_way_m_s: None,
+//!     smooth_share: None,
 //!     timing: StepTiming::default(),
 //!     handover: HandoverProgress::default(),
 //!     vehicle_restarts: 0,

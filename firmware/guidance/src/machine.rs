@@ -56,6 +56,8 @@ pub struct GuidanceInput<'a> {
     pub recovery_course: Option<bool>,
     /// How fast the vehicle flies along the way that it plans, metres per second; 0 where it has none, `None` as above.
     pub speed_along_way_m_s: Option<f32>,
+    /// Share of one surface among the cells of this step's new frame in which something is seen; `None` without one.
+    pub smooth_share: Option<f32>,
     /// Steps missed.
     pub timing: StepTiming,
     /// How far the vehicle is with the hand-over.
@@ -568,6 +570,7 @@ impl Guidance {
             .with_if(stops_for(AlarmCause::CollisionCourse), Reason::CollisionCourse)
             .with_if(stops_for(AlarmCause::LedAstray), Reason::LedAstray)
             .with_if(stops_for(AlarmCause::Disagreement), Reason::Disagreement)
+            .with_if(stops_for(AlarmCause::RoughPicture), Reason::RoughPicture)
             .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
             .with_if(slow_telemetry, Reason::SlowTelemetry)
             .with_if(pilot_in_command, Reason::PilotInCommand)
@@ -585,6 +588,7 @@ impl Guidance {
                 collision_course: input.collision_course,
                 recovery_course: input.recovery_course,
                 speed_along_way_m_s: input.speed_along_way_m_s,
+                smooth_share: input.smooth_share,
                 yaw_apart: match (input.action, input.recovery) {
                     (Some(actor), Some(own)) => Some((actor.clipped().yaw - own.clipped().yaw).abs()),
                     _ => None,

@@ -235,7 +235,7 @@ proptest! {
                         let moved_by = if recovers { s.recovery } else { s.action };
                         prop_assert_eq!(v.velocity_m_s.x, moved_by.expect("somebody decides").clipped().forward_m_s);
                         prop_assert!(moved_by.is_some_and(Action::is_finite));
-                        for stops in [Reason::Attack, Reason::NoVerdict, Reason::CollisionCourse, Reason::LedAstray, Reason::Disagreement] {
+                        for stops in [Reason::Attack, Reason::NoVerdict, Reason::CollisionCourse, Reason::LedAstray, Reason::Disagreement, Reason::RoughPicture] {
                             prop_assert!(!out.reasons.contains(stops));
                         }
                         let answered = out.alarm.is_none_or(|alarm| alarm.response != AlarmResponse::Stop);

@@ -112,11 +112,13 @@ pub enum Reason {
     LedAstray = 29,
     /// The actor and the guard's planner went on turning apart; the vehicle is being stopped.
     Disagreement = 30,
+    /// The depth frames are rough, as no surface is; the vehicle is being stopped.
+    RoughPicture = 31,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 30] = [
+    pub const ALL: [Self; 31] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -147,6 +149,7 @@ impl Reason {
         Self::UnauthenticatedFrame,
         Self::LedAstray,
         Self::Disagreement,
+        Self::RoughPicture,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -182,6 +185,7 @@ impl Reason {
             Self::UnauthenticatedFrame => "unauthenticated frame",
             Self::LedAstray => "led astray",
             Self::Disagreement => "disagreement",
+            Self::RoughPicture => "rough picture",
         }
     }
 }

@@ -78,22 +78,25 @@ pub enum AlarmCause {
     LedAstray = 3,
     /// The actor and the guard's planner went on turning apart, whatever the verdict.
     Disagreement = 4,
+    /// The depth frames were rough, as no surface is, whatever the verdict.
+    RoughPicture = 5,
 }
 
 impl AlarmCause {
     /// All causes, in the order of their numbers.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Attack,
         Self::NoVerdict,
         Self::CollisionCourse,
         Self::LedAstray,
         Self::Disagreement,
+        Self::RoughPicture,
     ];
 
     /// Whether the guard raised it: by what the vehicle would do, whatever the verdict on the actor's explanation.
     pub const fn is_of_guard(self) -> bool {
         match self {
-            Self::CollisionCourse | Self::LedAstray | Self::Disagreement => true,
+            Self::CollisionCourse | Self::LedAstray | Self::Disagreement | Self::RoughPicture => true,
             Self::Attack | Self::NoVerdict => false,
         }
     }
@@ -106,6 +109,7 @@ impl AlarmCause {
             Self::CollisionCourse => "collision course",
             Self::LedAstray => "led astray",
             Self::Disagreement => "disagreement",
+            Self::RoughPicture => "rough picture",
         }
     }
 }

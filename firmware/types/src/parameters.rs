@@ -498,6 +498,14 @@ table! {
         "the guard raises the alarm when actor and recovery pilot have wanted to turn apart by more than 60 deg/s for so much longer than they have not; 0 is never"
     )
     .mavlink("DT_DISAGREE", true);
+    SMOOTH_SHARE = real(
+        "detector.smooth_share",
+        (0.0, 0.95),
+        "",
+        0.6,
+        "the guard raises the alarm when fewer of a frame's 4 x 4 pixels in which something is seen show one surface, in raise_count of raise_window frames; 0 is never"
+    )
+    .mavlink("DT_SMOOTH_SHARE", true);
     GUARD_FINAL = switch(
         "detector.guard_final",
         true,

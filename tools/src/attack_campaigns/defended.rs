@@ -94,6 +94,10 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "S", value_parser = number::<f32>(&parameters::DISAGREEMENT))]
     disagreement: Option<f32>,
 
+    /// The guard raises the alarm when fewer cells of the frames show one surface, a share; 0 is never [default: the firmware's]
+    #[arg(long, value_name = "SHARE", value_parser = number::<f32>(&parameters::SMOOTH_SHARE))]
+    smooth_share: Option<f32>,
+
     /// Whether only an operator ends an alarm of the guard [default: the firmware's]
     #[arg(long, value_name = "on|off", value_parser = parse_switch)]
     guard_final: Option<bool>,
@@ -170,6 +174,9 @@ struct Settings {
     guard: bool,
     astray_m: f32,
     disagreement_s: f32,
+    /// 0 in campaigns of before it was looked at.
+    #[serde(default)]
+    smooth_share: f32,
     guard_final: bool,
     first_seed: u64,
     apf: bool,
@@ -513,6 +520,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         guard: args.guard,
         astray_m,
         disagreement_s: args.disagreement.unwrap_or(alarm.disagreement_s),
+        smooth_share: args.smooth_share.unwrap_or(alarm.smooth_share),
         guard_final: args.guard_final.unwrap_or(alarm.guard_final),
         first_seed: args.seed,
         apf: args.apf,
@@ -647,6 +655,7 @@ fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flow
     firmware.detector.guard = (!args.guard).then_some(false);
     firmware.detector.astray_m = args.astray.unwrap_or(firmware.detector.astray_m);
     firmware.detector.disagreement_s = args.disagreement.unwrap_or(firmware.detector.disagreement_s);
+    firmware.detector.smooth_share = args.smooth_share.unwrap_or(firmware.detector.smooth_share);
     firmware.detector.guard_final = args.guard_final.unwrap_or(firmware.detector.guard_final);
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
@@ -685,6 +694,7 @@ mod tests {
             guard: true,
             astray_m: 6.0,
             disagreement_s: 2.5,
+            smooth_share: 0.6,
             guard_final: true,
             first_seed: 7,
             apf: false,

@@ -25,6 +25,7 @@ pub struct Story {
     pub collision_course: Option<bool>,
     pub recovery_course: Option<bool>,
     pub speed_along_way_m_s: Option<f32>,
+    pub smooth_share: Option<f32>,
     pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
     pub slips: u64,
@@ -70,6 +71,7 @@ impl Story {
             collision_course: Some(false),
             recovery_course: Some(false),
             speed_along_way_m_s: Some(1.0),
+            smooth_share: Some(0.9),
             velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
             slips: 0,
@@ -144,6 +146,7 @@ impl Story {
             collision_course: self.collision_course,
             recovery_course: self.recovery_course,
             speed_along_way_m_s: self.speed_along_way_m_s,
+            smooth_share: self.smooth_share,
             timing: StepTiming {
                 slips: self.slips,
                 ..Default::default()

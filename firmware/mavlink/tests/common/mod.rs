@@ -202,6 +202,7 @@ impl Flight {
             collision_course: Some(false),
             recovery_course: Some(false),
             speed_along_way_m_s: None,
+            smooth_share: None,
             timing: StepTiming::default(),
             handover: self.companion.handover(),
             vehicle_restarts: self.companion.vehicle_restarts(),

@@ -106,6 +106,9 @@ pub(super) struct Oddities {
     pub holes: usize,
     /// Ranges of anywhere.
     pub wild: usize,
+    /// With a return in some pixel, and of these those of one surface.
+    pub seen: usize,
+    pub smooth: usize,
 }
 
 /// A reduced frame.
@@ -143,11 +146,14 @@ impl Picture {
                 let low = low.iter().fold(1.0, |a, b| smaller(a, *b));
                 let high = high.iter().fold(0.0, |a, b| larger(a, *b));
                 let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
+                let smooth = low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M;
+                odd.seen += usize::from(low < 1.0);
+                odd.smooth += usize::from(smooth);
                 odd.zeros += usize::from(high <= 0.0);
                 odd.wild += usize::from(high < 1.0 && spread_m > WILD_M);
                 *cell = if low >= 1.0 {
                     0.0
-                } else if low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M {
+                } else if smooth {
                     1.0 / mean_m
                 } else {
                     -1.0
