@@ -43,7 +43,7 @@ struct Tunable {
 }
 
 /// In the order in which they are listed to a ground station.
-const TUNABLES: [Tunable; 11] = [
+const TUNABLES: [Tunable; 12] = [
     Tunable {
         spec: parameters::CRUISE,
         get: |all| Some(ParameterValue::Real(all.pilot.cruise_m_s)),

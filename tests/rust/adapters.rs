@@ -7,6 +7,7 @@ mod device;
 mod rays;
 
 use device::{COLUMN_NS, Device, PER_PACKET};
+use std::cell::RefCell;
 use std::io::{BufRead, BufReader};
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
@@ -38,6 +39,8 @@ fn walled(folder: &Path) -> Course {
 struct Adapter {
     child: Child,
     lines: Receiver<String>,
+    /// What was said before it was waited for.
+    heard: RefCell<Vec<String>>,
 }
 
 impl Adapter {
@@ -60,11 +63,19 @@ impl Adapter {
         };
         read(Box::new(out), sender.clone());
         read(Box::new(error), sender);
-        Self { child, lines }
+        Self {
+            child,
+            lines,
+            heard: RefCell::default(),
+        }
     }
 
+    /// Output and diagnostics come on two pipes, in any order.
     fn wait_for(&self, words: &str) -> String {
-        let mut heard = Vec::new();
+        let mut heard = self.heard.borrow_mut();
+        if let Some(at) = heard.iter().position(|line| line.contains(words)) {
+            return heard.remove(at);
+        }
         while let Ok(line) = self.lines.recv_timeout(PATIENCE) {
             if line.contains(words) {
                 return line;

@@ -420,7 +420,11 @@ mod tests {
 
     #[test]
     fn pictures_that_are_rough_again_and_again_raise_the_alarm_for_good_and_single_ones_do_not() {
-        let config = AlarmConfig::default();
+        let off = AlarmConfig::default();
+        let config = AlarmConfig {
+            smooth_share: 0.6,
+            ..off
+        };
         let steps_until_rough = |smooth_shares: &[f32], config: &AlarmConfig| {
             let mut logic = AlarmLogic::default();
             (1..200).find(|i| {
@@ -437,10 +441,6 @@ mod tests {
         assert_eq!(steps_until_rough(&[0.3, 0.3, 0.8], &config), None);
         assert_eq!(steps_until_rough(&[0.65], &config), None, "a crowded hall");
         assert_eq!(steps_until_rough(&[f32::NAN], &config), None);
-        let off = AlarmConfig {
-            smooth_share: 0.0,
-            ..config
-        };
         assert_eq!(steps_until_rough(&[0.0], &off), None);
         assert!(AlarmCause::RoughPicture.is_of_guard());
     }

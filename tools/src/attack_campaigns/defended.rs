@@ -694,7 +694,7 @@ mod tests {
             guard: true,
             astray_m: 6.0,
             disagreement_s: 2.5,
-            smooth_share: 0.6,
+            smooth_share: 0.0,
             guard_final: true,
             first_seed: 7,
             apf: false,
