@@ -179,6 +179,36 @@ fn a_good_flight_is_not_doubted_nor_is_one_at_half_the_frame_rate() {
 }
 
 #[test]
+fn what_a_sensor_sees_is_smooth_for_the_most_part_and_what_an_attacker_adds_pixel_by_pixel_is_not() {
+    let mut flight = Flight::new();
+    let mut least = 1.0_f32;
+    for _ in 0..60 {
+        flight.look();
+        flight.judge.judge(&flight.frame, &flight.telemetry);
+        least = least.min(flight.judge.smooth_share().expect("something is seen"));
+    }
+    assert!(least > 0.7, "{least}");
+    let mut state = 1_u32;
+    let mut rough = |size: f32| {
+        flight.look();
+        for depth in flight.frame.depth.iter_mut().filter(|depth| **depth < 1.0) {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let sign = if state >> 31 == 0 { 1.0 } else { -1.0 };
+            *depth = (*depth + sign * size / 255.0).clamp(0.0, 1.0);
+        }
+        flight.judge.judge(&flight.frame, &flight.telemetry);
+        flight.judge.smooth_share().expect("something is seen")
+    };
+    for size in [1.0, 5.0, 20.0] {
+        assert!(rough(size) < 0.6, "{size}/255: {}", rough(size));
+    }
+    // A sky says nothing.
+    flight.frame.depth = [1.0; DEPTH_PIXELS];
+    flight.judge.judge(&flight.frame, &flight.telemetry);
+    assert_eq!(flight.judge.smooth_share(), None);
+}
+
+#[test]
 fn a_sensor_that_sees_nothing_is_blind_within_two_frames_and_sees_again_after_three() {
     found("zeros", Reason::BlindSensor, 2, |f| f.depth = [0.0; DEPTH_PIXELS]);
     let mut flight = found("ones", Reason::BlindSensor, 2, |f| f.depth = [1.0; DEPTH_PIXELS]);
