@@ -4,7 +4,7 @@ use divan::{Bencher, black_box};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose};
-use vigil_policy::actor::{Actor, ActorSpec};
+use vigil_policy::actor::{Actor, ActorSpec, FRAMES_IN_A_ROW};
 use vigil_types::Encoder;
 
 fn main() {
@@ -59,8 +59,8 @@ fn actor_one_new_frame<const INT8: bool>(bencher: Bencher, isa: Named) {
     let graph = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
     let frame = values(ActorSpec::FULL.frame_len(), 0.5);
     let encoder = if INT8 { Encoder::Int8 } else { Encoder::Float32 };
-    let actor = Actor::new(ActorSpec::FULL, isa.0, &initial(&graph)).unwrap();
-    let mut actor = actor.with_encoder(encoder).unwrap();
+    let params = initial(&graph);
+    let mut actor = Actor::with_encoder(ActorSpec::FULL, isa.0, &params, FRAMES_IN_A_ROW, encoder).unwrap();
     bencher.bench_local(|| actor.decide(black_box(&frame), [0.3, 0.1]).unwrap());
 }
 

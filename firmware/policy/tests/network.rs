@@ -12,7 +12,7 @@ use scene::{Scene, block, column};
 use torch::{SPEC, Tensors, actor_params};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{Actor, ActorSpec, FRAMES_SPREAD};
+use vigil_policy::actor::{Actor, ActorSpec, FRAMES_IN_A_ROW, FRAMES_SPREAD};
 use vigil_types::{Attitude, DepthFrame, Encoder, NedVector};
 
 const FRAME: usize = 128 * 256;
@@ -140,7 +140,7 @@ fn a_pixel_that_is_not_a_number_is_not_hidden() {
     frame[777] = f32::NAN;
     for isa in Isa::available() {
         for encoder in [Encoder::Float32, Encoder::Int8] {
-            let mut actor = Actor::new(spec, isa, &params).unwrap().with_encoder(encoder).unwrap();
+            let mut actor = Actor::with_encoder(spec, isa, &params, FRAMES_IN_A_ROW, encoder).unwrap();
             assert!(actor.decide(&frame, [0.0; 2]).unwrap()[0].is_nan(), "{}", isa.name());
         }
     }

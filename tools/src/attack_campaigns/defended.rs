@@ -21,6 +21,7 @@ use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::{number, parse_switch};
+use vigil_firmware::config::DetectorConfig;
 use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
 use vigil_types::parameters;
@@ -115,6 +116,17 @@ pub struct DefendedArgs {
     common: Common,
 }
 
+impl DefendedArgs {
+    /// Sets what was given of the guard.
+    fn set_guard(&self, detector: &mut DetectorConfig) {
+        detector.guard = (!self.guard).then_some(false);
+        detector.astray_m = self.astray.unwrap_or(detector.astray_m);
+        detector.disagreement_s = self.disagreement.unwrap_or(detector.disagreement_s);
+        detector.smooth_share = self.smooth_share.unwrap_or(detector.smooth_share);
+        detector.guard_final = self.guard_final.unwrap_or(detector.guard_final);
+    }
+}
+
 /// Who flies against what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -174,8 +186,8 @@ struct Settings {
     guard: bool,
     astray_m: f32,
     disagreement_s: f32,
-    /// 0 in campaigns of before it was looked at.
-    #[serde(default)]
+    /// Left out where it is 0, as in campaigns of before it was looked at, which can so be gone on with.
+    #[serde(default, skip_serializing_if = "is_zero")]
     smooth_share: f32,
     guard_final: bool,
     first_seed: u64,
@@ -188,6 +200,11 @@ struct Settings {
     /// Whether the attacker stays within what the guard lets pass.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     evades_guard: bool,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
+fn is_zero(value: &f32) -> bool {
+    *value == 0.0
 }
 
 /// Everything that decides what the flights are, wherever they are flown.
@@ -503,10 +520,10 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     let attack = attack
         .attack(args.common.actor.as_deref())?
         .context("an attack was asked for")?;
-    let alarm = FirmwareConfig::default().detector;
-    let astray_m = args.astray.unwrap_or(alarm.astray_m);
+    let mut detector = FirmwareConfig::default().detector;
+    args.set_guard(&mut detector);
     let attack = Attack {
-        evades_guard_m: args.evade_guard.then_some(astray_m),
+        evades_guard_m: attack.evades_guard_m.map(|_| detector.astray_m),
         ..attack
     };
     let settings = Settings {
@@ -516,12 +533,12 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
             Some(file) => FrozenDetector::load(file)?.sha256(),
             None => FrozenDetector::built_in()?.sha256(),
         },
-        raise: (alarm.raise_count, alarm.raise_window),
+        raise: (detector.raise_count, detector.raise_window),
         guard: args.guard,
-        astray_m,
-        disagreement_s: args.disagreement.unwrap_or(alarm.disagreement_s),
-        smooth_share: args.smooth_share.unwrap_or(alarm.smooth_share),
-        guard_final: args.guard_final.unwrap_or(alarm.guard_final),
+        astray_m: detector.astray_m,
+        disagreement_s: detector.disagreement_s,
+        smooth_share: detector.smooth_share,
+        guard_final: detector.guard_final,
         first_seed: args.seed,
         apf: args.apf,
         attack: attack.config,
@@ -652,11 +669,7 @@ fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flow
     let (config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = Some(arm.alarm().is_some());
     firmware.detector.file.clone_from(&args.detector);
-    firmware.detector.guard = (!args.guard).then_some(false);
-    firmware.detector.astray_m = args.astray.unwrap_or(firmware.detector.astray_m);
-    firmware.detector.disagreement_s = args.disagreement.unwrap_or(firmware.detector.disagreement_s);
-    firmware.detector.smooth_share = args.smooth_share.unwrap_or(firmware.detector.smooth_share);
-    firmware.detector.guard_final = args.guard_final.unwrap_or(firmware.detector.guard_final);
+    args.set_guard(&mut firmware.detector);
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
 }

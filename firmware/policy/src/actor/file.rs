@@ -158,8 +158,7 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor_with(&self, isa: Isa, encoder: Encoder) -> Result<Actor, FileError> {
-        Actor::with_frame_ages(self.inputs.spec(), isa, &self.params, self.inputs.frame_ages)
-            .and_then(|actor| actor.with_encoder(encoder))
+        Actor::with_encoder(self.inputs.spec(), isa, &self.params, self.inputs.frame_ages, encoder)
             .map_err(|e| self.kind().content_error("in memory", e.to_string()))
     }
 

@@ -403,6 +403,20 @@ impl Actor {
         params: &[f32],
         ages: [usize; ACTOR_FRAMES],
     ) -> Result<Self, ShapeError> {
+        Self::with_encoder(spec, isa, params, ages, Encoder::Float32)
+    }
+
+    /// The same with a choice of the encoder.
+    ///
+    /// # Errors
+    /// As [`Self::with_frame_ages`].
+    pub fn with_encoder(
+        spec: ActorSpec,
+        isa: Isa,
+        params: &[f32],
+        ages: [usize; ACTOR_FRAMES],
+        encoder: Encoder,
+    ) -> Result<Self, ShapeError> {
         let falls = ages.windows(2).all(|pair| pair.first() > pair.last());
         let (first, last) = (ages.first().copied(), ages.last().copied());
         let kept = first.filter(|age| *age <= OLDEST_FRAME && falls && last == Some(0));
@@ -419,7 +433,7 @@ impl Actor {
             isa,
             params: Aligned::from(params),
             layout,
-            encoder: FrameEncoder::new(Encoder::Float32, spec, params)?,
+            encoder: FrameEncoder::new(encoder, spec, params)?,
             head_tape: vec![0.0; head.tape_len()],
             head,
             features: vec![0.0; kept * spec.features()],
@@ -432,16 +446,6 @@ impl Actor {
             state: [0.0; ACTOR_HIDDEN],
             spec,
         })
-    }
-
-    /// The same actor with another encoder. It has forgotten the frames.
-    ///
-    /// # Errors
-    /// None for an actor that was made.
-    pub fn with_encoder(mut self, encoder: Encoder) -> Result<Self, ShapeError> {
-        self.encoder = FrameEncoder::new(encoder, self.spec, &self.params)?;
-        self.reset();
-        Ok(self)
     }
 
     /// Forgets the frames.

@@ -10,7 +10,7 @@ mod picture;
 mod silence;
 
 use self::motion::{MOST_COST, Map, Pose, cost, look, samples};
-use self::picture::{COLS, Directions, Oddities, Picture, ROWS, Seen};
+use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::silence::SilentSide;
 use vigil_types::{Attitude, DepthFrame, FrdVector, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
 
@@ -221,8 +221,8 @@ pub struct PlausibilityJudge {
     before: Picture,
     /// Where the picture before was taken; `None` if there was none.
     pose_before: Option<Pose>,
-    /// What is odd about the last frame.
-    odd: Oddities,
+    /// What the last frame's cells show.
+    counts: CellCounts,
     doubts: Reasons,
     blind_frames: u8,
     seeing_frames: u8,
@@ -270,7 +270,7 @@ impl PlausibilityJudge {
             picture: Picture::EMPTY,
             before: Picture::EMPTY,
             pose_before: None,
-            odd: Oddities::default(),
+            counts: CellCounts::default(),
             doubts: Reasons::NONE,
             blind_frames: 0,
             seeing_frames: 0,
@@ -298,7 +298,8 @@ impl PlausibilityJudge {
     /// Of the cells of the last frame judged in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
     /// by no more than 0.16 m and a fifth of the range); `None` where next to nothing is seen.
     pub fn smooth_share(&self) -> Option<f32> {
-        (self.odd.seen >= LEAST_SEEN).then(|| self.odd.smooth as f32 / self.odd.seen as f32)
+        let CellCounts { seen, smooth, .. } = self.counts;
+        (seen >= LEAST_SEEN).then(|| smooth as f32 / seen as f32)
     }
 
     /// What is implausible about the last frame judged.
@@ -311,8 +312,7 @@ impl PlausibilityJudge {
     pub fn judge(&mut self, frame: &DepthFrame, telemetry: &VehicleTelemetry) -> Reasons {
         self.step = self.step.wrapping_add(1);
         core::mem::swap(&mut self.picture, &mut self.before);
-        let odd = self.picture.take(frame);
-        self.odd = odd;
+        self.counts = self.picture.take(frame);
         let armed = telemetry.heartbeat.is_some_and(|h| h.armed);
         let known = if telemetry.is_finite() {
             telemetry.kinematics.zip(telemetry.attitude)
@@ -321,7 +321,7 @@ impl PlausibilityJudge {
         };
         let height_m = known.map(|(kinematics, _)| -kinematics.position_ned_m.z);
 
-        self.note_blindness(odd, frame.header.attitude, height_m);
+        self.note_blindness(frame.header.attitude, height_m);
         let pose = Pose {
             position_ned_m: frame.header.position_ned_m,
             attitude: frame.header.attitude,
@@ -379,7 +379,7 @@ impl PlausibilityJudge {
     }
 
     /// Zeros, ranges of anywhere, no return at all, or strips of the view without the ground.
-    fn note_blindness(&mut self, odd: Oddities, attitude: Attitude, height_m: Option<f32>) {
+    fn note_blindness(&mut self, attitude: Attitude, height_m: Option<f32>) {
         let down = |x, y, z| attitude.to_ned(FrdVector::new(x, y, z)).z;
         let (dx, dy, dz) = (down(1.0, 0.0, 0.0), down(0.0, 1.0, 0.0), down(0.0, 0.0, 1.0));
         let low = height_m.is_none_or(|height_m| height_m < HIGH_M);
@@ -407,7 +407,8 @@ impl PlausibilityJudge {
         let dead = strips
             .filter(|(expected, missing)| **expected >= LEAST_GROUND && **missing * 2 > **expected)
             .count();
-        let no_ranges = odd.zeros >= BLIND_ZEROS || odd.holes >= BLIND_HOLES || odd.wild >= BLIND_WILD;
+        let CellCounts { zeros, holes, wild, .. } = self.counts;
+        let no_ranges = zeros >= BLIND_ZEROS || holes >= BLIND_HOLES || wild >= BLIND_WILD;
         let blind = no_ranges || (low && !returns) || dead >= BLIND_STRIPS;
         count(&mut self.blind_frames, blind);
         count(&mut self.seeing_frames, !blind);

@@ -97,9 +97,9 @@ fn arc_tangent(t: f32) -> f32 {
     }
 }
 
-/// Cells of a frame that no sensor shows in number.
+/// How many cells of a frame show what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Oddities {
+pub(super) struct CellCounts {
     /// Nothing but zeros, which are no ranges.
     pub zeros: usize,
     /// Zeros in more than a quarter of its pixels.
@@ -121,9 +121,9 @@ pub(super) struct Picture {
 impl Picture {
     pub(super) const EMPTY: Self = Self { inverse: [-1.0; CELLS] };
 
-    /// Takes a frame; counts what is odd.
-    pub(super) fn take(&mut self, frame: &DepthFrame) -> Oddities {
-        let mut odd = Oddities::default();
+    /// Takes a frame; counts what is counts.
+    pub(super) fn take(&mut self, frame: &DepthFrame) -> CellCounts {
+        let mut counts = CellCounts::default();
         let bands = frame.depth.as_chunks::<{ SIDE * DEPTH_COLS }>().0;
         for (band, cells) in bands.iter().zip(self.inverse.as_chunks_mut::<COLS>().0) {
             let (mut sum, mut low, mut high) = ([0.0_f32; DEPTH_COLS], [1.0_f32; DEPTH_COLS], [0.0_f32; DEPTH_COLS]);
@@ -138,7 +138,7 @@ impl Picture {
                 }
             }
             let holed = |zero: &[f32; SIDE]| zero.iter().sum::<f32>() > HOLES;
-            odd.holes += zero.as_chunks::<SIDE>().0.iter().filter(|zero| holed(zero)).count();
+            counts.holes += zero.as_chunks::<SIDE>().0.iter().filter(|zero| holed(zero)).count();
             let sides = sum.as_chunks::<SIDE>().0.iter();
             let limits = low.as_chunks::<SIDE>().0.iter().zip(high.as_chunks::<SIDE>().0);
             for ((cell, sum), (low, high)) in cells.iter_mut().zip(sides).zip(limits) {
@@ -147,10 +147,10 @@ impl Picture {
                 let high = high.iter().fold(0.0, |a, b| larger(a, *b));
                 let spread_m = (high - low) * DEPTH_FULL_SCALE_M;
                 let smooth = low > 0.0 && high < 1.0 && spread_m <= SMOOTH_PART * mean_m + SMOOTH_M;
-                odd.seen += usize::from(low < 1.0);
-                odd.smooth += usize::from(smooth);
-                odd.zeros += usize::from(high <= 0.0);
-                odd.wild += usize::from(high < 1.0 && spread_m > WILD_M);
+                counts.seen += usize::from(low < 1.0);
+                counts.smooth += usize::from(smooth);
+                counts.zeros += usize::from(high <= 0.0);
+                counts.wild += usize::from(high < 1.0 && spread_m > WILD_M);
                 *cell = if low >= 1.0 {
                     0.0
                 } else if smooth {
@@ -160,7 +160,7 @@ impl Picture {
                 };
             }
         }
-        odd
+        counts
     }
 
     /// Reciprocal ranges row by row, as they are kept: 0 without a return, negative if mixed.
@@ -265,9 +265,9 @@ mod tests {
         let mut picture = Picture::EMPTY;
         // An edge before something far away.
         frame.depth[24] = 0.6;
-        let odd = picture.take(&frame);
-        assert_eq!(odd.zeros, 1, "a single zero is noise, a cell of them is none");
-        assert_eq!(odd.wild, 1, "and a hole is not far away");
+        let counts = picture.take(&frame);
+        assert_eq!(counts.zeros, 1, "a single zero is noise, a cell of them is none");
+        assert_eq!(counts.wild, 1, "and a hole is not far away");
         assert_eq!(picture.at(0), Seen::Mixed, "a zero");
         assert_eq!(picture.at(2), Seen::Mixed, "a hole");
         assert_eq!(picture.at(31), Seen::Mixed, "an edge");
@@ -276,7 +276,7 @@ mod tests {
         }
         assert!(matches!(picture.between(3.4, 10.7), Seen::Surface(m) if (m - 3.0).abs() < 1e-4));
         assert_eq!(picture.between(3.4, 30.5), Seen::Mixed);
-        assert_eq!(picture.take(&DepthFrame::EMPTY), Oddities::default());
+        assert_eq!(picture.take(&DepthFrame::EMPTY), CellCounts::default());
         assert_eq!(picture.between(3.4, 30.5), Seen::Nothing);
     }
 }
