@@ -134,6 +134,11 @@ impl Environment {
         (self.goal.position_ned_m - self.vehicle.truth().position_ned_m).horizontal_norm()
     }
 
+    /// Distance of the vehicle's middle from the nearest obstacle, metres; infinite in an empty world.
+    pub fn obstacle_distance_m(&self) -> f32 {
+        self.world.clearance_m(self.vehicle.truth().position_ned_m)
+    }
+
     /// How many checkpoints were passed, of how many.
     pub fn checkpoints(&self) -> (usize, usize) {
         (self.referee.checkpoints_passed(), self.checkpoints)

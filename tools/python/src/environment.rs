@@ -97,6 +97,7 @@ impl Begun {
             checkpoints_before: before,
             checkpoints,
             all_checkpoints,
+            obstacle_distance_m: self.flight.obstacle_distance_m(),
             outcome: self.outcome,
         };
         self.left_m = left_m;
@@ -166,7 +167,7 @@ pub struct Flights {
 #[pymethods]
 impl Flights {
     #[new]
-    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, along_way, privileged, threads))]
+    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, near, along_way, privileged, threads))]
     #[allow(clippy::too_many_arguments, reason = "the Python side names them")]
     fn new(
         count: usize,
@@ -179,6 +180,7 @@ impl Flights {
         dead: f32,
         decision: f32,
         checkpoint: f32,
+        near: f32,
         along_way: bool,
         privileged: bool,
         threads: usize,
@@ -192,7 +194,10 @@ impl Flights {
         if time_limit.is_some_and(|limit| !(limit > 0.0 && limit <= 3600.0)) {
             return Err(refused("time_limit: above 0 and at most 3600 s"));
         }
-        if [success, dead, decision, checkpoint].iter().any(|w| !w.is_finite()) {
+        if [success, dead, decision, checkpoint, near]
+            .iter()
+            .any(|w| !w.is_finite())
+        {
             return Err(refused("reward: every weight has to be a finite number"));
         }
         let mut lidar = LidarConfig::default();
@@ -222,6 +227,7 @@ impl Flights {
                     dead,
                     decision,
                     checkpoint,
+                    near,
                 },
                 along_way,
                 privileged,

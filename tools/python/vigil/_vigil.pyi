@@ -23,6 +23,7 @@ class Flights:
         dead: float,
         decision: float,
         checkpoint: float,
+        near: float,
         along_way: bool,
         privileged: bool,
         threads: int,

@@ -36,6 +36,7 @@ DEFAULT_REWARD: Mapping[str, float | str] = {
     "dead": -6.0,
     "decision": -0.02,
     "checkpoint": 0.0,
+    "near": 0.0,
 }
 """The reward's terms and their defaults, those of ``vigil learn`` (docs/training.md)."""
 # Frames of a block: the views handed out lie in it, and a new one is begun when it is full.
@@ -95,6 +96,7 @@ class _Flown:
             dead=float(reward["dead"]),
             decision=float(reward["decision"]),
             checkpoint=float(reward["checkpoint"]),
+            near=float(reward["near"]),
             along_way=reward["progress"] == "way",
             privileged=self.privileged,
             threads=threads,
@@ -201,6 +203,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
     dead        −6       for a collision or leaving the bounds
     decision    −0.02    for each step
     checkpoint  0        at checkpoint C of N, times (1 + C/N)
+    near        0        for each step that ends less than 1 m from an obstacle, the share of that metre that is missing
     ==========  =======  ==========================================================================================
 
     A flight is terminated by success, collision and leaving the bounds, truncated by the course's time limit; ``info["outcome"]`` then

@@ -297,6 +297,7 @@ impl Collector {
             checkpoints_before: c.checkpoints,
             checkpoints,
             all_checkpoints,
+            obstacle_distance_m: flight.obstacle_distance_m(),
             outcome,
         };
         (c.distance_m, c.checkpoints) = (distance_m, checkpoints);

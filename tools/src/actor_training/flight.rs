@@ -71,6 +71,11 @@ impl Flight {
         self.environment.goal_distance_m()
     }
 
+    /// Distance of the vehicle's middle from the nearest obstacle in metres, the truth.
+    pub fn obstacle_distance_m(&self) -> f32 {
+        self.environment.obstacle_distance_m()
+    }
+
     /// How many checkpoints were passed, of how many.
     pub fn checkpoints(&self) -> (usize, usize) {
         self.environment.checkpoints()

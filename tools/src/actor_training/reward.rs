@@ -7,6 +7,9 @@ use crate::actor_training::config::RewardConfig;
 use crate::actor_training::value::ValueReward;
 use vigil_world::Outcome;
 
+/// What [`RewardWeights::near`] counts begins at this distance of the vehicle's middle from an obstacle and is whole at 0, metres.
+pub const NEAR_M: f32 = 1.0;
+
 /// What a decision brought about.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DecisionResult {
@@ -18,6 +21,8 @@ pub struct DecisionResult {
     pub checkpoints: usize,
     /// Checkpoints of the course.
     pub all_checkpoints: usize,
+    /// Distance of the vehicle's middle from the nearest obstacle, metres.
+    pub obstacle_distance_m: f32,
     /// How the flight ended, if it did.
     pub outcome: Option<Outcome>,
 }
@@ -33,6 +38,8 @@ pub struct RewardWeights {
     pub decision: f32,
     /// At checkpoint C of N: this times (1 + C/N).
     pub checkpoint: f32,
+    /// For each decision that ends near an obstacle, times the share of [`NEAR_M`] that is missing.
+    pub near: f32,
 }
 
 impl From<&RewardConfig> for RewardWeights {
@@ -42,6 +49,7 @@ impl From<&RewardConfig> for RewardWeights {
             dead: c.dead,
             decision: 0.0,
             checkpoint: c.checkpoint,
+            near: 0.0,
         }
     }
 }
@@ -53,6 +61,7 @@ impl From<&ValueReward> for RewardWeights {
             dead: c.dead,
             decision: c.decision,
             checkpoint: c.checkpoint,
+            near: c.near,
         }
     }
 }
@@ -65,7 +74,7 @@ pub struct Term {
 }
 
 /// All terms, in the order in which they are added.
-pub const TERMS: [Term; 5] = [
+pub const TERMS: [Term; 6] = [
     Term {
         name: "progress",
         value: |_, d| d.progress_m,
@@ -77,6 +86,10 @@ pub const TERMS: [Term; 5] = [
     Term {
         name: "checkpoint",
         value: checkpoint,
+    },
+    Term {
+        name: "near",
+        value: |w, d| w.near * (1.0 - d.obstacle_distance_m / NEAR_M).max(0.0),
     },
     Term {
         name: "success",
@@ -117,12 +130,14 @@ mod tests {
         dead: -2.0,
         decision: -0.5,
         checkpoint: 2.0,
+        near: -0.5,
     };
     const RESULT: DecisionResult = DecisionResult {
         progress_m: 0.25,
         checkpoints_before: 1,
         checkpoints: 1,
         all_checkpoints: 4,
+        obstacle_distance_m: f32::INFINITY,
         outcome: None,
     };
 
@@ -135,6 +150,13 @@ mod tests {
             ..RESULT
         };
         assert_eq!(given(two), 0.25 - 0.5 + 2.0 * 1.5 + 2.0 * 1.75);
+        for (obstacle_distance_m, near) in [(NEAR_M, 0.0), (0.75, -0.125), (0.0, -0.5)] {
+            let result = DecisionResult {
+                obstacle_distance_m,
+                ..RESULT
+            };
+            assert_eq!(given(result), 0.25 - 0.5 + near, "{obstacle_distance_m} m");
+        }
         for (outcome, ended) in [
             (Outcome::Success, 5.0),
             (Outcome::Collision, -2.0),

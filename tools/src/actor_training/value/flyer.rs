@@ -189,6 +189,7 @@ impl TrueFlight {
             checkpoints_before: self.checkpoints,
             checkpoints,
             all_checkpoints,
+            obstacle_distance_m: self.flight.obstacle_distance_m(),
             outcome,
         };
         (self.to_go_m, self.checkpoints) = (to_go_m, checkpoints);

@@ -131,6 +131,8 @@ pub struct ValueReward {
     pub decision: f32,
     /// At checkpoint C of N: this times (1 + C/N) (the paper: 2).
     pub checkpoint: f32,
+    /// For each decision that ends less than 1 m from an obstacle, times the share of that metre that is missing (the paper: not there).
+    pub near: f32,
 }
 
 /// The updates of actor and critics.
@@ -267,6 +269,7 @@ impl Default for ValueReward {
             dead: -6.0,
             decision: -0.02,
             checkpoint: 0.0,
+            near: 0.0,
         }
     }
 }
