@@ -40,6 +40,10 @@ pub struct AttackArgs {
     #[arg(long, value_name = "FILE", requires = "attack")]
     pub evade: Option<PathBuf>,
 
+    /// Pixels of squares of this side move together, so that what shows one surface goes on showing one.
+    #[arg(long, value_name = "PIXELS", default_value_t = AttackConfig::PAPER.region_pixels, requires = "attack")]
+    pub region: u32,
+
     /// Adaptive: stay within what the guard lets pass.
     #[arg(long, requires = "attack")]
     pub evade_guard: bool,
@@ -51,6 +55,7 @@ impl Default for AttackArgs {
             epsilon_255: epsilon,
             iterations,
             towards,
+            region_pixels: region,
             ..
         } = AttackConfig::PAPER;
         Self {
@@ -61,6 +66,7 @@ impl Default for AttackArgs {
             towards,
             attack_actor: None,
             evade: None,
+            region,
             evade_guard: false,
         }
     }
@@ -90,6 +96,7 @@ impl AttackArgs {
                 iterations: self.iterations,
                 towards: self.towards,
                 seed: 0,
+                region_pixels: self.region,
             },
             burst: self.burst,
             evade,
@@ -109,6 +116,9 @@ impl AttackArgs {
         }
         if let Some(file) = &self.evade {
             command.arg("--evade").arg(file);
+        }
+        if self.region != AttackConfig::PAPER.region_pixels {
+            command.arg(format!("--region={}", self.region));
         }
         if self.evade_guard {
             command.arg("--evade-guard");

@@ -106,6 +106,18 @@ pub struct AttackConfig {
     pub towards: Towards,
     /// For the methods that draw: the same seed and calls give the same bits.
     pub seed: u64,
+    /// Side of the squares whose pixels move together, pixels: what shows one surface then goes on showing one. 1 moves each by itself.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub region_pixels: u32,
+}
+
+fn one() -> u32 {
+    1
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
+fn is_one(value: &u32) -> bool {
+    *value == 1
 }
 
 impl AttackConfig {
@@ -116,6 +128,7 @@ impl AttackConfig {
         iterations: 20,
         towards: Towards::Away,
         seed: 0,
+        region_pixels: 1,
     };
 
     /// ε as a normalised range.
@@ -143,6 +156,9 @@ impl AttackConfig {
         }
         if self.iterations == 0 {
             return Err(AttackError::Iterations);
+        }
+        if self.region_pixels == 0 {
+            return Err(AttackError::Region);
         }
         Ok(())
     }
@@ -184,6 +200,9 @@ pub enum AttackError {
     /// No iterations.
     #[error("an attack needs at least one iteration")]
     Iterations,
+    /// Squares without pixels.
+    #[error("the squares whose pixels move together are at least 1 pixel wide, got 0")]
+    Region,
     /// The detector to be evaded cannot explain the actor.
     #[error("the detector to be evaded cannot be used: {0}")]
     Detector(#[from] ShapError),

@@ -129,6 +129,7 @@ impl Perturber {
         for iteration in 1..=iterations {
             let d = ends(surrogate, scene, outputs, evasion.as_deref_mut())?;
             surrogate.gradient(&d, &mut self.gradient)?;
+            self.move_together();
             if method == Method::Patch && iteration == 1 {
                 self.place_patch();
             }
@@ -139,6 +140,32 @@ impl Perturber {
             }
         }
         Ok(outputs)
+    }
+
+    /// Gives the pixels of each square of [`AttackConfig::region_pixels`] the mean of their gradients. Squares at the right and lower edge are
+    /// cut off.
+    fn move_together(&mut self) {
+        let side = self.config.region_pixels as usize;
+        if side == 1 {
+            return;
+        }
+        for band in self
+            .gradient
+            .chunks_exact_mut(self.rows * self.cols)
+            .flat_map(|f| f.chunks_mut(side * self.cols))
+        {
+            for left in (0..self.cols).step_by(side) {
+                let within = left..(left + side).min(self.cols);
+                let lines = band.chunks_exact(self.cols);
+                let (count, sum) = (
+                    (lines.len() * within.len()) as f32,
+                    lines.flat_map(|line| &line[within.clone()]).sum::<f32>(),
+                );
+                for line in band.chunks_exact_mut(self.cols) {
+                    line[within.clone()].fill(sum / count);
+                }
+            }
+        }
     }
 
     /// One step down the loss.

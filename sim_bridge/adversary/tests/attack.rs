@@ -253,6 +253,47 @@ fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
 }
 
 #[test]
+fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
+    const SIDE: usize = 8;
+    let params = FrozenActor::built_in().unwrap().params;
+    let told = AttackConfig {
+        region_pixels: SIDE as u32,
+        ..AttackConfig::PAPER
+    };
+    let clean = scene(0.2, 4.0);
+    let alter = |config: &AttackConfig| {
+        let mut attack = StateAttack::new(Isa::detect(), &params, config).unwrap();
+        let mut frames = clean.repeat(ACTOR_FRAMES);
+        (attack.attack(&mut frames, [0.6, 0.2]).unwrap(), frames)
+    };
+    let (outcome, _) = alter(&told);
+    assert!(outcome.is_effective(), "{outcome:?}");
+    // One step, so that no pixel comes to an end of the range and stays behind.
+    let (_, frames) = alter(&AttackConfig { iterations: 1, ..told });
+    for frame in frames.chunks_exact(clean.len()) {
+        let moved: Vec<f32> = frame.iter().zip(&clean).map(|(x, c)| x - c).collect();
+        let within = |i: usize| 0.0 < frame[i] && frame[i] < 1.0;
+        let (mut apart, mut moves) = (0, 0);
+        for (i, by) in moved.iter().enumerate() {
+            let (row, col) = (i / DEPTH_COLS, i % DEPTH_COLS);
+            let corner = row / SIDE * SIDE * DEPTH_COLS + col / SIDE * SIDE;
+            moves += usize::from(*by != 0.0);
+            apart += usize::from(within(i) && within(corner) && (by - moved[corner]).abs() > 1e-5);
+        }
+        assert_eq!(apart, 0);
+        assert!(moves > frame.len() / 2, "{moves} pixels moved");
+    }
+    let none = AttackConfig {
+        region_pixels: 0,
+        ..told
+    };
+    assert!(matches!(
+        StateAttack::new(Isa::detect(), &params, &none),
+        Err(AttackError::Region)
+    ));
+}
+
+#[test]
 fn the_streaming_attacker_knows_to_the_bit_what_the_actor_decides() {
     let params = small_params(3);
     let isa = Isa::detect();

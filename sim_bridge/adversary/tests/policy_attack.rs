@@ -55,6 +55,7 @@ fn config(method: Method) -> AttackConfig {
         iterations: 1,
         epsilon_255: 1.0,
         seed: 5,
+        ..AttackConfig::PAPER
     }
 }
 

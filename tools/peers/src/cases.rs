@@ -321,7 +321,7 @@ fn attack_case(
                 epsilon_255,
                 iterations,
                 towards: Towards::Away,
-                seed: 0,
+                ..AttackConfig::PAPER
             })
         })
         .collect();

@@ -21,6 +21,7 @@ fn config(method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: 
         iterations,
         towards: towards.ok_or_else(|| refused("towards: left, right or away"))?,
         seed,
+        ..AttackConfig::PAPER
     })
 }
 

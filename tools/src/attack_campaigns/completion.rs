@@ -366,7 +366,7 @@ pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
                     epsilon_255: args.epsilon,
                     iterations: args.iterations,
                     towards: *towards,
-                    seed: 0,
+                    ..AttackConfig::PAPER
                 };
                 settings.push((args.apf, Some(Setting { config, burst: *burst })));
             }

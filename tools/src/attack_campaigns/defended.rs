@@ -71,6 +71,10 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "FILE")]
     evade: Option<PathBuf>,
 
+    /// Pixels of squares of this side move together, so that what shows one surface goes on showing one.
+    #[arg(long, value_name = "PIXELS", default_value_t = AttackConfig::PAPER.region_pixels)]
+    region: u32,
+
     /// Adaptive: stay within what the guard lets pass as well.
     #[arg(long)]
     evade_guard: bool,
@@ -515,6 +519,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         towards: args.towards,
         attack_actor: None,
         evade: args.evade.clone(),
+        region: args.region,
         evade_guard: args.evade_guard,
     };
     let attack = attack

@@ -93,6 +93,7 @@ pub fn sets(size: &EvaluationSize) -> Vec<Set> {
             iterations,
             towards: [Towards::Left, Towards::Right, Towards::Away][i as usize % 3],
             seed: scenario.seed,
+            ..AttackConfig::PAPER
         };
         let length = [5, 50, 100, MAX_STEPS][i as usize / 2 % 4];
         let mut rng = ChaCha8Rng::seed_from_u64(scenario.seed);

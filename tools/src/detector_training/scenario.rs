@@ -170,6 +170,7 @@ impl Scenario {
                 iterations,
                 towards,
                 seed,
+                ..AttackConfig::PAPER
             };
             let length = [3, 5, 10, 20, 50, 100, MAX_STEPS][rng.random_range(0..7)];
             Adversary::in_bursts(config, length, MAX_STEPS, &mut rng)
