@@ -7,7 +7,7 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::ExplainedHead;
-use vigil_policy::actor::{GOAL_INPUTS, PositionalInputs};
+use vigil_policy::actor::{PositionalInputs, WITH_MOVERS};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.
@@ -119,7 +119,7 @@ impl Monitor {
         } else {
             None
         };
-        let [distance, bearing] = of_position;
+        let [distance, bearing, told @ ..] = of_position;
         Judgement {
             verdict: match score {
                 None => Verdict::Unknown,
@@ -130,6 +130,7 @@ impl Monitor {
             image: of_state.iter().sum(),
             bearing,
             distance,
+            told: told.iter().sum(),
             base: self.base,
             phi: of_state,
         }
@@ -139,11 +140,11 @@ impl Monitor {
         &mut self,
         state: &[f32],
         position: &PositionalInputs,
-    ) -> Result<([f32; ROW], [f32; GOAL_INPUTS]), ShapError> {
+    ) -> Result<([f32; ROW], [f32; WITH_MOVERS]), ShapError> {
         self.shap.evaluate(&[state, position])?;
         self.shap.attribute(YAW, &mut self.phi)?;
         let (of_state, of_inputs) = self.phi.split_at_checked(self.width).unwrap_or_default();
-        let mut of_position = [0.0; GOAL_INPUTS];
+        let mut of_position = [0.0; WITH_MOVERS];
         for (to, from) in of_position.iter_mut().zip(of_inputs) {
             *to = *from;
         }

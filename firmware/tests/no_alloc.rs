@@ -80,16 +80,19 @@ fn an_encoder_of_bytes_allocates_nothing() {
     whole_flight(&config);
 }
 
+/// Weights of nobody's learning.
+fn made_up(spec: ActorSpec) -> Vec<f32> {
+    let len = spec.graph(Purpose::Gradients, false).unwrap().param_len();
+    (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 2000.0).collect()
+}
+
 #[test]
-fn an_actor_led_by_the_path_over_spread_frames_allocates_nothing() {
+fn an_actor_that_is_told_of_the_goal_alone_allocates_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("actor.safetensors");
     let actor = FrozenActor {
-        inputs: ActorInputs {
-            frame_ages: FRAMES_SPREAD,
-            led_by: LedBy::Path,
-            told_of_movers: false,
-        },
+        inputs: ActorInputs::default(),
+        params: made_up(ActorSpec::FULL),
         ..FrozenActor::built_in().unwrap()
     };
     actor.save(&file).unwrap();
@@ -104,17 +107,13 @@ fn an_actor_led_by_the_path_over_spread_frames_allocates_nothing() {
 fn an_actor_that_is_told_of_movers_allocates_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("actor.safetensors");
-    let len = ActorSpec::FULL_WITH_MOVERS
-        .graph(Purpose::Gradients, false)
-        .unwrap()
-        .param_len();
     let actor = FrozenActor {
         inputs: ActorInputs {
             frame_ages: FRAMES_SPREAD,
             led_by: LedBy::Path,
             told_of_movers: true,
         },
-        params: (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 2000.0).collect(),
+        params: made_up(ActorSpec::FULL_WITH_MOVERS),
         ..FrozenActor::built_in().unwrap()
     };
     actor.save(&file).unwrap();

@@ -66,7 +66,8 @@ def test_what_is_exported_gives_in_onnx_runtime_what_it_gives_here_and_comes_bac
         (exported / inputs.name).write_text(inputs.read_text())
     # And our own actor, with five frames of noise in front of it.
     draw = random.Random(1)
-    inputs = [[draw.random() for _ in range(5 * 128 * 256)], [0.8, -0.4]]
+    position = [0.8, -0.4] + [draw.uniform(-1.0, 1.0) for _ in range(14)]
+    inputs = [[draw.random() for _ in range(5 * 128 * 256)], position]
     (exported / "actor.inputs.json").write_text(json.dumps(inputs))
     done = vigil("export", "-o", exported / "actor.onnx", "--compute", exported / "actor.inputs.json")
     assert done.returncode == 0, done.stderr

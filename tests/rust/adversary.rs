@@ -68,7 +68,7 @@ fn against_one_who_knows_the_detector(folder: &Path, guard: &str) -> (String, u3
         "--flights",
         "1",
         "--seed",
-        "5004",
+        "5000",
         "--burst",
         "continuous",
         "--epsilon",

@@ -173,9 +173,12 @@ fn a_log_without_frames_says_so_and_shows_the_rest(log: &Path) {
         notes(&flight)
     );
     assert_eq!(flight["film_none"], "The log holds no depth frames.");
-    // In lockstep the referee ends the flight before guidance holds, and this copy does not know the outcome.
+    // This copy does not know the referee's word. In lockstep that can end the flight before guidance holds.
     let verdict = flight["verdict"]["text"].as_str().expect("a verdict");
-    assert!(verdict.contains("the log ends in guided"), "{verdict}");
+    assert!(
+        verdict == "The goal was reached." || verdict.contains("the log ends in guided"),
+        "{verdict}"
+    );
     assert!(
         flight["columns"]["detector_score"]
             .as_array()

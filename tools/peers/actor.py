@@ -25,6 +25,11 @@ class Actor:
     metadata: dict[str, str]
 
     @property
+    def positional_inputs(self) -> int:
+        """2 of the goal, and 14 more where the actor is told of movers."""
+        return self.weights["positional.weight"].shape[1]
+
+    @property
     def sha256(self) -> str:
         """The digest that the file holds."""
         return self.metadata["sha256"]
@@ -130,9 +135,10 @@ def pattern_frames(seed: int) -> np.ndarray:
     return (value.astype(np.float32) / np.float32(1024.0)).astype(np.float32)
 
 
-def pattern_position(seed: int) -> np.ndarray:
-    """A positional input to go with the pattern."""
-    return np.array([0.125 * (seed + 1), 0.25 * (seed - 2)], dtype=np.float32)
+def pattern_position(seed: int, inputs: int) -> np.ndarray:
+    """Positional inputs to go with the pattern: of the goal, and what an actor is told beside it."""
+    told = [0.125 * ((3 * i + seed) % 9 - 4) for i in range(2, inputs)]
+    return np.array([0.125 * (seed + 1), 0.25 * (seed - 2), *told], dtype=np.float32)
 
 
 def file_sha256(path: Path) -> str:

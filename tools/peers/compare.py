@@ -148,7 +148,7 @@ class Context:
     config: dict[str, float] = field(default_factory=dict)
 
     def state(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Frames [1, 5, 128, 256] and position [1, 2] of a state."""
+        """Frames [1, 5, 128, 256] and position [1, 2 or 16] of a state."""
         t = self.ours.tensors
         return torch.from_numpy(t["state_frames"][i : i + 1]), torch.from_numpy(t["state_position"][i : i + 1])
 

@@ -1,7 +1,7 @@
 """Turns a frozen actor into ONNX and checks the result with ONNX Runtime.
 
-Writes actor.onnx beside the actor (inputs `frames` [n, 5, 128, 256], range / 100 m, oldest first, and `position` [n, 2],
-distance / 20 m and bearing / 1 rad; output `action` [n, 2], forward speed and yaw in -1.5..1.5), and actor.onnx.json: what ONNX
+Writes actor.onnx beside the actor (inputs `frames` [n, 5, 128, 256], range / 100 m, oldest first, and `position` [n, 2] or [n, 16],
+distance / 20 m, bearing / 1 rad and what the actor is told of movers; output `action` [n, 2], forward speed and yaw in -1.5..1.5), and actor.onnx.json: what ONNX
 Runtime makes of five patterns. firmware/policy/tests/onnx.rs compares our own actor with that.
 
 Examples:
@@ -59,7 +59,7 @@ class Builder:
         self.add("Flatten", [x], features, axis=1)
 
     def behind(self, weights: dict[str, np.ndarray], sequence: str, position: str, action: str) -> None:
-        """`sequence` [5, n, 1024] and `position` [n, 2] to `action` [n, 2]."""
+        """`sequence` [5, n, 1024] and `position` [n, 2 or 16] to `action` [n, 2]."""
 
         def zrh(tensor: np.ndarray) -> np.ndarray:
             # PyTorch's gates r, z, n; ONNX's z, r, h.
@@ -109,7 +109,7 @@ def whole(actor: frozen.Actor) -> onnx.ModelProto:
     b.add("Reshape", ["features", by_state], "by_state")
     b.add("Transpose", ["by_state"], "sequence", perm=[1, 0, 2])
     b.behind(actor.weights, "sequence", "position", "action")
-    inputs = [("frames", ["n", FRAMES, frozen.ROWS, frozen.COLS]), ("position", ["n", 2])]
+    inputs = [("frames", ["n", FRAMES, frozen.ROWS, frozen.COLS]), ("position", ["n", actor.positional_inputs])]
     return b.model("actor", inputs, [("action", ["n", 2])], actor.metadata)
 
 
@@ -120,7 +120,7 @@ def newest_frame(actor: frozen.Actor) -> onnx.ModelProto:
     b.add("Concat", ["older", "features"], "five", axis=0)
     b.add("Unsqueeze", ["five", b.constant("axis_1", np.array([1], dtype=np.int64))], "sequence")
     b.behind(actor.weights, "sequence", "position", "action")
-    inputs = [("frame", [1, 1, frozen.ROWS, frozen.COLS]), ("older", [FRAMES - 1, FEATURES]), ("position", [1, 2])]
+    inputs = [("frame", [1, 1, frozen.ROWS, frozen.COLS]), ("older", [FRAMES - 1, FEATURES]), ("position", [1, actor.positional_inputs])]
     return b.model("actor, newest frame", inputs, [("action", [1, 2]), ("features", [1, FEATURES])], actor.metadata)
 
 
@@ -141,7 +141,7 @@ def main() -> None:
     to = path.with_suffix(".onnx")
     to.write_bytes(model.SerializeToString())
     frames = np.stack([frozen.pattern_frames(seed) for seed in range(PATTERNS)])
-    positions = np.stack([frozen.pattern_position(seed) for seed in range(PATTERNS)])
+    positions = np.stack([frozen.pattern_position(seed, actor.positional_inputs) for seed in range(PATTERNS)])
     (actions,) = session(model).run(["action"], {"frames": frames, "position": positions})
     if not np.isfinite(actions).all():
         raise SystemExit("ONNX Runtime's outputs are not finite")

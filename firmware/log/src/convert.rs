@@ -351,6 +351,7 @@ fn judgement_to_proto(judgement: &Judgement) -> proto::Judgement {
         image,
         bearing,
         distance,
+        told,
         base,
         phi,
     } = judgement;
@@ -360,6 +361,7 @@ fn judgement_to_proto(judgement: &Judgement) -> proto::Judgement {
         image: Some(*image),
         bearing: Some(*bearing),
         distance: Some(*distance),
+        told: Some(*told),
         base: Some(*base),
         phi: phi.to_vec(),
     }
@@ -372,6 +374,8 @@ fn judgement_from_proto(judgement: &proto::Judgement) -> Result<Judgement, Recor
         image: need(judgement.image, "report.judgement.image")?,
         bearing: need(judgement.bearing, "report.judgement.bearing")?,
         distance: need(judgement.distance, "report.judgement.distance")?,
+        // Logs from before actors were told of more than the goal do not have it.
+        told: judgement.told.unwrap_or(0.0),
         base: need(judgement.base, "report.judgement.base")?,
         phi: judgement
             .phi

@@ -262,10 +262,11 @@ pub(crate) fn status(record: &TickRecord, threshold: Option<f32>) -> Status {
         contribution_image: number(report.judgement.map(|j| j.image)),
         contribution_bearing: number(report.judgement.map(|j| j.bearing)),
         contribution_distance: number(report.judgement.map(|j| j.distance)),
+        contribution_told: number(report.judgement.map(|j| j.told)),
         alarm: report.alarm.map_or("", |alarm| alarm.cause.name()).to_owned(),
         alarm_response: number(report.alarm.map(|alarm| f32::from(alarm.response as u8))),
         detector_threshold: number(threshold),
-        actor_yaw: number(report.judgement.map(|j| j.base + j.image + j.bearing + j.distance)),
+        actor_yaw: number(report.judgement.map(|j| j.yaw())),
     }
 }
 

@@ -80,7 +80,7 @@ fn named(now_ns: Nanos, name: &str, value: f32) -> MavMessage {
     })
 }
 
-/// Bits of the reasons that a float holds exactly.
+/// Bits of the reasons that a float holds exactly; two floats hold all of them.
 const REASON_BITS: u32 = 24;
 
 /// State and reasons: what is sent at once when it changes. The reasons beyond the bits that a float holds are told apart,
@@ -117,6 +117,7 @@ pub(crate) fn judgement_values(report: &StepReport) -> impl Iterator<Item = MavM
                 ("dt_img", Some(j.image)),
                 ("dt_bear", Some(j.bearing)),
                 ("dt_dist", Some(j.distance)),
+                ("dt_told", Some(j.told)),
             ]
         })
         .into_iter()

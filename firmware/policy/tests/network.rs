@@ -12,7 +12,7 @@ use scene::{Scene, block, column};
 use torch::{SPEC, Tensors, actor_params};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{Actor, ActorSpec, FRAMES_IN_A_ROW, FRAMES_SPREAD};
+use vigil_policy::actor::{Actor, ActorSpec, FRAMES_IN_A_ROW, FRAMES_SPREAD, PositionalInputs};
 use vigil_types::{Attitude, DepthFrame, Encoder, NedVector};
 
 const FRAME: usize = 128 * 256;
@@ -245,7 +245,7 @@ fn with_an_encoder_of_bytes_the_actor_decides_nearly_the_same_on_every_instructi
             0,
             &mut frame,
         );
-        let position = [1.0 - 0.05 * north_m, -0.1];
+        let position = PositionalInputs::at_rest([1.0 - 0.05 * north_m, -0.1], frozen.inputs);
         let want = exact.decide(&frame.depth, position).unwrap();
         let mut features = None;
         for actor in &mut coarse {

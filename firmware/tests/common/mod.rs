@@ -15,6 +15,8 @@ use vigil_mavlink::common::{
     MavType, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_mavlink::framing::{self, FramingCounters};
+use vigil_policy::actor::PositionalInputs;
+use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, EngagePolicy, Nanos, NedVector, PilotKind,
     STEP_NS, STEP_S, column_bearing_rad, row_elevation_rad,
@@ -86,14 +88,20 @@ pub fn config() -> FirmwareConfig {
 
 /// A detector of the actor built in whose score is always 0.5: what the verdict is, a test chooses by the threshold.
 pub fn undecided_detector() -> FrozenDetector {
+    let actor = FrozenActor::built_in().unwrap();
     let lengths = LstmAd::tensors()
         .into_iter()
         .map(|(_, shape)| shape.iter().product::<usize>());
     FrozenDetector {
-        of: Of::Actor,
-        actor_sha256: vigil_policy::FrozenActor::built_in().unwrap().sha256(),
+        of: Of::pilot(&FrozenPilot::Actor(actor.clone())),
+        actor_sha256: actor.sha256(),
         backgrounds: (0..30)
-            .map(|i| (vec![0.03 * i as f32 - 0.4; 48], [0.5, 0.1].into()))
+            .map(|i| {
+                (
+                    vec![0.03 * i as f32 - 0.4; 48],
+                    PositionalInputs::at_rest([0.5, 0.1], actor.inputs),
+                )
+            })
             .collect(),
         centre: [0.0; 48],
         scale: [1.0; 48],

@@ -32,7 +32,7 @@ impl Verdict {
 }
 
 /// One step's judgement: the explanation of the actor's yaw output (DeepSHAP, action units) and the verdict on the last
-/// explanations. `base + image + bearing + distance` is the actor's yaw output, but for rounding.
+/// explanations; [`Judgement::yaw`] puts it together again.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Judgement {
     /// The verdict.
@@ -45,6 +45,9 @@ pub struct Judgement {
     pub bearing: f32,
     /// Contribution of the goal's distance. NaN without an explanation.
     pub distance: f32,
+    /// Contribution of what the actor is told beside the goal: its own velocity and the movers near it. 0 for one that is told of the goal
+    /// alone, NaN without an explanation.
+    pub told: f32,
     /// Mean yaw output of the background sample.
     pub base: f32,
     /// Contribution of each value at the actor's split point. NaN without an explanation.
@@ -59,9 +62,15 @@ impl Judgement {
         image: f32::NAN,
         bearing: f32::NAN,
         distance: f32::NAN,
+        told: f32::NAN,
         base: f32::NAN,
         phi: [f32::NAN; EXPLAINED_STATE],
     };
+
+    /// The sum of base and contributions: the actor's yaw output, but for rounding. NaN without an explanation.
+    pub fn yaw(&self) -> f32 {
+        self.base + self.image + self.bearing + self.distance + self.told
+    }
 }
 
 /// Why the alarm is raised.

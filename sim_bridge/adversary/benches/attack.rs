@@ -4,7 +4,7 @@ use divan::Bencher;
 use vigil_adversary::{AttackConfig, StateAttack, StreamAttack};
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_FRAMES, ActorSpec};
+use vigil_policy::actor::{ACTOR_FRAMES, ActorSpec, PositionalInputs};
 
 fn main() {
     divan::main();
@@ -21,19 +21,23 @@ fn frames(count: usize) -> Vec<f32> {
 /// The paper's attack on a whole state: 20 iterations over five frames.
 #[divan::bench(sample_count = 10, sample_size = 1)]
 fn state_20_iterations(bencher: Bencher) {
-    let params = FrozenActor::built_in().unwrap().params;
-    let mut attack = StateAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
-    bencher
-        .with_inputs(|| frames(ACTOR_FRAMES))
-        .bench_local_refs(|frames| attack.attack(frames, [0.5, 0.1]).unwrap());
+    let actor = FrozenActor::built_in().unwrap();
+    let mut attack = StateAttack::new(Isa::detect(), &actor, &AttackConfig::PAPER).unwrap();
+    bencher.with_inputs(|| frames(ACTOR_FRAMES)).bench_local_refs(|frames| {
+        attack
+            .attack(frames, PositionalInputs::at_rest([0.5, 0.1], actor.inputs))
+            .unwrap()
+    });
 }
 
 /// The same on a frame as it passes.
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn stream_20_iterations(bencher: Bencher) {
-    let params = FrozenActor::built_in().unwrap().params;
-    let mut attack = StreamAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
-    bencher
-        .with_inputs(|| frames(1))
-        .bench_local_refs(|frame| attack.attack(frame, [0.5, 0.1]).unwrap());
+    let actor = FrozenActor::built_in().unwrap();
+    let mut attack = StreamAttack::new(Isa::detect(), &actor, &AttackConfig::PAPER).unwrap();
+    bencher.with_inputs(|| frames(1)).bench_local_refs(|frame| {
+        attack
+            .attack(frame, PositionalInputs::at_rest([0.5, 0.1], actor.inputs))
+            .unwrap()
+    });
 }

@@ -148,6 +148,12 @@ impl AttackConfig {
         }
     }
 
+    /// What no pixel is brought nearer than, as a normalised range: who moves regions so that they look like surfaces does not make a sensor
+    /// look blind either, as ranges of 0 would.
+    pub(crate) fn floor(&self) -> f32 {
+        if self.region_pixels > 1 { REGION_FLOOR } else { 0.0 }
+    }
+
     pub(crate) fn check(&self) -> Result<(), AttackError> {
         if !(self.epsilon_255 > 0.0 && self.epsilon_255 <= 255.0) {
             return Err(AttackError::Epsilon {
@@ -163,6 +169,9 @@ impl AttackConfig {
         Ok(())
     }
 }
+
+/// [`AttackConfig::floor`] of attacks that move regions: 0.5 m.
+const REGION_FLOOR: f32 = 0.005;
 
 /// The frame's pixels over the patch's.
 pub(crate) const PATCH_GAIN: f32 = 32.0;

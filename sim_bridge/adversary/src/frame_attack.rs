@@ -29,10 +29,7 @@ impl FrameAttack {
     /// A configuration out of range, parameters of another length.
     pub fn on(pilot: &FrozenPilot, isa: Isa, config: &AttackConfig) -> Result<Self, AttackError> {
         Ok(match pilot {
-            FrozenPilot::Actor(actor) => Self::Actor(
-                StreamAttack::on(actor.inputs.spec(), isa, &actor.params, config)?
-                    .with_frame_ages(actor.inputs.frame_ages),
-            ),
+            FrozenPilot::Actor(actor) => Self::Actor(StreamAttack::new(isa, actor, config)?),
             FrozenPilot::Imported(policy) => Self::Policy(PolicyAttack::new(isa, policy, config)?),
         })
     }

@@ -8,13 +8,14 @@
 //! use vigil_adversary::{AttackConfig, StreamAttack};
 //! use vigil_nnet::Isa;
 //! use vigil_policy::FrozenActor;
+//! use vigil_policy::actor::PositionalInputs;
 //! use vigil_types::DEPTH_PIXELS;
 //!
 //! let actor = FrozenActor::built_in()?;
 //! let config = AttackConfig { iterations: 2, ..AttackConfig::PAPER };
-//! let mut adversary = StreamAttack::new(Isa::detect(), &actor.params, &config)?;
+//! let mut adversary = StreamAttack::new(Isa::detect(), &actor, &config)?;
 //! let mut frame = vec![0.2; DEPTH_PIXELS]; // a wall at 20 m all around
-//! adversary.attack(&mut frame, [1.0, 0.0])?;
+//! adversary.attack(&mut frame, PositionalInputs::at_rest([1.0, 0.0], actor.inputs))?;
 //! let most = frame.iter().map(|range| (range - 0.2).abs()).fold(0.0, f32::max);
 //! assert!(most > 0.0 && most <= 2.0 / 255.0 + 1e-6, "two iterations of 1/255: {most}");
 //! # Ok::<(), Box<dyn std::error::Error>>(())

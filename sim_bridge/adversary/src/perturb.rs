@@ -215,12 +215,14 @@ impl Perturber {
         }
     }
 
-    /// `x − step · sign(g)`, within `reach` of the clean pixel and 0..=1.
+    /// `x − step · sign(g)`, within `reach` of the clean pixel and 0..=1, and not nearer than [`AttackConfig::floor`] if it was not already.
     fn along_sign(&self, frames: &mut [f32], step: f32, reach: f32) {
+        let floor = self.config.floor();
         for ((x, g), clean) in frames.iter_mut().zip(&self.gradient).zip(&self.clean) {
             let sign = if *g > 0.0 { step } else { 0.0 } - if *g < 0.0 { step } else { 0.0 };
             // Not `clamp`: its check of the bounds keeps the compiler from vectors.
-            *x = (*x - sign).max((clean - reach).max(0.0)).min((clean + reach).min(1.0));
+            let least = (clean - reach).max(floor.min(*clean));
+            *x = (*x - sign).max(least).min((clean + reach).min(1.0));
         }
     }
 

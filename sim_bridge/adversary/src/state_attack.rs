@@ -4,6 +4,7 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::perturb::{Perturber, Scene, limit, saturate};
 use crate::surrogate::{Ends, Surrogate, SurrogateActor};
 use vigil_nnet::{Isa, ShapeError};
+use vigil_policy::FrozenActor;
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, ActorSpec, PositionalInputs};
 
 /// Alters whole states. Not possible in flight, where the older four frames have been delivered ([`crate::StreamAttack`]).
@@ -18,12 +19,12 @@ pub struct StateAttack {
 const NOTHING_OLDER: [f32; ACTOR_HIDDEN] = [0.0; ACTOR_HIDDEN];
 
 impl StateAttack {
-    /// An attack on the actor with these parameters (`[ActorSpec::FULL.param_len()]`, as in its file). Allocates; attacking does not.
+    /// An attack by one who has this actor's weights. Allocates; attacking does not.
     ///
     /// # Errors
-    /// A configuration out of range, parameters of another actor.
-    pub fn new(isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
-        Self::on(ActorSpec::FULL, isa, params, config)
+    /// A configuration out of range, parameters of another length.
+    pub fn new(isa: Isa, actor: &FrozenActor, config: &AttackConfig) -> Result<Self, AttackError> {
+        Self::on(actor.inputs.spec(), isa, &actor.params, config)
     }
 
     /// The same for an actor of other dimensions.

@@ -6,6 +6,7 @@ use crate::perturb::{Perturber, Scene, before_saturation, limit};
 use crate::surrogate::{Surrogate, SurrogateActor};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::{Graph, GraphBuilder, Isa, NodeId, Purpose, ShapeError};
+use vigil_policy::FrozenActor;
 use vigil_policy::actor::{
     ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, ActorSpec, FRAMES_IN_A_ROW, PositionalInputs,
 };
@@ -31,13 +32,14 @@ pub struct StreamAttack {
 }
 
 impl StreamAttack {
-    /// An attack on the actor with these parameters (`[ActorSpec::FULL.param_len()]`, as in its file). Allocates; attacking and
+    /// An attack by one who has this actor's weights. Allocates; attacking and
     /// passing do not.
     ///
     /// # Errors
-    /// A configuration out of range, parameters of another actor.
-    pub fn new(isa: Isa, params: &[f32], config: &AttackConfig) -> Result<Self, AttackError> {
-        Self::on(ActorSpec::FULL, isa, params, config)
+    /// A configuration out of range, parameters of another length.
+    pub fn new(isa: Isa, actor: &FrozenActor, config: &AttackConfig) -> Result<Self, AttackError> {
+        let attack = Self::on(actor.inputs.spec(), isa, &actor.params, config)?;
+        Ok(attack.with_frame_ages(actor.inputs.frame_ages))
     }
 
     /// The same for an actor of other dimensions.
@@ -353,7 +355,7 @@ impl Memory {
 mod tests {
     use super::*;
     use crate::config::Towards;
-    use vigil_policy::FrozenActor;
+    use vigil_policy::actor::PositionalInputs;
     use vigil_types::DEPTH_PIXELS;
 
     #[test]
@@ -363,11 +365,12 @@ mod tests {
             towards: Towards::Right,
             ..AttackConfig::PAPER
         };
+        let position = PositionalInputs::at_rest([1.0, 0.0], actor.inputs);
         let attacked = |bounds: Option<(f32, f32)>| {
-            let mut adversary = StreamAttack::new(Isa::detect(), &actor.params, &config).unwrap();
+            let mut adversary = StreamAttack::new(Isa::detect(), &actor, &config).unwrap();
             adversary.keep_yaw_within(bounds);
             // A wall at 8 m; all five frames are altered.
-            let last = (0..8).map(|_| adversary.attack(&mut vec![0.08; DEPTH_PIXELS], [1.0, 0.0]).unwrap());
+            let last = (0..8).map(|_| adversary.attack(&mut vec![0.08; DEPTH_PIXELS], position).unwrap());
             last.last().unwrap().attacked[1]
         };
         assert!(attacked(None) > 1.4, "{}", attacked(None));

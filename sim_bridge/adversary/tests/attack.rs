@@ -7,7 +7,9 @@ use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
 use vigil_adversary::{AttackConfig, AttackError, Method, StateAttack, StreamAttack, Towards};
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, FRAMES_IN_A_ROW};
+use vigil_policy::actor::{
+    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, Actor, ActorSpec, FRAMES_IN_A_ROW, PositionalInputs,
+};
 use vigil_policy::{ExplainedHead, FrozenActor};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
 
@@ -232,17 +234,18 @@ fn scene(pillar_at_rad: f32, pillar_m: f32) -> Vec<f32> {
 
 #[test]
 fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
-    let params = FrozenActor::built_in().unwrap().params;
+    let actor = FrozenActor::built_in().unwrap();
+    let position = PositionalInputs::at_rest([0.6, 0.2], actor.inputs);
     let yaw_changes = |method| {
         let told = AttackConfig {
             method,
             ..AttackConfig::PAPER
         };
-        let mut attack = StateAttack::new(Isa::detect(), &params, &told).unwrap();
+        let mut attack = StateAttack::new(Isa::detect(), &actor, &told).unwrap();
         let mut changes = Vec::new();
         for (i, at) in [-0.4, -0.1, 0.2, 0.5].into_iter().enumerate() {
             let mut frames = scene(at, 2.0 + 0.3 * i as f32).repeat(ACTOR_FRAMES);
-            let outcome = attack.attack(&mut frames, [0.6, 0.2]).unwrap();
+            let outcome = attack.attack(&mut frames, position).unwrap();
             changes.push(outcome.yaw_change().abs());
         }
         changes.iter().sum::<f32>() / changes.len() as f32
@@ -255,24 +258,31 @@ fn the_attack_bends_the_built_in_actor_far_and_noise_of_its_size_does_not() {
 #[test]
 fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
     const SIDE: usize = 8;
-    let params = FrozenActor::built_in().unwrap().params;
+    let actor = FrozenActor::built_in().unwrap();
     let told = AttackConfig {
         region_pixels: SIDE as u32,
         ..AttackConfig::PAPER
     };
     let clean = scene(0.2, 4.0);
+    let position = PositionalInputs::at_rest([0.6, 0.2], actor.inputs);
     let alter = |config: &AttackConfig| {
-        let mut attack = StateAttack::new(Isa::detect(), &params, config).unwrap();
+        let mut attack = StateAttack::new(Isa::detect(), &actor, config).unwrap();
         let mut frames = clean.repeat(ACTOR_FRAMES);
-        (attack.attack(&mut frames, [0.6, 0.2]).unwrap(), frames)
+        (attack.attack(&mut frames, position).unwrap(), frames)
     };
-    let (outcome, _) = alter(&told);
+    let (outcome, frames) = alter(&told);
     assert!(outcome.is_effective(), "{outcome:?}");
+    let nearest = |of: &[f32]| of.iter().copied().fold(f32::INFINITY, f32::min);
+    assert!(
+        nearest(&frames) >= 0.005,
+        "ranges of 0 would make the sensor look blind"
+    );
+    assert!(nearest(&frames) < nearest(&clean));
     // One step, so that no pixel comes to an end of the range and stays behind.
     let (_, frames) = alter(&AttackConfig { iterations: 1, ..told });
     for frame in frames.chunks_exact(clean.len()) {
         let moved: Vec<f32> = frame.iter().zip(&clean).map(|(x, c)| x - c).collect();
-        let within = |i: usize| 0.0 < frame[i] && frame[i] < 1.0;
+        let within = |i: usize| 0.005 < frame[i] && frame[i] < 1.0;
         let (mut apart, mut moves) = (0, 0);
         for (i, by) in moved.iter().enumerate() {
             let (row, col) = (i / DEPTH_COLS, i % DEPTH_COLS);
@@ -288,7 +298,7 @@ fn pixels_of_a_region_move_together_and_the_actor_is_bent_all_the_same() {
         ..told
     };
     assert!(matches!(
-        StateAttack::new(Isa::detect(), &params, &none),
+        StateAttack::new(Isa::detect(), &actor, &none),
         Err(AttackError::Region)
     ));
 }
@@ -342,13 +352,14 @@ fn the_streaming_attacker_knows_to_the_bit_what_the_actor_decides() {
 
 #[test]
 fn a_burst_keeps_its_direction_though_the_clean_decision_changes_sides() {
-    let params = FrozenActor::built_in().unwrap().params;
-    let mut attack = StreamAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
+    let actor = FrozenActor::built_in().unwrap();
+    let mut attack = StreamAttack::new(Isa::detect(), &actor, &AttackConfig::PAPER).unwrap();
     // The goal moves from one side to the other, and the clean decision with it.
     let outcomes: Vec<_> = (0..12)
         .map(|step| {
             let bearing = if step < 6 { -1.2 } else { 1.2 };
-            attack.attack(&mut scene(3.0, 5.0), [0.6, bearing]).unwrap()
+            let position = PositionalInputs::at_rest([0.6, bearing], actor.inputs);
+            attack.attack(&mut scene(3.0, 5.0), position).unwrap()
         })
         .collect();
     let (first, last) = (outcomes.first().unwrap(), outcomes.last().unwrap());

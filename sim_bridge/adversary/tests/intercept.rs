@@ -5,7 +5,6 @@ use vigil_adversary::{
     goal_seen_from,
 };
 use vigil_nnet::Isa;
-use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{ActorInputs, ActorPilot, FrozenActor, LedBy, Pilot, PilotInput, RecoveryPilot};
 use vigil_types::{Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector};
 
@@ -55,14 +54,14 @@ fn burst_lengths_are_read_from_the_command_line() {
 
 #[test]
 fn an_altered_frame_passes_every_check_of_the_receiver_and_only_its_pixels_differ() {
-    let params = FrozenActor::built_in().unwrap().params;
+    let actor = FrozenActor::built_in().unwrap();
     let told = AttackConfig {
         iterations: 2,
         ..AttackConfig::PAPER
     };
-    let attack = StreamAttack::new(Isa::detect(), &params, &told).unwrap();
+    let attack = StreamAttack::new(Isa::detect(), &actor, &told).unwrap();
     let goal = NedVector::new(20.0, 5.0, -1.5);
-    let mut interceptor = Interceptor::new(attack, BurstPlan::new(Burst::Steps(5), 3), goal);
+    let mut interceptor = Interceptor::new(attack, BurstPlan::new(Burst::Steps(5), 3), goal).with_inputs(actor.inputs);
     for step in 0..SINGLE_BURST_LAST + 10 {
         let mut frame = DepthFrame::EMPTY;
         frame.header.sensor_id = 1;
@@ -113,16 +112,16 @@ fn the_goal_is_seen_as_the_pilot_sees_it() {
 
 #[test]
 fn the_adversary_knows_where_the_planned_path_leads_the_actor() {
-    let params = FrozenActor::built_in().unwrap().params;
-    let attack = StreamAttack::new(Isa::detect(), &params, &AttackConfig::PAPER).unwrap();
+    let actor = FrozenActor::built_in().unwrap();
+    let attack = StreamAttack::new(Isa::detect(), &actor, &AttackConfig::PAPER).unwrap();
     let goal = NedVector::new(9.0, -1.0, -1.5);
     let decided = |by: LedBy| {
         let mut interceptor =
             Interceptor::new(attack.clone(), BurstPlan::new(Burst::Continuous, 1), goal).with_inputs(ActorInputs {
                 led_by: by,
-                ..ActorInputs::default()
+                ..actor.inputs
             });
-        let mut pilot = ActorPilot::new(Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap(), false);
+        let mut pilot = ActorPilot::new(actor.actor(Isa::detect()).unwrap(), false);
         let mut planner = Box::<RecoveryPilot>::default();
         let mut frame = DepthFrame::EMPTY;
         frame.header.position_ned_m = NedVector::new(0.0, 0.0, -1.5);

@@ -16,20 +16,22 @@ VIGIL = TOP / "target" / "release" / "vigil"
 
 @pytest.fixture(scope="session")
 def flown():
-    """A flight's first 40 steps by the built-in actor: frames `[40, 5, 128, 256]`, goals, states and actions."""
+    """A flight's first 40 steps by the built-in actor: frames `[40, 5, 128, 256]`, goals, positions, states and actions."""
     from vigil.policy import Actor
 
-    env, actor = vigil.gym.VigilEnv("validation"), Actor()
+    actor = Actor()
+    env = vigil.gym.VigilEnv("validation", actor=actor)
     observation, _ = env.reset(options={"course_seed": 7})
-    frames, goals, states, actions = [], [], [], []
+    frames, goals, positions, states, actions = [], [], [], [], []
     for _ in range(40):
-        action = actor.decide(observation["frames"][-1], observation["goal"])
+        action = actor.decide(observation["frames"][-1], observation["position"])
         frames.append(observation["frames"])
         goals.append(observation["goal"])
+        positions.append(observation["position"])
         states.append(actor.state())
         actions.append(action)
         observation, *_ = env.step(action)
-    return np.stack(frames), np.stack(goals), np.stack(states), actions
+    return np.stack(frames), np.stack(goals), np.stack(positions), np.stack(states), actions
 
 
 @pytest.fixture(scope="session")

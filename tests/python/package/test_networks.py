@@ -13,68 +13,68 @@ from vigil.policy import Actor, Policy
 
 
 def test_contributions_and_base_add_up_to_the_decision(flown):
-    frames, goals, states, actions = flown
+    frames, _, positions, states, actions = flown
     explain = SplitPoint(Actor())
     for output in (FORWARD, YAW):
         for i in range(5, 40, 7):
-            found = explain.explain(states[i], goals[i], output)
+            found = explain.explain(states[i], positions[i], output)
             assert found.phi.shape == (48,)
             assert found.output == pytest.approx(actions[i][output], abs=1e-5)
-            total = found.base + found.phi.sum() + found.bearing + found.distance
+            total = found.base + found.phi.sum() + found.bearing + found.distance + found.told
             assert total == pytest.approx(found.output, abs=2e-5)
 
 
 def test_pixels_add_up_to_the_decision_as_well(flown):
-    frames, goals, states, actions = flown
-    found = Pixels(Actor(), (frames[:12:4], goals[:12:4])).explain(frames[30], goals[30])
+    frames, _, positions, states, actions = flown
+    found = Pixels(Actor(), (frames[:12:4], positions[:12:4])).explain(frames[30], positions[30])
     assert found.phi.shape == (5, 128, 256)
     assert found.output == pytest.approx(actions[30].yaw, abs=1e-4)
-    total = found.base + found.phi.sum(dtype=np.float64) + found.bearing + found.distance
+    total = found.base + found.phi.sum(dtype=np.float64) + found.bearing + found.distance + found.told
     assert total == pytest.approx(found.output, abs=5e-5)
     assert np.abs(found.phi).max() > 1e-5
 
 
 def test_the_monitor_says_what_explainer_and_detector_say(flown):
-    frames, goals, states, actions = flown
+    frames, _, positions, states, actions = flown
     actor, detector = Actor(), Detector()
     monitor, explain = Monitor(actor, detector), SplitPoint(actor)
-    judged = [monitor.judge(state, goal) for state, goal in zip(states, goals)]
-    phi = np.stack([explain.explain(state, goal).phi for state, goal in zip(states, goals)])
+    judged = [monitor.judge(state, position) for state, position in zip(states, positions)]
+    phi = np.stack([explain.explain(state, position).phi for state, position in zip(states, positions)])
     np.testing.assert_array_equal(phi, np.stack([j.phi for j in judged]))
     scores = detector.scores(phi)
     assert np.isnan(scores[:9]).all() and [j.score for j in judged[:9]] == [None] * 9
     np.testing.assert_array_equal(scores[9:], np.array([j.score for j in judged[9:]], np.float32))
     assert all(j.attacked is False for j in judged[9:])
     monitor.reset()
-    assert monitor.judge(states[0], goals[0]).attacked is None
+    assert monitor.judge(states[0], positions[0]).attacked is None
 
 
 def test_an_attack_in_flight_is_noticed(flown):
-    frames, goals, states, _ = flown
+    frames, _, positions, states, _ = flown
     actor = Actor()
     monitor, adversary = Monitor(actor), FrameAttack(actor)
     changes, verdicts = [], []
-    for i, (stack, goal) in enumerate(zip(frames, goals)):
+    for i, (stack, position) in enumerate(zip(frames, positions)):
         frame = stack[-1]
         if i < 20:
-            adversary.pass_on(frame, goal)
+            adversary.pass_on(frame, position)
         else:
-            found = adversary.attack(frame, goal)
+            found = adversary.attack(frame, position)
             changes.append(abs(found.yaw_change))
             assert np.abs(found.frames - frame).max() <= 20 * 100.0 / 255.0 + 1e-3
             frame = found.frames
-        decided = actor.decide(frame, goal)
+        decided = actor.decide(frame, position)
         if i >= 20:
             assert decided.yaw == pytest.approx(found.attacked.yaw, abs=1e-4)
-        verdicts.append(monitor.judge(actor.state(), goal).attacked)
+        verdicts.append(monitor.judge(actor.state(), position).attacked)
     assert max(changes) > 0.5
     assert True not in verdicts[:20] and True in verdicts[20:]
 
 
 @pytest.mark.parametrize("method", ["fgsm", "bim-clipped", "bim-accumulating", "pgd"])
 def test_a_state_is_attacked_within_its_bounds(flown, method):
-    frames, goals, _, actions = flown
-    found = StateAttack(Actor(), method, epsilon=2.0, iterations=5).attack(frames[30], goals[30])
+    frames, _, positions, _, actions = flown
+    found = StateAttack(Actor(), method, epsilon=2.0, iterations=5).attack(frames[30], positions[30])
     reach = 2.0 * 100.0 / 255.0 * (5 if method == "bim-accumulating" else 1)
     moved = np.abs(found.frames - frames[30]).max()
     assert 0.1 < moved <= reach + 1e-3
@@ -86,7 +86,7 @@ def test_a_state_is_attacked_within_its_bounds(flown, method):
 
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last", "gru"])
 def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(flown, policies, name):
-    frames, goals, _, _ = flown
+    frames, goals, _, _, _ = flown
     policy = Policy(policies[name])
     rows, columns, channels = policy.frame_shape
     for stack, goal in zip(frames[20:26], goals[20:26]):
@@ -108,7 +108,7 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
     found = PolicyPixels(policy, usual).explain(own, goal)
     assert found.phi.shape == own.shape
     assert found.output == pytest.approx(outputs[1], abs=1e-5)
-    assert found.base + found.phi.sum() + found.bearing + found.distance == pytest.approx(found.output, abs=5e-5)
+    assert found.base + found.phi.sum() + found.bearing + found.distance + found.told == pytest.approx(found.output, abs=5e-5)
     assert (found.bearing != 0.0) == policy.native.has_position
 
     for method in PolicyAttack.METHODS:
@@ -120,7 +120,7 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
 
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last"])
 def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_frame(flown, policies, tmp_path, name):
-    frames, goals, _, _ = flown
+    frames, goals, _, _, _ = flown
     policy = Policy(policies[name])
     with pytest.raises(ValueError, match="nothing was decided yet"):
         policy.state()
@@ -148,7 +148,7 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
     explained = [explain.explain(state, goal) for state, goal in zip(states, goals)]
     for found, action in zip(explained, actions):
         assert np.clip(found.output, -1.5, 1.5) == pytest.approx(action.yaw, abs=1e-4)
-        assert found.base + found.phi.sum() + found.bearing + found.distance == pytest.approx(found.output, abs=1e-4)
+        assert found.base + found.phi.sum() + found.bearing + found.distance + found.told == pytest.approx(found.output, abs=1e-4)
 
     # A detector of it, written from Python, judges what the network gives for the explanations of the tick.
     random = np.random.default_rng(3)
@@ -171,19 +171,19 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
 
 
 def test_an_actor_written_from_python_decides_as_the_program_does(flown, tmp_path):
-    frames, goals, _, actions = flown
+    frames, _, positions, _, actions = flown
     built_in = Actor()
     tensors = built_in.tensors()
     same = policy_module.freeze(tmp_path / "same.safetensors", tensors, seed=3, training_config="rate = 0.1")
     again = Actor(tmp_path / "same.safetensors")
     assert again.sha256 == same != built_in.sha256
-    assert again.decide(frames[0][-1], goals[0]) == actions[0]
+    assert again.decide(frames[0][-1], positions[0]) == actions[0]
     # Its yaw's weights the other way round.
     tensors["output.weight"][:, 1] *= -1.0
     tensors["output.bias"][1] *= -1.0
     file = tmp_path / "mirrored.safetensors"
     digest = policy_module.freeze(file, tensors)
-    mirrored = Actor(file).decide(frames[0][-1], goals[0])
+    mirrored = Actor(file).decide(frames[0][-1], positions[0])
     assert mirrored.yaw == pytest.approx(-actions[0].yaw, abs=1e-6)
     assert digest == Actor(file).sha256
     assert len(completion(seeds=[7], actor=file, detector=False, threads=1).flights) == 1, "it flies"
@@ -222,8 +222,8 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
 
 
 def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
-    frames, goals, states, _ = flown
-    actor, frame, goal = Actor(), frames[0][-1], goals[0]
+    frames, _, positions, states, _ = flown
+    actor, frame, position = Actor(), frames[0][-1], positions[0]
     bad = frame.copy()
     bad[3, 4] = np.nan
     for given, error, said in [
@@ -234,15 +234,15 @@ def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
         (-frame, ValueError, "frame: ranges are 0 to 100 m"),
     ]:
         with pytest.raises(error, match=said):
-            actor.decide(given, goal)
-    with pytest.raises(ValueError, match=r"goal: expected shape \(2,\)"):
+            actor.decide(given, position)
+    with pytest.raises(ValueError, match=r"goal: expected shape \(2,\) or \(16,\)"):
         actor.decide(frame, [1.0])
     with pytest.raises(ValueError, match="a distance of 0 m or more"):
         actor.decide(frame, [-1.0, 0.0])
     with pytest.raises(ValueError, match=r"state: expected shape \(48,\)"):
-        Monitor(actor).judge(states[0][:47], goal)
+        Monitor(actor).judge(states[0][:47], position)
     with pytest.raises(ValueError, match="output: 0"):
-        SplitPoint(actor).explain(states[0], goal, output=2)
+        SplitPoint(actor).explain(states[0], position, output=2)
     with pytest.raises(ValueError, match="empty"):
         SplitPoint(actor, (np.empty((0, 48), np.float32), []))
     with pytest.raises(ValueError, match="is none of fgsm"):

@@ -2,7 +2,7 @@
 
 use crate::record::Record;
 use crate::states::{State, watch};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
@@ -13,7 +13,7 @@ use vigil_detector::Background;
 use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ActorSpec};
+use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN};
 use vigil_tools::actor_training::{Example, KeptState, Rehearsal, TrainConfig};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
@@ -56,7 +56,7 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
     };
     let mut pilot = frozen.actor(isa)?;
     let flights = (FIRST_COURSE..FIRST_COURSE + COURSES)
-        .map(|seed| watch(&mut pilot, seed))
+        .map(|seed| watch(&mut pilot, frozen.inputs, seed))
         .collect::<Result<Vec<_>>>()?;
     // One state of each flight as background, one for results, pairs of neighbours as transitions.
     let nth = |n: usize| flights.iter().filter_map(move |f| f.get(n));
@@ -96,8 +96,8 @@ fn record_states(record: &mut Record, name: &str, states: &[State]) {
     record.floats(&format!("{name}_frames"), &image, states.iter().flat_map(|s| &s.frames));
     record.floats(
         &format!("{name}_position"),
-        &[2],
-        states.iter().flat_map(|s| &s.position),
+        &[states.first().map_or(0, |s| s.position.len())],
+        states.iter().flat_map(|s| s.position.iter()),
     );
 }
 
@@ -151,7 +151,7 @@ fn hidden_shap_case(
     backgrounds: &[State],
 ) -> Result<()> {
     let split = |states: &[State]| -> Result<Vec<Background>> {
-        let each = |s: &State| Ok((decide(isa, frozen, s)?.0.to_vec(), s.position.into()));
+        let each = |s: &State| Ok((decide(isa, frozen, s)?.0.to_vec(), s.position));
         states.iter().map(each).collect()
     };
     let (points, inputs) = (split(backgrounds)?, split(states)?);
@@ -187,7 +187,7 @@ fn pixel_shap_case(
     state: &State,
     backgrounds: &[State],
 ) -> Result<()> {
-    let graph = ActorSpec::FULL.graph(Purpose::Multipliers, true)?;
+    let graph = frozen.inputs.spec().graph(Purpose::Multipliers, true)?;
     let views: Vec<Vec<&[f32]>> = backgrounds.iter().map(State::inputs).collect();
     let mut shap = DeepShap::new(isa, graph, &frozen.params, &views)?;
     let mut phi = vec![0.0; shap.phi_len()];
@@ -196,7 +196,7 @@ fn pixel_shap_case(
     shap.attribute(YAW, &mut phi)?;
     let (images, position) = phi.split_at(ACTOR_FRAMES * DEPTH_PIXELS);
     record.floats("shap_pixels", &[ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS], images);
-    record.floats("shap_pixels_position", &[2], position);
+    record.floats("shap_pixels_position", &[position.len()], position);
     cases.insert(
         "shap-pixels",
         Box::new(move || {
@@ -218,10 +218,15 @@ fn update_cases(
     let mut pair = || -> [f32; 2] { [rng.random_range(-1.5..1.5), rng.random_range(-1.5..1.5)] };
     let keep = |s: &State| -> Result<KeptState> {
         let mut frames = Vec::with_capacity(ACTOR_FRAMES);
+        let goal = s
+            .position
+            .first_chunk()
+            .copied()
+            .context("distance and bearing of the goal")?;
         for frame in s.each_frame() {
             frames.push(<&[f32; DEPTH_PIXELS]>::try_from(frame)?);
         }
-        Ok(KeptState::new(core::array::from_fn(|i| frames[i]), s.position))
+        Ok(KeptState::new(core::array::from_fn(|i| frames[i]), goal))
     };
     let batch = pairs
         .iter()
@@ -328,14 +333,14 @@ fn attack_case(
     record.note("attacks", serde_json::to_string(&settings)?);
     let mut yaw_changes = Vec::new();
     for config in &settings {
-        let mut attack = StateAttack::new(isa, &frozen.params, config)?;
+        let mut attack = StateAttack::new(isa, frozen, config)?;
         for state in states.iter().take(ATTACKED) {
             let mut frames = state.frames.clone();
             yaw_changes.push(attack.attack(&mut frames, state.position)?.yaw_change());
         }
     }
     record.floats("attack_yaw_changes", &[ATTACKED], &yaw_changes);
-    let mut attack = StateAttack::new(isa, &frozen.params, &AttackConfig::PAPER)?;
+    let mut attack = StateAttack::new(isa, frozen, &AttackConfig::PAPER)?;
     let (state, mut frames) = (states[0].clone(), states[0].frames.clone());
     cases.insert(
         "bim",

@@ -1,7 +1,8 @@
 //! States to compare on: what the actor sees on development courses.
 
 use anyhow::Result;
-use vigil_policy::actor::{ACTOR_FRAMES, Actor, goal_inputs};
+use vigil_policy::ActorInputs;
+use vigil_policy::actor::{ACTOR_FRAMES, Actor, PositionalInputs};
 use vigil_types::{
     ACTION_LIMIT, Attitude, AttitudeSample, DEPTH_PIXELS, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics,
     NedVector, STEP_NS,
@@ -20,7 +21,7 @@ const STEP_S: f32 = STEP_NS as f32 * 1e-9;
 #[derive(Debug, Clone)]
 pub struct State {
     pub frames: Vec<f32>,
-    pub position: [f32; 2],
+    pub position: PositionalInputs,
 }
 
 impl State {
@@ -38,7 +39,8 @@ impl State {
 }
 
 /// Moves through a course as the actor decides, obeying at once: states at equal distances in time.
-pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
+/// `inputs` are the actor's; nothing moves here.
+pub fn watch(actor: &mut Actor, inputs: ActorInputs, seed: u64) -> Result<Vec<State>> {
     let course: Course = generate(Family::Validation, seed);
     let mut world = World::new(&course);
     let mut lidar = Lidar::new(LidarConfig::default(), seed)?;
@@ -76,7 +78,7 @@ pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
             attitude,
             rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.0),
         };
-        let position = goal_inputs(goal.relative_to(&kinematics, &sample));
+        let position = PositionalInputs::at_rest(goal.relative_to(&kinematics, &sample), inputs);
         seen.push(frame.depth.to_vec());
         if step > 0 && step % EVERY_STEPS == 0 {
             let frames = seen[seen.len() - ACTOR_FRAMES..].concat();

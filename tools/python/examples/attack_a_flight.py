@@ -5,20 +5,20 @@ from vigil.attack import FrameAttack
 from vigil.detect import Detector, Monitor
 from vigil.policy import Actor
 
-env = vigil.gym.VigilEnv("validation", frames=1)
 actor, detector = Actor(), Detector()
+env = vigil.gym.VigilEnv("validation", frames=1, actor=actor)
 monitor, adversary = Monitor(actor, detector), FrameAttack(actor, "bim-accumulating", epsilon=1.0, iterations=20)
 observation, _ = env.reset(options={"course_seed": 7})
 first, effective = None, 0
 for step in range(120):
-    frame, goal = observation["frames"], observation["goal"]
+    frame, position = observation["frames"], observation["position"]
     if 60 <= step < 100:
-        attacked = adversary.attack(frame, goal)
+        attacked = adversary.attack(frame, position)
         frame, effective = attacked.frames, effective + attacked.is_effective
     else:
-        adversary.pass_on(frame, goal)
-    action = actor.decide(frame, goal)
-    judgement = monitor.judge(actor.state(), goal)
+        adversary.pass_on(frame, position)
+    action = actor.decide(frame, position)
+    judgement = monitor.judge(actor.state(), position)
     if judgement.attacked and first is None:
         first = step
     observation, _, terminated, truncated, info = env.step(action)

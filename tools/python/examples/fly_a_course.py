@@ -9,12 +9,12 @@ import vigil.gym
 from vigil.policy import Actor
 
 seed = int(sys.argv[1]) if len(sys.argv) > 1 else 7
-env = vigil.gym.VigilEnv("validation", frames=1, render_mode="rgb_array")
 actor = Actor()
+env = vigil.gym.VigilEnv("validation", frames=1, actor=actor, render_mode="rgb_array")
 observation, info = env.reset(options={"course_seed": seed})
 total, ended = 0.0, False
 while not ended:
-    action = actor.decide(observation["frames"], observation["goal"])
+    action = actor.decide(observation["frames"], observation["position"])
     observation, reward, terminated, truncated, info = env.step(action)
     total, ended = total + reward, terminated or truncated
 picture = env.render()

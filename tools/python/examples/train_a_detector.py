@@ -13,20 +13,20 @@ STEPS = 80
 
 def fly(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """The explanations of a flight ``[steps, 48]``, and which decisions were made on an attacked frame."""
-    env = vigil.gym.VigilEnv("training", frames=1)
     actor = Actor()
+    env = vigil.gym.VigilEnv("training", frames=1, actor=actor)
     explain, adversary = SplitPoint(actor), FrameAttack(actor, iterations=4)
     observation, _ = env.reset(options={"course_seed": seed})
     rows, attacked = [], []
     for step in range(STEPS):
-        frame, goal = observation["frames"], observation["goal"]
+        frame, position = observation["frames"], observation["position"]
         attacked.append(step >= STEPS // 2)
         if attacked[-1]:
-            frame = adversary.attack(frame, goal).frames
+            frame = adversary.attack(frame, position).frames
         else:
-            adversary.pass_on(frame, goal)
-        action = actor.decide(frame, goal)
-        rows.append(explain.explain(actor.state(), goal).phi)
+            adversary.pass_on(frame, position)
+        action = actor.decide(frame, position)
+        rows.append(explain.explain(actor.state(), position).phi)
         observation, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             break

@@ -77,7 +77,7 @@ def seen(frame_m: np.ndarray) -> np.ndarray:
 
 def fly(policy: Policy, teacher: Actor, memory: Memory, courses: range, teachers_share: float, random: np.random.Generator) -> float:
     """Flies courses with the policy, or with the teacher for a share of the stretches, and remembers what the teacher says; completion."""
-    env = vigil.gym.VigilEnv("training", frames=1, time_limit=60.0)
+    env = vigil.gym.VigilEnv("training", frames=1, actor=teacher, time_limit=60.0)
     arrived = 0
     for course in courses:
         observation, _ = env.reset(options={"course_seed": course})
@@ -85,7 +85,7 @@ def fly(policy: Policy, teacher: Actor, memory: Memory, courses: range, teachers
         stack, over, taught, step = memory.begin(seen(observation["frames"])), False, False, 0
         while not over:
             goal = goal_inputs(observation["goal"])
-            right = teacher.decide(observation["frames"], observation["goal"])
+            right = teacher.decide(observation["frames"], observation["position"])
             memory.goals.append(goal)
             memory.actions.append(tuple(right))
             memory.stacks.append(stack)

@@ -5,6 +5,7 @@ use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::ActorInputs;
 use vigil_policy::actor::{ACTOR_OUTPUTS, LedBy};
 use vigil_policy::imported::{Channels, Depth};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
@@ -34,15 +35,9 @@ impl Actor {
     }
 
     /// One decision on the newest frame, metres.
-    fn decide(
-        &mut self,
-        py: Python<'_>,
-        frame: PyReadonlyArrayDyn<'_, f32>,
-        distance_m: f32,
-        bearing_rad: f32,
-    ) -> PyResult<(f32, f32)> {
+    fn decide(&mut self, py: Python<'_>, frame: PyReadonlyArrayDyn<'_, f32>, goal: Vec<f32>) -> PyResult<(f32, f32)> {
         let frame = frames("frame", &frame, 1)?;
-        let position = position(distance_m, bearing_rad)?;
+        let position = position(&goal, self.frozen.inputs)?;
         let actor = &mut self.actor;
         let [forward, yaw] = py.detach(|| actor.decide(&frame, position)).map_err(refused)?;
         Ok((forward, yaw))
@@ -62,6 +57,18 @@ impl Actor {
     #[getter]
     fn sha256(&self) -> String {
         self.frozen.sha256()
+    }
+
+    /// 2 of the goal, 16 of an actor that is told of movers.
+    #[getter]
+    fn positional_inputs(&self) -> usize {
+        self.frozen.inputs.spec().positional().inputs
+    }
+
+    /// Steps back that its frames are, oldest first.
+    #[getter]
+    fn frame_ages(&self) -> Vec<usize> {
+        self.frozen.inputs.frame_ages.to_vec()
     }
 
     /// Names, shapes and values of its tensors, in their order.
@@ -165,7 +172,7 @@ impl Policy {
         bearing_rad: f32,
     ) -> PyResult<(f32, f32)> {
         let pixels = frames("frame", &frame, 1)?;
-        position(distance_m, bearing_rad)?;
+        position(&[distance_m, bearing_rad], ActorInputs::default())?;
         let mut depth = Box::new(DepthFrame::EMPTY);
         depth.depth.copy_from_slice(&pixels);
         let action = self.pilot.decide(&PilotInput {
@@ -278,6 +285,12 @@ impl Policy {
     #[getter]
     fn sha256(&self) -> String {
         self.frozen.sha256()
+    }
+
+    /// 2 of the goal, 16 of an actor that is told of movers.
+    #[getter]
+    fn positional_inputs(&self) -> usize {
+        ActorInputs::default().spec().positional().inputs
     }
 }
 

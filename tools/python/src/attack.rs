@@ -6,6 +6,7 @@ use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use vigil_adversary::{AttackConfig, AttackOutcome, Method, Towards};
 use vigil_nnet::Isa;
+use vigil_policy::ActorInputs;
 use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_types::DEPTH_FULL_SCALE_M;
 
@@ -35,15 +36,21 @@ fn attacked(py: Python<'_>, mut frames: Vec<f32>, outcome: AttackOutcome) -> Att
 
 /// Alters all five frames of a state.
 #[pyclass(module = "vigil._vigil")]
-pub struct StateAttack(vigil_adversary::StateAttack);
+pub struct StateAttack {
+    attack: vigil_adversary::StateAttack,
+    inputs: ActorInputs,
+}
 
 #[pymethods]
 impl StateAttack {
     #[new]
     fn new(actor: &Actor, method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<Self> {
         let config = config(method, epsilon_255, iterations, towards, seed)?;
-        let attack = vigil_adversary::StateAttack::new(Isa::detect(), &actor.frozen.params, &config);
-        Ok(Self(attack.map_err(refused)?))
+        let attack = vigil_adversary::StateAttack::new(Isa::detect(), &actor.frozen, &config);
+        Ok(Self {
+            attack: attack.map_err(refused)?,
+            inputs: actor.frozen.inputs,
+        })
     }
 
     /// The frames altered, metres.
@@ -51,12 +58,11 @@ impl StateAttack {
         &mut self,
         py: Python<'py>,
         state: PyReadonlyArrayDyn<'py, f32>,
-        distance_m: f32,
-        bearing_rad: f32,
+        goal: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
         let mut state = frames("frames", &state, ACTOR_FRAMES)?;
-        let position = position(distance_m, bearing_rad)?;
-        let attack = &mut self.0;
+        let position = position(&goal, self.inputs)?;
+        let attack = &mut self.attack;
         let outcome = py.detach(|| attack.attack(&mut state, position)).map_err(refused)?;
         Ok(attacked(py, state, outcome))
     }
@@ -66,6 +72,7 @@ impl StateAttack {
 #[pyclass(module = "vigil._vigil")]
 pub struct FrameAttack {
     attack: vigil_adversary::FrameAttack,
+    inputs: ActorInputs,
 }
 
 #[pymethods]
@@ -80,18 +87,19 @@ impl FrameAttack {
         seed: u64,
     ) -> PyResult<Self> {
         let config = config(method, epsilon_255, iterations, towards, seed)?;
-        let attack = vigil_adversary::FrameAttack::on(&pilot.frozen(), Isa::detect(), &config);
+        let pilot = pilot.frozen();
+        let attack = vigil_adversary::FrameAttack::on(&pilot, Isa::detect(), &config);
         Ok(Self {
             attack: attack.map_err(refused)?,
+            inputs: pilot.inputs(),
         })
     }
 
     /// A frame that passes as it is.
-    fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, distance_m: f32, bearing_rad: f32) -> PyResult<()> {
+    fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, goal: Vec<f32>) -> PyResult<()> {
         let mut frame = frames("frame", &frame, 1)?;
-        self.attack
-            .pass(&mut frame, position(distance_m, bearing_rad)?.into())
-            .map_err(refused)
+        let position = position(&goal, self.inputs)?;
+        self.attack.pass(&mut frame, position).map_err(refused)
     }
 
     /// The frame altered, metres.
@@ -99,13 +107,12 @@ impl FrameAttack {
         &mut self,
         py: Python<'py>,
         frame: PyReadonlyArrayDyn<'py, f32>,
-        distance_m: f32,
-        bearing_rad: f32,
+        goal: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
         let mut frame = frames("frame", &frame, 1)?;
-        let position = position(distance_m, bearing_rad)?;
+        let position = position(&goal, self.inputs)?;
         let attack = &mut self.attack;
-        let outcome = py.detach(|| attack.attack_while(&mut frame, position.into(), || true));
+        let outcome = py.detach(|| attack.attack_while(&mut frame, position, || true));
         Ok(attacked(py, frame, outcome.map_err(refused)?))
     }
 

@@ -9,6 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
+use vigil_policy::ActorInputs;
 use vigil_policy::actor::PositionalInputs;
 use vigil_tools::detector_training::{Examples, FitConfig, fit};
 use vigil_types::Verdict;
@@ -48,7 +49,7 @@ impl Detector {
     }
 
     /// DeepSHAP's background sample: states, one after the other, and positional inputs.
-    fn backgrounds<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
+    fn backgrounds<'py>(&self, py: Python<'py>) -> (usize, Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>) {
         let backgrounds = &self.0.backgrounds;
         let states = backgrounds
             .iter()
@@ -58,7 +59,7 @@ impl Detector {
             .iter()
             .flat_map(|(_, inputs)| inputs.iter().copied())
             .collect();
-        (array(py, states), array(py, positions))
+        (backgrounds.len(), array(py, states), array(py, positions))
     }
 
     /// Parameters, shift and scale of its network.
@@ -188,14 +189,24 @@ impl Lstm {
     }
 }
 
-/// Verdict, score, contributions of image, bearing and distance, base, contributions at the split point.
-type Judged<'py> = (Option<bool>, Option<f32>, f32, f32, f32, f32, Bound<'py, PyArray1<f32>>);
+/// Verdict, score, contributions of image, bearing, distance and what it is told beside them, base, contributions at the split point.
+type Judged<'py> = (
+    Option<bool>,
+    Option<f32>,
+    f32,
+    f32,
+    f32,
+    f32,
+    f32,
+    Bound<'py, PyArray1<f32>>,
+);
 
 /// Explains and judges a policy's decisions one after the other, as in flight.
 #[pyclass(module = "vigil._vigil")]
 pub struct Monitor {
     monitor: vigil_detector::Monitor,
     width: usize,
+    inputs: ActorInputs,
 }
 
 #[pymethods]
@@ -209,6 +220,7 @@ impl Monitor {
         Ok(Self {
             monitor: monitor.map_err(refused)?,
             width,
+            inputs: pilot.inputs(),
         })
     }
 
@@ -223,18 +235,17 @@ impl Monitor {
         &mut self,
         py: Python<'py>,
         state: PyReadonlyArrayDyn<'py, f32>,
-        distance_m: f32,
-        bearing_rad: f32,
+        goal: Vec<f32>,
     ) -> PyResult<Judged<'py>> {
         let state = values("state", &state, self.width)?;
-        let j = self.monitor.judge(state, position(distance_m, bearing_rad)?);
+        let j = self.monitor.judge(state, position(&goal, self.inputs)?);
         let verdict = match j.verdict {
             Verdict::Unknown => None,
             Verdict::Clean => Some(false),
             Verdict::Attack => Some(true),
         };
         let phi = array(py, j.phi.to_vec());
-        Ok((verdict, j.score, j.image, j.bearing, j.distance, j.base, phi))
+        Ok((verdict, j.score, j.image, j.bearing, j.distance, j.told, j.base, phi))
     }
 
     /// Forgets the explanations: a new flight.

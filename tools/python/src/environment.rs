@@ -1,9 +1,12 @@
 //! Flights stepped side by side for `vigil.gym`.
 
+use crate::actor::Actor;
 use crate::given::{array, failed, refused};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
+use vigil_policy::ActorInputs;
+use vigil_policy::actor::Lead;
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
 use vigil_tools::actor_training::Flight;
 use vigil_tools::actor_training::reward::{DecisionResult, RewardWeights, reward};
@@ -30,6 +33,8 @@ struct Conditions {
     along_way: bool,
     /// The true state is told.
     privileged: bool,
+    /// What the actor takes for which positions are made.
+    inputs: Option<ActorInputs>,
 }
 
 /// A flight that has begun.
@@ -42,6 +47,9 @@ struct Begun {
     steps: usize,
     path_ned_m: Vec<NedVector>,
     outcome: Option<Outcome>,
+    /// Leads an actor and follows what moves, in every step, and what it says of this one.
+    lead: Option<Lead>,
+    position: Vec<f32>,
 }
 
 impl Conditions {
@@ -72,8 +80,11 @@ impl Conditions {
             left_m: 0.0,
             steps: 0,
             outcome: None,
+            lead: self.inputs.map(Lead::new),
+            position: Vec::new(),
         };
         begun.left_m = begun.left_m(self.along_way);
+        begun.follow(self);
         Ok(begun)
     }
 }
@@ -102,10 +113,24 @@ impl Begun {
         };
         self.left_m = left_m;
         self.steps += 1;
+        self.follow(conditions);
         if self.steps.is_multiple_of(PATH_STRIDE) || self.outcome.is_some() {
             self.path_ned_m.push(self.flight.truth().position_ned_m);
         }
         reward(&conditions.weights, &result)
+    }
+
+    /// Where an actor is led now and what it is told, from the newest frame.
+    fn follow(&mut self, conditions: &Conditions) {
+        let (Some(lead), Some(inputs)) = (&mut self.lead, conditions.inputs) else {
+            return;
+        };
+        let (goal, position) = lead.inputs(&self.flight.input());
+        self.position = match inputs.told_of_movers {
+            true => position.to_vec(),
+            // What an actor that is told of the goal alone takes is given in metres and radians.
+            false => vec![goal.distance_m, goal.bearing_rad],
+        };
     }
 
     /// Writes the newest frame, metres.
@@ -167,7 +192,7 @@ pub struct Flights {
 #[pymethods]
 impl Flights {
     #[new]
-    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, near, along_way, privileged, threads))]
+    #[pyo3(signature = (count, *, family, course, wind, noise, time_limit, success, dead, decision, checkpoint, near, along_way, privileged, actor, threads))]
     #[allow(clippy::too_many_arguments, reason = "the Python side names them")]
     fn new(
         count: usize,
@@ -183,6 +208,7 @@ impl Flights {
         near: f32,
         along_way: bool,
         privileged: bool,
+        actor: Option<PyRef<'_, Actor>>,
         threads: usize,
     ) -> PyResult<Self> {
         if !(0.0..=20.0).contains(&wind) {
@@ -231,6 +257,7 @@ impl Flights {
                 },
                 along_way,
                 privileged,
+                inputs: actor.map(|actor| actor.frozen.inputs),
             },
             flights: (0..count).map(|_| None).collect(),
             pool,
@@ -346,6 +373,12 @@ impl Flights {
             goal.map_or([0.0; 2], |goal| [goal.distance_m, goal.bearing_rad])
         };
         array(py, self.flights.iter().flat_map(goal).collect())
+    }
+
+    /// What the actor that the flights are for decides from beside its frames, flight after flight.
+    fn positions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        let each = self.flights.iter().flatten();
+        array(py, each.flat_map(|flight| flight.position.iter().copied()).collect())
     }
 
     /// The true states, flight after flight.

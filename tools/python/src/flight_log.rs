@@ -101,7 +101,9 @@ impl Content {
         c.put("score", report.judgement.and_then(|j| j.score).map(|score| [score]));
         c.put(
             "contributions",
-            report.judgement.map(|j| [j.image, j.bearing, j.distance, j.base]),
+            report
+                .judgement
+                .map(|j| [j.image, j.bearing, j.distance, j.told, j.base]),
         );
         c.put("phi", report.judgement.map(|j| j.phi));
         c.put("frame_age_s", report.frame_age_ns.map(|age| [age as f32 * 1e-9]));

@@ -3,6 +3,8 @@
 use numpy::{PyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use vigil_policy::ActorInputs;
+use vigil_policy::actor::PositionalInputs;
 use vigil_types::{DEPTH_FULL_SCALE_M, DEPTH_PIXELS};
 
 /// An error that is the caller's.
@@ -46,17 +48,30 @@ pub fn frames(what: &str, array: &PyReadonlyArrayDyn<'_, f32>, count: usize) -> 
     Ok(metres.iter().map(|range| range / DEPTH_FULL_SCALE_M).collect())
 }
 
-/// The goal's distance in metres and bearing in radians, as the networks take them.
-pub fn position(distance_m: f32, bearing_rad: f32) -> PyResult<[f32; 2]> {
+/// What an actor with these inputs decides from beside its frames: its positional inputs as an environment made for it gives them, or distance in
+/// metres and bearing in radians of where it is led; an actor that is told of movers then stands still and has seen none.
+pub fn position(given: &[f32], inputs: ActorInputs) -> PyResult<PositionalInputs> {
+    let count = inputs.spec().positional().inputs;
+    let &[distance_m, bearing_rad] = given else {
+        let whole = PositionalInputs::from_values(given).filter(|_| given.len() == count);
+        let whole = whole.filter(|_| given.iter().all(|value| value.is_finite()));
+        return whole.ok_or_else(|| {
+            refused(format!(
+                "goal: a distance in metres and a bearing in radians, or the {count} finite values of an environment's position, got {} values",
+                given.len()
+            ))
+        });
+    };
     if !(distance_m >= 0.0 && distance_m.is_finite() && bearing_rad.is_finite()) {
         return Err(refused(format!(
             "goal: a distance of 0 m or more and a bearing in radians, got {distance_m} and {bearing_rad}"
         )));
     }
-    Ok(vigil_policy::actor::goal_inputs(vigil_types::GoalRelative {
+    let goal = vigil_types::GoalRelative {
         distance_m,
         bearing_rad,
-    }))
+    };
+    Ok(PositionalInputs::at_rest(goal, inputs))
 }
 
 /// Handed over without a copy.

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 ROWS, COLUMNS, FRAMES = 128, 256, 5
 FULL_SCALE_M = 100.0
+POSITIONAL = 16
+"""Positional inputs of an actor that is told of movers."""
 
 
 def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
@@ -40,10 +42,23 @@ def goal(value: Any) -> tuple[float, float]:
     return float(distance_m), float(bearing_rad)
 
 
-def positional(value: Any) -> Floats:
-    """A goal as the networks take it: distance over 20 m, at most 1.05, and bearing over 1 rad."""
+def position(value: Any) -> list[float]:
+    """A goal, or all positional inputs of an actor that is told of movers."""
+    given = floats("goal", value, (None,))
+    if len(given) not in (2, POSITIONAL):
+        raise ValueError(f"goal: expected shape (2,) or ({POSITIONAL},), got {given.shape}")
+    return [float(x) for x in given]
+
+
+def positional(value: Any, inputs: int = 2) -> Floats:
+    """What the networks take beside frames: of a goal distance over 20 m, at most 1.05, and bearing over 1 rad, the others 0 (an actor that
+    is told of movers stands still and has seen none); all of an environment's ``position`` as they are."""
+    if inputs > 2 and np.shape(value) == (inputs,):
+        return floats("goal", value, (inputs,))
     distance_m, bearing_rad = goal(value)
-    return np.array([min(distance_m, 21.0) / 20.0, bearing_rad], dtype=np.float32)
+    taken = np.zeros(inputs, dtype=np.float32)
+    taken[:2] = min(distance_m, 21.0) / 20.0, bearing_rad
+    return taken
 
 
 def frames_of(what: str, value: Any, count: int | None) -> Floats:

@@ -67,7 +67,7 @@ class StateAttack:
 
     def attack(self, frames: Any, goal: Any) -> Attacked:
         """Alters a copy of frames ``[5, 128, 256]`` in metres, oldest first."""
-        altered, clean, attacked = self.native.attack(_given.frames_of("frames", frames, FRAMES), *_given.goal(goal))
+        altered, clean, attacked = self.native.attack(_given.frames_of("frames", frames, FRAMES), _given.position(goal))
         return Attacked(altered.reshape(FRAMES, ROWS, COLUMNS), Action(*clean), Action(*attacked))
 
 
@@ -92,11 +92,11 @@ class FrameAttack:
 
     def pass_on(self, frame: Any, goal: Any) -> None:
         """A frame ``[128, 256]`` that passes as it is."""
-        self.native.pass_on(_given.frames_of("frame", frame, None), *_given.goal(goal))
+        self.native.pass_on(_given.frames_of("frame", frame, None), _given.position(goal))
 
     def attack(self, frame: Any, goal: Any) -> Attacked:
         """Alters a copy of the frame ``[128, 256]`` in metres. ``clean``: had no frame been altered at all."""
-        altered, clean, attacked = self.native.attack(_given.frames_of("frame", frame, None), *_given.goal(goal))
+        altered, clean, attacked = self.native.attack(_given.frames_of("frame", frame, None), _given.position(goal))
         return Attacked(altered.reshape(ROWS, COLUMNS), Action(*clean), Action(*attacked))
 
     def reset(self) -> None:

@@ -82,15 +82,15 @@ class Detector(Lstm):
         return self.native.sha256
 
     def backgrounds(self) -> tuple[Floats, Floats]:
-        """DeepSHAP's background sample: states ``[B, values]`` and positional inputs ``[B, 2]`` (distance / 20 m, bearing / 1 rad)."""
-        states, positions = self.native.backgrounds()
-        positions = positions.reshape(-1, 2)
-        return states.reshape(len(positions), -1), positions
+        """DeepSHAP's background sample: states ``[B, values]`` and positional inputs ``[B, 2]`` (distance / 20 m, bearing / 1 rad),
+        ``[B, 16]`` of an actor that is told of movers."""
+        count, states, positions = self.native.backgrounds()
+        return states.reshape(count, -1), positions.reshape(count, -1)
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """A decision explained and judged. ``base + image + bearing + distance`` is the policy's yaw output, but for rounding."""
+    """A decision explained and judged. ``base + image + bearing + distance + told`` is the policy's yaw output, but for rounding."""
 
     attacked: bool | None
     """The verdict; ``None`` until ten decisions were explained."""
@@ -102,6 +102,8 @@ class Judgement:
     """Contribution of the goal's bearing."""
     distance: float
     """Contribution of the goal's distance."""
+    told: float
+    """Contribution of what an actor is told beside the goal: its own velocity, movers."""
     base: float
     """Mean yaw of the background sample."""
     phi: Floats
@@ -124,7 +126,7 @@ class Monitor:
 
     def judge(self, state: Any, goal: Any) -> Judgement:
         """Judges the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and a goal."""
-        return Judgement(*self._native.judge(_given.floats("state", state, (self._native.width,)), *_given.goal(goal)))
+        return Judgement(*self._native.judge(_given.floats("state", state, (self._native.width,)), _given.position(goal)))
 
     def reset(self) -> None:
         """Forgets the explanations: a new flight."""
@@ -159,7 +161,7 @@ def freeze(
         ValueError: what could not judge in flight; then nothing is written.
     """
     states = _given.floats("background states", backgrounds[0], (None, None))
-    positions = np.array([_given.positional(goal) for goal in backgrounds[1]], np.float32)
+    positions = np.array([_given.positional(goal, actor.native.positional_inputs) for goal in backgrounds[1]], np.float32)
     if len(states) != len(positions):
         raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
     return _vigil.write_detector(

@@ -30,6 +30,8 @@ class Explanation:
     """Contribution of the goal's distance."""
     bearing: float
     """Contribution of the goal's bearing."""
+    told: float
+    """Contribution of what an actor is told beside the goal: its own velocity, movers."""
     base: float
     """Mean output of the background sample."""
     output: float
@@ -41,13 +43,14 @@ def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int,
         raise ValueError(f"output: 0 (forward speed) or 1 (yaw), got {output}")
     outputs, phi = explainer.explain(inputs, output)
     phi *= np.float32(scale)
-    distance = bearing = 0.0
+    distance = bearing = told = 0.0
     frame = phi
     if len(phi) > len(inputs[frame_at]) and sum(map(len, inputs)) == len(phi):
-        # The goal's two values stand before the frame or after it.
-        goal, frame = (phi[:2], phi[2:]) if frame_at == 1 else (phi[-2:], phi[:-2])
-        distance, bearing = float(goal[0]), float(goal[1])
-    return Explanation(frame, distance, bearing, float(explainer.expected()[output]) * scale, float(outputs[output]) * scale)
+        # The positional inputs, of which the goal's two values are the first, stand before the frame or after it.
+        count = len(inputs[0 if frame_at == 1 else -1])
+        position, frame = (phi[:count], phi[count:]) if frame_at == 1 else (phi[-count:], phi[:-count])
+        distance, bearing, told = float(position[0]), float(position[1]), float(position[2:].sum())
+    return Explanation(frame, distance, bearing, told, float(explainer.expected()[output]) * scale, float(outputs[output]) * scale)
 
 
 class SplitPoint:
@@ -65,15 +68,20 @@ class SplitPoint:
             states, positions = (backgrounds or Detector()).backgrounds()
         else:
             states = _given.floats("background states", backgrounds[0], (None, None))
-            positions = np.array([_given.positional(goal) for goal in backgrounds[1]], np.float32)
+            positions = np.array([_given.positional(goal, actor.native.positional_inputs) for goal in backgrounds[1]], np.float32)
             if len(states) != len(positions):
                 raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
         self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
 
     def explain(self, state: Any, goal: Any, output: int = YAW) -> Explanation:
         """Explains the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and a goal."""
-        inputs = [_given.floats("state", state, (self.native.input_lengths[0],)), _given.positional(goal)]
+        inputs = [_given.floats("state", state, (self.native.input_lengths[0],)), _given.positional(goal, self.native.input_lengths[-1])]
         return _explanation(self.native, inputs, output, 0, self._scale)
+
+
+def _pixel_inputs(frames: Any, goal: Any, positional: int) -> list[Floats]:
+    given = _given.frames_of("frames", frames, FRAMES) / np.float32(FULL_SCALE_M)
+    return [*given.reshape(FRAMES, -1), _given.positional(goal, positional)]
 
 
 class Pixels:
@@ -85,21 +93,17 @@ class Pixels:
     """
 
     def __init__(self, actor: Actor, backgrounds: tuple[Any, Any]) -> None:
+        width = actor.native.positional_inputs
         given = _given.floats("background frames", backgrounds[0], (None, FRAMES, ROWS, COLUMNS))
         if len(given) != len(backgrounds[1]):
             raise ValueError(f"backgrounds: {len(given)} states, but {len(backgrounds[1])} goals")
-        self.native = _vigil.Explainer.pixels(actor.native, [self._inputs(f, g) for f, g in zip(given, backgrounds[1])])
-
-    @staticmethod
-    def _inputs(frames: Any, goal: Any) -> list[Floats]:
-        given = _given.frames_of("frames", frames, FRAMES) / np.float32(FULL_SCALE_M)
-        return [*given.reshape(FRAMES, -1), _given.positional(goal)]
+        self.native = _vigil.Explainer.pixels(actor.native, [_pixel_inputs(f, g, width) for f, g in zip(given, backgrounds[1])])
 
     def explain(self, frames: Any, goal: Any, output: int = YAW) -> Explanation:
         """Explains the decision on frames ``[5, 128, 256]`` in metres, oldest first. ``phi`` is ``[5, 128, 256]``."""
-        found = _explanation(self.native, self._inputs(frames, goal), output, 0, 1.0)
+        found = _explanation(self.native, _pixel_inputs(frames, goal, self.native.input_lengths[-1]), output, 0, 1.0)
         phi = found.phi.reshape(FRAMES, ROWS, COLUMNS)
-        return Explanation(phi, found.distance, found.bearing, found.base, found.output)
+        return Explanation(phi, found.distance, found.bearing, found.told, found.base, found.output)
 
 
 class PolicyPixels:
@@ -120,4 +124,4 @@ class PolicyPixels:
         inputs = self.policy.inputs(own_frame, goal)
         found = _explanation(self.native, inputs, output, native.frame_input, native.output_scale)
         phi = found.phi.reshape(self.policy.frame_shape)
-        return Explanation(phi, found.distance, found.bearing, found.base, found.output)
+        return Explanation(phi, found.distance, found.bearing, found.told, found.base, found.output)

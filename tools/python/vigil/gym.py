@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from vigil._given import COLUMNS, FRAMES, FULL_SCALE_M, ROWS, Floats
 from vigil._vigil import Flights
+from vigil.policy import Actor
 
 ACTION_LIMIT = 1.5
 """Largest forward speed, m/s, and largest yaw, units of 30 °/s."""
@@ -46,7 +47,7 @@ _SPARE_BLOCKS = 3
 _SEEDS = 2**48
 
 
-def spaces_of(frames: int, privileged: bool) -> tuple[spaces.Dict, spaces.Box]:
+def spaces_of(frames: int, privileged: bool, actor: Actor | None = None) -> tuple[spaces.Dict, spaces.Box]:
     """Observation and action space of one flight."""
     shape = (FRAMES, ROWS, COLUMNS) if frames == FRAMES else (ROWS, COLUMNS)
     parts: dict[str, spaces.Space[Any]] = {
@@ -55,6 +56,8 @@ def spaces_of(frames: int, privileged: bool) -> tuple[spaces.Dict, spaces.Box]:
             np.array([0.0, -np.pi - 1e-3], np.float32), np.array([np.inf, np.pi + 1e-3], np.float32), dtype=np.float32
         ),
     }
+    if actor is not None:
+        parts["position"] = spaces.Box(-np.inf, np.inf, (actor.positional_inputs,), np.float32)
     if privileged:
         parts["state"] = spaces.Box(-np.inf, np.inf, (Flights.TRUE_STATE,), np.float32)
     return spaces.Dict(parts), spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
@@ -85,6 +88,15 @@ class _Flown:
         course = options["course"]
         self.count, self.frames, self.privileged = count, frames, bool(options["privileged"])
         self.share_frames = bool(options["share_frames"])
+        actor: Actor | None = options["actor"]
+        if actor is not None and not isinstance(actor, Actor):
+            raise TypeError(f"actor: a vigil.policy.Actor, got {type(actor).__name__}")
+        self.actor = actor
+        in_a_row = tuple(range(FRAMES - 1, -1, -1))
+        self.ages = (0,) if frames == 1 else in_a_row if actor is None else actor.frame_ages
+        self.in_a_row = frames == 1 or self.ages == in_a_row
+        if self.share_frames and not self.in_a_row:
+            raise ValueError(f"share_frames: the actor's frames are not in a row, they are {self.ages} steps back")
         self.flights = Flights(
             count,
             family=options["family"],
@@ -99,9 +111,10 @@ class _Flown:
             near=float(reward["near"]),
             along_way=reward["progress"] == "way",
             privileged=self.privileged,
+            actor=None if actor is None else actor.native,
             threads=threads,
         )
-        self.back = frames - 1
+        self.back = self.ages[0]
         self.slot = -1
         self.block: Floats = np.empty((0,), np.float32)
         self._spare: list[Floats] = []
@@ -144,12 +157,16 @@ class _Flown:
         # Five frames share four with the next five, which Gymnasium's check does not allow; the newest alone shares nothing.
         if self.frames == 1:
             view = view[:, 0]
+        elif not self.in_a_row:
+            view = view[:, [self.back - age for age in self.ages]]
         elif not self.share_frames:
             view = view.copy()
         observation = {
             "frames": view,
             "goal": self.flights.goals().reshape(self.count, 2),
         }
+        if self.actor is not None:
+            observation["position"] = self.flights.positions().reshape(self.count, -1)
         if self.privileged:
             observation["state"] = self.flights.true_states().reshape(self.count, -1)
         return observation
@@ -190,6 +207,9 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
                                      The first frame stands for the missing ones. The newest alone is handed over without a
                                      copy, as a view that cannot be written to; so are five with ``share_frames=True``.
     goal      ``[2]``                distance in metres and bearing in radians, clockwise, as the vehicle believes
+    position  ``[16]`` or ``[2]``    with ``actor=…``: what this actor decides from beside its frames, as in flight: where it is led (the path
+                                     planned over what the frames have shown, or the goal) and what it is told (own velocity, two movers).
+                                     ``Actor.decide(frame, position)``. The five frames are then as far back as the actor's.
     state     ``[75]``               with ``privileged=True``: the true state of ``vigil learn``: 48 ranges around, velocity, way …
     ========  =====================  ==================================================================================
 
@@ -217,6 +237,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         share_frames: five frames are a view without a copy as well. It stays as it is while the flight goes on, but shares four frames with
             the next observation, which Gymnasium's ``check_env`` does not allow.
         privileged: the observation has the true state.
+        actor: the observation has the position that this actor takes, and its frames. It is not asked for decisions.
         wind: mean wind in m/s, 0 to 20, from a direction that the seed decides, with gusts a third as strong.
         noise: multiplies the LiDAR's range noise and dropouts; 0 to 100.
         time_limit: seconds after which a flight is cut off; absent: the course's.
@@ -242,6 +263,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         frames: int = FRAMES,
         share_frames: bool = False,
         privileged: bool = False,
+        actor: Actor | None = None,
         wind: float = 0.0,
         noise: float = 1.0,
         time_limit: float | None = None,
@@ -257,6 +279,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
             course=course,
             share_frames=share_frames,
             privileged=privileged,
+            actor=actor,
             wind=wind,
             noise=noise,
             time_limit=time_limit,
@@ -268,7 +291,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         self.render_mode = render_mode
         self.course_seed: int | None = None
         """Seed of the course that is flown."""
-        observed, acted = spaces_of(frames, privileged)
+        observed, acted = spaces_of(frames, privileged, actor)
         self.observation_space: spaces.Space[Any] = observed
         self.action_space: spaces.Space[Any] = acted
 
@@ -338,6 +361,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         frames: int = FRAMES,
         share_frames: bool = False,
         privileged: bool = False,
+        actor: Actor | None = None,
         wind: float = 0.0,
         noise: float = 1.0,
         time_limit: float | None = None,
@@ -353,6 +377,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
             course=course,
             share_frames=share_frames,
             privileged=privileged,
+            actor=actor,
             wind=wind,
             noise=noise,
             time_limit=time_limit,
@@ -363,7 +388,7 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         self._ended = np.zeros(num_envs, bool)
         self._begun = False
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = spaces_of(frames, privileged)
+        self.single_observation_space, self.single_action_space = spaces_of(frames, privileged, actor)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._random = [np.random.default_rng() for _ in range(num_envs)]

@@ -35,8 +35,15 @@ class Actor:
         self.native = _vigil.Actor(None if path is None else str(path))
 
     def decide(self, frame: Any, goal: Any) -> Action:
-        """Decides on the newest frame ``[128, 256]`` in metres and a goal ``(distance in metres, bearing in radians)``."""
-        return Action(*self.native.decide(_given.frames_of("frame", frame, None), *_given.goal(goal)))
+        """Decides on the newest frame ``[128, 256]`` in metres and on where it is led and what it is told.
+
+        Args:
+            frame: the frame.
+            goal: ``observation["position"]`` of an environment made for this actor (``VigilEnv(actor=…)``), as it is in flight; or only
+                ``(distance in metres, bearing in radians)`` of where it is to fly: an actor that is told of movers then stands still and has
+                seen none.
+        """
+        return Action(*self.native.decide(_given.frames_of("frame", frame, None), _given.position(goal)))
 
     def state(self) -> Floats:
         """The 48 values at the split point of the last decision: what is explained in flight."""
@@ -54,6 +61,16 @@ class Actor:
     def sha256(self) -> str:
         """Its digest, which a detector's file names."""
         return self.native.sha256
+
+    @property
+    def frame_ages(self) -> tuple[int, ...]:
+        """How many steps back each of its five frames is, oldest first."""
+        return tuple(self.native.frame_ages)
+
+    @property
+    def positional_inputs(self) -> int:
+        """2: it is told of the goal alone; 16: of its own velocity and two movers as well (docs/architecture.md)."""
+        return self.native.positional_inputs
 
     @property
     def led_by(self) -> str:

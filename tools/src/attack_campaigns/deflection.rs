@@ -158,7 +158,7 @@ fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bear
         distance_m: args.goal_distance,
         bearing_rad: bearing_deg.to_radians(),
     };
-    let position = PositionalInputs::at_rest(goal, victim.inputs.told_of_movers);
+    let position = PositionalInputs::at_rest(goal, victim.inputs);
     let to_deg_s = YAW_RATE_PER_UNIT_RAD_S.to_degrees();
     let (mut clean, mut deflection) = (0.0, 0.0);
     for i in 0..args.states {

@@ -246,6 +246,7 @@ pub(crate) fn figure_13(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
             ("image", line(lines, |l| l.image)),
             ("bearing", line(lines, |l| l.bearing)),
             ("distance", line(lines, |l| l.distance)),
+            ("told", line(lines, |l| l.told)),
         ],
     );
     over_time(pixels, vec![contributions, score])
@@ -253,7 +254,7 @@ pub(crate) fn figure_13(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
 
 /// By additivity the two lines are one.
 pub(crate) fn figure_14(pixels: &Pixels, lines: &[ExplanationLine]) -> Figure {
-    let sum = |l: &ExplanationLine| l.base + l.image + l.bearing + l.distance;
+    let sum = ExplanationLine::sum;
     let mut both = Panel::new(
         "Yaw output, and the sum that explains it",
         "yaw (units of 30 °/s)",
@@ -287,9 +288,19 @@ pub(crate) struct ExplanationLine {
     pub bearing: f32,
     #[serde(serialize_with = "decimals::<7, _, _>")]
     pub distance: f32,
+    /// Of actors that are told of more than the goal.
+    #[serde(default, serialize_with = "decimals::<7, _, _>")]
+    pub told: f32,
     #[serde(serialize_with = "maybe_decimals::<7, _, _>")]
     pub score: Option<f32>,
     pub verdict: String,
+}
+
+impl ExplanationLine {
+    /// What explains the yaw output, put together again.
+    pub fn sum(&self) -> f32 {
+        self.base + self.image + self.bearing + self.distance + self.told
+    }
 }
 
 fn explanations(portrait: &Portrait) -> Vec<ExplanationLine> {
@@ -301,6 +312,7 @@ fn explanations(portrait: &Portrait) -> Vec<ExplanationLine> {
         image: j.image,
         bearing: j.bearing,
         distance: j.distance,
+        told: j.told,
         score: j.score,
         verdict: match j.verdict {
             Verdict::Unknown => "unknown",

@@ -387,14 +387,13 @@ pub fn rounded(value: f64, decimals: i32) -> f64 {
 fn columns(steps: &[&StepSeen], threshold: Option<f32>) -> BTreeMap<&'static str, Vec<Option<f64>>> {
     type Value = fn(&StepSeen) -> Option<f32>;
     const MS: f64 = 1e-6;
-    let columns: [(&str, Value); 22] = [
+    let columns: [(&str, Value); 23] = [
         ("detector_score", |s| s.report.judgement?.score),
         ("contribution_image", |s| s.report.judgement.map(|j| j.image)),
         ("contribution_bearing", |s| s.report.judgement.map(|j| j.bearing)),
         ("contribution_distance", |s| s.report.judgement.map(|j| j.distance)),
-        ("actor_yaw", |s| {
-            s.report.judgement.map(|j| j.base + j.image + j.bearing + j.distance)
-        }),
+        ("contribution_told", |s| s.report.judgement.map(|j| j.told)),
+        ("actor_yaw", |s| s.report.judgement.map(|j| j.yaw())),
         ("action_yaw", |s| s.report.action.map(|a| a.yaw)),
         ("action_forward_m_s", |s| s.report.action.map(|a| a.forward_m_s)),
         ("setpoint_forward_m_s", |s| s.report.setpoint.map(|p| p.velocity_m_s.x)),

@@ -158,6 +158,7 @@ impl Draw {
                 image: d.float(),
                 bearing: d.float(),
                 distance: d.float(),
+                told: d.float(),
                 base: d.float(),
                 phi: std::array::from_fn(|_| d.float()),
             }),
@@ -230,7 +231,7 @@ pub fn bits(record: &TickRecord) -> Vec<u64> {
     all.option(r.judgement, |all, v| {
         all.whole(&[v.verdict as u64]);
         all.option(v.score, |all, score| all.floats(&[score]));
-        all.floats(&[v.image, v.bearing, v.distance, v.base]);
+        all.floats(&[v.image, v.bearing, v.distance, v.told, v.base]);
         all.floats(&v.phi);
     });
     all.option(r.alarm, |all, v| all.whole(&[v.cause as u64, v.response as u64]));

@@ -3,6 +3,7 @@
 //! Five frames show a GRU over them badly how a thing moves (docs/experiments/learning-by-value.md), while a Kalman filter over the same
 //! frames knows it to a few centimetres per second. So an actor may be told the tracks of [`MoverTracker`] as further positional inputs.
 
+use crate::actor::ActorInputs;
 use crate::geometric::movers::{MoverTracker, Track};
 use crate::geometric::position_ned_m;
 use crate::geometric::range_scan::Scan;
@@ -57,13 +58,14 @@ impl PositionalInputs {
         goal_inputs(goal).into()
     }
 
-    /// Of an actor with these inputs that stands still and has seen nothing move.
-    pub fn at_rest(goal: GoalRelative, told_of_movers: bool) -> Self {
-        let len = if told_of_movers { WITH_MOVERS } else { GOAL_INPUTS };
-        Self {
-            len,
-            ..Self::of_goal(goal)
-        }
+    /// Of an actor that decides from `inputs`: one that is told of movers stands still and has seen nothing move.
+    pub fn at_rest(goal: impl Into<Self>, inputs: ActorInputs) -> Self {
+        let len = if inputs.told_of_movers {
+            WITH_MOVERS
+        } else {
+            GOAL_INPUTS
+        };
+        Self { len, ..goal.into() }
     }
 
     /// Those of a record, as they were given to an actor; `None` for a number of values that no actor has.
@@ -113,6 +115,12 @@ impl PositionalInputs {
             ]);
         }
         self
+    }
+}
+
+impl From<GoalRelative> for PositionalInputs {
+    fn from(goal: GoalRelative) -> Self {
+        Self::of_goal(goal)
     }
 }
 

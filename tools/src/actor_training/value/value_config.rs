@@ -340,26 +340,27 @@ impl ValueConfig {
             return config;
         }
         config.sees = Sees::Pictures;
-        config.learning.actor_rate = 5e-4;
-        config.replay.decisions = 100_000;
-        config.replay.alpha = 0.6;
+        config.led_by = Leader::Path;
+        (config.encoder.frames, config.encoder.updates) = (3_200, 1_400);
         if recipe == Recipe::Nothing {
-            config.families = vec![Family::Training];
-            config.decisions = 120_000;
+            config.told_of_movers = true;
+            config.families = vec![Family::Training, Family::Hard, Family::Hard];
+            (config.decisions, config.replay.decisions) = (165_000, 165_000);
             config.apf_share = 0.25;
-            config.time_limit_s = 45.0;
-            (e.every_updates, e.families) = (1_500, vec![Family::Training]);
-            (config.encoder.frames, config.encoder.updates) = (2_400, 1_200);
-            (e.slope_states, e.flights) = (16, 40);
+            config.reward.near = -0.5;
+            (config.learning.critics_told, config.learning.critics_first) = (true, 500);
+            (e.every_updates, e.families) = (2_500, vec![Family::Validation, Family::Hard]);
+            (e.slope_states, e.flights, e.time_limit_s) = (4, 30, 90.0);
         } else {
-            config.led_by = Leader::Path;
+            config.replay.decisions = 100_000;
+            config.replay.alpha = 0.6;
             config.decisions = 85_000;
             config.apf_share = 0.1;
             config.noise.sigma_first = 0.6;
+            config.learning.actor_rate = 5e-4;
             config.learning.imitation = 1.0;
             config.learning.expert_critics = true;
             (e.every_updates, e.slope_states) = (2_000, 12);
-            (config.encoder.frames, config.encoder.updates) = (3_200, 1_400);
         }
         config
     }
@@ -455,6 +456,14 @@ impl ValueConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_learns_from_nothing_without_being_told_otherwise_is_how_the_built_in_actor_learned() {
+        let made: ValueConfig = toml::from_str(include_str!("../../../../docs/runs/value/near-1/config.toml")).unwrap();
+        assert_eq!(ValueConfig::recipe(Recipe::Nothing), made);
+        let actor = vigil_policy::FrozenActor::built_in().unwrap();
+        assert_eq!(toml::from_str::<ValueConfig>(&actor.training_config).unwrap(), made);
+    }
 
     #[test]
     fn a_configuration_survives_its_own_toml_and_what_is_wrong_is_named() {

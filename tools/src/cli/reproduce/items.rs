@@ -577,6 +577,7 @@ fn pixels_of_a_flight(sources: &Sources) -> Result<Made> {
         "image",
         "bearing",
         "distance",
+        "told",
         "score",
         "the paper",
     ]);
@@ -588,6 +589,7 @@ fn pixels_of_a_flight(sources: &Sources) -> Result<Made> {
                 format!("{:.3}", line.image),
                 format!("{:.3}", line.bearing),
                 format!("{:.3}", line.distance),
+                format!("{:.3}", line.told),
                 optional(line.score.map(f64::from), |score| format!("{score:.4}")),
                 "a picture".to_owned(),
             ]);
@@ -619,6 +621,7 @@ fn contributions(sources: &Sources) -> Result<Made> {
         "image",
         "bearing",
         "distance",
+        "told",
         "score",
         "verdict attack",
         "the paper",
@@ -632,6 +635,7 @@ fn contributions(sources: &Sources) -> Result<Made> {
             mean_of(&those, |line| line.image),
             mean_of(&those, |line| line.bearing),
             mean_of(&those, |line| line.distance),
+            mean_of(&those, |line| line.told),
             mean_of(&scored, |line| line.score.unwrap_or(f32::NAN)),
             format!("{found} of {}", scored.len()),
             "a picture".to_owned(),
@@ -640,7 +644,7 @@ fn contributions(sources: &Sources) -> Result<Made> {
     Ok(Made {
         figure: Some(Drawn::of(&figure_13(&pixels, &lines))),
         table,
-        caption: "Means over the steps. Above, what image (48 values together), bearing and distance add to the yaw output; below, the \
+        caption: "Means over the steps. Above, what image (48 values together), bearing, distance and what the actor is told beside them add to the yaw output; below, the \
                   detector's score of the last ten explanations and the threshold that it flies with. The actor flies alone, nobody \
                   acts on the verdict. Of one flight there are no intervals."
             .to_owned(),
@@ -649,7 +653,7 @@ fn contributions(sources: &Sources) -> Result<Made> {
 
 fn sum_and_action(sources: &Sources) -> Result<Made> {
     let (pixels, lines) = explained(sources, "explained-attacked")?;
-    let difference = |line: &ExplanationLine| (line.base + line.image + line.bearing + line.distance - line.yaw).abs();
+    let difference = |line: &ExplanationLine| (line.sum() - line.yaw).abs();
     let greatest = lines.iter().map(difference).fold(0.0, f32::max);
     let mut table = Grid::new(["steps", "greatest difference of sum and action", "the paper"]);
     table.row([
