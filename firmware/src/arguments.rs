@@ -132,6 +132,9 @@ pub struct PilotArgs {
 
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::PLAUSIBILITY))]
     plausibility: Option<bool>,
+
+    #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::SECOND_SENSOR))]
+    second_sensor: Option<bool>,
 }
 
 impl PilotArgs {
@@ -154,11 +157,20 @@ impl PilotArgs {
         config.detector.guard_final = self.guard_final.unwrap_or(config.detector.guard_final);
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
         config.plausibility = self.plausibility.unwrap_or(config.plausibility);
+        config.second_sensor = self.second_sensor.unwrap_or(config.second_sensor);
     }
 
     /// The actor's file, if one was given.
     pub fn actor_file(&self) -> Option<&Path> {
         self.actor.as_deref()
+    }
+
+    /// Asks for the second sensor that the vehicle has, if nothing was said of it.
+    pub fn with_second_sensor(&self) -> Self {
+        Self {
+            second_sensor: self.second_sensor.or(Some(true)),
+            ..self.clone()
+        }
     }
 
     /// Hands on to a `firmware` process what was given.
@@ -182,6 +194,7 @@ impl PilotArgs {
         hand("--guard-final", self.guard_final.map(switch));
         hand("--alarm", self.alarm.map(|policy| policy.name().to_owned()));
         hand("--plausibility", self.plausibility.map(switch));
+        hand("--second-sensor", self.second_sensor.map(switch));
         for (name, file) in [("--actor", &self.actor), ("--detector-file", &self.detector_file)] {
             if let Some(file) = file {
                 command.arg(name).arg(file);

@@ -66,6 +66,8 @@ pub struct FirmwareConfig {
     pub frame_key_files: Vec<PathBuf>,
     /// Whether frames are judged before the pilots see them.
     pub plausibility: bool,
+    /// Whether a second sensor must see nothing nearer than the frames show.
+    pub second_sensor: bool,
     /// Who starts a flight.
     #[serde(with = "choice")]
     pub engage: EngagePolicy,
@@ -352,6 +354,7 @@ impl Default for FirmwareConfig {
             sensor_id: parameters::SENSOR_ID.number() as u32,
             frame_key_files: Vec::new(),
             plausibility: parameters::PLAUSIBILITY.is_on(),
+            second_sensor: parameters::SECOND_SENSOR.is_on(),
             engage: EngagePolicy::default(),
             at_goal: AtGoal::default(),
             height_m: parameters::HEIGHT.number_f32(),
@@ -653,6 +656,7 @@ impl FirmwareConfig {
         StackConfig {
             sensor_id: self.sensor_id,
             plausibility: self.plausibility,
+            second_sensor: self.second_sensor,
             duty: self.duty,
             just_stop: JustStopConfig {
                 reaction_s: self.just_stop.reaction_s,

@@ -20,7 +20,9 @@ use vigil_guidance::{
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::PositionalInputs;
-use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge};
+use vigil_policy::{
+    FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge, SecondSensor,
+};
 use vigil_types::{
     Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal,
     GoalRelative, GuardNotice, GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest,
@@ -53,6 +55,8 @@ pub struct StackConfig {
     pub goal: Option<Goal>,
     /// Whether frames are judged before the pilots see them (docs/sensor-faults.md).
     pub plausibility: bool,
+    /// Whether a second sensor must see nothing nearer than the frames show (docs/second-sensor.md).
+    pub second_sensor: bool,
     /// Whether somebody else's flight is guarded while guidance has not the vehicle (docs/just-stop.md).
     pub duty: Duty,
     /// How a guarded vehicle stops.
@@ -88,6 +92,8 @@ pub struct FlightStack {
     frames: FrameKeeper,
     /// Judges each new frame; `None` when that is switched off.
     plausibility: Option<PlausibilityJudge>,
+    /// Compares the frames with the second sensor; `None` where there is none.
+    second_sensor: Option<SecondSensor>,
     companion: Companion,
     guidance: Guidance,
     /// Guards somebody else's flight; `None` when that is not its duty.
@@ -148,6 +154,7 @@ impl FlightStack {
         Ok(Self {
             frames: FrameKeeper::new(config.sensor_id),
             plausibility: config.plausibility.then(PlausibilityJudge::new),
+            second_sensor: config.second_sensor.then(SecondSensor::new),
             companion: Companion::new(config.companion).with_parameters(tunables.parameters()),
             tunables,
             guidance,
@@ -194,6 +201,7 @@ impl FlightStack {
             (Some(judge), _) => judge.doubts(),
             (None, _) => Reasons::NONE,
         };
+        let doubts = doubts.union(self.second_opinion(now_ns, &telemetry, frame_age_ns));
 
         // Pilot.
         let goal = self.guidance.goal();
@@ -293,6 +301,39 @@ impl FlightStack {
                 .map(|((right, forward), range_m)| (libm::atan2f(*right, *forward), *range_m))
         });
         self.companion.emit_obstacles(now_ns, sectors, &mut output.sent);
+    }
+
+    /// What the second sensor has against the frames.
+    fn second_opinion(&mut self, now_ns: Nanos, telemetry: &VehicleTelemetry, frame_age_ns: Option<Nanos>) -> Reasons {
+        let Some(second) = &mut self.second_sensor else {
+            return Reasons::NONE;
+        };
+        let limits = self.guidance.config();
+        let fresh = frame_age_ns.is_some_and(|age_ns| age_ns <= limits.frame_age_limit_ns)
+            && telemetry
+                .flight_data_age_ns(now_ns)
+                .is_some_and(|age_ns| age_ns <= limits.telemetry_age_limit_ns)
+            && telemetry.is_finite();
+        let input = match (self.frames.newest(), telemetry.kinematics, telemetry.attitude) {
+            (Some(depth), Some(kinematics), Some(AttitudeSample { attitude, .. })) if fresh => Some(PilotInput {
+                now_ns,
+                depth,
+                goal: GoalRelative {
+                    distance_m: 0.0,
+                    bearing_rad: 0.0,
+                },
+                attitude,
+                velocity_m_s: kinematics.velocity_ned_m_s.to_heading(attitude.yaw_rad()),
+                height_m: -(kinematics.position_ned_m - self.guidance.home_ned_m()).z,
+            }),
+            _ => None,
+        };
+        second.judge(
+            now_ns,
+            self.companion.sector_ranges(),
+            input.as_ref(),
+            telemetry.is_airborne(),
+        )
     }
 
     /// Guards somebody else's flight, and takes a mission around what stopped it.

@@ -152,6 +152,8 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
     config.pilot.actor_file = Some(file);
+    // It has learned nothing and flies in circles.
+    config.detector.astray_m = 0.0;
     let refused = Crew::of(&config).err().unwrap().to_string();
     assert!(refused.contains("add --detector off"), "{refused}");
     config.detector.enabled = Some(false);

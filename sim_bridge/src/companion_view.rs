@@ -4,7 +4,7 @@ use mavlink::dialects::common::MavMessage;
 use vigil_mavlink::framing::{self, FramingCounters};
 
 /// What "gd_reason" holds of the reasons; the others are in "gd_reason2".
-const LOW_BITS: u32 = (1 << 24) - 1;
+const LOW_BITS: u64 = (1 << 24) - 1;
 
 /// The last values heard from the guidance computer.
 #[derive(Debug, Clone, Default)]
@@ -13,7 +13,7 @@ pub struct CompanionView {
     /// Guidance state's number, see [`vigil_types::GuidanceState`].
     pub state_code: Option<u8>,
     /// Bits of [`vigil_types::Reasons`].
-    pub reason_bits: u32,
+    pub reason_bits: u64,
     /// Execution time of the last reported step, microseconds.
     pub step_us: f32,
     /// Missed steps since its start.
@@ -31,8 +31,8 @@ impl CompanionView {
             match packet.message() {
                 Ok(MavMessage::NAMED_VALUE_FLOAT(m)) => match m.name.to_str().unwrap_or_default() {
                     "gd_state" => self.state_code = Some(m.value as u8),
-                    "gd_reason" => self.reason_bits = (self.reason_bits & !LOW_BITS) | (m.value as u32 & LOW_BITS),
-                    "gd_reason2" => self.reason_bits = (self.reason_bits & LOW_BITS) | ((m.value as u32) << 24),
+                    "gd_reason" => self.reason_bits = (self.reason_bits & !LOW_BITS) | (m.value as u64 & LOW_BITS),
+                    "gd_reason2" => self.reason_bits = (self.reason_bits & LOW_BITS) | ((m.value as u64) << 24),
                     "step_us" => self.step_us = m.value,
                     "dt_score" => self.score = Some(m.value),
                     "slips" => self.slips = m.value as u64,

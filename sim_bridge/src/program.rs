@@ -69,6 +69,10 @@ pub struct SimArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]")]
     pub sensor_fault: Option<SensorFault>,
 
+    /// So many small time-of-flight sensors of 45° each beside the LiDAR, side by side, told as OBSTACLE_DISTANCE (docs/second-sensor.md).
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
+    pub second_sensor_heads: u8,
+
     /// Take turns with a firmware process instead of running in real time, and end with the flight.
     #[arg(long)]
     pub lockstep: bool,
@@ -199,6 +203,7 @@ fn configure(args: &SimArgs) -> Result<SimConfig> {
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     config.sensor_fault = args.sensor_fault;
+    config.second_sensor_heads = args.second_sensor_heads.into();
     config.frame_key = match &args.frame_key {
         Some(path) => Some(vigil_io::key_file::frame_key(path, LIDAR_SENSOR_ID)?),
         None => None,

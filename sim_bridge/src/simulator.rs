@@ -3,10 +3,12 @@
 use crate::config::{SimConfig, SimError, Start};
 use crate::sensor_fault::FailingSensor;
 use twox_hash::XxHash3_64;
-use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup};
-use vigil_types::{Datagrams, DepthFrame, FrameKey, Nanos, NedVector, STEP_NS};
+use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup, ZoneRanges};
+use vigil_types::{Datagrams, DepthFrame, FrameKey, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
 use vigil_vehicle::{ControlCommand, Truth, Vehicle};
-use vigil_world::{Lidar, Outcome, Referee, Shot, World};
+use vigil_world::{
+    Lidar, Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
+};
 
 const MILLISECOND_NS: Nanos = 1_000_000;
 
@@ -32,6 +34,9 @@ pub struct Simulator {
     referee: Referee,
     vehicle: Vehicle,
     lidar: Lidar,
+    /// Present when there is a second sensor, and when it measures next.
+    zones: Option<ZoneSensor>,
+    zones_due_ns: Nanos,
     /// Present when the LiDAR is to fail.
     failing: Option<FailingSensor>,
     /// Present when the LiDAR's driver authenticates its frames.
@@ -70,6 +75,8 @@ impl Simulator {
             referee: Referee::new(course),
             vehicle,
             lidar: Lidar::new(config.lidar, config.seed)?,
+            zones: (config.second_sensor_heads > 0).then(|| ZoneSensor::new(config.seed, config.second_sensor_heads)),
+            zones_due_ns: 0,
             frame_key: config.frame_key.clone(),
             failing: config.sensor_fault.map(|fault| FailingSensor::new(fault, config.seed)),
             endpoint,
@@ -139,6 +146,21 @@ impl Simulator {
             .step(if crashed { &ControlCommand::MotorsOff } else { &command });
         let truth = self.vehicle.truth();
         self.world.set_time_ns(self.elapsed_ms * MILLISECOND_NS);
+        if let Some(zones) = &mut self.zones
+            && self.elapsed_ms * MILLISECOND_NS >= self.zones_due_ns
+        {
+            self.zones_due_ns += ZONE_INTERVAL_NS;
+            let mut room = [f32::INFINITY; ZONE_MOST_HEADS * ZONE_COLUMNS];
+            let measured_m = zones.measure(&self.world, truth.position_ned_m, truth.attitude, &mut room);
+            let mut range_m = [f32::INFINITY; RANGE_SECTORS];
+            range_m[..measured_m.len()].copy_from_slice(measured_m);
+            self.endpoint.observe_ranges(ZoneRanges {
+                range_m,
+                columns: measured_m.len(),
+                fov_rad: zones.fov_rad(),
+                farthest_m: ZONE_MAX_RANGE_M,
+            });
+        }
 
         if self.lifted_off_ms.is_none() && !self.vehicle.view().on_ground {
             self.lifted_off_ms = Some(self.elapsed_ms);

@@ -60,6 +60,7 @@ impl Setup {
                 position_ned_m: NedVector::new(north_m, east_m, down_m),
             }),
             plausibility: parameters::PLAUSIBILITY.is_on(),
+            second_sensor: parameters::SECOND_SENSOR.is_on(),
             duty: Default::default(),
             just_stop: Default::default(),
         }

@@ -51,7 +51,7 @@ const fn condition(
 }
 
 /// All conditions, in the order of [`Reason`].
-pub static CONDITIONS: [Condition; 31] = [
+pub static CONDITIONS: [Condition; 33] = [
     condition(
         Reason::StaleFrame,
         Demand::Hold,
@@ -262,6 +262,20 @@ pub static CONDITIONS: [Condition; 31] = [
         false,
         "in `detector.raise_count` of the last `detector.raise_window` frames fewer than `detector.smooth_share` of the cells of 4 × 4 pixels in which something is seen showed one surface; and the policy is *stop* or *recover*",
         "as *collision course*",
+    ),
+    condition(
+        Reason::SecondSensorSilent,
+        Demand::Hold,
+        true,
+        "`second_sensor` is on, and nothing usable came from it for 0.3 s, or ever",
+        "a report of it that can be used",
+    ),
+    condition(
+        Reason::SensorsDisagree,
+        Demand::Hold,
+        true,
+        "in the air, in 3 of the second sensor's last 5 reports something was nearer, by more than 0.5 m, than the depth frames show in that direction",
+        "15 reports in a row that agree; after the second time in a flight, the end of the flight",
     ),
 ];
 

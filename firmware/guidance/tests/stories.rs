@@ -1220,7 +1220,10 @@ fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_altho
 
 #[test]
 fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
-    let mut s = watched(AlarmPolicy::Recover);
+    let mut s = watched_for_leading_astray();
+    let mut config = *s.guidance.config();
+    config.alarm.astray_limit_m = 0.0;
+    s.guidance.reconfigure(config).unwrap();
     s.verdict = Some(Verdict::Clean);
     s.speed_along_way_m_s = Some(-1.0);
     assert_eq!(s.run(seconds(60.0)).alarm, None);

@@ -9,10 +9,11 @@ use crate::report;
 use crate::service::Step;
 use crate::services::Services;
 use crate::status_text::StatusText;
-use mavlink::dialects::common::MavState;
+use mavlink::MessageData;
+use mavlink::dialects::common::{MavState, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
     Datagrams, GuardNotice, GuidanceState, HandoverProgress, Nanos, NedVector, ObstacleReports, RequestOutcome,
-    StepReport, VehicleRequest, VehicleTelemetry, parameters,
+    SectorRanges, StepReport, VehicleRequest, VehicleTelemetry, parameters,
 };
 
 /// The autopilot's component.
@@ -114,6 +115,11 @@ impl Companion {
         &self.core.vehicle.telemetry
     }
 
+    /// The last usable report of a sensor beside the depth camera.
+    pub fn sector_ranges(&self) -> Option<&SectorRanges> {
+        self.core.vehicle.sector_ranges.as_ref()
+    }
+
     /// How far the vehicle is with the hand-over.
     pub fn handover(&self) -> HandoverProgress {
         self.services.handover.progress()
@@ -181,10 +187,15 @@ impl Companion {
         // What the vehicle says counts on its own link only: nobody on another can speak in its place.
         if link == core.config.link {
             core.learn_vehicle(packet);
-            if core.system_id == Some(packet.system_id()) && packet.component_id() == AUTOPILOT {
-                if !core.vehicle.receive(now_ns, packet) {
-                    core.counters.unreadable += 1;
-                }
+            let is_vehicles = core.system_id == Some(packet.system_id());
+            // A second sensor may be a component of its own.
+            let is_sensors =
+                packet.message_id() == OBSTACLE_DISTANCE_DATA::ID && packet.component_id() != core.config.component_id;
+            let is_autopilots = packet.component_id() == AUTOPILOT;
+            if is_vehicles && (is_autopilots || is_sensors) && !core.vehicle.receive(now_ns, packet) {
+                core.counters.unreadable += 1;
+            }
+            if is_vehicles && is_autopilots {
                 services.hear_vehicle(core, now_ns, packet);
             }
         } else {

@@ -6,10 +6,12 @@ use crate::globe::Origin;
 use mavlink::MessageData;
 use mavlink::dialects::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, EXTENDED_SYS_STATE_DATA, GPS_GLOBAL_ORIGIN_DATA, HEARTBEAT_DATA,
-    HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavMessage, POSITION_TARGET_GLOBAL_INT_DATA, SYS_STATUS_DATA,
+    HOME_POSITION_DATA, LOCAL_POSITION_NED_DATA, MavFrame, MavMessage, OBSTACLE_DISTANCE_DATA,
+    POSITION_TARGET_GLOBAL_INT_DATA, SYS_STATUS_DATA,
 };
 use vigil_types::{
-    Attitude, AttitudeSample, FrdVector, Heartbeat, Kinematics, Landed, Nanos, NedVector, VehicleMode, VehicleTelemetry,
+    Attitude, AttitudeSample, FrdVector, Heartbeat, Kinematics, Landed, Nanos, NedVector, RANGE_SECTORS, SectorRanges,
+    VehicleMode, VehicleTelemetry,
 };
 
 /// A time since boot this much earlier than the last one is a restart; a smaller step back is a packet out of order.
@@ -22,6 +24,39 @@ const ARMED: u8 = 128;
 
 /// Where home is told to be in two ways that differ by more than this, metres, the vehicle fills only one of them.
 const SAME_PLACE_M: f32 = 1.0;
+
+/// What OBSTACLE_DISTANCE says, turned with the vehicle; `None` where it contradicts itself (a distance beyond its own limits, no width of a
+/// sector), tells nothing, or is turned otherwise. <https://mavlink.io/en/messages/common.html#OBSTACLE_DISTANCE>
+fn sector_ranges(now_ns: Nanos, m: &OBSTACLE_DISTANCE_DATA) -> Option<SectorRanges> {
+    const UNKNOWN: u16 = u16::MAX;
+    let step_deg = if m.increment_f != 0.0 {
+        m.increment_f
+    } else {
+        f32::from(m.increment)
+    };
+    let is_turned_with_vehicle = m.frame == MavFrame::MAV_FRAME_BODY_FRD;
+    let is_wide = step_deg.is_finite() && step_deg != 0.0 && step_deg.abs() <= 360.0 && m.angle_offset.is_finite();
+    if !is_turned_with_vehicle || !is_wide || m.min_distance >= m.max_distance {
+        return None;
+    }
+    let (least_cm, most_cm) = (m.min_distance, m.max_distance);
+    let mut range_m = [f32::NAN; RANGE_SECTORS];
+    for (range_m, distance_cm) in range_m.iter_mut().zip(m.distances) {
+        *range_m = match distance_cm {
+            UNKNOWN => f32::NAN,
+            nothing if u32::from(nothing) == u32::from(most_cm) + 1 => f32::INFINITY,
+            seen if (least_cm..=most_cm).contains(&seen) => f32::from(seen) * 0.01,
+            _ => return None,
+        };
+    }
+    let says_something = range_m.iter().any(|range_m| !range_m.is_nan());
+    says_something.then(|| SectorRanges {
+        at_ns: now_ns,
+        first_rad: m.angle_offset.to_radians(),
+        step_rad: step_deg.to_radians(),
+        range_m,
+    })
+}
 
 /// HOME_POSITION: the place in the local frame, and on the globe.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,6 +86,8 @@ pub struct Vehicle {
     home: Option<Home>,
     /// Latitude and longitude, degrees, of the place to which its mission leads, as it was told last in that mode.
     mission_place_deg: Option<(f64, f64)>,
+    /// The last usable OBSTACLE_DISTANCE: of a sensor beside the depth camera.
+    pub sector_ranges: Option<SectorRanges>,
     /// How often the autopilot was seen to start anew.
     pub restarts: u32,
     /// Packets dropped because a newer one came before.
@@ -73,6 +110,7 @@ impl Vehicle {
             origin_told: false,
             home: None,
             mission_place_deg: None,
+            sector_ranges: None,
             restarts: 0,
             late: 0,
             position_ms: None,
@@ -140,6 +178,7 @@ impl Vehicle {
             | LOCAL_POSITION_NED_DATA::ID
             | GPS_GLOBAL_ORIGIN_DATA::ID
             | HOME_POSITION_DATA::ID
+            | OBSTACLE_DISTANCE_DATA::ID
             | POSITION_TARGET_GLOBAL_INT_DATA::ID => match packet.message() {
                 Ok(message) => self.message(now_ns, &message),
                 Err(_) => return false,
@@ -214,6 +253,8 @@ impl Vehicle {
                     .filter(|place| place.latitude_deg != 0.0 || place.longitude_deg != 0.0)
                     .map(|place| (place.latitude_deg, place.longitude_deg));
             }
+            // One that contradicts itself says nothing: the last usable one grows old.
+            MavMessage::OBSTACLE_DISTANCE(m) => self.sector_ranges = sector_ranges(now_ns, m).or(self.sector_ranges),
             MavMessage::HOME_POSITION(m) => {
                 self.home = Some(Home {
                     ned_m: NedVector::new(m.x, m.y, m.z),

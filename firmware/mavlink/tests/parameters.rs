@@ -4,7 +4,7 @@ mod common;
 
 use common::{GROUND_STATION, bytes_of, messages, report, texts};
 use vigil_mavlink::common::{
-    HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA,
+    HEARTBEAT_DATA, LOCAL_POSITION_NED_DATA, MavFrame, MavParamError, MavParamType, OBSTACLE_DISTANCE_DATA,
     PARAM_REQUEST_LIST_DATA, PARAM_REQUEST_READ_DATA, PARAM_SET_DATA, PARAM_VALUE_DATA,
 };
 use vigil_mavlink::{
@@ -316,6 +316,48 @@ fn obstacles_are_told_where_they_are() {
     );
     assert_eq!(data.distances[bin(&data, 30.0)], u16::MAX, "not looked at");
     assert!((data.angle_offset + 59.1667).abs() < 1e-3 && (data.increment_f - 1.6667).abs() < 1e-3);
+}
+
+/// What a companion of a vehicle in the air knows after it heard this from a component of the vehicle's system.
+fn heard(component_id: u8, data: OBSTACLE_DISTANCE_DATA) -> Option<Vec<(f32, f32)>> {
+    let mut companion = in_the_air();
+    let from = MavHeader {
+        system_id: 1,
+        component_id,
+        sequence: 0,
+    };
+    companion.receive(7_000, 0, &bytes_of(from, &MavMessage::OBSTACLE_DISTANCE(data)));
+    let ranges = companion.sector_ranges()?;
+    assert_eq!(ranges.at_ns, 7_000);
+    Some(ranges.known().collect())
+}
+
+#[test]
+fn a_second_sensors_ranges_are_heard_and_what_contradicts_itself_is_not() {
+    // What is told of a scan is understood as it was meant.
+    let told = obstacles(&[(0.0, 2.5), (0.5, f32::INFINITY)]);
+    for component in [1, 196] {
+        let ranges = heard(component, told.clone()).expect("usable");
+        let bin_rad = told.increment_f.to_radians();
+        let [(ahead_rad, ahead_m), (right_rad, right_m)] = ranges[..] else {
+            panic!("{ranges:?}");
+        };
+        assert!(ahead_rad.abs() <= bin_rad && (ahead_m - 2.5).abs() < 1e-6);
+        assert!((right_rad - 0.5).abs() <= bin_rad && right_m.is_infinite());
+    }
+    let contradicts = |change: fn(&mut OBSTACLE_DISTANCE_DATA)| {
+        let mut data = told.clone();
+        change(&mut data);
+        assert_eq!(heard(1, data), None);
+    };
+    contradicts(|data| data.distances[3] = data.max_distance + 2);
+    contradicts(|data| data.distances[3] = data.min_distance - 1);
+    contradicts(|data| data.distances = [u16::MAX; 72]);
+    contradicts(|data| data.min_distance = data.max_distance);
+    contradicts(|data| (data.increment, data.increment_f) = (0, 0.0));
+    contradicts(|data| data.increment_f = f32::NAN);
+    contradicts(|data| data.angle_offset = f32::INFINITY);
+    contradicts(|data| data.frame = MavFrame::MAV_FRAME_GLOBAL);
 }
 
 #[test]

@@ -30,6 +30,7 @@ mod frozen;
 pub mod geometric;
 pub mod imported;
 pub mod plausibility;
+mod second_sensor;
 
 #[cfg(feature = "actor-file")]
 pub use actor::FrozenActor;
@@ -43,6 +44,7 @@ pub use geometric::{GeometricConfig, GeometricPilot, Lookout, RangeScan, Recover
 pub use imported::FrozenPolicy;
 pub use imported::ImportedPilot;
 pub use plausibility::PlausibilityJudge;
+pub use second_sensor::SecondSensor;
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
 

@@ -114,11 +114,15 @@ pub enum Reason {
     Disagreement = 30,
     /// The depth frames are rough, as no surface is; the vehicle is being stopped.
     RoughPicture = 31,
+    /// The second sensor is configured and nothing usable came from it for too long.
+    SecondSensorSilent = 32,
+    /// The second sensor saw something nearer than the depth frames show there.
+    SensorsDisagree = 33,
 }
 
 impl Reason {
     /// All reasons, in the order of their bits.
-    pub const ALL: [Self; 31] = [
+    pub const ALL: [Self; 33] = [
         Self::StaleFrame,
         Self::BadFrame,
         Self::StaleTelemetry,
@@ -150,6 +154,8 @@ impl Reason {
         Self::LedAstray,
         Self::Disagreement,
         Self::RoughPicture,
+        Self::SecondSensorSilent,
+        Self::SensorsDisagree,
     ];
 
     /// Name as it appears in STATUSTEXT, log and documentation.
@@ -186,13 +192,15 @@ impl Reason {
             Self::LedAstray => "led astray",
             Self::Disagreement => "disagreement",
             Self::RoughPicture => "rough picture",
+            Self::SecondSensorSilent => "second sensor silent",
+            Self::SensorsDisagree => "sensors disagree",
         }
     }
 }
 
 /// A set of [`Reason`]s.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Reasons(pub u32);
+pub struct Reasons(pub u64);
 
 impl Reasons {
     /// The empty set.

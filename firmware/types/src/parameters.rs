@@ -406,6 +406,11 @@ table! {
         true,
         "judge frames before the pilots see them, so that a sensor that is dead, frozen or wrong holds the flight (docs/sensor-faults.md)"
     );
+    SECOND_SENSOR = switch(
+        "second_sensor",
+        false,
+        "a second sensor, whose OBSTACLE_DISTANCE comes from the vehicle, must see nothing nearer than the depth frames show (docs/second-sensor.md)"
+    );
     ENGAGE = choice("engage", EngagePolicy::WORDS, EngagePolicy::Command as usize, "who starts a flight");
     AT_GOAL = choice("at_goal", AtGoal::WORDS, AtGoal::Hold as usize, "what to do at the goal").mavlink("GD_AT_GOAL", true);
     HEIGHT = real("height_m", HEIGHT_M, "m", 2.5, "height above home of goals that do not tell theirs");
@@ -486,7 +491,7 @@ table! {
         "detector.astray_m",
         (0.0, 100.0),
         "m",
-        0.0,
+        6.0,
         "the guard raises the alarm when the actor falls so far behind 0.5 m/s along the way that the recovery pilot plans; 0 is never"
     )
     .mavlink("DT_ASTRAY", true);

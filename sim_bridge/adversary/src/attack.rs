@@ -47,6 +47,10 @@ pub struct AttackArgs {
     /// Adaptive: stay within what the guard lets pass.
     #[arg(long, requires = "attack")]
     pub evade_guard: bool,
+
+    /// Adaptive: leave what lies within so many degrees of the nose as it is, where a second sensor looks.
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0, requires = "attack")]
+    pub truthful_ahead: f32,
 }
 
 impl Default for AttackArgs {
@@ -68,6 +72,7 @@ impl Default for AttackArgs {
             evade: None,
             region,
             evade_guard: false,
+            truthful_ahead: 0.0,
         }
     }
 }
@@ -97,6 +102,7 @@ impl AttackArgs {
                 towards: self.towards,
                 seed: 0,
                 region_pixels: self.region,
+                truthful_ahead_deg: self.truthful_ahead,
             },
             burst: self.burst,
             evade,
@@ -122,6 +128,9 @@ impl AttackArgs {
         }
         if self.evade_guard {
             command.arg("--evade-guard");
+        }
+        if self.truthful_ahead != 0.0 {
+            command.arg(format!("--truthful-ahead={}", self.truthful_ahead));
         }
     }
 }

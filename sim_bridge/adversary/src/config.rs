@@ -30,11 +30,14 @@ pub enum Method {
     /// The control: random signs of size iterations · ε, as large as [`Method::BimAccumulating`] may get. With one iteration it is
     /// as large as the others.
     Noise,
+    /// No gradient: everything above and ahead is shown farther away, by iterations · ε. It deceives whoever believes the frames, the recovery
+    /// pilot and the guard as well as the actor; the ground below stays where it is.
+    Recede,
 }
 
 impl Method {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Fgsm,
         Self::BimClipped,
         Self::BimAccumulating,
@@ -43,6 +46,7 @@ impl Method {
         Self::L2,
         Self::Patch,
         Self::Noise,
+        Self::Recede,
     ];
 
     /// Its name on the command line and in reports.
@@ -56,6 +60,7 @@ impl Method {
             Self::L2 => "l2",
             Self::Patch => "patch",
             Self::Noise => "noise",
+            Self::Recede => "recede",
         }
     }
 }
@@ -109,6 +114,14 @@ pub struct AttackConfig {
     /// Side of the squares whose pixels move together, pixels: what shows one surface then goes on showing one. 1 moves each by itself.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub region_pixels: u32,
+    /// Columns within this angle of the nose are left as they are, degrees: who knows the second sensor lies only where it does not look.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub truthful_ahead_deg: f32,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
+fn is_zero(value: &f32) -> bool {
+    *value == 0.0
 }
 
 fn one() -> u32 {
@@ -129,6 +142,7 @@ impl AttackConfig {
         towards: Towards::Away,
         seed: 0,
         region_pixels: 1,
+        truthful_ahead_deg: 0.0,
     };
 
     /// ε as a normalised range.
@@ -142,7 +156,7 @@ impl AttackConfig {
         let epsilon = self.epsilon();
         match self.method {
             Method::Fgsm | Method::BimClipped | Method::Pgd | Method::Momentum => epsilon,
-            Method::BimAccumulating | Method::Noise => epsilon * self.iterations as f32,
+            Method::BimAccumulating | Method::Noise | Method::Recede => epsilon * self.iterations as f32,
             Method::L2 => epsilon * (pixels as f32).sqrt(),
             Method::Patch => epsilon * PATCH_GAIN,
         }
@@ -165,6 +179,11 @@ impl AttackConfig {
         }
         if self.region_pixels == 0 {
             return Err(AttackError::Region);
+        }
+        if !(0.0..=180.0).contains(&self.truthful_ahead_deg) {
+            return Err(AttackError::TruthfulAhead {
+                degrees: self.truthful_ahead_deg,
+            });
         }
         Ok(())
     }
@@ -205,6 +224,12 @@ pub enum AttackError {
     Epsilon {
         /// The value.
         epsilon_255: f32,
+    },
+    /// The angle that is spared is out of its range.
+    #[error("the angle that is spared must be from 0 to 180 degrees, got {degrees}")]
+    TruthfulAhead {
+        /// The value.
+        degrees: f32,
     },
     /// No iterations.
     #[error("an attack needs at least one iteration")]

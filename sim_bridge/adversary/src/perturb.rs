@@ -7,11 +7,14 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
 
 /// The yaw output's limit before its saturation: 1.5 · tanh(10) is the limit to the last bit.
 const LIMIT: f32 = 10.0;
 /// Steps of the projected methods, in ε over iterations: enough to cross the whole range and come back (Madry et al., 2018).
 const STEP_GAIN: f32 = 2.5;
+/// [`Method::Recede`] leaves alone what is seen farther down than this, 20°: the ground near the vehicle.
+const GROUND_BELOW_RAD: f32 = 0.349;
 /// The patch's share of rows and columns; their product is 1 / [`PATCH_GAIN`].
 const PATCH_ROWS: usize = 4;
 const PATCH_COLS: usize = 8;
@@ -112,6 +115,14 @@ impl Perturber {
                     let sign = if rng.random::<bool>() { size } else { -size };
                     *x = (clean + sign).clamp(0.0, 1.0);
                 }
+                self.spare_ahead(frames);
+                outputs = surrogate.look(scene.older, frames, scene.position)?;
+                each(self.config.iterations, outputs, frames);
+                return Ok(outputs);
+            }
+            Method::Recede => {
+                self.recede(frames);
+                self.spare_ahead(frames);
                 outputs = surrogate.look(scene.older, frames, scene.position)?;
                 each(self.config.iterations, outputs, frames);
                 return Ok(outputs);
@@ -120,6 +131,7 @@ impl Perturber {
                 for (x, clean) in frames.iter_mut().zip(&self.clean) {
                     *x = (clean + rng.random_range(-epsilon..=epsilon)).clamp(0.0, 1.0);
                 }
+                self.spare_ahead(frames);
                 outputs = surrogate.look(scene.older, frames, scene.position)?;
                 self.config.iterations
             }
@@ -134,6 +146,7 @@ impl Perturber {
                 self.place_patch();
             }
             self.step(frames, epsilon, iterations);
+            self.spare_ahead(frames);
             outputs = surrogate.look(scene.older, frames, scene.position)?;
             if !each(iteration, outputs, frames) {
                 break;
@@ -210,8 +223,8 @@ impl Perturber {
                 }
                 self.along_sign(frames, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
-            // Makes no steps.
-            Method::Noise => {}
+            // Make no steps.
+            Method::Noise | Method::Recede => {}
         }
     }
 
@@ -223,6 +236,41 @@ impl Perturber {
             // Not `clamp`: its check of the bounds keeps the compiler from vectors.
             let least = (clean - reach).max(floor.min(*clean));
             *x = (*x - sign).max(least).min((clean + reach).min(1.0));
+        }
+    }
+
+    /// Shows everything that is seen above [`GROUND_BELOW_RAD`] farther away. What gives no return goes on giving none.
+    fn recede(&self, frames: &mut [f32]) {
+        let by = self.config.reach(frames.len());
+        let scale = DEPTH_ROWS as f32 / self.rows as f32;
+        let elevation_rad = |row: usize| row_elevation_rad((row as f32 + 0.5) * scale - 0.5);
+        let first_of_ground = (0..self.rows).find(|row| elevation_rad(*row) < -GROUND_BELOW_RAD);
+        let pixels = first_of_ground.unwrap_or(self.rows) * self.cols;
+        for frame in frames.chunks_exact_mut(self.rows * self.cols) {
+            for x in frame[..pixels].iter_mut().filter(|x| **x < 1.0) {
+                *x = (*x + by).min(1.0);
+            }
+        }
+    }
+
+    /// Leaves the columns within [`AttackConfig::truthful_ahead_deg`] of the nose as they were.
+    fn spare_ahead(&self, frames: &mut [f32]) {
+        let spared_rad = self.config.truthful_ahead_deg.to_radians();
+        if spared_rad == 0.0 {
+            return;
+        }
+        let scale = DEPTH_COLS as f32 / self.cols as f32;
+        let bearing_rad = |col: usize| column_bearing_rad((col as f32 + 0.5) * scale - 0.5);
+        let is_spared = |col: &usize| bearing_rad(*col).abs() <= spared_rad;
+        let spared = (0..self.cols).filter(is_spared);
+        let (Some(first), count) = (spared.clone().next(), spared.count()) else {
+            return;
+        };
+        let lines = frames
+            .chunks_exact_mut(self.cols)
+            .zip(self.clean.chunks_exact(self.cols));
+        for (line, clean) in lines {
+            line[first..first + count].copy_from_slice(&clean[first..first + count]);
         }
     }
 

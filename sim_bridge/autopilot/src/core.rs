@@ -13,7 +13,7 @@ use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::FramingCounters;
 pub use vigil_mavlink::routing::ComponentId;
-use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
+use vigil_types::{Attitude, FrdVector, Nanos, NedVector, RANGE_SECTORS};
 use vigil_vehicle::{Estimate, Sensors, Truth, VehicleView};
 
 /// What was refused since start, besides what the framing refused.
@@ -105,6 +105,19 @@ pub struct SigningSetup {
 /// Bytes of a STATUSTEXT.
 const TEXT_CHUNK: usize = 50;
 
+/// What a sensor of zones beside the depth camera measured: horizontal distances, left to right over its field of view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ZoneRanges {
+    /// Metres; infinite where nothing is within reach. The first `columns` count.
+    pub range_m: [f32; RANGE_SECTORS],
+    /// How many there are.
+    pub columns: usize,
+    /// Its field of view, radians.
+    pub fov_rad: f32,
+    /// Its reach, metres.
+    pub farthest_m: f32,
+}
+
 /// Shared state.
 pub(crate) struct Core {
     pub now_ns: Nanos,
@@ -124,6 +137,8 @@ pub(crate) struct Core {
     pub lost_sensors: LostSensors,
     /// What the simulator told of the truth: for the one message that clients know as such.
     pub truth: Option<Truth>,
+    /// What the second sensor measured last, if there is one.
+    pub ranges: Option<ZoneRanges>,
     /// A new signing key that the links have not taken yet.
     pub signing_setup: Option<SigningSetup>,
     pub plans: Plans,
@@ -163,6 +178,7 @@ impl Core {
             sticks: Sticks::default(),
             lost_sensors: LostSensors::default(),
             truth: None,
+            ranges: None,
             signing_setup: None,
             plans: Plans::default(),
             fence_watch: FenceWatch::default(),

@@ -1,6 +1,6 @@
 //! The endpoint: datagrams and the vehicle's view in, datagrams and a command for the controllers out.
 
-use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup};
+use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
 use crate::service::{Answer, Service, Source};
 use crate::streams::Streams;
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
@@ -203,6 +203,11 @@ impl Endpoint {
     /// and no onboard link gets it.
     pub fn observe_truth(&mut self, truth: &Truth) {
         self.core.truth = Some(*truth);
+    }
+
+    /// Tells what the second sensor measured.
+    pub fn observe_ranges(&mut self, ranges: ZoneRanges) {
+        self.core.ranges = Some(ranges);
     }
 
     /// Hands out the datagrams that wait, in order.

@@ -51,7 +51,7 @@ mod testing;
 mod tests;
 
 pub use config::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
-pub use core::{EndpointStatus, Refusals, SigningSetup};
+pub use core::{EndpointStatus, Refusals, SigningSetup, ZoneRanges};
 pub use endpoint::Endpoint;
 pub use flight::{Failsafe, FlightMode, LandedState};
 pub use saved::Saved;

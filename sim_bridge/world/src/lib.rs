@@ -31,8 +31,9 @@ pub use course_file::CourseError;
 pub use draw::{FlightPath, Image, ImageError, check_png_name, draw, draw_svg};
 pub use generate::{LONG_GOAL_M, generate, generate_long};
 pub use lidar::{
-    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot,
-    beam_direction_frd, pixel_of, ring_row, split_mix,
+    LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, Lidar, LidarConfig, LidarConfigError, Method, Ranges, Shot, ZONE_COLUMNS,
+    ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor, beam_direction_frd, pixel_of,
+    ring_row, split_mix,
 };
 pub use mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
 pub use referee::{GROUND_CRASH_SPEED_M_S, Outcome, Referee, UnknownOutcome};

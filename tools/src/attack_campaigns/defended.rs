@@ -79,6 +79,10 @@ pub struct DefendedArgs {
     #[arg(long)]
     evade_guard: bool,
 
+    /// Adaptive: leave what lies within so many degrees of the nose as it is, where a second sensor looks.
+    #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
+    truthful_ahead: f32,
+
     /// The detector that judges the actor [default: the one built in].
     #[arg(long, value_name = "FILE")]
     detector: Option<PathBuf>,
@@ -115,6 +119,10 @@ pub struct DefendedArgs {
     /// A part that is there already is gone on with.
     #[arg(long, value_name = "K/N")]
     shard: Option<Shard>,
+
+    /// So many small sensors of 45° each, side by side, must see nothing nearer than the frames show (docs/second-sensor.md).
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
+    second_sensor_heads: u8,
 
     #[command(flatten)]
     common: Common,
@@ -194,6 +202,8 @@ struct Settings {
     #[serde(default, skip_serializing_if = "is_zero")]
     smooth_share: f32,
     guard_final: bool,
+    #[serde(default, skip_serializing_if = "is_none")]
+    second_sensor_heads: u8,
     first_seed: u64,
     apf: bool,
     attack: AttackConfig,
@@ -209,6 +219,11 @@ struct Settings {
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
 fn is_zero(value: &f32) -> bool {
     *value == 0.0
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
+fn is_none(heads: &u8) -> bool {
+    *heads == 0
 }
 
 /// Everything that decides what the flights are, wherever they are flown.
@@ -521,6 +536,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         evade: args.evade.clone(),
         region: args.region,
         evade_guard: args.evade_guard,
+        truthful_ahead: args.truthful_ahead,
     };
     let attack = attack
         .attack(args.common.actor.as_deref())?
@@ -544,6 +560,7 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         disagreement_s: detector.disagreement_s,
         smooth_share: detector.smooth_share,
         guard_final: detector.guard_final,
+        second_sensor_heads: args.second_sensor_heads,
         first_seed: args.seed,
         apf: args.apf,
         attack: attack.config,
@@ -671,10 +688,13 @@ fn report(settings: &Settings, log: &Log, json: &Path) -> Result<()> {
 }
 
 fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
-    let (config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
+    let (mut config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = Some(arm.alarm().is_some());
     firmware.detector.file.clone_from(&args.detector);
     args.set_guard(&mut firmware.detector);
+    // Part of what defends: the undefended fly without.
+    config.second_sensor_heads = args.second_sensor_heads.into();
+    firmware.second_sensor = args.second_sensor_heads > 0 && arm.alarm().is_some();
     firmware.detector.alarm = arm.alarm().unwrap_or(firmware.detector.alarm);
     campaign::fly(&config, &firmware, arm.attacked().then_some(attack))
 }
@@ -714,6 +734,7 @@ mod tests {
             disagreement_s: 2.5,
             smooth_share: 0.0,
             guard_final: true,
+            second_sensor_heads: 0,
             first_seed: 7,
             apf: false,
             attack: AttackConfig::PAPER,

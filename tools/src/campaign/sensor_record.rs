@@ -8,7 +8,7 @@ use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
 use vigil_world::Outcome;
 
 /// Conditions that say that frames cannot be used.
-const SENSOR_REASONS: [Reason; 7] = [
+const SENSOR_REASONS: [Reason; 9] = [
     Reason::StaleFrame,
     Reason::BadFrame,
     Reason::UnauthenticatedFrame,
@@ -16,6 +16,8 @@ const SENSOR_REASONS: [Reason; 7] = [
     Reason::FrozenSensor,
     Reason::ImplausiblePose,
     Reason::InconsistentPicture,
+    Reason::SecondSensorSilent,
+    Reason::SensorsDisagree,
 ];
 
 /// What was found wrong with the sensor in a flight.

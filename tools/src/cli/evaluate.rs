@@ -115,6 +115,11 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]", value_parser = FaultChoice::parse)]
     sensor_fault: Option<FaultChoice>,
 
+    /// So many small sensors of 45° each beside the LiDAR, side by side, which must see nothing nearer than the frames show
+    /// (docs/second-sensor.md).
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
+    second_sensor_heads: u8,
+
     /// The LiDAR's driver authenticates its frames, and the firmware refuses others; the attacker does not have the key
     /// (docs/frame-authentication.md).
     #[arg(long)]
@@ -233,6 +238,7 @@ struct Plan {
     goal_distance: Option<GoalDistance>,
     ground_every: u64,
     sensor_faults: Vec<String>,
+    second_sensor_heads: u8,
     authenticated_frames: bool,
     simulation_sha256: Option<String>,
     actor_sha256: Option<String>,
@@ -262,6 +268,7 @@ impl Plan {
             pilot,
             attack: _,
             sensor_fault,
+            second_sensor_heads,
             authenticate_frames,
             json: _,
             shard: _,
@@ -288,6 +295,7 @@ impl Plan {
             goal_distance: *goal_distance,
             ground_every: *ground_every,
             sensor_faults: faults(*sensor_fault).iter().flatten().map(|f| f.to_string()).collect(),
+            second_sensor_heads: *second_sensor_heads,
             authenticated_frames: *authenticate_frames,
             simulation_sha256: simulation.transpose()?.map(|text| part::sha256(&text)),
             actor_sha256: actor.map(|actor| actor.sha256()),
@@ -507,6 +515,8 @@ fn fly(
         config.frame_key = Some(FrameKey::new(&[0x5A; 32], LIDAR_SENSOR_ID, b"campaign"));
     }
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    config.second_sensor_heads = args.second_sensor_heads.into();
+    firmware.second_sensor = args.second_sensor_heads > 0;
     args.pilot.apply(&mut firmware);
     let Flown {
         record,

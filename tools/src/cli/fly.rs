@@ -93,6 +93,11 @@ pub struct FlyArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]")]
     sensor_fault: Option<SensorFault>,
 
+    /// So many small sensors of 45° each beside the LiDAR, side by side, which must see nothing nearer than the frames show
+    /// (docs/second-sensor.md).
+    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
+    second_sensor_heads: u8,
+
     /// File with the secret of the depth frames' key for simulator and firmware; the adversary does not have it.
     #[arg(long, value_name = "FILE")]
     frame_key: Option<PathBuf>,
@@ -131,6 +136,7 @@ impl Default for FlyArgs {
             pilot: PilotArgs::default(),
             attack: AttackArgs::default(),
             sensor_fault: None,
+            second_sensor_heads: 0,
             frame_key: None,
             view: false,
             viewer: ViewerArgs::default(),
@@ -184,6 +190,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         true => start_sensor(&args.foreign, &folder, args.instance, world)?,
         false => Process::start("simulator", &folder, |c| {
             c.arg("sim");
+            c.arg(format!("--second-sensor-heads={}", args.second_sensor_heads));
             world(c);
         })?,
     };
@@ -215,7 +222,10 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
         c.args(["--log-content", args.log_content.name()]);
         args.foreign.firmware(c, args.instance);
-        args.pilot.hand_on(c);
+        match args.second_sensor_heads {
+            0 => args.pilot.hand_on(c),
+            _ => args.pilot.with_second_sensor().hand_on(c),
+        }
     })?
     .listening();
 

@@ -132,7 +132,7 @@ impl Draw {
             now_ns: self.bits(),
             timing: self.timing(),
             state: GuidanceState::ALL[self.below(6) as usize],
-            reasons: Reasons(self.bits() as u32),
+            reasons: Reasons(self.bits()),
             telemetry: self.telemetry(),
             goal: self.maybe(|d| Goal {
                 position_ned_m: d.vector(),
@@ -216,7 +216,7 @@ pub fn bits(record: &TickRecord) -> Vec<u64> {
         }
     }
     let r = &record.report;
-    all.whole(&[r.now_ns, r.state as u64, r.reasons.0.into(), r.frames_refused]);
+    all.whole(&[r.now_ns, r.state as u64, r.reasons.0, r.frames_refused]);
     all.timing(r.timing);
     all.option(r.frame_sequence, |all, v| all.whole(&[v]));
     all.option(r.frame_age_ns, |all, v| all.whole(&[v]));

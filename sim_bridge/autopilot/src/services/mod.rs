@@ -30,6 +30,7 @@ mod packed_parameters;
 mod parameters;
 mod plans;
 mod position;
+mod ranges;
 mod sensors;
 mod setpoints;
 mod shell;
@@ -53,6 +54,7 @@ pub(crate) fn all() -> Vec<Box<dyn Service + Send>> {
         Box::new(attitude::Attitude),
         Box::new(position::Position),
         Box::new(sensors::SensorReadings),
+        Box::new(ranges::Ranges),
         Box::<actuators::Actuators>::default(),
         Box::new(estimator::Estimator),
         Box::<vibration::Vibration>::default(),

@@ -57,7 +57,6 @@ pub(crate) fn cast_by_tree(
     beams: &BeamTable,
     ranges: &mut Ranges,
 ) {
-    let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
     for ring in 0..LIDAR_RINGS {
         for firing in 0..LIDAR_FIRINGS {
             let direction = scene.rotation.beam(
@@ -66,18 +65,24 @@ pub(crate) fn cast_by_tree(
                 beams.sin_bearing[firing],
                 beams.cos_bearing[firing],
             );
-            let ray = Ray::new(direction);
-            let nearest_plane = scene.planes_range_m(&ray);
-            let tree_ray = parry3d::query::Ray::new(origin, Vec3::new(direction.0, direction.1, direction.2));
-            let hit = world
-                .bvh()
-                .cast_ray(&tree_ray, nearest_plane.min(f32::MAX), |leaf, nearest| {
-                    let t = scene.leaves[leaf as usize].range_m(&ray);
-                    (t < nearest).then_some(t)
-                });
-            ranges[ring * LIDAR_FIRINGS + firing] = hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane));
+            ranges[ring * LIDAR_FIRINGS + firing] = cast_ray(world, sensor_ned_m, scene, direction);
         }
     }
+}
+
+/// The range along one direction (NED, of length 1) in metres, infinite where there is nothing. `scene` is of this place and world.
+pub(crate) fn cast_ray(world: &World, sensor_ned_m: NedVector, scene: &Scene, direction: (f32, f32, f32)) -> f32 {
+    let origin = Vec3::new(sensor_ned_m.x, sensor_ned_m.y, sensor_ned_m.z);
+    let ray = Ray::new(direction);
+    let nearest_plane = scene.planes_range_m(&ray);
+    let tree_ray = parry3d::query::Ray::new(origin, Vec3::new(direction.0, direction.1, direction.2));
+    let hit = world
+        .bvh()
+        .cast_ray(&tree_ray, nearest_plane.min(f32::MAX), |leaf, nearest| {
+            let t = scene.leaves[leaf as usize].range_m(&ray);
+            (t < nearest).then_some(t)
+        });
+    hit.map_or(nearest_plane, |(_, t)| lesser(t, nearest_plane))
 }
 
 /// The fast way: beams in tiles, each with the list of solids that can be seen in it, 16 beams at a time.

@@ -7,10 +7,12 @@ mod leaf;
 mod noise;
 mod simd;
 mod tiles;
+mod zones;
 
 pub use beams::{LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS, beam_direction_frd, pixel_of, ring_row};
 pub use cast::Ranges;
 pub use noise::split_mix;
+pub use zones::{ZONE_COLUMNS, ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor};
 
 use crate::world::World;
 use beams::BeamTable;

@@ -26,7 +26,7 @@ impl NoiseKeys {
 
     /// A number that is close to a standard normal one (Irwin–Hall of four: at most 3.46 in size).
     #[inline(always)]
-    fn normal(self, beam: u32) -> f32 {
+    pub(crate) fn normal(self, beam: u32) -> f32 {
         let (u, v) = (mix(beam, self.0[0]), mix(beam, self.0[1]));
         let sum = (u & 0xFFFF) + (u >> 16) + (v & 0xFFFF) + (v >> 16);
         // The sum is below 2^18, so it is exact as i32 and f32.
@@ -34,7 +34,7 @@ impl NoiseKeys {
     }
 
     #[inline(always)]
-    fn uniform(self, beam: u32) -> u32 {
+    pub(crate) fn uniform(self, beam: u32) -> u32 {
         mix(beam, self.0[2])
     }
 }

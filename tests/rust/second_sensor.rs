@@ -1,0 +1,153 @@
+//! A second sensor that looks ahead: who hides obstacles from the depth frames is found before the vehicle touches them.
+
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::framing::{self, FramingCounters};
+use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_types::{
+    DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad,
+};
+use vigil_world::{Family, Outcome, generate};
+
+const SEED: u64 = 4203;
+/// Steps of a story: 25 s, enough to arrive.
+const STEPS: usize = 500;
+
+/// What a story is made of.
+#[derive(Clone, Copy)]
+struct Story {
+    /// Sensors that the vehicle has.
+    heads: usize,
+    /// The firmware asks for them.
+    asked_for: bool,
+    /// Every obstacle is shown 7.8 m farther away than it is.
+    hides: bool,
+    /// Nothing of the second sensor arrives from this step on.
+    silent_from: usize,
+}
+
+const SEEING: Story = Story {
+    heads: 1,
+    asked_for: true,
+    hides: false,
+    silent_from: usize::MAX,
+};
+
+/// How it ended.
+struct End {
+    /// Everything that was wrong, whoever flew.
+    reasons: Reasons,
+    /// It was guided at some time.
+    flew: bool,
+    state: GuidanceState,
+    speed_m_s: f32,
+    outcome: Option<Outcome>,
+}
+
+/// As a process between driver and firmware could: everything but the ground is shown farther away.
+fn hide(frame: &mut DepthFrame) {
+    for (row, line) in frame.depth.chunks_exact_mut(DEPTH_COLS).enumerate() {
+        if row_elevation_rad(row as f32) > -0.35 {
+            line.iter_mut()
+                .filter(|range| **range < 1.0)
+                .for_each(|range| *range = (*range + 7.8 / DEPTH_FULL_SCALE_M).min(1.0));
+        }
+    }
+    frame.seal();
+}
+
+/// Without the second sensor's reports.
+fn without_ranges(datagrams: &Datagrams) -> Box<Datagrams> {
+    let mut kept = Box::<Datagrams>::default();
+    for (link, datagram) in datagrams.iter() {
+        let mut counters = FramingCounters::default();
+        let mut packets = framing::packets(datagram, &mut counters);
+        let is_ranges = packets.any(|packet| matches!(packet.message(), Ok(MavMessage::OBSTACLE_DISTANCE(_))));
+        if !is_ranges {
+            kept.push(link, datagram);
+        }
+    }
+    kept
+}
+
+fn fly(story: Story) -> End {
+    let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
+    config.start = Start::Airborne;
+    config.second_sensor_heads = story.heads;
+    let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+    firmware.second_sensor = story.asked_for;
+    let mut simulator = Simulator::new(&config, 0).unwrap();
+    let mut firmware = LockstepFirmware::new(&firmware).unwrap();
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut end = End {
+        reasons: Reasons::NONE,
+        flew: false,
+        state: GuidanceState::Standby,
+        speed_m_s: 0.0,
+        outcome: None,
+    };
+    for step in 0..STEPS {
+        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        if story.hides {
+            hide(&mut frame);
+        }
+        let received = match step < story.silent_from {
+            true => to_firmware.clone(),
+            false => without_ranges(&to_firmware),
+        };
+        let report = firmware.step(simulator.now_ns(), Some(&frame), &received, &mut from_firmware);
+        end.state = report.state;
+        end.flew |= report.state == GuidanceState::Guided;
+        end.reasons = end.reasons.union(report.reasons);
+        end.outcome = simulator.ending().map(|ending| ending.outcome);
+        if end.outcome.is_some() {
+            break;
+        }
+    }
+    end.speed_m_s = simulator.truth().velocity_ned_m_s.norm();
+    end
+}
+
+#[test]
+fn true_frames_are_believed_by_one_sensor_and_by_three() {
+    for heads in [1, 3] {
+        let end = fly(Story { heads, ..SEEING });
+        assert_eq!(end.outcome, Some(Outcome::Success), "{heads}");
+        assert!(!end.reasons.contains(Reason::SensorsDisagree), "{heads}");
+    }
+}
+
+#[test]
+fn who_hides_obstacles_leads_the_vehicle_into_one_unless_a_second_sensor_sees_it() {
+    let hidden = Story { hides: true, ..SEEING };
+    let end = fly(Story {
+        asked_for: false,
+        ..hidden
+    });
+    assert_eq!(end.outcome, Some(Outcome::Collision), "nothing else finds this lie");
+    for heads in [1, 3] {
+        let end = fly(Story { heads, ..hidden });
+        assert_eq!(end.outcome, None, "{heads}: it neither collides nor arrives");
+        assert!(end.reasons.contains(Reason::SensorsDisagree), "{heads}");
+        assert!(end.speed_m_s < 0.2, "{heads}: still at {} m/s", end.speed_m_s);
+    }
+}
+
+#[test]
+fn a_sensor_that_was_asked_for_and_is_not_there_keeps_the_vehicle_from_flying_by_name() {
+    let end = fly(Story { heads: 0, ..SEEING });
+    assert!(end.reasons.contains(Reason::SecondSensorSilent) && !end.flew);
+    assert_eq!(end.state, GuidanceState::Standby);
+}
+
+#[test]
+fn a_sensor_that_falls_silent_in_flight_holds_the_vehicle_by_name() {
+    let end = fly(Story {
+        silent_from: 100,
+        ..SEEING
+    });
+    assert!(end.flew && end.reasons.contains(Reason::SecondSensorSilent));
+    assert_eq!((end.state, end.outcome), (GuidanceState::Hold, None));
+    assert!(end.speed_m_s < 0.2, "still at {} m/s", end.speed_m_s);
+}
