@@ -133,6 +133,21 @@ mod tests {
         }
     }
 
+    /// What a vehicle that hovers sees.
+    fn hovering(now_ns: Nanos, depth: &DepthFrame) -> PilotInput<'_> {
+        PilotInput {
+            now_ns,
+            depth,
+            goal: GoalRelative {
+                distance_m: 10.0,
+                bearing_rad: 0.0,
+            },
+            attitude: Attitude::LEVEL_NORTH,
+            velocity_m_s: HeadingVector::ZERO,
+            height_m: 2.0,
+        }
+    }
+
     /// Judges so many reports of something at `near_m` against frames that show a wall at `wall_m` all around.
     fn judge(sensor: &mut SecondSensor, from: u64, reports: u64, near_m: f32, wall_m: f32, airborne: bool) -> Reasons {
         let mut frame = DepthFrame::EMPTY;
@@ -141,17 +156,7 @@ mod tests {
         for i in from..from + reports {
             let now_ns = i * REPORT_NS;
             frame.header.stamp_ns = now_ns;
-            let input = PilotInput {
-                now_ns,
-                depth: &frame,
-                goal: GoalRelative {
-                    distance_m: 10.0,
-                    bearing_rad: 0.0,
-                },
-                attitude: Attitude::LEVEL_NORTH,
-                velocity_m_s: HeadingVector::ZERO,
-                height_m: 2.0,
-            };
+            let input = hovering(now_ns, &frame);
             found = sensor.judge(now_ns, Some(&report(now_ns, near_m)), Some(&input), airborne);
         }
         found
@@ -198,17 +203,7 @@ mod tests {
         let mut sensor = SecondSensor::new();
         let mut frame = DepthFrame::EMPTY;
         frame.depth.fill(0.2);
-        let input = PilotInput {
-            now_ns: 0,
-            depth: &frame,
-            goal: GoalRelative {
-                distance_m: 10.0,
-                bearing_rad: 0.0,
-            },
-            attitude: Attitude::LEVEL_NORTH,
-            velocity_m_s: HeadingVector::ZERO,
-            height_m: 2.0,
-        };
+        let input = hovering(0, &frame);
         let behind = SectorRanges {
             first_rad: core::f32::consts::PI,
             ..report(0, 2.0)
