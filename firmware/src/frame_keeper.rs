@@ -177,6 +177,12 @@ impl FrameKeeper {
         self.has_valid.then_some(valid)
     }
 
+    /// The newest valid frame, if it is at most so old.
+    pub fn fresh(&self, now_ns: Nanos, age_limit_ns: Nanos) -> Option<&DepthFrame> {
+        self.newest()
+            .filter(|frame| now_ns.saturating_sub(frame.header.stamp_ns) <= age_limit_ns)
+    }
+
     /// Frames refused so far.
     pub fn refused(&self) -> u64 {
         self.refusals.total()

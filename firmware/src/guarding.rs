@@ -9,11 +9,12 @@
     clippy::alloc_instead_of_core
 )]
 
+use crate::motion::Motion;
 use vigil_guidance::just_stop::{Course, JustStop, JustStopConfig, JustStopInput, JustStopState};
-use vigil_policy::{Lookout, PilotInput, Scan};
+use vigil_policy::{Lookout, Scan};
 use vigil_types::{
-    Attitude, DepthFrame, FrdVector, GoalRelative, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector,
-    Reason, Reasons, StopCause, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
+    Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector, Reason, Reasons,
+    StopCause, VehicleMode, VehicleRequest, VehicleTelemetry, wrap_pi,
 };
 
 const G_M_S2: f32 = 9.81;
@@ -76,8 +77,8 @@ pub(crate) struct Guarded {
 pub(crate) struct GuardingInput<'a> {
     pub now_ns: Nanos,
     pub telemetry: &'a VehicleTelemetry,
-    /// The telemetry is fresh.
-    pub known: bool,
+    /// How the vehicle moves, where the telemetry is to be believed.
+    pub motion: Option<Motion>,
     /// The newest frame that can be believed and is fresh.
     pub frame: Option<&'a DepthFrame>,
     /// What was stopped is to be flown around.
@@ -104,46 +105,34 @@ impl Guarding {
     }
 
     /// Looks; the course, if it could be seen, and whether the position jumped.
-    fn look(&mut self, input: &GuardingInput<'_>) -> (Option<Kinematics>, Option<Course>, bool) {
+    fn look(&mut self, input: &GuardingInput<'_>) -> (Option<Course>, bool) {
         let GuardingInput {
             now_ns,
             telemetry,
-            known,
+            motion,
             frame,
             ..
         } = *input;
         // Frames taken on the ground show the ground at the vehicle's own height.
         let airborne = telemetry.is_airborne();
-        let (kinematics, attitude) = match (telemetry.kinematics, telemetry.attitude) {
-            (Some(k), Some(a)) if known && telemetry.is_finite() => (Some(k), Some(a.attitude)),
-            _ => (None, None),
-        };
-        let jumped = kinematics.is_some_and(|kinematics| self.has_jumped(kinematics));
+        let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
         if jumped || !airborne {
             self.lookout.reset();
         }
         let mut course = None;
-        if let (Some(k), Some(attitude), Some(depth), true) = (kinematics, attitude, frame, airborne) {
-            self.lookout.observe(&PilotInput {
-                now_ns,
-                depth,
-                goal: GoalRelative {
-                    distance_m: 0.0,
-                    bearing_rad: 0.0,
-                },
-                attitude,
-                velocity_m_s: k.velocity_ned_m_s.to_heading(attitude.yaw_rad()),
-                height_m: -k.position_ned_m.z,
-            });
-            course = Some(self.course(&k, attitude));
+        if let (Some(motion), Some(depth), true) = (motion, frame, airborne) {
+            self.lookout
+                .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
+            course = Some(self.course(&motion.kinematics, motion.sample.attitude));
         }
-        (kinematics, course, jumped && airborne)
+        (course, jumped && airborne)
     }
 
     /// One step in which somebody else flies.
     pub fn step(&mut self, input: &GuardingInput<'_>) -> Guarded {
         let GuardingInput { now_ns, telemetry, .. } = *input;
-        let (kinematics, course, jumped) = self.look(input);
+        let kinematics = input.motion.map(|motion| motion.kinematics);
+        let (course, jumped) = self.look(input);
         let before = self.guard.state();
         let state = self.guard.step(
             &self.config,
@@ -234,9 +223,8 @@ impl Guarding {
 
     /// One step in which guidance has the vehicle. `guided`: it flies; `reached`: it is at the mission's place.
     pub fn accompany(&mut self, input: &GuardingInput<'_>, guided: bool, reached: bool) -> VehicleRequest {
-        let (kinematics, _, _) = self.look(input);
-        let (Detour::Flown { place_m }, Some(k), Some(sample)) = (self.detour, kinematics, input.telemetry.attitude)
-        else {
+        self.look(input);
+        let (Detour::Flown { place_m }, Some(Motion { kinematics: k, sample })) = (self.detour, input.motion) else {
             return VehicleRequest::None;
         };
         let way = NedVector::new(place_m.0 - k.position_ned_m.x, place_m.1 - k.position_ned_m.y, 0.0);

@@ -26,6 +26,7 @@ mod leg;
 pub mod live_loop;
 #[cfg(feature = "std")]
 pub mod lockstep;
+mod motion;
 #[cfg(feature = "std")]
 pub mod ports;
 #[cfg(feature = "std")]

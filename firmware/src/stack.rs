@@ -13,6 +13,7 @@ use crate::crew::Crew;
 use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
 use crate::guarding::{Guarded, Guarding, GuardingInput};
 use crate::leg::{LedTo, Leg, along_path, turned_to_path};
+use crate::motion::Motion;
 use crate::tunables::Tunables;
 use vigil_guidance::{
     ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, JustStopConfig,
@@ -24,9 +25,9 @@ use vigil_policy::{
     FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge, SecondSensor,
 };
 use vigil_types::{
-    Action, AlarmResponse, Attitude, AttitudeSample, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal,
-    GoalRelative, GuardNotice, GuidanceState, HeadingVector, Judgement, Kinematics, Nanos, NedVector, OperatorRequest,
-    Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
+    Action, AlarmResponse, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GoalRelative, GuardNotice,
+    GuidanceState, Judgement, Nanos, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, StepReport,
+    StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -201,12 +202,12 @@ impl FlightStack {
             (Some(judge), _) => judge.doubts(),
             (None, _) => Reasons::NONE,
         };
-        let doubts = doubts.union(self.second_opinion(now_ns, &telemetry, frame_age_ns));
+        let doubts = doubts.union(self.second_opinion(now_ns, &telemetry));
 
         // Pilot.
         let goal = self.guidance.goal();
         let view = if doubts.is_empty() {
-            self.view(now_ns, &telemetry, goal.as_ref(), frame_age_ns)
+            self.view(now_ns, &telemetry, goal.as_ref())
         } else {
             None
         };
@@ -251,7 +252,7 @@ impl FlightStack {
             telemetry_interval_ns: self.companion.telemetry_interval_ns(),
         });
 
-        let guards = self.guard(now_ns, &telemetry, doubts, frame_age_ns, &guidance);
+        let guards = self.guard(now_ns, &telemetry, doubts, &guidance);
 
         self.recovery_flew = guidance.alarm.is_some_and(|alarm| match alarm.response {
             AlarmResponse::Recovery => true,
@@ -304,30 +305,14 @@ impl FlightStack {
     }
 
     /// What the second sensor has against the frames.
-    fn second_opinion(&mut self, now_ns: Nanos, telemetry: &VehicleTelemetry, frame_age_ns: Option<Nanos>) -> Reasons {
+    fn second_opinion(&mut self, now_ns: Nanos, telemetry: &VehicleTelemetry) -> Reasons {
         let Some(second) = &mut self.second_sensor else {
             return Reasons::NONE;
         };
         let limits = self.guidance.config();
-        let fresh = frame_age_ns.is_some_and(|age_ns| age_ns <= limits.frame_age_limit_ns)
-            && telemetry
-                .flight_data_age_ns(now_ns)
-                .is_some_and(|age_ns| age_ns <= limits.telemetry_age_limit_ns)
-            && telemetry.is_finite();
-        let input = match (self.frames.newest(), telemetry.kinematics, telemetry.attitude) {
-            (Some(depth), Some(kinematics), Some(AttitudeSample { attitude, .. })) if fresh => Some(PilotInput {
-                now_ns,
-                depth,
-                goal: GoalRelative {
-                    distance_m: 0.0,
-                    bearing_rad: 0.0,
-                },
-                attitude,
-                velocity_m_s: kinematics.velocity_ned_m_s.to_heading(attitude.yaw_rad()),
-                height_m: -(kinematics.position_ned_m - self.guidance.home_ned_m()).z,
-            }),
-            _ => None,
-        };
+        let input = Motion::of(telemetry, now_ns, limits.telemetry_age_limit_ns)
+            .zip(self.frames.fresh(now_ns, limits.frame_age_limit_ns))
+            .map(|(motion, depth)| motion.pilot_input(now_ns, depth, self.guidance.home_ned_m()));
         second.judge(
             now_ns,
             self.companion.sector_ranges(),
@@ -342,7 +327,6 @@ impl FlightStack {
         now_ns: Nanos,
         telemetry: &VehicleTelemetry,
         doubts: Reasons,
-        frame_age_ns: Option<Nanos>,
         guidance: &GuidanceOutput,
     ) -> Guarded {
         let limits = *self.guidance.config();
@@ -353,13 +337,11 @@ impl FlightStack {
         let input = GuardingInput {
             now_ns,
             telemetry,
-            known: telemetry
-                .flight_data_age_ns(now_ns)
-                .is_some_and(|age_ns| age_ns <= limits.telemetry_age_limit_ns),
+            motion: Motion::of(telemetry, now_ns, limits.telemetry_age_limit_ns),
             frame: self
                 .frames
-                .newest()
-                .filter(|_| doubts.is_empty() && frame_age_ns.is_some_and(|ns| ns <= limits.frame_age_limit_ns)),
+                .fresh(now_ns, limits.frame_age_limit_ns)
+                .filter(|_| doubts.is_empty()),
             flies_around: duty == Duty::FlyAround,
             mission_place_m: self.companion.mission_place_m(),
         };
@@ -484,30 +466,15 @@ impl FlightStack {
 
     /// What the pilot needs besides the frame, when everything is there, fresh and finite: then, and only then, guidance
     /// expects an action of it.
-    fn view(
-        &self,
-        now_ns: Nanos,
-        telemetry: &VehicleTelemetry,
-        goal: Option<&Goal>,
-        frame_age_ns: Option<Nanos>,
-    ) -> Option<View> {
+    fn view(&self, now_ns: Nanos, telemetry: &VehicleTelemetry, goal: Option<&Goal>) -> Option<View> {
         let limits = self.guidance.config();
-        let fresh = frame_age_ns? <= limits.frame_age_limit_ns
-            && telemetry.flight_data_age_ns(now_ns)? <= limits.telemetry_age_limit_ns;
-        if !fresh || !telemetry.is_finite() {
-            return None;
-        }
-        let (kinematics, attitude) = (telemetry.kinematics?, telemetry.attitude?);
+        self.frames.fresh(now_ns, limits.frame_age_limit_ns)?;
+        let motion = Motion::of(telemetry, now_ns, limits.telemetry_age_limit_ns)?;
         let goal = goal?;
         Some(View {
-            goal: goal.relative_to(&kinematics, &attitude),
+            goal: goal.relative_to(&motion.kinematics, &motion.sample),
             goal_ned_m: goal.position_ned_m,
-            kinematics,
-            sample: attitude,
-            attitude: attitude.attitude,
-            velocity_m_s: kinematics.velocity_ned_m_s.to_heading(attitude.attitude.yaw_rad()),
-            // Home is on the ground, wherever the estimator began.
-            height_m: -(kinematics.position_ned_m - self.guidance.home_ned_m()).z,
+            motion,
         })
     }
 
@@ -546,19 +513,17 @@ impl FlightStack {
         };
         self.pilot_asked = true;
         let input = PilotInput {
-            now_ns,
-            depth,
             goal: view.goal,
-            attitude: view.attitude,
-            velocity_m_s: view.velocity_m_s,
-            height_m: view.height_m,
+            // Home is on the ground, wherever the estimator began.
+            ..view.motion.pilot_input(now_ns, depth, self.guidance.home_ned_m())
         };
-        let here = view.kinematics.position_ned_m;
+        let Motion { kinematics, sample } = view.motion;
+        let here = kinematics.position_ned_m;
         self.leg.take_up(now_ns, here, view.goal_ned_m);
         let led_to = self.leg.next(now_ns, here, view.goal.bearing_rad);
         let towards = match (&*pilot, led_to) {
             (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Point(position_ned_m)) => PilotInput {
-                goal: Goal { position_ned_m }.relative_to(&view.kinematics, &view.sample),
+                goal: Goal { position_ned_m }.relative_to(&kinematics, &sample),
                 ..input
             },
             // The geometric pilot plans its own way.
@@ -634,9 +599,5 @@ struct Decision {
 struct View {
     goal: GoalRelative,
     goal_ned_m: NedVector,
-    kinematics: Kinematics,
-    sample: AttitudeSample,
-    attitude: Attitude,
-    velocity_m_s: HeadingVector,
-    height_m: f32,
+    motion: Motion,
 }
