@@ -243,12 +243,13 @@ fn report_to_proto(report: &StepReport) -> proto::Report {
         frame_age_ns,
         frames_refused,
     } = *report;
+    let [first_reasons, further_reasons] = reasons.words();
     proto::Report {
         now_ns,
         timing: Some(timing_to_proto(timing)),
         state: state as u32,
-        reasons: reasons.0 as u32,
-        further_reasons: (reasons.0 >> 32) as u32,
+        reasons: first_reasons,
+        further_reasons,
         telemetry: Some(telemetry_to_proto(&telemetry)),
         goal_position_ned_m: goal.map(|Goal { position_ned_m }| xyz_to_proto(position_ned_m)),
         goal_relative: goal_relative.map(
@@ -290,7 +291,7 @@ fn report_from_proto(report: &proto::Report) -> Result<StepReport, RecordDefect>
         now_ns: report.now_ns,
         timing: timing_from_proto(report.timing.as_ref(), "report.timing")?,
         state: code(&GuidanceState::ALL, report.state, "report.state")?,
-        reasons: Reasons(u64::from(report.further_reasons) << 32 | u64::from(report.reasons)),
+        reasons: Reasons::from_words([report.reasons, report.further_reasons]),
         telemetry: telemetry_from_proto(need(report.telemetry.as_ref(), "report.telemetry")?)?,
         goal: goal
             .map(|_| xyz_from_proto(goal, "report.goal_position_ned_m").map(|position_ned_m| Goal { position_ned_m }))

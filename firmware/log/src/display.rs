@@ -222,13 +222,14 @@ pub(crate) fn status(record: &TickRecord, threshold: Option<f32>) -> Status {
     let attitude = telemetry.attitude.map(|a| a.attitude);
     let setpoint = report.setpoint.map(|s| s.velocity_m_s);
     let mode = telemetry.heartbeat.map_or(VehicleMode::Unknown, |h| h.mode);
+    let [reason_bits, further_reason_bits] = report.reasons.words();
     Status {
         step: record.timing.step,
         state: report.state.name().to_owned(),
         state_code: report.state as u32,
         reasons: reason_names(report.reasons),
-        reason_bits: report.reasons.0 as u32,
-        further_reason_bits: (report.reasons.0 >> 32) as u32,
+        reason_bits,
+        further_reason_bits,
         goal_distance_m: number(report.goal_relative.map(|g| g.distance_m)),
         goal_bearing_deg: degrees(report.goal_relative.map(|g| g.bearing_rad)),
         action_forward_m_s: number(report.action.map(|a| a.forward_m_s)),

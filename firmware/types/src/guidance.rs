@@ -221,6 +221,16 @@ impl Reasons {
         }
     }
 
+    /// The set whose bits are these two words, the lower first.
+    pub const fn from_words([low, high]: [u32; 2]) -> Self {
+        Self((high as u64) << 32 | low as u64)
+    }
+
+    /// Its bits as two words, the lower first.
+    pub const fn words(self) -> [u32; 2] {
+        [self.0 as u32, (self.0 >> 32) as u32]
+    }
+
     /// Whether `reason` is in the set.
     pub const fn contains(self, reason: Reason) -> bool {
         self.0 & (1 << reason as u8) != 0
@@ -272,5 +282,12 @@ mod tests {
             .with_if(false, Reason::Geofence);
         assert!(set.iter().eq([Reason::Slip, Reason::NoGoal]));
         assert!(set.intersects(Reasons::of(Reason::Slip)) && !set.intersects(Reasons::of(Reason::Geofence)));
+    }
+
+    #[test]
+    fn a_set_s_two_words_are_its_bits_low_then_high() {
+        let set = Reasons(0x0123_4567_89AB_CDEF);
+        assert_eq!(set.words(), [0x89AB_CDEF, 0x0123_4567]);
+        assert_eq!(Reasons::from_words(set.words()), set);
     }
 }
