@@ -8,9 +8,6 @@ use vigil_mavlink::framing::{self, FramingCounters, Packet};
 use vigil_types::{Attitude, DepthFrame, FrameKey, Nanos, NedVector, VehicleMode, VehicleTelemetry};
 use vigil_world::{Course, Lidar, LidarConfig, LidarConfigError, Outcome, Referee, Shot, World};
 
-/// The autopilot's component; ground stations and companions on the same link are others.
-const AUTOPILOT: u8 = 1;
-
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = 300_000_000;
 
@@ -195,13 +192,10 @@ impl ForeignFlight {
     }
 
     fn packet(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
-        if packet.is_autopilots_heartbeat() {
-            let system = *self.system.get_or_insert(packet.system_id());
-            if system != packet.system_id() {
+        if !packet.is_of_autopilot(&mut self.system) {
+            if packet.is_autopilots_heartbeat() {
                 self.other_system = Some(packet.system_id());
             }
-        }
-        if packet.component_id() != AUTOPILOT || self.system != Some(packet.system_id()) {
             return;
         }
         let before = self.vehicle.telemetry.kinematics;

@@ -184,13 +184,13 @@ impl Examination {
     }
 
     fn packet(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
-        let from = (packet.system_id(), packet.component_id());
-        if packet.is_autopilots_heartbeat() && *self.system.get_or_insert(from.0) != from.0 {
-            self.other_systems.insert(from.0);
-        }
-        if Some(from.0) == self.system && from.1 == AUTOPILOT {
+        if packet.is_of_autopilot(&mut self.system) {
             self.of_vehicle(now_ns, packet);
             return;
+        }
+        let from = (packet.system_id(), packet.component_id());
+        if packet.is_autopilots_heartbeat() {
+            self.other_systems.insert(from.0);
         }
         match packet.message_id() {
             HEARTBEAT_DATA::ID => {

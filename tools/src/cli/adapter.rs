@@ -33,8 +33,6 @@ const RECEIVE_BUFFER: usize = 4 << 20;
 const METADATA_LIMIT: u64 = 1 << 20;
 /// Position and attitude that came farther apart are no pose, seconds.
 const MOST_APART_S: f32 = 0.3;
-/// The autopilot's component.
-const AUTOPILOT: u8 = 1;
 
 /// What all adapters are told.
 #[derive(Debug, Clone, clap::Args)]
@@ -200,13 +198,9 @@ impl PoseSource {
         for link in links.iter_mut() {
             link.receive(now_ns, |datagram| {
                 for packet in packets(datagram, counters) {
-                    if packet.is_autopilots_heartbeat() {
-                        system.get_or_insert(packet.system_id());
+                    if packet.is_of_autopilot(system) {
+                        vehicle.receive(now_ns, &packet);
                     }
-                    if packet.component_id() != AUTOPILOT || *system != Some(packet.system_id()) {
-                        continue;
-                    }
-                    vehicle.receive(now_ns, &packet);
                 }
             });
         }

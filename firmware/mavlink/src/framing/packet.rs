@@ -133,6 +133,14 @@ impl<'a> Packet<'a> {
             && names_autopilot
     }
 
+    /// Whether the autopilot of `system` sent it. While no system is known, the first heartbeat of an autopilot names it.
+    pub fn is_of_autopilot(&self, system: &mut Option<u8>) -> bool {
+        if self.is_autopilots_heartbeat() {
+            system.get_or_insert(self.system_id);
+        }
+        self.component_id == AUTOPILOT && *system == Some(self.system_id)
+    }
+
     /// The (system, component) that the message is addressed to; 0 is everybody. `None` when the message has no target
     /// fields or its target cannot be told (unknown message): by the routing rules that is a broadcast.
     pub fn target(&self) -> Option<(u8, u8)> {
