@@ -303,8 +303,9 @@ impl Output {
         }
     }
 
-    /// Publishes the image in the frame, taken at `stamp_ns`.
+    /// Publishes the image in the frame, taken at `stamp_ns`, with the newest that the vehicle said of its pose.
     fn publish(&mut self, stamp_ns: Nanos) -> Result<()> {
+        self.pose.listen(monotonic_ns());
         let Some((position_ned_m, attitude)) = self.pose.at(stamp_ns) else {
             self.refuse(monotonic_ns(), Fault::NoPose);
             return Ok(());
@@ -367,10 +368,7 @@ pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
                 let arrived_ns = monotonic_ns();
                 out.heard_ns = arrived_ns;
                 match adapter.packet(&buffer[..len], arrived_ns, &mut out.frame.depth) {
-                    Ok(Some(stamp_ns)) => {
-                        out.look_around();
-                        out.publish(stamp_ns)?;
-                    }
+                    Ok(Some(stamp_ns)) => out.publish(stamp_ns)?,
                     Ok(None) => {}
                     Err(fault) => out.refuse(arrived_ns, fault),
                 }
@@ -413,10 +411,7 @@ pub fn z16(args: &DepthStreamArgs) -> Result<ExitCode> {
             Next::Image(arrived_ns, image) => {
                 out.heard_ns = arrived_ns;
                 match stream.image(&image, &mut out.frame.depth) {
-                    Ok(()) => {
-                        out.look_around();
-                        out.publish(arrived_ns.saturating_sub(u64::from(args.latency_ms) * 1_000_000))?;
-                    }
+                    Ok(()) => out.publish(arrived_ns.saturating_sub(u64::from(args.latency_ms) * 1_000_000))?,
                     // Less than an image is the rest of a stream that ended.
                     Err(fault) => out.refuse(arrived_ns, fault),
                 }
