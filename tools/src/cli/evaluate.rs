@@ -3,7 +3,7 @@
 use crate::campaign::part::{self, Part, Shard, Unit};
 use crate::campaign::{self, FaultChoice, FaultTally, Flown, Recording, SensorRecord, WatchRecord};
 use crate::cli::output::{self, Interrupt, Paint, Progress, say, tell};
-use crate::cli::pilot::PilotArgs;
+use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_report;
 use crate::report::{TextTable, numbers, words};
@@ -115,10 +115,8 @@ pub struct EvaluateArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]", value_parser = FaultChoice::parse)]
     sensor_fault: Option<FaultChoice>,
 
-    /// So many small sensors of 45° each beside the LiDAR, side by side, which must see nothing nearer than the frames show
-    /// (docs/second-sensor.md).
-    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
-    second_sensor_heads: u8,
+    #[command(flatten)]
+    second_sensor: SecondSensorArgs,
 
     /// The LiDAR's driver authenticates its frames, and the firmware refuses others; the attacker does not have the key
     /// (docs/frame-authentication.md).
@@ -268,7 +266,7 @@ impl Plan {
             pilot,
             attack: _,
             sensor_fault,
-            second_sensor_heads,
+            second_sensor,
             authenticate_frames,
             json: _,
             shard: _,
@@ -295,7 +293,7 @@ impl Plan {
             goal_distance: *goal_distance,
             ground_every: *ground_every,
             sensor_faults: faults(*sensor_fault).iter().flatten().map(|f| f.to_string()).collect(),
-            second_sensor_heads: *second_sensor_heads,
+            second_sensor_heads: second_sensor.heads,
             authenticated_frames: *authenticate_frames,
             simulation_sha256: simulation.transpose()?.map(|text| part::sha256(&text)),
             actor_sha256: actor.map(|actor| actor.sha256()),
@@ -515,8 +513,8 @@ fn fly(
         config.frame_key = Some(FrameKey::new(&[0x5A; 32], LIDAR_SENSOR_ID, b"campaign"));
     }
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
-    config.second_sensor_heads = args.second_sensor_heads.into();
-    firmware.second_sensor = args.second_sensor_heads > 0;
+    config.second_sensor_heads = args.second_sensor.heads.into();
+    firmware.second_sensor = args.second_sensor.heads > 0;
     args.pilot.apply(&mut firmware);
     let Flown {
         record,

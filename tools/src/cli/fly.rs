@@ -5,7 +5,7 @@ use crate::cli::foreign::{ForeignArgs, PilotWatch, PoseWatch, start_sensor};
 use crate::cli::live::Live;
 use crate::cli::log::{FILM_EXPLAINED, FILM_SPEED, check_film, film_name, write_film};
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
-use crate::cli::pilot::PilotArgs;
+use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_film::FilmOptions;
@@ -93,10 +93,8 @@ pub struct FlyArgs {
     #[arg(long, value_name = "MODE[@SECONDS|@random]")]
     sensor_fault: Option<SensorFault>,
 
-    /// So many small sensors of 45° each beside the LiDAR, side by side, which must see nothing nearer than the frames show
-    /// (docs/second-sensor.md).
-    #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
-    second_sensor_heads: u8,
+    #[command(flatten)]
+    second_sensor: SecondSensorArgs,
 
     /// File with the secret of the depth frames' key for simulator and firmware; the adversary does not have it.
     #[arg(long, value_name = "FILE")]
@@ -136,7 +134,7 @@ impl Default for FlyArgs {
             pilot: PilotArgs::default(),
             attack: AttackArgs::default(),
             sensor_fault: None,
-            second_sensor_heads: 0,
+            second_sensor: SecondSensorArgs::default(),
             frame_key: None,
             view: false,
             viewer: ViewerArgs::default(),
@@ -190,7 +188,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         true => start_sensor(&args.foreign, &folder, args.instance, world)?,
         false => Process::start("simulator", &folder, |c| {
             c.arg("sim");
-            c.arg(format!("--second-sensor-heads={}", args.second_sensor_heads));
+            c.arg(format!("--second-sensor-heads={}", args.second_sensor.heads));
             world(c);
         })?,
     };
@@ -222,7 +220,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
         c.args(["--log-content", args.log_content.name()]);
         args.foreign.firmware(c, args.instance);
-        match args.second_sensor_heads {
+        match args.second_sensor.heads {
             0 => args.pilot.hand_on(c),
             _ => args.pilot.with_second_sensor().hand_on(c),
         }
