@@ -104,7 +104,7 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     let bytes = |path: &Path| std::fs::read(path).expect("a file");
     let file = |name: &str| folder.path().join(name);
     let two_flights = Flights { count: "2", ..FIVE };
-    let fault = ["--sensor-fault", "zeros@1"];
+    let fault = ["--sensor-fault", "zeros@1", "--second-sensor-heads", "1"];
     two_flights.fly(&fault, &file("fault.json"));
     for shard in ["1/2", "2/2"] {
         two_flights.fly(&[&fault[..], &["--shard", shard]].concat(), &file("parts.json"));
@@ -112,6 +112,8 @@ fn campaigns_of_faults_and_of_attacks_are_put_together_too() {
     let parts = ["parts.1-of-2.part.json", "parts.2-of-2.part.json"].map(file);
     assert_eq!(merge(&parts, &file("parts.json")).0, Some(0));
     assert!(bytes(&file("fault.json")) == bytes(&file("parts.json")));
+    let report: serde_json::Value = serde_json::from_slice(&bytes(&file("parts.json"))).expect("JSON");
+    assert_eq!(report["second_sensor_heads"], 1);
 
     let attack = |folder: &Path, more: &[&str]| {
         let common = [

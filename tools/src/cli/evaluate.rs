@@ -335,6 +335,7 @@ struct Report<'a> {
     wind_m_s: f64,
     noise_factor: f32,
     still: bool,
+    second_sensor_heads: u8,
     authenticated_frames: bool,
     ground_every: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -796,6 +797,7 @@ fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> 
         wind_m_s: plan.wind_m_s,
         noise_factor: plan.noise_factor,
         still: plan.still,
+        second_sensor_heads: plan.second_sensor_heads,
         authenticated_frames: plan.authenticated_frames,
         ground_every: plan.ground_every,
         goal_distance: plan.goal_distance,
