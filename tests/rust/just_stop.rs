@@ -17,7 +17,8 @@ use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavResult};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
 use vigil_mavlink::{Flavour, MavHeader, MavMessage, globe};
-use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Simulator, Start};
+use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
+use vigil_tests::Pair;
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
 };
@@ -79,7 +80,6 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
     let mut simulation = SimConfig::new(course, seed);
     simulation.start = Start::Airborne;
     simulation.saved = plan(&simulation, speed_m_s);
-    let mut simulator = Simulator::new(&simulation, 0).expect("valid");
     let config = FirmwareConfig {
         duty,
         engage: EngagePolicy::Command,
@@ -89,23 +89,20 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
         },
         ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
     };
-    let mut firmware = LockstepFirmware::new(&config).expect("a firmware");
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut pair = Pair::of(&simulation, &config);
     let (mut nearest_m, mut stood) = (f32::INFINITY, 0);
     for step in 0..2400 {
         if step == 40 {
-            simulator.receive(0, &start_mission());
+            pair.simulator.receive(0, &start_mission());
         }
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        from_firmware.clear();
-        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        pair.simulate();
+        let report = pair.decide(true);
         assert!(
             report.setpoint.is_none() || duty == Duty::FlyAround,
             "who only stops gives no setpoints"
         );
-        nearest_m = nearest_m.min(simulator.obstacle_distance_m());
-        let end = match simulator.ending().map(|ending| ending.outcome) {
+        nearest_m = nearest_m.min(pair.simulator.obstacle_distance_m());
+        let end = match pair.simulator.ending().map(|ending| ending.outcome) {
             Some(Outcome::Success) => Some(End::Arrived),
             Some(Outcome::Collision) => Some(End::Collision),
             Some(_) => Some(End::Other),

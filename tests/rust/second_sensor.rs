@@ -1,9 +1,10 @@
 //! A second sensor that looks ahead: who hides obstacles from the depth frames is found before the vehicle touches them.
 
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{self, FramingCounters};
-use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::Pair;
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad,
 };
@@ -76,10 +77,7 @@ fn fly(story: Story) -> End {
     config.second_sensor_heads = story.heads;
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     firmware.second_sensor = story.asked_for;
-    let mut simulator = Simulator::new(&config, 0).unwrap();
-    let mut firmware = LockstepFirmware::new(&firmware).unwrap();
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut pair = Pair::of(&config, &firmware);
     let mut end = End {
         reasons: Reasons::NONE,
         flew: false,
@@ -88,24 +86,23 @@ fn fly(story: Story) -> End {
         outcome: None,
     };
     for step in 0..STEPS {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
+        pair.simulate();
         if story.hides {
-            hide(&mut frame);
+            hide(&mut pair.frame);
         }
-        let received = match step < story.silent_from {
-            true => to_firmware.clone(),
-            false => without_ranges(&to_firmware),
-        };
-        let report = firmware.step(simulator.now_ns(), Some(&frame), &received, &mut from_firmware);
+        if step >= story.silent_from {
+            pair.to_firmware = without_ranges(&pair.to_firmware);
+        }
+        let report = pair.decide(true);
         end.state = report.state;
         end.flew |= report.state == GuidanceState::Guided;
         end.reasons = end.reasons.union(report.reasons);
-        end.outcome = simulator.ending().map(|ending| ending.outcome);
+        end.outcome = pair.simulator.ending().map(|ending| ending.outcome);
         if end.outcome.is_some() {
             break;
         }
     }
-    end.speed_m_s = simulator.truth().velocity_ned_m_s.norm();
+    end.speed_m_s = pair.simulator.truth().velocity_ned_m_s.norm();
     end
 }
 

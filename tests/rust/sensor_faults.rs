@@ -1,8 +1,9 @@
 //! Every fault of the depth sensor holds the vehicle, by the name of what is wrong, before it touches anything.
 
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_types::{Datagrams, DepthFrame, GuidanceState, Reason, Reasons};
+use vigil_firmware::FirmwareConfig;
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::Pair;
+use vigil_types::{GuidanceState, Reason, Reasons};
 use vigil_world::{Family, generate};
 
 const SEED: u64 = 4203;
@@ -25,10 +26,7 @@ fn fly(fault: &str, plausibility: bool) -> End {
     config.sensor_fault = Some(fault.parse().unwrap());
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     firmware.plausibility = plausibility;
-    let mut simulator = Simulator::new(&config, 0).unwrap();
-    let mut firmware = LockstepFirmware::new(&firmware).unwrap();
-    let mut frame = Box::new(DepthFrame::EMPTY);
-    let (mut to_firmware, mut from_firmware) = (Box::<Datagrams>::default(), Box::<Datagrams>::default());
+    let mut pair = Pair::of(&config, &firmware);
     let mut end = End {
         reasons: Reasons::NONE,
         state: GuidanceState::Standby,
@@ -37,16 +35,16 @@ fn fly(fault: &str, plausibility: bool) -> End {
         goal_m: 0.0,
     };
     for _ in 0..STEPS {
-        simulator.lockstep(&from_firmware, &mut frame, &mut to_firmware);
-        let report = firmware.step(simulator.now_ns(), Some(&frame), &to_firmware, &mut from_firmware);
+        pair.simulate();
+        let report = pair.decide(true);
         end.state = report.state;
         if matches!(report.state, GuidanceState::Guided | GuidanceState::Hold) {
             end.reasons = end.reasons.union(report.reasons);
         }
     }
-    end.speed_m_s = simulator.truth().velocity_ned_m_s.norm();
-    end.ended = simulator.ending().is_some();
-    end.goal_m = simulator.goal_distance_m();
+    end.speed_m_s = pair.simulator.truth().velocity_ned_m_s.norm();
+    end.ended = pair.simulator.ending().is_some();
+    end.goal_m = pair.simulator.goal_distance_m();
     end
 }
 

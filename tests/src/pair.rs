@@ -8,7 +8,7 @@ use vigil_world::{Family, generate};
 /// A longer hand-over than this, in steps, is a failure.
 const MOST_STEPS_TO_GUIDED: usize = 1200;
 
-/// A vehicle that hovers at the start of a course, and the firmware that is about to fly it.
+/// A simulated vehicle, and the firmware that flies it.
 pub struct Pair {
     /// The simulator.
     pub simulator: Simulator,
@@ -16,22 +16,30 @@ pub struct Pair {
     pub firmware: LockstepFirmware,
     /// The newest frame.
     pub frame: Box<DepthFrame>,
-    to_firmware: Box<Datagrams>,
+    /// What the vehicle has sent in this step.
+    pub to_firmware: Box<Datagrams>,
     from_firmware: Box<Datagrams>,
 }
 
 impl Pair {
-    /// Both on the course of a seed.
+    /// Both on the course of a seed, the vehicle hovering at its start.
     ///
     /// # Panics
     /// When the default models or configuration are refused.
     pub fn new(family: Family, seed: u64) -> Self {
         let mut config = SimConfig::new(generate(family, seed), seed);
         config.start = Start::Airborne;
-        let goal = config.course.goal_ned_m();
+        Self::of(&config, &FirmwareConfig::to_goal(config.course.goal_ned_m()))
+    }
+
+    /// Both as they are configured.
+    ///
+    /// # Panics
+    /// When a configuration is refused.
+    pub fn of(simulation: &SimConfig, firmware: &FirmwareConfig) -> Self {
         Self {
-            simulator: Simulator::new(&config, 0).expect("a simulator"),
-            firmware: LockstepFirmware::new(&FirmwareConfig::to_goal(goal)).expect("a firmware"),
+            simulator: Simulator::new(simulation, 0).expect("a simulator"),
+            firmware: LockstepFirmware::new(firmware).expect("a firmware"),
             frame: Box::new(DepthFrame::EMPTY),
             to_firmware: Box::default(),
             from_firmware: Box::default(),
