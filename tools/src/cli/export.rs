@@ -16,8 +16,9 @@ Examples:
   vigil export -o actor.onnx                             the built-in actor, for ONNX Runtime and the like
   vigil export --actor mine.safetensors -o mine.onnx     an imported policy, back again
 
-Inputs of an actor of ours: `frames` [1, 5, 128, 256], ranges over 100 m, oldest first, and `position`: [1, 2], distance over 20 m (at
-most 1.05) and bearing in radians; [1, 16] if it is told of movers, as the built-in one is: then own velocity and two movers follow. An imported policy has its own inputs, as `frame` and `position`. Output: `action` [1, 2]. Beside the
+Inputs of an actor of ours: `frames` [1, 5, 128, 256], ranges over 100 m, oldest first, and `position`: [1, 2], distance
+over 20 m (at most 1.05) and bearing in radians; [1, 16] if it is told of movers, as the built-in one is: then own velocity
+and two movers follow. An imported policy has its own inputs, as `frame` and `position`. Output: `action` [1, 2]. Beside the
 network the model's metadata says what was exported and how its inputs are made. docs/import.md.")]
 pub struct ExportArgs {
     /// The actor or imported policy [default: the built-in actor].

@@ -518,7 +518,8 @@ impl Scene {
     }
 }
 
-/// How much picture, bearing, distance and what the actor is told of movers moved the actor's yaw output: a bar each, to the right where they turned it right.
+/// How much picture, bearing, distance and what the actor is told of movers moved the actor's yaw output: a bar each, to the
+/// right where they turned it right.
 fn causes(canvas: &mut Canvas, (left, top): (usize, usize), judgement: &Judgement) {
     let parts = [
         ("picture", judgement.image),
