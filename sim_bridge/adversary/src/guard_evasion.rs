@@ -1,14 +1,13 @@
 //! An attacker who knows the guard: he keeps the actor where the guard has nothing to say.
 
+use vigil_guidance::AlarmConfig;
 use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS};
 use vigil_policy::{PilotInput, RecoveryPilot};
 use vigil_types::{Action, STEP_S};
 
-/// How far he leaves the actor's yaw output from the planner's, of 3: the guard counts what is more than 2.0 apart
-/// (`AlarmConfig::apart_yaw`), and the planner turns on between the frame that he planned with and the next.
-const APART: f32 = 1.8;
-/// What the guard expects of a flight along its way, metres per second (`AlarmConfig::way_speed_m_s`).
-const WAY_SPEED_M_S: f32 = 0.5;
+/// So much of what the guard does not count as apart ([`AlarmConfig::apart_yaw`]) he leaves between the actor's yaw output and the
+/// planner's: the planner turns on between the frame that he planned with and the next.
+const APART: f32 = 0.9;
 /// Shares of the way that the guard lets the actor fall behind: from the first on he lets it catch up, to the second.
 const BEHIND: (f32, f32) = (0.7, 0.4);
 /// Below this the frames show the ground beside the vehicle; the guard does not look yet either, metres.
@@ -20,6 +19,8 @@ const LOWEST_M: f32 = 1.0;
 #[derive(Debug, Clone)]
 pub(crate) struct GuardEvasion {
     planner: Box<RecoveryPilot>,
+    /// What the guard looks at, as guidance has it by default.
+    guard: AlarmConfig,
     /// How far behind the guard lets the actor fall, metres; 0 is as far as it likes.
     astray_m: f32,
     behind_m: f32,
@@ -33,6 +34,7 @@ impl GuardEvasion {
     pub fn new(astray_m: f32) -> Self {
         Self {
             planner: Box::default(),
+            guard: AlarmConfig::default(),
             astray_m,
             behind_m: 0.0,
             catching_up: false,
@@ -46,7 +48,7 @@ impl GuardEvasion {
         let apart = if on_collision_course || self.catching_up {
             0.0
         } else {
-            APART
+            APART * self.guard.apart_yaw
         };
         let bound = |yaw: f32| yaw.clamp(-ACTOR_LIMIT, ACTOR_LIMIT);
         Some((bound(planned.yaw - apart), bound(planned.yaw + apart)))
@@ -68,7 +70,7 @@ impl GuardEvasion {
     }
 
     fn fall_behind(&mut self, along_way_m_s: f32) {
-        self.behind_m = (self.behind_m + (WAY_SPEED_M_S - along_way_m_s) * STEP_S).max(0.0);
+        self.behind_m = (self.behind_m + (self.guard.way_speed_m_s - along_way_m_s) * STEP_S).max(0.0);
         let (most, least) = BEHIND;
         let turns_at = if self.catching_up { least } else { most };
         self.catching_up = self.astray_m > 0.0 && self.behind_m > turns_at * self.astray_m;
