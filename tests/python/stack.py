@@ -12,6 +12,10 @@ HERE = Path(__file__).resolve().parent
 TOP = HERE.parents[1]
 VIGIL = TOP / "target" / "release" / "vigil"
 END_LIMIT_S = 8.0
+# Up to 9 the ports of scripts are an instance's own; 0 is left to people.
+INSTANCES = range(1, 10)
+# Longer than any file of tests keeps its vehicles.
+FREE_LIMIT_S = 240.0
 
 
 def venv_python(name):
@@ -104,22 +108,29 @@ class Simulator(Process):
         return [json.loads(line) for line in list(self.lines)]
 
 
+def start_free(course, folder, options):
+    """A simulator on the first instance that nobody uses; none when all are used."""
+    for instance in INSTANCES:
+        try:
+            return Simulator(instance, course, folder, options).__enter__()
+        except NotRunning as error:
+            if "instance" not in str(error):
+                raise
+    return None
+
+
 @contextlib.contextmanager
 def free_simulator(course, folder, *options):
-    """A simulator on the first instance that nobody uses: another test or a person may be flying on this machine."""
-    # Up to 9 the ports of scripts are an instance's own.
-    for instance in range(1, 10):
-        try:
-            simulator = Simulator(instance, course, folder, options).__enter__()
-        except NotRunning as error:
-            if instance < 9 and "instance" in str(error):
-                continue
-            raise
-        try:
-            yield simulator
-        finally:
-            simulator.end()
-        return
+    """A simulator of one's own: other tests or a person may be flying on this machine. When all instances are used, the next one that is left."""
+    limit = time.monotonic() + FREE_LIMIT_S
+    while (simulator := start_free(course, folder, options)) is None:
+        if time.monotonic() > limit:
+            raise NotRunning(f"instances {INSTANCES[0]} to {INSTANCES[-1]} are all in use, for {FREE_LIMIT_S:.0f} s")
+        time.sleep(5.0)
+    try:
+        yield simulator
+    finally:
+        simulator.end()
 
 
 class Firmware(Process):
