@@ -592,6 +592,8 @@ PARTS = {
         "DO_ORBIT at an altitude above sea level": orbit,
         "DO_CHANGE_SPEED in hold holds for the next reposition": change_speed,
         "ROI turns the nose": region_of_interest,
+    },
+    "ways": {
         "FOLLOW_TARGET is followed": follow_me,
         "speed along a mission's straight legs": straight_legs,
     },
@@ -613,25 +615,28 @@ PARTS = {
 }
 
 
-def run(instance, part):
-    """The outcome of each item, in order; one that fails leaves the others their chance."""
+def run(instance, parts):
+    """The outcome of each item of each part, in order; one that fails leaves the others their chance."""
     vehicle = Vehicle(instance)
     vehicle.until("ready", lambda: vehicle.last.get("SYS_STATUS")
                   and vehicle.last["SYS_STATUS"].onboard_control_sensors_health & dialect.MAV_SYS_STATUS_PREARM_CHECK, 20.0)  # fmt: skip
     outcomes = {}
-    for name, item in PARTS[part].items():
-        try:
-            item(vehicle)
-            outcomes[name] = "works"
-        except Failed as failed:
-            outcomes[name] = f"fails: {failed}"
-    vehicle.land()
+    for part in parts:
+        outcomes[part] = {}
+        for name, item in PARTS[part].items():
+            try:
+                item(vehicle)
+                outcomes[part][name] = "works"
+            except Failed as failed:
+                outcomes[part][name] = f"fails: {failed}"
+        # Each part finds the vehicle on the ground.
+        vehicle.land()
     return outcomes
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=PARTS)
+    parser.add_argument("part", nargs="+", choices=PARTS)
     parser.add_argument("--instance", type=int, default=0, help="number of the simulator (default 0)")
     args = parser.parse_args()
     print(json.dumps(run(args.instance, args.part)), flush=True)
