@@ -12,7 +12,7 @@ cd "$here"
 
 test_files() { "$top/target/venv-log/bin/python" -m pytest -p no:cacheprovider --ignore=package "$@"; }
 # Nobody takes in the sources by accident: their folder has no extension module. It computes all the time; flights must not wait for it.
-test_package() { cd package && nice -n 10 "$top/target/venv-package/bin/python" -m pytest -p no:cacheprovider "$@"; }
+test_package() { cd package && nice -n 5 "$top/target/venv-package/bin/python" -m pytest -p no:cacheprovider "$@"; }
 
 if [ $# = 0 ] || [ "$1" = package ]; then
     # What `pip install ./tools/python` installs, without compiling everything anew as a wheel is.
