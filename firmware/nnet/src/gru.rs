@@ -7,6 +7,9 @@ use crate::graph::operation::Operation;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::run::{Backward, Forward, Pass};
+use crate::graph::{Bounds, BoundsForward};
+#[cfg(feature = "train")]
+use crate::graph::{BoundsBackward, BoundsMut, ends_to_split};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
@@ -253,6 +256,227 @@ impl Gru {
     }
 }
 
+/// Bounds of one hidden unit's values: ends of r, z, `U_n h + c_n`, n and of the state before.
+struct UnitBounds {
+    r: [f32; 2],
+    z: [f32; 2],
+    recurrent_n: [f32; 2],
+    n: [f32; 2],
+    h: [f32; 2],
+}
+
+impl UnitBounds {
+    /// The end of r that makes `r · recurrent_n` least (`end` 0) or greatest (1), and which of the two it is.
+    fn r_for(&self, end: usize) -> (f32, usize) {
+        let [q_low, q_high] = self.recurrent_n;
+        let [r_low, r_high] = self.r;
+        let low = if end == 0 { q_low >= 0.0 } else { q_high < 0.0 };
+        if low { (r_low, 0) } else { (r_high, 1) }
+    }
+
+    /// The end of z that makes `n + z (h − n)` least (`end` 0) or greatest (1), and which of the two it is: it rises with n and h, so
+    /// both are at this end too.
+    fn z_for(&self, end: usize) -> (f32, usize) {
+        let ([n_low, n_high], [h_low, h_high], [z_low, z_high]) = (self.n, self.h, self.z);
+        let low = if end == 0 { h_low >= n_low } else { h_high < n_high };
+        if low { (z_low, 0) } else { (z_high, 1) }
+    }
+}
+
+/// What a step's bounds keep: rows of `hidden` each.
+mod kept {
+    /// From the state: r, z, n.
+    pub const FROM_STATE: usize = 0;
+    /// From the input: r, z, n.
+    pub const FROM_INPUT: usize = 3;
+    /// r and z behind their curves.
+    pub const GATES: usize = 6;
+    /// n behind its curve.
+    pub const N: usize = 8;
+}
+
+impl Gru {
+    fn unit_bounds(&self, kept: Bounds<'_>, state: Bounds<'_>, i: usize) -> UnitBounds {
+        let of = |bounds: &Bounds<'_>, at: usize| {
+            [bounds.lower, bounds.upper].map(|end| end.get(at).copied().unwrap_or(f32::NAN))
+        };
+        let row = |row: usize| of(&kept, row * self.hidden + i);
+        UnitBounds {
+            r: row(kept::GATES),
+            z: row(kept::GATES + 1),
+            recurrent_n: row(kept::FROM_STATE + 2),
+            n: row(kept::N),
+            h: of(&state, i),
+        }
+    }
+
+    /// Bounds of a step. `n + z (h − n)` is bounded as a whole, not term by term: it lies between n and h.
+    fn step_bounds(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
+        let width = self.hidden;
+        let (isa, params, magnitudes) = (node.isa, node.params, node.magnitudes);
+        let (x, state) = (node.source(0)?, node.source(1)?);
+        let kept = &mut node.aux;
+
+        let (centre, radius) = x.split(self.inputs, node.work)?;
+        let sums = kept.part_mut("GRU bounds", kept::FROM_INPUT * width, 3 * width)?;
+        self.project(isa, params, centre, sums.lower)?;
+        self.project(isa, magnitudes, radius, sums.upper)?;
+        let (centre, radius) = state.split(width, node.work)?;
+        let sums = kept.part_mut("GRU bounds", kept::FROM_STATE * width, 3 * width)?;
+        let bias = part(
+            "GRU bias",
+            params,
+            self.input() + self.recurrent() + 3 * width,
+            3 * width,
+        )?;
+        row_times_matrix(
+            isa,
+            centre,
+            params,
+            self.input(),
+            3 * width,
+            Start::Bias(bias),
+            sums.lower,
+        )?;
+        row_times_matrix(
+            isa,
+            radius,
+            magnitudes,
+            self.input(),
+            3 * width,
+            Start::Zero,
+            sums.upper,
+        )?;
+        kept.part_mut("GRU bounds", 0, kept::GATES * width)?.spread();
+
+        for end in [&mut *kept.lower, &mut *kept.upper] {
+            let (sums, gates) = end.split_at_mut_checked(kept::GATES * width).unwrap_or_default();
+            let (from_state, from_input) = sums.split_at_checked(3 * width).unwrap_or_default();
+            let both = from_state.iter().zip(from_input).take(2 * width);
+            for (gate, (from_state, from_input)) in gates.iter_mut().zip(both) {
+                *gate = from_state + from_input;
+            }
+        }
+        let mut gates = kept.part_mut("GRU bounds", kept::GATES * width, 2 * width)?;
+        gates.through(isa, Activation::Sigmoid);
+        for i in 0..width {
+            let unit = self.unit_bounds(kept.view(), state, i);
+            for (end, kept) in [&mut *kept.lower, &mut *kept.upper].into_iter().enumerate() {
+                let [q_low, q_high] = unit.recurrent_n;
+                let product = unit.r_for(end).0 * if end == 0 { q_low } else { q_high };
+                let from_input = kept.get((kept::FROM_INPUT + 2) * width + i).copied();
+                if let Some(n) = kept.get_mut(kept::N * width + i) {
+                    *n = from_input.unwrap_or(f32::NAN) + product;
+                }
+            }
+        }
+        kept.part_mut("GRU bounds", kept::N * width, width)?
+            .through(isa, Activation::TANH);
+        let ends = node.value.lower.iter_mut().zip(node.value.upper.iter_mut());
+        for (i, (lower, upper)) in ends.enumerate() {
+            let unit = self.unit_bounds(kept.view(), state, i);
+            let ([n_low, n_high], [h_low, h_high]) = (unit.n, unit.h);
+            *lower = n_low + unit.z_for(0).0 * (h_low - n_low);
+            *upper = n_high + unit.z_for(1).0 * (h_high - n_high);
+        }
+        node.value.widen();
+        Ok(())
+    }
+
+    #[cfg(feature = "train")]
+    fn step_bounds_backward(&self, node: &mut BoundsBackward<'_>, d_out: Bounds<'_>) -> Result<(), ShapeError> {
+        let width = self.hidden;
+        let isa = node.isa;
+        let (x, state, (_, kept)) = (node.source(0)?, node.source(1)?, node.kept()?);
+        let scratch = core::mem::take(&mut node.scratch);
+        let (d_gates, _) = scratch
+            .split_at_mut_checked(2 * self.gate_gradient_len())
+            .unwrap_or_default();
+        // Rows as in `backward`, of the lower ends and then of the upper ones.
+        let (d_low, d_high) = d_gates
+            .split_at_mut_checked(self.gate_gradient_len())
+            .unwrap_or_default();
+        for i in 0..width {
+            let (unit, mut d_unit) = (self.unit_bounds(kept, state, i), UnitGradient::default());
+            for (end, d) in [d_out.lower, d_out.upper].into_iter().enumerate() {
+                d_unit.add(&unit, end, d.get(i).copied().unwrap_or(f32::NAN));
+            }
+            for (end, rows) in [&mut *d_low, &mut *d_high].into_iter().enumerate() {
+                for (slot, value) in rows.iter_mut().skip(i).step_by(width).zip(d_unit.rows(&unit, end)) {
+                    *slot = value;
+                }
+            }
+        }
+        ends_to_split(d_low, d_high);
+        let (d_centre, d_radius) = (&*d_low, &*d_high);
+        // Centre and radius of the input, then of the state.
+        let (x_split, rest) = node.spill.split_at_mut_checked(2 * self.inputs).unwrap_or_default();
+        let (x_centre, x_radius) = x.split(0, x_split)?;
+        let (h_centre, h_radius) = state.split(0, rest)?;
+        let (x_of, h_of) = ([x_centre, x_radius], [h_centre, h_radius]);
+        let to = [&mut *node.d_params.params, &mut *node.d_params.magnitudes];
+        for (((x, h), d_gates), to) in x_of.into_iter().zip(h_of).zip([d_centre, d_radius]).zip(to) {
+            self.weight_gradient(isa, x, h, d_gates, to)?;
+        }
+        node.write_split_source(0, |side, packed, dx, _| {
+            let d = part("GRU gate gradient", side.of(d_centre, d_radius), 0, 3 * width)?;
+            row_times_matrix(isa, d, packed, 0, self.inputs, Start::Zero, dx)
+        })?;
+        node.write_split_source(1, |side, packed, dh, _| {
+            let d = part("GRU gate gradient", side.of(d_centre, d_radius), 3 * width, 3 * width)?;
+            // Beside the gates the state is in the output itself: as ends, so as centre and radius before they become ends.
+            for (i, dh) in dh.iter_mut().enumerate() {
+                let unit = self.unit_bounds(kept, state, i);
+                let at = |d: &[f32]| d.get(i).copied().unwrap_or(f32::NAN);
+                let (low, high) = (at(d_out.lower) * unit.z_for(0).0, at(d_out.upper) * unit.z_for(1).0);
+                *dh = side.of(low + high, high - low);
+            }
+            row_times_matrix(isa, d, packed, self.input(), width, Start::Output, dh)
+        })
+    }
+}
+
+/// Gradients at one unit's bounds: at the ends of r and z, of `U_n h + c_n`, and of n before its curve.
+#[cfg(feature = "train")]
+#[derive(Default)]
+struct UnitGradient {
+    r: [f32; 2],
+    z: [f32; 2],
+    recurrent_n: [f32; 2],
+    before_n: [f32; 2],
+}
+
+#[cfg(feature = "train")]
+impl UnitGradient {
+    /// Adds what the gradient `d` of this end of the next state makes.
+    fn add(&mut self, unit: &UnitBounds, end: usize, d: f32) {
+        let at = |ends: [f32; 2]| if end == 0 { ends[0] } else { ends[1] };
+        let (n, h, q) = (at(unit.n), at(unit.h), at(unit.recurrent_n));
+        let (z, which) = unit.z_for(end);
+        add_at(&mut self.z, which, d * (h - n));
+        let before_n = d * (1.0 - z) * Activation::TANH.slope(n);
+        add_at(&mut self.before_n, end, before_n);
+        let (r, which) = unit.r_for(end);
+        add_at(&mut self.recurrent_n, end, before_n * r);
+        add_at(&mut self.r, which, before_n * q);
+    }
+
+    /// Gradients of this end at the six gate sums, as [`Gru::backward`] has them.
+    fn rows(&self, unit: &UnitBounds, end: usize) -> [f32; 6] {
+        let at = |ends: [f32; 2]| if end == 0 { ends[0] } else { ends[1] };
+        let r = at(self.r) * Activation::Sigmoid.slope(at(unit.r));
+        let z = at(self.z) * Activation::Sigmoid.slope(at(unit.z));
+        [r, z, at(self.before_n), r, z, at(self.recurrent_n)]
+    }
+}
+
+#[cfg(feature = "train")]
+fn add_at(ends: &mut [f32; 2], which: usize, d: f32) {
+    if let Some(end) = ends.get_mut(which) {
+        *end += d;
+    }
+}
+
 /// `out = start + x M` with `M` (`x.len() × cols`) at `at` in `matrices`.
 pub(crate) fn row_times_matrix(
     isa: Isa,
@@ -355,6 +579,19 @@ impl Operation for Gru {
             },
             |x, h, d_gates, d_params| self.weight_gradient(isa, x, h, d_gates, d_params),
         )
+    }
+
+    fn weight_len(&self) -> usize {
+        self.input() + self.recurrent()
+    }
+
+    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
+        self.step_bounds(node)
+    }
+
+    #[cfg(feature = "train")]
+    fn bounds_backward_node(&self, node: &mut BoundsBackward<'_>, d: BoundsMut<'_>) -> Result<(), ShapeError> {
+        self.step_bounds_backward(node, d.view())
     }
 
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

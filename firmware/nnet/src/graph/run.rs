@@ -118,7 +118,7 @@ impl Graph {
         Ok(())
     }
 
-    fn source(&self, node: &Node, i: usize) -> Result<&Node, ShapeError> {
+    pub(super) fn source(&self, node: &Node, i: usize) -> Result<&Node, ShapeError> {
         let edge = node.sources.get(i).ok_or(ShapeError::Description {
             what: "graph",
             why: "a node lacks a source",
