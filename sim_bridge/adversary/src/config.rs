@@ -33,11 +33,18 @@ pub enum Method {
     /// No gradient: everything above and ahead is shown farther away, by iterations · ε. It deceives whoever believes the frames, the recovery
     /// pilot and the guard as well as the actor; the ground below stays where it is.
     Recede,
+    /// No gradient: every pixel is shown as one without a return.
+    Blind,
+    /// No gradient: the first two seconds of what passed while attacking are shown again and again.
+    Replay,
+    /// Black box: as [`Method::BimAccumulating`], by an estimate of the gradient from the yaw output alone, asked [`SPSA_QUERIES`] times in each
+    /// iteration (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with [`AttackConfig::region_pixels`].
+    Spsa,
 }
 
 impl Method {
     /// All of them.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 12] = [
         Self::Fgsm,
         Self::BimClipped,
         Self::BimAccumulating,
@@ -47,7 +54,15 @@ impl Method {
         Self::Patch,
         Self::Noise,
         Self::Recede,
+        Self::Blind,
+        Self::Replay,
+        Self::Spsa,
     ];
+
+    /// Whether it follows a gradient, known or estimated: to a yaw that is aimed at.
+    pub fn aims(self) -> bool {
+        !matches!(self, Self::Noise | Self::Recede | Self::Blind | Self::Replay)
+    }
 
     /// Its name on the command line and in reports.
     pub fn name(self) -> &'static str {
@@ -61,6 +76,9 @@ impl Method {
             Self::Patch => "patch",
             Self::Noise => "noise",
             Self::Recede => "recede",
+            Self::Blind => "blind",
+            Self::Replay => "replay",
+            Self::Spsa => "spsa",
         }
     }
 }
@@ -156,7 +174,8 @@ impl AttackConfig {
         let epsilon = self.epsilon();
         match self.method {
             Method::Fgsm | Method::BimClipped | Method::Pgd | Method::Momentum => epsilon,
-            Method::BimAccumulating | Method::Noise | Method::Recede => epsilon * self.iterations as f32,
+            Method::BimAccumulating | Method::Noise | Method::Recede | Method::Spsa => epsilon * self.iterations as f32,
+            Method::Blind | Method::Replay => 1.0,
             Method::L2 => epsilon * (pixels as f32).sqrt(),
             Method::Patch => epsilon * PATCH_GAIN,
         }
@@ -191,6 +210,12 @@ impl AttackConfig {
 
 /// [`AttackConfig::floor`] of attacks that move regions: 0.5 m.
 const REGION_FLOOR: f32 = 0.005;
+
+/// Decisions that [`Method::Spsa`] asks for in each iteration.
+pub const SPSA_QUERIES: usize = 16;
+
+/// Frames that [`Method::Replay`] keeps: two seconds.
+pub const REPLAYED_FRAMES: u64 = 40;
 
 /// The frame's pixels over the patch's.
 pub(crate) const PATCH_GAIN: f32 = 32.0;

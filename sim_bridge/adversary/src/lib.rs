@@ -23,6 +23,7 @@
 
 mod attack;
 mod burst;
+mod certificate;
 mod config;
 mod detector_evasion;
 mod frame_attack;
@@ -37,7 +38,10 @@ mod surrogate;
 
 pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
-pub use config::{AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, Towards};
+pub use certificate::{Certificate, CertifiedOutput};
+pub use config::{
+    AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, REPLAYED_FRAMES, SPSA_QUERIES, Towards,
+};
 pub use frame_attack::FrameAttack;
 pub use intercept::{Interceptor, PassedStep, goal_seen_from};
 pub use policy_attack::PolicyAttack;

@@ -1,6 +1,6 @@
 //! The iterations: from the loss's gradient to altered pixels.
 
-use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN};
+use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN, REPLAYED_FRAMES, SPSA_QUERIES};
 use crate::detector_evasion::DetectorEvasion;
 use crate::surrogate::{Ends, Surrogate};
 use rand::{RngExt, SeedableRng};
@@ -45,8 +45,10 @@ pub(crate) struct Perturber {
     cols: usize,
     clean: Vec<f32>,
     gradient: Vec<f32>,
-    /// [`Method::Momentum`]: the running sum. [`Method::Patch`]: 1 within it.
+    /// [`Method::Momentum`]: the running sum. [`Method::Patch`]: 1 within it. [`Method::Spsa`]: what is tried.
     extra: Vec<f32>,
+    /// [`Method::Replay`]: what is shown again.
+    kept: Vec<f32>,
 }
 
 /// Where the frames stand.
@@ -69,6 +71,7 @@ impl Perturber {
             clean: vec![0.0; pixels],
             gradient: vec![0.0; pixels],
             extra: vec![0.0; pixels],
+            kept: kept_for(&config, pixels),
         })
     }
 
@@ -78,6 +81,7 @@ impl Perturber {
 
     pub fn configure(&mut self, config: AttackConfig) -> Result<(), AttackError> {
         config.check()?;
+        self.kept = kept_for(&config, self.clean.len());
         self.config = config;
         self.calls = 0;
         Ok(())
@@ -103,7 +107,8 @@ impl Perturber {
     ) -> Result<[f32; ACTOR_OUTPUTS], AttackError> {
         let mut rng = ChaCha8Rng::seed_from_u64(self.config.seed);
         rng.set_stream(self.calls);
-        self.calls = self.calls.wrapping_add(1);
+        let call = self.calls;
+        self.calls = call.wrapping_add(1);
         self.clean.copy_from_slice(frames);
         let (method, epsilon) = (self.config.method, self.config.epsilon());
         let mut outputs = before;
@@ -120,8 +125,12 @@ impl Perturber {
                 each(self.config.iterations, outputs, frames);
                 return Ok(outputs);
             }
-            Method::Recede => {
-                self.recede(frames);
+            Method::Recede | Method::Blind | Method::Replay => {
+                match method {
+                    Method::Recede => self.recede(frames),
+                    Method::Blind => frames.fill(1.0),
+                    _ => self.replay(call, frames),
+                }
                 self.spare_ahead(frames);
                 outputs = surrogate.look(scene.older, frames, scene.position)?;
                 each(self.config.iterations, outputs, frames);
@@ -139,8 +148,12 @@ impl Perturber {
         };
         self.extra.fill(0.0);
         for iteration in 1..=iterations {
-            let d = ends(surrogate, scene, outputs, evasion.as_deref_mut())?;
-            surrogate.gradient(&d, &mut self.gradient)?;
+            if method == Method::Spsa {
+                self.estimate(surrogate, scene, frames, &mut rng)?;
+            } else {
+                let d = ends(surrogate, scene, outputs, evasion.as_deref_mut())?;
+                surrogate.gradient(&d, &mut self.gradient)?;
+            }
             self.move_together();
             if method == Method::Patch && iteration == 1 {
                 self.place_patch();
@@ -189,7 +202,7 @@ impl Perturber {
             Method::Fgsm => self.along_sign(frames, epsilon, epsilon),
             Method::BimClipped | Method::Pgd => self.along_sign(frames, projected, epsilon),
             // A pixel cannot move by more than 1, so this projects nothing.
-            Method::BimAccumulating => self.along_sign(frames, epsilon, 1.0),
+            Method::BimAccumulating | Method::Spsa => self.along_sign(frames, epsilon, 1.0),
             Method::Momentum => {
                 let size = self.gradient.iter().map(|g| f64::from(g.abs())).sum::<f64>() / frames.len() as f64;
                 let scale = if size > 0.0 { (1.0 / size) as f32 } else { 0.0 };
@@ -224,7 +237,7 @@ impl Perturber {
                 self.along_sign(frames, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
             // Make no steps.
-            Method::Noise | Method::Recede => {}
+            Method::Noise | Method::Recede | Method::Blind | Method::Replay => {}
         }
     }
 
@@ -237,6 +250,60 @@ impl Perturber {
             let least = (clean - reach).max(floor.min(*clean));
             *x = (*x - sign).max(least).min((clean + reach).min(1.0));
         }
+    }
+
+    /// Keeps what passes first, and then shows it again.
+    fn replay(&mut self, call: u64, frames: &mut [f32]) {
+        let slot = (call % REPLAYED_FRAMES) as usize * frames.len();
+        let kept = &mut self.kept[slot..slot + frames.len()];
+        if call < REPLAYED_FRAMES {
+            kept.copy_from_slice(frames);
+        } else {
+            frames.copy_from_slice(kept);
+        }
+    }
+
+    /// An estimate of the loss's gradient from the yaw output alone: all pixels, or squares of them, are moved to and fro by ε at once, by
+    /// random signs, and the loss's difference counts for each of them by its sign.
+    fn estimate(
+        &mut self,
+        surrogate: &mut impl Surrogate,
+        scene: &Scene<'_>,
+        frames: &[f32],
+        rng: &mut ChaCha8Rng,
+    ) -> Result<(), AttackError> {
+        let (epsilon, side) = (self.config.epsilon(), self.config.region_pixels as usize);
+        // Nobody who sees decisions alone sees more than the saturated output.
+        let yaw_of = |before: f32| ACTOR_LIMIT * libm::tanhf(before);
+        let aim = yaw_of(scene.target);
+        let per_row = self.cols.div_ceil(side);
+        self.gradient.fill(0.0);
+        for _ in 0..SPSA_QUERIES / 2 {
+            let stream = rng.random::<u64>();
+            let mut difference = 0.0;
+            for way in [1.0, -1.0] {
+                for (row, (to, from)) in self
+                    .extra
+                    .chunks_exact_mut(self.cols)
+                    .zip(frames.chunks_exact(self.cols))
+                    .enumerate()
+                {
+                    for (col, (to, from)) in to.iter_mut().zip(from).enumerate() {
+                        let sign = sign_of(stream, row / side * per_row + col / side);
+                        *to = (from + way * epsilon * sign).clamp(0.0, 1.0);
+                    }
+                }
+                let outputs = surrogate.look(scene.older, &self.extra, scene.position)?;
+                let error = yaw_of(outputs[1]) - aim;
+                difference += way * error * error;
+            }
+            for (row, line) in self.gradient.chunks_exact_mut(self.cols).enumerate() {
+                for (col, g) in line.iter_mut().enumerate() {
+                    *g += difference * sign_of(stream, row / side * per_row + col / side);
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Shows everything that is seen above [`GROUND_BELOW_RAD`] farther away. What gives no return goes on giving none.
@@ -323,6 +390,22 @@ fn ends(
     }
     d[1] = 2.0 * (outputs[1] - scene.target);
     Ok(d)
+}
+
+/// A random sign for each number of a stream (the finaliser of SplitMix64).
+fn sign_of(stream: u64, number: usize) -> f32 {
+    let mut z = stream.wrapping_add((number as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    if (z ^ (z >> 31)) & 1 == 0 { 1.0 } else { -1.0 }
+}
+
+/// Room for what [`Method::Replay`] shows again.
+fn kept_for(config: &AttackConfig, pixels: usize) -> Vec<f32> {
+    match config.method {
+        Method::Replay => vec![0.0; REPLAYED_FRAMES as usize * pixels],
+        _ => Vec::new(),
+    }
 }
 
 fn norm(values: impl Iterator<Item = f32>) -> f64 {

@@ -4,7 +4,9 @@
 mod oracle;
 
 use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
-use vigil_adversary::{AttackConfig, AttackError, Method, StateAttack, StreamAttack, Towards};
+use vigil_adversary::{
+    AttackConfig, AttackError, Certificate, Method, REPLAYED_FRAMES, StateAttack, StreamAttack, Towards,
+};
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::actor::{
@@ -116,7 +118,7 @@ fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed()
             assert_eq!(outcome.attacked.to_vec(), decide(&altered), "{}", method.name());
             let last = if method == Method::Fgsm { 1 } else { 7 };
             assert_eq!(shown.last(), Some(&(last, outcome)), "{}", method.name());
-            if !matches!(method, Method::Noise | Method::Recede) {
+            if method.aims() {
                 assert!(outcome.yaw_change() * sign > 0.0, "{}: {outcome:?}", method.name());
             }
         }
@@ -176,6 +178,7 @@ fn no_method_leaves_its_bounds() {
             Method::BimAccumulating => assert!(rms > 2.0 * epsilon, "{rms}"),
             Method::L2 => assert!(rms <= epsilon * (1.0 + 1e-5) && rms > 0.5 * epsilon, "{rms}"),
             Method::Noise => assert!(rms > 4.0 * epsilon, "{rms}"),
+            Method::Replay => assert!(rms == 0.0, "nothing has passed that could be shown again"),
             _ => assert!(rms > 0.3 * epsilon, "{}: {rms}", method.name()),
         }
         if method == Method::Patch {
@@ -200,13 +203,80 @@ fn the_same_seed_gives_the_same_bits_and_an_accumulating_run_holds_all_shorter_o
         let told = config(method);
         assert_eq!(run(&told).0, run(&told).0, "{}", method.name());
         let other = AttackConfig { seed: 6, ..told };
-        let draws = matches!(method, Method::Pgd | Method::Noise);
+        let draws = matches!(method, Method::Pgd | Method::Noise | Method::Spsa);
         assert_eq!(run(&told).0 != run(&other).0, draws, "{}", method.name());
     }
     let told = config(Method::BimAccumulating);
     let (_, each) = run(&told);
     let shorter = AttackConfig { iterations: 3, ..told };
     assert_eq!(run(&shorter).0, each[2]);
+}
+
+#[test]
+fn a_replay_shows_what_passed_first_and_a_blinded_sensor_sees_nothing() {
+    let params = small_params(8);
+    let streamed = |method| {
+        let mut attack = StreamAttack::on(SMALL, Isa::detect(), &params, &config(method)).unwrap();
+        let frames = (0..REPLAYED_FRAMES as usize + 3).map(|i| small_frames(1, 20 + i as u64));
+        frames
+            .map(|frame| {
+                let mut altered = frame.clone();
+                attack.attack(&mut altered, [0.2, 0.1]).unwrap();
+                (frame, altered)
+            })
+            .collect::<Vec<_>>()
+    };
+    let replayed = streamed(Method::Replay);
+    for (i, (frame, altered)) in replayed.iter().enumerate() {
+        let first = &replayed[i % REPLAYED_FRAMES as usize].0;
+        assert_eq!(altered, first, "frame {i}");
+        assert_eq!(frame == altered, i < REPLAYED_FRAMES as usize);
+    }
+    assert!(
+        streamed(Method::Blind)
+            .iter()
+            .all(|(_, altered)| altered.iter().all(|x| *x == 1.0))
+    );
+}
+
+/// Whatever an attack within ε does lies between the bounds, which it needs no attack to know.
+#[test]
+fn no_attack_leaves_what_is_certified() {
+    let (frames, position) = (small_frames(ACTOR_FRAMES, 4), [0.9, 0.5]);
+    for (seed, size) in [(3, 1.0), (4, 0.25)] {
+        let params: Vec<f32> = small_params(seed).iter().map(|p| size * p).collect();
+        let mut certificate = Certificate::new(SMALL, Isa::detect(), &params).unwrap();
+        let mut widest = 0.0;
+        for epsilon_255 in [0.1, 1.0, 5.0] {
+            let outputs = certificate.outputs(&frames, position, epsilon_255 / 255.0).unwrap();
+            for method in [Method::Fgsm, Method::BimClipped, Method::Pgd, Method::Momentum] {
+                for towards in [Towards::Left, Towards::Right] {
+                    let told = AttackConfig {
+                        epsilon_255,
+                        towards,
+                        ..config(method)
+                    };
+                    let mut attack = StateAttack::on(SMALL, Isa::detect(), &params, &told).unwrap();
+                    let outcome = attack.attack(&mut frames.clone(), position).unwrap();
+                    for (output, (clean, attacked)) in outputs.iter().zip(outcome.clean.iter().zip(outcome.attacked)) {
+                        assert_eq!(output.clean, *clean);
+                        assert!(
+                            output.lower <= attacked && attacked <= output.upper,
+                            "{output:?}, {attacked}"
+                        );
+                    }
+                }
+            }
+            assert!(outputs[1].most_moved() >= widest, "wider with ε: {outputs:?}");
+            widest = outputs[1].most_moved();
+        }
+        assert_eq!(
+            certificate.outputs(&frames, position, 1e-6).unwrap()[1].holds(),
+            size < 1.0
+        );
+    }
+    let mut certificate = Certificate::new(SMALL, Isa::detect(), &small_params(3)).unwrap();
+    assert!(certificate.outputs(&frames[1..], position, 0.01).is_err());
 }
 
 /// A pillar 2 m to 3 m ahead between two walls, as the LiDAR would see it.

@@ -134,6 +134,8 @@ fn a_flight_by_attitude_lands_and_disarms_by_itself() {
         }
     }
     assert!(!b.status().armed, "landed and left there: {:?}", b.status());
+    // And it can be flown again.
+    b.take_off();
 }
 
 #[test]
