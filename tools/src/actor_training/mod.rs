@@ -22,6 +22,7 @@ mod rehearsal;
 mod replay_buffer;
 mod result;
 pub mod reward;
+pub mod robust;
 mod shard;
 mod training_run;
 pub mod value;

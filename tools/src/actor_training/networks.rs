@@ -184,17 +184,10 @@ impl Networks {
     /// all of them move at once. At one rate for all, the 1 024 features drive the GRU into saturation within a hundred
     /// updates, and nothing that the image shows reaches the actor any more (docs/learning.md).
     pub fn rate_shares(&self) -> (Vec<f32>, Vec<f32>) {
-        let share = |fan_in: usize| (FULL_RATE_INPUTS / fan_in as f32).min(1.0);
-        let mut actor = vec![1.0; self.actor_len()];
+        let actor = rate_shares_of(SPEC);
         let mut critic = vec![1.0; self.critic_len()];
-        for (layer, at) in SPEC.convolutions().iter().zip(self.actor.convolutions) {
-            let fan_in = layer.kernel * layer.kernel * layer.channels;
-            actor[at.at..at.at + layer.weight_len()].fill(share(fan_in));
-        }
         let gru = SPEC.gru();
-        let input = gru.inputs * 3 * gru.hidden;
-        actor[self.actor.gru.at..][..input].fill(share(gru.inputs));
-        critic[self.critic.gru.at..][..input].fill(share(gru.inputs));
+        critic[self.critic.gru.at..][..gru.inputs * 3 * gru.hidden].fill(rate_share(gru.inputs));
         critic[self.critic.output.at + CRITIC_OUT.weight_len()..][..CRITIC_OUT.outputs].fill(LAST_BIAS_SHARE);
         (actor, critic)
     }
@@ -249,6 +242,24 @@ impl Networks {
         );
         (actor, critic)
     }
+}
+
+fn rate_share(fan_in: usize) -> f32 {
+    (FULL_RATE_INPUTS / fan_in as f32).min(1.0)
+}
+
+/// [`Networks::rate_shares`] of an actor of any dimensions.
+pub fn rate_shares_of(spec: ActorSpec) -> Vec<f32> {
+    let mut b = GraphBuilder::new();
+    let at = spec.reserve(&mut b);
+    let mut shares = vec![1.0; at.output.at + at.output.len];
+    for (layer, at) in spec.convolutions().iter().zip(at.convolutions) {
+        let fan_in = layer.kernel * layer.kernel * layer.channels;
+        shares[at.at..at.at + layer.weight_len()].fill(rate_share(fan_in));
+    }
+    let gru = spec.gru();
+    shares[at.gru.at..][..gru.inputs * 3 * gru.hidden].fill(rate_share(gru.inputs));
+    shares
 }
 
 fn frame_features(b: &mut GraphBuilder, features: usize) -> Result<[NodeId; ACTOR_FRAMES], ShapeError> {

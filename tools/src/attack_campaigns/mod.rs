@@ -1,5 +1,6 @@
 //! `vigil attack`: how far the actor can be deceived. One command for each table of docs/adversary.md.
 
+mod certify;
 mod completion;
 mod defended;
 mod deflection;
@@ -25,6 +26,7 @@ use vigil_policy::{ActorInputs, FrozenPilot};
 Examples:
   vigil attack table                     share of states deceived, by size and iterations (the paper's figure 11)
   vigil attack table --states 1000       the same on more states
+  vigil attack certify --states 200      share of states in which no attack within ε can turn the actor, and in which one does
   vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
   vigil attack completion --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
   vigil attack completion --flights 200 --shard 2/9
@@ -48,6 +50,8 @@ pub struct AttackCommands {
 enum AttackCommand {
     /// Share of states met in flight whose yaw moves by 1.0 or more, by method, ε and iterations.
     Table(strength::TableArgs),
+    /// Share of states met in flight whose yaw is proved to move by less than 1.0, and share that an attack moves, over ε.
+    Certify(certify::CertifyArgs),
     /// Yaw deflection in front of a wall, by gap and bearing of the goal.
     Deflection(deflection::DeflectionArgs),
     /// Completion with the potential field on and off, attacked and not.
@@ -118,6 +122,7 @@ impl Common {
 pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     match &args.command {
         AttackCommand::Table(args) => strength::run(args),
+        AttackCommand::Certify(args) => certify::run(args),
         AttackCommand::Deflection(args) => deflection::run(args),
         AttackCommand::Completion(args) => completion::run_completion(args),
         AttackCommand::Search(args) => completion::run_search(args),

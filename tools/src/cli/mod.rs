@@ -12,6 +12,7 @@ mod family;
 mod figures;
 mod fly;
 mod foreign;
+mod harden;
 mod import;
 mod learn;
 mod live;
@@ -100,6 +101,8 @@ enum Command {
     Train(train::TrainArgs),
     /// Train an expert or an actor by value: critics that see the true state, reward along the shortest free way.
     Learn(learn::LearnArgs),
+    /// Harden an actor: taught on until its decisions provably hold for frames altered within ε.
+    Harden(harden::HardenArgs),
     /// Every table and figure of the paper and ours, from data or flown anew, on one page.
     Reproduce(reproduce::ReproduceArgs),
     /// Table I and figures 9 and 10 from the logs of training runs of yours.
@@ -158,6 +161,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Export(args) => export::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Learn(args) => learn::run(&args),
+        Command::Harden(args) => harden::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Rollout(args) => rollout::run(&args),
         Command::Detector(args) => detector::run(&args),

@@ -9,7 +9,7 @@ mod flyer;
 mod mlp;
 mod run;
 mod slope;
-mod store;
+pub(super) mod store;
 mod value_buffer;
 mod value_config;
 mod value_learner;
