@@ -311,3 +311,59 @@ fn judged(
     let result = evaluate(EvaluatedActor::Actor(params, teacher.inputs), Isa::detect(), &what)?;
     Ok(FlightCount::new(&what, &result))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn options(folder: &Path, resume: bool) -> RobustOptions {
+        RobustOptions {
+            folder: folder.to_owned(),
+            resume,
+            actor: FrozenActor::built_in().unwrap(),
+            git_commit: None,
+            test_flights: 0,
+        }
+    }
+
+    /// Stopped in its second round, a run goes on from the first one's end and ends with the same actor; it
+    /// does not go on with another configuration, and does not begin in another run's folder.
+    #[test]
+    fn a_run_that_was_interrupted_ends_as_one_that_was_not() {
+        let config = RobustConfig {
+            rounds: 2,
+            states: 16,
+            updates: 3,
+            batch: 3,
+            evaluation_flights: 0,
+            ..RobustConfig::default()
+        };
+        let scratch = tempfile::tempdir().unwrap();
+        let (whole, parts) = (scratch.path().join("whole"), scratch.path().join("parts"));
+        let (stop, never) = (AtomicBool::new(false), AtomicBool::new(false));
+        let end = run_robust(&config, &options(&whole, false), &never, &mut |_, _| {}).unwrap();
+        assert!(matches!(end, RobustEnd::Complete(..)), "{end:?}");
+        let end = run_robust(&config, &options(&parts, false), &stop, &mut |row, _| {
+            stop.store(row.updates == config.updates, Ordering::Relaxed);
+        });
+        assert!(matches!(end.unwrap(), RobustEnd::Interrupted(_)));
+
+        let other = RobustConfig {
+            rate: 1e-4,
+            ..config.clone()
+        };
+        let refused = run_robust(&other, &options(&parts, true), &never, &mut |_, _| {});
+        assert!(matches!(refused, Err(RobustError::OtherRun { .. })));
+        let refused = run_robust(&config, &options(&parts, false), &never, &mut |_, _| {});
+        assert!(matches!(
+            refused,
+            Err(RobustError::Folder(FolderError::Occupied { .. }))
+        ));
+
+        let resumed = run_robust(&config, &options(&parts, true), &never, &mut |_, _| {}).unwrap();
+        assert!(matches!(resumed, RobustEnd::Complete(..)));
+        let params = |folder: &Path| FrozenActor::load(&folder.join("actor.safetensors")).unwrap().params;
+        assert_eq!(params(&whole), params(&parts));
+        assert_ne!(params(&whole), options(&whole, false).actor.params);
+    }
+}
