@@ -183,6 +183,10 @@ impl Simulator {
             {
                 let flight_time_s = (self.elapsed_ms - lifted_off_ms) as f64 * 1e-3;
                 self.ending = Some(Ending { outcome, flight_time_s });
+                if outcome == Outcome::Collision {
+                    // It would look as if it did not obey.
+                    self.endpoint.warn("collision: motors off until a new start");
+                }
             }
         }
     }
@@ -283,7 +287,7 @@ mod tests {
     use super::*;
     use crate::config::Start;
     use vigil_types::DEPTH_FULL_SCALE_M;
-    use vigil_world::{Family, generate};
+    use vigil_world::{Course, Family, generate};
 
     /// The digest of three seconds of hovering at a course's start.
     fn hover(config: &SimConfig, epoch_ns: Nanos) -> (u64, Box<DepthFrame>) {
@@ -315,5 +319,33 @@ mod tests {
         }
         let by_phase = moved(&hover(&config, 0).1);
         assert!(by_phase > 200 && by_epoch * 10 < by_phase, "{by_phase} {by_epoch}");
+    }
+
+    /// A vehicle that hit something says that it will not fly again, and does not.
+    #[test]
+    fn a_vehicle_that_hit_something_says_why_it_does_not_fly_any_more() {
+        let course = r#"
+name = "a column where the vehicle is"
+start = { heading_deg = 0.0 }
+goal = { north_m = 20.0, east_m = 0.0 }
+bounds = { north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 6.0 }
+[[column]]
+north_m = 0.0
+east_m = 0.0
+radius_m = 0.3
+height_m = 4.0
+"#;
+        let mut config = SimConfig::new(Course::from_toml_str(course, "a column").unwrap(), 1);
+        config.start = Start::Airborne;
+        let mut simulator = Simulator::new(&config, 0).unwrap();
+        let mut said = Vec::new();
+        for _ in 0..5_000 {
+            simulator.advance_1ms();
+            simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
+        }
+        assert_eq!(simulator.ending().map(|e| e.outcome), Some(Outcome::Collision));
+        let text = b"collision: motors off until a new start";
+        assert!(said.windows(text.len()).any(|window| window == text), "it is silent");
+        assert!(simulator.truth().position_ned_m.z > -0.5, "it lies on the ground");
     }
 }

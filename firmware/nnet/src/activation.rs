@@ -271,7 +271,7 @@ impl Operation for Activation {
         let from = node.source(0)?;
         node.value.lower.copy_from_slice(from.lower);
         node.value.upper.copy_from_slice(from.upper);
-        node.value.through(node.isa, *self);
+        node.value.through(node.isa, node.rounding, *self);
         Ok(())
     }
 

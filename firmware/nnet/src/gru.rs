@@ -9,7 +9,7 @@ use crate::graph::operation::draw_for;
 use crate::graph::run::{Backward, Forward, Pass};
 use crate::graph::{Bounds, BoundsForward};
 #[cfg(feature = "train")]
-use crate::graph::{BoundsBackward, BoundsMut, ends_to_split};
+use crate::graph::{BoundsBackward, BoundsMut, Rounding, ends_to_split};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose, description};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
@@ -313,15 +313,16 @@ impl Gru {
     /// Bounds of a step. `n + z (h − n)` is bounded as a whole, not term by term: it lies between n and h.
     fn step_bounds(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
         let width = self.hidden;
-        let (isa, params, magnitudes) = (node.isa, node.params, node.magnitudes);
+        let (isa, rounding) = (node.isa, node.rounding);
+        let (params, magnitudes) = (node.params, node.magnitudes);
         let (x, state) = (node.source(0)?, node.source(1)?);
         let kept = &mut node.aux;
 
-        let (centre, radius) = x.split(self.inputs, node.work)?;
+        let (centre, radius) = x.split(rounding, self.inputs, node.work)?;
         let sums = kept.part_mut("GRU bounds", kept::FROM_INPUT * width, 3 * width)?;
         self.project(isa, params, centre, sums.lower)?;
         self.project(isa, magnitudes, radius, sums.upper)?;
-        let (centre, radius) = state.split(width, node.work)?;
+        let (centre, radius) = state.split(rounding, width, node.work)?;
         let sums = kept.part_mut("GRU bounds", kept::FROM_STATE * width, 3 * width)?;
         let bias = part(
             "GRU bias",
@@ -358,7 +359,7 @@ impl Gru {
             }
         }
         let mut gates = kept.part_mut("GRU bounds", kept::GATES * width, 2 * width)?;
-        gates.through(isa, Activation::Sigmoid);
+        gates.through(isa, rounding, Activation::Sigmoid);
         for i in 0..width {
             let unit = self.unit_bounds(kept.view(), state, i);
             for (end, kept) in [&mut *kept.lower, &mut *kept.upper].into_iter().enumerate() {
@@ -371,7 +372,7 @@ impl Gru {
             }
         }
         kept.part_mut("GRU bounds", kept::N * width, width)?
-            .through(isa, Activation::TANH);
+            .through(isa, rounding, Activation::TANH);
         let ends = node.value.lower.iter_mut().zip(node.value.upper.iter_mut());
         for (i, (lower, upper)) in ends.enumerate() {
             let unit = self.unit_bounds(kept.view(), state, i);
@@ -379,7 +380,7 @@ impl Gru {
             *lower = n_low + unit.z_for(0).0 * (h_low - n_low);
             *upper = n_high + unit.z_for(1).0 * (h_high - n_high);
         }
-        node.value.widen();
+        node.value.widen(rounding);
         Ok(())
     }
 
@@ -411,8 +412,8 @@ impl Gru {
         let (d_centre, d_radius) = (&*d_low, &*d_high);
         // Centre and radius of the input, then of the state.
         let (x_split, rest) = node.spill.split_at_mut_checked(2 * self.inputs).unwrap_or_default();
-        let (x_centre, x_radius) = x.split(0, x_split)?;
-        let (h_centre, h_radius) = state.split(0, rest)?;
+        let (x_centre, x_radius) = x.split(Rounding::Ignored, 0, x_split)?;
+        let (h_centre, h_radius) = state.split(Rounding::Ignored, 0, rest)?;
         let (x_of, h_of) = ([x_centre, x_radius], [h_centre, h_radius]);
         let to = [&mut *node.d_params.params, &mut *node.d_params.magnitudes];
         for (((x, h), d_gates), to) in x_of.into_iter().zip(h_of).zip([d_centre, d_radius]).zip(to) {

@@ -57,7 +57,7 @@ pub use activation::{Activation, RESCALE_THRESHOLD};
 pub use aligned::Aligned;
 pub use conv::Conv2d;
 pub use dense::Dense;
-pub use graph::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR, Graph, GraphBuilder, NodeId, Params, Purpose};
+pub use graph::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR, Graph, GraphBuilder, NodeId, Params, Purpose, Rounding};
 #[cfg(feature = "train")]
 pub use graph::{BoundsGradient, PackedBoundsParams};
 pub use gru::Gru;

@@ -7,7 +7,7 @@ use common::*;
 use rand::RngExt;
 use vigil_nnet::{
     Activation, Bounds, BoundsGradient, BoundsMut, BoundsParams, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa,
-    MaxPool2d, PackedBoundsParams, Purpose,
+    MaxPool2d, PackedBoundsParams, Purpose, Rounding,
 };
 
 /// Lower and upper ends of the output for inputs within `radius` of `centre`.
@@ -29,7 +29,14 @@ fn bounded(graph: &Graph, isa: Isa, params: &[f32], boxes: &[(Vec<f32>, Vec<f32>
         magnitudes: &magnitudes,
     };
     graph
-        .bounds(isa, weights, &inputs, &mut BoundsMut { lower, upper }, &mut work)
+        .bounds(
+            isa,
+            Rounding::Counted,
+            weights,
+            &inputs,
+            &mut BoundsMut { lower, upper },
+            &mut work,
+        )
         .unwrap();
     Bounded {
         lower: graph.output(&tapes[0]).unwrap().to_vec(),
@@ -352,8 +359,8 @@ fn a_layer_without_bounds_is_named() {
     };
     let mut work = vec![0.0; graph.bounds_work_len()];
     let given = [Bounds::exactly(&[0.5; 16])];
-    let refused = graph.bounds(Isa::PORTABLE, none, &given, &mut tapes, &mut work);
+    let refused = graph.bounds(Isa::PORTABLE, Rounding::Counted, none, &given, &mut tapes, &mut work);
     assert!(refused.unwrap_err().to_string().contains("has no bounds"));
-    let refused = graph.bounds(Isa::PORTABLE, none, &[], &mut tapes, &mut work);
+    let refused = graph.bounds(Isa::PORTABLE, Rounding::Counted, none, &[], &mut tapes, &mut work);
     assert!(refused.unwrap_err().to_string().contains("list of inputs"));
 }

@@ -1,7 +1,7 @@
 //! What no attack within a reach can do to a decision: bounds of the actor's outputs over all frames that he could make.
 
 use crate::config::{AttackError, EFFECTIVE_YAW};
-use vigil_nnet::{Aligned, Bounds, BoundsMut, BoundsParams, Graph, Isa, Purpose, ShapeError};
+use vigil_nnet::{Aligned, Bounds, BoundsMut, BoundsParams, Graph, Isa, Purpose, Rounding, ShapeError};
 use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_OUTPUTS, ActorSpec, PositionalInputs};
 
 /// An output as it is, and between what it can be brought.
@@ -116,7 +116,7 @@ impl Certificate {
             upper: high_tape,
         };
         self.graph
-            .bounds(self.isa, params, &inputs, &mut tapes, &mut self.work)?;
+            .bounds(self.isa, Rounding::Counted, params, &inputs, &mut tapes, &mut self.work)?;
         let bounds = self.graph.output_bounds(Bounds {
             lower: low_tape,
             upper: high_tape,

@@ -2,7 +2,7 @@
 //! effectiveness of interval bound propagation for training verifiably robust models").
 //!
 //! A box goes through weights as its centre and its radius: `W c + b` and `|W| r`. Curves are monotone, so their bounds are their
-//! values at both ends. The bounds hold for the numbers that [`Graph::forward`] gives, rounding included: each sum of n products is
+//! values at both ends. With [`Rounding::Counted`] the bounds hold for the numbers that [`Graph::forward`] gives: each sum of n products is
 //! widened by 2 (n + 8) 2⁻²⁴ of the sum of its terms' magnitudes, each curve by [`CURVE_ERROR`].
 
 use super::operation::AnyOperation;
@@ -56,11 +56,19 @@ impl<'a> Bounds<'a> {
 
     /// Writes centre and radius of each, `[centres][radii]`; the radius is widened by what sums of `terms` products of these values
     /// may lose, as a share of the products.
-    pub(crate) fn split<'w>(&self, terms: usize, work: &'w mut [f32]) -> Result<(&'w [f32], &'w [f32]), ShapeError> {
+    pub(crate) fn split<'w>(
+        &self,
+        rounding: Rounding,
+        terms: usize,
+        work: &'w mut [f32],
+    ) -> Result<(&'w [f32], &'w [f32]), ShapeError> {
         let len = self.lower.len();
         let (centre, rest) = work.split_at_mut_checked(len).unwrap_or_default();
         let radius = part_mut("bounds work", rest, 0, len)?;
-        let lost = 2.0 * (terms + 8) as f32 * (0.5 * f32::EPSILON);
+        let lost = match rounding {
+            Rounding::Counted => 2.0 * (terms + 8) as f32 * (0.5 * f32::EPSILON),
+            Rounding::Ignored => 0.0,
+        };
         let ends = self.lower.iter().zip(self.upper);
         for ((centre, radius), (lower, upper)) in centre.iter_mut().zip(radius.iter_mut()).zip(ends) {
             let (c, r) = (0.5 * (lower + upper), 0.5 * (upper - lower));
@@ -107,7 +115,7 @@ impl<'a> BoundsMut<'a> {
     }
 
     /// Through a curve.
-    pub(crate) fn through(&mut self, isa: Isa, curve: Activation) {
+    pub(crate) fn through(&mut self, isa: Isa, rounding: Rounding, curve: Activation) {
         curve.apply_in_place(isa, self.lower);
         curve.apply_in_place(isa, self.upper);
         if matches!(curve, Activation::NearContrast { .. }) {
@@ -115,12 +123,15 @@ impl<'a> BoundsMut<'a> {
             self.lower.swap_with_slice(self.upper);
         }
         if curve != Activation::Identity {
-            self.widen();
+            self.widen(rounding);
         }
     }
 
     /// By [`CURVE_ERROR`].
-    pub(crate) fn widen(&mut self) {
+    pub(crate) fn widen(&mut self, rounding: Rounding) {
+        if rounding == Rounding::Ignored {
+            return;
+        }
         self.lower.iter_mut().for_each(|lower| *lower -= CURVE_ERROR);
         self.upper.iter_mut().for_each(|upper| *upper += CURVE_ERROR);
     }
@@ -134,6 +145,15 @@ impl<'a> BoundsMut<'a> {
         };
         (BoundsMut { lower, upper }, rest)
     }
+}
+
+/// Whether bounds hold for float32 as it is computed, or for real numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Rounding {
+    /// For float32: what is proved.
+    Counted,
+    /// For real numbers: what is trained, where the bounds of a network that is not robust yet would be nothing but rounding.
+    Ignored,
 }
 
 /// Parameters of a network as its bounds need them.
@@ -150,6 +170,7 @@ pub(crate) struct BoundsForward<'a> {
     graph: &'a Graph,
     node: &'a Node,
     pub isa: Isa,
+    pub rounding: Rounding,
     /// The node's own parameters.
     pub params: &'a [f32],
     /// Magnitudes of those that multiply, zeros for those that are added.
@@ -185,11 +206,11 @@ impl<'a> BoundsForward<'a> {
         curve: Activation,
         product: impl Fn(&[f32], &[f32], &mut [f32]) -> Result<(), ShapeError>,
     ) -> Result<(), ShapeError> {
-        let (centre, radius) = self.source(0)?.split(terms, self.work)?;
+        let (centre, radius) = self.source(0)?.split(self.rounding, terms, self.work)?;
         product(self.params, centre, self.value.lower)?;
         product(self.magnitudes, radius, self.value.upper)?;
         self.value.spread();
-        self.value.through(self.isa, curve);
+        self.value.through(self.isa, self.rounding, curve);
         Ok(())
     }
 }
@@ -231,6 +252,7 @@ impl Graph {
     pub fn bounds(
         &self,
         isa: Isa,
+        rounding: Rounding,
         params: BoundsParams<'_>,
         inputs: &[Bounds<'_>],
         tapes: &mut BoundsMut<'_>,
@@ -264,6 +286,7 @@ impl Graph {
                 graph: self,
                 node,
                 isa,
+                rounding,
                 params: slice_of("network parameters", params.params, node.params)?,
                 magnitudes: slice_of("magnitudes", params.magnitudes, node.params)?,
                 before: before.view(),
@@ -412,7 +435,7 @@ impl<'a> BoundsBackward<'a> {
         through_backward(self.isa, curve, value, d.lower, d.upper)?;
         let (d_centre, d_radius) = (d.lower, d.upper);
         ends_to_split(d_centre, d_radius);
-        let (centre, radius) = self.source(0)?.split(0, self.spill)?;
+        let (centre, radius) = self.source(0)?.split(Rounding::Ignored, 0, self.spill)?;
         add_weight_gradient(centre, d_centre, self.d_params.params)?;
         add_weight_gradient(radius, d_radius, self.d_params.magnitudes)?;
         self.write_split_source(0, |side, packed, dx, scratch| {

@@ -12,7 +12,7 @@ pub(crate) mod run;
 mod structure;
 
 pub(crate) use bounds::BoundsForward;
-pub use bounds::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR};
+pub use bounds::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR, Rounding};
 #[cfg(feature = "train")]
 pub(crate) use bounds::{BoundsBackward, ends_to_split, through_backward};
 #[cfg(feature = "train")]

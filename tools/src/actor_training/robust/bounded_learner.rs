@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use vigil_adversary::EFFECTIVE_YAW;
 use vigil_nnet::{
     Activation, Aligned, Bounds, BoundsGradient, BoundsMut, BoundsParams, Graph, GraphBuilder, Isa, PackedBoundsParams,
-    Purpose, ShapeError,
+    Purpose, Rounding, ShapeError,
 };
 use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_LIMIT, ACTOR_OUTPUTS, ActorSpec};
 use vigil_types::DEPTH_PIXELS;
@@ -354,7 +354,14 @@ impl Step<'_> {
                 upper: &mut tapes.upper,
             };
             let given = [Bounds { lower, upper }];
-            encoder.bounds(self.isa, self.params, &given, &mut ends, &mut shard.encoder_work)?;
+            encoder.bounds(
+                self.isa,
+                Rounding::Ignored,
+                self.params,
+                &given,
+                &mut ends,
+                &mut shard.encoder_work,
+            )?;
         }
         let position: &[f32] = state.position;
         let mut exact = [position; ACTOR_FRAMES + 1];
@@ -371,7 +378,14 @@ impl Step<'_> {
             lower: &mut shard.rest.lower,
             upper: &mut shard.rest.upper,
         };
-        rest.bounds(self.isa, self.params, &ends, &mut tapes, &mut shard.rest_work)
+        rest.bounds(
+            self.isa,
+            Rounding::Ignored,
+            self.params,
+            &ends,
+            &mut tapes,
+            &mut shard.rest_work,
+        )
     }
 
     /// Backwards: into the encoder through the newest frame and one drawn older one, weighted so that all five count on average.
