@@ -287,7 +287,7 @@ mod tests {
     use super::*;
     use crate::config::Start;
     use vigil_types::DEPTH_FULL_SCALE_M;
-    use vigil_world::{Course, Family, generate};
+    use vigil_world::{Column, Family, generate};
 
     /// The digest of three seconds of hovering at a course's start.
     fn hover(config: &SimConfig, epoch_ns: Nanos) -> (u64, Box<DepthFrame>) {
@@ -324,18 +324,15 @@ mod tests {
     /// A vehicle that hit something says that it will not fly again, and does not.
     #[test]
     fn a_vehicle_that_hit_something_says_why_it_does_not_fly_any_more() {
-        let course = r#"
-name = "a column where the vehicle is"
-start = { heading_deg = 0.0 }
-goal = { north_m = 20.0, east_m = 0.0 }
-bounds = { north_m = [-10.0, 30.0], east_m = [-20.0, 20.0], top_m = 6.0 }
-[[column]]
-north_m = 0.0
-east_m = 0.0
-radius_m = 0.3
-height_m = 4.0
-"#;
-        let mut config = SimConfig::new(Course::from_toml_str(course, "a column").unwrap(), 1);
+        let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
+        // Where the vehicle is.
+        let (north_m, east_m) = (config.course.start_ned_m().x, config.course.start_ned_m().y);
+        config.course.columns.push(Column {
+            north_m,
+            east_m,
+            radius_m: 0.3,
+            height_m: 4.0,
+        });
         config.start = Start::Airborne;
         let mut simulator = Simulator::new(&config, 0).unwrap();
         let mut said = Vec::new();
