@@ -4,6 +4,7 @@
 use crate::statistics::quantile;
 use serde::Serialize;
 use std::fmt::Write;
+use vigil_policy::plausibility::smooth_share_of;
 use vigil_types::{
     DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameKeys, HORIZONTAL_FOV_RAD, Nanos, STEP_NS, VERTICAL_FOV_RAD,
 };
@@ -17,6 +18,9 @@ const OLD_S: f64 = 0.1;
 const PART: usize = 16;
 const PART_ROWS: usize = DEPTH_ROWS / PART;
 const PART_COLS: usize = DEPTH_COLS / PART;
+/// The guard's default for what it takes for an altered picture (docs/detection.md, rough picture), and what leaves little room above it.
+const ROUGH_SHARE: f64 = vigil_types::parameters::SMOOTH_SHARE.number_f32() as f64;
+const NEARLY_ROUGH_SHARE: f64 = ROUGH_SHARE + 0.1;
 /// Half the side of the square in the middle of the image that is held against a wall.
 const MIDDLE: usize = 4;
 /// How far a wall may be from where it is: the LiDAR model's noise is 2 cm.
@@ -58,6 +62,7 @@ pub struct SensorCheck {
     left_out: u64,
     restarted: u64,
     returns: Vec<f64>,
+    smooth_shares: Vec<f64>,
     zeros: u64,
     unchanged: u64,
     last_pixels_hash: Option<u64>,
@@ -79,6 +84,7 @@ impl SensorCheck {
             left_out: 0,
             restarted: 0,
             returns: Vec::new(),
+            smooth_shares: Vec::new(),
             zeros: 0,
             unchanged: 0,
             last_pixels_hash: None,
@@ -134,6 +140,7 @@ impl SensorCheck {
         }
         self.returns
             .push(f64::from(returned) / f64::from((DEPTH_ROWS * DEPTH_COLS) as u32));
+        self.smooth_shares.extend(smooth_share_of(frame).map(f64::from));
         if self.expected.wall_m.is_some() {
             let (row, col) = (DEPTH_ROWS / 2, DEPTH_COLS / 2);
             let mut middle: Vec<f32> = (row - MIDDLE..row + MIDDLE)
@@ -288,6 +295,28 @@ impl SensorCheck {
             severity,
             format!("{:.1} % of the pixels{advice}", 100.0 * share),
         );
+        if let Some(least) = quantile(&self.smooth_shares, 0.02) {
+            let middle = quantile(&self.smooth_shares, 0.5).unwrap_or(f64::NAN);
+            let (severity, advice) = if least < ROUGH_SHARE {
+                (
+                    Severity::Warning,
+                    ": the guard would take this sensor's pictures for altered ones; lower detector.smooth_share, or see to its noise",
+                )
+            } else if least < NEARLY_ROUGH_SHARE {
+                (
+                    Severity::Warning,
+                    ": hardly more than the guard asks for (detector.smooth_share)",
+                )
+            } else {
+                (Severity::Good, "")
+            };
+            let text = format!(
+                "{:.0} % of the parts in which something is seen show one surface (2 % of the pictures below {:.0} %){advice}",
+                100.0 * middle,
+                100.0 * least
+            );
+            add("surfaces", severity, text);
+        }
         if self.zeros > 0 {
             add(
                 "zeros",
@@ -416,7 +445,7 @@ mod tests {
     #[test]
     fn each_mistake_of_a_driver_is_named_with_what_to_do() {
         type Alter = fn(u64, &mut DepthFrame, &mut Nanos);
-        let cases: [(&str, &str, Alter); 11] = [
+        let cases: [(&str, &str, Alter); 12] = [
             ("frames", "checksum", |_, f, _| f.depth[5] = 0.5),
             ("frames", "128 x 128", |_, f, _| {
                 f.header.cols = 128;
@@ -436,6 +465,11 @@ mod tests {
             }),
             ("returns", "blind", |_, f, _| {
                 f.depth.fill(1.0);
+                f.seal();
+            }),
+            ("surfaces", "smooth_share", |n, f, _| {
+                let rough = f.depth.iter_mut().skip(n as usize % 2).step_by(2);
+                rough.for_each(|v| *v += 0.01);
                 f.seal();
             }),
             ("change", "to the bit", |_, f, _| {

@@ -420,10 +420,10 @@ mod tests {
 
     #[test]
     fn pictures_that_are_rough_again_and_again_raise_the_alarm_for_good_and_single_ones_do_not() {
-        let off = AlarmConfig::default();
-        let config = AlarmConfig {
-            smooth_share: 0.6,
-            ..off
+        let config = AlarmConfig::default();
+        let off = AlarmConfig {
+            smooth_share: 0.0,
+            ..config
         };
         let steps_until_rough = |smooth_shares: &[f32], config: &AlarmConfig| {
             let mut logic = AlarmLogic::default();

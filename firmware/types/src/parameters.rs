@@ -507,7 +507,7 @@ table! {
         "detector.smooth_share",
         (0.0, 0.95),
         "",
-        0.0,
+        0.6,
         "the guard raises the alarm when fewer of a frame's 4 x 4 pixels in which something is seen show one surface, in raise_count of raise_window frames; 0 is never"
     )
     .mavlink("DT_SMOOTH_SHARE", true);

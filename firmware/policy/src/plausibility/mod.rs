@@ -30,8 +30,6 @@ const BLIND_HOLES: usize = ROWS * COLS / 3;
 const BLIND_WILD: usize = ROWS * COLS / 4;
 /// Cells of a strip that must show the ground before its absence says anything.
 const LEAST_GROUND: u16 = 8;
-/// Cells in which something is seen, of 2048, before their roughness says anything.
-const LEAST_SEEN: usize = 100;
 /// Frames in a row that make a sensor blind, and that make it see again.
 const BLIND_FRAMES: u8 = 2;
 const SEEING_FRAMES: u8 = 3;
@@ -253,6 +251,12 @@ impl Default for PlausibilityJudge {
     }
 }
 
+/// What [`PlausibilityJudge::smooth_share`] would be of this frame: for those who look at a sensor before it flies. A frame of any header.
+pub fn smooth_share_of(frame: &DepthFrame) -> Option<f32> {
+    let mut picture = Picture::EMPTY;
+    picture.take(frame).smooth_share()
+}
+
 impl PlausibilityJudge {
     /// A judge that has seen nothing.
     pub fn new() -> Self {
@@ -298,8 +302,7 @@ impl PlausibilityJudge {
     /// Of the cells of the last frame judged in which something is seen, the share that shows one surface (4 × 4 pixels whose ranges differ
     /// by no more than 0.16 m and a fifth of the range); `None` where next to nothing is seen.
     pub fn smooth_share(&self) -> Option<f32> {
-        let CellCounts { seen, smooth, .. } = self.counts;
-        (seen >= LEAST_SEEN).then(|| smooth as f32 / seen as f32)
+        self.counts.smooth_share()
     }
 
     /// What is implausible about the last frame judged.

@@ -111,6 +111,16 @@ pub(super) struct CellCounts {
     pub smooth: usize,
 }
 
+/// Cells in which something is seen, of 2048, before their roughness says anything.
+const LEAST_SEEN: usize = 100;
+
+impl CellCounts {
+    /// Of the cells in which something is seen, the share that shows one surface; `None` where next to nothing is seen.
+    pub(super) fn smooth_share(&self) -> Option<f32> {
+        (self.seen >= LEAST_SEEN).then(|| self.smooth as f32 / self.seen as f32)
+    }
+}
+
 /// A reduced frame.
 #[derive(Debug, Clone)]
 pub(super) struct Picture {
