@@ -225,46 +225,41 @@ impl OccupancyGrid {
         self.score.get_mut(index)
     }
 
-    /// Computes each cell's distance to the nearest obstacle, exactly, from the scores: along rows, then across them.
+    /// Computes each cell's distance to the nearest obstacle, exactly, from the scores: along columns, then along rows.
     pub fn measure_clearance(&mut self) {
-        let mut along = [[CLEARANCE_LIMIT_SQUARED; SIDE]; SIDE];
-        for (row, out) in self.score.as_chunks::<SIDE>().0.iter().zip(&mut along) {
-            // Squared distance to the nearest obstacle to the west, then to the east.
-            let mut distance = CLEARANCE_LIMIT_CELLS as u8;
-            for (score, o) in row.iter().zip(out.iter_mut()) {
-                distance = if *score >= HIT {
-                    0
-                } else {
-                    (distance + 1).min(CLEARANCE_LIMIT_CELLS as u8)
-                };
-                *o = distance * distance;
-            }
-            distance = CLEARANCE_LIMIT_CELLS as u8;
-            for (score, o) in row.iter().zip(out.iter_mut()).rev() {
-                distance = if *score >= HIT {
-                    0
-                } else {
-                    (distance + 1).min(CLEARANCE_LIMIT_CELLS as u8)
-                };
-                *o = (*o).min(distance * distance);
+        // No sum below can overflow; those that saturate or wrap are written so because a checked one keeps the loop from being vectorised.
+        /// Obstacles farther aside than this change nothing.
+        const ASIDE: usize = CLEARANCE_LIMIT_CELLS - 1;
+        let rows = self.score.as_chunks::<SIDE>().0;
+        // A step of the chain along the columns is a whole row of cells side by side; along a row it would be a single cell.
+        let mut along = [[0; SIDE]; SIDE];
+        let mut distance = [CLEARANCE_LIMIT_CELLS as u8; SIDE];
+        for (row, out) in rows.iter().zip(&mut along) {
+            go_on_from_obstacles(&mut distance, row);
+            *out = distance;
+        }
+        distance = [CLEARANCE_LIMIT_CELLS as u8; SIDE];
+        for (row, out) in rows.iter().zip(&mut along).rev() {
+            go_on_from_obstacles(&mut distance, row);
+            for (o, d) in out.iter_mut().zip(&distance) {
+                let least = (*o).min(*d);
+                *o = least.wrapping_mul(least);
             }
         }
-        let out = self.clearance_squared.as_chunks_mut::<SIDE>().0;
-        for (i, out) in out.iter_mut().enumerate() {
-            let from = i.saturating_sub(CLEARANCE_LIMIT_CELLS);
-            *out = [CLEARANCE_LIMIT_SQUARED; SIDE];
-            for (k, row) in along
-                .iter()
-                .enumerate()
-                .skip(from)
-                .take(i + CLEARANCE_LIMIT_CELLS + 1 - from)
-            {
-                let across = k.abs_diff(i) as u8;
-                let across = across * across;
-                for (o, a) in out.iter_mut().zip(row) {
-                    *o = (*o).min(a + across);
+        let mut padded = [CLEARANCE_LIMIT_SQUARED; SIDE + 2 * ASIDE];
+        for (row, out) in along.iter().zip(self.clearance_squared.as_chunks_mut::<SIDE>().0) {
+            for (to, from) in padded.iter_mut().skip(ASIDE).zip(row) {
+                *to = *from;
+            }
+            let mut least = [CLEARANCE_LIMIT_SQUARED; SIDE];
+            for (k, shifted) in padded.windows(SIDE).enumerate() {
+                let aside = k.abs_diff(ASIDE) as u8;
+                let aside = aside * aside;
+                for (o, a) in least.iter_mut().zip(shifted) {
+                    *o = (*o).min(a.saturating_add(aside));
                 }
             }
+            *out = least;
         }
     }
 
@@ -289,6 +284,15 @@ impl OccupancyGrid {
             Some(index) => self.clearance_squared(index),
             None => CLEARANCE_LIMIT_SQUARED,
         }
+    }
+}
+
+/// One row farther: distances along the columns to the last obstacle passed, cells, at most [`CLEARANCE_LIMIT_CELLS`].
+#[inline]
+fn go_on_from_obstacles(distance: &mut [u8; SIDE], row: &[i8; SIDE]) {
+    for (d, score) in distance.iter_mut().zip(row) {
+        let farther = d.saturating_add(1).min(CLEARANCE_LIMIT_CELLS as u8);
+        *d = if *score >= HIT { 0 } else { farther };
     }
 }
 

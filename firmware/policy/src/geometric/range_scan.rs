@@ -240,11 +240,13 @@ impl RangeScan {
             let mut bins = [0_u16; DISTRUST_BINS];
             let from = (2 * sector).saturating_sub(DISTRUST_NEIGHBOURS);
             for column in columns.iter().take(2 * sector + 2 + DISTRUST_NEIGHBOURS).skip(from) {
+                // Some thousand pixels at the most; a checked sum would keep the loop from being vectorised.
                 for (sum, count) in bins.iter_mut().zip(column) {
-                    *sum += u16::from(*count);
+                    *sum = sum.wrapping_add(u16::from(*count));
                 }
             }
-            let wanted = DISTRUST_QUANTILE * f32::from(bins.iter().sum::<u16>());
+            let all = bins.iter().fold(0_u16, |sum, count| sum.wrapping_add(*count));
+            let wanted = DISTRUST_QUANTILE * f32::from(all);
             let mut below = 0.0;
             for (bin, count) in bins.iter().take(DISTRUST_BINS - 1).enumerate() {
                 let count = f32::from(*count);
