@@ -6,9 +6,11 @@ mod common;
 use common::{TestVehicle, config, watched_config};
 use divan::Bencher;
 use std::cell::RefCell;
+use std::fmt;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::crew::Crew;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
+use vigil_nnet::Isa;
 use vigil_types::PilotKind;
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, STEP_NS, StepTiming};
 
@@ -31,8 +33,8 @@ struct Inputs {
 }
 
 impl Flight {
-    fn guided(config: &FirmwareConfig) -> Self {
-        let crew = Crew::of(config).unwrap();
+    fn guided(config: &FirmwareConfig, isa: Isa) -> Self {
+        let crew = Crew::of_with(config, isa).unwrap();
         let mut flight = Self {
             stack: Box::new(FlightStack::with_crew(&config.stack(), crew).unwrap()),
             output: Box::default(),
@@ -77,7 +79,11 @@ impl Flight {
 }
 
 fn bench(bencher: Bencher, config: &FirmwareConfig, with_frame: bool) {
-    let flight = RefCell::new(Flight::guided(config));
+    bench_with(bencher, config, with_frame, Isa::detect());
+}
+
+fn bench_with(bencher: Bencher, config: &FirmwareConfig, with_frame: bool, isa: Isa) {
+    let flight = RefCell::new(Flight::guided(config, isa));
     bencher
         .with_inputs(|| flight.borrow_mut().inputs(with_frame))
         .bench_local_refs(|inputs| flight.borrow_mut().tick(inputs));
@@ -103,9 +109,22 @@ fn guided_by_the_actor(bencher: Bencher) {
     bench(bencher, &config, true);
 }
 
-/// The same watched: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor.
-#[divan::bench(sample_size = 1, sample_count = 2000)]
-fn guided_by_the_watched_actor(bencher: Bencher) {
+/// The same watched: with explanation against 30 states, LSTM-AD, and the recovery pilot beside the actor. On each instruction set
+/// that this processor has.
+#[divan::bench(sample_size = 1, sample_count = 2000, args = kernels())]
+fn guided_by_the_watched_actor(bencher: Bencher, kernels: &Kernels) {
     let folder = tempfile::tempdir().unwrap();
-    bench(bencher, &watched_config(folder.path()), true);
+    bench_with(bencher, &watched_config(folder.path()), true, kernels.0);
+}
+
+struct Kernels(Isa);
+
+impl fmt::Display for Kernels {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.0.name())
+    }
+}
+
+fn kernels() -> impl Iterator<Item = Kernels> {
+    Isa::available().map(Kernels)
 }

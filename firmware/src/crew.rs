@@ -80,6 +80,15 @@ impl Crew {
     /// detector or a guard that was asked for where no actor flies.
     #[cfg(feature = "std")]
     pub fn of(config: &FirmwareConfig) -> Result<Self, StackError> {
+        Self::of_with(config, Isa::detect())
+    }
+
+    /// The same with the kernels of an instruction set.
+    ///
+    /// # Errors
+    /// As [`Self::of`].
+    #[cfg(feature = "std")]
+    pub fn of_with(config: &FirmwareConfig, isa: Isa) -> Result<Self, StackError> {
         for (asked_for, is_there, what) in [
             (config.detector.enabled, config.has_detector(), "detector"),
             (config.detector.guard, config.has_guard(), "guard"),
@@ -88,7 +97,6 @@ impl Crew {
                 return Err(StackError::NothingToWatch(what));
             }
         }
-        let isa = Isa::detect();
         let Some(frozen) = config.frozen_pilot()? else {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));

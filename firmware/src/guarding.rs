@@ -11,6 +11,7 @@
 
 use crate::motion::Motion;
 use vigil_guidance::just_stop::{Course, JustStop, JustStopConfig, JustStopInput, JustStopState};
+use vigil_policy::plausibility::has_jumped;
 use vigil_policy::{Lookout, Scan};
 use vigil_types::{
     Attitude, DepthFrame, FrdVector, GuardNotice, HORIZONTAL_FOV_RAD, Kinematics, Nanos, NedVector, Reason, Reasons,
@@ -22,9 +23,6 @@ const G_M_S2: f32 = 9.81;
 const LEAST_LIFT: f32 = 0.3;
 /// So near to the edge of the field of view a course does not count as seen: the vehicle has a width.
 const FOV_MARGIN_RAD: f32 = 0.17;
-/// A position this far from where the velocity led since the last one has jumped; the second allows for each second between them.
-const JUMP_M: f32 = 1.0;
-const JUMP_M_S: f32 = 10.0;
 
 /// Guidance takes a stopped vehicle within this time, or not at all.
 const TAKE_NS: Nanos = 15_000_000_000;
@@ -267,12 +265,7 @@ impl Guarding {
 
     /// Whether the vehicle is told to be where it cannot have come to since the last position.
     fn has_jumped(&mut self, now: Kinematics) -> bool {
-        let Some(last) = self.last.replace(now) else {
-            return false;
-        };
-        let passed_s = now.at_ns.saturating_sub(last.at_ns) as f32 * 1e-9;
-        let led_to_ned_m = last.position_ned_m + last.velocity_ned_m_s * passed_s;
-        (now.position_ned_m - led_to_ned_m).norm() > JUMP_M + JUMP_M_S * passed_s
+        self.last.replace(now).is_some_and(|last| has_jumped(&last, &now))
     }
 }
 

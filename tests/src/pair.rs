@@ -1,6 +1,8 @@
 //! Simulator and firmware in lockstep in one process, for tests that look into both.
 
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, StepReport};
 use vigil_world::{Family, generate};
@@ -61,6 +63,30 @@ impl Pair {
             &self.to_firmware,
             &mut self.from_firmware,
         )
+    }
+
+    /// A packet of somebody else's that reaches the vehicle with what the firmware said in this step.
+    ///
+    /// # Panics
+    /// When there is no room for it.
+    pub fn to_vehicle(&mut self, packet: &[u8]) {
+        assert!(self.from_firmware.push(0, packet), "no room");
+    }
+
+    /// The beginnings (50 bytes) of the STATUSTEXTs that the firmware sent in this step.
+    pub fn texts(&self) -> Vec<String> {
+        let mut counters = FramingCounters::default();
+        let mut texts = Vec::new();
+        for (_, datagram) in self.from_firmware.iter() {
+            for packet in packets(datagram, &mut counters) {
+                if let Ok(MavMessage::STATUSTEXT(text)) = packet.message()
+                    && text.chunk_seq == 0
+                {
+                    texts.extend(text.text.to_str().map(str::to_owned));
+                }
+            }
+        }
+        texts
     }
 
     /// The firmware says nothing in this step.

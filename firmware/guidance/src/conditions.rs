@@ -204,7 +204,7 @@ pub static CONDITIONS: [Condition; 33] = [
         Reason::ImplausiblePose,
         Demand::Hold,
         true,
-        "the pose in the frame's header is more than 2 m or 15° from the telemetry's, or does not move as it does",
+        "the pose in the frame's header is more than 2 m or 15° from the telemetry's, or does not move as it does; or in flight the vehicle's position jumped",
         "10 frames in a row whose pose fits",
     ),
     condition(

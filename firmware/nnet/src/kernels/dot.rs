@@ -1,6 +1,8 @@
 //! Products of bytes, summed as integers: every instruction set gives the same bits.
 
-use crate::isa::{Isa, Level};
+use crate::isa::Isa;
+#[cfg(target_arch = "x86_64")]
+use crate::isa::Level;
 use crate::shape::{ShapeError, expect, expect_len};
 
 /// Columns of one block of right factors.

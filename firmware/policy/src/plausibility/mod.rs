@@ -12,7 +12,7 @@ mod silence;
 use self::motion::{MOST_COST, Map, Pose, cost, look, samples};
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::silence::SilentSide;
-use vigil_types::{Attitude, DepthFrame, FrdVector, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
+use vigil_types::{Attitude, DepthFrame, FrdVector, Kinematics, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
 
 /// The ground must be seen where its range is below this, metres; and it is at the height of home.
 const GROUND_M: f32 = 15.0;
@@ -43,6 +43,9 @@ const POSE_COS_HALF: f32 = 0.991_445; // 15°
 const POSE_DRIFT_M: f32 = 0.4;
 const POSE_FRAMES: usize = 10;
 const BAD_POSES: u8 = 2;
+/// A position this far from where the velocity led since the last one has jumped; the second allows for each second between them.
+const JUMP_M: f32 = 1.0;
+const JUMP_M_S: f32 = 10.0;
 /// Telemetry is extrapolated to the frame's stamp by no more than this, seconds.
 const MOST_EXTRAPOLATION_S: f32 = 0.3;
 
@@ -233,6 +236,8 @@ pub struct PlausibilityJudge {
     bad_poses: u8,
     good_poses: u8,
     bad_pose: bool,
+    /// What the vehicle told when the frame before was judged.
+    kinematics_before: Option<Kinematics>,
     anchors: [Anchor; ANCHORS],
     anchors_used: usize,
     newest: usize,
@@ -243,6 +248,14 @@ pub struct PlausibilityJudge {
     fit_steps: u8,
     fits: u8,
     step: usize,
+}
+
+/// Whether the vehicle is told to be where it cannot have come to since it told its position before: more than 1 m, and 10 m for each
+/// second between the two, from where its velocity led.
+pub fn has_jumped(before: &Kinematics, now: &Kinematics) -> bool {
+    let passed_s = now.at_ns.saturating_sub(before.at_ns) as f32 * 1e-9;
+    let led_to_ned_m = before.position_ned_m + before.velocity_ned_m_s * passed_s;
+    (now.position_ned_m - led_to_ned_m).norm() > JUMP_M + JUMP_M_S * passed_s
 }
 
 impl Default for PlausibilityJudge {
@@ -286,6 +299,7 @@ impl PlausibilityJudge {
             bad_poses: 0,
             good_poses: 0,
             bad_pose: false,
+            kinematics_before: None,
             anchors: [NO_ANCHOR; ANCHORS],
             anchors_used: 0,
             newest: 0,
@@ -346,6 +360,13 @@ impl PlausibilityJudge {
             self.note_pose(&pose, position, turned);
         }
         let in_flight = armed && height_m.is_some_and(|height_m| height_m > LOW_M);
+        if let Some((kinematics, _)) = known {
+            let before = self.kinematics_before.replace(kinematics);
+            if in_flight && before.is_some_and(|before| has_jumped(&before, &kinematics)) {
+                // Whatever was seen lies elsewhere now, and nobody knows which of the two positions is right.
+                (self.bad_pose, self.good_poses) = (true, 0);
+            }
+        }
         if !armed {
             // The flight is over.
             self.forget_motion();

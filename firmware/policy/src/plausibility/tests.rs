@@ -410,6 +410,28 @@ fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
 }
 
 #[test]
+fn a_position_that_jumps_in_flight_is_implausible_until_ten_poses_fit_and_on_the_ground_it_may() {
+    for jump_m in [2.0, 12.0] {
+        let mut flight = Flight::new();
+        assert_eq!(flight.fly(20, good), [Reasons::NONE; 20]);
+        // Telemetry and header agree on it, and so does every picture from there on.
+        flight.position.x -= jump_m;
+        let doubts = flight.fly(30, good);
+        let implausible = doubts
+            .iter()
+            .take_while(|d| d.contains(Reason::ImplausiblePose))
+            .count();
+        assert_eq!(implausible, 10, "{jump_m} m: {doubts:?}");
+        assert!(doubts[10..].iter().all(|d| d.is_empty()), "{jump_m} m: {doubts:?}");
+    }
+    let mut flight = Flight::new();
+    (flight.position.z, flight.speed_m_s) = (-0.12, 0.0);
+    flight.fly(5, good);
+    flight.position.x -= 12.0;
+    assert_eq!(flight.fly(5, good), [Reasons::NONE; 5]);
+}
+
+#[test]
 fn on_the_ground_what_is_near_is_no_fault_and_nothing_is_held_against_the_next_flight() {
     let mut flight = Flight::new();
     flight.position.z = -0.12;

@@ -1,0 +1,322 @@
+//! What goes wrong on board of others: each is a named state, and none is flown on with.
+//!
+//! A mission that leads through a wall, and the same for a guarded vehicle: `just_stop.rs`; for a rendered sensor: `foreign.rs`.
+
+use vigil_firmware::FirmwareConfig;
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};
+use vigil_mavlink::framing::{self, FramingCounters, MAX_PACKET_LEN, serialize};
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::Pair;
+use vigil_tests::ground::{Request, STATION, packet};
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, STEP_NS, StepReport};
+use vigil_world::{Family, generate};
+
+const SEED: u64 = 4203;
+/// The fault begins after so many steps of guided flight: 4 s.
+const ONSET: usize = 80;
+
+/// A vehicle in guided flight over a course, and what was told of it since something went wrong.
+struct Flight {
+    pair: Pair,
+    /// Steps since the fault began.
+    step: u64,
+    reasons: Reasons,
+    texts: Vec<String>,
+    guided: usize,
+}
+
+impl Flight {
+    /// On its way for 4 s.
+    fn guided() -> Self {
+        let mut flight = Self::waiting();
+        flight.pair.fly_guided(ONSET);
+        flight
+    }
+
+    /// Hovering, before guidance has taken it.
+    fn waiting() -> Self {
+        let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
+        config.start = Start::Airborne;
+        let firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
+        Self {
+            pair: Pair::of(&config, &firmware),
+            step: 0,
+            reasons: Reasons::NONE,
+            texts: Vec::new(),
+            guided: 0,
+        }
+    }
+
+    /// A step in which `spoil` has its hand between vehicle, sensor and firmware; it says whether the frame arrives.
+    fn step(&mut self, spoil: &mut impl FnMut(&mut Pair, u64) -> bool) -> StepReport {
+        self.pair.simulate();
+        let arrives = spoil(&mut self.pair, self.step);
+        let report = self.pair.decide(arrives);
+        self.step += 1;
+        self.reasons = self.reasons.union(report.reasons);
+        self.texts.extend(self.pair.texts());
+        self.guided += usize::from(report.state == GuidanceState::Guided);
+        assert!(
+            self.pair.simulator.ending().is_none(),
+            "it ended after {} steps",
+            self.step
+        );
+        report
+    }
+
+    fn run(&mut self, steps: u64, mut spoil: impl FnMut(&mut Pair, u64) -> bool) -> StepReport {
+        let mut last = None;
+        for _ in 0..steps {
+            last = Some(self.step(&mut spoil));
+        }
+        last.expect("a step")
+    }
+
+    fn speed_m_s(&self) -> f32 {
+        self.pair.simulator.truth().velocity_ned_m_s.norm()
+    }
+
+    fn was_told(&self, part: &str) -> bool {
+        self.texts.iter().any(|text| text.contains(part))
+    }
+
+    fn names(&self) -> Vec<&'static str> {
+        self.reasons.iter().map(Reason::name).collect()
+    }
+}
+
+/// Frames as `spoil` leaves them hold the vehicle by one of these names, and it stands. With good frames it flies on, where `ends`.
+fn frames_hold(what: &str, names: &[Reason], ends: bool, mut spoil: impl FnMut(&mut DepthFrame, u64, u64) -> bool) {
+    let mut flight = Flight::guided();
+    let report = flight.run(160, |pair, step| {
+        let now_ns = pair.simulator.now_ns();
+        let arrives = spoil(&mut pair.frame, step, now_ns);
+        pair.frame.seal();
+        arrives
+    });
+    let told = flight.names();
+    assert!(
+        names.iter().any(|name| flight.reasons.contains(*name)),
+        "{what}: {told:?}"
+    );
+    assert_eq!(report.state, GuidanceState::Hold, "{what}: {told:?}");
+    assert!(flight.speed_m_s() < 0.2, "{what}: {} m/s", flight.speed_m_s());
+    if ends {
+        let report = flight.run(30, |_, _| true);
+        assert_eq!(report.state, GuidanceState::Guided, "{what}: {told:?}");
+    }
+}
+
+#[test]
+fn frames_of_another_size_are_bad_frames() {
+    frames_hold("64 rows", &[Reason::BadFrame], true, |frame, _, _| {
+        frame.header.rows = 64;
+        true
+    });
+    frames_hold("512 columns", &[Reason::BadFrame], true, |frame, _, _| {
+        frame.header.cols = 512;
+        true
+    });
+}
+
+/// The picture of a camera that sees `across` and `down` of ours: stretched over the whole image, or in the middle of it with nothing
+/// around.
+fn through_a_camera(frame: &mut DepthFrame, across: f32, down: f32, stretched: bool) {
+    let whole = frame.depth;
+    let source = |pixel: usize, of: usize, share: f32| {
+        let middle = (of - 1) as f32 / 2.0;
+        let away = (pixel as f32 - middle) * if stretched { share } else { 1.0 };
+        (away.abs() <= share * of as f32 / 2.0).then_some((middle + away).round() as usize)
+    };
+    for row in 0..DEPTH_ROWS {
+        for column in 0..DEPTH_COLS {
+            let from = source(row, DEPTH_ROWS, down).zip(source(column, DEPTH_COLS, across));
+            frame.depth[row * DEPTH_COLS + column] = from.map_or(1.0, |(r, c)| whole[r * DEPTH_COLS + c]);
+        }
+    }
+}
+
+#[test]
+fn frames_of_another_field_of_view_are_a_blind_sensor_or_an_inconsistent_picture() {
+    // One depth camera, 87° by 58°, in the middle of our 120° by 60°.
+    frames_hold("a narrow view", &[Reason::BlindSensor], true, |frame, _, _| {
+        through_a_camera(frame, 87.0 / 120.0, 58.0 / 60.0, false);
+        true
+    });
+    // The same, taken for the whole.
+    frames_hold(
+        "a stretched view",
+        &[Reason::InconsistentPicture],
+        false,
+        |frame, _, _| {
+            through_a_camera(frame, 87.0 / 120.0, 58.0 / 60.0, true);
+            true
+        },
+    );
+}
+
+#[test]
+fn frames_of_another_rate_are_flown_with_until_they_are_stale() {
+    frames_hold("2.5 Hz", &[Reason::StaleFrame], true, |_, step, _| step % 8 == 0);
+    let mut flight = Flight::guided();
+    flight.run(100, |_, step| step % 4 == 0);
+    assert_eq!((flight.guided, flight.names()), (100, vec![]), "5 Hz");
+}
+
+#[test]
+fn frames_of_another_clock_are_bad_or_stale_frames() {
+    const SECOND_NS: u64 = 1_000_000_000;
+    let (bad, stale) = (&[Reason::BadFrame][..], &[Reason::StaleFrame][..]);
+    frames_hold("a second ahead", bad, true, |frame, _, _| {
+        frame.header.stamp_ns += SECOND_NS;
+        true
+    });
+    frames_hold("the wall clock", bad, true, |frame, _, _| {
+        frame.header.stamp_ns += 1_700_000_000 * SECOND_NS;
+        true
+    });
+    frames_hold("a clock of its own, from its start", stale, true, |frame, step, _| {
+        frame.header.stamp_ns = step * STEP_NS;
+        true
+    });
+    frames_hold("a clock that is fast by 5 %", bad, true, |frame, step, now_ns| {
+        frame.header.stamp_ns = now_ns + step * STEP_NS / 20;
+        true
+    });
+    frames_hold("a clock that is slow by 5 %", stale, true, |frame, step, now_ns| {
+        frame.header.stamp_ns = now_ns - step * STEP_NS / 20;
+        true
+    });
+}
+
+/// What the vehicle says, with its position as `alter` leaves it; `None` leaves it out.
+fn with_position(said: &Datagrams, alter: impl Fn(f32) -> Option<f32>) -> Box<Datagrams> {
+    let mut altered = Box::<Datagrams>::default();
+    for (link, datagram) in said.iter() {
+        let mut counters = FramingCounters::default();
+        for packet in framing::packets(datagram, &mut counters) {
+            let Ok(mut message) = packet.message() else { continue };
+            if let MavMessage::LOCAL_POSITION_NED(position) = &mut message {
+                let Some(x) = alter(position.x) else { continue };
+                position.x = x;
+            }
+            let header = vigil_mavlink::MavHeader {
+                system_id: packet.system_id().into(),
+                component_id: packet.component_id(),
+                sequence: packet.sequence(),
+            };
+            let mut out = [0; MAX_PACKET_LEN];
+            let len = serialize(header, &message, &mut out).expect("a message of the dialect");
+            assert!(altered.push(link, &out[..len]), "no room");
+        }
+    }
+    altered
+}
+
+#[test]
+fn a_pose_that_jumps_is_implausible_and_is_flown_on_from_only_when_poses_fit_again() {
+    let mut flight = Flight::guided();
+    // Telemetry and the frames' poses agree: a vehicle whose estimator was set anew.
+    let mut set_anew = |pair: &mut Pair, _| {
+        pair.to_firmware = with_position(&pair.to_firmware, |north_m| Some(north_m + 3.0));
+        pair.frame.header.position_ned_m.x += 3.0;
+        pair.frame.seal();
+        true
+    };
+    let report = flight.run(8, &mut set_anew);
+    assert_eq!(report.state, GuidanceState::Hold);
+    assert_eq!(
+        (flight.names(), flight.guided),
+        (vec![Reason::ImplausiblePose.name()], 0)
+    );
+    let report = flight.run(40, &mut set_anew);
+    assert_eq!(report.state, GuidanceState::Guided, "{:?}", flight.names());
+
+    // A sensor with an estimator of its own does not follow: nothing fits as long as they differ.
+    let mut flight = Flight::guided();
+    let report = flight.run(100, |pair, _| {
+        pair.to_firmware = with_position(&pair.to_firmware, |north_m| Some(north_m + 3.0));
+        true
+    });
+    assert_eq!(report.state, GuidanceState::Hold);
+    assert_eq!(
+        (flight.names(), flight.guided),
+        (vec![Reason::ImplausiblePose.name()], 0)
+    );
+    assert!(flight.speed_m_s() < 0.2, "{} m/s", flight.speed_m_s());
+}
+
+#[test]
+fn a_vehicle_that_never_reports_its_position_is_not_flown_and_an_operator_is_told_why() {
+    let mut flight = Flight::waiting();
+    let engage = packet(STATION, 0, &Request::Engage.message(1));
+    let report = flight.run(200, |pair, step| {
+        pair.to_firmware = with_position(&pair.to_firmware, |_| None);
+        if step == 100 {
+            assert!(pair.to_firmware.push(0, &engage));
+        }
+        true
+    });
+    assert_eq!((report.state, report.setpoint), (GuidanceState::Standby, None));
+    assert!(report.reasons.contains(Reason::StaleTelemetry), "{:?}", flight.names());
+    assert_eq!(flight.guided, 0);
+    assert!(flight.was_told("missing: LOCAL_POSITION_NED"), "{:?}", flight.texts);
+    assert!(
+        flight.was_told("engage refused in standby (stale telemetry)"),
+        "{:?}",
+        flight.texts
+    );
+}
+
+#[test]
+fn two_companions_are_named_and_the_second_is_not_obeyed() {
+    let mut flight = Flight::guided();
+    let heartbeat = MavMessage::HEARTBEAT(HEARTBEAT_DATA {
+        mavtype: MavType::MAV_TYPE_ONBOARD_CONTROLLER,
+        autopilot: MavAutopilot::MAV_AUTOPILOT_INVALID,
+        ..HEARTBEAT_DATA::DEFAULT
+    });
+    flight.run(100, |pair, step| {
+        if step % 20 == 0 {
+            let second = packet((1, 191), step as u8, &heartbeat);
+            assert!(pair.to_firmware.push(0, &second));
+        }
+        true
+    });
+    assert!(flight.was_told("another guidance computer 1/191"), "{:?}", flight.texts);
+    assert_eq!(flight.guided, 100, "{:?}", flight.names());
+}
+
+#[test]
+fn a_ground_station_that_takes_over_has_the_vehicle_until_an_operator_engages() {
+    let mut flight = Flight::guided();
+    // DO_SET_MODE, custom mode AUTO LOITER, as QGroundControl's "Hold".
+    let hold = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        param1: 129.0,
+        param2: 4.0,
+        param3: 3.0,
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        target_system: 1,
+        target_component: 1,
+        ..COMMAND_LONG_DATA::DEFAULT
+    });
+    flight.pair.to_vehicle(&packet(STATION, 0, &hold));
+    let report = flight.run(100, |_, _| true);
+    assert!(flight.reasons.contains(Reason::ModeLost), "{:?}", flight.names());
+    assert!(report.reasons.contains(Reason::PilotInCommand), "{:?}", flight.names());
+    assert_eq!(report.setpoint, None, "nobody else's setpoints");
+    let guided = flight.guided;
+    flight.run(200, |_, _| true);
+    assert_eq!(flight.guided, guided, "it is not taken back");
+
+    let engage = packet(STATION, 1, &Request::Engage.message(1));
+    let from = flight.step;
+    let report = flight.run(60, |pair, step| {
+        if step == from {
+            assert!(pair.to_firmware.push(0, &engage), "no room");
+        }
+        true
+    });
+    assert_eq!(report.state, GuidanceState::Guided, "{:?}", flight.texts);
+}
