@@ -1,20 +1,21 @@
 //! Getting out of the way of what moves: of some ways to fly on for three seconds the one that meets nothing and leads nearest to the waypoint.
 //!
 //! The dynamic window approach (Fox, Burgard, Thrun 1997) with obstacles that go on as they go (velocity obstacles; Fiorini, Shiller
-//! 1998), and, with less weight, as they would go if they turned back. The wanted action is kept where it meets nothing.
+//! 1998), each with all that its lane's ends may be, weighed by how likely they are: when it turns back, and where it is if it is not seen.
+//! The wanted action is kept where it meets nothing.
 
 use crate::geometric::governor::{Motion, STEP_S, Simulated};
-use crate::geometric::movers::Track;
+use crate::geometric::movers::{LEAST_SPEED_M_S, Track, Whereabouts};
 use crate::geometric::occupancy_grid::OccupancyGrid;
 use crate::{larger, smaller};
 use vigil_types::{ACTION_LIMIT, Action, NedVector, YAW_RATE_PER_UNIT_RAD_S};
 
-/// How far ahead movers are known well enough: they turn back at the ends of their ways.
+/// How far ahead the vehicle is flown on.
 const HORIZON_STEPS: usize = 30;
 /// The same in seconds.
 pub const HORIZON_S: f32 = HORIZON_STEPS as f32 * STEP_S;
-/// A turn is held for so long, then the vehicle flies straight on.
-const TURN_STEPS: usize = 10;
+/// An action is held for so long; then the vehicle flies straight on, at a speed of its own.
+const FIRST_STEPS: usize = 10;
 /// The vehicle's radius, metres.
 const VEHICLE_M: f32 = 0.30;
 /// Nearer than this beside a mover counts as met, metres.
@@ -36,19 +37,18 @@ const LANE_M: f32 = 0.25;
 const HEADING_COST: f32 = 0.3;
 /// An action that risks no more than this is as good as wanted.
 const LEAST_RISK: f32 = 0.1;
-/// How much it counts that a mover turns back now, that one out of sight went on, and that it turned back when it was last seen.
-const TURNS_BACK: f32 = 0.15;
-const WENT_ON: f32 = 0.125;
-const CAME_BACK: f32 = 0.15;
-/// A mover out of sight is taken for no farther than this from where it was last seen, metres.
-const LONGEST_LANE_M: f32 = 5.0;
+/// What the plan of the step before costs less, in metres of way: of two that are about as good it does not go to and fro.
+const KEPT_PLAN: f32 = 0.3;
 
 /// Speeds that are tried, as parts of the cruise speed (backward only over what was just flown), and yaw outputs, as parts of the greatest.
 const SPEEDS: [f32; 7] = [1.0, 0.75, 0.5, 0.25, 0.0, -0.3, -0.6];
 const YAWS: [f32; 7] = [0.0, -0.33, 0.33, -0.67, 0.67, -1.0, 1.0];
 
-/// Places at which movers may be, at most.
-const MOST_GUESSES: usize = 24;
+/// Places at which movers may be, at most, and what weighs less counts for nothing.
+const MOST_GUESSES: usize = 96;
+const LEAST_WEIGHT: f32 = 0.005;
+/// Places nearer together than this are one, metres.
+const SAME_M: f32 = 1e-3;
 
 /// Where a mover may be and go to, and how much that counts.
 #[derive(Debug, Clone, Copy)]
@@ -71,12 +71,8 @@ pub struct Guesses {
 }
 
 impl Guesses {
-    /// Of movers whose places are `age_s` old. `sees_past` tells that nothing can be at a place.
-    pub fn new<'a>(
-        movers: impl Iterator<Item = &'a Track>,
-        age_s: f32,
-        sees_past: impl Fn(f32, f32, f32) -> bool,
-    ) -> Self {
+    /// Of movers whose places are `age_s` old.
+    pub fn new<'a>(movers: impl Iterator<Item = &'a Track> + Clone, age_s: f32) -> Self {
         const NOBODY: Guess = Guess {
             north_m: 0.0,
             east_m: 0.0,
@@ -90,38 +86,75 @@ impl Guesses {
             guesses: [NOBODY; MOST_GUESSES],
             used: 0,
         };
-        for m in movers {
-            let mut add = |(north_m, east_m): (f32, f32), direction: f32, turns_after_s: f32, weight| {
-                if let Some(guess) = all.guesses.get_mut(all.used) {
-                    *guess = Guess {
-                        north_m,
-                        east_m,
-                        north_m_s: direction * m.north_m_s,
-                        east_m_s: direction * m.east_m_s,
-                        radius_m: m.radius_m,
-                        turns_after_s,
-                        weight,
-                    };
-                    all.used += 1;
-                }
-            };
-            if m.is_located() {
-                let turns_after_s = m.turns_after_s() - age_s;
-                add(m.position_after(age_s), 1.0, turns_after_s, 1.0);
-                if !turns_after_s.is_finite() {
-                    add(m.position_after(age_s), -1.0, f32::INFINITY, TURNS_BACK);
-                }
-            } else {
-                for (direction, weight) in [(1.0, WENT_ON), (-1.0, CAME_BACK)] {
-                    let place = m.gone_on(direction, LONGEST_LANE_M);
-                    if !sees_past(place.0, place.1, m.radius_m) {
-                        add(place, direction, f32::INFINITY, weight);
-                        add(place, -direction, f32::INFINITY, weight);
-                    }
-                }
-            }
+        // Those that are seen first: one that is lost may be at many places.
+        let is_located = |m: &&Track| m.is_located();
+        for m in movers.clone().filter(is_located) {
+            all.enter(m, age_s);
+        }
+        for m in movers.filter(|m| !is_located(m)) {
+            all.enter(m, age_s);
         }
         all
+    }
+
+    /// Enters where a mover may be. What differs only in what comes after the horizon is one guess.
+    fn enter(&mut self, m: &Track, age_s: f32) {
+        if m.turns_after_s().is_finite() {
+            self.add(m, m.position_after(age_s), 1.0, m.turns_after_s() - age_s, 1.0);
+            return;
+        }
+        let reach_m = m.speed_m_s() * HORIZON_S;
+        // Ends come in such an order that those which make no difference follow one another, but for those that it does not reach: they are
+        // the first guess.
+        let (mut first, mut last): (Option<Whereabouts>, Option<Whereabouts>) = (None, None);
+        m.for_each_whereabouts(age_s, |w| {
+            let turns_after_m = if w.turns_after_m > reach_m {
+                f32::INFINITY
+            } else {
+                w.turns_after_m
+            };
+            let w = Whereabouts { turns_after_m, ..w };
+            let is_same = |a: f32, b: f32| a == b || (a - b).abs() < SAME_M;
+            for one in [&mut first, &mut last].into_iter().flatten() {
+                if one.direction == w.direction
+                    && is_same(one.along_m, w.along_m)
+                    && is_same(one.turns_after_m, w.turns_after_m)
+                {
+                    one.weight += w.weight;
+                    return;
+                }
+            }
+            if first.is_none() && turns_after_m == f32::INFINITY && w.direction > 0.0 {
+                first = Some(w);
+            } else if let Some(done) = last.replace(w) {
+                self.add_whereabouts(m, done);
+            }
+        });
+        for w in [first, last].into_iter().flatten() {
+            self.add_whereabouts(m, w);
+        }
+    }
+
+    fn add_whereabouts(&mut self, m: &Track, w: Whereabouts) {
+        if w.weight > LEAST_WEIGHT {
+            let turns_after_s = w.turns_after_m / larger(m.speed_m_s(), LEAST_SPEED_M_S);
+            self.add(m, m.place_m(w.along_m), w.direction, turns_after_s, w.weight);
+        }
+    }
+
+    fn add(&mut self, m: &Track, (north_m, east_m): (f32, f32), direction: f32, turns_after_s: f32, weight: f32) {
+        if let Some(guess) = self.guesses.get_mut(self.used) {
+            *guess = Guess {
+                north_m,
+                east_m,
+                north_m_s: direction * m.north_m_s,
+                east_m_s: direction * m.east_m_s,
+                radius_m: m.radius_m,
+                turns_after_s,
+                weight,
+            };
+            self.used += 1;
+        }
     }
 
     fn all(&self) -> &[Guess] {
@@ -147,20 +180,44 @@ fn early(at: usize) -> f32 {
     1.0 - at as f32 / HORIZON_STEPS as f32
 }
 
-/// The wanted action where it meets no mover, otherwise the best of those that are tried.
+/// How to fly on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plan {
+    /// For the first second.
+    pub action: Action,
+    /// Forward speed then, straight on, metres per second.
+    pub then_m_s: f32,
+}
+
+/// What the vehicle would do if nothing moved.
+#[derive(Debug, Clone, Copy)]
+pub struct Wanted {
+    /// Its action.
+    pub action: Action,
+    /// Fastest forward speed, metres per second.
+    pub cruise_m_s: f32,
+    /// Where it is to get to.
+    pub waypoint: NedVector,
+}
+
+/// The best of the plans that are tried, `last` being that of the step before; `None` where the wanted action meets no mover.
 pub fn evade<'a>(
     motion: &Motion,
-    wanted: Action,
-    cruise_m_s: f32,
-    waypoint: NedVector,
+    wanted: &Wanted,
     movers: impl Iterator<Item = &'a Track> + Clone,
     guesses: &Guesses,
     memory: &OccupancyGrid,
-) -> Action {
-    let outcome = |action: Action| fly_on(motion, action, movers.clone(), guesses, memory);
+    last: Option<Plan>,
+) -> Option<Plan> {
+    let (cruise_m_s, waypoint) = (wanted.cruise_m_s, wanted.waypoint);
+    let outcome = |plan: Plan| fly_on(motion, plan, movers.clone(), guesses, memory);
+    let wanted = Plan {
+        action: wanted.action,
+        then_m_s: wanted.action.forward_m_s,
+    };
     let first = outcome(wanted);
     if first.risk < LEAST_RISK {
-        return wanted;
+        return None;
     }
     let cost = |o: &Outcome| {
         let standing = o.standing_at.map_or(0.0, |at| STANDING_COST * early(at));
@@ -169,25 +226,43 @@ pub fn evade<'a>(
         o.risk + standing + to_waypoint.horizontal_norm() + HEADING_COST * off_rad.abs()
     };
     let mut best = (cost(&first), wanted);
+    let mut compare = |plan: Plan, bonus: f32| {
+        let cost = cost(&outcome(plan)) - bonus;
+        if cost < best.0 {
+            best = (cost, plan);
+        }
+    };
+    if let Some(last) = last {
+        compare(last, KEPT_PLAN);
+    }
     for speed in SPEEDS {
+        let forward_m_s = speed * cruise_m_s;
         for yaw in YAWS {
             let action = Action {
-                forward_m_s: speed * cruise_m_s,
+                forward_m_s,
                 yaw: yaw * ACTION_LIMIT,
             };
-            let cost = cost(&outcome(action));
-            if cost < best.0 {
-                best = (cost, action);
+            compare(
+                Plan {
+                    action,
+                    then_m_s: forward_m_s,
+                },
+                0.0,
+            );
+            for then_m_s in [cruise_m_s, 0.0] {
+                if then_m_s != forward_m_s {
+                    compare(Plan { action, then_m_s }, 0.0);
+                }
             }
         }
     }
-    best.1
+    Some(best.1)
 }
 
-/// Flies an action on and compares with what moves and what stands.
+/// Flies a plan on and compares with what moves and what stands.
 fn fly_on<'a>(
     motion: &Motion,
-    action: Action,
+    plan: Plan,
     movers: impl Iterator<Item = &'a Track>,
     guesses: &Guesses,
     memory: &OccupancyGrid,
@@ -198,17 +273,19 @@ fn fly_on<'a>(
         (start.x, start.y),
         (libm::cosf(motion.yaw_rad), libm::sinf(motion.yaw_rad)),
         (velocity.x, velocity.y),
-        action.yaw * YAW_RATE_PER_UNIT_RAD_S,
+        plan.action.yaw * YAW_RATE_PER_UNIT_RAD_S,
     );
     let keep = memory.clearance_squared_at(start.x, start.y).min(KEEP_SQUARED_CELLS);
     let mut standing_at = None;
     // Of each guess the least squared distance, and the step at which it is met.
     let mut least = [(f32::INFINITY, HORIZON_STEPS); MOST_GUESSES];
     for step in 0..HORIZON_STEPS {
-        if step < TURN_STEPS {
+        if step < FIRST_STEPS {
             vehicle.turn();
+            vehicle.advance(plan.action.forward_m_s);
+        } else {
+            vehicle.advance(plan.then_m_s);
         }
-        vehicle.advance(action.forward_m_s);
         let (north_m, east_m) = vehicle.at;
         let after_s = (step + 1) as f32 * STEP_S;
         for (guess, (least, met_at)) in guesses.all().iter().zip(&mut least) {
@@ -257,7 +334,8 @@ mod tests {
     extern crate std;
 
     use super::*;
-    use crate::geometric::movers::tests::{Scene, track};
+    use crate::geometric::movers::MoverTracker;
+    use crate::geometric::movers::tests::{Scene, look_aside, track};
     use std::boxed::Box;
     use vigil_types::HeadingVector;
 
@@ -266,9 +344,8 @@ mod tests {
         yaw: 0.0,
     };
 
-    fn decide(scene: &Scene, wanted: Action) -> Action {
-        let tracker = track(scene, 30);
-        let guesses = Guesses::new(tracker.movers(), 0.0, |_, _, _| false);
+    fn decide(tracker: &MoverTracker, wanted: Action, last: Option<Plan>) -> Option<Plan> {
+        let guesses = Guesses::new(tracker.movers(), 0.0);
         let motion = Motion {
             position_ned_m: NedVector::ZERO,
             yaw_rad: 0.0,
@@ -276,23 +353,37 @@ mod tests {
             yaw_rate_rad_s: 0.0,
         };
         let memory = Box::new(OccupancyGrid::new());
-        let waypoint = NedVector::new(4.0, 0.0, 0.0);
-        evade(&motion, wanted, 1.5, waypoint, tracker.movers(), &guesses, &memory)
+        let wanted = Wanted {
+            action: wanted,
+            cruise_m_s: 1.5,
+            waypoint: NedVector::new(4.0, 0.0, 0.0),
+        };
+        evade(&motion, &wanted, tracker.movers(), &guesses, &memory, last)
     }
 
-    /// Flies an action on beside the scene's own motion; the least distance between the vehicle's edge and the mover's.
-    fn least_m(scene: &Scene, action: Action) -> f32 {
+    /// The wanted action as a plan.
+    fn on(action: Action) -> Plan {
+        Plan {
+            action,
+            then_m_s: action.forward_m_s,
+        }
+    }
+
+    /// Flies a plan on beside the scene's own motion from `from_s` on; the least distance between the vehicle's edge and the mover's.
+    fn least_m(scene: &Scene, from_s: f32, plan: Plan) -> f32 {
         let (mut north_m, mut east_m, mut v, mut yaw) = (0.0_f32, 0.0_f32, WANTED.forward_m_s, 0.0_f32);
         let mut least_m = f32::INFINITY;
         for i in 0..30 {
-            let at_s = 30.0 * 0.05 + i as f32 * 0.1;
-            if i < 10 {
-                yaw += action.yaw * YAW_RATE_PER_UNIT_RAD_S * 0.1;
-            }
-            v += (action.forward_m_s - v) * 0.133;
+            let forward_m_s = if i < 10 {
+                yaw += plan.action.yaw * YAW_RATE_PER_UNIT_RAD_S * 0.1;
+                plan.action.forward_m_s
+            } else {
+                plan.then_m_s
+            };
+            v += (forward_m_s - v) * 0.133;
             north_m += v * libm::cosf(yaw) * 0.1;
             east_m += v * libm::sinf(yaw) * 0.1;
-            let (n, e) = scene.at(at_s);
+            let (n, e) = scene.at(from_s + i as f32 * 0.1);
             least_m = least_m.min(libm::hypotf(n - north_m, e - east_m) - scene.radius_m - VEHICLE_M);
         }
         least_m
@@ -307,10 +398,56 @@ mod tests {
                 velocity_m_s: (0.0, speed_m_s),
                 radius_m: 0.3,
             };
-            let action = decide(&scene, WANTED);
-            assert!(least_m(&scene, WANTED) < 0.1, "the test's own: it would be met");
-            assert!(least_m(&scene, action) > 0.2, "{speed_m_s} m/s: {action:?}");
+            let plan = decide(&track(&scene, 30), WANTED, None).expect("another plan");
+            assert!(
+                least_m(&scene, 1.5, on(WANTED)) < 0.1,
+                "the test's own: it would be met"
+            );
+            assert!(least_m(&scene, 1.5, plan) > 0.2, "{speed_m_s} m/s: {plan:?}");
         }
+    }
+
+    #[test]
+    fn what_is_out_of_sight_for_two_seconds_is_evaded_where_it_goes_on_to() {
+        for speed_m_s in [0.4, 0.6, 0.8] {
+            // It is followed for 1.5 s, then the vehicle looks west for 2 s; 2 s later it is before the vehicle.
+            let scene = Scene {
+                start_m: (3.0, -5.3 * speed_m_s),
+                velocity_m_s: (0.0, speed_m_s),
+                radius_m: 0.3,
+            };
+            let mut tracker = track(&scene, 30);
+            look_aside(&mut tracker, 30..70);
+            assert!(
+                tracker.movers().all(|m| !m.is_located()),
+                "the test's own: it is out of sight"
+            );
+            assert!(
+                least_m(&scene, 3.5, on(WANTED)) < 0.1,
+                "the test's own: it would be met"
+            );
+            let plan = decide(&tracker, WANTED, None).expect("another plan");
+            assert!(least_m(&scene, 3.5, plan) > 0.1, "{speed_m_s} m/s: {plan:?}");
+        }
+    }
+
+    #[test]
+    fn the_plan_of_the_step_before_is_kept_where_another_is_hardly_better() {
+        let scene = Scene {
+            start_m: (3.0, -2.1),
+            velocity_m_s: (0.0, 0.6),
+            radius_m: 0.3,
+        };
+        let tracker = track(&scene, 30);
+        let best = decide(&tracker, WANTED, None).expect("another plan");
+        // About as good as the best: a little faster or slower afterwards.
+        let as_good = Plan {
+            then_m_s: best.then_m_s - 0.05,
+            ..best
+        };
+        assert_eq!(decide(&tracker, WANTED, Some(as_good)), Some(as_good));
+        let into_it = on(WANTED);
+        assert_eq!(decide(&tracker, WANTED, Some(into_it)), Some(best));
     }
 
     #[test]
@@ -320,7 +457,30 @@ mod tests {
             velocity_m_s: (0.6, 0.3),
             radius_m: 0.3,
         };
-        assert_eq!(decide(&scene, WANTED), WANTED);
+        assert_eq!(decide(&track(&scene, 30), WANTED, None), None);
+    }
+
+    #[test]
+    fn a_mover_that_is_seen_is_not_crowded_out_by_those_that_are_lost() {
+        let lost = Scene {
+            start_m: (3.0, -1.5),
+            velocity_m_s: (0.0, 0.6),
+            radius_m: 0.3,
+        };
+        let mut tracker = track(&lost, 30);
+        look_aside(&mut tracker, 30..130);
+        let seen = track(&lost, 30);
+        let of = |m: &MoverTracker| m.movers().copied().collect::<std::vec::Vec<_>>();
+        let (lost, seen) = (of(&tracker), of(&seen));
+        let many = || lost.iter().cycle().take(11).chain(&seen);
+        let guesses = Guesses::new(many(), 0.0);
+        assert_eq!(
+            guesses.all().len(),
+            MOST_GUESSES,
+            "the test's own: more than there is room for"
+        );
+        let first = guesses.all()[0];
+        assert!((first.east_m - seen[0].east_m).abs() < 0.01, "{first:?}");
     }
 
     #[test]
@@ -335,6 +495,7 @@ mod tests {
             forward_m_s: 0.0,
             yaw: 0.0,
         };
-        assert!(decide(&scene, waiting) != waiting);
+        let plan = decide(&track(&scene, 30), waiting, None).expect("another plan");
+        assert!(plan.action != waiting, "{plan:?}");
     }
 }

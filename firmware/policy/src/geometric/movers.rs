@@ -92,6 +92,41 @@ pub struct Track {
     lost: bool,
     /// When it turns back, seconds from now, where that is known; otherwise infinite.
     turns_after_s: f32,
+    /// Whether it was seen to turn back at either end of `lane_m`.
+    turned: [bool; 2],
+    /// Whether it last went towards the second of them, if it is known.
+    heads_to_second: Option<bool>,
+    /// The ends, by bits ([`AHEAD_M`] times [`BEHIND_M`]), with which it would have been seen since it was last seen.
+    refuted: u64,
+}
+
+/// A lane may end so far beyond where its mover was seen, metres: ahead of it as it went last, and behind it.
+const AHEAD_M: [f32; 12] = [0.2, 0.6, 1.0, 1.4, 1.8, 2.2, 2.6, 3.0, 3.4, 3.8, 4.2, 4.6];
+/// See [`AHEAD_M`].
+const BEHIND_M: [f32; 5] = [0.2, 1.2, 2.2, 3.2, 4.2];
+const _: () = assert!(AHEAD_M.len() * BEHIND_M.len() <= u64::BITS as usize, "a bit for each");
+/// Lanes have such lengths, metres; each other is this much less likely.
+const LANES_M: core::ops::Range<f32> = 3.0..6.5;
+const ODD_LANE: f32 = 0.1;
+const SHORTEST_LANE_M: f32 = 0.3;
+/// How likely it is that a thing that was followed is not on its lane at all.
+const ELSEWHERE: f32 = 0.1;
+/// Where this much beside a mover's radius is seen past too, it is not there, metres.
+const BESIDE_M: f32 = 0.1;
+/// A slower mover has no direction, metres per second.
+pub const LEAST_SPEED_M_S: f32 = 0.05;
+
+/// Where a mover is, given where its lane ends: one of the places that it may be at.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Whereabouts {
+    /// How far from where it was last seen, metres along its velocity then.
+    pub along_m: f32,
+    /// 1 where it goes as it did when it was last seen, -1 where it comes back.
+    pub direction: f32,
+    /// How far it goes until it turns, metres.
+    pub turns_after_m: f32,
+    /// How likely that is, 0 to 1.
+    pub weight: f32,
 }
 
 impl Track {
@@ -113,6 +148,9 @@ impl Track {
             unseen_s: 0.0,
             lost: false,
             turns_after_s: f32::INFINITY,
+            turned: [false; 2],
+            heads_to_second: None,
+            refuted: 0,
         }
     }
 
@@ -148,15 +186,6 @@ impl Track {
         self.turns_after_s
     }
 
-    /// Where it is if it went on (1) or back (−1) since it was last seen, at most so far.
-    pub fn gone_on(&self, direction: f32, at_most_m: f32) -> (f32, f32) {
-        let way_s = smaller(self.unseen_s, at_most_m / larger(self.speed_m_s(), 0.1));
-        (
-            self.seen_m.0 + direction * self.north_m_s * way_s,
-            self.seen_m.1 + direction * self.east_m_s * way_s,
-        )
-    }
-
     /// Speed, metres per second.
     pub fn speed_m_s(&self) -> f32 {
         libm::hypotf(self.north_m_s, self.east_m_s)
@@ -190,6 +219,91 @@ impl Track {
         libm::hypotf(beside_m, beyond_m)
     }
 
+    /// Calls `each` with the places at which it may be `ahead_s` from the last frame: it goes to and fro at a constant speed between ends of which
+    /// those that it was seen to turn at are known, and the others lie anywhere beyond where it was seen. Ends are left out where it would have been
+    /// seen since. All weights together are less than 1.
+    pub fn for_each_whereabouts(&self, ahead_s: f32, mut each: impl FnMut(Whereabouts)) {
+        let is_left = |bit: usize| (self.refuted >> bit) & 1 == 0;
+        let (mut all, mut left) = (0.0, 0.0);
+        self.for_each_ends(ahead_s, |bit, w| {
+            all += w.weight;
+            left += if is_left(bit) { w.weight } else { 0.0 };
+        });
+        let scale = 1.0 / (left + ELSEWHERE * all);
+        self.for_each_ends(ahead_s, |bit, w| {
+            if is_left(bit) {
+                each(Whereabouts {
+                    weight: w.weight * scale,
+                    ..w
+                });
+            }
+        });
+    }
+
+    /// The same for all ends, each with its bit in `refuted` and a weight that is not scaled.
+    fn for_each_ends(&self, ahead_s: f32, mut each: impl FnMut(usize, Whereabouts)) {
+        let speed_m_s = larger(self.speed_m_s(), LEAST_SPEED_M_S);
+        let seen_along = self.lane_m.map(|(north_m, east_m)| {
+            ((north_m - self.seen_m.0) * self.north_m_s + (east_m - self.seen_m.1) * self.east_m_s) / speed_m_s
+        });
+        let [first_m, second_m] = seen_along;
+        let [first_turned, second_turned] = self.turned;
+        let ((front_m, front_is_end), (rear_m, rear_is_end)) = if first_m > second_m {
+            ((first_m, first_turned), (-second_m, second_turned))
+        } else {
+            ((second_m, second_turned), (-first_m, first_turned))
+        };
+        let gone_m = speed_m_s * (self.unseen_s + ahead_s);
+        let beyond = |is_end: bool, beyond_m: f32| if is_end { 0.0 } else { beyond_m };
+        let ends = |is_end: bool, all: usize| if is_end { 1 } else { all };
+        for (i, ahead_m) in AHEAD_M.iter().enumerate().take(ends(front_is_end, AHEAD_M.len())) {
+            let front_m = larger(front_m, 0.0) + beyond(front_is_end, *ahead_m);
+            for (k, behind_m) in BEHIND_M.iter().enumerate().take(ends(rear_is_end, BEHIND_M.len())) {
+                let rear_m = larger(rear_m, 0.0) + beyond(rear_is_end, *behind_m);
+                let length_m = larger(front_m + rear_m, SHORTEST_LANE_M);
+                // Its way there and back, unrolled from the rear end.
+                let unrolled_m = gone_m + rear_m;
+                let round_m = unrolled_m - 2.0 * length_m * libm::floorf(unrolled_m / (2.0 * length_m));
+                let (at_m, direction, turns_after_m) = if round_m < length_m {
+                    (round_m, 1.0, length_m - round_m)
+                } else {
+                    (2.0 * length_m - round_m, -1.0, 2.0 * length_m - round_m)
+                };
+                each(
+                    i * BEHIND_M.len() + k,
+                    Whereabouts {
+                        along_m: at_m - rear_m,
+                        direction,
+                        turns_after_m,
+                        weight: if LANES_M.contains(&length_m) { 1.0 } else { ODD_LANE },
+                    },
+                );
+            }
+        }
+    }
+
+    /// A place on its lane, metres north and east, from how far it is from where the mover was last seen, along its velocity then.
+    pub fn place_m(&self, along_m: f32) -> (f32, f32) {
+        let speed_m_s = larger(self.speed_m_s(), LEAST_SPEED_M_S);
+        (
+            self.seen_m.0 + along_m * self.north_m_s / speed_m_s,
+            self.seen_m.1 + along_m * self.east_m_s / speed_m_s,
+        )
+    }
+
+    /// Leaves out the ends with which it would be seen now. `sees_past` tells that nothing can be at a place.
+    fn refute(&mut self, sees_past: impl Fn((f32, f32)) -> bool) {
+        let mut refuted = self.refuted;
+        let beside_m = self.radius_m + BESIDE_M;
+        self.for_each_ends(0.0, |bit, w| {
+            let is_seen_past = |off_m: f32| sees_past(self.place_m(w.along_m + off_m));
+            if (refuted >> bit) & 1 == 0 && [0.0, -beside_m, beside_m].into_iter().all(is_seen_past) {
+                refuted |= 1 << bit;
+            }
+        });
+        self.refuted = refuted;
+    }
+
     fn predict(&mut self, seconds: f32) {
         (self.north_m, self.east_m) = self.position_after(seconds);
         let [position, both, velocity] = self.variance;
@@ -219,6 +333,7 @@ impl Track {
         self.radius_m = larger(thing.radius_m, 0.98 * self.radius_m + 0.02 * thing.radius_m);
         self.frames = self.frames.saturating_add(1);
         self.unseen_s = 0.0;
+        self.refuted = 0;
         self.seen_m = (self.north_m, self.east_m);
         self.judge();
         if self.moves {
@@ -227,10 +342,28 @@ impl Track {
             let [from, to] = self.lane_m;
             if apart_m(self.seen_m, from) > apart_m(from, to) {
                 self.lane_m = [from, self.seen_m];
+                self.turned[1] = false;
             } else if apart_m(self.seen_m, to) > apart_m(from, to) {
                 self.lane_m = [self.seen_m, to];
+                self.turned[0] = false;
             }
+            self.watch_for_turns();
         }
+    }
+
+    /// Remembers at which end of its lane it turned back.
+    fn watch_for_turns(&mut self) {
+        let [from, to] = self.lane_m;
+        if self.speed_m_s() < MOVER_SPEED_M_S {
+            return;
+        }
+        let to_second = (to.0 - from.0) * self.north_m_s + (to.1 - from.1) * self.east_m_s > 0.0;
+        match (self.heads_to_second, to_second) {
+            (Some(true), false) => self.turned[1] = true,
+            (Some(false), true) => self.turned[0] = true,
+            _ => {}
+        }
+        self.heads_to_second = Some(to_second);
     }
 
     /// What may be a lost mover, it is not known going which way: it counts as one until it is seen to stand.
@@ -372,6 +505,10 @@ impl MoverTracker {
         let (sin, cos) = (libm::sinf(yaw_rad), libm::cosf(yaw_rad));
         for (slot, corrected) in self.tracks.iter_mut().zip(corrected) {
             let Some(track) = slot else { continue };
+            if !corrected && track.moves {
+                let radius_m = track.radius_m;
+                track.refute(|place| sees_past(scan, place, radius_m, here, (sin, cos)));
+            }
             track.lost |=
                 !corrected && sees_past(scan, (track.north_m, track.east_m), track.radius_m, here, (sin, cos));
             let forget_s = if track.moves { FORGET_MOVER_S } else { FORGET_S };
@@ -458,6 +595,8 @@ impl MoverTracker {
             };
             if let Some(found) = self.tracks.iter_mut().flatten().find(is_it) {
                 found.lane_m = lost.lane_m;
+                found.turned = lost.turned;
+                found.heads_to_second = None;
                 if let Some(slot) = self.tracks.get_mut(i) {
                     *slot = None;
                 }
@@ -479,7 +618,7 @@ impl MoverTracker {
 }
 
 /// Whether the scan sees well past a place: nothing of that radius is there. `turn` is sine and cosine of the heading.
-pub fn sees_past(scan: &Scan, place: (f32, f32), radius_m: f32, here: NedVector, turn: (f32, f32)) -> bool {
+fn sees_past(scan: &Scan, place: (f32, f32), radius_m: f32, here: NedVector, turn: (f32, f32)) -> bool {
     let (north_m, east_m) = (place.0 - here.x, place.1 - here.y);
     let (sin, cos) = turn;
     let (x, y) = (cos * north_m + sin * east_m, cos * east_m - sin * north_m);
@@ -579,6 +718,107 @@ pub(super) mod tests {
             tracker.observe(&scan, NedVector::ZERO, 0.0, frame * 50_000_000);
         }
         tracker
+    }
+
+    /// Looks west for these frames: nothing of what is north is in view.
+    pub(crate) fn look_aside(tracker: &mut MoverTracker, frames: core::ops::Range<u64>) {
+        let scan = seen(NedVector::ZERO, (50.0, 50.0), 0.3);
+        for frame in frames {
+            tracker.observe(
+                &scan,
+                NedVector::ZERO,
+                -core::f32::consts::FRAC_PI_2 - 0.6,
+                frame * 50_000_000,
+            );
+        }
+    }
+
+    fn whereabouts(mover: &Track) -> Vec<Whereabouts> {
+        let mut all = Vec::new();
+        mover.for_each_whereabouts(0.0, |w| all.push(w));
+        let sum: f32 = all.iter().map(|w| w.weight).sum();
+        assert!(sum < 1.0, "{sum}");
+        all
+    }
+
+    #[test]
+    fn what_left_the_view_has_not_come_back_unseen() {
+        // It leaves the view, 60 degrees to the right, after 4.3 s, and is not seen for three seconds.
+        let mut tracker = MoverTracker::new();
+        for frame in 0..150_u32 {
+            let east_m = 0.6 * frame as f32 * 0.05;
+            tracker.observe(
+                &seen(NedVector::ZERO, (1.5, east_m), 0.3),
+                NedVector::ZERO,
+                0.0,
+                u64::from(frame) * 50_000_000,
+            );
+        }
+        let mover = tracker.movers().next().expect("it moves");
+        assert!(!mover.is_located());
+        let all = whereabouts(mover);
+        let weight = |is: &dyn Fn(&Whereabouts) -> bool| all.iter().filter(|w| is(w)).map(|w| w.weight).sum::<f32>();
+        let in_view = weight(&|w| mover.place_m(w.along_m).1 < 2.0);
+        let gone_on = weight(&|w| w.direction > 0.0);
+        assert!(in_view < 1e-6, "it would be seen there: {in_view}");
+        assert!(gone_on > 0.3 && weight(&|w| w.direction < 0.0) > 0.1, "{gone_on}");
+    }
+
+    #[test]
+    fn what_was_seen_to_turn_at_both_ends_is_known_to_turn_there_again() {
+        // To and fro between 1 m left and 1.4 m right, four seconds each way.
+        let east_m = |at_s: f32| {
+            let share = (at_s / 8.0) % 1.0;
+            -1.0 + 2.4 * if share < 0.5 { 2.0 * share } else { 2.0 - 2.0 * share }
+        };
+        let mut tracker = MoverTracker::new();
+        for frame in 0..200_u32 {
+            let at_s = frame as f32 * 0.05;
+            tracker.observe(
+                &seen(NedVector::ZERO, (3.0, east_m(at_s)), 0.3),
+                NedVector::ZERO,
+                0.0,
+                u64::from(frame) * 50_000_000,
+            );
+        }
+        // Two seconds after its second turn, on its way to the right.
+        let mover = tracker.movers().next().expect("it moves");
+        let all = whereabouts(mover);
+        assert_eq!(all.len(), 1, "{all:?}");
+        assert!(
+            all[0].weight > 0.85 && (all[0].turns_after_m - 1.2).abs() < 0.25,
+            "{all:?}"
+        );
+        // And three seconds on it has turned.
+        let mut later = Vec::new();
+        mover.for_each_whereabouts(3.0, |w| later.push(w));
+        assert!(later[0].direction < 0.0, "{later:?}");
+        let (_, expected_m) = mover.place_m(later[0].along_m);
+        assert!((expected_m - east_m(199.0 * 0.05 + 3.0)).abs() < 0.4, "{expected_m}");
+    }
+
+    #[test]
+    fn what_is_followed_for_the_first_time_may_turn_anywhere_ahead() {
+        let scene = Scene {
+            start_m: (4.0, -1.5),
+            velocity_m_s: (0.0, 0.6),
+            radius_m: 0.3,
+        };
+        let tracker = track(&scene, 60);
+        let mover = tracker.movers().next().expect("it moves");
+        let all = whereabouts(mover);
+        let turns_within = |m: f32| {
+            all.iter()
+                .filter(|w| w.turns_after_m < m)
+                .map(|w| w.weight)
+                .sum::<f32>()
+        };
+        let (one, two, five) = (turns_within(1.0), turns_within(2.0), turns_within(5.0));
+        assert!(
+            0.05 < one && one < two && two < five && five > 0.85,
+            "{one} {two} {five}"
+        );
+        assert!(all.iter().all(|w| w.along_m.abs() < 1e-3), "it is where it is seen");
     }
 
     #[test]

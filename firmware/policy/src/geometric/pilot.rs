@@ -4,7 +4,7 @@
 //! the way to the goal, take the farthest point of the way that can be flown to in a straight line as the waypoint, add
 //! seeking and field, and let the governor limit the speed.
 
-use crate::geometric::evasion::{self, Guesses};
+use crate::geometric::evasion::{self, Guesses, Plan, Wanted};
 use crate::geometric::governor::{self, Motion};
 use crate::geometric::movers::{self, MoverTracker};
 use crate::geometric::occupancy_grid::{self, OccupancyGrid};
@@ -164,6 +164,8 @@ pub struct GeometricPilot {
     progress: Option<(NedVector, Nanos)>,
     /// The farthest point of the way that can be flown to in a straight line, since [`Self::lead`].
     waypoint: Option<NedVector>,
+    /// How it got out of the way of what moves in the step before.
+    evading: Option<Plan>,
 }
 
 impl GeometricPilot {
@@ -215,6 +217,7 @@ impl GeometricPilot {
             last_sequence: None,
             progress: None,
             waypoint: None,
+            evading: None,
         }
     }
 
@@ -443,39 +446,35 @@ impl GeometricPilot {
         Some(standing)
     }
 
-    /// The wanted action, or one that gets out of the way of what moves near the vehicle.
-    fn evade(&self, input: &PilotInput<'_>, here: NedVector, waypoint: NedVector, wanted: Action) -> Action {
+    /// How to get out of the way of what moves near the vehicle; `None` where the wanted action does not get into it.
+    fn evade(&self, input: &PilotInput<'_>, here: NedVector, waypoint: NedVector, wanted: Action) -> Option<Plan> {
         let near = |north_m: f32, east_m: f32| libm::hypotf(north_m - here.x, east_m - here.y) < MOVERS_WITHIN_M;
         let movers = self.movers.movers().filter(|m| {
             near(m.north_m, m.east_m)
                 || (!m.is_located() && m.off_lane_m(here.x, here.y, evasion::HORIZON_S) < MOVERS_WITHIN_M)
         });
-        if movers.clone().next().is_none() {
-            return wanted;
-        }
+        movers.clone().next()?;
         let age_s = input.now_ns.saturating_sub(input.depth.header.stamp_ns) as f32 * 1e-9;
         let motion = motion_of(input, here, wanted.yaw);
-        let turn = (libm::sinf(motion.yaw_rad), libm::cosf(motion.yaw_rad));
-        let scan = self.surroundings.scan();
-        let guesses = Guesses::new(movers.clone(), age_s, |north_m, east_m, radius_m| {
-            movers::sees_past(scan, (north_m, east_m), radius_m, here, turn)
-        });
-        evasion::evade(
-            &motion,
-            wanted,
-            self.config.cruise_m_s,
+        let guesses = Guesses::new(movers.clone(), age_s);
+        let wanted = Wanted {
+            action: wanted,
+            cruise_m_s: self.config.cruise_m_s,
             waypoint,
-            movers,
-            &guesses,
-            &self.grid,
-        )
+        };
+        evasion::evade(&motion, &wanted, movers, &guesses, &self.grid, self.evading)
     }
 
     /// Steers for what [`Self::plan`] gave for the same input.
     pub(crate) fn steer(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> Action {
+        self.steer_and_plan(input, waypoint).0
+    }
+
+    /// The same, and the plan behind it where it gets out of the way of what moves.
+    fn steer_and_plan(&self, input: &PilotInput<'_>, waypoint: Option<NedVector>) -> (Action, Option<Plan>) {
         let (yaw_rad, here) = (input.attitude.yaw_rad(), position_ned_m(input));
         let Some(waypoint) = waypoint else {
-            return Action {
+            let action = Action {
                 forward_m_s: 0.0,
                 yaw: if input.goal.bearing_rad < 0.0 {
                     -LOOK_AROUND_YAW
@@ -483,6 +482,7 @@ impl GeometricPilot {
                     LOOK_AROUND_YAW
                 },
             };
+            return (action, None);
         };
         let to_waypoint = waypoint - here;
         let target = GoalRelative {
@@ -513,13 +513,14 @@ impl GeometricPilot {
             forward_m_s: wanted_m_s.max(0.0),
             yaw: wanted.yaw,
         };
-        let wanted = self.evade(input, here, waypoint, wanted);
+        let plan = self.evade(input, here, waypoint, wanted);
+        let wanted = plan.map_or(wanted, |plan| plan.action);
         if wanted.forward_m_s < 0.0 {
-            return wanted;
+            return (wanted, plan);
         }
         let motion = motion_of(input, here, wanted.yaw);
         let standing = self.standing(seen, here, yaw_rad);
-        Action {
+        let action = Action {
             forward_m_s: governor::admissible_speed_m_s(
                 &motion,
                 standing.as_ref().unwrap_or(seen),
@@ -528,7 +529,8 @@ impl GeometricPilot {
                 self.strategy.margins().spare_m,
             ),
             yaw: wanted.yaw,
-        }
+        };
+        (action, plan)
     }
 }
 
@@ -547,7 +549,9 @@ pub(crate) fn led_to(input: &PilotInput<'_>, waypoint: Option<NedVector>) -> Goa
 impl Pilot for GeometricPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let waypoint = self.plan(input);
-        self.steer(input, waypoint)
+        let (action, plan) = self.steer_and_plan(input, waypoint);
+        self.evading = plan;
+        action
     }
 
     fn reset(&mut self) {
@@ -555,6 +559,7 @@ impl Pilot for GeometricPilot {
         self.planner.clear();
         self.movers.clear();
         self.waypoint = None;
+        self.evading = None;
         self.last_position_ned_m = None;
         self.last_sequence = None;
         self.progress = None;
