@@ -571,10 +571,7 @@ impl FlightStack {
             decision.recovery = Some(own);
             decision.collision_course = Some(recovery.foresees_collision(&planned, action));
             decision.speed_along_way_m_s = Some(recovery.speed_along_way_m_s(&planned).unwrap_or(0.0));
-            // Where stopping does not help either, in a cell that was marked wrongly, say, it would stand for ever.
-            decision.recovery_course = Some(
-                recovery.foresees_collision(&planned, own) && !recovery.foresees_collision(&planned, Action::HOVER),
-            );
+            decision.recovery_course = Some(recovery.foresees_own_collision(&planned, own));
         }
         decision
     }

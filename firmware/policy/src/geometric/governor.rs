@@ -20,7 +20,7 @@ const SQUEEZE_SPEED_M_S: f32 = 0.3;
 /// A point that is too near already must not get nearer; this much is noise.
 const CREEP_M: f32 = 0.005;
 /// Time under the command before braking begins: a step, the frame's age and the estimator's delay.
-const REACTION_S: f32 = 0.2;
+pub(super) const REACTION_S: f32 = 0.2;
 /// Simulation step and number of steps: until nearly all of the speed is gone.
 pub(super) const STEP_S: f32 = 0.1;
 const STEPS: usize = 18;
@@ -123,36 +123,43 @@ pub fn admissible_speed_m_s(
     let free = PARTS
         .iter()
         .map(|part| part * wanted_m_s)
-        .find(|&speed_m_s| stays_clear(motion, scan, &margins, memory, speed_m_s));
+        .find(|&speed_m_s| stays_clear(motion, scan, &margins, memory, speed_m_s, REACTION_S));
     if let Some(speed_m_s) = free {
         return speed_m_s;
     }
     let squeezed = Margins::new(scan, memory, here, SQUEEZE_CLEAR_M, SQUEEZE_SQUARED_CELLS);
     let slow_m_s = smaller(wanted_m_s, SQUEEZE_SPEED_M_S);
-    if stays_clear(motion, scan, &squeezed, memory, slow_m_s) {
+    if stays_clear(motion, scan, &squeezed, memory, slow_m_s, REACTION_S) {
         slow_m_s
     } else {
         0.0
     }
 }
 
-/// Whether the vehicle, commanded this speed for [`REACTION_S`] and then to stop, would run into what is remembered.
+/// Whether the vehicle, commanded this speed for `carried_s` and then to stop, would run into what is remembered.
 ///
 /// Only its own cell counts: with a cell more around it, pilots that pass half a metre beside an obstacle would be stopped for it.
-pub fn on_collision_course(motion: &Motion, memory: &OccupancyGrid, speed_m_s: f32) -> bool {
+pub fn on_collision_course(motion: &Motion, memory: &OccupancyGrid, speed_m_s: f32, carried_s: f32) -> bool {
     const NOTHING_SEEN: &Scan = &Scan::EMPTY;
     let margins = Margins::new(NOTHING_SEEN, memory, motion.position_ned_m, 0.0, 1);
-    !stays_clear(motion, NOTHING_SEEN, &margins, memory, speed_m_s)
+    !stays_clear(motion, NOTHING_SEEN, &margins, memory, speed_m_s, carried_s)
 }
 
-/// Whether the vehicle stays clear if it is commanded this speed for [`REACTION_S`] and then to stop.
-fn stays_clear(motion: &Motion, scan: &Scan, margins: &Margins, memory: &OccupancyGrid, speed_m_s: f32) -> bool {
+/// Whether the vehicle stays clear if it is commanded this speed for `carried_s` and then to stop.
+fn stays_clear(
+    motion: &Motion,
+    scan: &Scan,
+    margins: &Margins,
+    memory: &OccupancyGrid,
+    speed_m_s: f32,
+    carried_s: f32,
+) -> bool {
     let (yaw_sin, yaw_cos) = (libm::sinf(motion.yaw_rad), libm::cosf(motion.yaw_rad));
     let start = (motion.velocity_m_s.x, motion.velocity_m_s.y);
     let mut vehicle = Simulated::new((0.0, 0.0), (1.0, 0.0), start, motion.yaw_rate_rad_s);
     for step in 0..STEPS {
         vehicle.turn();
-        vehicle.advance(if (step as f32) * STEP_S < REACTION_S {
+        vehicle.advance(if (step as f32) * STEP_S < carried_s {
             speed_m_s
         } else {
             0.0
@@ -258,17 +265,24 @@ mod tests {
             memory.occupy(1.6, i as f32 * 0.25);
         }
         memory.measure_clearance();
-        let course = |north_m: f32, velocity_m_s: f32, yaw_rad: f32, wanted_m_s: f32| {
+        let carried = |carried_s: f32, north_m: f32, velocity_m_s: f32, yaw_rad: f32, wanted_m_s: f32| {
             let motion = Motion {
                 position_ned_m: NedVector::new(north_m, 0.0, 0.0),
                 yaw_rad,
                 velocity_m_s: HeadingVector::new(velocity_m_s, 0.0, 0.0),
                 yaw_rate_rad_s: 0.0,
             };
-            on_collision_course(&motion, &memory, wanted_m_s)
+            on_collision_course(&motion, &memory, wanted_m_s, carried_s)
+        };
+        let course = |north_m, velocity_m_s, yaw_rad, wanted_m_s| {
+            carried(REACTION_S, north_m, velocity_m_s, yaw_rad, wanted_m_s)
         };
         assert!(!course(0.0, 1.5, 0.0, 1.5), "1.6 m are enough to stop from 1.5 m/s");
         assert!(course(0.5, 1.5, 0.0, 1.5), "1.1 m and the reaction are not");
+        assert!(
+            carried(0.7, 0.0, 1.5, 0.0, 1.5),
+            "nor are 1.6 m to whoever goes on for 0.7 s"
+        );
         assert!(!course(0.5, 0.7, 0.0, 0.7), "at half the speed they are");
         assert!(!course(0.5, 1.5, 3.1, 1.5), "away from it");
         // Along it, half a metre beside.

@@ -328,13 +328,14 @@ impl GeometricPilot {
         self.progress = None;
     }
 
-    /// Whether another pilot's action leads into something remembered, even if the vehicle is told to stop after it. To be asked
-    /// after [`Pilot::decide`], with the same input.
-    pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
+    /// Whether an action that is carried on for `carried_s` leads into something remembered, even if the vehicle is told to stop after it. To be
+    /// asked after [`Pilot::decide`], with the same input.
+    pub(crate) fn foresees_collision(&self, input: &PilotInput<'_>, action: Action, carried_s: f32) -> bool {
         governor::on_collision_course(
             &motion_of(input, position_ned_m(input), action.yaw),
             &self.grid,
             action.forward_m_s,
+            carried_s,
         )
     }
 

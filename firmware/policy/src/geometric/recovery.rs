@@ -1,10 +1,14 @@
 //! The recovery pilot: flies on when an attack on the depth frames is detected, or the actor is about to fly into something
 //! (docs/detection.md). The path that it plans meanwhile leads an actor whose file asks for one (docs/architecture.md).
 
+use crate::geometric::governor::REACTION_S;
 use crate::geometric::pilot::{LEAST_LEAD_M, led_to, position_ned_m};
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{Action, GoalRelative, NedVector};
 
+/// So long the actor is taken to go on as it does, seconds. With the 0.2 s that go by before braking begins, the alarm came too late for most of what it
+/// was raised for; with more, it is raised beside what the actor would have passed (docs/detection.md).
+const FORESIGHT_S: f32 = 0.7;
 /// Fastest forward speed, metres per second: slower than the actor, which believes each frame.
 const CRUISE_M_S: f32 = 0.8;
 
@@ -71,10 +75,17 @@ impl RecoveryPilot {
         self.waypoint = None;
     }
 
-    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.2 s
-    /// later. After [`Self::observe`], with the same input.
+    /// Whether the actor's action, carried on for 0.7 s, leads into something that many frames have shown, even if the vehicle is told to
+    /// stop after it. After [`Self::observe`], with the same input.
     pub fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
-        self.pilot.foresees_collision(input, action)
+        self.pilot.foresees_collision(input, action, FORESIGHT_S)
+    }
+
+    /// The same of this pilot's own action, which is chosen anew with every frame, where stopping would help: in a cell that was marked wrongly, say,
+    /// it would stand for ever.
+    pub fn foresees_own_collision(&self, input: &PilotInput<'_>, own: Action) -> bool {
+        let foresees = |action| self.pilot.foresees_collision(input, action, REACTION_S);
+        foresees(own) && !foresees(Action::HOVER)
     }
 }
 
