@@ -412,7 +412,13 @@ mod tests {
             };
             logic.step(&config, &input).map(|alarm| alarm.cause)
         };
-        assert_eq!(step(&mut logic, Some(true)), None, "a single step raises nothing");
+        for _ in 1..config.guard_steps {
+            assert_eq!(step(&mut logic, Some(true)), None, "a few steps raise nothing");
+        }
+        assert_eq!(step(&mut logic, Some(false)), None, "and count for nothing afterwards");
+        for _ in 1..config.guard_steps {
+            assert_eq!(step(&mut logic, Some(true)), None);
+        }
         assert_eq!(step(&mut logic, Some(true)), Some(AlarmCause::CollisionCourse));
         for _ in 0..5000 {
             assert!(step(&mut logic, Some(false)).is_some());
