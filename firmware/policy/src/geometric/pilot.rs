@@ -6,7 +6,7 @@
 
 use crate::geometric::evasion::{self, Guesses, Plan, Wanted};
 use crate::geometric::governor::{self, Motion};
-use crate::geometric::movers::{self, MoverTracker};
+use crate::geometric::movers::MoverTracker;
 use crate::geometric::occupancy_grid::{self, OccupancyGrid};
 use crate::geometric::path_planner::{PathPlanner, Search};
 use crate::geometric::range_scan::FAR_M;
@@ -201,7 +201,7 @@ impl GeometricPilot {
 
     /// What moves now. Before [`Pilot::decide`], in every step.
     #[cfg(feature = "teacher")]
-    pub fn know_movers(&mut self, movers: impl Iterator<Item = movers::Track>) {
+    pub fn know_movers(&mut self, movers: impl Iterator<Item = crate::geometric::movers::Track>) {
         self.movers.know(movers);
     }
 
