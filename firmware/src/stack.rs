@@ -539,11 +539,12 @@ impl FlightStack {
         let recovery = recovery.as_deref_mut().filter(|_| is_asked).map(|recovery| {
             self.recovery_is_new = false;
             recovery.observe(&planned, self.along_path);
-            &*recovery
+            recovery
         });
         let path = match leader {
             Some(leader) => Some(leader.lead(&planned)),
             None => recovery
+                .as_deref()
                 .filter(|_| led_to == LedTo::Path || *led_by == LedBy::Path)
                 .map(|recovery| recovery.lead(&planned)),
         };

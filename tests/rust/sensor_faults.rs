@@ -26,6 +26,10 @@ fn fly(fault: &str, plausibility: bool) -> End {
     config.sensor_fault = Some(fault.parse().unwrap());
     let mut firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
     firmware.plausibility = plausibility;
+    if !plausibility {
+        // The control: the guard would stop before what a wrong picture leads into.
+        firmware.detector.guard = Some(false);
+    }
     let mut pair = Pair::of(&config, &firmware);
     let mut end = End {
         reasons: Reasons::NONE,

@@ -11,7 +11,7 @@ use vigil_types::parameters::{self, OutOfRange, Range};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
 // What only programs set, stated as the table states the rest.
-const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 4.0);
+const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 2.0);
 const WAY_SPEED: ParameterSpec = own("way_speed", (0.0, 1.5), "m/s", 0.5);
 const APART: ParameterSpec = own("apart", (0.1, 3.0), "", 2.0);
 const STOPPED: ParameterSpec = own("stopped", (0.05, 1.0), "m/s", 0.2);
@@ -177,9 +177,6 @@ pub(crate) struct AlarmLogic {
     ended: u8,
 }
 
-/// Consecutive steps in which the recovery pilot's own action leads into something, before it stops: it looks no farther ahead than it takes to brake.
-const OWN_COURSE_STEPS: u16 = 2;
-
 /// The number of clean verdicts that end an alarm doubles this often at the most.
 const MOST_DOUBLINGS: u8 = 6;
 
@@ -283,7 +280,7 @@ impl AlarmLogic {
             &mut self.recovery_course_steps,
             recovers && input.recovery_course == Some(true),
         );
-        if config.guard_steps > 0 && self.recovery_course_steps >= OWN_COURSE_STEPS {
+        if config.guard_steps > 0 && self.recovery_course_steps >= config.guard_steps {
             // It begins anew from where the vehicle then stands.
             self.recovery_course_steps = 0;
             (raised.since_ns, raised.stopped, raised.recovery_stopped) = (input.now_ns, false, true);
@@ -412,13 +409,7 @@ mod tests {
             };
             logic.step(&config, &input).map(|alarm| alarm.cause)
         };
-        for _ in 1..config.guard_steps {
-            assert_eq!(step(&mut logic, Some(true)), None, "a few steps raise nothing");
-        }
-        assert_eq!(step(&mut logic, Some(false)), None, "and count for nothing afterwards");
-        for _ in 1..config.guard_steps {
-            assert_eq!(step(&mut logic, Some(true)), None);
-        }
+        assert_eq!(step(&mut logic, Some(true)), None, "a single step raises nothing");
         assert_eq!(step(&mut logic, Some(true)), Some(AlarmCause::CollisionCourse));
         for _ in 0..5000 {
             assert!(step(&mut logic, Some(false)).is_some());
