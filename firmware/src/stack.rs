@@ -536,11 +536,11 @@ impl FlightStack {
         };
         // Nobody asks for a path to a near goal that nothing watches.
         let is_asked = *watched || (*led_by == LedBy::Path && leader.is_none()) || self.leg.is_far();
-        let recovery = recovery.as_deref_mut().filter(|_| is_asked).map(|recovery| {
+        let mut recovery = recovery.as_deref_mut().filter(|_| is_asked);
+        if let Some(recovery) = recovery.as_deref_mut() {
             self.recovery_is_new = false;
             recovery.observe(&planned, self.along_path);
-            recovery
-        });
+        }
         let path = match leader {
             Some(leader) => Some(leader.lead(&planned)),
             None => recovery

@@ -507,7 +507,7 @@ fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_fli
     assert!(LockstepFirmware::new(&config).is_ok());
 }
 
-/// What raises the alarm in the second in which a gust carries a vehicle in full flight towards a wall, whatever it is told.
+/// What raises the alarm in the time in which a gust carries a vehicle in full flight towards a wall, whatever it is told.
 fn alarm_before_a_wall(config: &FirmwareConfig) -> Option<AlarmCause> {
     let mut flight = Flight::guided_by(config);
     for _ in 0..60 {
@@ -516,7 +516,8 @@ fn alarm_before_a_wall(config: &FirmwareConfig) -> Option<AlarmCause> {
     assert!(flight.velocity()[0] > 1.2, "{:?}", flight.velocity());
     let carried_m_s = NedVector::new(1.5, 0.0, 0.0);
     let wall_north_m = flight.vehicle.position_ned_m.x + 2.2;
-    (0..20).find_map(|_| {
+    // It would be there after 29.
+    (0..28).find_map(|_| {
         flight.vehicle.velocity_ned_m_s = carried_m_s;
         let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
         let frame = flight.vehicle.frame_with_wall(flight.now_ns, wall_north_m);

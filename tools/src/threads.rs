@@ -18,13 +18,19 @@ fn in_words(threads: usize) -> String {
     }
 }
 
+/// Stack of a thread, bytes: a step of the firmware beside the simulator takes more than half of the 2 MB that threads have otherwise.
+const STACK_BYTES: usize = 8 << 20;
+
 /// Starts `threads` threads, or one on each core where that is 0. What runs inside the pool's `install` is spread over them,
 /// and no other.
 ///
 /// # Errors
 /// [`ThreadsError`]: the system has no more.
 pub fn thread_pool(threads: usize) -> Result<ThreadPool, ThreadsError> {
-    let built = ThreadPoolBuilder::new().num_threads(threads).build();
+    let built = ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .stack_size(STACK_BYTES)
+        .build();
     built.map_err(|source| ThreadsError { threads, source })
 }
 

@@ -81,15 +81,14 @@ impl RecoveryPilot {
         self.foreseen_steps = 0;
     }
 
-    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.2 s later; or, in
-    /// three steps in a row, 0.7 s later. After [`Self::observe`], with the same input, once in a step.
+    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.7 s later, for three
+    /// steps in a row. After [`Self::observe`], with the same input, once in a step.
     pub fn foresees_collision(&mut self, input: &PilotInput<'_>, action: Action) -> bool {
-        let foresees = |carried_s| self.pilot.foresees_collision(input, action, carried_s);
-        self.foreseen_steps = match foresees(FORESIGHT_S) {
+        self.foreseen_steps = match self.pilot.foresees_collision(input, action, FORESIGHT_S) {
             true => self.foreseen_steps.saturating_add(1),
             false => 0,
         };
-        self.foreseen_steps >= FORESEEN_STEPS || foresees(REACTION_S)
+        self.foreseen_steps >= FORESEEN_STEPS
     }
 
     /// Whether this pilot's own action, which is chosen anew with every frame, does so within 0.2 s, where stopping would help: in a cell that was marked wrongly, say,
