@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use vigil_tests::{Running, run, said};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
-const OTHER_PICTURES: [(&str, &str); 14] = [
+const OTHER_PICTURES: [(&str, &str); 16] = [
     ("attacked-undefended.gif", "vigil log film"),
     ("attacked-defended.gif", "vigil log film"),
     ("flight-report.png", "a screenshot of the report of vigil log report"),
@@ -25,6 +25,8 @@ const OTHER_PICTURES: [(&str, &str); 14] = [
     ("reproduce.png", "a screenshot of the page of vigil reproduce"),
     ("real-time-fifo.svg", "vigil bench realtime --figure"),
     ("real-time-normal.svg", "vigil bench realtime --figure"),
+    ("from-nothing-figure-9.svg", "vigil report docs/runs/from-nothing"),
+    ("from-nothing-figure-10.svg", "vigil report docs/runs/from-nothing"),
 ];
 
 fn root() -> PathBuf {
