@@ -16,19 +16,17 @@ use vigil_types::{
 /// Vehicle and firmware in step; either side's contribution can be left out of a step.
 struct Flight {
     vehicle: TestVehicle,
-    /// Boxed, and made in a frame of its own: it is large, and a test's thread has 2 MB of stack.
-    firmware: Box<LockstepFirmware>,
+    firmware: LockstepFirmware,
     now_ns: Nanos,
     last: StepReport,
     sent: Datagrams,
 }
 
 impl Flight {
-    #[inline(never)]
     fn new(vehicle: TestVehicle, config: &FirmwareConfig) -> Self {
         Self {
             vehicle,
-            firmware: Box::new(LockstepFirmware::new(config).unwrap()),
+            firmware: LockstepFirmware::new(config).unwrap(),
             now_ns: 1_000_000_000,
             last: StepReport::default(),
             sent: Datagrams::default(),

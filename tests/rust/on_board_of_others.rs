@@ -2,15 +2,13 @@
 //!
 //! A mission that leads through a wall, and the same for a guarded vehicle: `just_stop.rs`; for a rendered sensor: `foreign.rs`.
 
-use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};
 use vigil_mavlink::framing::{self, FramingCounters, MAX_PACKET_LEN, serialize};
-use vigil_sim::{SimConfig, Start};
 use vigil_tests::Pair;
 use vigil_tests::ground::{Request, STATION, packet};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, STEP_NS, StepReport};
-use vigil_world::{Family, generate};
+use vigil_world::Family;
 
 const SEED: u64 = 4203;
 /// The fault begins after so many steps of guided flight: 4 s.
@@ -36,11 +34,8 @@ impl Flight {
 
     /// Hovering, before guidance has taken it.
     fn waiting() -> Self {
-        let mut config = SimConfig::new(generate(Family::Validation, SEED), SEED);
-        config.start = Start::Airborne;
-        let firmware = FirmwareConfig::to_goal(config.course.goal_ned_m());
         Self {
-            pair: Pair::of(&config, &firmware),
+            pair: Pair::new(Family::Validation, SEED),
             step: 0,
             reasons: Reasons::NONE,
             texts: Vec::new(),

@@ -13,9 +13,9 @@ const MOST_STEPS_TO_GUIDED: usize = 1200;
 /// A simulated vehicle, and the firmware that flies it.
 pub struct Pair {
     /// The simulator.
-    pub simulator: Box<Simulator>,
+    pub simulator: Simulator,
     /// The firmware.
-    pub firmware: Box<LockstepFirmware>,
+    pub firmware: LockstepFirmware,
     /// The newest frame.
     pub frame: Box<DepthFrame>,
     /// What the vehicle has sent in this step.
@@ -38,12 +38,10 @@ impl Pair {
     ///
     /// # Panics
     /// When a configuration is refused.
-    #[inline(never)]
     pub fn of(simulation: &SimConfig, firmware: &FirmwareConfig) -> Self {
-        // Both are large, and a test's thread has 2 MB of stack.
         Self {
-            simulator: Box::new(Simulator::new(simulation, 0).expect("a simulator")),
-            firmware: Box::new(LockstepFirmware::new(firmware).expect("a firmware")),
+            simulator: Simulator::new(simulation, 0).expect("a simulator"),
+            firmware: LockstepFirmware::new(firmware).expect("a firmware"),
             frame: Box::new(DepthFrame::EMPTY),
             to_firmware: Box::default(),
             from_firmware: Box::default(),

@@ -712,9 +712,14 @@ pub(super) mod tests {
 
     /// Watches a scene from the origin for so many frames.
     pub(crate) fn track(scene: &Scene, frames: u64) -> MoverTracker {
+        watch(frames, scene.radius_m, |at_s| scene.at(at_s))
+    }
+
+    /// Watches a thing of this radius, which is there after so many seconds, from the origin for so many frames.
+    fn watch(frames: u64, radius_m: f32, at: impl Fn(f32) -> (f32, f32)) -> MoverTracker {
         let mut tracker = MoverTracker::new();
         for frame in 0..frames {
-            let scan = seen(NedVector::ZERO, scene.at(frame as f32 * 0.05), scene.radius_m);
+            let scan = seen(NedVector::ZERO, at(frame as f32 * 0.05), radius_m);
             tracker.observe(&scan, NedVector::ZERO, 0.0, frame * 50_000_000);
         }
         tracker
@@ -744,16 +749,7 @@ pub(super) mod tests {
     #[test]
     fn what_left_the_view_has_not_come_back_unseen() {
         // It leaves the view, 60 degrees to the right, after 4.3 s, and is not seen for three seconds.
-        let mut tracker = MoverTracker::new();
-        for frame in 0..150_u32 {
-            let east_m = 0.6 * frame as f32 * 0.05;
-            tracker.observe(
-                &seen(NedVector::ZERO, (1.5, east_m), 0.3),
-                NedVector::ZERO,
-                0.0,
-                u64::from(frame) * 50_000_000,
-            );
-        }
+        let tracker = watch(150, 0.3, |at_s| (1.5, 0.6 * at_s));
         let mover = tracker.movers().next().expect("it moves");
         assert!(!mover.is_located());
         let all = whereabouts(mover);
@@ -771,16 +767,7 @@ pub(super) mod tests {
             let share = (at_s / 8.0) % 1.0;
             -1.0 + 2.4 * if share < 0.5 { 2.0 * share } else { 2.0 - 2.0 * share }
         };
-        let mut tracker = MoverTracker::new();
-        for frame in 0..200_u32 {
-            let at_s = frame as f32 * 0.05;
-            tracker.observe(
-                &seen(NedVector::ZERO, (3.0, east_m(at_s)), 0.3),
-                NedVector::ZERO,
-                0.0,
-                u64::from(frame) * 50_000_000,
-            );
-        }
+        let tracker = watch(200, 0.3, |at_s| (3.0, east_m(at_s)));
         // Two seconds after its second turn, on its way to the right.
         let mover = tracker.movers().next().expect("it moves");
         let all = whereabouts(mover);
