@@ -11,7 +11,8 @@ use vigil_types::parameters::{self, OutOfRange, Range};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
 // What only programs set, stated as the table states the rest.
-const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 2.0);
+const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 4.0);
+const RECOVERY_GUARD_STEPS: ParameterSpec = own("recovery_guard_steps", (0.0, 1200.0), "steps", 2.0);
 const WAY_SPEED: ParameterSpec = own("way_speed", (0.0, 1.5), "m/s", 0.5);
 const APART: ParameterSpec = own("apart", (0.1, 3.0), "", 2.0);
 const STOPPED: ParameterSpec = own("stopped", (0.05, 1.0), "m/s", 0.2);
@@ -28,8 +29,10 @@ pub struct AlarmConfig {
     pub raise_window: u8,
     /// Consecutive steps without a verdict that the actor may fly.
     pub unknown_limit: u16,
-    /// Consecutive steps on a collision course that raise the alarm; 0 raises none.
+    /// Consecutive steps in which the actor is on a collision course that raise the alarm; 0 raises none.
     pub guard_steps: u16,
+    /// Consecutive steps in which the recovery pilot is on one that stop it; 0 stops it never. Fewer than the actor's, for it is looked at less far ahead.
+    pub recovery_guard_steps: u16,
     /// How far the actor may fall behind a vehicle that flies along the guard's way at [`AlarmConfig::way_speed_m_s`], metres; 0 is as far as
     /// it likes. What it gains on that vehicle does not count.
     pub astray_limit_m: f32,
@@ -59,6 +62,7 @@ impl Default for AlarmConfig {
             raise_window: parameters::RAISE_WINDOW.number() as u8,
             unknown_limit: parameters::UNKNOWN_STEPS.number() as u16,
             guard_steps: GUARD_STEPS.number() as u16,
+            recovery_guard_steps: RECOVERY_GUARD_STEPS.number() as u16,
             astray_limit_m: parameters::ASTRAY.number_f32(),
             way_speed_m_s: WAY_SPEED.number_f32(),
             disagreement_limit_s: parameters::DISAGREEMENT.number_f32(),
@@ -80,6 +84,7 @@ impl AlarmConfig {
             (&parameters::RAISE_COUNT, self.raise_count.into()),
             (&parameters::UNKNOWN_STEPS, self.unknown_limit.into()),
             (&GUARD_STEPS, self.guard_steps.into()),
+            (&RECOVERY_GUARD_STEPS, self.recovery_guard_steps.into()),
             (&parameters::ASTRAY, self.astray_limit_m.into()),
             (&WAY_SPEED, self.way_speed_m_s.into()),
             (&parameters::DISAGREEMENT, self.disagreement_limit_s.into()),
@@ -280,7 +285,7 @@ impl AlarmLogic {
             &mut self.recovery_course_steps,
             recovers && input.recovery_course == Some(true),
         );
-        if config.guard_steps > 0 && self.recovery_course_steps >= config.guard_steps {
+        if config.recovery_guard_steps > 0 && self.recovery_course_steps >= config.recovery_guard_steps {
             // It begins anew from where the vehicle then stands.
             self.recovery_course_steps = 0;
             (raised.since_ns, raised.stopped, raised.recovery_stopped) = (input.now_ns, false, true);
@@ -409,7 +414,9 @@ mod tests {
             };
             logic.step(&config, &input).map(|alarm| alarm.cause)
         };
-        assert_eq!(step(&mut logic, Some(true)), None, "a single step raises nothing");
+        for _ in 0..3 {
+            assert_eq!(step(&mut logic, Some(true)), None, "a few steps raise nothing");
+        }
         assert_eq!(step(&mut logic, Some(true)), Some(AlarmCause::CollisionCourse));
         for _ in 0..5000 {
             assert!(step(&mut logic, Some(false)).is_some());

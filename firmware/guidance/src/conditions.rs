@@ -183,7 +183,7 @@ pub static CONDITIONS: [Condition; 33] = [
         Reason::CollisionCourse,
         Demand::Hold,
         false,
-        "the recovery pilot saw the flying actor's action, or its own, lead into something in {guard_steps} consecutive steps, and the policy is *stop* or *recover*",
+        "the recovery pilot saw the flying actor's action lead into something in {guard_steps} consecutive steps, or its own in {recovery_guard_steps}, and the policy is *stop* or *recover*",
         "*recover*: as *attack*; *stop*: an operator engages; the end of the flight",
     ),
     condition(

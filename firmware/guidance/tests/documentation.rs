@@ -33,6 +33,7 @@ fn thresholds(text: &str) -> String {
         ("{stop_limit}", seconds(c.alarm.stop_limit_ns)),
         ("{alarm_clear_steps}", c.alarm.clear_steps.to_string()),
         ("{guard_steps}", c.alarm.guard_steps.to_string()),
+        ("{recovery_guard_steps}", c.alarm.recovery_guard_steps.to_string()),
         ("{apart}", c.alarm.apart_yaw.to_string()),
         ("{disagreement}", format!("{} s", c.alarm.disagreement_limit_s)),
         ("{way_speed}", format!("{} m/s", c.alarm.way_speed_m_s)),

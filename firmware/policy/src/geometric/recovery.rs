@@ -6,11 +6,9 @@ use crate::geometric::pilot::{LEAST_LEAD_M, led_to, position_ned_m};
 use crate::{GeometricConfig, GeometricPilot, Pilot, PilotInput};
 use vigil_types::{Action, GoalRelative, NedVector};
 
-/// So long the actor is taken to go on as it does, seconds, and in so many steps in a row before that counts. With the 0.2 s alone that go by before
-/// braking begins, the alarm came too late for most of what it was raised for; with more, or fewer steps, it is raised beside what the actor
-/// would have passed (docs/robustness.md).
+/// So long the actor is taken to go on as it does, seconds. With the 0.2 s alone that go by before braking begins, the alarm came too late for most
+/// of what it was raised for; with more it is raised beside what the actor would have passed (docs/robustness.md).
 const FORESIGHT_S: f32 = 0.7;
-const FORESEEN_STEPS: u8 = 3;
 /// Fastest forward speed, metres per second: slower than the actor, which believes each frame.
 const CRUISE_M_S: f32 = 0.8;
 
@@ -21,8 +19,6 @@ pub struct RecoveryPilot {
     pilot: GeometricPilot,
     /// The farthest point of the path that can be flown to in a straight line, since the last observation.
     waypoint: Option<NedVector>,
-    /// Consecutive steps in which the actor's action, carried on, led into something.
-    foreseen_steps: u8,
 }
 
 impl RecoveryPilot {
@@ -34,7 +30,6 @@ impl RecoveryPilot {
                 ..GeometricConfig::default()
             }),
             waypoint: None,
-            foreseen_steps: 0,
         }
     }
 
@@ -78,17 +73,12 @@ impl RecoveryPilot {
     pub fn reset(&mut self) {
         self.pilot.reset();
         self.waypoint = None;
-        self.foreseen_steps = 0;
     }
 
-    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.7 s later, for three
-    /// steps in a row. After [`Self::observe`], with the same input, once in a step.
-    pub fn foresees_collision(&mut self, input: &PilotInput<'_>, action: Action) -> bool {
-        self.foreseen_steps = match self.pilot.foresees_collision(input, action, FORESIGHT_S) {
-            true => self.foreseen_steps.saturating_add(1),
-            false => 0,
-        };
-        self.foreseen_steps >= FORESEEN_STEPS
+    /// Whether the actor's action leads into something that many frames have shown, even if the vehicle is told to stop 0.7 s later. After
+    /// [`Self::observe`], with the same input.
+    pub fn foresees_collision(&self, input: &PilotInput<'_>, action: Action) -> bool {
+        self.pilot.foresees_collision(input, action, FORESIGHT_S)
     }
 
     /// Whether this pilot's own action, which is chosen anew with every frame, does so within 0.2 s, where stopping would help: in a cell that was marked wrongly, say,
