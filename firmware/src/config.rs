@@ -637,7 +637,11 @@ impl FirmwareConfig {
                 unknown_limit: self.detector.unknown_steps,
                 clear_steps: self.detector.clear_steps,
                 guard_steps: if self.has_guard() { alarm.guard_steps } else { 0 },
-                recovery_guard_steps: if self.has_guard() { alarm.recovery_guard_steps } else { 0 },
+                recovery_guard_steps: if self.has_guard() {
+                    alarm.recovery_guard_steps
+                } else {
+                    0
+                },
                 astray_limit_m: if self.has_guard() { self.detector.astray_m } else { 0.0 },
                 disagreement_limit_s: if self.has_guard() {
                     self.detector.disagreement_s
