@@ -29,6 +29,7 @@ mod detector_evasion;
 mod frame_attack;
 mod guard_evasion;
 mod intercept;
+mod learned;
 mod perturb;
 mod policy_attack;
 pub mod process;
@@ -44,6 +45,7 @@ pub use config::{
 };
 pub use frame_attack::FrameAttack;
 pub use intercept::{Interceptor, PassedStep, goal_seen_from};
+pub use learned::{LearnedAdversary, LearnedError};
 pub use policy_attack::PolicyAttack;
 pub use state_attack::StateAttack;
 pub use stream_attack::StreamAttack;

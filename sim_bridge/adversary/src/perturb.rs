@@ -2,6 +2,7 @@
 
 use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN, REPLAYED_FRAMES, SPSA_QUERIES};
 use crate::detector_evasion::DetectorEvasion;
+use crate::learned::LearnedAdversary;
 use crate::surrogate::{Ends, Surrogate};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,7 +14,7 @@ use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad}
 const LIMIT: f32 = 10.0;
 /// Steps of the projected methods, in ε over iterations: enough to cross the whole range and come back (Madry et al., 2018).
 const STEP_GAIN: f32 = 2.5;
-/// [`Method::Recede`] leaves alone what is seen farther down than this, 20°: the ground near the vehicle.
+/// [`Method::Recede`] and [`Method::Learned`] leave alone what is seen farther down than this, 20°: the ground near the vehicle.
 const GROUND_BELOW_RAD: f32 = 0.349;
 /// The patch's share of rows and columns; their product is 1 / [`PATCH_GAIN`].
 const PATCH_ROWS: usize = 4;
@@ -49,6 +50,16 @@ pub(crate) struct Perturber {
     extra: Vec<f32>,
     /// [`Method::Replay`]: what is shown again.
     kept: Vec<f32>,
+    /// [`Method::Learned`]: what was learned.
+    learned: Option<LearnedAdversary>,
+}
+
+/// The first of a frame's rows that shows the ground near the vehicle.
+pub(crate) fn first_row_of_ground(rows: usize) -> usize {
+    let scale = DEPTH_ROWS as f32 / rows as f32;
+    let elevation_rad = |row: usize| row_elevation_rad((row as f32 + 0.5) * scale - 0.5);
+    let first_of_ground = (0..rows).find(|row| elevation_rad(*row) < -GROUND_BELOW_RAD);
+    first_of_ground.unwrap_or(rows)
 }
 
 /// Where the frames stand.
@@ -72,7 +83,13 @@ impl Perturber {
             gradient: vec![0.0; pixels],
             extra: vec![0.0; pixels],
             kept: kept_for(&config, pixels),
+            learned: None,
         })
+    }
+
+    /// What [`Method::Learned`] does.
+    pub fn learn(&mut self, learned: LearnedAdversary) {
+        self.learned = Some(learned);
     }
 
     pub fn config(&self) -> &AttackConfig {
@@ -125,10 +142,15 @@ impl Perturber {
                 each(self.config.iterations, outputs, frames);
                 return Ok(outputs);
             }
-            Method::Recede | Method::Blind | Method::Replay => {
+            Method::Recede | Method::Blind | Method::Replay | Method::Learned => {
                 match method {
                     Method::Recede => self.recede(frames),
                     Method::Blind => frames.fill(1.0),
+                    Method::Learned => {
+                        let learned = self.learned.as_ref().ok_or(AttackError::NotLearned)?;
+                        let reach = self.config.reach(frames.len());
+                        learned.alter(frames, (self.rows, self.cols), scene.position, reach);
+                    }
                     _ => self.replay(call, frames),
                 }
                 self.spare_ahead(frames);
@@ -237,7 +259,7 @@ impl Perturber {
                 self.along_sign(frames, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
             // Make no steps.
-            Method::Noise | Method::Recede | Method::Blind | Method::Replay => {}
+            Method::Noise | Method::Recede | Method::Blind | Method::Replay | Method::Learned => {}
         }
     }
 
@@ -309,10 +331,7 @@ impl Perturber {
     /// Shows everything that is seen above [`GROUND_BELOW_RAD`] farther away. What gives no return goes on giving none.
     fn recede(&self, frames: &mut [f32]) {
         let by = self.config.reach(frames.len());
-        let scale = DEPTH_ROWS as f32 / self.rows as f32;
-        let elevation_rad = |row: usize| row_elevation_rad((row as f32 + 0.5) * scale - 0.5);
-        let first_of_ground = (0..self.rows).find(|row| elevation_rad(*row) < -GROUND_BELOW_RAD);
-        let pixels = first_of_ground.unwrap_or(self.rows) * self.cols;
+        let pixels = first_row_of_ground(self.rows) * self.cols;
         for frame in frames.chunks_exact_mut(self.rows * self.cols) {
             for x in frame[..pixels].iter_mut().filter(|x| **x < 1.0) {
                 *x = (*x + by).min(1.0);

@@ -33,6 +33,11 @@ fn small_frames(count: usize, seed: u64) -> Vec<f32> {
     values.iter().map(|v| (v + 0.5).clamp(0.0, 1.0)).collect()
 }
 
+/// All but the one that does what was learned, on frames as they pass: tests/intercept.rs.
+fn methods() -> impl Iterator<Item = Method> {
+    Method::ALL.into_iter().filter(|method| *method != Method::Learned)
+}
+
 fn config(method: Method) -> AttackConfig {
     AttackConfig {
         method,
@@ -101,7 +106,7 @@ fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed()
         graph.forward(Isa::detect(), &params, &inputs, &mut tape).unwrap();
         graph.output(&tape).unwrap().to_vec()
     };
-    for method in Method::ALL {
+    for method in methods() {
         for (towards, sign) in [(Towards::Left, -1.0), (Towards::Right, 1.0)] {
             let told = AttackConfig {
                 towards,
@@ -152,7 +157,7 @@ fn away_is_away_from_the_clean_decision_even_when_that_is_saturated() {
 #[test]
 fn no_method_leaves_its_bounds() {
     let (params, frames) = (small_params(1), small_frames(ACTOR_FRAMES, 2));
-    for method in Method::ALL {
+    for method in methods() {
         let told = config(method);
         let mut attack = StateAttack::on(SMALL, Isa::detect(), &params, &told).unwrap();
         let mut altered = frames.clone();
@@ -199,7 +204,7 @@ fn the_same_seed_gives_the_same_bits_and_an_accumulating_run_holds_all_shorter_o
             .unwrap();
         (altered, each)
     };
-    for method in Method::ALL {
+    for method in methods() {
         let told = config(method);
         assert_eq!(run(&told).0, run(&told).0, "{}", method.name());
         let other = AttackConfig { seed: 6, ..told };
@@ -464,6 +469,9 @@ fn bad_configurations_and_frames_are_refused_by_name() {
     let mut attack = StreamAttack::on(SMALL, Isa::PORTABLE, &params, &AttackConfig::PAPER).unwrap();
     let error = attack.attack(&mut [0.5; 7], [0.0; 2]).unwrap_err();
     assert_eq!(error.to_string(), "frame holds 7 values, expected 2048");
+    let mut unlearned = StreamAttack::on(SMALL, Isa::PORTABLE, &params, &config(Method::Learned)).unwrap();
+    let error = unlearned.attack(&mut small_frames(1, 2), [0.0; 2]).unwrap_err();
+    assert!(error.to_string().contains("vigil attack learn"), "{error}");
 }
 
 /// A detector of random weights for the small actor.

@@ -4,6 +4,7 @@ mod certify;
 mod completion;
 mod defended;
 mod deflection;
+mod learn;
 mod states;
 mod strength;
 
@@ -36,6 +37,9 @@ Examples:
                                          completion undefended, with the stop alone, with recovery, and not attacked
   vigil attack defended --flights 500 --burst continuous --resume
                                          go on after an interruption
+  vigil attack learn -o runs/learned     an adversary that learns from how flights end, against everything that defends
+  vigil attack defended --attack learned --learned runs/learned/adversary.json --burst continuous --flights 200
+                                         what it can do on courses that it did not learn on
   vigil attack defended --flights 500 --actor mine.safetensors --detector mine-detector.safetensors
                                          an imported policy with the detector that was trained for it
 
@@ -60,6 +64,8 @@ enum AttackCommand {
     Search(completion::SearchArgs),
     /// Completion attacked and not, undefended, with the stop alone and with recovery, on the same courses.
     Defended(defended::DefendedArgs),
+    /// Learns an adversary by evolution, from how flights end, without any gradient or knowledge of the actor's weights.
+    Learn(learn::LearnArgs),
 }
 
 /// What all of them take.
@@ -127,6 +133,7 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
         AttackCommand::Completion(args) => completion::run_completion(args),
         AttackCommand::Search(args) => completion::run_search(args),
         AttackCommand::Defended(args) => defended::run(args),
+        AttackCommand::Learn(args) => learn::run(args),
     }
 }
 
