@@ -13,10 +13,6 @@ use std::time::Instant;
 use vigil_adversary::{AttackConfig, Certificate, CertifiedOutput, EFFECTIVE_YAW, Method, StateAttack};
 use vigil_nnet::Isa;
 
-/// ε · 255.
-const EPSILONS_255: [f32; 9] = [0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 20.0];
-const ITERATIONS: u32 = 20;
-
 /// Arguments of `vigil attack certify`.
 #[derive(Debug, Clone, clap::Args)]
 pub struct CertifyArgs {
@@ -27,6 +23,14 @@ pub struct CertifyArgs {
     /// Seed of the first flight over a validation course.
     #[arg(long, default_value_t = 5000)]
     seed: u64,
+
+    /// Each ε in 1/255 of the image's range, rising.
+    #[arg(long, value_delimiter = ',', default_value = "0.02,0.05,0.1,0.25,0.5,1,2,5,20")]
+    epsilon: Vec<f32>,
+
+    /// Iterations of the attack that is made beside the proof.
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..))]
+    iterations: u32,
 
     #[command(flatten)]
     common: Common,
@@ -62,6 +66,7 @@ struct Report<'a> {
     actor_sha256: &'a str,
     first_seed: u64,
     states: usize,
+    iterations: u32,
     wall_s: f64,
     /// Ctrl-C came: it is of fewer states.
     interrupted: bool,
@@ -73,6 +78,10 @@ struct Report<'a> {
 /// # Errors
 /// A file that is no actor, a folder that cannot be written, an attack that leaves the bounds, which would be a mistake in them.
 pub fn run(args: &CertifyArgs) -> Result<ExitCode> {
+    ensure!(
+        args.epsilon.is_sorted_by(|a, b| a < b) && args.epsilon.first().is_some_and(|first| *first > 0.0),
+        "--epsilon: sizes above 0 that rise, separated by commas"
+    );
     let victim = args.common.victim()?;
     let folder = args.common.folder()?;
     let flights = args.states.div_ceil(STATES_PER_FLIGHT as u64);
@@ -87,7 +96,7 @@ pub fn run(args: &CertifyArgs) -> Result<ExitCode> {
                 let mut rows = Vec::new();
                 let mut certificate = Certificate::new(victim.inputs.spec(), Isa::detect(), &victim.params)?;
                 for state in met_in_flight((&victim.params, victim.inputs), args.seed.wrapping_add(i))? {
-                    rows.push(judge(&victim, &mut certificate, &state)?);
+                    rows.push(judge((&victim, &mut certificate), &state, args)?);
                     bar.inc(1);
                 }
                 Ok(rows)
@@ -101,12 +110,13 @@ pub fn run(args: &CertifyArgs) -> Result<ExitCode> {
     if judged.is_empty() {
         return Ok(interrupt.exit_code());
     }
-    let lines: Vec<Line> = EPSILONS_255
+    let lines: Vec<Line> = args
+        .epsilon
         .iter()
         .enumerate()
         .map(|(i, epsilon_255)| line(*epsilon_255, judged.iter().filter_map(|row| row.get(i))))
         .collect();
-    print(&lines, judged.len(), args.seed, wall_s);
+    print(&lines, judged.len(), args, wall_s);
     output::write(&folder.join("certified.csv"), to_csv(&lines))?;
     let figure = figure(&lines);
     output::write(&folder.join("certified.svg"), figure.svg())?;
@@ -117,6 +127,7 @@ pub fn run(args: &CertifyArgs) -> Result<ExitCode> {
             actor_sha256: &victim.sha256,
             first_seed: args.seed,
             states: judged.len(),
+            iterations: args.iterations,
             wall_s,
             interrupted: interrupt.came(),
             lines: &lines,
@@ -126,18 +137,18 @@ pub fn run(args: &CertifyArgs) -> Result<ExitCode> {
 }
 
 /// One state at each ε.
-fn judge(victim: &Victim, certificate: &mut Certificate, state: &State) -> Result<Vec<Judged>> {
+fn judge((victim, certificate): (&Victim, &mut Certificate), state: &State, args: &CertifyArgs) -> Result<Vec<Judged>> {
     let isa = Isa::detect();
     let mut attack = StateAttack::on(victim.inputs.spec(), isa, &victim.params, &AttackConfig::PAPER)?;
     let mut frames = state.frames.clone();
-    EPSILONS_255
+    args.epsilon
         .iter()
         .map(|epsilon_255| {
             let [_, proved] = certificate.outputs(&state.frames, state.position, epsilon_255 / 255.0)?;
             attack.configure(&AttackConfig {
                 method: Method::BimClipped,
                 epsilon_255: *epsilon_255,
-                iterations: ITERATIONS,
+                iterations: args.iterations,
                 seed: state.seed,
                 ..AttackConfig::PAPER
             })?;
@@ -182,10 +193,11 @@ fn line<'a>(epsilon_255: f32, judged: impl Iterator<Item = &'a Judged>) -> Line 
     }
 }
 
-fn print(lines: &[Line], states: usize, seed: u64, wall_s: f64) {
+fn print(lines: &[Line], states: usize, args: &CertifyArgs, wall_s: f64) {
+    let (seed, iterations) = (args.seed, args.iterations);
     say!(
         "of {states} states, validation courses from seed {seed}: share whose yaw no frames within ε can move by 1.0 (30 °/s) or more, \
-         and share that BIM of {ITERATIONS} iterations within ε does move so; {wall_s:.0} s"
+         and share that BIM of {iterations} iterations within ε does move so; {wall_s:.0} s"
     );
     let heads = [
         "ε · 255",
@@ -228,12 +240,9 @@ fn figure(lines: &[Line]) -> Figure {
     panel.series[0].band = band(|l| (l.certified_low_95, l.certified_high_95));
     panel.series[1].band = band(|l| (1.0 - l.attacked_high_95, 1.0 - l.attacked_low_95));
     panel.top = Some(1.0);
-    let ticks = EPSILONS_255.map(f64::from).to_vec();
-    let mut figure = Figure::over(
-        "ε · 255, logarithmic (1 is 0.39 m)",
-        f64::from(EPSILONS_255[8]),
-        vec![panel],
-    );
+    let ticks: Vec<f64> = lines.iter().map(|l| f64::from(l.epsilon_255)).collect();
+    let last = ticks.last().copied().unwrap_or(1.0);
+    let mut figure = Figure::over("ε · 255, logarithmic (1 is 0.39 m)", last, vec![panel]);
     figure.x_scale = Scale::Logarithmic(ticks);
     figure
 }

@@ -5,6 +5,7 @@ mod completion;
 mod defended;
 mod deflection;
 mod learn;
+mod pictures;
 mod states;
 mod strength;
 
@@ -37,6 +38,7 @@ Examples:
                                          completion undefended, with the stop alone, with recovery, and not attacked
   vigil attack defended --flights 500 --burst continuous --resume
                                          go on after an interruption
+  vigil attack pictures -o runs/pictures what each attack makes of a frame, as a picture
   vigil attack learn -o runs/learned     an adversary that learns from how flights end, against everything that defends
   vigil attack defended --attack learned --learned runs/learned/adversary.json --burst continuous --flights 200
                                          what it can do on courses that it did not learn on
@@ -64,6 +66,8 @@ enum AttackCommand {
     Search(completion::SearchArgs),
     /// Completion attacked and not, undefended, with the stop alone and with recovery, on the same courses.
     Defended(defended::DefendedArgs),
+    /// Draws what each attack makes of a frame.
+    Pictures(pictures::PicturesArgs),
     /// Learns an adversary by evolution, from how flights end, without any gradient or knowledge of the actor's weights.
     Learn(learn::LearnArgs),
 }
@@ -134,6 +138,7 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
         AttackCommand::Search(args) => completion::run_search(args),
         AttackCommand::Defended(args) => defended::run(args),
         AttackCommand::Learn(args) => learn::run(args),
+        AttackCommand::Pictures(args) => pictures::run(args),
     }
 }
 

@@ -185,21 +185,11 @@ pub(crate) fn figure_12(pixels: &Pixels) -> Result<Plate> {
         }
         Ok((words, [depth, shap]))
     };
-    let greys: Vec<[u8; 3]> = (0..=255u8).rev().map(|grey| [grey; 3]).collect();
-    // A range's place on the scale: its grey is 255 / (1 + range / 3 m).
-    let place = |range_m: f64| (1.0 - 1.0 / (1.0 + range_m / 3.0), format!("{range_m}"));
     let full = format!("{:.4}", pixels.full_strength);
     Ok(Plate {
         title: format!("Pixels that turn the vehicle, validation course {}", pixels.seed),
         columns: [
-            (
-                "newest depth frame".to_owned(),
-                ColourScale {
-                    label: "range (m)".to_owned(),
-                    ticks: [0.0, 1.0, 3.0, 10.0, 100.0].map(place).into(),
-                    colours: greys,
-                },
-            ),
+            ("newest depth frame".to_owned(), ColourScale::of_ranges()),
             (
                 "SHAP values for the yaw output".to_owned(),
                 ColourScale {

@@ -25,6 +25,18 @@ pub struct ColourScale {
     pub colours: Vec<[u8; 3]>,
 }
 
+impl ColourScale {
+    /// Of depth frames, near is bright: a range's grey is 255 / (1 + range / 3 m).
+    pub fn of_ranges() -> Self {
+        let place = |range_m: f64| (1.0 - 1.0 / (1.0 + range_m / 3.0), format!("{range_m}"));
+        Self {
+            label: "range (m)".to_owned(),
+            ticks: [0.0, 1.0, 3.0, 10.0, 100.0].map(place).into(),
+            colours: (0..=255u8).rev().map(|grey| [grey; 3]).collect(),
+        }
+    }
+}
+
 /// Two columns of pictures.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plate {

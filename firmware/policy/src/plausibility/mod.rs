@@ -37,6 +37,10 @@ const SEEING_FRAMES: u8 = 3;
 const ONE_STEP_NS: Nanos = 120_000_000;
 const ONE_STEP_RAD: f32 = 0.07;
 
+/// After so long without a picture those from before are not compared with: the estimate has drifted meanwhile, which over a short way looks
+/// like a sensor that is turned on its mount.
+const MOST_GAP_NS: Nanos = 1_000_000_000;
+
 /// How far the header's position and attitude may be from the telemetry's, and by how much the difference may change in 10 frames.
 const POSE_M: f32 = 2.0;
 const POSE_COS_HALF: f32 = 0.991_445; // 15°
@@ -348,6 +352,9 @@ impl PlausibilityJudge {
         let one_step = before.is_some_and(|(before_ns, attitude)| {
             stamp_ns.saturating_sub(before_ns) <= ONE_STEP_NS && turn_rad(attitude, pose.attitude) <= ONE_STEP_RAD
         });
+        if before.is_some_and(|(before_ns, _)| stamp_ns.saturating_sub(before_ns) > MOST_GAP_NS) {
+            self.forget_pictures();
+        }
         self.silent.note(&self.picture, one_step.then_some(&self.before));
         let blind = self.blind || self.silent.is_dead();
         if let Some((kinematics, attitude)) = known {

@@ -393,6 +393,37 @@ fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
 }
 
 #[test]
+fn an_estimate_that_drifted_while_no_frames_came_convicts_nobody_and_a_mirrored_sensor_is_found_after_the_gap() {
+    let mirror = |f: &mut DepthFrame| f.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
+    let after_a_gap = |steps: u64| {
+        let mut flight = Flight::new();
+        flight.yaw_rate_rad_s = 0.0;
+        assert!(flight.fly(30, good).iter().all(|d| d.is_empty()));
+        flight.step += steps;
+        flight
+    };
+    // 0.25 m in five seconds, to the side.
+    let drifted = |flight: &mut Flight| {
+        let doubts = (0..40).map(|_| {
+            flight.look();
+            let header = &mut flight.frame.header;
+            header.position_ned_m.y += 0.25;
+            if let Some(kinematics) = &mut flight.telemetry.kinematics {
+                kinematics.position_ned_m.y += 0.25;
+            }
+            flight.judge.judge(&flight.frame, &flight.telemetry)
+        });
+        doubts.fold(Reasons::NONE, Reasons::union)
+    };
+    assert_eq!(drifted(&mut after_a_gap(100)), Reasons::NONE);
+    let found = after_a_gap(100).first_doubt(80, mirror);
+    assert!(
+        found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
+        "{found:?}"
+    );
+}
+
+#[test]
 fn a_pose_that_is_not_the_vehicle_s_is_implausible() {
     let far = |m: f32| move |f: &mut DepthFrame| f.header.position_ned_m = NedVector::new(m, m, m);
     found("out of this world", Reason::ImplausiblePose, 3, far(1e30));

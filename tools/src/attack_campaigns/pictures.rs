@@ -1,0 +1,138 @@
+//! What each attack makes of the same frame: a plate of pictures.
+
+use super::Common;
+use super::states::met_in_flight;
+use crate::cli::output::{self, range_grey, say};
+use crate::report::{ColourScale, Picture, Plate};
+use anyhow::{Context, Result};
+use std::path::PathBuf;
+use std::process::ExitCode;
+use vigil_adversary::{AttackConfig, FrameAttack, LearnedAdversary, Method};
+use vigil_nnet::Isa;
+use vigil_policy::FrozenPilot;
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
+
+/// Changes of as many metres and more have the full colour.
+const FULL_COLOUR_M: f32 = 8.0;
+/// Something nearer than this, over the sensor's range of 100 m, is worth a picture.
+const NEAR: f32 = 0.1;
+
+/// Arguments of `vigil attack pictures`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil attack pictures -o runs/pictures                 attacks.svg and attacks.png: a frame of validation course 5000
+  vigil attack pictures --seed 7 --learned runs/learned/adversary.json
+                                                         of another course, with a learned adversary among them")]
+pub struct PicturesArgs {
+    /// Seed of the validation course.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    /// Show what this adversary makes of it as well: a file of `vigil attack learn`.
+    #[arg(long, value_name = "FILE")]
+    learned: Option<PathBuf>,
+
+    #[command(flatten)]
+    common: Common,
+}
+
+/// Names and settings of the rows.
+fn attacks(with_learned: bool) -> Vec<([&'static str; 2], AttackConfig)> {
+    let of = |method, epsilon_255, region_pixels| AttackConfig {
+        method,
+        epsilon_255,
+        region_pixels,
+        ..AttackConfig::PAPER
+    };
+    let mut attacks = vec![
+        (["FGSM", "ε = 10/255"], of(Method::Fgsm, 10.0, 1)),
+        (["BIM, clipped", "ε = 1/255"], of(Method::BimClipped, 1.0, 1)),
+        (["accumulating", "1/255 × 20"], of(Method::BimAccumulating, 1.0, 1)),
+        (["in regions", "of 8 × 8 pixels"], of(Method::BimAccumulating, 1.0, 8)),
+        (["patch", "5/255 × 20"], of(Method::Patch, 5.0, 1)),
+        (["noise", "20/255"], of(Method::Noise, 1.0, 1)),
+        (["recede", "1/255 × 20"], of(Method::Recede, 1.0, 1)),
+    ];
+    if with_learned {
+        attacks.push((["learned", "1/255 × 20"], of(Method::Learned, 1.0, 1)));
+    }
+    attacks
+}
+
+/// Red nearer, blue farther, white as it was; −1 and 1 are full colours.
+fn change_colour(share: f32) -> [u8; 3] {
+    let faded = (255.0 * (1.0 - share.abs().min(1.0))) as u8;
+    if share < 0.0 {
+        [255, faded, faded]
+    } else {
+        [faded, faded, 255]
+    }
+}
+
+/// Draws them.
+///
+/// # Errors
+/// A file that is no actor or no adversary, a folder that cannot be written.
+pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
+    let folder = args.common.folder()?;
+    let victim = args.common.victim()?;
+    let pilot: FrozenPilot = args.common.pilot()?;
+    let learned = args.learned.as_deref().map(LearnedAdversary::load).transpose()?;
+    let met = met_in_flight((&victim.params, victim.inputs), args.seed)?;
+    let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
+    let state = met
+        .iter()
+        .max_by_key(|state| newest(&state.frames).iter().filter(|range| **range < NEAR).count())
+        .context("the flight was over before five frames were taken")?;
+    let clean = newest(&state.frames);
+    let grey = |frame: &[f32]| frame.iter().flat_map(|range| range_grey(*range)).collect::<Vec<u8>>();
+    let change = |frame: &[f32]| {
+        let moved_m = frame.iter().zip(&clean).map(|(x, clean)| 100.0 * (x - clean));
+        moved_m
+            .flat_map(|m| change_colour(m / FULL_COLOUR_M))
+            .collect::<Vec<u8>>()
+    };
+    let mut rows = vec![(vec!["as taken".to_owned()], [grey(&clean), change(&clean)])];
+    for (name, config) in attacks(learned.is_some()) {
+        let mut attack = FrameAttack::on(&pilot, Isa::detect(), &config)?;
+        if let Some(learned) = &learned {
+            attack = attack.having_learned(learned.clone());
+        }
+        let mut frame = clean.clone();
+        let outcome = attack.attack_while(&mut frame, state.position, || true)?;
+        let turned_deg_s = (outcome.yaw_change() * YAW_RATE_PER_UNIT_RAD_S).to_degrees();
+        let mut words = name.map(str::to_owned).to_vec();
+        words.push(format!("yaw {turned_deg_s:+.0} °/s").replace('-', "−"));
+        rows.push((words, [grey(&frame), change(&frame)]));
+    }
+    let plate = Plate {
+        title: format!("What attacks make of a frame of validation course {}", args.seed),
+        columns: [
+            ("as delivered".to_owned(), ColourScale::of_ranges()),
+            (
+                "change".to_owned(),
+                ColourScale {
+                    label: "change of the range (m): red nearer, blue farther".to_owned(),
+                    ticks: [-FULL_COLOUR_M, 0.0, FULL_COLOUR_M]
+                        .map(|m| {
+                            (
+                                f64::from(0.5 + 0.5 * m / FULL_COLOUR_M),
+                                format!("{m}").replace('-', "−"),
+                            )
+                        })
+                        .into(),
+                    colours: (-127..=127).map(|i| change_colour(i as f32 / 127.0)).collect(),
+                },
+            ),
+        ],
+        size: (DEPTH_COLS as u32, DEPTH_ROWS as u32),
+        rows,
+    };
+    for (name, content) in [("attacks.svg", plate.svg().into_bytes()), ("attacks.png", plate.png())] {
+        let path = folder.join(name);
+        output::write(&path, content)?;
+        say!("picture   {}", path.display());
+    }
+    Ok(ExitCode::SUCCESS)
+}
