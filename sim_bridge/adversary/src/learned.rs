@@ -70,13 +70,13 @@ impl LearnedAdversary {
     /// Number of its weights.
     pub const WEIGHTS: usize = UNITS * (INPUTS + 1) + SECTORS * (UNITS + 1);
 
-    /// One that shows everything three quarters of its reach farther away, whatever it sees: what [`Method::Recede`](crate::Method::Recede)
+    /// One that shows everything 0.96 of its reach farther away, whatever it sees: what [`Method::Recede`](crate::Method::Recede)
     /// does, to begin with.
     pub fn receding() -> Self {
         let mut weights = vec![0.0; Self::WEIGHTS];
         let outputs = UNITS * (INPUTS + 1);
         for row in weights[outputs..].chunks_exact_mut(UNITS + 1) {
-            row[UNITS] = 1.0;
+            row[UNITS] = 2.0;
         }
         Self { weights }
     }
@@ -224,7 +224,7 @@ mod tests {
         assert_eq!(altered[ground..], clean[ground..]);
         for (altered, clean) in altered[..ground].iter().zip(&clean) {
             let expected = if *clean < 1.0 {
-                clean + 0.08 * libm::tanhf(1.0)
+                clean + 0.08 * libm::tanhf(2.0)
             } else {
                 1.0
             };
@@ -241,7 +241,7 @@ mod tests {
         // A unit for what is near in the leftmost sector, and an output that it drives.
         weights[0] = 4.0;
         let outputs = UNITS * (INPUTS + 1);
-        weights[outputs] = -6.0;
+        weights[outputs] = -7.0;
         let adversary = LearnedAdversary::new(weights).unwrap();
         let shown = |clean: &[f32]| {
             let mut altered = clean.to_vec();
@@ -273,7 +273,7 @@ mod tests {
         for (content, said) in [
             (whole[..whole.len() / 2].to_owned(), "EOF"),
             (whole.replace("adversary 1", "adversary 9"), "adversary 9"),
-            (whole.replacen("1.0,", "", 1), "236 finite weights, got 235"),
+            (whole.replacen("2.0,", "", 1), "236 finite weights, got 235"),
         ] {
             std::fs::write(&path, content).unwrap();
             let error = LearnedAdversary::load(&path).unwrap_err().to_string();

@@ -111,7 +111,7 @@ fn a_learned_adversary_moves_what_stands_there_within_its_reach_and_without_what
     let moved = |i: usize| frame.depth[i] - given.depth[i];
     let reach = attack.config.reach(given.depth.len());
     assert!((0..given.depth.len()).all(|i| moved(i).abs() <= reach + 1e-6));
-    assert!(moved(0) > 0.7 * reach, "above: farther away");
+    assert!(moved(0) > 0.9 * reach, "above: farther away");
     assert_eq!(moved(given.depth.len() - 1), 0.0, "the ground");
 }
 
