@@ -15,18 +15,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_mavlink::Flavour;
+use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sim::foreign::PoseState;
+use vigil_tests::mission::bytes_of;
 use vigil_tests::{Running, run, said};
 use vigil_types::{Nanos, STEP_NS};
-
-/// As the peers' module wants it.
-fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).expect("fits");
-    out[..len].to_vec()
-}
 
 /// Step of the scripted ArduPilot in which somebody changes it to GUIDED.
 const GIVEN_AWAY_STEP: u32 = 400;

@@ -11,14 +11,14 @@ mod peer;
 use peer::{Mode, Peer, Quirk};
 use std::fmt::Write;
 use std::sync::atomic::{AtomicU64, Ordering};
-use vigil_autopilot::Saved;
 use vigil_firmware::config::PilotConfig;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavResult};
-use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
-use vigil_mavlink::{Flavour, MavHeader, MavMessage, globe};
+use vigil_mavlink::common::MavResult;
+use vigil_mavlink::framing::{FramingCounters, packets};
+use vigil_mavlink::{Flavour, MavMessage};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
-use vigil_tests::Pair;
+use vigil_tests::mission::bytes_of;
+use vigil_tests::{Pair, mission};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
 };
@@ -39,47 +39,11 @@ enum End {
     Other,
 }
 
-/// The vehicle's plan: one waypoint, the goal, at so many metres per second.
-fn plan(config: &SimConfig, speed_m_s: f32) -> Saved {
-    let goal = config.course.goal_ned_m();
-    let home = config.endpoint.home;
-    let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
-    let text = format!(
-        "[parameters]\nMPC_XY_CRUISE = {speed_m_s:?}\n[[mission]]\ncommand = 16\nframe = 6\nautocontinue = 1\n\
-         params = [0.0, 0.0, 0.0, nan]\nx = {}\ny = {}\nz = {:?}\n",
-        (latitude * 1e7).round() as i32,
-        (longitude * 1e7).round() as i32,
-        -goal.z
-    );
-    toml::from_str(&text).expect("a plan")
-}
-
-/// A command of a ground station: fly the mission.
-fn start_mission() -> Vec<u8> {
-    let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
-        command: MavCmd::MAV_CMD_DO_SET_MODE,
-        param1: 129.0,
-        param2: 4.0,
-        param3: 4.0,
-        target_system: 1,
-        target_component: 1,
-        ..COMMAND_LONG_DATA::DEFAULT
-    });
-    bytes_of(
-        MavHeader {
-            system_id: 255,
-            component_id: 190,
-            sequence: 0,
-        },
-        &message,
-    )
-}
-
 /// Flies the mission over a course; how it ended, and the least distance to an obstacle on the way.
 fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
     let mut simulation = SimConfig::new(course, seed);
     simulation.start = Start::Airborne;
-    simulation.saved = plan(&simulation, speed_m_s);
+    simulation.saved = mission::plan(&simulation, speed_m_s);
     let config = FirmwareConfig {
         duty,
         engage: EngagePolicy::Command,
@@ -93,7 +57,7 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
     let (mut nearest_m, mut stood) = (f32::INFINITY, 0);
     for step in 0..2400 {
         if step == 40 {
-            pair.simulator.receive(0, &start_mission());
+            pair.simulator.receive(0, &mission::start());
         }
         pair.simulate();
         let report = pair.decide(true);
@@ -121,13 +85,6 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
         }
     }
     (End::Other, nearest_m)
-}
-
-/// As the scripted vehicles want it.
-fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
-    let mut out = [0; MAX_PACKET_LEN];
-    let len = serialize(header, message, &mut out).expect("fits");
-    out[..len].to_vec()
 }
 
 /// The same course with everything taken away that stands.

@@ -1,6 +1,7 @@
 //! What the end-to-end tests share: the `vigil` program as child processes that never outlive their test.
 
 pub mod ground;
+pub mod mission;
 mod pair;
 mod watched;
 

@@ -1,0 +1,54 @@
+//! A mission of the vehicle's own, for flights that Vigil only guards.
+
+use vigil_autopilot::Saved;
+use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
+use vigil_mavlink::{MavHeader, MavMessage, globe};
+use vigil_sim::SimConfig;
+
+/// The vehicle's plan: one waypoint, the goal, at so many metres per second.
+///
+/// # Panics
+/// Never with a course whose goal is on the globe.
+pub fn plan(config: &SimConfig, speed_m_s: f32) -> Saved {
+    let goal = config.course.goal_ned_m();
+    let home = config.endpoint.home;
+    let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
+    let text = format!(
+        "[parameters]\nMPC_XY_CRUISE = {speed_m_s:?}\n[[mission]]\ncommand = 16\nframe = 6\nautocontinue = 1\n\
+         params = [0.0, 0.0, 0.0, nan]\nx = {}\ny = {}\nz = {:?}\n",
+        (latitude * 1e7).round() as i32,
+        (longitude * 1e7).round() as i32,
+        -goal.z
+    );
+    toml::from_str(&text).expect("a plan")
+}
+
+/// A command of a ground station: fly the mission.
+pub fn start() -> Vec<u8> {
+    let message = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+        command: MavCmd::MAV_CMD_DO_SET_MODE,
+        param1: 129.0,
+        param2: 4.0,
+        param3: 4.0,
+        target_system: 1,
+        target_component: 1,
+        ..COMMAND_LONG_DATA::DEFAULT
+    });
+    let header = MavHeader {
+        system_id: 255,
+        component_id: 190,
+        sequence: 0,
+    };
+    bytes_of(header, &message)
+}
+
+/// A packet, MAVLink 2, unsigned.
+///
+/// # Panics
+/// Never: every message fits [`MAX_PACKET_LEN`].
+pub fn bytes_of(header: MavHeader, message: &MavMessage) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, message, &mut out).expect("fits");
+    out[..len].to_vec()
+}
