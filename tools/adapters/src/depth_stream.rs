@@ -1,7 +1,7 @@
 //! A depth camera's raw stream: images of 16-bit units one behind the other, nothing between (V4L2's `Z16 `, RealSense's Z16).
 
 use crate::Fault;
-use vigil_projection::{Mount, Pinhole, ProjectionError, Projector, View};
+use vigil_projection::{Mount, Pinhole, ProjectionError, Projector, View, check_unit};
 use vigil_types::DEPTH_PIXELS;
 
 /// Images of a raw stream become depth images.
@@ -20,13 +20,7 @@ impl DepthStream {
     /// # Errors
     /// A unit or a resolution that cannot be.
     pub fn new(camera: Pinhole, mount: Mount, metres_per_unit: f32) -> Result<Self, ProjectionError> {
-        if !(metres_per_unit > 0.0 && metres_per_unit <= 0.1) {
-            return Err(ProjectionError::Camera {
-                field: "unit",
-                value: metres_per_unit,
-                expected: "metres, above 0 and at most 0.1",
-            });
-        }
+        check_unit(metres_per_unit)?;
         let mut projector = Projector::new(camera.resolution()?);
         let [width, height] = camera.size_px();
         projector.add_depth_m(&mount, &camera, &vec![10.0; width * height])?;

@@ -30,7 +30,7 @@ mod view;
 
 pub use mount::Mount;
 pub use pinhole::Pinhole;
-pub use projector::{Counts, Projector, Resolution};
+pub use projector::{Counts, Projector, Resolution, check_unit};
 pub use view::View;
 
 /// What a projection cannot be made of.

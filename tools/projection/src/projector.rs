@@ -130,7 +130,7 @@ impl Projector {
     /// `metres_per_unit` is 0.001 for most cameras.
     ///
     /// # Errors
-    /// [`ProjectionError::ImageSize`].
+    /// [`ProjectionError::ImageSize`]; [`ProjectionError::Camera`] for a unit that cannot be.
     pub fn add_depth_units(
         &mut self,
         mount: &Mount,
@@ -138,6 +138,7 @@ impl Projector {
         depth: &[u16],
         metres_per_unit: f32,
     ) -> Result<Counts, ProjectionError> {
+        check_unit(metres_per_unit)?;
         self.add_image(
             mount,
             camera,
@@ -255,6 +256,21 @@ impl Projector {
         }
         samples.fill(Sample::NONE);
         returned
+    }
+}
+
+/// Whether a depth image's unit can be one, metres.
+///
+/// # Errors
+/// [`ProjectionError::Camera`].
+pub fn check_unit(metres_per_unit: f32) -> Result<(), ProjectionError> {
+    match metres_per_unit > 0.0 && metres_per_unit <= 0.1 {
+        true => Ok(()),
+        false => Err(ProjectionError::Camera {
+            field: "unit",
+            value: metres_per_unit,
+            expected: "metres, above 0 and at most 0.1",
+        }),
     }
 }
 

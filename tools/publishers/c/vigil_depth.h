@@ -26,13 +26,15 @@ typedef struct vigil_depth_publisher vigil_depth_publisher;
 vigil_depth_publisher *vigil_depth_open(uint32_t instance, uint32_t sensor_id, const char *key_file);
 
 /* Publishes an image. Returns the number of readers, or -1: see vigil_depth_error; nothing was published then.
- * ranges_m: row by row from the top left, metres along each pixel's ray; infinity, NaN, 0 or less, or 100 and more: no return.
+ * ranges_m: row by row from the top left, metres along each pixel's ray; infinity, NaN, 0 or less, or 100 to 1000: no return. Refused,
+ * for no return reads as free space: an image without a single return, and one with more than 1000 (millimetres?).
  * position_ned_m, attitude_wxyz: the vehicle's estimate at capture, metres from home; unit quaternion, body (FRD) to NED.
- * stamp_ns: time of capture on CLOCK_MONOTONIC; must rise. */
+ * stamp_ns: time of capture on CLOCK_MONOTONIC (vigil_depth_now_ns); must rise. */
 int vigil_depth_publish(vigil_depth_publisher *publisher, const float ranges_m[VIGIL_DEPTH_PIXELS],
                         const float position_ned_m[3], const float attitude_wxyz[4], uint64_t stamp_ns);
 
-/* Makes the ranges of an image, as vigil_depth_publish takes them, of a point cloud. Returns the number of pixels with a range, or -1.
+/* Makes the ranges of an image, as vigil_depth_publish takes them, of a point cloud. Returns the number of pixels with a range, or -1:
+ * also where not one point was a measurement (no points, all without a return or not finite) or one is of another unit than metres.
  * points_frd_m: x, y, z of each point, metres in the sensor's axes forward, right, down; 0, 0, 0 is no return.
  * mount: metres forward, right and down of the vehicle's middle, then roll, pitch and yaw in radians.
  * across_deg, down_deg: angle between neighbouring beams, degrees. */
@@ -40,7 +42,7 @@ int vigil_depth_project_points(const float *points_frd_m, size_t points, const f
                                float down_deg, float ranges_m[VIGIL_DEPTH_PIXELS]);
 
 /* The same of a rectified depth image, row by row: depth along the camera's axis in units of metres_per_unit, 0 is no return.
- * intrinsics: fx, fy, cx, cy in pixels. */
+ * intrinsics: fx, fy, cx, cy in pixels. metres_per_unit: 0.001 for most cameras, at most 0.1. */
 int vigil_depth_project_image(const uint16_t *depth, uint32_t width, uint32_t height, const float intrinsics[4],
                               float metres_per_unit, const float mount[6], float ranges_m[VIGIL_DEPTH_PIXELS]);
 

@@ -7,6 +7,7 @@ Needs the packages `iceoryx2` 0.10 and `xxhash`; `numpy` for images; `blake3` wh
 """
 
 import ctypes
+import operator
 import os
 import pathlib
 import struct
@@ -19,6 +20,11 @@ import xxhash
 ROWS, COLS = 128, 256
 PIXELS = ROWS * COLS
 FULL_SCALE_M = 100.0
+#: No depth sensor measures farther: what is, is of another unit.
+FARTHEST_M = 1000.0
+LAST_INSTANCE = 99
+#: How far a stamp may lie ahead of the clock: one step of the loop that reads the frames.
+STEP_NS = 50_000_000
 #: Bytes of the header that checksum and tag cover.
 COVERED = 56
 KEY_CONTEXT = "Vigil depth frame authentication, version 1"
@@ -73,10 +79,57 @@ def frame_key(path: os.PathLike | str, sensor_id: int) -> bytes:
     return blake3.blake3(material, derive_key_context=KEY_CONTEXT).digest()
 
 
+def real_numbers(values, what: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Values as float64 of this shape. Raises a ValueError for other shapes and for what is no real number: truth values, text,
+    complex numbers, objects. What an array masks becomes NaN."""
+    given = np.ma.asanyarray(values)
+    if given.dtype.kind not in "fiu":
+        raise ValueError(f"{what}: real numbers are needed, got an array of type {given.dtype}")
+    if given.shape != shape:
+        raise ValueError(f"{what}: the shape {shape} is needed, got {given.shape}")
+    return np.ma.filled(given.astype(np.float64), np.nan)
+
+
+def returns(ranges_m) -> tuple[np.ndarray, np.ndarray]:
+    """Ranges as float64, metres, and where something returned. Raises a ValueError for an image that must not be published: no
+    return reads as free space, so an image in which nothing returned, or one of another unit, would clear the way."""
+    ranges_m = real_numbers(ranges_m, "ranges_m", (ROWS, COLS))
+    finite = np.isfinite(ranges_m)
+    farthest = np.max(ranges_m, where=finite, initial=0.0)
+    if farthest > FARTHEST_M:
+        raise ValueError(
+            f"a range of {farthest:g}: ranges_m are metres (of millimetres, divide by 1000); where nothing returned, give infinity"
+        )
+    hit = finite & (ranges_m > 0.0) & (ranges_m < FULL_SCALE_M)
+    if not hit.any():
+        raise ValueError(
+            f"an image without a single range: {np.count_nonzero(~finite)} pixels are not finite, "
+            f"{np.count_nonzero(finite & (ranges_m <= 0.0))} are 0 or less, {np.count_nonzero(finite & (ranges_m > 0.0))} are 100 m "
+            "or farther. Nothing was published, for it would read as free space: is the sensor covered, is the unit metres?"
+        )
+    return ranges_m, hit
+
+
+def pose(position_ned_m, attitude_wxyz) -> tuple[np.ndarray, np.ndarray]:
+    """A position and a quaternion that the firmware takes, as float32. Raises a ValueError for others."""
+    with np.errstate(over="ignore"):
+        position = real_numbers(position_ned_m, "position_ned_m", (3,)).astype(np.float32)
+        attitude = real_numbers(attitude_wxyz, "attitude_wxyz", (4,)).astype(np.float32)
+        unit = abs(float(attitude @ attitude) - 1.0) < 0.02
+    if not np.isfinite(position).all() or not unit:
+        raise ValueError(
+            f"position_ned_m {position.tolist()} must be finite and attitude_wxyz {attitude.tolist()} of unit length"
+        )
+    return position, attitude
+
+
 class DepthPublisher:
     """The one source of frames of an instance of Vigil. A second one is refused by iceoryx2."""
 
     def __init__(self, instance: int = 0, sensor_id: int = 1, key_file: os.PathLike | str | None = None):
+        for name, value, last in (("instance", instance, LAST_INSTANCE), ("sensor_id", sensor_id, 2**32 - 1)):
+            if isinstance(value, bool) or not 0 <= operator.index(value) <= last:
+                raise ValueError(f"{name} {value}: must be from 0 to {last}")
         folder = pathlib.Path(f"/dev/shm/vigil-{os.getuid()}")
         folder.mkdir(mode=0o700, exist_ok=True)
         if folder.stat().st_mode & 0o077:
@@ -101,29 +154,37 @@ class DepthPublisher:
         self._sensor_id = sensor_id
         self._key = None if key_file is None else frame_key(key_file, sensor_id)
         self._sequence = 0
+        self._last_stamp_ns = -1
         self._frame = DepthFrame(rows=ROWS, cols=COLS, sensor_id=sensor_id)
         self._pixels = np.frombuffer(self._frame.depth, dtype=np.float32).reshape(ROWS, COLS)
 
     def publish(self, ranges_m, position_ned_m, attitude_wxyz, stamp_ns: int | None = None) -> int:
-        """Publishes one image; returns the number of readers.
+        """Publishes one image; returns the number of readers. Raises a ValueError, and publishes nothing, where something is wrong.
 
-        ranges_m: array (128, 256), metres along each pixel's ray; infinity, NaN or 0 where nothing returned.
+        ranges_m: array (128, 256) of real numbers, metres along each pixel's ray, at most 1000; infinity, NaN or 0 where nothing
+        returned, which is what 100 m and farther count as. One pixel at least has a range.
         position_ned_m: 3 numbers, the vehicle's estimate at capture, metres from home.
         attitude_wxyz: unit quaternion, body (FRD) to NED.
-        stamp_ns: time of capture on CLOCK_MONOTONIC; now, if it is not given.
+        stamp_ns: whole number, time of capture on CLOCK_MONOTONIC; must rise. Now, if it is not given.
         """
-        ranges_m = np.asarray(ranges_m, dtype=np.float32)
-        if ranges_m.shape != (ROWS, COLS):
-            raise ValueError(f"an image of {ROWS} x {COLS} ranges is needed, got {ranges_m.shape}")
-        hit = np.isfinite(ranges_m) & (ranges_m > 0.0) & (ranges_m < FULL_SCALE_M)
-        np.divide(ranges_m, FULL_SCALE_M, out=self._pixels, where=hit)
+        ranges_m, hit = returns(ranges_m)
+        position, attitude = pose(position_ned_m, attitude_wxyz)
+        now_ns = time.monotonic_ns()
+        stamp_ns = now_ns if stamp_ns is None else operator.index(stamp_ns)
+        if not self._last_stamp_ns < stamp_ns <= now_ns + STEP_NS:
+            raise ValueError(
+                f"stamp_ns {stamp_ns} must be newer than that of the frame before ({self._last_stamp_ns}) and of CLOCK_MONOTONIC "
+                f"({now_ns} now): time.monotonic_ns(), at capture"
+            )
+        np.divide(ranges_m, FULL_SCALE_M, out=self._pixels, where=hit, casting="same_kind")
         self._pixels[~hit] = 1.0
         frame = self._frame
-        frame.stamp_ns = time.monotonic_ns() if stamp_ns is None else stamp_ns
+        frame.stamp_ns = stamp_ns
         frame.sequence = self._sequence
-        frame.position_ned_m[:] = position_ned_m
-        frame.attitude_wxyz[:] = attitude_wxyz
+        frame.position_ned_m[:] = position
+        frame.attitude_wxyz[:] = attitude
         seal(frame, self._key)
         self._sequence += 1
+        self._last_stamp_ns = stamp_ns
         sample = self._publisher.loan_uninit()
         return sample.write_payload(frame).send()

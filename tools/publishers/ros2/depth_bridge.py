@@ -4,8 +4,8 @@
     python3 depth_bridge.py --ros-args -p library:=target/release/libvigil_depth.so \
         -r points:=/ouster/points -r odometry:=/mavros/local_position/odom
 
-Subscribes to `points` (sensor_msgs/PointCloud2 with float32 x, y, z; axes forward, left, up) and `odometry` (nav_msgs/Odometry, ENU
-and forward-left-up, origin at the vehicle's home). What does not need ROS is above the node and tested by
+Subscribes to `points` (sensor_msgs/PointCloud2, x, y, z of either float; axes forward, left, up, or a camera's optical ones) and
+`odometry` (nav_msgs/Odometry, ENU and forward-left-up, origin at the vehicle's home). What does not need ROS is above the node and tested by
 tests/python/test_depth_publisher.py; the node itself was not run against ROS.
 """
 
@@ -76,13 +76,48 @@ class DepthLibrary:
         self._publisher = None
 
 
-def points_of_cloud(data: bytes, count: int, point_step: int, offsets: dict[str, int]) -> np.ndarray:
-    """Points of a PointCloud2, forward-left-up, as (n, 3) forward, right, down; a point that is not finite is no return."""
+#: sensor_msgs/PointField: the numbers by their `datatype`, and those that a coordinate in metres can be.
+NUMBERS = {1: "INT8", 2: "UINT8", 3: "INT16", 4: "UINT16", 5: "INT32", 6: "UINT32", 7: "FLOAT32", 8: "FLOAT64"}
+COORDINATES = {7: "f4", 8: "f8"}
+
+
+def points_of_cloud(cloud) -> np.ndarray:
+    """Points of a sensor_msgs/PointCloud2 as (n, 3) forward, right, down; a point that is not finite is no return.
+
+    Reads the layout that the message declares. Raises a ValueError that names what cannot be read. Axes are forward, left, up, or of
+    a frame whose name ends in `_optical` or `_optical_frame` right, down, forward (REP 103).
+    """
+    fields = {field.name: field for field in cloud.fields}
+    if missing := [axis for axis in "xyz" if axis not in fields]:
+        raise ValueError(f"the cloud has no field {', '.join(missing)}, only {', '.join(fields) or 'none at all'}")
+    order = ">" if cloud.is_bigendian else "<"
+    formats = []
+    for axis in "xyz":
+        field = fields[axis]
+        if field.datatype not in COORDINATES or field.count not in (0, 1):
+            number = NUMBERS.get(field.datatype, f"of the unknown type {field.datatype}")
+            raise ValueError(f"the cloud's {axis} is {number} x {field.count}; one FLOAT32 or FLOAT64 of metres is needed")
+        formats.append(order + COORDINATES[field.datatype])
+        if not 0 <= field.offset <= cloud.point_step - int(formats[-1][-1]):
+            raise ValueError(f"the cloud's {axis} at byte {field.offset} is not within its points of {cloud.point_step} bytes")
+    if cloud.row_step < cloud.width * cloud.point_step and cloud.height > 1:
+        raise ValueError(f"the cloud's rows of {cloud.row_step} bytes are shorter than {cloud.width} x {cloud.point_step}")
+    data = np.frombuffer(bytes(cloud.data), dtype=np.uint8)
+    # The last row may end with its last point.
+    row_step = cloud.row_step if cloud.height > 1 else cloud.width * cloud.point_step
+    needed = (cloud.height - 1) * row_step + cloud.width * cloud.point_step if cloud.width * cloud.height else 0
+    if len(data) < needed:
+        raise ValueError(f"the cloud has {len(data)} bytes, {needed} are declared: {cloud.height} x {cloud.width} points")
+    if needed == 0:
+        raise ValueError("the cloud has not one point: that is no free space")
     layout = np.dtype(
-        {"names": ["x", "y", "z"], "formats": ["<f4"] * 3, "offsets": [offsets[k] for k in "xyz"], "itemsize": point_step}
+        {"names": list("xyz"), "formats": formats, "offsets": [fields[k].offset for k in "xyz"], "itemsize": cloud.point_step}
     )
-    cloud = np.frombuffer(data, dtype=layout, count=count)
-    points = np.stack([cloud["x"], -cloud["y"], -cloud["z"]], axis=1)
+    read = np.ndarray((cloud.height, cloud.width), layout, data, strides=(row_step, cloud.point_step))
+    with np.errstate(over="ignore"):
+        x, y, z = (read[axis].ravel().astype(np.float32) for axis in "xyz")
+    is_optical = cloud.header.frame_id.endswith(("_optical", "_optical_frame"))
+    points = np.stack([z, x, y] if is_optical else [x, -y, -z], axis=1)
     points[~np.isfinite(points).all(axis=1)] = 0.0
     return points
 
@@ -133,16 +168,12 @@ def main() -> None:
                 self.get_logger().warning("no odometry yet: no frame", throttle_duration_sec=10.0)
                 return
             stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-            offsets = {field.name: field.offset for field in message.fields}
             try:
                 now_ns = time.monotonic_ns()
                 stamp_ns = now_ns if self.restamp else monotonic_of(stamp_ns, time.time_ns(), now_ns)
-                points = points_of_cloud(
-                    bytes(message.data), message.width * message.height, message.point_step, offsets
-                )
-                ranges_m = self.library.project(points, self.mount, *self.resolution)
+                ranges_m = self.library.project(points_of_cloud(message), self.mount, *self.resolution)
                 self.library.publish(ranges_m, *self.pose, stamp_ns)
-            except (KeyError, RuntimeError, ValueError) as error:
+            except (RuntimeError, ValueError) as error:
                 self.get_logger().warning(f"no frame: {error}", throttle_duration_sec=10.0)
 
     rclpy.init()

@@ -9,11 +9,13 @@ use std::ptr;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::key_file::frame_key;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_projection::{Mount, Pinhole, Projector, Resolution};
-use vigil_types::{Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrameKey, FrdVector, Nanos, NedVector};
+use vigil_projection::{Counts, Mount, Pinhole, Projector, Resolution};
+use vigil_types::{Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrameKey, FrdVector, Nanos, NedVector, STEP_NS};
 
 /// The highest instance.
 const LAST_INSTANCE: u32 = 99;
+/// No depth sensor measures farther: what is, is of another unit.
+const FARTHEST_M: f32 = 1000.0;
 
 thread_local! {
     static ERROR: RefCell<CString> = RefCell::default();
@@ -57,13 +59,22 @@ impl Publisher {
         if !position_ned_m.is_finite() || !attitude.is_valid() {
             bail!("position_ned_m must be finite and attitude_wxyz of unit length");
         }
+        check_ranges(ranges_m)?;
+        if stamp_ns > monotonic_ns().saturating_add(STEP_NS) {
+            bail!(
+                "stamp_ns {stamp_ns} lies in the future of CLOCK_MONOTONIC: stamp with vigil_depth_now_ns, at capture"
+            );
+        }
         if self.last_stamp_ns.is_some_and(|last_ns| stamp_ns <= last_ns) {
             bail!("stamp_ns {stamp_ns} is not newer than that of the frame before");
         }
         let readers = self.publisher.publish_with(|frame| {
             for (pixel, range_m) in frame.depth.iter_mut().zip(ranges_m) {
-                let is_return = *range_m > 0.0 && *range_m < DEPTH_FULL_SCALE_M;
-                *pixel = if is_return { range_m / DEPTH_FULL_SCALE_M } else { 1.0 };
+                *pixel = if is_return(*range_m) {
+                    range_m / DEPTH_FULL_SCALE_M
+                } else {
+                    1.0
+                };
             }
             let header = &mut frame.header;
             (header.stamp_ns, header.sequence, header.sensor_id) = (stamp_ns, self.sequence, self.sensor_id);
@@ -76,6 +87,37 @@ impl Publisher {
         (self.sequence, self.last_stamp_ns) = (self.sequence + 1, Some(stamp_ns));
         Ok(readers)
     }
+}
+
+fn is_return(range_m: f32) -> bool {
+    range_m > 0.0 && range_m < DEPTH_FULL_SCALE_M
+}
+
+/// Refuses lengths of another unit than metres.
+fn check_unit(mut lengths_m: impl Iterator<Item = f32>, no_return: &str) -> Result<()> {
+    match lengths_m.find(|m| m.is_finite() && *m > FARTHEST_M) {
+        Some(length_m) => bail!(
+            "a length of {length_m}: metres are needed (of millimetres, divide by 1000), and {no_return} where nothing returned"
+        ),
+        None => Ok(()),
+    }
+}
+
+/// Refuses an image that must not be published: no return reads as free space, so one in which nothing returned, or of another
+/// unit, would clear the way.
+fn check_ranges(ranges_m: &[f32]) -> Result<()> {
+    check_unit(ranges_m.iter().copied(), "infinity")?;
+    if ranges_m.iter().any(|range_m| is_return(*range_m)) {
+        return Ok(());
+    }
+    let count = |is: fn(f32) -> bool| ranges_m.iter().filter(|range_m| is(**range_m)).count();
+    bail!(
+        "an image without a single range: {} pixels are not finite, {} are 0 or less, {} are 100 m or farther. Nothing was \
+         published, for it would read as free space: is the sensor covered, is the unit metres?",
+        count(|m| !m.is_finite()),
+        count(|m| m.is_finite() && m <= 0.0),
+        count(|m| m.is_finite() && m > 0.0)
+    )
 }
 
 /// Runs `work`; what went wrong is kept for [`vigil_depth_error`]. A panic does not cross into C.
@@ -139,10 +181,20 @@ fn mount_of([x, y, z, roll, pitch, yaw]: [f32; 6]) -> Result<Mount> {
 fn project(
     resolution: Resolution,
     ranges_m: &mut [f32; DEPTH_PIXELS],
-    add: impl FnOnce(&mut Projector) -> Result<()>,
+    add: impl FnOnce(&mut Projector) -> Result<Counts>,
 ) -> Result<usize> {
     let mut projector = Projector::new(resolution);
-    add(&mut projector)?;
+    let counts = add(&mut projector)?;
+    // What lies out of view was measured, and so was what is too near: then nothing in view is an answer.
+    if counts.used + counts.out_of_view + counts.too_near == 0 {
+        bail!(
+            "not one of {} points or pixels is a measurement: {} without a return or 100 m away and farther, {} not finite or \
+             negative. That is no free space: is the sensor covered, is the unit metres?",
+            counts.total(),
+            counts.no_return,
+            counts.impossible
+        );
+    }
     let returned = projector.finish(ranges_m);
     for range in ranges_m.iter_mut() {
         *range = if *range < 1.0 {
@@ -182,9 +234,9 @@ pub unsafe extern "C" fn vigil_depth_project_points(
             )
         };
         let mount = mount_of(mount)?;
+        check_unit(given.iter().flatten().map(|m| m.abs()), "0, 0, 0")?;
         project(Resolution::of_degrees(across_deg, down_deg)?, ranges_m, |projector| {
-            projector.add_points(&mount, given.iter().map(|[x, y, z]| FrdVector::new(*x, *y, *z)));
-            Ok(())
+            Ok(projector.add_points(&mount, given.iter().map(|[x, y, z]| FrdVector::new(*x, *y, *z))))
         })
     }))
 }
@@ -223,8 +275,7 @@ pub unsafe extern "C" fn vigil_depth_project_image(
             )
         };
         project(camera.resolution()?, ranges_m, |projector| {
-            projector.add_depth_units(&mount, &camera, units, metres_per_unit)?;
-            Ok(())
+            Ok(projector.add_depth_units(&mount, &camera, units, metres_per_unit)?)
         })
     }))
 }
