@@ -413,6 +413,10 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         {
             state.store(&simulator.saved());
         }
+        if simulator.ending().is_none() {
+            // A vehicle that was mended begins another flight.
+            ended_at_ms = None;
+        }
         if let Some(ending) = simulator.ending() {
             let since_ms = *ended_at_ms.get_or_insert_with(|| {
                 tracing::info!(outcome = %ending.outcome, time_s = ending.flight_time_s, "the flight ended");

@@ -31,7 +31,11 @@ pub struct Ending {
 /// same code serves real time, lockstep and tests.
 pub struct Simulator {
     world: World,
+    /// Watches the present flight; a copy of how it was before any is kept.
     referee: Referee,
+    fresh_referee: Referee,
+    /// Where the vehicle stands at the start: metres from home, heading.
+    start: (NedVector, f32),
     vehicle: Vehicle,
     lidar: Lidar,
     /// Present when there is a second sensor, and when it measures next.
@@ -70,9 +74,12 @@ impl Simulator {
         if airborne {
             endpoint.start_airborne(epoch_ns, course.flight_height_m);
         }
+        let referee = Referee::new(course);
         Ok(Self {
             world: World::new(course),
-            referee: Referee::new(course),
+            fresh_referee: referee.clone(),
+            referee,
+            start: (start_ned_m, course.start_heading_rad()),
             vehicle,
             lidar: Lidar::new(config.lidar, config.seed)?,
             zones: (config.second_sensor_heads > 0).then(|| ZoneSensor::new(config.seed, config.second_sensor_heads)),
@@ -133,14 +140,11 @@ impl Simulator {
         let view = self.vehicle.view();
         self.endpoint.observe_truth(&self.vehicle.truth());
         let command = self.endpoint.step(self.now_ns(), &view);
+        if self.endpoint.take_reboot() && self.has_collided() {
+            self.mend();
+        }
         // A vehicle that hit something has broken propellers, whatever its autopilot asks.
-        let crashed = matches!(
-            self.ending,
-            Some(Ending {
-                outcome: Outcome::Collision,
-                ..
-            })
-        );
+        let crashed = self.has_collided();
         let before = self.vehicle.truth();
         self.vehicle
             .step(if crashed { &ControlCommand::MotorsOff } else { &command });
@@ -185,10 +189,25 @@ impl Simulator {
                 self.ending = Some(Ending { outcome, flight_time_s });
                 if outcome == Outcome::Collision {
                     // It would look as if it did not obey.
-                    self.endpoint.warn("collision: motors off until a new start");
+                    self.endpoint.break_down();
                 }
             }
         }
+    }
+
+    fn has_collided(&self) -> bool {
+        self.ending.is_some_and(|ending| ending.outcome == Outcome::Collision)
+    }
+
+    /// After a collision and a reboot: another flight, of a whole vehicle that stands at the start again.
+    fn mend(&mut self) {
+        let (start_ned_m, heading_rad) = self.start;
+        self.vehicle.place(start_ned_m, heading_rad, false);
+        self.referee = self.fresh_referee.clone();
+        self.lifted_off_ms = None;
+        self.ending = None;
+        self.path_length_m = 0.0;
+        self.closest_goal_m = f32::INFINITY;
     }
 
     /// Captures a depth frame into `frame`, as the LiDAR's fault leaves it, seals it, and authenticates it if there is a key.
@@ -321,9 +340,9 @@ mod tests {
         assert!(by_phase > 200 && by_epoch * 10 < by_phase, "{by_phase} {by_epoch}");
     }
 
-    /// A vehicle that hit something says that it will not fly again, and does not.
+    /// A vehicle that hit something says so, refuses to arm and to take off with the reason, and flies again after a reboot.
     #[test]
-    fn a_vehicle_that_hit_something_says_why_it_does_not_fly_any_more() {
+    fn a_vehicle_that_hit_something_says_why_it_does_not_fly_until_a_reboot_mends_it() {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         // Where the vehicle is.
         let (north_m, east_m) = (config.course.start_ned_m().x, config.course.start_ned_m().y);
@@ -341,8 +360,44 @@ mod tests {
             simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
         }
         assert_eq!(simulator.ending().map(|e| e.outcome), Some(Outcome::Collision));
-        let text = b"collision: motors off until a new start";
-        assert!(said.windows(text.len()).any(|window| window == text), "it is silent");
+        let says = |said: &[u8], text: &str| said.windows(text.len()).any(|window| window == text.as_bytes());
+        assert!(says(&said, "collision: motors off until a reboot"), "it is silent");
         assert!(simulator.truth().position_ned_m.z > -0.5, "it lies on the ground");
+        let ask = |simulator: &mut Simulator, number: u16, first: f32, ms: u32| {
+            let mut params = [0.0; 7];
+            params[0] = first;
+            let mut payload: Vec<u8> = params.iter().flat_map(|p: &f32| p.to_le_bytes()).collect();
+            payload.extend_from_slice(&number.to_le_bytes());
+            payload.extend_from_slice(&[1, 1, 0]);
+            let header = vigil_mavlink::mavlink::MavHeader {
+                system_id: 245,
+                component_id: 190,
+                sequence: 0,
+            };
+            let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+            let len = vigil_mavlink::framing::serialize_payload(header, 76, &payload, &mut packet).unwrap();
+            simulator.receive(0, &packet[..len]);
+            let mut said = Vec::new();
+            for _ in 0..ms {
+                simulator.advance_1ms();
+                simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
+            }
+            said
+        };
+        let (arm, take_off, reboot) = (400, 22, 246);
+        for (command, name) in [(arm, "arming"), (take_off, "takeoff")] {
+            let said = ask(&mut simulator, command, 1.0, 100);
+            let denial = format!("{name} denied: broken by a collision");
+            assert!(says(&said, &denial), "{name} is not refused");
+        }
+        assert!(!simulator.status().armed);
+        let said = ask(&mut simulator, reboot, 1.0, 500);
+        assert!(says(&said, "rebooted"));
+        assert_eq!(simulator.ending(), None, "another flight begins");
+        ask(&mut simulator, arm, 1.0, 100);
+        assert!(simulator.status().armed, "{:?}", simulator.status());
+        // It rises into the column that stands there: this flight has its own referee.
+        ask(&mut simulator, take_off, 0.0, 3_000);
+        assert_eq!(simulator.ending().map(|e| e.outcome), Some(Outcome::Collision));
     }
 }

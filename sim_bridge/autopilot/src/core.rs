@@ -102,6 +102,16 @@ pub struct SigningSetup {
     pub initial_timestamp: u64,
 }
 
+/// Longest time that a number from outside may stand for, a century: its sum with any clock's reading fits [`Nanos`].
+const LONGEST_S: f64 = 3.2e9;
+
+/// A number of seconds that came from outside, as a time; `None` where it is none: NaN, negative, longer than a century.
+pub(crate) fn nanos(seconds: f64) -> Option<Nanos> {
+    (0.0..=LONGEST_S)
+        .contains(&seconds)
+        .then(|| libm::round(seconds * 1e9) as Nanos)
+}
+
 /// Bytes of a STATUSTEXT.
 const TEXT_CHUNK: usize = 50;
 
@@ -132,6 +142,8 @@ pub(crate) struct Core {
     pub unix_time_at_zero_us: u64,
     pub parameters: Parameters,
     pub commander: Commander,
+    /// The autopilot was started anew, and whoever simulates the vehicle has not heard of it.
+    pub rebooted: bool,
     pub setpoints: Setpoints,
     pub sticks: Sticks,
     pub lost_sensors: LostSensors,
@@ -174,6 +186,7 @@ impl Core {
             unix_time_at_zero_us: config.unix_time_at_zero_us,
             parameters: Parameters::new(&config.parameters)?,
             commander: Commander::default(),
+            rebooted: false,
             setpoints: Setpoints::default(),
             sticks: Sticks::default(),
             lost_sensors: LostSensors::default(),

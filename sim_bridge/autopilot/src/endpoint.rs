@@ -235,6 +235,16 @@ impl Endpoint {
         self.core.signing_setup.take()
     }
 
+    /// The vehicle hit something: tells so, disarms, and refuses to arm and to take off until a reboot.
+    pub fn break_down(&mut self) {
+        self.core.break_down();
+    }
+
+    /// Whether the autopilot was started anew since the last call: who simulates the vehicle then has it mended.
+    pub fn take_reboot(&mut self) -> bool {
+        std::mem::take(&mut self.core.rebooted)
+    }
+
     /// Tells everybody something that the owner of the links knows.
     pub fn warn(&mut self, text: &str) {
         self.core.text(MavSeverity::MAV_SEVERITY_WARNING, text);

@@ -1,6 +1,6 @@
 //! Which message goes out on which link when.
 
-use crate::core::Core;
+use crate::core::{Core, nanos};
 use crate::service::{Answer, Build, Produced, Services, Source};
 use crate::{LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
@@ -101,7 +101,7 @@ impl Streams {
     }
 
     /// Sets the interval as SET_MESSAGE_INTERVAL asks: −1 off, 0 default, else microseconds. `false` if there is no such
-    /// message.
+    /// message or the number is no time.
     pub fn set_interval(&mut self, now_ns: Nanos, link: LinkId, id: u32, interval_us: f32) -> bool {
         let Some(stream) = self.find(id).map(|i| &mut self.streams[i]) else {
             return false;
@@ -110,13 +110,14 @@ impl Streams {
         let (Some(schedule), Some(role)) = (stream.per_link.get_mut(index), self.roles.get(index)) else {
             return false;
         };
-        schedule.interval_ns = if interval_us < 0.0 {
+        schedule.interval_ns = if interval_us < 0.0 && interval_us.is_finite() {
             None
         } else if interval_us == 0.0 {
             default_interval_ns(&stream.origin.produced, *role)
+        } else if let Some(interval_ns) = nanos(f64::from(interval_us) * 1e-6) {
+            Some(interval_ns.max(MIN_INTERVAL_NS))
         } else {
-            // A float beyond the integer's range saturates.
-            Some(((f64::from(interval_us) * 1e3) as Nanos).max(MIN_INTERVAL_NS))
+            return false;
         };
         schedule.next_ns = now_ns;
         self.next_ns = self.next_ns.min(now_ns);

@@ -50,6 +50,9 @@ impl Core {
         if self.commander.terminated {
             return Err(Denial::Terminated);
         }
+        if self.commander.broken {
+            return Err(Denial::Broken("arming"));
+        }
         let attitude = self.view.estimate.attitude;
         if attitude.roll_rad().abs() > ARMING_TILT_RAD || attitude.pitch_rad().abs() > ARMING_TILT_RAD {
             return Err(Denial::Tilted);
@@ -113,6 +116,18 @@ impl Core {
         }
     }
 
+    /// The vehicle hit something: its motors are off until a reboot.
+    pub fn break_down(&mut self) {
+        if std::mem::replace(&mut self.commander.broken, true) {
+            return;
+        }
+        let text = "collision: motors off until a reboot";
+        self.text(MavSeverity::MAV_SEVERITY_EMERGENCY, text);
+        if self.commander.armed {
+            self.disarm_with("disarmed: collision");
+        }
+    }
+
     /// Starts the autopilot anew; the caller has checked that the vehicle is disarmed or terminated.
     pub fn reboot(&mut self) {
         let landed = self.commander.landed;
@@ -125,6 +140,7 @@ impl Core {
         };
         self.setpoints = Setpoints::default();
         self.sticks = Sticks::default();
+        self.rebooted = true;
         self.text(MavSeverity::MAV_SEVERITY_INFO, "rebooted");
         self.announce(message_ids::HEARTBEAT);
         self.announce(message_ids::NAMED_VALUE_FLOAT);
@@ -144,10 +160,12 @@ impl Core {
         if mode.needs_sticks() {
             return self.enter_manual(mode);
         }
+        if mode == FlightMode::Takeoff {
+            return self.take_off(None);
+        }
         self.clear_failsafe();
         match mode {
             FlightMode::Follow => self.enter(mode, Maneuver::Follow { waits_ned_m: None }),
-            FlightMode::Takeoff => self.take_off(None),
             FlightMode::Return => self.begin_return(),
             FlightMode::Land => self.enter(mode, Maneuver::Descend),
             _ => self.enter(FlightMode::Hold, Maneuver::default()),
@@ -169,7 +187,10 @@ impl Core {
             };
         }
         match self.setpoints.claim(self.now_ns, max_age_ns, commander) {
-            Claim::Nobody => Err(Denial::NoSetpoints),
+            Claim::Nobody => Err(self
+                .setpoints
+                .refused(self.now_ns, max_age_ns)
+                .map_or(Denial::NoSetpoints, Denial::SetpointsRefused)),
             Claim::Several(sources) => Err(Denial::SeveralSources(sources)),
             Claim::Owner(owner) => {
                 self.clear_failsafe();
@@ -183,13 +204,20 @@ impl Core {
     }
 
     /// Climbs to `height_m` above home, or to MIS_TAKEOFF_ALT where none is given or it is not above the vehicle.
-    pub fn take_off(&mut self, height_m: Option<f32>) {
+    pub fn take_off(&mut self, height_m: Option<f32>) -> Result<(), Denial> {
+        if self.commander.broken {
+            return Err(Denial::Broken("takeoff"));
+        }
+        if self.commander.terminated {
+            return Err(Denial::TakeoffTerminated);
+        }
         self.clear_failsafe();
         if self.commander.armed {
             self.begin_climb(height_m);
         } else {
             self.enter(FlightMode::Takeoff, Maneuver::Grounded { height_m });
         }
+        Ok(())
     }
 
     pub(super) fn begin_climb(&mut self, height_m: Option<f32>) {

@@ -14,6 +14,14 @@ use vigil_vehicle::{ControlCommand, YawCommand};
 const INTEREST_RADIUS_M: f32 = 1.0;
 /// Thrust that carries the weight.
 pub(super) const HOVER_THRUST: f32 = 0.5;
+/// The fastest touch-down that is flown whatever MPC_LAND_SPEED says: from 1.5 m/s on something breaks.
+const TOUCH_DOWN_M_S: f32 = 1.0;
+/// Below this height the vehicle comes down no faster than it may touch down, and above it this much faster a metre.
+const TOUCH_DOWN_HEIGHT_M: f32 = 1.0;
+const TOUCH_DOWN_SLOPE_PER_S: f32 = 0.6;
+/// So near to a place on the ground, and so slow, the vehicle goes down to it.
+const TOUCH_DOWN_RADIUS_M: f32 = 1.0;
+const TOUCH_DOWN_DRIFT_M_S: f32 = 0.5;
 /// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
 const BRAKE_NS: Nanos = 3_000_000_000;
 
@@ -24,6 +32,11 @@ impl Core {
         if !self.commander.is_armed() || self.commander.is_terminated() {
             return ControlCommand::MotorsOff;
         }
+        let command = self.fly_maneuver();
+        self.touching_down_softly(command)
+    }
+
+    fn fly_maneuver(&mut self) -> ControlCommand {
         let on_ground = self.commander.is_on_ground();
         self.watch_position();
         if self.commander.mode() == FlightMode::Mission {
@@ -50,6 +63,78 @@ impl Core {
             Maneuver::Follow { waits_ned_m } => self.fly_follow(waits_ned_m),
             // In the air there is nothing to wait for.
             Maneuver::Grounded { .. } => self.fly_brake(None, None),
+        }
+    }
+
+    /// How fast the vehicle may come down where it is, metres per second.
+    fn descent_limit_m_s(&self) -> f32 {
+        let height_m = -self.view.estimate.position_ned_m.z;
+        let above_m = (height_m - TOUCH_DOWN_HEIGHT_M).max(0.0);
+        self.param(ParamId::LandSpeedMS).min(TOUCH_DOWN_M_S) + TOUCH_DOWN_SLOPE_PER_S * above_m
+    }
+
+    /// Velocities and places that lead into the ground end on it: the world is level at home's height.
+    fn touching_down_softly(&self, command: ControlCommand) -> ControlCommand {
+        let limit_m_s = self.descent_limit_m_s();
+        let down_m_s = limit_m_s.min(self.param(ParamId::MaxDownMS));
+        match command {
+            ControlCommand::VelocityHeading { velocity_m_s: v, yaw } => ControlCommand::VelocityHeading {
+                velocity_m_s: HeadingVector::new(v.x, v.y, v.z.min(limit_m_s)),
+                yaw,
+            },
+            ControlCommand::VelocityNed { velocity_m_s: v, yaw } => ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::new(v.x, v.y, v.z.min(limit_m_s)),
+                yaw,
+            },
+            ControlCommand::VelocityAtHeight {
+                velocity_m_s: v,
+                down_m,
+                yaw,
+            } if down_m >= 0.0 => ControlCommand::VelocityNed {
+                velocity_m_s: NedVector::new(v.x, v.y, down_m_s),
+                yaw,
+            },
+            ControlCommand::ClimbAtPlace {
+                position_ned_m,
+                down_m_s,
+                speed_limit_m_s,
+                yaw,
+            } => ControlCommand::ClimbAtPlace {
+                position_ned_m,
+                down_m_s: down_m_s.min(limit_m_s),
+                speed_limit_m_s,
+                yaw,
+            },
+            ControlCommand::Position {
+                position_ned_m,
+                velocity_m_s,
+                speed_limit_m_s,
+                yaw,
+            } if position_ned_m.z >= 0.0 => {
+                let estimate = &self.view.estimate;
+                let off_m = (position_ned_m - estimate.position_ned_m).horizontal_norm();
+                let is_there =
+                    off_m < TOUCH_DOWN_RADIUS_M && estimate.velocity_ned_m_s.horizontal_norm() < TOUCH_DOWN_DRIFT_M_S;
+                if is_there {
+                    ControlCommand::ClimbAtPlace {
+                        position_ned_m,
+                        down_m_s,
+                        speed_limit_m_s,
+                        yaw,
+                    }
+                } else {
+                    ControlCommand::Position {
+                        position_ned_m: NedVector::new(position_ned_m.x, position_ned_m.y, -TOUCH_DOWN_HEIGHT_M),
+                        velocity_m_s,
+                        speed_limit_m_s,
+                        yaw,
+                    }
+                }
+            }
+            ControlCommand::Descend { rate_m_s } => ControlCommand::Descend {
+                rate_m_s: rate_m_s.min(limit_m_s),
+            },
+            other => other,
         }
     }
 

@@ -10,6 +10,8 @@ use vigil_vehicle::{ControlCommand, YawCommand};
 const LOST_AFTER_NS: Nanos = 3_000_000_000;
 /// Slower than this it stands, and its course is what it was.
 const STANDING_M_S: f32 = 0.5;
+/// No lower than this, metres above home; the least of FLW_TGT_HT.
+const LEAST_HEIGHT_M: f32 = 1.0;
 /// Speed by which the vehicle may outrun its target to get to its place.
 const CATCH_UP_M_S: f32 = 3.0;
 
@@ -78,7 +80,8 @@ impl Core {
         let height_m = self.param(ParamId::FollowHeightM);
         // FLW_TGT_ALT_M 2 counts the height from the target; the world is level, so that 0 and 1 are the same.
         let down_m = match self.param(ParamId::FollowAltitudeMode) as i32 {
-            2 => now_at.z - height_m,
+            // A target may be told to be anywhere: not into the ground.
+            2 => (now_at.z - height_m).min(-LEAST_HEIGHT_M),
             _ => -height_m,
         };
         let place = NedVector::new(

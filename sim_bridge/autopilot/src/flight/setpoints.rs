@@ -24,12 +24,17 @@ const ABSURD_ACCELERATION_M_S2: f32 = 100.0;
 const ABSURD_RATE_RAD_S: f32 = 100.0;
 
 /// Why a setpoint is not flown.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum SetpointDefect {
-    /// A frame or type mask that the vehicle does not fly.
-    Form,
-    /// A value that is used is NaN, infinite or absurd.
-    Value,
+    #[error("frame {0} is not flown")]
+    Frame(u8),
+    #[error("frame 8 has no positions")]
+    PositionInBodyFrame,
+    #[error("mask {0:#05x} is not flown")]
+    Mask(u16),
+    /// A field that the mask uses.
+    #[error("{0} is NaN or absurd")]
+    Value(&'static str),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -46,6 +51,8 @@ struct SourceState {
 pub(crate) struct Setpoints {
     sources: Vec<SourceState>,
     owner: Option<Source>,
+    /// The last that was refused.
+    refused: Option<(Nanos, SetpointDefect)>,
 }
 
 /// Who would own OFFBOARD if it were entered now.
@@ -79,6 +86,18 @@ impl Setpoints {
         self.owner_state()
             .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
             .map(|s| s.command)
+    }
+
+    /// Remembers that a setpoint was refused.
+    pub fn refuse(&mut self, now_ns: Nanos, defect: SetpointDefect) {
+        self.refused = Some((now_ns, defect));
+    }
+
+    /// Why setpoints are refused that come in place of valid ones.
+    pub fn refused(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<SetpointDefect> {
+        self.refused
+            .filter(|(at_ns, _)| now_ns.saturating_sub(*at_ns) <= max_age_ns)
+            .map(|(_, defect)| defect)
     }
 
     /// Takes a source's newest setpoint.
@@ -159,13 +178,18 @@ const NONE: [bool; 3] = [false, false, false];
 const HORIZONTAL: [bool; 3] = [true, true, false];
 const VERTICAL: [bool; 3] = [false, false, true];
 
-fn usable(values: impl IntoIterator<Item = f32>, limit: f32) -> Result<(), SetpointDefect> {
+/// Whether the used ones of some fields are numbers within the limit.
+fn check(used: [bool; 3], names: [&'static str; 3], values: [f32; 3], limit: f32) -> Result<(), SetpointDefect> {
+    let mut fields = used.into_iter().zip(names).zip(values);
     // NaN fails the comparison.
-    if values.into_iter().all(|v| v.abs() <= limit) {
-        Ok(())
-    } else {
-        Err(SetpointDefect::Value)
+    match fields.find(|((is_used, _), value)| *is_used && !(value.abs() <= limit)) {
+        None => Ok(()),
+        Some(((_, name), _)) => Err(SetpointDefect::Value(name)),
     }
+}
+
+fn check_one(name: &'static str, value: f32, limit: f32) -> Result<(), SetpointDefect> {
+    check([true, false, false], [name; 3], [value; 3], limit)
 }
 
 /// What a SET_POSITION_TARGET_LOCAL_NED asks for. Frames 1 and 8 as in PX4: frame 8 is turned by yaw alone and has no
@@ -194,37 +218,36 @@ pub(crate) fn position_setpoint(
     ]);
     let accelerates = acceleration != NONE;
     let is_force = m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET);
-    if accelerates && (acceleration != ALL || is_force) {
-        return Err(SetpointDefect::Form);
-    }
-    let check = |axes: [bool; 3], values: [f32; 3], limit: f32| {
-        let values = axes.into_iter().zip(values).filter(|(is_used, _)| *is_used);
-        usable(values.map(|(_, value)| value), limit)
+    let is_local = match m.coordinate_frame {
+        MavFrame::MAV_FRAME_LOCAL_NED => true,
+        MavFrame::MAV_FRAME_BODY_NED => false,
+        other => return Err(SetpointDefect::Frame(other as u8)),
     };
-    check(velocity, [m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
-    check(acceleration, [m.afx, m.afy, m.afz], ABSURD_ACCELERATION_M_S2)?;
+    if !is_local && position != NONE {
+        return Err(SetpointDefect::PositionInBodyFrame);
+    }
+    let not_flown = Err(SetpointDefect::Mask(m.type_mask.bits()));
+    if accelerates && (acceleration != ALL || is_force) {
+        return not_flown;
+    }
+    check(position, ["x", "y", "z"], [m.x, m.y, m.z], ABSURD_POSITION_M)?;
+    check(velocity, ["vx", "vy", "vz"], [m.vx, m.vy, m.vz], ABSURD_VELOCITY_M_S)?;
+    let a = [m.afx, m.afy, m.afz];
+    check(acceleration, ["afx", "afy", "afz"], a, ABSURD_ACCELERATION_M_S2)?;
     let yaw = if !m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_IGNORE) {
-        usable([m.yaw], ABSURD_RATE_RAD_S)?;
+        check_one("yaw", m.yaw, ABSURD_RATE_RAD_S)?;
         YawCommand::Angle { yaw_rad: m.yaw }
     } else if !m
         .type_mask
         .contains(PositionMask::POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE)
     {
-        usable([m.yaw_rate], ABSURD_RATE_RAD_S)?;
+        check_one("yaw_rate", m.yaw_rate, ABSURD_RATE_RAD_S)?;
         YawCommand::Rate {
             yaw_rate_rad_s: m.yaw_rate,
         }
     } else {
         YawCommand::Hold
     };
-    let is_local = match m.coordinate_frame {
-        MavFrame::MAV_FRAME_LOCAL_NED => true,
-        MavFrame::MAV_FRAME_BODY_NED => false,
-        _ => return Err(SetpointDefect::Form),
-    };
-    if is_local {
-        check(position, [m.x, m.y, m.z], ABSURD_POSITION_M)?;
-    }
     let velocity_ned = NedVector::new(m.vx, m.vy, m.vz);
     match (position, velocity) {
         (ALL, ALL | NONE) if is_local => Ok(ControlCommand::Position {
@@ -260,7 +283,7 @@ pub(crate) fn position_setpoint(
             },
             yaw,
         }),
-        _ => Err(SetpointDefect::Form),
+        _ => not_flown,
     }
 }
 
@@ -274,7 +297,7 @@ pub(crate) fn global_setpoint(
     let height_m = match m.coordinate_frame {
         MavFrame::MAV_FRAME_GLOBAL | MavFrame::MAV_FRAME_GLOBAL_INT => (f64::from(m.alt) - home.altitude_m) as f32,
         MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT | MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT => m.alt,
-        _ => return Err(SetpointDefect::Form),
+        other => return Err(SetpointDefect::Frame(other as u8)),
     };
     let (x, y) = geo::to_local(home, f64::from(m.lat_int) * 1e-7, f64::from(m.lon_int) * 1e-7);
     let local = SET_POSITION_TARGET_LOCAL_NED_DATA {
@@ -293,7 +316,12 @@ pub(crate) fn global_setpoint(
         coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
         ..Default::default()
     };
-    position_setpoint(&local, speed_limit_m_s, 0.0)
+    position_setpoint(&local, speed_limit_m_s, 0.0).map_err(|defect| match defect {
+        SetpointDefect::Value("x") => SetpointDefect::Value("lat_int"),
+        SetpointDefect::Value("y") => SetpointDefect::Value("lon_int"),
+        SetpointDefect::Value("z") => SetpointDefect::Value("alt"),
+        other => other,
+    })
 }
 
 /// What a SET_ATTITUDE_TARGET asks for: attitude and thrust, with a yaw rate if it has one, or body rates and thrust.
@@ -303,11 +331,12 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
         | AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE;
     let no_thrust =
         AttitudeMask::ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE | AttitudeMask::ATTITUDE_TARGET_TYPEMASK_THRUST_BODY_SET;
+    let not_flown = SetpointDefect::Mask(u16::from(m.type_mask.bits()));
     if m.type_mask.intersects(no_thrust) {
-        return Err(SetpointDefect::Form);
+        return Err(not_flown);
     }
     if !(0.0..=1.0).contains(&m.thrust) {
-        return Err(SetpointDefect::Value);
+        return Err(SetpointDefect::Value("thrust"));
     }
     if !m
         .type_mask
@@ -317,7 +346,7 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
             .type_mask
             .contains(AttitudeMask::ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE);
         let yaw_rate_rad_s = if turns { m.body_yaw_rate } else { 0.0 };
-        usable([yaw_rate_rad_s], ABSURD_RATE_RAD_S)?;
+        check_one("body_yaw_rate", yaw_rate_rad_s, ABSURD_RATE_RAD_S)?;
         let [w, x, y, z] = m.q;
         let attitude = Attitude { w, x, y, z };
         return if attitude.is_valid() {
@@ -327,14 +356,15 @@ pub(crate) fn attitude_setpoint(m: &SET_ATTITUDE_TARGET_DATA) -> Result<ControlC
                 thrust: m.thrust,
             })
         } else {
-            Err(SetpointDefect::Value)
+            Err(SetpointDefect::Value("q"))
         };
     }
     if m.type_mask.intersects(rates) {
-        return Err(SetpointDefect::Form);
+        return Err(not_flown);
     }
     let wanted = [m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate];
-    usable(wanted, ABSURD_RATE_RAD_S)?;
+    let names = ["body_roll_rate", "body_pitch_rate", "body_yaw_rate"];
+    check(ALL, names, wanted, ABSURD_RATE_RAD_S)?;
     let [p, q, r] = wanted;
     Ok(ControlCommand::Rates {
         rates_frd_rad_s: FrdVector::new(p, q, r),
@@ -460,31 +490,30 @@ mod tests {
     #[test]
     fn what_the_vehicle_does_not_fly_is_refused_not_guessed() {
         use MavFrame::{MAV_FRAME_BODY_NED as BODY, MAV_FRAME_BODY_OFFSET_NED as OFFSET, MAV_FRAME_LOCAL_NED as LOCAL};
-        // Another frame; positions in the body frame; half an acceleration; a force; nothing at all; half a velocity, alone
-        // and beside a position; half a position.
-        for (frame, mask) in [
-            (OFFSET, 0x5C7),
-            (BODY, 0x9F8),
-            (LOCAL, 0xCBF),
-            (LOCAL, 0xE3F),
-            (LOCAL, 0xFFF),
-            (LOCAL, 0x5D7),
-            (LOCAL, 0x5FB),
-            (LOCAL, 0x9C8),
-        ] {
+        assert_eq!(
+            position_setpoint(&ned(OFFSET, 0x5C7), 5.0, 0.0),
+            Err(SetpointDefect::Frame(9))
+        );
+        assert_eq!(
+            position_setpoint(&ned(BODY, 0x9F8), 5.0, 0.0),
+            Err(SetpointDefect::PositionInBodyFrame)
+        );
+        // Half an acceleration; a force; nothing at all; a heading alone; half a velocity, alone and beside a position; half a
+        // position.
+        for mask in [0xCBF, 0xE3F, 0xFFF, 0xBFF, 0x5D7, 0x5FB, 0x9C8] {
             assert_eq!(
-                position_setpoint(&ned(frame, mask), 5.0, 0.0),
-                Err(SetpointDefect::Form),
-                "{frame:?} {mask:#x}"
+                position_setpoint(&ned(LOCAL, mask), 5.0, 0.0),
+                Err(SetpointDefect::Mask(mask)),
+                "{mask:#x}"
             );
         }
         for bad in [f32::NAN, f32::INFINITY, 1e9] {
             let mut m = ned(BODY, 0x5C7);
             m.vy = bad;
-            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value));
+            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value("vy")));
             let mut m = ned(BODY, 0x5C7);
             m.yaw_rate = bad;
-            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value));
+            assert_eq!(position_setpoint(&m, 5.0, 0.0), Err(SetpointDefect::Value("yaw_rate")));
             // A field that the mask ignores may hold anything: MAVSDK sends NaN there.
             let mut m = ned(BODY, 0x5C7);
             m.x = bad;
@@ -515,9 +544,9 @@ mod tests {
         assert!((place(&m) - wanted).norm() < 0.05, "{:?}", place(&m));
         // On the other side of the globe: absurd.
         m.lat_int = -m.lat_int;
-        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Value));
+        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Value("lat_int")));
         m.coordinate_frame = MavFrame::MAV_FRAME_GLOBAL_TERRAIN_ALT_INT;
-        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Form));
+        assert_eq!(global_setpoint(&m, &home, 5.0), Err(SetpointDefect::Frame(11)));
     }
 
     #[test]
@@ -545,14 +574,15 @@ mod tests {
             })
         );
         for mask in [0x47, 0x27, 0x87] {
-            assert_eq!(attitude_setpoint(&target(mask)), Err(SetpointDefect::Form));
+            let refused = Err(SetpointDefect::Mask(u16::from(mask)));
+            assert_eq!(attitude_setpoint(&target(mask)), refused);
         }
         let mut skewed = target(0x07);
         skewed.q = [0.5, 0.0, 0.0, 0.0];
-        assert_eq!(attitude_setpoint(&skewed), Err(SetpointDefect::Value));
+        assert_eq!(attitude_setpoint(&skewed), Err(SetpointDefect::Value("q")));
         let mut excessive = target(0x80);
         excessive.thrust = 1.5;
-        assert_eq!(attitude_setpoint(&excessive), Err(SetpointDefect::Value));
+        assert_eq!(attitude_setpoint(&excessive), Err(SetpointDefect::Value("thrust")));
     }
 
     fn source(system: u8, component: u8) -> Source {

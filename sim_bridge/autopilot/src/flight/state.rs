@@ -2,6 +2,7 @@
 //! know the core; these types do not.
 
 use crate::flight::mode::FlightMode;
+use crate::flight::setpoints::SetpointDefect;
 use crate::plan::Breach;
 use crate::source::Source;
 use vigil_types::{FrdVector, Nanos, NedVector};
@@ -43,6 +44,10 @@ pub enum Failsafe {
 pub(crate) enum Denial {
     #[error("arming denied: flight terminated, reboot first")]
     Terminated,
+    #[error("{0} denied: broken by a collision, reboot first")]
+    Broken(&'static str),
+    #[error("takeoff denied: flight terminated, reboot first")]
+    TakeoffTerminated,
     #[error("arming denied: vehicle is tilted")]
     Tilted,
     #[error("{} denied: no manual control", .0.name())]
@@ -53,6 +58,8 @@ pub(crate) enum Denial {
     NotLanded,
     #[error("offboard denied: no setpoints")]
     NoSetpoints,
+    #[error("offboard denied: {0}")]
+    SetpointsRefused(SetpointDefect),
     #[error("offboard denied: setpoints from {}", list(.0))]
     SeveralSources(Vec<Source>),
     #[error("offboard denied: {0} owns it")]
@@ -81,6 +88,8 @@ fn list(sources: &[Source]) -> String {
 pub(crate) struct Commander {
     pub(super) armed: bool,
     pub(super) terminated: bool,
+    /// Hit something: nothing flies until a reboot.
+    pub(super) broken: bool,
     pub(super) mode: FlightMode,
     /// The mode before a failsafe changed it.
     pub(super) intended_mode: FlightMode,
@@ -118,6 +127,10 @@ impl Commander {
 
     pub fn is_armed(&self) -> bool {
         self.armed
+    }
+
+    pub fn is_broken(&self) -> bool {
+        self.broken
     }
 
     pub fn is_terminated(&self) -> bool {

@@ -2,6 +2,7 @@
 //! that they do not know, but such an item must be answered.
 
 use crate::plan::PlanDefect;
+use crate::services::BELOW_HOME_M;
 use crate::{HomePosition, geo, used_parameters};
 use serde::{Deserialize, Serialize};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
@@ -153,7 +154,7 @@ impl PlanItem {
     }
 
     /// Parameters 5 and 6 as metres north and east of home; `None` where both are zero or not given.
-    fn north_east_m(&self, home: &HomePosition) -> Result<Option<(f32, f32)>, PlanDefect> {
+    pub fn north_east_m(&self, home: &HomePosition) -> Result<Option<(f32, f32)>, PlanDefect> {
         let defect = |result, reason| Err(PlanDefect::new(result, reason));
         if !is_global(self.frame) {
             return defect(MavMissionResult::MAV_MISSION_UNSUPPORTED_FRAME, "frame is not global");
@@ -190,6 +191,12 @@ impl PlanItem {
             return Err(PlanDefect::new(
                 MavMissionResult::MAV_MISSION_INVALID_PARAM7,
                 "height beyond 500 m",
+            ));
+        }
+        if height_m < -BELOW_HOME_M {
+            return Err(PlanDefect::new(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM7,
+                "below home; frames 3 and 6 count from it",
             ));
         }
         Ok(Place {

@@ -1,6 +1,7 @@
 //! The mission: what its items mean, and how far it is done. How it is flown is `flight::mission`.
 
 use crate::HomePosition;
+use crate::core::nanos;
 use crate::plan::{Place, PlanDefect, PlanItem, Wire};
 use vigil_mavlink::common::{MavMissionResult, MissionState};
 use vigil_types::Nanos;
@@ -92,14 +93,10 @@ fn invalid(result: MavMissionResult, reason: &'static str) -> PlanDefect {
 
 fn seconds(item: &PlanItem) -> Result<Nanos, PlanDefect> {
     let wait_s = item.param(1).unwrap_or(0.0);
-    if (0.0..=MAX_WAIT_S).contains(&wait_s) {
-        Ok((f64::from(wait_s) * 1e9) as Nanos)
-    } else {
-        Err(invalid(
-            MavMissionResult::MAV_MISSION_INVALID_PARAM1,
-            "time is not within 0 and 86400 s",
-        ))
-    }
+    nanos(f64::from(wait_s)).filter(|_| wait_s <= MAX_WAIT_S).ok_or(invalid(
+        MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+        "time is not within 0 and 86400 s",
+    ))
 }
 
 /// A heading in degrees, in radians.
@@ -145,7 +142,16 @@ impl MissionItem {
                 acceptance_m: None,
                 purpose: Purpose::Visit { stay_ns: 0 },
             })),
-            NAV_LAND => leg(Purpose::Land, None),
+            // Where the ground is, is not the item's to say.
+            NAV_LAND => Ok(Self::Leg(Leg {
+                place: Place {
+                    north_east_m: item.north_east_m(home)?,
+                    height_m: None,
+                },
+                yaw_rad: heading_rad(item, 4, R::MAV_MISSION_INVALID_PARAM4)?,
+                acceptance_m: None,
+                purpose: Purpose::Land,
+            })),
             NAV_TAKEOFF => leg(Purpose::TakeOff, None),
             NAV_RETURN_TO_LAUNCH => Ok(Self::Return),
             NAV_DELAY => Ok(Self::Delay {

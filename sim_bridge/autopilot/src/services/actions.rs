@@ -24,6 +24,8 @@ const CUSTOM_MODE: u8 = 1;
 /// Farther than this is a mistake in the coordinates, not a place to fly to.
 pub(super) const MAX_DISTANCE_M: f32 = 10_000.0;
 const MAX_HEIGHT_M: f32 = 500.0;
+/// A height that is farther below home was meant above something else than its frame says; the world is level.
+pub(crate) const BELOW_HOME_M: f32 = 1.0;
 
 pub(crate) struct Actions;
 
@@ -86,6 +88,18 @@ pub(super) fn height_m(core: &Core, frame: u8, altitude_m: f32) -> Option<f32> {
     }
 }
 
+/// Whether a height above home is one to fly at; told where it is not.
+fn is_flown_at(height_m: f32, core: &mut Core) -> bool {
+    let is_sound = (-BELOW_HOME_M..=MAX_HEIGHT_M).contains(&height_m);
+    if height_m < -BELOW_HOME_M {
+        let text = format!("denied: {:.0} m below home; frames 3 and 6 count from it", -height_m);
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+    } else if !is_sound {
+        core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
+    }
+    is_sound
+}
+
 /// Parameter 7 is above sea level in a COMMAND_LONG, as in PX4; NaN takes MIS_TAKEOFF_ALT.
 fn take_off(command: &Command, core: &mut Core) -> Answer {
     let height = match command.param(7) {
@@ -95,8 +109,8 @@ fn take_off(command: &Command, core: &mut Core) -> Answer {
             _ => return Answer::DENIED,
         },
     };
-    core.take_off(height);
-    Answer::ACCEPTED
+    let outcome = core.take_off(height);
+    answer(outcome, core)
 }
 
 /// The place of parameters 5 to 7 in a global frame, NaN or the largest integer for "where the vehicle is"; `None` if it
@@ -111,6 +125,9 @@ pub(super) fn place(command: &Command, core: &mut Core) -> Option<NedVector> {
 
 /// The same with its height above home given; `None` is the vehicle's.
 pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core) -> Option<NedVector> {
+    if height_m.is_some_and(|height_m| !is_flown_at(height_m, core)) {
+        return None;
+    }
     let here = core.view.estimate.position_ned_m;
     let horizontal = match command.form {
         CommandForm::Int { x: i32::MAX, .. } | CommandForm::Int { y: i32::MAX, .. } => None,
@@ -123,8 +140,8 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
     };
     let z = height_m.map_or(here.z, |height_m| -height_m);
     let position = NedVector::new(x, y, z);
-    // NaN fails both comparisons.
-    let is_near = position.horizontal_norm() <= MAX_DISTANCE_M && z.abs() <= MAX_HEIGHT_M;
+    // NaN fails the comparison.
+    let is_near = position.horizontal_norm() <= MAX_DISTANCE_M;
     if !is_near {
         core.text(MavSeverity::MAV_SEVERITY_WARNING, "denied: too far from home");
     }
@@ -151,10 +168,12 @@ fn change_altitude(command: &Command, core: &mut Core) -> Answer {
     let (Some(altitude_m), Some(frame)) = (command.param(1), frame) else {
         return Answer::DENIED;
     };
-    let height = height_m(core, frame as u8, altitude_m).filter(|height| (0.0..=MAX_HEIGHT_M).contains(height));
-    let Some(height) = height else {
+    let Some(height) = height_m(core, frame as u8, altitude_m) else {
         return Answer::DENIED;
     };
+    if !is_flown_at(height, core) {
+        return Answer::DENIED;
+    }
     let here = core.view.estimate.position_ned_m;
     let outcome = core.go_to(NedVector::new(here.x, here.y, -height), YawCommand::Hold, None);
     answer(outcome, core)

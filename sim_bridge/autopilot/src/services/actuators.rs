@@ -3,7 +3,7 @@
 //! the propellers are off.
 
 use crate::LinkId;
-use crate::core::Core;
+use crate::core::{Core, nanos};
 use crate::service::{Answer, Build, Produced, Service, Source};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{ACTUATOR_OUTPUT_STATUS_DATA, MavSeverity, SERVO_OUTPUT_RAW_DATA};
@@ -60,13 +60,14 @@ impl Service for Actuators {
             return Some(Answer::UNSUPPORTED);
         };
         let lasts_s = lasts_s.filter(|s| *s > 0.0).unwrap_or(LONGEST_TEST_S);
-        *test = match output {
-            None => None,
-            Some(output) if (0.0..=1.0).contains(&output) && lasts_s <= LONGEST_TEST_S => Some(Test {
+        let lasts_ns = nanos(f64::from(lasts_s)).filter(|_| lasts_s <= LONGEST_TEST_S);
+        *test = match (output, lasts_ns) {
+            (None, _) => None,
+            (Some(output), Some(lasts_ns)) if (0.0..=1.0).contains(&output) => Some(Test {
                 pulse_us: 1000.0 + 1000.0 * output,
-                until_ns: core.now_ns + (f64::from(lasts_s) * 1e9) as Nanos,
+                until_ns: core.now_ns + lasts_ns,
             }),
-            Some(_) => return Some(Answer::DENIED),
+            (Some(_), _) => return Some(Answer::DENIED),
         };
         Some(Answer::ACCEPTED)
     }

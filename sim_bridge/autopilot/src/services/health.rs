@@ -40,6 +40,7 @@ fn sys_status(core: &Core) -> Option<MavMessage> {
         !lost.barometer.is_lost(),
     );
     health.set(Sensor::MAV_SYS_STATUS_SENSOR_3D_MAG, !lost.magnetometer.is_lost());
+    health.set(Sensor::MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS, !core.commander.is_broken());
     let attitude = core.view.estimate.attitude;
     health.set(
         Sensor::MAV_SYS_STATUS_AHRS,

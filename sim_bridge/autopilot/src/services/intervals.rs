@@ -49,7 +49,9 @@ pub(crate) fn message_interval(
             let Some(interval_us) = command.param(2) else {
                 return Some(Answer::DENIED);
             };
-            streams.set_interval(core.now_ns, source.link, id, interval_us);
+            if !streams.set_interval(core.now_ns, source.link, id, interval_us) {
+                return Some(Answer::DENIED);
+            }
         }
         // Known, but nothing to tell: a setpoint's echo outside OFFBOARD, a sensor that the vehicle does not have.
         _ if !streams.has(source.link, core, services, id) => return Some(Answer::DENIED),

@@ -43,6 +43,7 @@ mod vibration;
 
 use crate::service::Service;
 
+pub(crate) use actions::BELOW_HOME_M;
 pub(crate) use intervals::message_interval;
 
 /// Every service: a new one needs its line here. Commands are offered in this order; a message goes to all.

@@ -3,6 +3,7 @@
 use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::{Service, Source};
+use crate::services::BELOW_HOME_M;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
@@ -11,13 +12,55 @@ use vigil_mavlink::common::{
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
+use vigil_vehicle::ControlCommand;
 
-/// Claimants are told of this often at most: there may be any number of made-up ones.
+/// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;
+/// The same reason is told to the same sender again after this time.
+const REPEATED_NS: Nanos = 5_000_000_000;
+/// Where both messages of positions have their frame.
+const FRAME_AT: usize = 52;
 
 #[derive(Default)]
 pub(crate) struct SetpointService {
     told_next_ns: Nanos,
+    /// The refusal that was told last, and when.
+    refusal: Option<(Nanos, Source, SetpointDefect)>,
+    ground_next_ns: Nanos,
+}
+
+impl SetpointService {
+    /// Counts a setpoint that is not flown, and says why: from a stream that is refused nobody hears "no setpoints".
+    fn refuse(&mut self, defect: SetpointDefect, source: Source, core: &mut Core) {
+        match defect {
+            SetpointDefect::Value(_) => core.refusals.setpoint_value += 1,
+            _ => core.refusals.setpoint_form += 1,
+        }
+        core.setpoints.refuse(core.now_ns, defect);
+        let is_due = self.refusal.is_none_or(|(at_ns, to, of)| {
+            let since_ns = core.now_ns.saturating_sub(at_ns);
+            since_ns >= REPEATED_NS || ((to, of) != (source, defect) && since_ns >= TOLD_NS)
+        });
+        if is_due {
+            self.refusal = Some((core.now_ns, source, defect));
+            let text = format!("setpoints of {}: {defect}", source.id);
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        }
+    }
+
+    /// A place below home is flown as PX4 flies it, to the ground; it was hardly meant so.
+    fn warn_of_ground(&mut self, command: &ControlCommand, source: Source, core: &mut Core) {
+        let down_m = match command {
+            ControlCommand::Position { position_ned_m, .. } => position_ned_m.z,
+            ControlCommand::VelocityAtHeight { down_m, .. } => *down_m,
+            _ => return,
+        };
+        if down_m > BELOW_HOME_M && core.now_ns >= self.ground_next_ns {
+            self.ground_next_ns = core.now_ns + REPEATED_NS;
+            let text = format!("setpoints of {}: {down_m:.0} m below home", source.id);
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+        }
+    }
 }
 
 impl Service for SetpointService {
@@ -36,31 +79,36 @@ impl Service for SetpointService {
             Ok(MavMessage::SET_POSITION_TARGET_LOCAL_NED(m)) => position_setpoint(&m, speed_limit_m_s, heading_rad),
             Ok(MavMessage::SET_POSITION_TARGET_GLOBAL_INT(m)) => global_setpoint(&m, &core.home, speed_limit_m_s),
             Ok(MavMessage::SET_ATTITUDE_TARGET(m)) => attitude_setpoint(&m),
+            // What is not parsed is a frame that the protocol does not have.
             _ => {
                 core.refusals.not_parsed += 1;
-                return;
+                Err(SetpointDefect::Frame(
+                    packet.payload().get(FRAME_AT).copied().unwrap_or(0),
+                ))
             }
         };
         match command {
-            Err(SetpointDefect::Form) => core.refusals.setpoint_form += 1,
-            Err(SetpointDefect::Value) => core.refusals.setpoint_value += 1,
-            Ok(command) => match core.setpoints.take(core.now_ns, source, command) {
-                Taken::Own => {}
-                Taken::Ignored => core.refusals.setpoint_foreign += 1,
-                Taken::IgnoredFirst => {
-                    core.refusals.setpoint_foreign += 1;
-                    if core.now_ns >= self.told_next_ns
-                        && let Some(owner) = core.setpoints.owner()
-                    {
-                        self.told_next_ns = core.now_ns + TOLD_NS;
-                        let text = match owner.id == source.id {
-                            true => format!("setpoints of a second {source} ignored"),
-                            false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
-                        };
-                        core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+            Err(defect) => self.refuse(defect, source, core),
+            Ok(command) => {
+                self.warn_of_ground(&command, source, core);
+                match core.setpoints.take(core.now_ns, source, command) {
+                    Taken::Own => {}
+                    Taken::Ignored => core.refusals.setpoint_foreign += 1,
+                    Taken::IgnoredFirst => {
+                        core.refusals.setpoint_foreign += 1;
+                        if core.now_ns >= self.told_next_ns
+                            && let Some(owner) = core.setpoints.owner()
+                        {
+                            self.told_next_ns = core.now_ns + TOLD_NS;
+                            let text = match owner.id == source.id {
+                                true => format!("setpoints of a second {source} ignored"),
+                                false => format!("setpoints of {} ignored: owner {}", source.id, owner.id),
+                            };
+                            core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+                        }
                     }
                 }
-            },
+            }
         }
     }
 }

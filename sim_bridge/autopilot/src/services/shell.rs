@@ -137,11 +137,8 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
         ["commander", "arm"] => outcome(core.arm()),
         ["commander", "disarm"] => outcome(core.disarm(false)),
         ["commander", "takeoff"] => {
-            let armed = core.arm();
-            if armed.is_ok() {
-                core.take_off(None);
-            }
-            outcome(armed)
+            let taken_off = core.arm().and_then(|()| core.take_off(None));
+            outcome(taken_off)
         }
         ["commander", "land"] => outcome(core.change_mode(FlightMode::Land, client)),
         ["commander", "mode", name] => {

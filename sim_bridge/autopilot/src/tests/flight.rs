@@ -1,9 +1,10 @@
 //! Arm, fly, land: what a script does.
 
 use crate::testing::*;
-use crate::{FlightMode, LandedState};
+use crate::{FlightMode, HomePosition, LandedState, ParameterValue};
 use vigil_mavlink::MavMessage;
-use vigil_mavlink::common::{COMMAND_INT_DATA, MANUAL_CONTROL_DATA, MavCmd, MavFrame, MavModeFlag, MavState};
+use vigil_mavlink::common::*;
+use vigil_types::NedVector;
 use vigil_vehicle::ControlCommand;
 
 #[test]
@@ -367,4 +368,107 @@ fn the_height_alone_can_be_changed() {
     assert_eq!(change(&mut b, 5.0, 1.0), DENIED);
     assert_eq!(change(&mut b, 900.0, 3.0), DENIED);
     assert_eq!(b.status().mode, FlightMode::Hold);
+}
+
+/// Home lies 488 m above sea level. A height that was meant above the ground is sent in a frame that counts from the sea.
+#[test]
+fn a_go_to_far_below_home_is_denied_with_what_its_height_means() {
+    let home = HomePosition::default();
+    let (lat, lon, _) = crate::geo::to_global(&home, NedVector::new(5.0, 0.0, 0.0));
+    let altitude = |b: &mut Bench, altitude_m: f32, frame: f32| {
+        b.command_long(API, SCRIPT, 186, [altitude_m, frame, 0.0, 0.0, 0.0, 0.0, 0.0])
+    };
+    let orbit = |b: &mut Bench, altitude_m: f32| {
+        b.command_long(
+            API,
+            SCRIPT,
+            34,
+            [3.0, 1.0, 0.0, 0.0, lat as f32, lon as f32, altitude_m],
+        )
+    };
+    for (frame, height_m, below_m) in [
+        (MavFrame::MAV_FRAME_GLOBAL_INT, 5.0, 483),
+        (MavFrame::MAV_FRAME_GLOBAL, 5.0, 483),
+        (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, -5.0, 5),
+        (MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT, -5.0, 5),
+    ] {
+        let mut b = Bench::airborne();
+        assert_eq!(b.reposition(frame, lat, lon, height_m, f32::NAN), DENIED, "{frame:?}");
+        let told = format!("denied: {below_m} m below home");
+        assert!(b.texts().iter().any(|text| text.starts_with(&told)), "{:?}", b.texts());
+        b.sent.clear();
+        assert_eq!(altitude(&mut b, height_m, f32::from(frame as u8)), DENIED);
+        assert!(b.texts().iter().any(|text| text.starts_with(&told)), "{:?}", b.texts());
+        b.run_ms(5_000);
+        assert!((b.height_m() - 3.0).abs() < 0.3, "it stays where it is");
+    }
+    let mut b = Bench::airborne();
+    assert_eq!(orbit(&mut b, 300.0), DENIED, "a circle below home");
+    assert_eq!(
+        b.reposition(MavFrame::MAV_FRAME_GLOBAL_INT, lat, lon, 493.0, f32::NAN),
+        ACCEPTED
+    );
+    b.run_until(20, "5 m above home", |b| {
+        (b.height_m() - 5.0).abs() < 0.3 && b.position_m()[0] > 4.5
+    });
+}
+
+/// Whatever sends the vehicle down, it is on the ground slower than what breaks it, and ends as a landing does.
+#[test]
+fn what_leads_into_the_ground_ends_on_it_softly() {
+    let place = |mask: u16, z: f32, vz: f32| {
+        MavMessage::SET_POSITION_TARGET_LOCAL_NED(SET_POSITION_TARGET_LOCAL_NED_DATA {
+            x: 6.0,
+            z,
+            vz,
+            type_mask: PositionTargetTypemask::from_bits_retain(mask),
+            target_system: 1,
+            target_component: 1,
+            coordinate_frame: MavFrame::MAV_FRAME_LOCAL_NED,
+            ..Default::default()
+        })
+    };
+    let global = MavMessage::SET_POSITION_TARGET_GLOBAL_INT(SET_POSITION_TARGET_GLOBAL_INT_DATA {
+        lat_int: (HomePosition::default().latitude_deg * 1e7) as i32,
+        lon_int: (HomePosition::default().longitude_deg * 1e7) as i32,
+        alt: 5.0,
+        type_mask: PositionTargetTypemask::from_bits_retain(0xDF8),
+        target_system: 1,
+        target_component: 1,
+        coordinate_frame: MavFrame::MAV_FRAME_GLOBAL_INT,
+        ..Default::default()
+    });
+    for (message, below_home) in [
+        (velocity_message([0.0, 0.0, 1.5]), false),
+        (velocity_message([0.0, 0.0, 90.0]), false),
+        (place(0xDF8, 40.0, 0.0), true),
+        (place(0xDF8, 0.3, 0.0), false),
+        (place(0xDE3, 40.0, 0.0), true),
+        (place(0xDDC, 0.0, 1.5), false),
+        (place(0xDC7, 0.0, 3.0), false),
+        (global, true),
+    ] {
+        let mut b = Bench::airborne();
+        b.set_parameter("MPC_Z_VEL_MAX_DN", ParameterValue::Real32(4.0));
+        b.set_parameter("MPC_LAND_SPEED", ParameterValue::Real32(1.5));
+        b.set_parameter("COM_DISARM_LAND", ParameterValue::Real32(0.5));
+        let mut fastest_m_s = 0.0_f32;
+        for i in 0..600 {
+            b.send(API, SCRIPT, &message);
+            if i == 0 {
+                assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+            }
+            b.run_ms(50);
+            if b.height_m() < 0.3 {
+                fastest_m_s = fastest_m_s.max(b.view().estimate.velocity_ned_m_s.z);
+            }
+            if !b.status().armed {
+                break;
+            }
+        }
+        assert!(fastest_m_s < 1.3, "{message:?}: {fastest_m_s}");
+        assert!(!b.status().armed, "{message:?}: {:?} {}", b.status(), b.height_m());
+        let warned = b.texts().iter().any(|text| text.contains("m below home"));
+        assert_eq!(warned, below_home, "{message:?}: {:?}", b.texts());
+    }
 }

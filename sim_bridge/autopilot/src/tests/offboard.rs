@@ -211,3 +211,84 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
         assert_eq!(b.command, vigil_vehicle::ControlCommand::MotorsOff);
     }
 }
+
+/// Streams a setpoint that is not flown for 12 s at 20 Hz, asking for OFFBOARD in the middle of it: what is told.
+fn refused(message: &MavMessage) -> Vec<String> {
+    let mut b = Bench::airborne();
+    for i in 0..240 {
+        b.send(API, SCRIPT, message);
+        if i == 120 {
+            assert_eq!(b.set_mode(API, SCRIPT, 6, 0), REJECTED);
+        }
+        b.run_ms(50);
+    }
+    let refusals = b.status().refusals;
+    assert_eq!(refusals.setpoint_form + refusals.setpoint_value, 240);
+    b.texts()
+}
+
+/// PX4 flies frames 1 and 8; scripts written for others send 7, 9, 11, 12, positions in frame 8, or a heading alone, and hear
+/// "no setpoints" while they send twenty a second.
+#[test]
+fn a_stream_that_is_refused_hears_which_frame_mask_or_field_is_wrong() {
+    use MavFrame::*;
+    let in_frame = |frame| local(0x5C7, |m| m.coordinate_frame = frame);
+    let global = |frame| {
+        MavMessage::SET_POSITION_TARGET_GLOBAL_INT(SET_POSITION_TARGET_GLOBAL_INT_DATA {
+            type_mask: PositionTargetTypemask::from_bits_retain(0xDF8),
+            target_system: 1,
+            target_component: 1,
+            coordinate_frame: frame,
+            ..Default::default()
+        })
+    };
+    let nan = local(0x9C7, |m| m.vy = f32::NAN);
+    for (message, reason) in [
+        (in_frame(MAV_FRAME_LOCAL_OFFSET_NED), "frame 7 is not flown"),
+        (in_frame(MAV_FRAME_BODY_OFFSET_NED), "frame 9 is not flown"),
+        (in_frame(MAV_FRAME_GLOBAL_TERRAIN_ALT_INT), "frame 11 is not flown"),
+        (in_frame(MAV_FRAME_BODY_FRD), "frame 12 is not flown"),
+        (
+            local(0x9F8, |m| m.coordinate_frame = MAV_FRAME_BODY_NED),
+            "frame 8 has no positions",
+        ),
+        (local(0xBFF, |_| {}), "mask 0xbff is not flown"),
+        (nan, "vy is NaN or absurd"),
+        (global(MAV_FRAME_LOCAL_NED), "frame 1 is not flown"),
+        (global(MAV_FRAME_GLOBAL_TERRAIN_ALT), "frame 10 is not flown"),
+        (attitude(0x47, 0.0, 0.5), "mask 0x047 is not flown"),
+        (attitude(0x07, 0.0, 1.5), "thrust is NaN or absurd"),
+    ] {
+        let texts = refused(&message);
+        let told = format!("setpoints of 245/190: {reason}");
+        let count = texts.iter().filter(|text| **text == told).count();
+        assert_eq!(count, 3, "once in 5 s of 12: {texts:?}");
+        let denial = format!("offboard denied: {reason}");
+        assert_eq!(texts.iter().filter(|text| **text == denial).count(), 1, "{texts:?}");
+    }
+    // A frame that the protocol does not have cannot be read, and is named all the same.
+    let mut b = Bench::airborne();
+    let packet = b.packet(SCRIPT, &local(0x5C7, |_| {}));
+    let mut payload = packet[10..packet.len() - 2].to_vec();
+    payload.resize(53, 0);
+    payload[52] = 99;
+    let header = vigil_mavlink::mavlink::MavHeader {
+        system_id: 245,
+        component_id: 190,
+        sequence: 0,
+    };
+    let mut out = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+    let len = vigil_mavlink::framing::serialize_payload(header, 84, &payload, &mut out).expect("fits");
+    b.send_raw(API, &out[..len]);
+    assert_eq!(b.texts(), ["setpoints of 245/190: frame 99 is not flown"]);
+    // Who mends his frame is flown, and hears nothing more.
+    b.stream(API, SCRIPT, [0.5, 0.0, 0.0]);
+    b.run_ms(100);
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    b.run_ms(6_000);
+    assert!(
+        !b.texts().iter().skip(1).any(|text| text.contains("not flown")),
+        "{:?}",
+        b.texts()
+    );
+}

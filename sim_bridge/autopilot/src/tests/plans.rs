@@ -429,3 +429,22 @@ proptest! {
         prop_assert_eq!(b.upload(RALLY, &[item(5100, [0.0; 4], (1.0, 1.0), 0.0)]), R::MAV_MISSION_ACCEPTED);
     }
 }
+
+/// An altitude above the ground in a frame that counts from the sea, home being 488 m above it; a landing's altitude says nothing.
+#[test]
+fn a_mission_below_home_is_refused_with_its_item_and_a_landing_is_not() {
+    let mut b = Bench::new();
+    for (frame, z) in [(0, 5.0), (5, 5.0), (3, -5.0), (6, -5.0)] {
+        let at = |command: u16| PlanItem {
+            frame,
+            ..item(command, [0.0; 4], (20.0, 0.0), z)
+        };
+        for command in [16, 17, 19, 22, 31] {
+            let answer = b.upload(MISSION, &[waypoint((9.0, 0.0), 5.0), at(command)]);
+            assert_eq!(answer, R::MAV_MISSION_INVALID_PARAM7, "{command} {frame}");
+            let texts = b.texts().concat();
+            assert!(texts.contains("item 1: below home"), "{texts}");
+        }
+        assert_eq!(b.upload(MISSION, &[at(21)]), R::MAV_MISSION_ACCEPTED);
+    }
+}

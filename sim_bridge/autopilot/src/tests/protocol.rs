@@ -460,3 +460,28 @@ fn a_signing_key_reaches_the_vehicle_and_nobody_else() {
         assert_eq!(b.count(link, SETUP_SIGNING_DATA::ID), 0, "a key is passed on");
     }
 }
+
+/// An interval that is no time: added to the clock it ended the process.
+#[test]
+fn an_interval_that_is_no_time_is_denied_and_the_streams_go_on() {
+    const ATTITUDE: f32 = 30.0;
+    let mut b = Bench::new();
+    let set = |b: &mut Bench, interval_us: f32| {
+        let params = [ATTITUDE, interval_us, 0.0, 0.0, 0.0, 0.0, 0.0];
+        b.command_long(API, SCRIPT, 511, params)
+    };
+    for no_time_us in [f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1.9e16, f32::NAN] {
+        assert_eq!(set(&mut b, no_time_us), DENIED, "{no_time_us}");
+        b.sent.clear();
+        b.run_ms(1_000);
+        assert_eq!(b.count(API, 30), 50, "as before");
+    }
+    // A year is a time, however useless; so are a subnormal and a negative number, which switch to the fastest and off.
+    for (interval_us, per_s) in [(3.2e13, 0), (f32::MIN_POSITIVE, 500), (f32::MIN, 0), (0.0, 50)] {
+        assert_eq!(set(&mut b, interval_us), ACCEPTED, "{interval_us}");
+        b.run_ms(2);
+        b.sent.clear();
+        b.run_ms(1_000);
+        assert_eq!(b.count(API, 30), per_s, "{interval_us}");
+    }
+}
