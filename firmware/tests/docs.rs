@@ -36,6 +36,7 @@ fn mavlink_parameters() -> String {
                     .collect();
                 ("INT32", listed.join(", "))
             }
+            Kind::Switch => ("INT32", "0 off, 1 on".to_owned()),
             _ => ("REAL32", row.range().unwrap().to_string()),
         };
         let in_flight = if mavlink.in_flight { "yes" } else { "no" };

@@ -24,6 +24,8 @@ use vigil_types::{
 };
 use vigil_world::Outcome;
 
+/// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
+const STANDSTILL_NS: Nanos = 250_000_000;
 /// Real time between two looks at the sockets, in milliseconds of physics.
 const SLICE_MS: u64 = 2;
 /// Steps between two status lines: five a second.
@@ -41,7 +43,7 @@ const LOCKSTEP_TIMEOUT: Duration = Duration::from_secs(10);
 Examples:
   vigil sim                             a vehicle on the ground of a random validation course, MAVLink on 14540 and 14550
   vigil sim --course my.toml            on your own course
-  vigil sim --instance 1                a second one beside it, on ports 14541 and 14551
+  vigil sim --instance 1                a second one beside it, for scripts on port 14541
   vigil sim --link tcpin://127.0.0.1:5760 --link serial:///dev/ttyUSB0:57600,unsigned=always
                                         two further links for ground stations
   vigil sim --signing-key vigil.key --allow-unsigned never
@@ -361,7 +363,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
     let mut links = VehicleLinks::open(&args.links())?;
     let mut publisher = FramePublisher::create(domain, &args.frames)?;
     // Frames are taken at multiples of the step on the shared clock, which is where the firmware expects them.
-    let epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
+    let mut epoch_ns = monotonic_ns().next_multiple_of(STEP_NS);
     let mut simulator = simulator(args, config, epoch_ns)?;
     announce(&start_lines(args, config));
     let mut state = args.state.as_ref().map(|folder| state_file(folder, args.instance));
@@ -377,7 +379,14 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
     );
 
     while !stop.load(Ordering::Relaxed) {
-        sleep_until(epoch_ns + elapsed_ms * 1_000_000);
+        let due_ns = epoch_ns + elapsed_ms * 1_000_000;
+        sleep_until(due_ns);
+        let late_ns = monotonic_ns().saturating_sub(due_ns) / STEP_NS * STEP_NS;
+        if late_ns >= STANDSTILL_NS {
+            epoch_ns += late_ns;
+            simulator.stood_still(late_ns);
+            tracing::warn!("stood still for {:.1} s", late_ns as f64 * 1e-9);
+        }
         links.receive(simulator.now_ns(), |link, peer, datagram| {
             if link == LinkId::ONBOARD {
                 companion.observe(datagram);

@@ -49,6 +49,8 @@ pub struct Simulator {
     goal_ned_m: NedVector,
     epoch_ns: Nanos,
     elapsed_ms: u64,
+    /// How long the simulation stood still while the shared clock went on.
+    stood_still_ns: Nanos,
     lifted_off_ms: Option<u64>,
     next_sequence: u64,
     ending: Option<Ending>,
@@ -90,6 +92,7 @@ impl Simulator {
             goal_ned_m: course.goal_ned_m(),
             epoch_ns,
             elapsed_ms: 0,
+            stood_still_ns: 0,
             lifted_off_ms: None,
             next_sequence: 0,
             ending: None,
@@ -101,7 +104,19 @@ impl Simulator {
 
     /// Now, on the shared clock.
     pub fn now_ns(&self) -> Nanos {
+        self.vehicle_ns() + self.stood_still_ns
+    }
+
+    /// Now, by the vehicle's own clock, which stands while the simulation does.
+    fn vehicle_ns(&self) -> Nanos {
         self.epoch_ns + self.elapsed_ms * MILLISECOND_NS
+    }
+
+    /// The simulation stood still while the shared clock went on by `lasted_ns`, a multiple of a step. Nothing of it is made up for:
+    /// a second of flight in an instant would be one in which nobody steers.
+    pub fn stood_still(&mut self, lasted_ns: Nanos) {
+        self.stood_still_ns += lasted_ns;
+        self.endpoint.stood_still(lasted_ns);
     }
 
     /// Hands a datagram to the vehicle's MAVLink endpoint.
@@ -111,7 +126,8 @@ impl Simulator {
 
     /// The same on a link with several ends: `peer` is another number for another end.
     pub fn receive_from(&mut self, link: u8, peer: u64, datagram: &[u8]) {
-        self.endpoint.receive_from(self.now_ns(), LinkId(link), peer, datagram);
+        self.endpoint
+            .receive_from(self.vehicle_ns(), LinkId(link), peer, datagram);
     }
 
     /// Tells everybody on the vehicle's links something of them.
@@ -139,7 +155,7 @@ impl Simulator {
         self.elapsed_ms += 1;
         let view = self.vehicle.view();
         self.endpoint.observe_truth(&self.vehicle.truth());
-        let command = self.endpoint.step(self.now_ns(), &view);
+        let command = self.endpoint.step(self.vehicle_ns(), &view);
         if self.endpoint.take_reboot() && self.has_collided() {
             self.mend();
         }
@@ -338,6 +354,68 @@ mod tests {
         }
         let by_phase = moved(&hover(&config, 0).1);
         assert!(by_phase > 200 && by_epoch * 10 < by_phase, "{by_phase} {by_epoch}");
+    }
+
+    /// A machine that was suspended, or a debugger: caught up with in an instant, the pause would be a second without setpoints.
+    #[test]
+    #[allow(deprecated, reason = "the frame that PX4 flies and clients send")]
+    fn a_simulator_that_stood_still_for_a_second_says_so_and_flies_on_as_if_nothing_had_been() {
+        let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
+        config.start = Start::Airborne;
+        let setpoint = vigil_mavlink::MavMessage::SET_POSITION_TARGET_LOCAL_NED(
+            vigil_mavlink::common::SET_POSITION_TARGET_LOCAL_NED_DATA {
+                type_mask: vigil_mavlink::common::PositionTargetTypemask::from_bits_retain(0x5C7),
+                target_system: 1,
+                target_component: 1,
+                coordinate_frame: vigil_mavlink::common::MavFrame::MAV_FRAME_BODY_NED,
+                ..Default::default()
+            },
+        );
+        let header = vigil_mavlink::mavlink::MavHeader {
+            system_id: 1,
+            component_id: 191,
+            sequence: 0,
+        };
+        let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+        let len = vigil_mavlink::framing::serialize(header, &setpoint, &mut packet).unwrap();
+        let mut simulator = Simulator::new(&config, 0).expect("valid");
+        let mode = {
+            let mut payload: Vec<u8> = [129.0_f32, 6.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+                .iter()
+                .flat_map(|p| p.to_le_bytes())
+                .collect();
+            payload.extend_from_slice(&[176, 0, 1, 1, 0]);
+            let mut packet = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+            let len = vigil_mavlink::framing::serialize_payload(header, 76, &payload, &mut packet).unwrap();
+            packet[..len].to_vec()
+        };
+        let mut said = Vec::new();
+        for step in 0..80 {
+            simulator.receive(0, &packet[..len]);
+            if step == 1 {
+                simulator.receive(0, &mode);
+            }
+            if step == 40 {
+                let before_ns = simulator.now_ns();
+                simulator.stood_still(1_000_000_000);
+                assert_eq!(
+                    simulator.now_ns(),
+                    before_ns + 1_000_000_000,
+                    "frames have today's stamps"
+                );
+            }
+            for _ in 0..STEP_MS {
+                simulator.advance_1ms();
+                simulator.transmit(|_, datagram| said.extend_from_slice(datagram));
+            }
+        }
+        let status = simulator.status();
+        assert_eq!(
+            (status.mode, status.failsafe),
+            (vigil_autopilot::FlightMode::Offboard, None)
+        );
+        let text = b"simulator stood still for 1.0 s";
+        assert!(said.windows(text.len()).any(|window| window == text));
     }
 
     /// A vehicle that hit something says so, refuses to arm and to take off with the reason, and flies again after a reboot.

@@ -5,8 +5,8 @@ use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use vigil_autopilot::LinkId;
 use vigil_io::links::UdpPeers;
 
-/// Highest instance whose peer port on the API and GCS links is its own, as in PX4; those above share it. Beyond it the
-/// numbers of one instance would be those of another.
+/// Highest instance whose peer port on the API link is its own, as in PX4; those above share it. Beyond it the numbers of one
+/// instance would be those of another. Ground stations listen on one port to all vehicles.
 const LAST_OWN_PEER: u32 = 9;
 
 /// Ports of a link at instance 0: local and peer.
@@ -42,10 +42,10 @@ pub enum UdpError {
 
 /// Local and peer port of a link of an instance.
 fn ports(link: LinkId, local: u16, peer: u16, instance: u32) -> (u16, u16) {
-    let own_peer = if link == LinkId::ONBOARD {
-        instance
-    } else {
-        instance.min(LAST_OWN_PEER)
+    let own_peer = match link {
+        LinkId::ONBOARD => instance,
+        LinkId::API => instance.min(LAST_OWN_PEER),
+        _ => 0,
     };
     // Instances end at 99: the sums fit.
     (local + instance as u16, peer + own_peer as u16)
@@ -113,5 +113,6 @@ mod tests {
         assert_eq!(locals.len(), count);
         assert!(peers.iter().all(|p| locals.binary_search(p).is_err()));
         assert_eq!(ports(LinkId::API, 14580, 14540, 3), (14583, 14543));
+        assert_eq!(ports(LinkId::GCS, 18570, 14550, 3), (18573, 14550));
     }
 }

@@ -7,7 +7,7 @@ use crate::flight::setpoints::Setpoints;
 use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
 use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;
-use crate::vehicle_parameters::{ParamId, Parameters};
+use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
@@ -173,6 +173,8 @@ pub(crate) struct Core {
 impl Core {
     pub fn new(config: &EndpointConfig) -> Result<Self, ConfigError> {
         config.check()?;
+        let mut parameters = Parameters::new(&config.parameters)?;
+        parameters.tell("MAV_SYS_ID", ParameterValue::Int32(config.system_id.into()));
         Ok(Self {
             now_ns: 0,
             boot_ns: None,
@@ -184,7 +186,7 @@ impl Core {
             home: config.home,
             home_m: (0.0, 0.0),
             unix_time_at_zero_us: config.unix_time_at_zero_us,
-            parameters: Parameters::new(&config.parameters)?,
+            parameters,
             commander: Commander::default(),
             rebooted: false,
             setpoints: Setpoints::default(),

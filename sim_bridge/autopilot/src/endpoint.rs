@@ -240,6 +240,14 @@ impl Endpoint {
         self.core.break_down();
     }
 
+    /// The simulation stood still for so long, by everybody else's clock: nothing of the vehicle's own time has passed, and its wall
+    /// clock is set right.
+    pub fn stood_still(&mut self, lasted_ns: Nanos) {
+        self.core.unix_time_at_zero_us = self.core.unix_time_at_zero_us.saturating_add(lasted_ns / 1000);
+        let text = format!("simulator stood still for {:.1} s", lasted_ns as f64 * 1e-9);
+        self.core.text(MavSeverity::MAV_SEVERITY_WARNING, &text);
+    }
+
     /// Whether the autopilot was started anew since the last call: who simulates the vehicle then has it mended.
     pub fn take_reboot(&mut self) -> bool {
         std::mem::take(&mut self.core.rebooted)

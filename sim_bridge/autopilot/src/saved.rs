@@ -3,7 +3,7 @@
 use crate::ConfigError;
 use crate::core::Core;
 use crate::plan::{PlanItem, PlanKind};
-use crate::vehicle_parameters::{ParameterValue, Parameters};
+use crate::vehicle_parameters::{ParameterRole, ParameterValue, Parameters};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ impl Core {
     pub fn saved(&self) -> Saved {
         let differing = (0..Parameters::count())
             .filter_map(|index| self.parameters.at(index))
-            .filter(|(info, value)| info.default != *value);
+            .filter(|(info, value)| info.default != *value && info.role != ParameterRole::Fixed);
         let items = |kind| self.plans.wire(kind).items.clone();
         Saved {
             parameters: differing

@@ -214,6 +214,7 @@ pub(crate) const TOLD: &[ParameterInfo] = &[
     ),
     fixed("GF_SOURCE", I(0), "The geofence is compared with the estimated place"),
     fixed("MAV_COMP_ID", I(1), "Component id of the autopilot"),
+    fixed("MAV_SYS_ID", I(1), "System id: that of the instance"),
     fixed("MAV_TYPE", I(2), "MAV_TYPE_QUADROTOR"),
     fixed("MC_ACRO_P_MAX", R(100.0), "Rate at full deflection, degrees per second"),
     fixed("MC_ACRO_R_MAX", R(100.0), "Rate at full deflection, degrees per second"),

@@ -8,7 +8,8 @@ use vigil_mavlink::framing::{Command, CommandForm};
 const USED: &[(u16, &[usize], &[usize])] = &[
     (16, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
     (17, &[3, 4, 5, 6, 7], &[3, 4, 5, 6, 7]),
-    (20, &[], &[]),
+    // Ground stations and scripts give it a place, which is home's and the rally points' to say.
+    (20, &[5, 6, 7], &[]),
     (21, &[1, 2, 4, 5, 6, 7], &[1, 2, 4, 5, 6, 7]),
     // Ground stations send a pitch in parameter 1 that multicopters do not use.
     (22, &[1, 4, 5, 6, 7], &[1, 4, 5, 6, 7]),
@@ -100,7 +101,8 @@ mod tests {
         assert_eq!(misused_in_item(16, [0.0, 2.0, nan, nan], 1, 1, 5.0), None);
         assert_eq!(misused_in_item(16, [0.0, 2.0, 1.0, nan], 1, 1, 5.0), Some(3));
         assert_eq!(misused_in_item(20, [0.0; 4], i32::MIN, i32::MAX, 0.0), None);
-        assert_eq!(misused_in_item(20, [0.0; 4], 0, 7, 0.0), Some(6));
+        assert_eq!(misused_in_item(20, [0.0; 4], 0, 7, 5.0), None, "a return with a place");
+        assert_eq!(misused_in_item(93, [0.0; 4], 0, 7, 0.0), Some(6));
         assert_eq!(misused_in_item(115, [9.0; 4], 7, 7, 7.0), None, "not looked at");
     }
 }

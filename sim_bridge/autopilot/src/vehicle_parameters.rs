@@ -71,6 +71,22 @@ pub struct ParameterInfo {
     pub role: ParameterRole,
 }
 
+impl ParameterInfo {
+    /// The numbers that stand for something, with what they stand for: those that the description lists (`: 0 nothing, 1 warning`), of
+    /// whole numbers. Empty where a number is a quantity.
+    pub fn choices(&self) -> Vec<(i32, &'static str)> {
+        let (ParameterValue::Int32(_), Some((_, list))) = (self.default, self.description.split_once(": ")) else {
+            return Vec::new();
+        };
+        let choice = |part: &'static str| {
+            let (number, name) = part.trim().split_once(' ')?;
+            Some((number.parse().ok()?, name))
+        };
+        let parts = list.split(',');
+        parts.map_while(choice).collect()
+    }
+}
+
 /// Why a parameter was not set.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ParameterError {
@@ -132,7 +148,7 @@ parameters! {
     DisarmPreflightS = "COM_DISARM_PRFLT", Real32(10.0), -1.0, 60.0, "s",
         "Time armed on the ground without a take-off until the vehicle disarms itself; 0 or less: never";
     OffboardLossAction = "COM_OBL_RC_ACT", Int32(5), 0.0, 7.0, "",
-        "What follows a lost setpoint stream: 0 position, 1 altitude, 2 stabilized (each of them hold while there are no sticks), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
+        "What follows a lost setpoint stream: 0 position (hold without sticks), 1 altitude (hold without sticks), 2 stabilized (hold without sticks), 3 return, 4 land, 5 hold, 6 terminate, 7 disarm";
     OffboardLossS = "COM_OF_LOSS_T", Real32(1.0), 0.1, 60.0, "s",
         "Age of the owner's last setpoint at which OFFBOARD is left";
     SticksLossS = "COM_RC_LOSS_T", Real32(0.5), 0.1, 35.0, "s",
@@ -180,15 +196,15 @@ parameters! {
     HeightAcceptanceM = "NAV_MC_ALT_RAD", Real32(0.8), 0.05, 200.0, "m",
         "Height error within which a mission item is reached";
     SticksLossAction = "NAV_RCL_ACT", Int32(1), 0.0, 6.0, "",
-        "What follows lost sticks in a mode that is flown by them: 2 return, 3 land, 5 terminate, 6 disarm, else hold";
+        "What follows lost sticks in a mode that is flown by them: 0 hold, 1 hold, 2 return, 3 land, 4 hold, 5 terminate, 6 disarm";
     ReturnMinDistanceM = "RTL_MIN_DIST", Real32(2.0), 0.5, 100.0, "m",
         "Distance from where a return leads within which it lands at once";
     ReturnAltitudeM = "RTL_RETURN_ALT", Real32(30.0), 0.0, 150.0, "m",
         "Height above home that a return climbs to before it flies home";
     ReturnType = "RTL_TYPE", Int32(0), 0.0, 1.0, "",
-        "Where a return flies to: 0 the nearest of home and rally points, 1 the nearest rally point, home if there is none";
+        "Where a return flies to: 0 the nearest of home and rally points, 1 the nearest rally point (home if there is none)";
     FailureEnabled = "SYS_FAILURE_EN", Int32(0), 0.0, 1.0, "",
-        "Whether INJECT_FAILURE is obeyed";
+        "Whether INJECT_FAILURE is obeyed: 0 no, 1 yes";
     GuidanceLossS = "VGL_OF_LOSS_T", Real32(0.4), 0.1, 60.0, "s",
         "The same as COM_OF_LOSS_T where the owner is the guidance computer, component 191 of the vehicle's system; the shorter counts";
 }
@@ -263,10 +279,19 @@ impl Parameters {
         TABLE.len()
     }
 
-    /// Gives every one its default again.
+    /// Gives every one its default again that can be set.
     pub fn reset(&mut self) {
         for (value, info) in self.values.iter_mut().zip(TABLE.iter()) {
-            *value = info.default;
+            if info.role != ParameterRole::Fixed {
+                *value = info.default;
+            }
+        }
+    }
+
+    /// What a parameter that cannot be set says of this vehicle.
+    pub fn tell(&mut self, name: &str, value: ParameterValue) {
+        if let Some(index) = Self::index_of(name) {
+            self.values[index] = value;
         }
     }
 
@@ -283,8 +308,13 @@ impl Parameters {
         if info.default.parameter_type() != value.parameter_type() {
             return Err(ParameterError::WrongType { name: info.name });
         }
-        if info.role == ParameterRole::Fixed && value != info.default {
-            return Err(ParameterError::Fixed { name: info.name });
+        if info.role == ParameterRole::Fixed {
+            let is_same = self.values.get(index) == Some(&value);
+            return if is_same {
+                Ok(())
+            } else {
+                Err(ParameterError::Fixed { name: info.name })
+            };
         }
         // NaN is in no range.
         if !(info.min..=info.max).contains(&value.as_f32()) {

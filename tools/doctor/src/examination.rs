@@ -53,6 +53,13 @@ const SLOW_S: f64 = 0.1;
 const TOO_SLOW_S: f64 = 0.3;
 /// The vehicle's wall clock and ours may differ by this, seconds: signing refuses more than a minute.
 const WALL_S: f64 = 10.0;
+/// A position that is farther from where velocity and time led than this has jumped, metres, and so much more for each second between.
+const JUMP_M: f32 = 1.0;
+const JUMP_M_S: f32 = 10.0;
+/// A heading has jumped that changed by more than this between two attitudes beside what its rate explains, radians.
+const JUMP_RAD: f32 = 0.35;
+/// The vehicle's clock has jumped if it went on by so much more than ours.
+const CLOCK_JUMP_NS: Nanos = SECOND_NS / 2;
 /// Battery below which guidance does not begin, by default.
 const LOW_BATTERY: f32 = 0.2;
 
@@ -84,22 +91,76 @@ pub struct ExaminationConfig {
 
 /// When a message came.
 #[derive(Debug, Clone, Default)]
-struct Arrivals(VecDeque<Nanos>);
+struct Arrivals {
+    recent: VecDeque<Nanos>,
+    last_ns: Option<Nanos>,
+    /// It came in time once: from then on what is longer is a gap.
+    is_steady: bool,
+    gaps: Gaps,
+}
+
+/// Times in which a stream that came did not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Gaps {
+    count: u32,
+    longest_ns: Nanos,
+    sum_ns: Nanos,
+}
+
+impl Gaps {
+    fn note(&mut self, lasted_ns: Nanos) {
+        self.count += 1;
+        self.sum_ns += lasted_ns;
+        self.longest_ns = self.longest_ns.max(lasted_ns);
+    }
+}
 
 impl Arrivals {
-    fn note(&mut self, now_ns: Nanos) {
-        self.0.push_back(now_ns);
-        while self.0.front().is_some_and(|at| now_ns - at > WINDOW_NS) {
-            self.0.pop_front();
+    /// An arrival of a message that is late after `late_ns`.
+    fn note(&mut self, now_ns: Nanos, late_ns: Nanos) {
+        if let Some(last_ns) = self.last_ns.replace(now_ns) {
+            let since_ns = now_ns.saturating_sub(last_ns);
+            if since_ns <= late_ns {
+                self.is_steady = true;
+            } else if self.is_steady {
+                self.gaps.note(since_ns);
+            }
+        }
+        self.recent.push_back(now_ns);
+        while self.recent.front().is_some_and(|at| now_ns - at > WINDOW_NS) {
+            self.recent.pop_front();
         }
     }
 
     /// Mean rate of the last two seconds up to now; `None` when nothing came in them.
     fn rate_hz(&self, now_ns: Nanos) -> Option<f64> {
         let since = now_ns.saturating_sub(WINDOW_NS);
-        let count = self.0.iter().filter(|at| **at >= since).count();
+        let count = self.recent.iter().filter(|at| **at >= since).count();
         (count > 0).then(|| count as f64 / (WINDOW_NS as f64 * 1e-9))
     }
+
+    /// Its gaps, that up to now included.
+    fn gaps(&self, now_ns: Nanos, late_ns: Nanos) -> Gaps {
+        let mut gaps = self.gaps;
+        let since_ns = self.last_ns.map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
+        if self.is_steady && since_ns > late_ns {
+            gaps.note(since_ns);
+        }
+        gaps
+    }
+}
+
+/// After how long a message is late: the heartbeat comes once a second, and guidance holds by what else is older than 0.3 s.
+fn late_ns(message_id: u32) -> Nanos {
+    match message_id {
+        HEARTBEAT_DATA::ID => 5 * SECOND_NS / 2,
+        _ => 3 * SECOND_NS / 10,
+    }
+}
+
+/// Seconds for people.
+fn s(ns: Nanos) -> String {
+    format!("{:.1} s", ns as f64 * 1e-9)
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -122,6 +183,15 @@ pub struct Examination {
     arrivals: BTreeMap<u32, Arrivals>,
     /// Boot time of the vehicle and arrival: first and last.
     boot: Option<((u32, Nanos), (u32, Nanos))>,
+    /// The last position and attitude.
+    position: Option<(u32, NedVector, NedVector)>,
+    heading: Option<(u32, f32)>,
+    /// When the vehicle started anew, when its clock jumped, and how far position and heading did at the most, with how often.
+    restarted_ns: Option<Nanos>,
+    clock_jumps_s: Option<f64>,
+    position_jumps: (u32, f32),
+    heading_jumps: (u32, f32),
+    was_in_failsafe: bool,
     round_trips_s: Vec<f64>,
     unix_time_us: Option<(u64, Nanos)>,
     estimator: Option<u16>,
@@ -156,6 +226,13 @@ impl Examination {
             is_signed: false,
             arrivals: BTreeMap::new(),
             boot: None,
+            position: None,
+            heading: None,
+            restarted_ns: None,
+            clock_jumps_s: None,
+            position_jumps: (0, 0.0),
+            heading_jumps: (0, 0.0),
+            was_in_failsafe: false,
             round_trips_s: Vec::new(),
             unix_time_us: None,
             estimator: None,
@@ -196,7 +273,8 @@ impl Examination {
             HEARTBEAT_DATA::ID => {
                 let is_onboard = packet.payload().get(4) == Some(&ONBOARD_CONTROLLER);
                 if (is_onboard || from.1 == ONBOARD_COMPUTER) && from.1 != COMPONENT {
-                    self.companions.entry(from).or_default().note(now_ns);
+                    let arrivals = self.companions.entry(from).or_default();
+                    arrivals.note(now_ns, late_ns(HEARTBEAT_DATA::ID));
                 }
             }
             // MANUAL_CONTROL, RC_CHANNELS_OVERRIDE.
@@ -213,7 +291,8 @@ impl Examination {
 
     fn of_vehicle(&mut self, now_ns: Nanos, packet: &Packet<'_>) {
         self.is_signed |= packet.is_signed();
-        self.arrivals.entry(packet.message_id()).or_default().note(now_ns);
+        let arrivals = self.arrivals.entry(packet.message_id()).or_default();
+        arrivals.note(now_ns, late_ns(packet.message_id()));
         self.vehicle.receive(now_ns, packet);
         match packet.message_id() {
             HEARTBEAT_DATA::ID => self.vehicle_type = packet.payload().get(4).copied(),
@@ -226,13 +305,24 @@ impl Examination {
         let Ok(message) = packet.message() else { return };
         match message {
             MavMessage::LOCAL_POSITION_NED(m) => {
-                let now = (m.time_boot_ms, now_ns);
-                let first = match self.boot {
-                    // A vehicle that starts anew while it is looked at has another zero.
-                    Some((first, last)) if last.0 <= now.0 => first,
-                    _ => now,
-                };
-                self.boot = Some((first, now));
+                self.note_clock(m.time_boot_ms, now_ns);
+                let position = NedVector::new(m.x, m.y, m.z);
+                let velocity = NedVector::new(m.vx, m.vy, m.vz);
+                self.note_position(m.time_boot_ms, position, velocity);
+            }
+            MavMessage::ATTITUDE(m) => {
+                if let Some((last_ms, yaw_rad)) = self.heading.replace((m.time_boot_ms, m.yaw))
+                    && let Some(since_ms) = m.time_boot_ms.checked_sub(last_ms)
+                {
+                    let led_to_rad = yaw_rad + m.yawspeed * since_ms as f32 * 1e-3;
+                    let off_rad = wrap_pi(m.yaw - led_to_rad).abs();
+                    if since_ms < 1000 && off_rad > JUMP_RAD {
+                        self.heading_jumps = (self.heading_jumps.0 + 1, self.heading_jumps.1.max(off_rad));
+                    }
+                }
+            }
+            MavMessage::HEARTBEAT(_) => {
+                self.was_in_failsafe |= self.vehicle.telemetry.heartbeat.is_some_and(|h| h.failsafe);
             }
             MavMessage::ESTIMATOR_STATUS(m) => self.estimator = Some(m.flags.bits()),
             MavMessage::SYS_STATUS(m) => {
@@ -279,6 +369,39 @@ impl Examination {
                 }
             }
             _ => {}
+        }
+    }
+
+    /// A vehicle that starts anew while it is looked at has another zero; one whose clock jumps has not.
+    fn note_clock(&mut self, boot_ms: u32, now_ns: Nanos) {
+        let now = (boot_ms, now_ns);
+        let Some((first, last)) = self.boot else {
+            self.boot = Some((now, now));
+            return;
+        };
+        let Some(since_ms) = boot_ms.checked_sub(last.0) else {
+            self.restarted_ns = Some(now_ns);
+            self.position = None;
+            self.heading = None;
+            self.boot = Some((now, now));
+            return;
+        };
+        let ahead_ns = (u64::from(since_ms) * 1_000_000).saturating_sub(now_ns - last.1);
+        if ahead_ns > CLOCK_JUMP_NS {
+            let ahead_s = ahead_ns as f64 * 1e-9;
+            self.clock_jumps_s = Some(self.clock_jumps_s.map_or(ahead_s, |s| s.max(ahead_s)));
+        }
+        self.boot = Some((first, now));
+    }
+
+    fn note_position(&mut self, boot_ms: u32, position_m: NedVector, velocity_m_s: NedVector) {
+        let Some((last_ms, last_m, last_m_s)) = self.position.replace((boot_ms, position_m, velocity_m_s)) else {
+            return;
+        };
+        let since_s = boot_ms.saturating_sub(last_ms) as f32 * 1e-3;
+        let off_m = (position_m - (last_m + last_m_s * since_s)).norm();
+        if off_m > JUMP_M + JUMP_M_S * since_s {
+            self.position_jumps = (self.position_jumps.0 + 1, self.position_jumps.1.max(off_m));
         }
     }
 
@@ -425,6 +548,7 @@ impl Examination {
         }
         self.company(now_ns, &mut report);
         self.streams(now_ns, &mut report);
+        self.changes(now_ns, &mut report);
         self.time(&mut report);
         self.estimator(&mut report);
         self.coordinates(&mut report);
@@ -455,6 +579,16 @@ impl Examination {
         };
         let told = format!("system {}, {name}", self.system.unwrap_or_default());
         match (self.config.flavour, self.vehicle.named) {
+            _ if rate_hz.is_some() && self.gaps(&[HEARTBEAT_DATA::ID], now_ns).count > 0 => {
+                let gaps = self.gaps(&[HEARTBEAT_DATA::ID], now_ns);
+                report.add(
+                    "HEARTBEAT",
+                    Severity::Failure,
+                    Some(format!("{told}, away for {} at the longest", s(gaps.longest_ns))),
+                    "once a second",
+                    "without it guidance holds: link lost",
+                );
+            }
             _ if rate_hz.is_none() => report.add(
                 "HEARTBEAT",
                 Severity::Failure,
@@ -494,6 +628,14 @@ impl Examination {
                 Some("the vehicle reports CRITICAL or EMERGENCY".to_owned()),
                 "none",
                 "guidance holds while it lasts; the vehicle's texts say what it is",
+            );
+        } else if self.was_in_failsafe {
+            report.add(
+                "failsafe",
+                Severity::Warning,
+                Some("the vehicle reported CRITICAL or EMERGENCY for a while".to_owned()),
+                "none",
+                "guidance holds while one lasts; the vehicle's texts say what it was",
             );
         }
         if let Some(battery) = self.vehicle.telemetry.battery_remaining {
@@ -580,21 +722,44 @@ impl Examination {
             ("ATTITUDE", &[ATTITUDE_DATA::ID, ATTITUDE_QUATERNION_DATA::ID]),
         ] {
             let hz = rate(ids);
+            let gaps = self.gaps(ids, now_ns);
+            let last_ns = ids.iter().filter_map(|id| self.arrivals.get(id)?.last_ns).max();
             let severity = match hz {
-                Some(hz) if hz >= GOOD_HZ => Severity::Good,
+                Some(_) if gaps.longest_ns > SECOND_NS => Severity::Failure,
+                Some(hz) if hz >= GOOD_HZ && gaps.count == 0 => Severity::Good,
                 Some(hz) if hz >= LEAST_HZ => Severity::Warning,
                 _ => Severity::Failure,
             };
-            let why = match hz {
-                None => {
+            let value = match (hz, last_ns) {
+                (Some(hz), _) if gaps.count > 0 => Some(format!(
+                    "{hz:.1} Hz, but away {} times, {} in all, {} at the longest",
+                    gaps.count,
+                    s(gaps.sum_ns),
+                    s(gaps.longest_ns)
+                )),
+                (Some(hz), _) => Some(format!("{hz:.1} Hz")),
+                (None, Some(last_ns)) => Some(format!(
+                    "it came, and stopped {} ago",
+                    s(now_ns.saturating_sub(last_ns))
+                )),
+                (None, None) => None,
+            };
+            let why = match (hz, last_ns) {
+                (Some(_), _) if gaps.count > 0 => {
+                    "guidance holds by what is older than 0.3 s: the link fails, the line is full, or the vehicle's estimator stops"
+                }
+                (None, Some(_)) => {
+                    "guidance holds: did the estimator lose its position (GPS), did somebody switch the stream off, did the link fail?"
+                }
+                (None, None) => {
                     "it never came, though it was asked for: does the estimator have a position (GPS, or another source), and may \
                          this link ask (SET_MESSAGE_INTERVAL)?"
                 }
-                Some(_) => {
+                (Some(_), _) => {
                     "guidance holds by what is older than 0.3 s: somebody slows the stream down, or the line is full"
                 }
             };
-            report.judge(name, severity, hz.map(|hz| format!("{hz:.1} Hz")), "10 Hz or more", why);
+            report.judge(name, severity, value, "10 Hz or more, without a gap", why);
         }
         let t = &self.vehicle.telemetry;
         let finite = t
@@ -620,6 +785,59 @@ impl Examination {
         }
     }
 
+    /// The gaps of the one of some messages that has the fewest: each says the same.
+    fn gaps(&self, ids: &[u32], now_ns: Nanos) -> Gaps {
+        let steady = ids.iter().filter_map(|id| {
+            let arrivals = self.arrivals.get(id).filter(|arrivals| arrivals.is_steady)?;
+            Some(arrivals.gaps(now_ns, late_ns(*id)))
+        });
+        steady.min_by_key(|gaps| gaps.sum_ns).unwrap_or_default()
+    }
+
+    /// What must not change under who looks: the vehicle's run, its clock, its place, its heading.
+    fn changes(&self, now_ns: Nanos, report: &mut Report) {
+        if let Some(restarted_ns) = self.restarted_ns {
+            report.add(
+                "restart",
+                Severity::Failure,
+                Some(format!("the vehicle started anew {} ago", s(now_ns - restarted_ns))),
+                "a vehicle that keeps running",
+                "in flight that is a fall: look for its cause (power, a watchdog, a simulation that was restarted) and examine it again",
+            );
+        }
+        if let Some(ahead_s) = self.clock_jumps_s {
+            report.add(
+                "clock jumps",
+                Severity::Failure,
+                Some(format!(
+                    "the vehicle's time since its start jumped ahead by {ahead_s:.1} s"
+                )),
+                "none",
+                "what it stamps is believed by its order and age",
+            );
+        }
+        let (count, most_m) = self.position_jumps;
+        if count > 0 {
+            report.add(
+                "position jumps",
+                Severity::Failure,
+                Some(format!("{count}, by {most_m:.1} m at the most")),
+                "none",
+                "the estimator changes its mind (GPS glitch, a reset, two vehicles of one system): guidance holds (implausible pose)",
+            );
+        }
+        let (count, most_rad) = self.heading_jumps;
+        if count > 0 {
+            report.add(
+                "heading jumps",
+                Severity::Failure,
+                Some(format!("{count}, by {:.0}° at the most", most_rad.to_degrees())),
+                "none",
+                "the estimator changes its mind (compass, a reset): setpoints in the body's frame then lead elsewhere",
+            );
+        }
+    }
+
     fn time(&self, report: &mut Report) {
         if let Some(((boot_ms, at_ns), (later_ms, later_ns))) = self.boot
             && later_ns - at_ns > SECOND_NS
@@ -632,7 +850,10 @@ impl Examination {
             report.judge(
                 "clock",
                 severity,
-                Some(format!("{ratio:.3} of real time")),
+                Some(match self.restarted_ns {
+                    None => format!("{ratio:.3} of real time"),
+                    Some(_) => format!("{ratio:.3} of real time since its restart"),
+                }),
                 "1.00",
                 "the vehicle's time runs otherwise than ours: a simulation must run in real time (PX4: PX4_SIM_SPEED_FACTOR=1; ArduPilot: \
                  --speedup 1), and the machine must keep up with it",

@@ -28,6 +28,14 @@ struct Scripted {
     extra: Vec<((u8, u8), u64, MavMessage)>,
     asked: Vec<MavMessage>,
     texts: Vec<&'static str>,
+    /// Milliseconds in which positions, and attitudes, do not come.
+    no_position: core::ops::Range<u64>,
+    no_attitude: core::ops::Range<u64>,
+    /// When it starts anew, its clock jumps by 3 s, its position by 4 m, its heading by 60°; never where that is 0.
+    restarts_ms: u64,
+    clock_jumps_ms: u64,
+    position_jumps_ms: u64,
+    heading_jumps_ms: u64,
 }
 
 impl Scripted {
@@ -63,6 +71,12 @@ impl Scripted {
             extra: Vec::new(),
             asked: Vec::new(),
             texts: Vec::new(),
+            no_position: 0..0,
+            no_attitude: 0..0,
+            restarts_ms: 0,
+            clock_jumps_ms: 0,
+            position_jumps_ms: 0,
+            heading_jumps_ms: 0,
         }
     }
 
@@ -80,7 +94,11 @@ impl Scripted {
 
     /// What it sends at a millisecond.
     fn says(&self, ms: u64) -> Vec<MavMessage> {
-        let boot_ms = 20_000 + (ms as f64 * self.speedup) as u32;
+        let is_after = |at_ms: u64| at_ms > 0 && ms >= at_ms;
+        let boot_ms = match is_after(self.restarts_ms) {
+            true => (ms - self.restarts_ms) as u32,
+            false => 20_000 + (ms as f64 * self.speedup) as u32 + 3_000 * u32::from(is_after(self.clock_jumps_ms)),
+        };
         let mut out = Vec::new();
         let asked = |id: u32| {
             self.asked.iter().any(|m| match m {
@@ -94,16 +112,17 @@ impl Scripted {
             out.push(self.heartbeat());
         }
         if ms.is_multiple_of(self.stream_ms) {
-            if self.has_position && streams(32) {
+            if self.has_position && streams(32) && !self.no_position.contains(&ms) {
                 out.push(MavMessage::LOCAL_POSITION_NED(LOCAL_POSITION_NED_DATA {
                     time_boot_ms: boot_ms,
+                    x: 4.0 * f32::from(u8::from(is_after(self.position_jumps_ms))),
                     ..Default::default()
                 }));
             }
-            if streams(30) {
+            if streams(30) && !self.no_attitude.contains(&ms) {
                 out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
                     time_boot_ms: boot_ms,
-                    yaw: self.yaw_rad,
+                    yaw: self.yaw_rad + 60_f32.to_radians() * f32::from(u8::from(is_after(self.heading_jumps_ms))),
                     ..Default::default()
                 }));
             }
@@ -466,4 +485,53 @@ fn a_sensor_that_is_mounted_at_an_angle_is_seen_by_the_ground() {
         assert_eq!(bad(&findings), expected);
         assert_eq!(named(&findings, "frame pose").severity, Severity::Good);
     }
+}
+
+/// Its last two seconds are as good as ever.
+#[test]
+fn what_was_wrong_only_in_the_middle_is_named_too() {
+    let say = |change: fn(&mut Scripted)| {
+        let mut vehicle = Scripted::well(Flavour::Px4);
+        change(&mut vehicle);
+        examined(&mut vehicle)
+    };
+    let value = |findings: &[Finding], name: &str| named(findings, name).value.clone().unwrap_or_default();
+
+    let findings = say(|v| v.no_position = 2_000..5_000);
+    assert_eq!(bad(&findings), [("LOCAL_POSITION_NED", Severity::Failure)]);
+    assert!(value(&findings, "LOCAL_POSITION_NED").contains("25.0 Hz, but away 1 times, 3.0 s in all"));
+    let findings = say(|v| v.no_attitude = 3_000..3_500);
+    assert_eq!(bad(&findings), [("ATTITUDE", Severity::Warning)]);
+
+    let findings = say(|v| v.no_position = 4_000..9_000);
+    assert_eq!(bad(&findings), [("LOCAL_POSITION_NED", Severity::Failure)]);
+    let stopped = named(&findings, "LOCAL_POSITION_NED");
+    assert!(
+        stopped.line().contains("it came, and stopped 4.0 s ago"),
+        "{}",
+        stopped.line()
+    );
+    assert!(!stopped.why.contains("never came"));
+    let findings = say(|v| v.no_position = 7_300..9_000);
+    assert!(value(&findings, "LOCAL_POSITION_NED").contains("away 1 times, 0.7 s in all"));
+
+    let findings = say(|v| v.restarts_ms = 5_000);
+    assert_eq!(bad(&findings), [("restart", Severity::Failure)]);
+    assert!(value(&findings, "restart").contains("3.0 s ago"));
+    assert!(value(&findings, "clock").contains("since its restart"));
+
+    let findings = say(|v| v.clock_jumps_ms = 4_000);
+    assert!(
+        bad(&findings).contains(&("clock jumps", Severity::Failure)),
+        "{findings:#?}"
+    );
+    assert!(value(&findings, "clock jumps").contains("3.0 s"));
+    let findings = say(|v| v.position_jumps_ms = 4_000);
+    assert_eq!(bad(&findings), [("position jumps", Severity::Failure)]);
+    assert!(value(&findings, "position jumps").starts_with("1, by 4.0 m"));
+    let findings = say(|v| v.heading_jumps_ms = 4_000);
+    assert!(
+        bad(&findings).contains(&("heading jumps", Severity::Failure)),
+        "{findings:#?}"
+    );
 }

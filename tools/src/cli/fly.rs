@@ -62,8 +62,8 @@ Examples:
   vigil fly --vehicle ardupilot --link tcpout://127.0.0.1:5762
                                      a vehicle that already runs in its own simulation (docs/foreign-vehicles.md)
 
-While it flies, any MAVLink client can watch on port 14550 and command on 14540, plus the instance number for instances 1 to 9;
-instances from 10 on all speak to 14559 and 14549 (docs/scripting.md).
+While it flies, any MAVLink client can watch on port 14550, where all instances are heard, and command on 14540, plus the instance
+number for instances 1 to 9; those from 10 on speak to 14549 (docs/scripting.md).
 Exit code: 0 goal reached, 10 collision, 11 out of bounds, 12 time-out, 13 no flight, 1 error, 130 interrupted.")]
 pub struct FlyArgs {
     /// Course to fly.

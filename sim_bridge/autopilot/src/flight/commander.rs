@@ -63,15 +63,37 @@ impl Core {
         if let Some(name) = self.lost_sensors.name() {
             return Err(Denial::SensorLost(name));
         }
-        if self.commander.mode.needs_sticks() && self.current_sticks().is_none() {
-            return Err(Denial::ArmingWithoutSticks);
+        if self.commander.armed {
+            return Ok(());
         }
-        Ok(())
+        // A mode can be chosen before what it needs is there.
+        match self.commander.mode {
+            mode if mode.needs_sticks() && self.current_sticks().is_none() => {
+                Err(Denial::ArmingWithout("manual control"))
+            }
+            FlightMode::Mission => self.mission_check().map_err(|denial| match denial {
+                Denial::NoMission => Denial::ArmingWithout("mission"),
+                other => other,
+            }),
+            FlightMode::Offboard if !self.has_setpoints() => Err(Denial::ArmingWithout("setpoints")),
+            _ => Ok(()),
+        }
     }
 
-    /// Arms. Armed already is accepted.
-    pub fn arm(&mut self) -> Result<(), Denial> {
+    /// Whether the owner of OFFBOARD streams, or where there is none somebody does.
+    fn has_setpoints(&self) -> bool {
+        match self.setpoints.owner() {
+            Some(_) => self.setpoints.current(self.now_ns, self.owner_max_age_ns()).is_some(),
+            None => self.setpoints.is_streamed(self.now_ns, self.setpoint_max_age_ns()),
+        }
+    }
+
+    /// Arms. Armed already is accepted. In OFFBOARD that was chosen before anybody streamed, the commander decides who owns it.
+    pub fn arm(&mut self, commander: Source) -> Result<(), Denial> {
         self.arming_check()?;
+        if self.commander.mode == FlightMode::Offboard && self.setpoints.owner().is_none() {
+            self.take_ownership(commander)?;
+        }
         if !self.commander.armed {
             self.commander.armed = true;
             self.commander.has_flown = !self.commander.is_on_ground();
@@ -186,6 +208,20 @@ impl Core {
                 Ok(())
             };
         }
+        match self.take_ownership(commander) {
+            // While disarmed a mode waits for what it needs: arming is refused until then.
+            Err(Denial::NoSetpoints | Denial::SetpointsRefused(_)) if !self.commander.armed => {
+                self.clear_failsafe();
+                self.enter(FlightMode::Offboard, Maneuver::Offboard);
+                Ok(())
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Enters OFFBOARD for whom the setpoints of now and the commander make its owner.
+    fn take_ownership(&mut self, commander: Source) -> Result<(), Denial> {
+        let max_age_ns = self.setpoint_max_age_ns();
         match self.setpoints.claim(self.now_ns, max_age_ns, commander) {
             Claim::Nobody => Err(self
                 .setpoints

@@ -231,6 +231,23 @@ impl Core {
         }
     }
 
+    /// The place that is flown to or held in the air, metres from the local origin; `None` where there is none.
+    pub fn place_flown_to(&self) -> Option<NedVector> {
+        let here = self.view.estimate.position_ned_m;
+        let is_flown = self.commander.is_armed() && !self.commander.is_on_ground();
+        match self.commander.maneuver {
+            _ if !is_flown => None,
+            Maneuver::Station { position_ned_m, .. } => Some(position_ned_m),
+            Maneuver::Climb(climb) => Some(climb.target_ned_m),
+            Maneuver::Descend => Some(NedVector::new(here.x, here.y, 0.0)),
+            Maneuver::Offboard => match self.setpoints.current(self.now_ns, self.owner_max_age_ns())? {
+                ControlCommand::Position { position_ned_m, .. } => Some(position_ned_m),
+                _ => None,
+            },
+            _ => None,
+        }
+    }
+
     fn descent_rate_m_s(&self) -> f32 {
         let height_m = -self.view.estimate.position_ned_m.z;
         let slow_m_s = self.param(ParamId::LandSpeedMS);

@@ -1,13 +1,16 @@
 //! Following a target: FOLLOW_TARGET. <https://docs.px4.io/main/en/flight_modes_mc/follow_me.html>
 
 use crate::core::Core;
-use crate::flight::state::{FollowTarget, Maneuver};
+use crate::flight::state::{FollowTarget, Maneuver, Report};
 use crate::vehicle_parameters::ParamId;
 use vigil_types::{Nanos, NedVector, wrap_pi};
 use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// A target that was silent for longer is lost: reports come once a second.
 const LOST_AFTER_NS: Nanos = 3_000_000_000;
+/// Reports are fused no sooner after one another than this, as in PX4: between two that are milliseconds apart their resolution of a
+/// centimetre looks like metres per second.
+const FUSED_AFTER_NS: Nanos = 500_000_000;
 /// Slower than this it stands, and its course is what it was.
 const STANDING_M_S: f32 = 0.5;
 /// No lower than this, metres above home; the least of FLW_TGT_HT.
@@ -16,34 +19,40 @@ const LEAST_HEIGHT_M: f32 = 1.0;
 const CATCH_UP_M_S: f32 = 3.0;
 
 impl Core {
-    /// Takes a report of where the target is; `velocity_ned_m_s` is worked out from the last two where it is not given.
+    /// Takes a report of where the target is; `velocity_ned_m_s` is worked out from reports half a second and more apart where it is not
+    /// given.
     pub fn see_target(&mut self, position_ned_m: NedVector, velocity_ned_m_s: Option<NedVector>) {
         let now_ns = self.now_ns;
-        let last = self.commander.follow_target.filter(|t| now_ns > t.at_ns);
-        let velocity_ned_m_s = velocity_ned_m_s.unwrap_or_else(|| match last {
-            Some(last) if now_ns - last.at_ns < LOST_AFTER_NS => {
-                let since_s = (now_ns - last.at_ns) as f32 * 1e-9;
-                (position_ned_m - last.position_ned_m) * (1.0 / since_s)
-            }
-            _ => NedVector::ZERO,
-        });
-        let here = self.view.estimate.position_ned_m;
-        let away = position_ned_m - here;
+        let fresh = |t: &FollowTarget| now_ns.saturating_sub(t.fused.at_ns) < LOST_AFTER_NS;
+        let last = self.commander.follow_target.filter(fresh);
+        let now = Report {
+            at_ns: now_ns,
+            position_ned_m,
+        };
+        let since_ns = last.map_or(0, |last| now_ns - last.fused.at_ns);
+        let is_fused = last.is_none() || since_ns >= FUSED_AFTER_NS;
+        let measured = match last {
+            Some(last) if is_fused => (position_ned_m - last.fused.position_ned_m) * (1e9 / since_ns as f32),
+            Some(last) => last.velocity_ned_m_s,
+            None => NedVector::ZERO,
+        };
+        let velocity_ned_m_s = velocity_ned_m_s.unwrap_or(measured);
+        let away = position_ned_m - self.view.estimate.position_ned_m;
         // The first course of one that stands is away from the vehicle: behind it is where the vehicle is.
-        let before_rad = last.map_or(libm::atan2f(away.y, away.x), |t| t.course_rad);
+        let before = self.commander.follow_target;
+        let before_rad = before.map_or(libm::atan2f(away.y, away.x), |t| t.course_rad);
         let moves = velocity_ned_m_s.horizontal_norm() > STANDING_M_S;
         let now_rad = libm::atan2f(velocity_ned_m_s.y, velocity_ned_m_s.x);
         // FLW_TGT_RS: 0 follows every turn at once, 1 none.
-        let share = if last.is_some() {
-            1.0 - self.param(ParamId::FollowResponsiveness)
-        } else {
-            1.0
+        let share = match before {
+            Some(_) => 1.0 - self.param(ParamId::FollowResponsiveness),
+            None => 1.0,
         };
         self.commander.follow_target = Some(FollowTarget {
-            at_ns: now_ns,
-            position_ned_m,
+            reported: now,
+            fused: last.filter(|_| !is_fused).map_or(now, |last| last.fused),
             velocity_ned_m_s,
-            course_rad: if moves {
+            course_rad: if moves && is_fused {
                 wrap_pi(before_rad + share * wrap_pi(now_rad - before_rad))
             } else {
                 before_rad
@@ -58,7 +67,7 @@ impl Core {
         let target = self
             .commander
             .follow_target
-            .filter(|t| now_ns.saturating_sub(t.at_ns) <= LOST_AFTER_NS);
+            .filter(|t| now_ns.saturating_sub(t.reported.at_ns) <= LOST_AFTER_NS);
         let Some(target) = target else {
             let position_ned_m = waits_ned_m.unwrap_or(here);
             self.commander.maneuver = Maneuver::Follow {
@@ -72,9 +81,9 @@ impl Core {
             };
         };
         self.commander.maneuver = Maneuver::Follow { waits_ned_m: None };
-        let age_s = now_ns.saturating_sub(target.at_ns) as f32 * 1e-9;
+        let age_s = now_ns.saturating_sub(target.reported.at_ns) as f32 * 1e-9;
         let velocity_m_s = NedVector::new(target.velocity_ned_m_s.x, target.velocity_ned_m_s.y, 0.0);
-        let now_at = target.position_ned_m + velocity_m_s * age_s;
+        let now_at = target.reported.position_ned_m + velocity_m_s * age_s;
         let bearing_rad = target.course_rad + self.param(ParamId::FollowAngleDeg).to_radians();
         let distance_m = self.param(ParamId::FollowDistanceM);
         let height_m = self.param(ParamId::FollowHeightM);

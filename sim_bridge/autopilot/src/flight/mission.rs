@@ -25,23 +25,38 @@ const ITEM_PAUSE_NS: Nanos = 50_000_000;
 
 impl Core {
     /// Enters mission mode: begins, or goes on with the current item. While disarmed it waits for arming.
+    ///
+    /// A mode can be chosen before what it flies is there, as in PX4: arming is then what is refused.
     pub(super) fn begin_mission(&mut self) -> Result<(), Denial> {
-        if self.plans.mission.is_empty() {
-            return Err(Denial::NoMission);
-        }
-        let outside = self.plans.mission.legs().find(|(_, leg)| {
-            let place = leg.place.north_east_m;
-            place.is_some_and(|place| !self.fence_allows(place, leg.place.height_m.unwrap_or(0.0)))
-        });
-        if let Some((index, _)) = outside {
-            return Err(Denial::MissionOutsideFence(index));
-        }
+        self.mission_check().or_else(|denial| match self.commander.armed {
+            true => Err(denial),
+            false => Ok(()),
+        })?;
         self.clear_failsafe();
-        self.plans.mission.start();
+        if !self.plans.mission.is_empty() {
+            self.plans.mission.start();
+        }
         self.plans.mission.not_before_ns = self.now_ns;
         self.enter(FlightMode::Mission, Maneuver::default());
         self.announce(message_ids::MISSION_CURRENT);
         Ok(())
+    }
+
+    /// Whether there is a mission, within the geofence.
+    pub fn mission_check(&self) -> Result<(), Denial> {
+        if self.plans.mission.is_empty() {
+            return Err(Denial::NoMission);
+        }
+        match self.plans.mission.legs().find(|(_, leg)| !self.fence_allows_leg(leg)) {
+            Some((index, _)) => Err(Denial::MissionOutsideFence(index)),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether a flight of a mission leads to where the vehicle may be.
+    pub fn fence_allows_leg(&self, leg: &Leg) -> bool {
+        let place = leg.place.north_east_m;
+        place.is_none_or(|place| self.fence_allows(place, leg.place.height_m.unwrap_or(0.0)))
     }
 
     /// The mission was replaced, or its current item changed by command: begins it if missions are being flown.
@@ -102,6 +117,12 @@ impl Core {
             }
             MissionItem::Interest { place_m } => {
                 self.commander.region_of_interest_m = place_m;
+                self.end_item(true);
+            }
+            MissionItem::Home { place_m } => {
+                let here = self.view.estimate.position_ned_m;
+                self.home_m = place_m.unwrap_or((here.x, here.y));
+                self.announce(message_ids::HOME_POSITION);
                 self.end_item(true);
             }
             MissionItem::PassedOver => self.end_item(true),

@@ -133,6 +133,12 @@ impl Setpoints {
         if told { Taken::Ignored } else { Taken::IgnoredFirst }
     }
 
+    /// Whether anybody streams.
+    pub fn is_streamed(&self, now_ns: Nanos, max_age_ns: Nanos) -> bool {
+        let is_fresh = |s: &SourceState| now_ns.saturating_sub(s.last_ns) <= max_age_ns;
+        self.sources.iter().any(is_fresh)
+    }
+
     /// Who would own OFFBOARD on a mode command of `commander`.
     pub fn claim(&self, now_ns: Nanos, max_age_ns: Nanos, commander: Source) -> Claim {
         let mut streaming: Vec<Source> = self

@@ -52,8 +52,8 @@ pub(crate) enum Denial {
     Tilted,
     #[error("{} denied: no manual control", .0.name())]
     NoSticks(FlightMode),
-    #[error("arming denied: no manual control")]
-    ArmingWithoutSticks,
+    #[error("arming denied: no {0}")]
+    ArmingWithout(&'static str),
     #[error("disarming denied: not landed")]
     NotLanded,
     #[error("offboard denied: no setpoints")]
@@ -292,11 +292,19 @@ impl LostSensors {
     }
 }
 
-/// What FOLLOW_TARGET reported last.
+/// Where a target was, and when that came.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct FollowTarget {
+pub(crate) struct Report {
     pub at_ns: Nanos,
     pub position_ned_m: NedVector,
+}
+
+/// What FOLLOW_TARGET reported.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct FollowTarget {
+    pub reported: Report,
+    /// The report that velocity and course were worked out with last.
+    pub fused: Report,
     pub velocity_ned_m_s: NedVector,
     /// Where it goes, clockwise from north: kept while it stands.
     pub course_rad: f32,

@@ -71,7 +71,8 @@ impl Fence {
             NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_POLYGON_VERTEX_EXCLUSION => {
                 (3.0..=200.0).contains(&size) && size.fract() == 0.0
             }
-            NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION => size > 0.0 && size <= MAX_RADIUS_M,
+            // Of radius 0 it holds nothing, and is taken as one: MAVSDK's example sends it.
+            NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION => (0.0..=MAX_RADIUS_M).contains(&item.params[0]),
             _ => {
                 return Err(PlanDefect::new(
                     MavMissionResult::MAV_MISSION_UNSUPPORTED,
@@ -124,19 +125,29 @@ impl Fence {
                     1,
                 )
             };
-            areas.push(Area {
-                is_inclusion: matches!(
-                    first.command,
-                    NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_CIRCLE_INCLUSION
-                ),
-                shape,
-            });
+            if is_polygon || size > 0.0 {
+                areas.push(Area {
+                    is_inclusion: matches!(
+                        first.command,
+                        NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_CIRCLE_INCLUSION
+                    ),
+                    shape,
+                });
+            }
             rest = rest.get(used..).unwrap_or_default();
         }
         Ok(Self {
             wire: Wire::new(items),
             areas,
         })
+    }
+
+    /// Whether a circle of radius 0 is among its items.
+    pub fn has_empty_circle(&self) -> bool {
+        let is_circle =
+            |item: &&PlanItem| matches!(item.command, NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION);
+        let mut circles = self.wire.items.iter().filter(is_circle);
+        circles.any(|item| item.params[0] == 0.0)
     }
 
     pub fn wire(&self) -> &Wire {
@@ -222,6 +233,17 @@ mod tests {
         assert!(fence(Vec::new()).allows((1e4, 1e4)));
         let fence = fence(polygon(5002, &L));
         assert!(fence.allows((-1.0, -1.0)) && !fence.allows((1.0, 1.0)));
+    }
+
+    #[test]
+    fn a_circle_of_radius_0_holds_nothing_and_forbids_nothing() {
+        let alone = fence(vec![item(5003, 0.0, (0.0, 5.0))]);
+        assert!(alone.has_empty_circle() && alone.allows((0.0, 0.0)));
+        let mut items = polygon(5001, &L);
+        items.extend([item(5003, 0.0, (50.0, 50.0)), item(5004, 0.0, (5.0, 5.0))]);
+        let beside = fence(items);
+        assert!(beside.allows((5.0, 5.0)) && !beside.allows((50.0, 50.0)));
+        assert!(!fence(polygon(5001, &L)).has_empty_circle());
     }
 
     #[test]

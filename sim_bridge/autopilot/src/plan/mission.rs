@@ -15,18 +15,27 @@ const NAV_TAKEOFF: u16 = 22;
 const NAV_LOITER_TO_ALT: u16 = 31;
 const NAV_ROI: u16 = 80;
 const NAV_DELAY: u16 = 93;
+const CONDITION_DELAY: u16 = 112;
 const CONDITION_YAW: u16 = 115;
 const DO_JUMP: u16 = 177;
 const DO_CHANGE_SPEED: u16 = 178;
+const DO_SET_HOME: u16 = 179;
 const DO_SET_ROI_LOCATION: u16 = 195;
 const DO_SET_ROI_NONE: u16 = 197;
 const DO_SET_ROI: u16 = 201;
 /// MAV_ROI_LOCATION.
 const ROI_LOCATION: f32 = 3.0;
-/// Marks where a landing begins, and commands to cameras, gimbals and servos: taken for the sake of plans that carry them,
-/// and passed over, because the vehicle has none of these. A region of interest at the next item is where the nose is anyway.
-const PASSED_OVER: [u16; 19] = [
-    189, 196, 183, 203, 204, 205, 206, 214, 530, 531, 532, 1000, 1001, 2000, 2001, 2003, 2500, 2501, 211,
+/// Taken for the sake of plans that carry them, and passed over, because the vehicle has nothing that they command. A region
+/// of interest at the next item is where the nose is anyway, and the motors are the landing's and the pilot's to stop.
+const PASSED_OVER: [u16; 36] = [
+    // Conditions on what comes next: a height that is climbed through, a distance, a gate.
+    113, 114, 4501, // Relays, servos, actuators, gripper, winch.
+    181, 182, 183, 184, 187, 211, 42600,
+    // Where a landing begins; a region of interest at the next item; a survey by slanted pictures; arming.
+    189, 196, 260, 400, // Cameras: control, triggers, storage, modes, pictures, tracking, video.
+    200, 202, 203, 206, 214, 530, 531, 532, 533, 534, 2000, 2001, 2003, 2004, 2005, 2500, 2501,
+    // Gimbals: mounts and managers.
+    204, 205, 220, 1000, 1001,
 ];
 /// A longer wait is a mistake.
 const MAX_WAIT_S: f32 = 86_400.0;
@@ -81,6 +90,10 @@ pub(crate) enum MissionItem {
     },
     /// Point the nose there from here on; `None` is along the way again.
     Interest {
+        place_m: Option<(f32, f32)>,
+    },
+    /// Home is there from here on; `None` is where the vehicle is.
+    Home {
         place_m: Option<(f32, f32)>,
     },
     /// Nothing that this vehicle does.
@@ -154,7 +167,12 @@ impl MissionItem {
             })),
             NAV_TAKEOFF => leg(Purpose::TakeOff, None),
             NAV_RETURN_TO_LAUNCH => Ok(Self::Return),
-            NAV_DELAY => Ok(Self::Delay {
+            // The place of a home as the command has it: parameter 1 is 1 where it is the vehicle's.
+            DO_SET_HOME if item.param(1) == Some(1.0) => Ok(Self::Home { place_m: None }),
+            DO_SET_HOME => Ok(Self::Home {
+                place_m: Some(item.point(home)?),
+            }),
+            NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay {
                 wait_ns: seconds(item)?,
             }),
             CONDITION_YAW => {
@@ -310,7 +328,10 @@ impl Mission {
         let next = after.iter().find(|item| {
             !matches!(
                 item,
-                MissionItem::PassedOver | MissionItem::Interest { .. } | MissionItem::Speed { .. }
+                MissionItem::PassedOver
+                    | MissionItem::Interest { .. }
+                    | MissionItem::Speed { .. }
+                    | MissionItem::Home { .. }
             )
         })?;
         match next {

@@ -15,12 +15,12 @@ const FORCE: f32 = 21196.0;
 pub(crate) struct Arming;
 
 impl Service for Arming {
-    fn command(&mut self, command: &Command, _source: Source, core: &mut Core) -> Option<Answer> {
+    fn command(&mut self, command: &Command, source: Source, core: &mut Core) -> Option<Answer> {
         Some(match command.number {
             COMPONENT_ARM_DISARM => {
                 let forced = command.param(2) == Some(FORCE);
                 match command.param(1) {
-                    Some(1.0) => answer(core.arm(), core),
+                    Some(1.0) => answer(core.arm(source), core),
                     Some(0.0) => answer(core.disarm(forced), core),
                     _ => Answer::DENIED,
                 }

@@ -59,6 +59,15 @@ struct Described {
     default: Number,
     min: Number,
     max: Number,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    values: Vec<Choice>,
+}
+
+/// A number that stands for something.
+#[derive(Serialize)]
+struct Choice {
+    value: i32,
+    description: &'static str,
 }
 
 #[derive(Serialize)]
@@ -87,6 +96,11 @@ impl From<&ParameterInfo> for Described {
             default,
             min: limit(info.min),
             max: limit(info.max),
+            values: info
+                .choices()
+                .into_iter()
+                .map(|(value, description)| Choice { value, description })
+                .collect(),
         }
     }
 }

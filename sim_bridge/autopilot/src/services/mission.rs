@@ -108,7 +108,10 @@ fn start(command: &Command, source: Source, core: &mut Core) -> Answer {
         }
         Some(_) => return Answer::DENIED,
     }
-    let outcome = core.change_mode(FlightMode::Mission, source).and_then(|()| core.arm());
+    let outcome = core
+        .mission_check()
+        .and_then(|()| core.change_mode(FlightMode::Mission, source))
+        .and_then(|()| core.arm(source));
     answer(outcome, core)
 }
 

@@ -5,7 +5,7 @@
 //! any time by anybody.
 
 use crate::core::Core;
-use crate::plan::{Envelope, PlanDefect, PlanItem, PlanKind, Plans};
+use crate::plan::{Envelope, MissionItem, PlanDefect, PlanItem, PlanKind, Plans};
 use crate::service::{Service, Source};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
@@ -78,10 +78,24 @@ fn refuse(core: &mut Core, source: Source, kind: PlanKind, result: MavMissionRes
 
 fn replace(core: &mut Core, kind: PlanKind, items: Vec<PlanItem>) -> Result<(), PlanDefect> {
     core.plans.replace(kind, items, &core.home)?;
-    if kind == PlanKind::Mission {
-        core.mission_changed();
+    match kind {
+        PlanKind::Mission => core.mission_changed(),
+        PlanKind::Fence if core.plans.fence.has_empty_circle() => {
+            let text = "geofence: a circle of radius 0 holds nothing";
+            core.text(MavSeverity::MAV_SEVERITY_WARNING, text);
+        }
+        PlanKind::Fence | PlanKind::Rally => {}
     }
     Ok(())
+}
+
+/// Whether a mission's item leads to where the vehicle may be.
+fn inside_fence(item: &PlanItem, kind: PlanKind, core: &Core) -> Result<(), PlanDefect> {
+    let outside = PlanDefect::new(MavMissionResult::MAV_MISSION_DENIED, "outside the geofence");
+    match MissionItem::read(item, &core.home) {
+        Ok(MissionItem::Leg(leg)) if kind == PlanKind::Mission && !core.fence_allows_leg(&leg) => Err(outside),
+        _ => Ok(()),
+    }
 }
 
 impl Service for PlanTransfer {
@@ -225,7 +239,9 @@ impl PlanTransfer {
             self.upload = Some(upload);
             return;
         }
-        if let Err(defect) = Plans::check(upload.kind, &item, &core.home) {
+        let checked =
+            Plans::check(upload.kind, &item, &core.home).and_then(|()| inside_fence(&item, upload.kind, core));
+        if let Err(defect) = checked {
             let reason = format!("item {wanted}: {}", defect.reason);
             return refuse(core, source, upload.kind, defect.result, &reason);
         }

@@ -52,7 +52,7 @@ impl Service for Position {
                 id: POSITION_TARGET_GLOBAL_INT_DATA::ID,
                 // On request.
                 rate_hz: [0.0; 3],
-                build: Build::From(mission_place),
+                build: Build::From(global_target),
             },
         ]
     }
@@ -152,17 +152,17 @@ fn target(core: &Core) -> Option<MavMessage> {
     position_target(core).map(MavMessage::POSITION_TARGET_LOCAL_NED)
 }
 
-/// Where the mission's current leg leads, as PX4 tells its current position setpoint; nothing outside of missions.
-fn mission_place(core: &Core) -> Option<MavMessage> {
-    let Some(MissionItem::Leg(leg)) = core.plans.mission.item() else {
-        return None;
-    };
-    let (north_m, east_m) = leg
-        .place
-        .north_east_m
-        .filter(|_| core.commander.mode() == FlightMode::Mission)?;
+/// Where the vehicle flies to, as PX4 tells its current position setpoint: the place of the mission's leg, of a go-to, a hold, a return,
+/// a take-off or a landing; nothing where it flies to no place.
+fn global_target(core: &Core) -> Option<MavMessage> {
     let here = core.view.estimate.position_ned_m;
-    let place = NedVector::new(north_m, east_m, leg.place.height_m.map_or(here.z, |height_m| -height_m));
+    let place = match core.plans.mission.item() {
+        Some(MissionItem::Leg(leg)) if core.commander.mode() == FlightMode::Mission => {
+            let (north_m, east_m) = leg.place.north_east_m?;
+            NedVector::new(north_m, east_m, leg.place.height_m.map_or(here.z, |height_m| -height_m))
+        }
+        _ => core.place_flown_to()?,
+    };
     let (lat, lon, alt_m) = geo::to_global(&core.home, place);
     Some(MavMessage::POSITION_TARGET_GLOBAL_INT(
         POSITION_TARGET_GLOBAL_INT_DATA {

@@ -134,10 +134,10 @@ fn execute(line: &str, client: Source, core: &mut Core) -> String {
         ["ver", ..] => format!("Vigil {}\n", env!("CARGO_PKG_VERSION")),
         ["uptime"] => format!("{:.3} s\n", core.since_boot_ns() as f64 * 1e-9),
         ["commander", "status"] => commander_status(core),
-        ["commander", "arm"] => outcome(core.arm()),
+        ["commander", "arm"] => outcome(core.arm(client)),
         ["commander", "disarm"] => outcome(core.disarm(false)),
         ["commander", "takeoff"] => {
-            let taken_off = core.arm().and_then(|()| core.take_off(None));
+            let taken_off = core.arm(client).and_then(|()| core.take_off(None));
             outcome(taken_off)
         }
         ["commander", "land"] => outcome(core.change_mode(FlightMode::Land, client)),

@@ -61,3 +61,43 @@ fn a_target_that_is_nowhere_near_is_not_followed() {
     assert!(b.position_m()[0].abs() < 0.2);
     assert_eq!(b.status().refusals.setpoint_value, 2);
 }
+
+/// Between reports milliseconds apart a centimetre of their resolution looks like metres per second.
+#[test]
+fn reports_that_come_thick_and_fast_of_a_target_that_stands_do_not_make_it_run() {
+    for every_ms in [5, 20, 50] {
+        let mut b = Bench::airborne();
+        b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
+        assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+        let mut farthest_m = 0.0_f32;
+        for i in 0..20_000 / every_ms {
+            // A receiver's noise of some centimetres; two reports in one datagram now and then.
+            let jitter_m = 0.03 * (i as f32 * 1.7).sin();
+            report(&mut b, (10.0 + jitter_m, jitter_m), None);
+            if i % 7 == 0 {
+                report(&mut b, (10.0, 0.0), None);
+            }
+            b.run_ms(every_ms);
+            let [x, y, _] = b.position_m();
+            farthest_m = farthest_m.max((x - 10.0).hypot(y));
+        }
+        let [x, y, _] = b.position_m();
+        assert!(farthest_m < 10.5, "every {every_ms} ms: {farthest_m} m away");
+        assert!(((x - 10.0).hypot(y) - 5.0).abs() < 0.6, "every {every_ms} ms: {x} {y}");
+    }
+    // Who walks is followed as well as by slow reports.
+    let mut b = Bench::airborne();
+    b.set_parameter("FLW_TGT_DST", ParameterValue::Real32(5.0));
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 8), ACCEPTED);
+    let mut east = 10.0;
+    for _ in 0..1_000 {
+        report(&mut b, (6.0, east), None);
+        b.run_ms(20);
+        east += 0.03;
+    }
+    let [x, y, _] = b.position_m();
+    assert!(
+        (x - 6.0).abs() < 0.6 && (y - (east - 5.0)).abs() < 1.0,
+        "{x} {y} of {east}"
+    );
+}

@@ -89,3 +89,50 @@ fn every_event_that_comes_is_defined_with_arguments_that_fit() {
         }
     }
 }
+
+#[test]
+fn the_numbers_of_a_choice_say_what_they_stand_for() {
+    let mut b = Bench::new();
+    let json = part(&mut b, 1);
+    let values = |name: &str| {
+        let described = json["parameters"].as_array().expect("a list");
+        let row = described.iter().find(|row| row["name"] == name).expect("a parameter");
+        let values = row["values"].as_array().cloned().unwrap_or_default();
+        values
+            .iter()
+            .map(|v| {
+                (
+                    v["value"].as_i64().expect("a number"),
+                    v["description"].as_str().expect("text").to_owned(),
+                )
+            })
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(values("GF_ACTION")[3], (3, "return".to_owned()));
+    for (name, count) in [
+        ("COM_OBL_RC_ACT", 8),
+        ("FLW_TGT_ALT_M", 3),
+        ("GF_ACTION", 6),
+        ("NAV_RCL_ACT", 7),
+        ("RTL_TYPE", 2),
+        ("SYS_FAILURE_EN", 2),
+    ] {
+        let numbers: Vec<i64> = values(name).iter().map(|(number, _)| *number).collect();
+        assert_eq!(numbers, (0..count).collect::<Vec<_>>(), "{name}");
+    }
+    assert!(values("COM_OF_LOSS_T").is_empty() && values("SYS_AUTOSTART").is_empty());
+    // Every acting integer is a choice, and all of its numbers are listed.
+    for info in parameter_table()
+        .iter()
+        .filter(|i| i.role == crate::ParameterRole::Acts)
+    {
+        if let ParameterValue::Int32(_) = info.default {
+            assert_eq!(
+                values(info.name).len() as f32,
+                info.max - info.min + 1.0,
+                "{}",
+                info.name
+            );
+        }
+    }
+}

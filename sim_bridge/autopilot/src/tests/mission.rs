@@ -354,3 +354,150 @@ fn the_nose_points_at_a_region_of_interest() {
     assert!((nose + core::f32::consts::FRAC_PI_2).abs() < 0.1, "{nose}");
     assert_eq!(b.command_long(API, SCRIPT, 197, [0.0; 7]), ACCEPTED);
 }
+
+/// What plans of other vehicles carry besides places: none of it keeps the mission from its end.
+#[test]
+fn commands_to_what_the_vehicle_has_not_are_taken_and_passed_over() {
+    let commands = [
+        187, 200, 260, 534, 42600, 112, 114, 179, 400, 113, 181, 202, 220, 533, 2004, 4501,
+    ];
+    let mut plan = vec![item(22, [0.0, 0.0, 0.0, f32::NAN], (0.0, 0.0), 3.0)];
+    plan.extend(commands.map(|command| match command {
+        179 => item(179, [0.0; 4], (1.0, 4.0), 0.0),
+        other => action(other, [0.0; 4]),
+    }));
+    plan.push(waypoint((6.0, 0.0), 3.0));
+    // A return with a place, as scripts send it.
+    plan.push(item(20, [0.0; 4], (2.0, 2.0), 9.0));
+    let mut b = Bench::new();
+    b.set_parameter("RTL_RETURN_ALT", crate::ParameterValue::Real32(4.0));
+    assert_eq!(b.upload(MISSION, &plan), MavMissionResult::MAV_MISSION_ACCEPTED);
+    assert_eq!(start(&mut b), ACCEPTED);
+    assert_eq!(b.arm(), ACCEPTED);
+    let last = plan.len() as u16 - 2;
+    b.run_until(40, "the waypoint behind them", |b| reached(b).last() == Some(&last));
+    let all: Vec<u16> = (0..=last).collect();
+    assert_eq!(reached(&b), all);
+    b.run_until(60, "landed", |b| !b.status().armed);
+    assert!(is_at(&b, (1.0, 4.0), 0.0, 0.9), "home was moved: {:?}", b.position_m());
+    // What means something and is not done is refused.
+    for command in [185, 207, 208] {
+        let answer = b.upload(MISSION, &[action(command, [0.0; 4])]);
+        assert_eq!(answer, MavMissionResult::MAV_MISSION_UNSUPPORTED, "{command}");
+    }
+}
+
+#[test]
+fn a_mission_that_leaves_the_fence_is_refused_at_its_upload_with_its_item() {
+    let mut b = Bench::new();
+    let circle = [item(5003, [30.0, 0.0, 0.0, 0.0], (0.0, 0.0), 0.0)];
+    assert_eq!(b.upload(FENCE, &circle), MavMissionResult::MAV_MISSION_ACCEPTED);
+    let inside = waypoint((10.0, 0.0), 3.0);
+    for outside in [waypoint((0.0, 31.0), 3.0), item(21, [0.0; 4], (-40.0, 0.0), 0.0)] {
+        let answer = b.upload(MISSION, &[inside, inside, outside]);
+        assert_eq!(answer, MavMissionResult::MAV_MISSION_DENIED);
+        assert!(
+            b.texts().concat().contains("item 2: outside the geofence"),
+            "{:?}",
+            b.texts()
+        );
+        assert!(b.download(MISSION).is_empty());
+    }
+    // What has no place, or no consequence, is no reason.
+    assert_eq!(
+        b.upload(MISSION, &[inside, action(20, [0.0; 4])]),
+        MavMissionResult::MAV_MISSION_ACCEPTED
+    );
+    b.set_parameter("GF_ACTION", crate::ParameterValue::Int32(1));
+    assert_eq!(
+        b.upload(MISSION, &[waypoint((0.0, 31.0), 3.0)]),
+        MavMissionResult::MAV_MISSION_ACCEPTED
+    );
+    // MAVSDK's example has a circle of radius 0 in its fence.
+    let empty = [circle[0], item(5003, [0.0; 4], (0.0, 0.0), 0.0)];
+    assert_eq!(b.upload(FENCE, &empty), MavMissionResult::MAV_MISSION_ACCEPTED);
+    assert!(
+        b.texts()
+            .contains(&"geofence: a circle of radius 0 holds nothing".to_owned())
+    );
+    assert_eq!(b.download(FENCE).len(), 2);
+}
+
+/// As in PX4, where a mode can be chosen before what it flies is there: arming is then what is refused.
+#[test]
+fn mission_and_offboard_can_be_chosen_disarmed_and_arming_waits_for_what_they_fly() {
+    let mut b = Bench::new();
+    assert_eq!(start(&mut b), ACCEPTED);
+    assert_eq!(b.status().mode, FlightMode::Mission);
+    assert_eq!(b.arm(), REJECTED);
+    assert_eq!(b.texts().last().map(String::as_str), Some("arming denied: no mission"));
+    assert_eq!(
+        b.upload(MISSION, &[waypoint((6.0, 0.0), 3.0)]),
+        MavMissionResult::MAV_MISSION_ACCEPTED
+    );
+    assert_eq!(b.arm(), ACCEPTED);
+    b.run_until(20, "flies it", |b| reached(b) == [0]);
+
+    let mut b = Bench::new();
+    assert_eq!(b.set_mode(API, SCRIPT, 6, 0), ACCEPTED);
+    assert_eq!(
+        (b.status().mode, b.status().setpoint_owner),
+        (FlightMode::Offboard, None)
+    );
+    assert_eq!(b.arm(), REJECTED);
+    assert_eq!(
+        b.texts().last().map(String::as_str),
+        Some("arming denied: no setpoints")
+    );
+    b.stream(API, SCRIPT, [0.0, 0.0, -0.5]);
+    b.run_ms(200);
+    assert_eq!(b.arm(), ACCEPTED);
+    assert_eq!(b.status().setpoint_owner, Some(SCRIPT));
+    b.run_until(5, "flies them", |b| b.height_m() > 1.0);
+    // In the air a mode without what it needs is refused, and nothing changes.
+    let mut b = Bench::airborne();
+    for main in [4, 6] {
+        let sub = if main == 4 { 4 } else { 0 };
+        assert_eq!(b.set_mode(API, SCRIPT, main, sub), REJECTED);
+        assert_eq!(b.status().mode, FlightMode::Hold);
+    }
+}
+
+/// PX4 tells where it flies to in every mode that flies to a place.
+#[test]
+fn where_it_flies_to_is_told_on_the_globe_in_hold_go_to_return_and_landing() {
+    let mut b = Bench::airborne();
+    b.set_parameter("RTL_RETURN_ALT", crate::ParameterValue::Real32(5.0));
+    let place = |b: &mut Bench| {
+        b.sent.clear();
+        let told = b.command_long(API, SCRIPT, 512, [87.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let target = b.messages(API).find_map(|m| match m {
+            MavMessage::POSITION_TARGET_GLOBAL_INT(m) => Some(m.clone()),
+            _ => None,
+        });
+        assert_eq!(told == ACCEPTED, target.is_some());
+        target.map(|m| {
+            let (north, east) = crate::geo::to_local(
+                &crate::HomePosition::default(),
+                f64::from(m.lat_int) * 1e-7,
+                f64::from(m.lon_int) * 1e-7,
+            );
+            (north.round(), east.round(), (m.alt - 488.0).round())
+        })
+    };
+    assert_eq!(place(&mut b), Some((0.0, 0.0, 3.0)), "hold");
+    let home = crate::HomePosition::default();
+    let (lat, lon, _) = crate::geo::to_global(&home, vigil_types::NedVector::new(8.0, -3.0, 0.0));
+    let frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
+    assert_eq!(b.reposition(frame, lat, lon, 4.0, f32::NAN), ACCEPTED);
+    assert_eq!(place(&mut b), Some((8.0, -3.0, 4.0)), "go-to");
+    b.run_ms(15_000);
+    assert_eq!(b.set_mode(API, SCRIPT, 4, 5), ACCEPTED);
+    assert_eq!(place(&mut b), Some((8.0, -3.0, 5.0)), "climbs");
+    b.run_ms(5_000);
+    assert_eq!(place(&mut b), Some((0.0, 0.0, 5.0)), "flies home");
+    b.run_until(60, "lands", |b| b.status().landed == LandedState::Landing);
+    assert_eq!(place(&mut b).map(|(.., height)| height), Some(0.0), "down");
+    b.run_until(60, "landed", |b| !b.status().armed);
+    assert_eq!(place(&mut b), None, "on the ground");
+}

@@ -485,3 +485,28 @@ fn an_interval_that_is_no_time_is_denied_and_the_streams_go_on() {
         assert_eq!(b.count(API, 30), per_s, "{interval_us}");
     }
 }
+
+#[test]
+fn the_vehicle_s_system_is_a_parameter_that_is_nobody_s_to_set_or_to_keep() {
+    for system_id in [1, 7] {
+        let mut b = Bench::with(EndpointConfig {
+            system_id,
+            ..EndpointConfig::default()
+        });
+        let read = PARAM_REQUEST_READ_DATA {
+            param_index: -1,
+            target_system: system_id,
+            target_component: 1,
+            param_id: "MAV_SYS_ID".into(),
+        };
+        b.sent.clear();
+        b.set_parameter("MAV_SYS_ID", crate::ParameterValue::Int32(9));
+        b.send(API, SCRIPT, &MavMessage::PARAM_REQUEST_READ(read));
+        let told = b.sent.iter().rev().find_map(|sent| match &sent.message {
+            Some(MavMessage::PARAM_VALUE(m)) => Some(m.param_value.to_bits()),
+            _ => None,
+        });
+        assert_eq!(told, Some(system_id.into()));
+        assert!(b.endpoint.saved().parameters.is_empty());
+    }
+}
