@@ -65,12 +65,12 @@ async def logs(log_files):
     """Downloads the newest log and erases all."""
     entries = await log_files.get_entries()
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.csv"
+        path = Path(folder) / "log.ulg"
         await collect(log_files.download_log_file(entries[-1], str(path)))
-        text = path.read_text(encoding="utf-8")
+        log = path.read_bytes()
     await log_files.erase_all_log_files()
     gone = await refused(log_files.get_entries())
-    return {"columns": text.split("\n")[0], "bytes": len(text), "told": entries[-1].size_bytes, "erased": gone}
+    return {"magic": log[:7].hex(), "bytes": len(log), "told": entries[-1].size_bytes, "erased": gone}
 
 
 async def flight_with_events(action, stream):

@@ -38,14 +38,14 @@ def sides(tmp_path_factory):
                 code = going.wait(120.0)
                 assert code == 0, going.said()
             lists = {c: run("param_dump", "pymavlink", guided, folder, "--component", c) for c in PARAMETERS}
-        log = folder / "flight.csv"
+        log = folder / "flight.ulg"
         logs = run("log_download", "mavsdk4", square, folder, "--list")
         run("log_download", "mavsdk4", square, folder, log)
         yield {
             "square": (flown, square.truth),
             "guided": ("".join(going.lines), guided.truth),
             "parameters": lists,
-            "logs": (logs, log.read_text(encoding="utf-8")),
+            "logs": (logs, log.read_bytes()),
         }
 
 
@@ -81,4 +81,4 @@ def test_param_dump_lists_the_parameters_of_the_vehicle_and_of_guidance(sides):
 def test_log_download_writes_the_log_of_the_flight(sides):
     listed, log = sides["logs"]
     assert f"{len(log)} bytes" in listed
-    assert log.startswith("time_s,mode,landed") and ",offboard," in log and "# " in log
+    assert log.startswith(b"ULog\x01\x12\x35") and b"vehicle_local_position" in log and b"mode: offboard" in log

@@ -2,7 +2,7 @@
 """Lists the vehicle's flight logs, or downloads the newest of them (MAVSDK 4).
 
     tools/scripts/log_download.py --list
-    tools/scripts/log_download.py flight.csv
+    tools/scripts/log_download.py flight.ulg
 """
 
 import argparse

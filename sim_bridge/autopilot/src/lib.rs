@@ -42,6 +42,7 @@ mod services;
 mod source;
 mod streams;
 mod told_parameters;
+mod ulog;
 mod used_parameters;
 mod vehicle_parameters;
 

@@ -320,6 +320,16 @@ impl Core {
         Ok(())
     }
 
+    /// Brakes, and holds where it stops.
+    pub fn stop_here(&mut self) -> Result<(), Denial> {
+        if !self.commander.armed || self.commander.is_on_ground() {
+            return Err(Denial::NotInAir);
+        }
+        self.clear_failsafe();
+        self.enter(FlightMode::Hold, Maneuver::default());
+        Ok(())
+    }
+
     /// Changes mode and maneuver; leaving OFFBOARD clears its owner.
     pub(super) fn enter(&mut self, mode: FlightMode, maneuver: Maneuver) {
         self.commander.maneuver = maneuver;

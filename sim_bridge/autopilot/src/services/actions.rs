@@ -149,7 +149,16 @@ pub(super) fn place_at(command: &Command, height_m: Option<f32>, core: &mut Core
 }
 
 /// Goes to a place: parameter 1 speed (−1: default), 4 yaw in radians (NaN: unchanged), 5 to 7 the place.
+/// Without any place it stops where it is: so ground stations pause a flight.
 fn reposition(command: &Command, core: &mut Core) -> Answer {
+    let is_placed = match command.form {
+        CommandForm::Int { x, y, .. } => x != i32::MAX && y != i32::MAX,
+        CommandForm::Long { .. } => command.latitude_longitude_deg().is_some(),
+    };
+    if !is_placed && command.param(7).is_none() && command.param(4).is_none() {
+        let outcome = core.stop_here();
+        return answer(outcome, core);
+    }
     let Some(position) = place(command, core) else {
         return Answer::DENIED;
     };

@@ -1,12 +1,12 @@
 //! The flight log, its download and its streaming. <https://mavlink.io/en/services/log.html> (LOG_REQUEST_LIST and its
 //! kin), LOGGING_START
 //!
-//! From arming to disarming the vehicle records itself into a file of comma-separated values under `log`, which can also
-//! be read by file transfer. docs/mavlink.md describes the columns.
+//! From arming to disarming the vehicle records itself into a ULog file under `log`, which can also be read by file transfer:
+//! ground stations name what they download from a PX4 `.ulg`. docs/mavlink.md says what is in it.
 
 use crate::core::Core;
 use crate::service::{Answer, Service, Source};
-use std::fmt::Write;
+use crate::ulog;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
     LOG_DATA_DATA, LOG_ENTRY_DATA, LOG_ERASE_DATA, LOG_REQUEST_DATA_DATA, LOG_REQUEST_END_DATA, LOG_REQUEST_LIST_DATA,
@@ -35,8 +35,8 @@ const LOGGING_STOP: u16 = 2511;
 const STREAM_CHUNK: usize = 249;
 const STREAM_PACKETS: usize = 4;
 
-const COLUMNS: &str = "time_s,mode,landed,failsafe,north_m,east_m,down_m,north_m_s,east_m_s,down_m_s,\
-    roll_rad,pitch_rad,yaw_rad,throttle,battery_v,battery_a,battery_remaining\n";
+/// What LOGGING_DATA says where no message of the log begins in it.
+const NO_MESSAGE: u8 = 255;
 
 /// Logs that are being listed or a log that is being sent.
 #[derive(Debug, Clone)]
@@ -59,6 +59,8 @@ struct Stream {
     client: Source,
     path: String,
     offset: usize,
+    /// Where the next message of the log begins.
+    message: usize,
     sequence: u16,
 }
 
@@ -71,7 +73,7 @@ pub(crate) struct Logs {
     recorded: u32,
     /// Texts sent when the last record was written.
     texts: u64,
-    line: String,
+    bytes: Vec<u8>,
     record_ns: Nanos,
     send_ns: Nanos,
     work: Vec<(Source, Work)>,
@@ -143,6 +145,7 @@ impl Service for Logs {
                     client: source,
                     path: String::new(),
                     offset: 0,
+                    message: 0,
                     sequence: 0,
                 });
             }
@@ -243,7 +246,7 @@ impl Stream {
     fn send(&mut self, path: &str, core: &mut Core) {
         if self.path != path {
             self.path = path.to_owned();
-            self.offset = 0;
+            (self.offset, self.message) = (0, 0);
         }
         for _ in 0..STREAM_PACKETS {
             let content = core.files.read(path).unwrap_or_default();
@@ -252,6 +255,8 @@ impl Stream {
             if bytes.is_empty() {
                 return;
             }
+            self.message = ulog::next_message(content, self.message, self.offset);
+            let first = self.message.saturating_sub(self.offset);
             let mut data = [0; STREAM_CHUNK];
             for (to, from) in data.iter_mut().zip(bytes) {
                 *to = *from;
@@ -261,7 +266,7 @@ impl Stream {
                 target_system: self.client.id.system,
                 target_component: self.client.id.component,
                 length: bytes.len() as u8,
-                first_message_offset: 0,
+                first_message_offset: if first < bytes.len() { first as u8 } else { NO_MESSAGE },
                 data,
             });
             self.offset = to;
@@ -292,19 +297,22 @@ impl Logs {
             Some(path) => path.clone(),
             None => self.begin_log(core),
         };
-        self.line.clear();
+        self.bytes.clear();
         if core.texts != self.texts {
             self.texts = core.texts;
-            // Writing into a string cannot fail.
-            let _ = writeln!(self.line, "# {}", core.last_text);
+            ulog::text(&mut self.bytes, core, &core.last_text);
         }
-        self.write_record(core);
+        ulog::record(&mut self.bytes, core);
         let size = core.files.read(&path).map_or(0, <[u8]>::len);
-        if size + self.line.len() <= MAX_LOG {
-            core.files.append_own(&path, self.line.as_bytes(), core.unix_time_s());
-        } else if !std::mem::replace(&mut self.full, true) {
-            core.files.append_own(&path, b"# full\n", core.unix_time_s());
+        let is_full = size + self.bytes.len() > MAX_LOG;
+        if is_full {
+            if std::mem::replace(&mut self.full, true) {
+                return;
+            }
+            self.bytes.clear();
+            ulog::text(&mut self.bytes, core, "log full");
         }
+        core.files.append_own(&path, &self.bytes, core.unix_time_s());
     }
 
     fn begin_log(&mut self, core: &mut Core) -> String {
@@ -314,37 +322,10 @@ impl Logs {
             core.files.remove_own(oldest);
         }
         self.recorded += 1;
-        let path = format!("{DIRECTORY}/flight_{:05}.csv", self.recorded);
-        core.files.provide(&path, COLUMNS.into(), core.unix_time_s());
+        let path = format!("{DIRECTORY}/flight_{:05}.ulg", self.recorded);
+        core.files.provide(&path, ulog::begin(core), core.unix_time_s());
         self.recording = Some(path.clone());
         self.full = false;
         path
-    }
-
-    fn write_record(&mut self, core: &Core) {
-        let (c, e, s) = (&core.commander, &core.view.estimate, &core.view.sensors);
-        let (p, v, a) = (e.position_ned_m, e.velocity_ned_m_s, e.attitude);
-        let time_s = core.since_boot_ns() as f64 * 1e-9;
-        let landed = c.landed() as u8;
-        let failsafe = c.failsafe().map_or(0, |f| f as u8 + 1);
-        // Writing into a string cannot fail.
-        let _ = writeln!(
-            self.line,
-            "{time_s:.3},{},{landed},{failsafe},{:.3},{:.3},{:.3},{:.3},{:.3},{:.3},{:.4},{:.4},{:.4},{:.3},{:.3},{:.2},{:.4}",
-            c.mode().name(),
-            p.x,
-            p.y,
-            p.z,
-            v.x,
-            v.y,
-            v.z,
-            a.roll_rad(),
-            a.pitch_rad(),
-            a.yaw_rad(),
-            s.throttle,
-            s.battery_voltage_v,
-            s.battery_current_a,
-            s.battery_remaining,
-        );
     }
 }

@@ -472,3 +472,31 @@ fn what_leads_into_the_ground_ends_on_it_softly() {
         assert_eq!(warned, below_home, "{message:?}: {:?}", b.texts());
     }
 }
+
+/// How QGroundControl pauses: it stops where it can, not where it was told.
+#[test]
+fn a_go_to_without_a_place_stops_the_vehicle_where_it_is() {
+    let home = HomePosition::default();
+    let (lat, lon, _) = crate::geo::to_global(&home, NedVector::new(60.0, 0.0, 0.0));
+    let mut b = Bench::airborne();
+    let frame = MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT_INT;
+    assert_eq!(b.reposition(frame, lat, lon, 3.0, f32::NAN), ACCEPTED);
+    b.run_until(10, "under way", |b| b.view().estimate.velocity_ned_m_s.x > 3.0);
+    let told_at_m = b.position_m()[0];
+    let nan = f32::NAN;
+    assert_eq!(
+        b.command_long(API, SCRIPT, 192, [-1.0, 1.0, 0.0, nan, nan, nan, nan]),
+        ACCEPTED
+    );
+    let mut back_m_s = 0.0_f32;
+    for _ in 0..600 {
+        b.run_ms(10);
+        back_m_s = back_m_s.max(-b.view().estimate.velocity_ned_m_s.x);
+    }
+    assert!(
+        b.position_m()[0] > told_at_m + 1.0 && back_m_s < 0.25,
+        "it does not fly back: {back_m_s}"
+    );
+    assert!(b.view().estimate.velocity_ned_m_s.norm() < 0.2);
+    assert_eq!(b.status().mode, FlightMode::Hold);
+}

@@ -231,3 +231,213 @@ proptest! {
         prop_assert!(position.iter().all(|p| p.is_finite()), "{:?}", b.command);
     }
 }
+
+/// What a field may hold at the worst, and on either side of what it should.
+const EXTREMES: [f32; 13] = [
+    f32::NAN,
+    f32::INFINITY,
+    f32::NEG_INFINITY,
+    f32::MAX,
+    f32::MIN,
+    f32::MIN_POSITIVE,
+    1.9e16,
+    -1.0,
+    -2.0,
+    0.5,
+    1.0,
+    255.0,
+    65_536.0,
+];
+const EXTREME_INTEGERS: [i32; 6] = [i32::MIN, i32::MAX, -1, 1, 900_000_001, -1_800_000_001];
+const FRAMES: [u8; 25] = [
+    0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 99, 255,
+];
+
+fn raw(id: u32, payload: &[u8]) -> Vec<u8> {
+    let header = vigil_mavlink::mavlink::MavHeader {
+        system_id: 245,
+        component_id: 190,
+        sequence: 0,
+    };
+    let mut out = [0; vigil_mavlink::framing::MAX_PACKET_LEN];
+    let len = vigil_mavlink::framing::serialize_payload(header, id, payload, &mut out).expect("fits");
+    out[..len].to_vec()
+}
+
+fn command_payload(number: u16, params: [f32; 7], as_int: Option<(u8, i32, i32)>) -> (u32, Vec<u8>) {
+    let mut payload = Vec::new();
+    match as_int {
+        None => {
+            params.iter().for_each(|p| payload.extend_from_slice(&p.to_le_bytes()));
+            payload.extend_from_slice(&number.to_le_bytes());
+            payload.extend_from_slice(&[1, 1, 0]);
+            (COMMAND_LONG_DATA::ID, payload)
+        }
+        Some((frame, x, y)) => {
+            params[..4]
+                .iter()
+                .for_each(|p| payload.extend_from_slice(&p.to_le_bytes()));
+            payload.extend_from_slice(&x.to_le_bytes());
+            payload.extend_from_slice(&y.to_le_bytes());
+            payload.extend_from_slice(&params[6].to_le_bytes());
+            payload.extend_from_slice(&number.to_le_bytes());
+            payload.extend_from_slice(&[1, 1, frame, 0, 0]);
+            (COMMAND_INT_DATA::ID, payload)
+        }
+    }
+}
+
+/// The commands of the dialect, and one number that it does not have.
+fn commands() -> impl Iterator<Item = u16> {
+    let is_known = |number: &u16| {
+        let (id, payload) = command_payload(*number, [0.0; 7], None);
+        let packet = raw(id, &payload);
+        let mut counters = vigil_mavlink::framing::FramingCounters::default();
+        vigil_mavlink::framing::packets(&packet, &mut counters).any(|packet| packet.message().is_ok())
+    };
+    (0..u16::MAX).filter(is_known).chain([65_000])
+}
+
+impl Bench {
+    /// Sends a packet, lets three milliseconds pass, and looks after the vehicle; how many answers to commands came.
+    fn survives(&mut self, packet: &[u8], what: &dyn core::fmt::Debug) -> usize {
+        self.sent.clear();
+        self.send_raw(API, packet);
+        self.run_ms(3);
+        assert!(
+            self.position_m().iter().all(|p| p.is_finite()),
+            "{what:?}: {:?}",
+            self.command
+        );
+        // A stream at its highest rate, a list of parameters, files: nothing answers without bound.
+        assert!(self.sent.len() < 400, "{what:?}: {} packets", self.sent.len());
+        self.sent.iter().filter(|s| s.ack.is_some()).count()
+    }
+}
+
+#[test]
+fn every_command_of_the_dialect_is_answered_once_with_extremes_in_every_parameter() {
+    let mut count = 0;
+    for number in commands() {
+        count += 1;
+        let mut b = Bench::airborne();
+        for extreme in EXTREMES {
+            for place in 0..8 {
+                let mut params = [0.0; 7];
+                match params.get_mut(place) {
+                    Some(param) => *param = extreme,
+                    None => params = [extreme; 7],
+                }
+                let (id, payload) = command_payload(number, params, None);
+                let answers = b.survives(&raw(id, &payload), &(number, params));
+                assert_eq!(answers, 1, "{number} {params:?}");
+            }
+        }
+        for (i, frame) in FRAMES.into_iter().enumerate() {
+            let extreme = EXTREMES[i % EXTREMES.len()];
+            let x = EXTREME_INTEGERS[i % EXTREME_INTEGERS.len()];
+            let y = EXTREME_INTEGERS[i / 5 % EXTREME_INTEGERS.len()];
+            let (id, payload) = command_payload(number, [extreme; 7], Some((frame, x, y)));
+            assert_eq!(
+                b.survives(&raw(id, &payload), &(number, frame, extreme, x, y)),
+                1,
+                "{number} {frame}"
+            );
+        }
+        b.run_ms(200);
+    }
+    assert!(count > 150, "{count} commands: what does the dialect have?");
+}
+
+#[test]
+fn every_command_of_the_dialect_as_a_mission_item_is_answered_with_extremes_in_every_field() {
+    for number in commands() {
+        let mut b = Bench::airborne();
+        let plain = crate::plan::PlanItem {
+            command: number,
+            frame: 3,
+            autocontinue: 1,
+            params: [0.0; 4],
+            x: 473_977_500,
+            y: 85_456_000,
+            z: 5.0,
+        };
+        let mut items = Vec::new();
+        for extreme in EXTREMES {
+            for place in 0..4 {
+                let mut item = plain;
+                item.params[place] = extreme;
+                items.push(item);
+            }
+            items.push(crate::plan::PlanItem { z: extreme, ..plain });
+        }
+        items.extend(EXTREME_INTEGERS.map(|x| crate::plan::PlanItem { x, ..plain }));
+        items.extend(EXTREME_INTEGERS.map(|y| crate::plan::PlanItem { y, ..plain }));
+        items.extend(FRAMES.map(|frame| crate::plan::PlanItem { frame, ..plain }));
+        for item in items {
+            for kind in 0..3 {
+                let answer = b.upload(kind, &[item]);
+                if answer == MavMissionResult::MAV_MISSION_ACCEPTED && kind == 0 {
+                    assert!(matches!(b.set_mode(API, SCRIPT, 4, 4), ACCEPTED | REJECTED));
+                    b.run_ms(60);
+                    assert!(b.position_m().iter().all(|p| p.is_finite()), "{item:?}");
+                }
+            }
+        }
+    }
+}
+
+/// Setpoints first of all; but whatever the dialect has, with extreme numbers at every place where a field can begin.
+#[test]
+fn every_message_of_the_dialect_is_survived_with_extremes_in_every_field() {
+    use vigil_mavlink::mavlink::Message;
+    let patterns: Vec<[u8; 4]> = EXTREMES
+        .iter()
+        .map(|extreme| extreme.to_le_bytes())
+        .chain(EXTREME_INTEGERS.iter().map(|integer| integer.to_le_bytes()))
+        .collect();
+    for id in (0..13_000).filter(|id| MavMessage::default_message_from_id(*id).is_some()) {
+        let mut b = Bench::airborne();
+        b.send_velocity(API, SCRIPT, [0.0; 3]);
+        b.set_mode(API, SCRIPT, 6, 0);
+        for pattern in &patterns {
+            for at in (0..64).step_by(4) {
+                let mut payload = [0; 64];
+                payload[at..at + 4].copy_from_slice(pattern);
+                b.sent.clear();
+                b.send_raw(API, &raw(id, &payload));
+            }
+            b.survives(&raw(id, &pattern.repeat(16)), &(id, pattern));
+        }
+        b.run_ms(100);
+    }
+}
+
+#[test]
+fn every_setpoint_of_every_frame_and_mask_with_extremes_is_flown_or_refused_with_a_reason() {
+    let mut b = Bench::airborne();
+    for (i, mask) in (0..4096_u16).enumerate() {
+        let frame = FRAMES[i % FRAMES.len()];
+        let extreme = EXTREMES[i % EXTREMES.len()];
+        for (id, values) in [
+            (SET_POSITION_TARGET_LOCAL_NED_DATA::ID, [extreme; 11]),
+            (SET_POSITION_TARGET_LOCAL_NED_DATA::ID, [1.0; 11]),
+            (SET_POSITION_TARGET_GLOBAL_INT_DATA::ID, [extreme; 11]),
+        ] {
+            let mut payload = vec![0; 4];
+            values.iter().for_each(|v| payload.extend_from_slice(&v.to_le_bytes()));
+            payload.extend_from_slice(&mask.to_le_bytes());
+            payload.extend_from_slice(&[1, 1, frame]);
+            let before = b.status().refusals;
+            b.survives(&raw(id, &payload), &(id, frame, mask, extreme));
+            let after = b.status().refusals;
+            let refused = after.setpoint_form + after.setpoint_value - before.setpoint_form - before.setpoint_value;
+            assert!(refused <= 1);
+            if refused == 0 {
+                let flown = b.set_mode(API, SCRIPT, 6, 0) == ACCEPTED;
+                assert!(flown || b.status().failsafe.is_some() || b.status().mode != crate::FlightMode::Offboard);
+            }
+        }
+    }
+    assert!(b.texts().len() < 10);
+}

@@ -1,0 +1,140 @@
+//! The flight log as bytes: ULog, which PX4 writes, so that its tools read it.
+//! <https://docs.px4.io/main/en/dev_log/ulog_file_format.html>
+
+use crate::core::Core;
+use crate::flight::{FlightMode, LandedState};
+use crate::vehicle_parameters::{ParameterValue, Parameters};
+
+/// Bytes before the first message: magic, version, start.
+const HEADER_LEN: usize = 16;
+/// Bytes of a message before its payload: size, type.
+const MESSAGE_HEADER_LEN: usize = 3;
+/// Levels of messages in ULog are those of syslog, in ASCII.
+const LEVEL_INFO: u8 = b'6';
+
+/// Topics by their number, with names and fields as PX4 has them.
+const TOPICS: [(&str, &str); 6] = [
+    (
+        "vehicle_local_position",
+        "float x;float y;float z;float vx;float vy;float vz;float heading;",
+    ),
+    ("vehicle_attitude", "float[4] q;"),
+    (
+        "vehicle_status",
+        "uint8_t nav_state;uint8_t arming_state;bool failsafe;",
+    ),
+    ("vehicle_land_detected", "bool landed;"),
+    ("battery_status", "float voltage_v;float current_a;float remaining;"),
+    ("actuator_motors", "float[4] control;"),
+];
+
+fn message(out: &mut Vec<u8>, kind: u8, parts: &[&[u8]]) {
+    let len: usize = parts.iter().map(|part| part.len()).sum();
+    // No message is longer than a text, a format or a name.
+    out.extend_from_slice(&(len as u16).to_le_bytes());
+    out.push(kind);
+    parts.iter().for_each(|part| out.extend_from_slice(part));
+}
+
+fn named(out: &mut Vec<u8>, kind: u8, key: &str, value: &[u8]) {
+    message(out, kind, &[&[key.len() as u8], key.as_bytes(), value]);
+}
+
+/// The file's beginning: what is in it, whose it is, the parameters.
+pub(crate) fn begin(core: &Core) -> Vec<u8> {
+    let mut out = b"ULog\x01\x12\x35\x01".to_vec();
+    out.extend_from_slice(&core.time_boot_us().to_le_bytes());
+    // No flags, nothing appended.
+    message(&mut out, b'B', &[&[0; 40]]);
+    let text = |out: &mut Vec<u8>, key: &str, value: &str| {
+        named(out, b'I', &format!("char[{}] {key}", value.len()), value.as_bytes());
+    };
+    text(&mut out, "sys_name", "Vigil");
+    text(&mut out, "ver_hw", "simulated quadcopter");
+    text(&mut out, "ver_sw", env!("CARGO_PKG_VERSION"));
+    let start_us = core.unix_time_at_zero_us + core.now_ns / 1000;
+    named(&mut out, b'I', "uint64_t time_ref_utc", &start_us.to_le_bytes());
+    for (name, fields) in TOPICS {
+        let format = format!("{name}:uint64_t timestamp;{fields}");
+        message(&mut out, b'F', &[format.as_bytes()]);
+    }
+    for (info, value) in (0..Parameters::count()).filter_map(|index| core.parameters.at(index)) {
+        let (kind, bytes) = match value {
+            ParameterValue::Int32(value) => ("int32_t", value.to_le_bytes()),
+            ParameterValue::Real32(value) => ("float", value.to_le_bytes()),
+        };
+        named(&mut out, b'P', &format!("{kind} {}", info.name), &bytes);
+    }
+    for (number, (name, _)) in TOPICS.iter().enumerate() {
+        message(&mut out, b'A', &[&[0], &(number as u16).to_le_bytes(), name.as_bytes()]);
+    }
+    out
+}
+
+/// Appends a status text.
+pub(crate) fn text(out: &mut Vec<u8>, core: &Core, text: &str) {
+    message(
+        out,
+        b'L',
+        &[&[LEVEL_INFO], &core.time_boot_us().to_le_bytes(), text.as_bytes()],
+    );
+}
+
+/// Appends the vehicle's state: one message of each topic.
+pub(crate) fn record(out: &mut Vec<u8>, core: &Core) {
+    let (c, e, s) = (&core.commander, &core.view.estimate, &core.view.sensors);
+    let (p, v, a) = (e.position_ned_m, e.velocity_ned_m_s, e.attitude);
+    let floats = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    let state = [
+        nav_state(c.mode()),
+        1 + u8::from(c.is_armed()),
+        u8::from(c.failsafe().is_some()),
+    ];
+    let contents = [
+        floats(&[p.x, p.y, p.z, v.x, v.y, v.z, a.yaw_rad()]),
+        floats(&[a.w, a.x, a.y, a.z]),
+        state.to_vec(),
+        vec![u8::from(c.landed() == LandedState::OnGround)],
+        floats(&[s.battery_voltage_v, s.battery_current_a, s.battery_remaining]),
+        floats(&s.motors),
+    ];
+    let time = core.time_boot_us().to_le_bytes();
+    for (number, content) in contents.iter().enumerate() {
+        message(out, b'D', &[&(number as u16).to_le_bytes(), &time, content]);
+    }
+}
+
+/// PX4's `vehicle_status.nav_state`.
+fn nav_state(mode: FlightMode) -> u8 {
+    match mode {
+        FlightMode::Manual => 0,
+        FlightMode::Altitude => 1,
+        FlightMode::Position => 2,
+        FlightMode::Mission => 3,
+        FlightMode::Hold => 4,
+        FlightMode::Return => 5,
+        FlightMode::Acro => 10,
+        FlightMode::Offboard => 14,
+        FlightMode::Stabilized => 15,
+        FlightMode::Takeoff => 17,
+        FlightMode::Land => 18,
+        FlightMode::Follow => 19,
+        FlightMode::Orbit => 21,
+    }
+}
+
+/// The first message that begins at or after `offset`, from one that begins at `known`: offsets into a log.
+pub(crate) fn next_message(log: &[u8], known: usize, offset: usize) -> usize {
+    let mut at = known.max(HEADER_LEN);
+    while at < offset {
+        let Some(size) = log
+            .get(at..at + 2)
+            .and_then(|bytes| bytes.try_into().ok())
+            .map(u16::from_le_bytes)
+        else {
+            break;
+        };
+        at += MESSAGE_HEADER_LEN + usize::from(size);
+    }
+    at
+}
