@@ -49,6 +49,95 @@ def test_gymnasium_finds_nothing_wrong(frames, privileged):
         check_env(env.unwrapped)
 
 
+def test_the_registered_id_with_spaces_of_one_gives_gymnasium_nothing_to_warn_of():
+    env = gymnasium.make("VigilNormalized-v0", frames=1, disable_env_checker=True)
+    for space in (env.action_space, *env.observation_space.spaces.values()):
+        assert space.is_bounded() and space.low.min() >= -1.0 and space.high.max() == 1.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+    # It is the same flight, in other units.
+    plain, unit = VigilEnv("validation", frames=1), VigilEnv("validation", frames=1, normalized=True)
+    (seen, _), (scaled, _) = (e.reset(options={"course_seed": 7}) for e in (plain, unit))
+    # Eighths: what is scaled to the whole action and back is the same number.
+    for action in np.round(8.0 * ACTIONS / 1.5).astype(np.float32) / np.float32(8.0):
+        np.testing.assert_array_equal(scaled["frames"], seen["frames"] / np.float32(100.0))
+        distance_m, bearing = seen["goal"]
+        np.testing.assert_allclose(scaled["goal"], [min(distance_m / 20.0, 1.0), bearing / np.pi], atol=1e-6)
+        assert unit.observation_space.contains(scaled)
+        seen, reward, *_ = plain.step(action * np.float32(1.5))
+        scaled, again, *_ = unit.step(action)
+        assert reward == again
+    vector = gymnasium.make_vec("VigilNormalized-v0", num_envs=2, vectorization_mode="vector_entry_point", frames=1)
+    observation, _ = vector.reset(seed=1)
+    assert vector.observation_space.contains(observation) and vector.single_action_space.high.max() == 1.0
+    with pytest.raises(ValueError, match="have no bounds"):
+        VigilEnv(normalized=True, privileged=True)
+
+
+def flown(mode, steps, **options):
+    """Two flights under fixed actions: what each step gave."""
+    env = VigilVectorEnv(2, "validation", frames=1, threads=1, autoreset_mode=mode, **options)
+    observation, _ = env.reset(seed=3)
+    seen = [(observation, None, None, {})]
+    for step in range(steps):
+        observation, rewards, terminated, truncated, info = env.step(np.tile(ACTIONS[step % 60], (2, 1)))
+        seen.append((observation, rewards, terminated | truncated, info))
+    return env, seen
+
+
+def test_a_flight_that_ended_begins_anew_in_the_same_step_where_that_is_wanted():
+    _, later = flown("NextStep", 25, time_limit=1.0)
+    env, seen = flown("SameStep", 25, time_limit=1.0)
+    assert env.metadata["autoreset_mode"] is gymnasium.vector.AutoresetMode.SAME_STEP
+    # Until the end both are one; there the last observation is beside the first of the new flight.
+    end = next(i for i, step in enumerate(seen) if i and step[2].any())
+    assert seen[end][2].all() and later[end][2].all()
+    info = seen[end][3]
+    assert info["_final_obs"].all() and info["final_info"]["outcome"].tolist() == ["time-out"] * 2
+    for number in range(2):
+        for name in ("frames", "goal"):
+            np.testing.assert_array_equal(info["final_obs"][number][name], later[end][0][name][number])
+            # What the next step gives where it begins anew there.
+            np.testing.assert_array_equal(seen[end][0][name][number], later[end + 1][0][name][number])
+    # From then on it is one step ahead, and flies on.
+    assert not seen[end + 1][2].any() and "final_obs" not in seen[end + 1][3]
+    for step in seen:
+        assert env.observation_space.contains(step[0])
+
+
+def test_a_flight_that_ended_waits_for_its_reset_where_none_is_wanted_and_the_others_fly_on():
+    env, _ = flown("Disabled", 20, time_limit=1.0)
+    with pytest.raises(ValueError, match="flights 0, 1 have ended: reset.*reset_mask"):
+        env.step(np.zeros((2, 2), np.float32))
+    mask = np.array([True, False])
+    before = env._flown.observation()
+    kept = {name: value.copy() for name, value in before.items()}
+    observation, _ = env.reset(seed=[9, 9], options={"reset_mask": mask})
+    for name in ("frames", "goal"):
+        np.testing.assert_array_equal(observation[name][1], kept[name][1])
+        np.testing.assert_array_equal(before[name][1], kept[name][1])
+        assert not np.array_equal(observation[name][0], kept[name][0])
+    with pytest.raises(ValueError, match="flights 1 have ended"):
+        env.step(np.zeros((2, 2), np.float32))
+    env.reset(options={"reset_mask": ~mask})
+    # The first is the flight that it would be alone with this seed, step by step.
+    alone = VigilVectorEnv(1, "validation", frames=1, time_limit=1.0, autoreset_mode="Disabled")
+    single, _ = alone.reset(seed=9)
+    np.testing.assert_array_equal(single["frames"][0], observation["frames"][0])
+    for action in ACTIONS[:5]:
+        both, *_ = env.step(np.tile(action, (2, 1)))
+        single, *_ = alone.step(action[None])
+        np.testing.assert_array_equal(single["frames"][0], both["frames"][0])
+    for wrong in (np.array([1, 0]), np.array([True]), np.zeros(2, bool)):
+        with pytest.raises(ValueError, match="reset_mask: 2 of bool"):
+            env.reset(options={"reset_mask": wrong})
+    with pytest.raises(ValueError, match="there is reset_mask, not course_seed"):
+        env.reset(options={"course_seed": 3})
+    with pytest.raises(ValueError):
+        VigilVectorEnv(2, autoreset_mode="sometimes")
+
+
 def test_a_seed_decides_a_flight_to_the_bit():
     first = steps(VigilEnv(privileged=True, wind=3.0, noise=2.0), seed=11)
     same(first, steps(VigilEnv(privileged=True, wind=3.0, noise=2.0), seed=11))

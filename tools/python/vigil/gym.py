@@ -1,7 +1,7 @@
 """Gymnasium environments over Vigil's simulator: a multicopter with a scanning LiDAR flies to a goal among obstacles.
 
 A step is 50 ms. What an observation, an action and the reward are stands at :class:`VigilEnv`; :class:`VigilVectorEnv` flies several
-at once on threads. ``gymnasium.make("Vigil-v0")`` works after ``import vigil.gym``.
+at once on threads. ``gymnasium.make("Vigil-v0")`` works after ``import vigil.gym``, and ``"VigilNormalized-v0"`` with spaces of ±1.
 """
 
 from __future__ import annotations
@@ -47,9 +47,21 @@ _SPARE_BLOCKS = 3
 _SEEDS = 2**48
 
 
-def spaces_of(frames: int, privileged: bool, actor: Actor | None = None) -> tuple[spaces.Dict, spaces.Box]:
+_GOAL_SCALE_M = 20.0
+"""Distance of the goal that is 1 in a normalised observation, and the most, as the networks take it."""
+
+
+def spaces_of(
+    frames: int, privileged: bool, actor: Actor | None = None, normalized: bool = False
+) -> tuple[spaces.Dict, spaces.Box]:
     """Observation and action space of one flight."""
     shape = (FRAMES, ROWS, COLUMNS) if frames == FRAMES else (ROWS, COLUMNS)
+    if normalized:
+        if privileged or actor is not None:
+            raise ValueError("normalized: the true state and an actor's position have no bounds; leave out privileged and actor")
+        goal = spaces.Box(np.array([0.0, -1.0], np.float32), np.array([1.0, 1.0], np.float32), dtype=np.float32)
+        seen = spaces.Dict({"frames": spaces.Box(0.0, 1.0, shape, np.float32), "goal": goal})
+        return seen, spaces.Box(-1.0, 1.0, (2,), np.float32)
     parts: dict[str, spaces.Space[Any]] = {
         "frames": spaces.Box(0.0, FULL_SCALE_M, shape, np.float32),
         "goal": spaces.Box(
@@ -88,6 +100,7 @@ class _Flown:
         course = options["course"]
         self.count, self.frames, self.privileged = count, frames, bool(options["privileged"])
         self.share_frames = bool(options["share_frames"])
+        self.normalized = bool(options["normalized"])
         actor: Actor | None = options["actor"]
         if actor is not None and not isinstance(actor, Actor):
             raise TypeError(f"actor: a vigil.policy.Actor, got {type(actor).__name__}")
@@ -142,12 +155,23 @@ class _Flown:
         self._next_slot(fresh=True)
         self.flights.reset(list(seeds), self.block, self.slot, self.back)
 
+    def reset_some(self, seeds: Sequence[int | None]) -> None:
+        """Begins those flights anew that have a seed, here and now; the others are where they were."""
+        older, at = self.block, self.slot
+        self.block = self._unseen_block()
+        self.block[:, : self.back + 1] = older[:, at - self.back : at + 1]
+        self._spare = [*self._spare, older][-_SPARE_BLOCKS:]
+        self.slot = self.back
+        self.flights.reset(list(seeds), self.block, self.slot, self.back)
+
     def step(self, actions: Floats, seeds: Sequence[int | None]) -> tuple[Floats, NDArray[np.int8]]:
         begins = any(seed is not None for seed in seeds)
         self._next_slot(fresh=begins)
         if begins:
             self.flights.reset(list(seeds), self.block, self.slot, self.back)
         flies = [seed is None for seed in seeds]
+        if self.normalized:
+            actions = np.clip(actions, -1.0, 1.0) * np.float32(ACTION_LIMIT)
         return self.flights.step(actions, flies, self.block, self.slot)
 
     def observation(self) -> dict[str, Floats]:
@@ -161,10 +185,11 @@ class _Flown:
             view = view[:, [self.back - age for age in self.ages]]
         elif not self.share_frames:
             view = view.copy()
-        observation = {
-            "frames": view,
-            "goal": self.flights.goals().reshape(self.count, 2),
-        }
+        goals = self.flights.goals().reshape(self.count, 2)
+        if self.normalized:
+            view = view / np.float32(FULL_SCALE_M)
+            goals = np.stack([goals[:, 0] / _GOAL_SCALE_M, goals[:, 1] / np.pi], axis=1).clip(-1.0, 1.0).astype(np.float32)
+        observation = {"frames": view, "goal": goals}
         if self.actor is not None:
             observation["position"] = self.flights.positions().reshape(self.count, -1)
         if self.privileged:
@@ -242,6 +267,8 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         noise: multiplies the LiDAR's range noise and dropouts; 0 to 100.
         time_limit: seconds after which a flight is cut off; absent: the course's.
         reward: terms of the reward that differ from the defaults.
+        normalized: spaces of ±1 (``VigilNormalized-v0``): frames over 100 m, distance over 20 m and at most 1, bearing over π; actions of
+            ±1 are the whole ±1.5. Not with ``privileged`` or ``actor``, which have no bounds.
         render_mode: ``rgb_array``: :meth:`render` gives the course from above with the way flown.
 
     ``reset(seed=…)`` decides all that is drawn after it; ``reset(options={"course_seed": 7})`` flies that very course. The same seed and
@@ -268,6 +295,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         noise: float = 1.0,
         time_limit: float | None = None,
         reward: Mapping[str, float | str] | None = None,
+        normalized: bool = False,
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
@@ -284,6 +312,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
             noise=noise,
             time_limit=time_limit,
             reward=reward,
+            normalized=normalized,
         )
         self._flown = _Flown(1, frames, 1, options)
         self._seeds = seeds
@@ -291,7 +320,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         self.render_mode = render_mode
         self.course_seed: int | None = None
         """Seed of the course that is flown."""
-        observed, acted = spaces_of(frames, privileged, actor)
+        observed, acted = spaces_of(frames, privileged, actor, normalized)
         self.observation_space: spaces.Space[Any] = observed
         self.action_space: spaces.Space[Any] = acted
 
@@ -340,12 +369,20 @@ def _drawn(random: np.random.Generator, seeds: Sequence[int] | None) -> int:
 class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
     """Several flights at once, on threads of Rust: observations ``[num_envs, …]``, rewards and ends ``[num_envs]``.
 
-    As :class:`VigilEnv` otherwise. A flight that ended begins anew in the next step, whose action is not flown (Gymnasium's
-    ``AutoresetMode.NEXT_STEP``). The newest frames alone are a view without a copy, as for one flight.
+    As :class:`VigilEnv` otherwise. What becomes of a flight that ended is Gymnasium's ``autoreset_mode``:
+
+    ==============  ==============================================================================================================
+    ``NextStep``    it begins anew in the next step, whose action is not flown
+    ``SameStep``    it begins anew in the same step; ``info["final_obs"]`` and ``info["final_info"]`` are those of its end
+    ``Disabled``    it waits for ``reset(options={"reset_mask": mask})``, ``mask`` an array ``[num_envs]`` of bool; the others fly on
+    ==============  ==============================================================================================================
+
+    The newest frames alone are a view without a copy, as for one flight.
 
     Args:
         num_envs: how many.
         threads: how many threads fly them; absent: as many as the machine has, at most ``num_envs``. The results do not depend on it.
+        autoreset_mode: see above; a ``gymnasium.vector.AutoresetMode`` or its value.
         **options: those of :class:`VigilEnv`, but for ``render_mode``.
     """
 
@@ -366,7 +403,9 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         noise: float = 1.0,
         time_limit: float | None = None,
         reward: Mapping[str, float | str] | None = None,
+        normalized: bool = False,
         threads: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs: 1 or more, got {num_envs}")
@@ -382,13 +421,16 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
             noise=noise,
             time_limit=time_limit,
             reward=reward,
+            normalized=normalized,
         )
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._flown = _Flown(num_envs, frames, _threads(threads), options)
         self._seeds = seeds
         self._ended = np.zeros(num_envs, bool)
         self._begun = False
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = spaces_of(frames, privileged, actor)
+        self.single_observation_space, self.single_action_space = spaces_of(frames, privileged, actor, normalized)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._random = [np.random.default_rng() for _ in range(num_envs)]
@@ -402,19 +444,37 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Floats], dict[str, Any]]:
-        """Begins all flights. A seed is that of the first flight, the others have the following; or one for each."""
+        """Begins all flights. A seed is that of the first flight, the others have the following; or one for each.
+
+        ``options``: ``reset_mask``, an array ``[num_envs]`` of bool: only these begin anew, and only these take their seed.
+        """
+        mask = np.ones(self.num_envs, bool)
         if options:
-            raise ValueError(f"options: there are none, got {', '.join(sorted(options))}")
+            if unknown := set(options) - {"reset_mask"}:
+                raise ValueError(f"options: there is reset_mask, not {', '.join(sorted(unknown))}")
+            mask = np.asarray(options["reset_mask"])
+            if mask.dtype != np.bool_ or mask.shape != (self.num_envs,) or not mask.any():
+                raise ValueError(
+                    f"reset_mask: {self.num_envs} of bool are needed, one at least true, got {mask.dtype} {list(mask.shape)}"
+                )
         seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed
         if seeds is not None:
             if len(seeds) != self.num_envs:
                 raise ValueError(f"seed: one for each of {self.num_envs} flights, got {len(seeds)}")
             for number, own in enumerate(seeds):
-                if own is not None:
+                if own is not None and mask[number]:
                     self._random[number] = seeding.np_random(own)[0]
-        self._flown.reset([self._draw(number) for number in range(self.num_envs)])
-        self._begun, self._ended = True, np.zeros(self.num_envs, bool)
+        if mask.all():
+            self._flown.reset([self._draw(number) for number in range(self.num_envs)])
+        elif not self._begun:
+            raise ValueError("reset_mask: the flights have not begun: reset all of them first")
+        else:
+            self._begin_anew(mask)
+        self._begun, self._ended = True, self._ended & ~mask
         return self._flown.observation(), {"course_seed": np.array(self.course_seeds)}
+
+    def _begin_anew(self, mask: NDArray[np.bool_]) -> None:
+        self._flown.reset_some([self._draw(number) if mask[number] else None for number in range(self.num_envs)])
 
     def step(
         self, actions: Any
@@ -423,6 +483,9 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
         given = _actions(actions, self.num_envs)
         if not self._begun:
             raise ValueError("the flights have not begun: reset first")
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._ended.any():
+            ended = ", ".join(str(number) for number in np.flatnonzero(self._ended))
+            raise ValueError(f'flights {ended} have ended: reset(options={{"reset_mask": …}}) begins them anew')
         seeds = [self._draw(number) if ended else None for number, ended in enumerate(self._ended)]
         rewards, outcomes = self._flown.step(given, seeds)
         self._ended = outcomes >= 0
@@ -431,8 +494,21 @@ class VigilVectorEnv(VectorEnv[dict[str, Floats], Floats, NDArray[Any]]):
             names = np.array([OUTCOMES[o] if o >= 0 else None for o in outcomes], dtype=object)
             info = {"outcome": names, "_outcome": self._ended.copy(), "is_success": outcomes == 0}
             info["_is_success"] = info["_outcome"]
+            if self.autoreset_mode is AutoresetMode.SAME_STEP:
+                info = self._begun_in_the_same_step(info)
         terminated = (outcomes >= 0) & (outcomes != 3)
         return self._flown.observation(), rewards.astype(np.float64), terminated, outcomes == 3, info
+
+
+    def _begun_in_the_same_step(self, info: dict[str, Any]) -> dict[str, Any]:
+        """Begins those anew that have just ended; what they ended with goes into ``info``."""
+        last, ended = self._flown.observation(), self._ended
+        final = np.empty(self.num_envs, dtype=object)
+        for number in np.flatnonzero(ended):
+            final[number] = {name: value[number].copy() for name, value in last.items()}
+        self._begin_anew(ended)
+        self._ended = np.zeros(self.num_envs, bool)
+        return {**info, "final_obs": final, "_final_obs": ended, "final_info": info, "_final_info": ended}
 
 
 def _threads(given: int | None) -> int:
@@ -441,9 +517,11 @@ def _threads(given: int | None) -> int:
     return given or len(os.sched_getaffinity(0))
 
 
-gymnasium.register(
-    id="Vigil-v0",
-    entry_point="vigil.gym:VigilEnv",
-    vector_entry_point="vigil.gym:VigilVectorEnv",
-    order_enforce=False,
-)
+for _id, _options in (("Vigil-v0", {}), ("VigilNormalized-v0", {"normalized": True})):
+    gymnasium.register(
+        id=_id,
+        entry_point="vigil.gym:VigilEnv",
+        vector_entry_point="vigil.gym:VigilVectorEnv",
+        order_enforce=False,
+        kwargs=_options,
+    )
