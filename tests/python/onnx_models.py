@@ -201,7 +201,151 @@ def swapped_outputs():
     return b.model(b.Gather(x, np.array([3, 1]), axis=1))
 
 
+def sb3_log_probability_beside_the_action():
+    """ActorCriticPolicy.forward as it is exported: the action, what the critic says and the probability, which nobody flies."""
+    b = Build(frame=[1, 1, 24, 32], temperature=[1, 1])
+    x = b.Relu(b.conv("frame", 1, 4, 4, strides=[4, 4]))
+    x = b.Relu(b.gemm(b.Flatten(x), 4 * 6 * 8, 16))
+    mean, value = b.gemm(x, 16, 2), b.gemm(x, 16, 1)
+    spread = b.Exp(b.Add(b.gemm(x, 16, 2), "temperature"))
+    away = b.Div(b.Sub(mean, b.RandomNormalLike(mean)), spread)
+    probability = b.ReduceSum(b.Log(b.Mul(away, away)), np.array([1]), keepdims=0)
+    b.ArgMax(x, axis=1)
+    b.Softmax(x)
+    return b.model(b.Tanh(mean), value, probability)
+
+
+def constants_that_are_combined():
+    """Bounds, epsilons and shapes made of constants."""
+    b = Build(frame=[1, 1, 8, 12])
+    x = b.Reshape("frame", b.Concat(np.array([1]), b.Mul(np.array([8]), np.array([12])), axis=0))
+    mean, variance = b.weights(96, 1)[:, 0], np.abs(b.weights(96, 1)[:, 0]).astype(np.float64)
+    x = b.Div(b.Sub(x, mean), b.Sqrt(b.Add(b.Cast(variance, to=TensorProto.FLOAT), np.float32(1e-8))))
+    low, high = np.array([-1.5, -0.5], np.float32), np.array([1.5, 2.5], np.float32)
+    y = b.Tanh(b.gemm(x, 96, 2))
+    half = b.Div(b.Sub(high, low), np.float32(2))
+    y = b.Add(b.Mul(y, half), b.Add(low, half))
+    ones = b.ConstantOfShape(b.Shape(y), value=helper.make_tensor("one", TensorProto.FLOAT, [1], [1.0]))
+    wanted = b.Where(b.Equal(b.Shape(y), np.array([-1, 2])), np.array([1, 1]), b.Shape(y))
+    y = b.Mul(y, b.Expand(b.Add(ones, b.ReduceMean(ones, keepdims=1)), wanted))
+    return b.model(b.Add(y, b.Concat(np.array([0.25], np.float32), b.Neg(np.array([0.5], np.float32)), axis=0)))
+
+
+def sb3_with_vec_normalize():
+    """PPO with VecNormalize: pixels less their mean over their deviation, clipped; SB3 clips the action to its space."""
+    b = Build(frame=[1, 2, 20, 28])
+    mean, variance = b.weights(2, 20 * 28).reshape(1, 2, 20, 28), np.abs(b.weights(2, 20 * 28)).reshape(1, 2, 20, 28)
+    x = b.Div(b.Sub("frame", mean), b.Sqrt(b.Add(variance + np.float32(0.1), np.float32(1e-8))))
+    x = b.Clip(x, np.float32(-10), np.float32(10))
+    x = b.Relu(b.conv(x, 2, 6, 4, strides=[2, 2]))
+    x = b.Tanh(b.gemm(b.Flatten(x), 6 * 9 * 13, 12))
+    return b.model(b.Clip(b.gemm(x, 12, 2), np.float32(-1), np.float32(1)))
+
+
+def rl_games_a2c_network():
+    """rl_games: running statistics clamped to ±5, ELU, mu; sigma is a constant that goes nowhere."""
+    b = Build(goal=[1, 2], frame=[1, 1, 16, 24])
+    x = b.Concat(b.Flatten("frame"), "goal", axis=1)
+    mean, variance = b.weights(386, 1)[:, 0], np.abs(b.weights(386, 1)[:, 0])
+    x = b.Div(b.Sub(x, mean), b.Sqrt(b.Add(variance, np.float32(1e-1))))
+    x = b.Min(b.Max(x, np.float32(-5)), np.float32(5))
+    x = b.Elu(b.gemm(x, 386, 24))
+    x = b.Elu(b.gemm(x, 24, 12))
+    sigma = b.Exp(np.zeros(2, np.float32))
+    return b.model(b.Max(b.Min(b.gemm(x, 12, 2), np.float32(1)), np.float32(-1)), sigma)
+
+
+def rsl_rl_actor_critic():
+    """rsl_rl: empirical normalisation, (x - mean) / (std + eps), then an ELU perceptron."""
+    b = Build(frame=[1, 1, 12, 20])
+    x = b.Flatten("frame")
+    x = b.Div(b.Sub(x, b.weights(1, 240)), b.Add(np.abs(b.weights(1, 240)), np.float32(1e-2)))
+    x = b.Elu(b.gemm(x, 240, 20), alpha=1.0)
+    x = b.Elu(b.gemm(x, 20, 10), alpha=0.7)
+    return b.model(b.gemm(x, 10, 2))
+
+
+def clean_rl_sac_actor():
+    """CleanRL's SAC: tanh(mean) * scale + bias; the deviation's branch ends beside it."""
+    b = Build(frame=[1, 3, 24, 24])
+    x = b.Div("frame", np.float32(255.0))
+    x = b.Relu(b.conv(x, 3, 6, 3, strides=[2, 2]))
+    x = b.Relu(b.gemm(b.Flatten(x), 6 * 11 * 11, 16))
+    log_std = b.Tanh(b.gemm(x, 16, 2))
+    std = b.Exp(b.Add(np.float32(-5), b.Mul(b.Add(log_std, np.float32(1)), np.float32(3.5))))
+    scale, bias = np.array([[0.75, 1.0]], np.float32), np.array([[0.75, 0.0]], np.float32)
+    return b.model(b.Add(b.Mul(b.Tanh(b.gemm(x, 16, 2)), scale), bias), std)
+
+
+def curves_of_many_kinds():
+    b = Build(frame=[1, 1, 8, 12])
+    x = b.gemm(b.Flatten("frame"), 96, 24)
+    parts = [
+        b.LeakyRelu(x, alpha=0.2),
+        b.Softplus(x),
+        b.Mul(x, b.Sigmoid(x)),
+        b.Neg(x),
+        b.Pow(x, np.float32(2)),
+        b.Pow(x, np.array(3)),
+        b.Abs(x),
+        b.Selu(x),
+        b.Celu(x, alpha=0.5),
+        b.PRelu(x, np.abs(b.weights(24, 1)[:, 0])),
+        b.HardSigmoid(x, alpha=0.25),
+        b.HardSwish(x),
+        b.Softsign(x),
+        b.Mul(x, b.Tanh(b.Softplus(x))),
+        b.Mul(b.Mul(x, np.float32(0.5)), b.Add(b.Erf(b.Div(x, np.float32(2**0.5))), np.float32(1))),
+        b.Sqrt(b.Add(b.Mul(x, x), np.float32(0.1))),
+        b.Log(b.Add(b.Exp(x), np.float32(1))),
+        b.Div(np.float32(1), b.Add(b.Abs(x), np.float32(1))),
+        b.Pow(np.float32(2), x),
+        b.Max(x, b.weights(24, 1)[:, 0]),
+        b.Min(x, b.weights(24, 1)[:, 0], np.float32(0.4)),
+        b.Clip(x, "", np.float32(0.3)),
+        b.Max(x, b.Neg(x)),
+        b.Min(x, b.Sigmoid(x)),
+    ]
+    return b.model(b.Tanh(b.gemm(b.Concat(*parts, axis=1), 24 * len(parts), 2)))
+
+
+def residual_sums():
+    """ResNet: what a block adds to its input, in pictures and in rows; a gate that multiplies."""
+    b = Build(frame=[1, 1, 20, 28])
+    x = b.LeakyRelu(b.conv("frame", 1, 6, 3, strides=[2, 2], pads=[1] * 4), alpha=0.01)
+    y = b.conv(b.Relu(b.conv(x, 6, 6, 3, pads=[1] * 4)), 6, 6, 3, pads=[1] * 4)
+    x = b.Relu(b.Add(x, y))
+    gate = b.Sigmoid(b.conv(b.GlobalAveragePool(x), 6, 6, 1))
+    x = b.Mul(x, gate)
+    x = b.gemm(b.Flatten(x), 6 * 10 * 14, 16)
+    x = b.Sum(x, b.gemm(b.Relu(b.gemm(x, 16, 8)), 8, 16), x)
+    x = b.Sub(x, b.Tanh(x))
+    return b.model(b.gemm(x, 16, 2))
+
+
+def layer_normalisation():
+    """As one node, and as older exporters write it out."""
+    b = Build(frame=[1, 1, 10, 12])
+    x = b.gemm(b.Flatten("frame"), 120, 32)
+    x = b.LayerNormalization(x, b.weights(32, 1)[:, 0], b.weights(32, 1)[:, 0], epsilon=1e-3)
+    x = b.gemm(b.Mul(x, b.Sigmoid(x)), 32, 16)
+    centred = b.Sub(x, b.ReduceMean(x, axes=[-1], keepdims=1))
+    variance = b.ReduceMean(b.Pow(centred, np.float32(2)), axes=[-1], keepdims=1)
+    x = b.Div(centred, b.Sqrt(b.Add(variance, np.float32(1e-5))))
+    x = b.Add(b.Mul(x, b.weights(16, 1)[:, 0]), b.weights(16, 1)[:, 0])
+    return b.model(b.Clip(b.gemm(b.Elu(x), 16, 2), np.float32(-1.2), np.float32(1.2)))
+
+
 MODELS = [
+    sb3_log_probability_beside_the_action,
+    constants_that_are_combined,
+    sb3_with_vec_normalize,
+    rl_games_a2c_network,
+    rsl_rl_actor_critic,
+    clean_rl_sac_actor,
+    curves_of_many_kinds,
+    residual_sums,
+    layer_normalisation,
     dense_after_convolutions,
     three_channels_last,
     elu_with_padding,
@@ -247,13 +391,19 @@ def refused():
                 linear_before_reset=1,
             )
         ),
-        "one has to be a constant": one(lambda b: b.Add(flat(b), flat(b))),
+        "name the action's with --action": (lambda b: b.model(b.gemm(flat(b), 64, 2), flat(b)))(Build(frame=[1, 1, 8, 8])),
+        "depends on no frame": (lambda b: b.model(b.gemm("goal", 2, 2)))(Build(goal=[1, 2], frame=[1, 1, 8, 8])),
+        "both depend on the inputs": one(lambda b: b.Pow(b.gemm(flat(b), 64, 2), b.gemm(flat(b), 64, 2))),
+        "several exponents": one(lambda b: b.Pow(b.gemm(flat(b), 64, 2), np.array([1, 2], np.float32))),
+        "not finite": one(lambda b: b.Mul(b.gemm(flat(b), 64, 2), b.Log(np.zeros(2, np.float32)))),
+        "do not fit each other": one(lambda b: b.Add(b.gemm(flat(b), 64, 2), b.gemm(flat(b), 64, 3))),
+        "values as whole numbers": one(lambda b: b.Cast(b.Cast(flat(b), to=TensorProto.INT64), to=TensorProto.FLOAT)),
         "it divides by zero": one(lambda b: b.Div(flat(b), np.float32(0))),
         "none of shape [1, channels, rows, columns]": Build(goal=[1, 2]).model("goal"),
         "multiply-adds a decision": one(
             lambda b: b.gemm(b.Flatten(b.GlobalAveragePool(b.conv("frame", 1, 8, 65))), 8, 2), (1, 1, 128, 256)
         ),
-        "nothing computes its input `lost`": one(lambda b: b.Relu("lost")),
+        "nothing computes its input `lost`": one(lambda b: b.Add(flat(b), "lost")),
         "the values of its image were put in another order": one(
             lambda b: b.conv(b.Transpose("frame", perm=[0, 1, 3, 2]), 1, 2, 3)
         ),
@@ -276,13 +426,19 @@ def main(folder):
         onnx.save(model, f"{name}.onnx")
         session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])
         given, ours = {}, []
-        for info in session.get_inputs():
+        # Only the action's ancestors count: `temperature` is none.
+        for info in (i for i in session.get_inputs() if i.name != "temperature"):
             shape = [size if isinstance(size, int) else 1 for size in info.shape]
             value = RNG.uniform(-0.5, 1.0, shape).astype(np.float32)
             given[info.name] = value
             last = shape[-1] == 3 or len(shape) == 2
             ours.append((value if last else value.transpose(0, 2, 3, 1)).ravel().tolist())
-        (output,) = session.run(None, given)
+        if "temperature" in {info.name for info in session.get_inputs()}:
+            given["temperature"] = np.zeros((1, 1), np.float32)
+        # The first output is the action; where there are others, its name has to be told.
+        action = session.get_outputs()[0].name
+        Path(f"{name}.action.txt").write_text(action if len(session.get_outputs()) > 1 else "")
+        (output,) = session.run([action], given)
         Path(f"{name}.inputs.json").write_text(json.dumps(ours))
         Path(f"{name}.outputs.json").write_text(json.dumps(output.ravel().tolist()))
     words = {}

@@ -38,11 +38,13 @@ mod activation;
 mod aligned;
 mod conv;
 mod dense;
+mod elementwise;
 mod graph;
 mod gru;
 mod int8;
 mod isa;
 mod kernels;
+mod layer_norm;
 mod lstm;
 mod math;
 #[cfg(feature = "file")]
@@ -57,12 +59,14 @@ pub use activation::{Activation, RESCALE_THRESHOLD};
 pub use aligned::Aligned;
 pub use conv::Conv2d;
 pub use dense::Dense;
+pub use elementwise::Function;
 pub use graph::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR, Graph, GraphBuilder, NodeId, Params, Purpose, Rounding};
 #[cfg(feature = "train")]
 pub use graph::{BoundsGradient, PackedBoundsParams};
 pub use gru::Gru;
 pub use int8::Int8Chain;
 pub use isa::Isa;
+pub use layer_norm::LayerNorm;
 pub use lstm::Lstm;
 pub use norm::BatchNorm;
 pub use pool::MaxPool2d;

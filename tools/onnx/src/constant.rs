@@ -53,9 +53,11 @@ impl Constant {
             6 => Data::Whole(chunks(raw).map(|b| i64::from(i32::from_le_bytes(b))).collect()),
             7 if raw.is_empty() => Data::Whole(tensor.int64_data.clone()),
             7 => Data::Whole(chunks(raw).map(i64::from_le_bytes).collect()),
+            9 if raw.is_empty() => Data::Whole(tensor.int32_data.iter().map(|x| i64::from(*x != 0)).collect()),
+            9 => Data::Whole(raw.iter().map(|b| i64::from(*b != 0)).collect()),
             other => {
                 return Err(format!(
-                    "it has numbers of type {other}; float32, float64, int32 and int64 are known"
+                    "it has numbers of type {other}; float32, float64, int32, int64 and bool are known"
                 ));
             }
         };
@@ -73,6 +75,57 @@ impl Constant {
             return Err("it holds a number that is not finite".to_owned());
         }
         Ok(constant)
+    }
+
+    /// A number.
+    pub fn one(data: Data) -> Self {
+        Self {
+            shape: Vec::new(),
+            data,
+        }
+    }
+
+    /// Numbers along one axis.
+    pub fn row(data: Data) -> Self {
+        let mut row = Self::one(data);
+        row.shape = vec![row.len()];
+        row
+    }
+
+    /// The same as numbers of another of ONNX's types.
+    ///
+    /// # Errors
+    /// A type that is not known.
+    pub fn cast(&self, to: i64) -> Result<Self, String> {
+        let data = match (&self.data, to) {
+            (Data::Real(values), 1 | 11) => Data::Real(values.clone()),
+            (Data::Whole(values), 1 | 11) => Data::Real(values.iter().map(|x| *x as f32).collect()),
+            (Data::Real(values), 9) => Data::Whole(values.iter().map(|x| i64::from(*x != 0.0)).collect()),
+            (Data::Whole(values), 9) => Data::Whole(values.iter().map(|x| i64::from(*x != 0)).collect()),
+            (Data::Real(values), 6 | 7) => Data::Whole(values.iter().map(|x| *x as i64).collect()),
+            (Data::Whole(values), 6 | 7) => Data::Whole(values.clone()),
+            _ => return Err(format!("a constant as numbers of type {to}")),
+        };
+        let shape = self.shape.clone();
+        Ok(Self { shape, data })
+    }
+
+    /// Values by the constant that each is of and its place there.
+    ///
+    /// # Errors
+    /// Constants of whole numbers beside real ones.
+    pub fn picked(constants: &[&Self], places: &[(usize, usize)]) -> Result<Data, String> {
+        if constants.iter().all(|constant| constant.whole().is_ok()) {
+            let of = |(i, place): &(usize, usize)| constants.get(*i)?.whole().ok()?.get(*place).copied();
+            let values: Option<Vec<i64>> = places.iter().map(of).collect();
+            return values.map(Data::Whole).ok_or_else(|| "a value is missing".to_owned());
+        }
+        for constant in constants {
+            constant.real()?;
+        }
+        let of = |(i, place): &(usize, usize)| constants.get(*i)?.real().ok()?.get(*place).copied();
+        let values: Option<Vec<f32>> = places.iter().map(of).collect();
+        values.map(Data::Real).ok_or_else(|| "a value is missing".to_owned())
     }
 
     /// How many values it has.

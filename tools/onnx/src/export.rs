@@ -9,7 +9,7 @@ use crate::proto::{
 };
 use prost::Message;
 use std::collections::HashSet;
-use vigil_nnet::{Activation, GraphBuilder, Params, ShapeError};
+use vigil_nnet::{Activation, Function, GraphBuilder, Params, ShapeError};
 use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ActorSpec};
 use vigil_policy::imported::{Layer, NetworkError};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy};
@@ -107,6 +107,7 @@ fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, ExportError> {
             Layer::Conv2d { layer, .. } => (layer.param_len(), number),
             Layer::Dense { layer, .. } => (layer.param_len(), number),
             Layer::BatchNorm { layer, .. } => (layer.param_len(), number),
+            Layer::LayerNorm { layer, .. } => (layer.param_len(), number),
             Layer::Gru { layer, params_of, .. } => (layer.param_len(), *params_of),
             Layer::Lstm { layer, params_of, .. } => (layer.param_len(), *params_of),
             _ => (0, number),
@@ -423,6 +424,32 @@ impl Writer<'_> {
         }
     }
 
+    fn function(&mut self, x: &str, function: Function) -> String {
+        let one = |operator: &'static str| (operator, Vec::new());
+        let (operator, attributes) = match function {
+            Function::LeakyRelu { alpha } => ("LeakyRelu", vec![float("alpha", alpha)]),
+            Function::Elu { alpha } => ("Elu", vec![float("alpha", alpha)]),
+            Function::Softplus => one("Softplus"),
+            Function::Exp => one("Exp"),
+            Function::Log => one("Log"),
+            Function::Abs => one("Abs"),
+            Function::Erf => one("Erf"),
+            Function::Clip { least, most } => {
+                // Infinite bounds are none.
+                let [least, most] = [least, most].map(|bound| match bound.is_finite() {
+                    true => self.floats(&format!("bound_{bound}"), &[], || vec![bound]),
+                    false => String::new(),
+                });
+                return self.node("Clip", &[x, &least, &most], Vec::new());
+            }
+            Function::Power { exponent } => {
+                let exponent = self.floats(&format!("exponent_{exponent}"), &[], || vec![exponent]);
+                return self.node("Pow", &[x, &exponent], Vec::new());
+            }
+        };
+        self.node(operator, &[x], attributes)
+    }
+
     fn of(&self, params: Params) -> Result<Vec<f32>, ShapeError> {
         vigil_nnet::shape::part("a layer's parameters", self.params, params.at, params.len).map(<[f32]>::to_vec)
     }
@@ -525,6 +552,38 @@ impl Writer<'_> {
                     .collect();
                 let y = self.node("BatchNormalization", &inputs, vec![float("epsilon", n.epsilon)]);
                 (self.row(&y, len), len)
+            }
+            Layer::Function { x, function } => {
+                let (x, len) = value_of(values, *x)?;
+                (self.function(x, *function), len)
+            }
+            Layer::Sum { parts } => {
+                let parts: Vec<(&str, usize)> = parts
+                    .iter()
+                    .map(|part| value_of(values, *part))
+                    .collect::<Result<_, _>>()?;
+                let names: Vec<&str> = parts.iter().map(|(name, _)| *name).collect();
+                (
+                    self.node("Sum", &names, Vec::new()),
+                    parts.first().map_or(0, |part| part.1),
+                )
+            }
+            Layer::Product { x, y } => {
+                let ((x, len), (y, _)) = (value_of(values, *x)?, value_of(values, *y)?);
+                (self.node("Mul", &[x, y], Vec::new()), len)
+            }
+            Layer::LayerNorm { x, layer: n } => {
+                let (x, len) = value_of(values, *x)?;
+                let (scale, shift) = own.split_at(n.width);
+                let x = self.reshaped(x, &[len / n.width.max(1), n.width]);
+                let scale = self.floats(&named("scale"), &[n.width], || scale.to_vec());
+                let shift = self.floats(&named("shift"), &[n.width], || shift.to_vec());
+                let y = self.node(
+                    "LayerNormalization",
+                    &[&x, &scale, &shift],
+                    vec![float("epsilon", n.epsilon)],
+                );
+                (self.reshaped(&y, &[1, len]), len)
             }
             Layer::Gru { x, h, layer: g, .. } => {
                 let (x, h) = (value_of(values, *x)?.0, value_of(values, *h)?.0);

@@ -5,20 +5,25 @@
 //! next layer's weights are put in their order.
 
 use crate::constant::{Constant, Data, len_of};
+use crate::fold;
 use crate::movement::{self, axis, reshape, take, transpose};
 use crate::proto::{Attribute, Graph, Model, Node, ValueInfo};
 use prost::Message;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::rc::Rc;
 use vigil_nnet::network_file::FileError;
-use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Gru, Isa, Lstm, MaxPool2d};
+use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Function, Gru, Isa, LayerNorm, Lstm, MaxPool2d};
 use vigil_policy::FrozenPolicy;
 use vigil_policy::imported::{Channels, Depth, Layer, MOST_VALUES, Network, PolicyInputs};
 
 /// The operators that are known, for the message about others.
-const KNOWN: &str = "Add, AveragePool, BatchNormalization, Cast, Concat, Constant, Conv, Div, Dropout, Elu, Flatten, GRU, \
-    Gather, Gemm, GlobalAveragePool, Identity, LSTM, MatMul, MaxPool, Mul, Relu, Reshape, Shape, Sigmoid, Slice, Split, \
-    Squeeze, Sub, Tanh, Transpose, Unsqueeze";
+const KNOWN: &str = "Abs, Add, AveragePool, BatchNormalization, Cast, Celu, Clip, Concat, Constant, Conv, Div, Dropout, Elu, Erf, \
+    Exp, Expand, Flatten, GRU, Gather, Gelu, Gemm, GlobalAveragePool, HardSigmoid, HardSwish, Identity, LSTM, LayerNormalization, \
+    LeakyRelu, Log, MatMul, Max, MaxPool, Min, Mish, Mul, Neg, PRelu, Pow, Reciprocal, ReduceMean, ReduceSum, Relu, Reshape, Selu, \
+    Shape, Sigmoid, Slice, Softplus, Softsign, Split, Sqrt, Squeeze, Sub, Sum, Swish, Tanh, Transpose, Unsqueeze";
+
+/// Weights of a layer that only puts values in their order, at most.
+const MOST_REARRANGED: usize = 1 << 22;
 
 /// Why a model is not imported.
 #[derive(Debug, thiserror::Error)]
@@ -134,9 +139,12 @@ pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolic
         .graph
         .as_ref()
         .ok_or_else(|| of_model("it holds no graph".to_owned()))?;
-    let mut importer = Importer::new(graph).map_err(of_model)?;
-    let frame = importer.inputs(graph).map_err(of_model)?;
-    for (number, node) in graph.node.iter().enumerate() {
+    let action = action_name(graph, adapter.output.as_deref()).map_err(of_model)?;
+    let needed = Needed::by(graph, action);
+    let mut importer = Importer::new(graph, action, &needed).map_err(of_model)?;
+    let frame = importer.inputs(graph, action, &needed).map_err(of_model)?;
+    let nodes = graph.node.iter().enumerate();
+    for (number, node) in nodes.filter(|(number, _)| needed.nodes.get(*number) == Some(&true)) {
         importer.node(node).map_err(|message| ImportError::Node {
             file: file.to_owned(),
             number,
@@ -148,7 +156,7 @@ pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolic
             message,
         })?;
     }
-    importer.output(graph, adapter.output.as_deref()).map_err(of_model)?;
+    importer.output(action).map_err(of_model)?;
     let params = importer.params.concat();
     let split = match adapter.split.as_deref() {
         None => importer.network.proposed_split(&params, frame.input),
@@ -178,6 +186,55 @@ pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolic
     policy.network.check().map_err(|e| of_model(e.to_string()))?;
     policy.pilot(Isa::PORTABLE, false)?;
     Ok(policy)
+}
+
+/// The output that is the action.
+fn action_name<'a>(graph: &'a Graph, wanted: Option<&str>) -> Result<&'a str, String> {
+    let names: Vec<&str> = graph.output.iter().map(|output| output.name.as_str()).collect();
+    match (wanted, names.as_slice()) {
+        (Some(wanted), _) => {
+            let found = names.iter().find(|name| **name == wanted).copied();
+            found.ok_or_else(|| format!("there is no output `{wanted}`, only {}", names.join(", ")))
+        }
+        (None, [one]) => Ok(one),
+        (None, _) => Err(format!(
+            "it has {} outputs ({}); name the action's with --action",
+            names.len(),
+            names.join(", ")
+        )),
+    }
+}
+
+/// What the action is computed from: nothing else of a model is looked at.
+struct Needed<'a> {
+    nodes: Vec<bool>,
+    tensors: HashSet<&'a str>,
+}
+
+impl<'a> Needed<'a> {
+    fn by(graph: &'a Graph, action: &'a str) -> Self {
+        let mut producers = HashMap::new();
+        for (number, node) in graph.node.iter().enumerate() {
+            for output in node.output.iter().filter(|output| !output.is_empty()) {
+                producers.entry(output.as_str()).or_insert(number);
+            }
+        }
+        let mut nodes = vec![false; graph.node.len()];
+        let mut tensors = HashSet::new();
+        let mut open = vec![action];
+        while let Some(name) = open.pop() {
+            if !tensors.insert(name) {
+                continue;
+            }
+            if let Some(number) = producers.get(name)
+                && let (Some(is_needed), Some(node)) = (nodes.get_mut(*number), graph.node.get(*number))
+                && !std::mem::replace(is_needed, true)
+            {
+                open.extend(node.input.iter().map(String::as_str).filter(|input| !input.is_empty()));
+            }
+        }
+        Self { nodes, tensors }
+    }
 }
 
 /// The frame among the inputs.
@@ -276,7 +333,7 @@ fn positive(value: i64, what: &str) -> Result<usize, String> {
 }
 
 impl<'a> Importer<'a> {
-    fn new(graph: &'a Graph) -> Result<Self, String> {
+    fn new(graph: &'a Graph, action: &'a str, needed: &Needed<'a>) -> Result<Self, String> {
         let mut importer = Self {
             network: Network::default(),
             params: Vec::new(),
@@ -285,35 +342,39 @@ impl<'a> Importer<'a> {
             uses: HashMap::new(),
             recurrent_weights: Vec::new(),
         };
-        for tensor in &graph.initializer {
+        let initializers = graph.initializer.iter();
+        for tensor in initializers.filter(|tensor| needed.tensors.contains(tensor.name.as_str())) {
             let constant = Constant::of(tensor).map_err(|e| format!("the tensor `{}`: {e}", tensor.name))?;
             importer
                 .tensors
                 .insert(&tensor.name, Value::Constant(Rc::new(constant)));
         }
-        let read = graph.node.iter().flat_map(|node| &node.input);
-        for name in read.chain(graph.output.iter().map(|output| &output.name)) {
+        let nodes = graph.node.iter().zip(&needed.nodes).filter(|(_, needed)| **needed);
+        let read = nodes.flat_map(|(node, _)| node.input.iter().map(String::as_str));
+        for name in read.chain([action]) {
             *importer.uses.entry(name).or_default() += 1;
         }
         Ok(importer)
     }
 
-    fn inputs(&mut self, graph: &'a Graph) -> Result<Frame, String> {
+    fn inputs(&mut self, graph: &'a Graph, action: &str, needed: &Needed<'a>) -> Result<Frame, String> {
         let mut found: Option<Frame> = None;
         let mut positions = 0;
         // Old exports list the weights among the inputs.
-        let real = graph
-            .input
-            .iter()
-            .filter(|input| !self.tensors.contains_key(input.name.as_str()));
+        let weights: HashSet<&str> = graph.initializer.iter().map(|tensor| tensor.name.as_str()).collect();
+        let real = graph.input.iter().filter(|input| {
+            let name = input.name.as_str();
+            needed.tensors.contains(name) && !weights.contains(name)
+        });
         let real: Vec<&ValueInfo> = real.collect();
         for (number, info) in real.into_iter().enumerate() {
             let shape = sizes_of(info)?;
             let len = len_of(&shape)?;
             let places = match *shape.as_slice() {
                 [1, a, b, c] if found.is_none() => {
-                    let channels_last = graph.node.iter().any(|node| {
-                        node.op_type == "Transpose"
+                    let channels_last = graph.node.iter().zip(&needed.nodes).any(|(node, needed)| {
+                        *needed
+                            && node.op_type == "Transpose"
                             && node.input.first() == Some(&info.name)
                             && Settings(&node.attribute).list("perm") == Some(&[0, 3, 1, 2])
                     });
@@ -353,7 +414,12 @@ impl<'a> Importer<'a> {
                 }),
             );
         }
-        let frame = found.ok_or("it has no frame among its inputs: none of shape [1, channels, rows, columns]")?;
+        let frame = found.ok_or_else(|| {
+            format!(
+                "the action `{action}` depends on no frame: none of shape [1, channels, rows, columns] among the inputs that it is \
+                 computed from"
+            )
+        })?;
         Ok(Frame {
             has_position: positions == 1,
             ..frame
@@ -361,23 +427,7 @@ impl<'a> Importer<'a> {
     }
 
     /// Ends with the action: two values in their order.
-    fn output(&mut self, graph: &'a Graph, wanted: Option<&str>) -> Result<(), String> {
-        let names: Vec<&str> = graph.output.iter().map(|output| output.name.as_str()).collect();
-        let name = match (wanted, names.as_slice()) {
-            (Some(wanted), _) => names
-                .iter()
-                .find(|name| **name == wanted)
-                .copied()
-                .ok_or_else(|| format!("there is no output `{wanted}`, only {}", names.join(", ")))?,
-            (None, [one]) => one,
-            (None, _) => {
-                return Err(format!(
-                    "it has {} outputs ({}); name the action's with --output",
-                    names.len(),
-                    names.join(", ")
-                ));
-            }
-        };
+    fn output(&mut self, name: &str) -> Result<(), String> {
         let Some(Value::Live(live)) = self.tensors.get(name).cloned() else {
             return Err(format!("the output `{name}` does not depend on an input"));
         };
@@ -411,6 +461,9 @@ impl<'a> Importer<'a> {
         };
         let refused = match named.map(|(_, output)| whole(output)) {
             None => format!("there is no node or value `{name}`"),
+            Some(None) if named.is_some_and(|(_, output)| !self.tensors.contains_key(output.as_str())) => {
+                format!("`{name}` is nothing that the action is computed from")
+            }
             Some(None) => format!("`{name}` is no layer of its own here: only values are moved there"),
             Some(Some(layer)) => match self.network.head(params, layer, frame_input) {
                 Ok(_) => return Ok(layer),
@@ -477,12 +530,45 @@ impl<'a> Importer<'a> {
         if !(node.domain.is_empty() || node.domain == "ai.onnx") {
             return Err(unknown());
         }
+        if let Some(constant) = self.folded(node, &settings)? {
+            return self.set(node, 0, Value::Constant(Rc::new(constant)));
+        }
         let result = match node.op_type.as_str() {
             "Relu" => self.curve(node, Activation::Relu)?,
             "Tanh" => self.curve(node, Activation::TANH)?,
             "Sigmoid" => self.curve(node, Activation::Sigmoid)?,
             "Elu" if settings.real("alpha", 1.0) == 1.0 => self.curve(node, Activation::Elu)?,
-            "Elu" => return Err(format!("alpha = {} is not supported", settings.real("alpha", 1.0))),
+            "Elu" => self.function(
+                node,
+                Function::Elu {
+                    alpha: settings.real("alpha", 1.0),
+                },
+            )?,
+            "LeakyRelu" => self.function(
+                node,
+                Function::LeakyRelu {
+                    alpha: settings.real("alpha", 0.01),
+                },
+            )?,
+            "Softplus" => self.function(node, Function::Softplus)?,
+            "Exp" => self.function(node, Function::Exp)?,
+            "Log" => self.function(node, Function::Log)?,
+            "Abs" => self.function(node, Function::Abs)?,
+            "Erf" => self.function(node, Function::Erf)?,
+            "Sqrt" => self.function(node, Function::Power { exponent: 0.5 })?,
+            "Reciprocal" => self.function(node, Function::Power { exponent: -1.0 })?,
+            "Neg" => {
+                let x = self.live(node, 0)?;
+                self.moved_by(&x, -1.0, 0.0)?
+            }
+            "Clip" => self.clip(node, &settings)?,
+            "Max" | "Min" | "Sum" => self.of_several(node)?,
+            "Pow" => self.power(node)?,
+            "Selu" | "Celu" | "PRelu" | "Softsign" | "HardSigmoid" | "HardSwish" | "Mish" | "Gelu" | "Swish" => {
+                self.composed(node, &settings)?
+            }
+            "LayerNormalization" => self.layer_norm(node, &settings)?,
+            "ReduceMean" | "ReduceSum" => self.reduce(node, &settings)?,
             "Gemm" => self.gemm(node, &settings)?,
             "MatMul" => self.mat_mul(node)?,
             "Conv" => self.conv(node, &settings)?,
@@ -496,17 +582,19 @@ impl<'a> Importer<'a> {
             "Split" => return self.split(node, &settings),
             "Constant" => {
                 let tensor = settings.get("value").and_then(|attribute| attribute.t.as_ref());
-                let constant = match (tensor, settings.get("value_ints"), settings.get("value_int")) {
-                    (Some(tensor), ..) => Constant::of(tensor)?,
-                    (_, Some(list), _) => Constant {
-                        shape: vec![list.ints.len()],
-                        data: Data::Whole(list.ints.clone()),
-                    },
-                    (_, _, Some(one)) => Constant {
-                        shape: Vec::new(),
-                        data: Data::Whole(vec![one.i]),
-                    },
-                    _ => return Err("it holds no tensor".to_owned()),
+                let given = |name: &str| settings.get(name);
+                let constant = if let Some(tensor) = tensor {
+                    Constant::of(tensor)?
+                } else if let Some(list) = given("value_ints") {
+                    Constant::row(Data::Whole(list.ints.clone()))
+                } else if let Some(list) = given("value_floats") {
+                    Constant::row(Data::Real(list.floats.clone()))
+                } else if let Some(one) = given("value_int") {
+                    Constant::one(Data::Whole(vec![one.i]))
+                } else if let Some(one) = given("value_float") {
+                    Constant::one(Data::Real(vec![one.f]))
+                } else {
+                    return Err("it holds no tensor of numbers".to_owned());
                 };
                 Value::Constant(Rc::new(constant))
             }
@@ -519,10 +607,74 @@ impl<'a> Importer<'a> {
                 }))
             }
             "Identity" | "Dropout" | "Cast" | "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose"
-            | "Slice" | "Gather" => self.movement(node, &settings)?,
+            | "Slice" | "Gather" | "Expand" => self.movement(node, &settings)?,
             _ => return Err(unknown()),
         };
         self.set(node, 0, result)
+    }
+
+    /// The constant that a node is whose inputs are all constants, if it is one that is known.
+    fn folded(&self, node: &Node, settings: &Settings<'_>) -> Result<Option<Constant>, String> {
+        let mut operator = node.op_type.as_str();
+        let mut given = Vec::new();
+        for (i, _) in node.input.iter().enumerate().filter(|(_, name)| !name.is_empty()) {
+            match self.input(node, i)?.1 {
+                Value::Constant(constant) => given.push(constant),
+                Value::Live(_) => return Ok(None),
+            }
+        }
+        let Some(first) = given.first() else {
+            return Ok(None);
+        };
+        match operator {
+            "Clip" if node.input.get(1).is_none_or(String::is_empty) && given.len() == 2 => operator = "Min",
+            "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose" | "Slice" | "Gather" | "Identity"
+            | "Dropout" | "Concat" | "Split" | "Shape" => return Ok(None),
+            "Cast" => return first.cast(settings.whole("to", 1)).map(Some),
+            "ConstantOfShape" => {
+                let shape: Option<Vec<usize>> = first.whole()?.iter().map(|size| usize::try_from(*size).ok()).collect();
+                let shape = shape.ok_or("a shape with a negative size")?;
+                let value = match settings.get("value").and_then(|attribute| attribute.t.as_ref()) {
+                    Some(tensor) => Constant::of(tensor)?,
+                    None => Constant::one(Data::Real(vec![0.0])),
+                };
+                let places = vec![0; len_of(&shape)?];
+                return Ok(Some(value.moved(shape, &places)));
+            }
+            "Expand" => {
+                let wanted = given.get(1).ok_or("it has no shape")?;
+                let (shape, places) = expanded(&first.shape, wanted)?;
+                return Ok(Some(first.moved(shape, &places)));
+            }
+            "ReduceMean" | "ReduceSum" | "ReduceProd" | "ReduceMax" | "ReduceMin" => {
+                let (along, shape) = self.reduction(node, settings, &first.shape)?;
+                return fold::reduce(operator, first, &along, shape).map(Some);
+            }
+            _ => {}
+        }
+        let constant = fold::fold(operator, &given)?;
+        match &constant {
+            Some(Constant {
+                data: Data::Real(values),
+                ..
+            }) if !values.iter().all(|value| value.is_finite()) => {
+                Err("what it makes of constants is not finite".to_owned())
+            }
+            _ => Ok(constant),
+        }
+    }
+
+    /// Along which axes a reduction goes, and the shape that it leaves.
+    fn reduction(
+        &self,
+        node: &Node,
+        settings: &Settings<'_>,
+        shape: &[usize],
+    ) -> Result<(Vec<bool>, Vec<usize>), String> {
+        let axes = self.list(node, settings, "axes", 1)?;
+        let [keep, noop] =
+            [("keepdims", 1), ("noop_with_empty_axes", 0)].map(|(name, usual)| settings.whole(name, usual) != 0);
+        fold::reduced(shape, axes.as_deref(), keep, noop)
     }
 
     fn set(&mut self, node: &'a Node, i: usize, value: Value) -> Result<(), String> {
@@ -851,27 +1003,53 @@ impl<'a> Importer<'a> {
         self.scaled(&x, &factors, &summands)
     }
 
+    /// An input of a node; of values, with whether nothing else uses them.
+    fn operand(&self, node: &Node, i: usize) -> Result<Value, String> {
+        match self.input(node, i)?.1 {
+            Value::Live(_) => self.live(node, i).map(Value::Live),
+            constant => Ok(constant),
+        }
+    }
+
     fn affine(&mut self, node: &Node) -> Result<Value, String> {
-        let (a, b) = (self.input(node, 0)?.1, self.input(node, 1)?.1);
-        let (x, constant, swapped) = match (&a, &b) {
-            (Value::Live(_), Value::Constant(constant)) => (self.live(node, 0)?, constant, false),
-            (Value::Constant(constant), Value::Live(_)) => (self.live(node, 1)?, constant, true),
-            _ => {
-                return Err(
-                    "two values that both depend on the inputs are not supported: one has to be a constant".to_owned(),
-                );
+        let (a, b) = (self.operand(node, 0)?, self.operand(node, 1)?);
+        self.arithmetic(&node.op_type, &a, &b)
+    }
+
+    /// A sum, difference, product or quotient, of which one at least depends on the inputs.
+    fn arithmetic(&mut self, operator: &str, a: &Value, b: &Value) -> Result<Value, String> {
+        let (x, constant, swapped) = match (a, b) {
+            (Value::Live(x), Value::Constant(constant)) => (x, constant, false),
+            (Value::Constant(constant), Value::Live(x)) => (x, constant, true),
+            (Value::Live(a), Value::Live(b)) => {
+                let b = match operator {
+                    "Sub" => self.moved_by(b, -1.0, 0.0)?,
+                    "Div" => self.through(b, Function::Power { exponent: -1.0 })?,
+                    _ => Value::Live(b.clone()),
+                };
+                let Value::Live(b) = b else {
+                    return Err("a divisor that is a constant".to_owned());
+                };
+                return self.both(a, &b, matches!(operator, "Mul" | "Div"));
             }
+            _ => return Err("constants of which one is of whole numbers, the other of real ones".to_owned()),
         };
+        let x = spread_live(x, &fold::broadcast_shape(&x.shape, &constant.shape)?)?;
         let values = spread(constant, &x.shape)?;
         let n = values.len();
         let negated = || values.iter().map(|value| -value).collect::<Vec<f32>>();
-        let (factors, summands) = match (node.op_type.as_str(), swapped) {
+        let (factors, summands) = match (operator, swapped) {
             ("Add", _) => (vec![1.0; n], values),
             ("Sub", false) => (vec![1.0; n], negated()),
             ("Sub", true) => (vec![-1.0; n], values),
             ("Mul", _) => (values, vec![0.0; n]),
             ("Div", false) => (values.iter().map(|value| 1.0 / value).collect(), vec![0.0; n]),
-            _ => return Err("a constant divided by a value is not supported".to_owned()),
+            _ => {
+                let Value::Live(inverse) = self.through(&x, Function::Power { exponent: -1.0 })? else {
+                    return Err("a divisor that is a constant".to_owned());
+                };
+                return self.scaled(&inverse, &values, &vec![0.0; n]);
+            }
         };
         if !factors.iter().all(|factor| factor.is_finite()) {
             return Err("it divides by zero".to_owned());
@@ -879,8 +1057,331 @@ impl<'a> Importer<'a> {
         self.scaled(&x, &factors, &summands)
     }
 
+    /// `y = factor · x + summand`.
+    fn moved_by(&mut self, x: &Live, factor: f32, summand: f32) -> Result<Value, String> {
+        let n = x.places.len();
+        self.scaled(x, &vec![factor; n], &vec![summand; n])
+    }
+
+    /// The values in the tensor's order as a layer of their own.
+    fn arranged(&mut self, x: &Live) -> Result<usize, String> {
+        let x = self.narrowed(x)?;
+        let (own, n) = (self.lens.get(x.layer).copied().unwrap_or(0), x.places.len());
+        if own == n && x.places.iter().copied().eq(0..n as u32) {
+            return Ok(x.layer);
+        }
+        if own.saturating_mul(n) > MOST_REARRANGED {
+            return Err(format!(
+                "{n} values that were put in another order before are met by others; as many as {} can be put back",
+                MOST_REARRANGED.isqrt()
+            ));
+        }
+        let mut params = vec![0.0; (own + 1) * n];
+        for (i, place) in x.places.iter().enumerate() {
+            params[*place as usize * n + i] = 1.0;
+        }
+        let layer = Layer::Dense {
+            x: x.layer,
+            layer: Dense {
+                inputs: own,
+                outputs: n,
+            },
+            curve: Activation::Identity,
+        };
+        self.push(layer, params, n)
+    }
+
+    /// The sum or the product of two that both depend on the inputs.
+    fn both(&mut self, a: &Live, b: &Live, multiply: bool) -> Result<Value, String> {
+        let shape = fold::broadcast_shape(&a.shape, &b.shape)?;
+        let (a, b) = (spread_live(a, &shape)?, spread_live(b, &shape)?);
+        let (a, b) = (self.narrowed(&a)?, self.narrowed(&b)?);
+        let n = a.places.len();
+        let is_whole = |live: &Live| self.lens.get(live.layer) == Some(&n);
+        let mut seen = vec![false; n];
+        let each_once = a.places.iter().all(|place| {
+            let slot = seen.get_mut(*place as usize);
+            slot.is_some_and(|slot| !std::mem::replace(slot, true))
+        });
+        // Images are in the same order on both sides.
+        let (x, y, places) = match is_whole(&a) && is_whole(&b) && a.places == b.places && each_once {
+            true => (a.layer, b.layer, a.places.clone()),
+            false => (self.arranged(&a)?, self.arranged(&b)?, identity(n)),
+        };
+        let layer = match multiply {
+            true => Layer::Product { x, y },
+            false => Layer::Sum { parts: vec![x, y] },
+        };
+        let layer = self.push(layer, Vec::new(), n)?;
+        Ok(self.fresh(layer, shape, places))
+    }
+
+    fn function(&mut self, node: &Node, function: Function) -> Result<Value, String> {
+        let x = self.live(node, 0)?;
+        self.through(&x, function)
+    }
+
+    /// A function of each value.
+    fn through(&mut self, x: &Live, function: Function) -> Result<Value, String> {
+        let x = self.narrowed(x)?;
+        let len = self.lens.get(x.layer).copied().unwrap_or(0);
+        let layer = self.push(Layer::Function { x: x.layer, function }, Vec::new(), len)?;
+        Ok(self.fresh(layer, x.shape, x.places))
+    }
+
+    /// One of the curves of layers, as a layer of its own.
+    fn curved(&mut self, x: &Live, curve: Activation) -> Result<Live, String> {
+        let x = self.narrowed(x)?;
+        let len = self.lens.get(x.layer).copied().unwrap_or(0);
+        let layer = self.push(Layer::Curve { x: x.layer, curve }, Vec::new(), len)?;
+        Ok(Live {
+            layer,
+            alone: true,
+            ..x
+        })
+    }
+
+    fn clip(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let mut bounds = [f32::NEG_INFINITY, f32::INFINITY];
+        for (i, (bound, name)) in bounds.iter_mut().zip(["min", "max"]).enumerate() {
+            if let Some(constant) = self.optional(node, i + 1)? {
+                match constant.real()? {
+                    [one] => *bound = *one,
+                    all => return Err(format!("{name} has {} values; one is allowed", all.len())),
+                }
+            } else if let Some(attribute) = settings.get(name) {
+                *bound = attribute.f;
+            }
+        }
+        let [least, most] = bounds;
+        self.function(node, Function::Clip { least, most })
+    }
+
+    /// The largest, the least or the sum of any number.
+    fn of_several(&mut self, node: &Node) -> Result<Value, String> {
+        let mut all = self.operand(node, 0)?;
+        for i in 1..node.input.len() {
+            let next = self.operand(node, i)?;
+            all = match (&all, &next) {
+                (Value::Constant(a), Value::Constant(b)) => {
+                    let folded = fold::fold(&node.op_type, &[a.clone(), b.clone()])?;
+                    Value::Constant(Rc::new(folded.ok_or("constants that are not combined")?))
+                }
+                _ if node.op_type == "Sum" => self.arithmetic("Add", &all, &next)?,
+                _ => self.extreme(&all, &next, node.op_type == "Max")?,
+            };
+        }
+        Ok(all)
+    }
+
+    /// The larger or the smaller of two.
+    fn extreme(&mut self, a: &Value, b: &Value, larger: bool) -> Result<Value, String> {
+        let bound = |constant: &Constant| match constant.real() {
+            Ok([first, rest @ ..]) if rest.iter().all(|other| other == first) => Some(*first),
+            _ => None,
+        };
+        let (x, other) = match (a, b) {
+            (Value::Live(x), other) | (other, Value::Live(x)) => (x, other),
+            _ => return Err("constants that are not combined".to_owned()),
+        };
+        // Both are read twice.
+        let other = &match other {
+            Value::Live(other) => Value::Live(Live {
+                alone: false,
+                ..other.clone()
+            }),
+            constant => constant.clone(),
+        };
+        if let Value::Constant(constant) = other
+            && let Some(bound) = bound(constant)
+        {
+            let (least, most) = match larger {
+                true => (bound, f32::INFINITY),
+                false => (f32::NEG_INFINITY, bound),
+            };
+            let x = spread_live(x, &fold::broadcast_shape(&x.shape, &constant.shape)?)?;
+            return self.through(&x, Function::Clip { least, most });
+        }
+        // max(x, c) = c + relu(x − c), min(x, c) = c − relu(c − x): a bound for each value, or two that both vary.
+        let shared = Value::Live(Live {
+            alone: false,
+            ..x.clone()
+        });
+        let above = match larger {
+            true => self.arithmetic("Sub", &shared, other)?,
+            false => self.arithmetic("Sub", other, &shared)?,
+        };
+        let Value::Live(above) = above else {
+            return Err("constants that are not combined".to_owned());
+        };
+        let above = Value::Live(self.curved(&above, Activation::Relu)?);
+        self.arithmetic(if larger { "Add" } else { "Sub" }, other, &above)
+    }
+
+    fn power(&mut self, node: &Node) -> Result<Value, String> {
+        match (self.operand(node, 0)?, self.operand(node, 1)?) {
+            (Value::Live(x), Value::Constant(exponent)) => {
+                let exponents: Vec<f32> = match &exponent.data {
+                    Data::Real(values) => values.clone(),
+                    Data::Whole(values) => values.iter().map(|value| *value as f32).collect(),
+                };
+                match exponents.as_slice() {
+                    [first, rest @ ..] if rest.iter().all(|other| other == first) => match *first {
+                        1.0 => Ok(Value::Live(x)),
+                        exponent => self.through(&x, Function::Power { exponent }),
+                    },
+                    _ => Err("several exponents are not supported: one for all values".to_owned()),
+                }
+            }
+            (Value::Constant(base), Value::Live(x)) => match base.real()? {
+                [base] if *base > 0.0 => {
+                    let Value::Live(x) = self.moved_by(&x, libm::logf(*base), 0.0)? else {
+                        return Err("a constant exponent".to_owned());
+                    };
+                    self.through(&x, Function::Exp)
+                }
+                _ => Err("a base that is not one number above 0 is not supported".to_owned()),
+            },
+            _ => Err("a base and an exponent that both depend on the inputs are not supported".to_owned()),
+        }
+    }
+
+    /// Curves that are made of others.
+    fn composed(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        // It is read more than once.
+        let x = Live {
+            alone: false,
+            ..self.live(node, 0)?
+        };
+        let live = |value: Value| match value {
+            Value::Live(live) => Ok(live),
+            Value::Constant(_) => Err("its input is a constant".to_owned()),
+        };
+        let gate = match node.op_type.as_str() {
+            "Selu" => {
+                let alpha = settings.real("alpha", 1.673_263_2);
+                let y = live(self.through(&x, Function::Elu { alpha })?)?;
+                return self.moved_by(&y, settings.real("gamma", 1.050_701), 0.0);
+            }
+            "Celu" => {
+                let alpha = settings.real("alpha", 1.0);
+                let y = live(self.moved_by(&x, 1.0 / alpha, 0.0)?)?;
+                let y = live(self.through(&y, Function::Elu { alpha: 1.0 })?)?;
+                // Above 0 it is x again.
+                return self.moved_by(&y, alpha, 0.0);
+            }
+            "PRelu" => {
+                // slope · x + (1 − slope) · relu(x)
+                let slope = self.constant(node, 1)?;
+                let one = Rc::new(Constant::one(Data::Real(vec![1.0])));
+                let rest = fold::fold("Sub", &[one, slope.clone()])?.ok_or("slopes that are no numbers")?;
+                let above = Value::Live(self.curved(&x, Activation::Relu)?);
+                let above = self.arithmetic("Mul", &above, &Value::Constant(Rc::new(rest)))?;
+                let below = self.arithmetic("Mul", &Value::Live(x), &Value::Constant(slope))?;
+                return self.arithmetic("Add", &below, &above);
+            }
+            "HardSigmoid" | "HardSwish" => {
+                let is_gate = node.op_type == "HardSwish";
+                let (alpha, beta) = match is_gate {
+                    true => (1.0 / 6.0, 0.5),
+                    false => (settings.real("alpha", 0.2), settings.real("beta", 0.5)),
+                };
+                let y = live(self.moved_by(&x, alpha, beta)?)?;
+                let y = self.through(&y, Function::Clip { least: 0.0, most: 1.0 })?;
+                match is_gate {
+                    true => live(y)?,
+                    false => return Ok(y),
+                }
+            }
+            "Softsign" => {
+                let y = live(self.through(&x, Function::Abs)?)?;
+                let y = live(self.moved_by(&y, 1.0, 1.0)?)?;
+                live(self.through(&y, Function::Power { exponent: -1.0 })?)?
+            }
+            "Mish" => {
+                let y = live(self.through(&x, Function::Softplus)?)?;
+                self.curved(&y, Activation::TANH)?
+            }
+            "Gelu" => {
+                let y = match settings.word("approximate").as_deref() {
+                    Some("tanh") => {
+                        let cube = live(self.through(&x, Function::Power { exponent: 3.0 })?)?;
+                        let cube = live(self.moved_by(&cube, 0.044_715, 0.0)?)?;
+                        let y = live(self.both(&x, &cube, false)?)?;
+                        let y = live(self.moved_by(&y, (2.0 / std::f32::consts::PI).sqrt(), 0.0)?)?;
+                        self.curved(&y, Activation::TANH)?
+                    }
+                    _ => {
+                        let y = live(self.moved_by(&x, std::f32::consts::FRAC_1_SQRT_2, 0.0)?)?;
+                        live(self.through(&y, Function::Erf)?)?
+                    }
+                };
+                live(self.moved_by(&y, 0.5, 0.5)?)?
+            }
+            _ => {
+                let y = live(self.moved_by(&x, settings.real("alpha", 1.0), 0.0)?)?;
+                self.curved(&y, Activation::Sigmoid)?
+            }
+        };
+        self.both(&x, &gate, true)
+    }
+
+    fn layer_norm(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let x = self.live(node, 0)?;
+        let from = axis(settings.whole("axis", -1), x.shape.len())?;
+        let width = len_of(&x.shape[from..])?;
+        let scale = spread(self.constant(node, 1)?.as_ref(), &x.shape[from..])?;
+        let shift = match self.optional(node, 2)? {
+            Some(shift) => spread(shift.as_ref(), &x.shape[from..])?,
+            None => vec![0.0; width],
+        };
+        let epsilon = settings.real("epsilon", 1e-5);
+        if !(epsilon > 0.0 && epsilon.is_finite()) {
+            return Err(format!("epsilon = {epsilon} is not supported: above 0"));
+        }
+        let (shape, n) = (x.shape.clone(), x.places.len());
+        let x = self.arranged(&x)?;
+        let layer = LayerNorm { width, epsilon };
+        let layer = self.push(Layer::LayerNorm { x, layer }, [scale, shift].concat(), n)?;
+        Ok(self.fresh(layer, shape, identity(n)))
+    }
+
+    /// Means and sums along axes: a layer whose weights are all the same.
+    fn reduce(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let x = self.live(node, 0)?;
+        let (along, shape) = self.reduction(node, settings, &x.shape)?;
+        let places = fold::reduced_places(&x.shape, &along)?;
+        let (n, outputs) = (x.places.len(), len_of(&shape)?);
+        let weight = match node.op_type.as_str() {
+            "ReduceMean" => outputs as f32 / n as f32,
+            _ => 1.0,
+        };
+        let mut weights = vec![0.0; len_of(&[n, outputs])?];
+        for (i, place) in places.into_iter().enumerate() {
+            weights[i * outputs + place] = weight;
+        }
+        let mut live = self.dense(&x, &weights, outputs, None)?;
+        live.shape = shape;
+        Ok(Value::Live(live))
+    }
+
     /// `y = factor · x + summand`, each value of the tensor its own: in the layer before where that is possible.
     fn scaled(&mut self, x: &Live, factors: &[f32], summands: &[f32]) -> Result<Value, String> {
+        // What stands in several places of the tensor has a factor for each.
+        let distinct: HashSet<&u32> = x.places.iter().collect();
+        let own;
+        let x = if distinct.len() < x.places.len() {
+            let layer = self.arranged(x)?;
+            own = Live {
+                layer,
+                shape: x.shape.clone(),
+                places: identity(x.places.len()),
+                alone: false,
+            };
+            &own
+        } else {
+            x
+        };
         let len = self.lens.get(x.layer).copied().unwrap_or(0);
         let (mut factor, mut summand) = (vec![1.0; len], vec![0.0; len]);
         for ((place, f), s) in x.places.iter().zip(factors).zip(summands) {
@@ -1001,6 +1502,9 @@ impl<'a> Importer<'a> {
             |axes: &[i64], rank: usize| -> Result<Vec<usize>, String> { axes.iter().map(|a| axis(*a, rank)).collect() };
         let in_place = |shape: Vec<usize>| (shape, (0..len).collect::<Vec<usize>>());
         let moved = match node.op_type.as_str() {
+            "Cast" if matches!(value, Value::Live(_)) && !matches!(settings.whole("to", 1), 1 | 11) => {
+                return Err("values as whole numbers are not supported".to_owned());
+            }
             "Identity" | "Dropout" | "Cast" => in_place(shape),
             "Reshape" => {
                 let wanted = self.list(node, settings, "shape", 1)?.ok_or("it has no shape")?;
@@ -1043,6 +1547,7 @@ impl<'a> Importer<'a> {
                 };
                 transpose(&shape, &order)?
             }
+            "Expand" => expanded(&shape, self.constant(node, 1)?.as_ref())?,
             "Gather" => {
                 let along = axis(settings.whole("axis", 0), rank)?;
                 let indices = self.constant(node, 1)?;
@@ -1147,13 +1652,11 @@ impl<'a> Importer<'a> {
             }
         }
         if values.iter().all(|value| matches!(value, Value::Constant(_))) {
-            let mut whole = Vec::with_capacity(total);
-            for (input, place) in places {
-                if let Some(Value::Constant(constant)) = values.get(input) {
-                    whole.push(*constant.whole()?.get(place).ok_or("a value is missing")?);
-                }
-            }
-            let data = Data::Whole(whole);
+            let constants = values.iter().filter_map(|value| match value {
+                Value::Constant(constant) => Some(constant.as_ref()),
+                Value::Live(_) => None,
+            });
+            let data = Constant::picked(&constants.collect::<Vec<_>>(), &places)?;
             return Ok(Value::Constant(Rc::new(Constant { shape, data })));
         }
         let mut parts = Vec::new();
@@ -1368,35 +1871,33 @@ fn broadcast(values: &[f32], len: usize) -> Result<Vec<f32>, String> {
 /// A constant for each value of a shape, as NumPy broadcasts it.
 fn spread(constant: &Constant, shape: &[usize]) -> Result<Vec<f32>, String> {
     let values = constant.real()?;
-    let wrong = || format!("a constant of shape {:?} for values of shape {shape:?}", constant.shape);
-    let own: Vec<usize> = {
-        let missing = shape.len().checked_sub(constant.shape.len());
-        let missing = missing
-            .or_else(|| (constant.len() == 1).then_some(shape.len()))
-            .ok_or_else(wrong)?;
-        let given = if missing == shape.len() {
-            &[][..]
-        } else {
-            &constant.shape[..]
-        };
-        std::iter::repeat_n(1, missing).chain(given.iter().copied()).collect()
-    };
-    if own.iter().zip(shape).any(|(own, size)| *own != 1 && own != size) {
-        return Err(wrong());
+    let own = if constant.len() == 1 { &[][..] } else { &constant.shape };
+    let places = fold::spread_places(own, shape)
+        .map_err(|_| format!("a constant of shape {:?} for values of shape {shape:?}", constant.shape))?;
+    let picked: Option<Vec<f32>> = places.into_iter().map(|place| values.get(place).copied()).collect();
+    picked.ok_or_else(|| "a value is missing".to_owned())
+}
+
+/// Values spread to a shape, as NumPy broadcasts them.
+fn spread_live(x: &Live, shape: &[usize]) -> Result<Live, String> {
+    if x.shape == shape {
+        return Ok(x.clone());
     }
-    let len = len_of(shape)?;
-    let mut result = Vec::with_capacity(len);
-    for i in 0..len {
-        let (mut rest, mut place, mut stride) = (i, 0, 1);
-        for (size, own) in shape.iter().zip(&own).rev() {
-            let index = rest % size;
-            rest /= size;
-            if *own != 1 {
-                place += index * stride;
-                stride *= own;
-            }
-        }
-        result.push(*values.get(place).ok_or_else(wrong)?);
-    }
-    Ok(result)
+    let places = fold::spread_places(&x.shape, shape)?;
+    let of = |place: &usize| x.places.get(*place).copied();
+    let moved: Option<Vec<u32>> = places.iter().map(of).collect();
+    Ok(Live {
+        layer: x.layer,
+        shape: shape.to_vec(),
+        places: Rc::new(moved.ok_or("it moves values that are not there")?),
+        alone: x.alone && places.len() == x.places.len(),
+    })
+}
+
+/// The movement of values of `shape` to the shape that both they and `wanted` are spread to.
+fn expanded(shape: &[usize], wanted: &Constant) -> Result<movement::Moved, String> {
+    let wanted: Option<Vec<usize>> = wanted.whole()?.iter().map(|size| usize::try_from(*size).ok()).collect();
+    let wanted = fold::broadcast_shape(shape, &wanted.ok_or("a shape with a negative size")?)?;
+    let places = fold::spread_places(shape, &wanted)?;
+    Ok((wanted, places))
 }

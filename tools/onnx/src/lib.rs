@@ -12,6 +12,7 @@
 
 mod constant;
 mod export;
+mod fold;
 mod import;
 mod movement;
 mod proto;

@@ -5,8 +5,9 @@ use super::structure::{Concat, Input, Slice, Zeros};
 #[cfg(feature = "train")]
 use super::{BoundsBackward, BoundsMut};
 use super::{BoundsForward, Purpose, description};
+use crate::elementwise::{Product, Sum};
 use crate::shape::ShapeError;
-use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
+use crate::{Activation, BatchNorm, Conv2d, Dense, Function, Gru, LayerNorm, Lstm, MaxPool2d};
 
 /// A layer as a node of a graph.
 pub(crate) trait Operation {
@@ -92,6 +93,10 @@ operations! {
     MaxPool2d(MaxPool2d),
     Gru(Gru),
     Lstm(Lstm),
+    Function(Function),
+    Sum(Sum),
+    Product(Product),
+    LayerNorm(LayerNorm),
 }
 
 /// Values kept before a curve, which its multipliers need.

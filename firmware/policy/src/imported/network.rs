@@ -9,8 +9,8 @@ use alloc::vec::Vec;
 use core::fmt::{self, Write};
 use core::str::FromStr;
 use vigil_nnet::{
-    Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, Gru, Lstm, MaxPool2d, NodeId, Params, Purpose,
-    ShapeError,
+    Activation, BatchNorm, Conv2d, Dense, Function, Graph, GraphBuilder, Gru, LayerNorm, Lstm, MaxPool2d, NodeId,
+    Params, Purpose, ShapeError,
 };
 
 /// Multiply-adds of one decision, at most: some 20 ms of the step's 50 with the portable kernels, 3 ms with AVX-512; the
@@ -90,6 +90,32 @@ pub enum Layer {
         /// Dimensions.
         layer: BatchNorm,
     },
+    /// A function of single values that is no part of a layer.
+    Function {
+        /// Of which.
+        x: usize,
+        /// Which.
+        function: Function,
+    },
+    /// Layers of one length, added value by value.
+    Sum {
+        /// Which.
+        parts: Vec<usize>,
+    },
+    /// Two layers of one length, multiplied value by value.
+    Product {
+        /// One.
+        x: usize,
+        /// The other.
+        y: usize,
+    },
+    /// Layer normalisation.
+    LayerNorm {
+        /// Of which.
+        x: usize,
+        /// Dimensions.
+        layer: LayerNorm,
+    },
     /// One step of a GRU.
     Gru {
         /// Input.
@@ -152,7 +178,9 @@ impl Layer {
         match self {
             Self::Input { len } | Self::Zeros { len } => [*len].into(),
             Self::Slice { from, len, .. } => [*from, *len].into(),
-            Self::Concat { .. } | Self::Curve { .. } => Vec::new(),
+            Self::Concat { .. } | Self::Curve { .. } | Self::Function { .. } => Vec::new(),
+            Self::Sum { .. } | Self::Product { .. } => Vec::new(),
+            Self::LayerNorm { layer, .. } => [layer.width].into(),
             Self::Conv2d { layer: l, .. } => {
                 [l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding].into()
             }
@@ -168,7 +196,9 @@ impl Layer {
     fn cost(&self) -> (u64, u64, u64) {
         match self {
             Self::Input { len } | Self::Zeros { len } | Self::Slice { len, .. } => (0, *len as u64, 0),
-            Self::Concat { .. } | Self::Curve { .. } => (0, 0, 0),
+            Self::Concat { .. } | Self::Curve { .. } | Self::Function { .. } => (0, 0, 0),
+            Self::Sum { .. } | Self::Product { .. } => (0, 0, 0),
+            Self::LayerNorm { layer, .. } => (2 * layer.width as u64, layer.width as u64, 0),
             Self::Conv2d { layer: l, .. } => {
                 let weights = product(&[l.kernel, l.kernel, l.channels, l.filters]);
                 let out = |size: usize| {
@@ -206,8 +236,11 @@ impl Layer {
             | Self::Conv2d { x, .. }
             | Self::Dense { x, .. }
             | Self::MaxPool2d { x, .. }
-            | Self::BatchNorm { x, .. } => [*x].into(),
-            Self::Concat { parts } => parts.clone(),
+            | Self::BatchNorm { x, .. }
+            | Self::Function { x, .. }
+            | Self::LayerNorm { x, .. } => [*x].into(),
+            Self::Concat { parts } | Self::Sum { parts } => parts.clone(),
+            Self::Product { x, y } => [*x, *y].into(),
             Self::Gru { x, h, .. } => [*x, *h].into(),
             Self::Lstm { x, state, .. } => [*x, *state].into(),
         }
@@ -307,6 +340,7 @@ impl Network {
                 Layer::Conv2d { layer, .. } => reserve(layer.param_len(), number),
                 Layer::Dense { layer, .. } => reserve(layer.param_len(), number),
                 Layer::BatchNorm { layer, .. } => reserve(layer.param_len(), number),
+                Layer::LayerNorm { layer, .. } => reserve(layer.param_len(), number),
                 Layer::Gru { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
                 Layer::Lstm { layer, params_of, .. } => reserve(layer.param_len(), *params_of),
                 _ => Params::default(),
@@ -316,10 +350,16 @@ impl Network {
                 Layer::Input { len } => b.input(*len, true),
                 Layer::Zeros { len } => b.zeros(*len),
                 Layer::Slice { x, from, len } => b.slice(at(*x)?, *from, *len),
-                Layer::Concat { parts } => {
-                    let parts: Result<Vec<NodeId>, _> = parts.iter().map(|part| at(*part)).collect();
-                    b.concat(&parts?)
+                Layer::Concat { parts } | Layer::Sum { parts } => {
+                    let nodes: Result<Vec<NodeId>, _> = parts.iter().map(|part| at(*part)).collect();
+                    match layer {
+                        Layer::Sum { .. } => b.sum(&nodes?),
+                        _ => b.concat(&nodes?),
+                    }
                 }
+                Layer::Function { x, function } => b.function(at(*x)?, *function),
+                Layer::Product { x, y } => b.product(at(*x)?, at(*y)?),
+                Layer::LayerNorm { x, layer } => b.layer_norm(at(*x)?, *layer, params),
                 Layer::Curve { x, curve } => b.activation(at(*x)?, *curve),
                 Layer::Conv2d { x, layer, curve } => b.conv2d(at(*x)?, *layer, *curve, params),
                 Layer::Dense { x, layer, curve } => b.dense(at(*x)?, *layer, *curve, params),
@@ -363,6 +403,44 @@ fn curve_of(name: &str) -> Option<Activation> {
     }
 }
 
+/// A function's name, and its numbers behind it.
+fn name_of_function(function: Function) -> String {
+    match function {
+        Function::LeakyRelu { alpha } => format!("leaky_relu*{alpha}"),
+        Function::Elu { alpha } => format!("elu*{alpha}"),
+        Function::Softplus => "softplus".to_owned(),
+        Function::Clip { least, most } => format!("clip*{least}*{most}"),
+        Function::Power { exponent } => format!("power*{exponent}"),
+        Function::Exp => "exp".to_owned(),
+        Function::Log => "log".to_owned(),
+        Function::Abs => "abs".to_owned(),
+        Function::Erf => "erf".to_owned(),
+    }
+}
+
+fn function_of(text: &str) -> Option<Function> {
+    let mut words = text.split('*');
+    let name = words.next()?;
+    let numbers: Option<Vec<f32>> = words
+        .map(|word| word.parse().ok().filter(|x: &f32| !x.is_nan()))
+        .collect();
+    match (name, numbers?.as_slice()) {
+        ("leaky_relu", [alpha]) => Some(Function::LeakyRelu { alpha: *alpha }),
+        ("elu", [alpha]) => Some(Function::Elu { alpha: *alpha }),
+        ("softplus", []) => Some(Function::Softplus),
+        ("clip", [least, most]) => Some(Function::Clip {
+            least: *least,
+            most: *most,
+        }),
+        ("power", [exponent]) => Some(Function::Power { exponent: *exponent }),
+        ("exp", []) => Some(Function::Exp),
+        ("log", []) => Some(Function::Log),
+        ("abs", []) => Some(Function::Abs),
+        ("erf", []) => Some(Function::Erf),
+        _ => None,
+    }
+}
+
 impl fmt::Display for Network {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let line = |f: &mut fmt::Formatter<'_>, kind: &str, numbers: &[usize], word: &str| {
@@ -395,6 +473,12 @@ impl fmt::Display for Network {
                 Layer::BatchNorm { x, layer } => {
                     line(f, "batch_norm", &[*x, layer.channels], &layer.epsilon.to_string())?;
                 }
+                Layer::Function { x, function } => line(f, "function", &[*x], &name_of_function(*function))?,
+                Layer::Sum { parts } => line(f, "sum", parts, "")?,
+                Layer::Product { x, y } => line(f, "product", &[*x, *y], "")?,
+                Layer::LayerNorm { x, layer } => {
+                    line(f, "layer_norm", &[*x, layer.width], &layer.epsilon.to_string())?;
+                }
                 Layer::Gru { x, h, layer, params_of } => {
                     line(f, "gru", &[*x, *h, layer.inputs, layer.hidden, *params_of], "")?
                 }
@@ -426,7 +510,7 @@ impl FromStr for Network {
             let (mut numbers, mut word): (Vec<usize>, Option<&str>) = (Vec::new(), None);
             for next in words {
                 match (next.parse(), word) {
-                    (Ok(value), None) if kind != "batch_norm" || numbers.len() < 2 => numbers.push(value),
+                    (Ok(value), None) if !kind.ends_with("_norm") || numbers.len() < 2 => numbers.push(value),
                     (_, None) => word = Some(next),
                     _ => return Err(wrong()),
                 }
@@ -476,6 +560,19 @@ impl FromStr for Network {
                     x: *x,
                     layer: BatchNorm {
                         channels: *channels,
+                        epsilon: word.and_then(|word| word.parse().ok()).ok_or_else(wrong)?,
+                    },
+                },
+                ("function", [x]) => Layer::Function {
+                    x: *x,
+                    function: word.and_then(function_of).ok_or_else(wrong)?,
+                },
+                ("sum", parts) if !parts.is_empty() => Layer::Sum { parts: parts.to_vec() },
+                ("product", [x, y]) => Layer::Product { x: *x, y: *y },
+                ("layer_norm", [x, width]) => Layer::LayerNorm {
+                    x: *x,
+                    layer: LayerNorm {
+                        width: *width,
                         epsilon: word.and_then(|word| word.parse().ok()).ok_or_else(wrong)?,
                     },
                 },

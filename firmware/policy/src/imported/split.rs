@@ -8,7 +8,7 @@ use alloc::format;
 use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
-use vigil_nnet::Activation;
+use vigil_nnet::{Activation, Function};
 
 /// What an unsaturated network's curve is instead of the saturating one.
 pub const UNSATURATED: Activation = Activation::Identity;
@@ -30,7 +30,7 @@ impl Layer {
     fn params_of(&self, number: usize) -> Option<usize> {
         match self {
             Self::Gru { params_of, .. } | Self::Lstm { params_of, .. } => Some(*params_of),
-            Self::Conv2d { .. } | Self::Dense { .. } | Self::BatchNorm { .. } => Some(number),
+            Self::Conv2d { .. } | Self::Dense { .. } | Self::BatchNorm { .. } | Self::LayerNorm { .. } => Some(number),
             _ => None,
         }
     }
@@ -42,6 +42,7 @@ impl Layer {
             Self::Conv2d { layer, .. } => layer.param_len(),
             Self::Dense { layer, .. } => layer.param_len(),
             Self::BatchNorm { layer, .. } => layer.param_len(),
+            Self::LayerNorm { layer, .. } => layer.param_len(),
             _ => 0,
         }
     }
@@ -56,8 +57,11 @@ impl Layer {
             | Self::Conv2d { x, .. }
             | Self::Dense { x, .. }
             | Self::MaxPool2d { x, .. }
-            | Self::BatchNorm { x, .. } => *x = new(*x),
-            Self::Concat { parts } => parts.iter_mut().for_each(|part| *part = new(*part)),
+            | Self::BatchNorm { x, .. }
+            | Self::Function { x, .. }
+            | Self::LayerNorm { x, .. } => *x = new(*x),
+            Self::Product { x, y } => (*x, *y) = (new(*x), new(*y)),
+            Self::Concat { parts } | Self::Sum { parts } => parts.iter_mut().for_each(|part| *part = new(*part)),
             Self::Gru { x, h, params_of, .. } => (*x, *h, *params_of) = (new(*x), new(*h), new_params_of),
             Self::Lstm {
                 x, state, params_of, ..
@@ -94,7 +98,12 @@ impl Network {
             let len = match layer {
                 Layer::Input { len } | Layer::Zeros { len } | Layer::Slice { len, .. } => *len,
                 Layer::Concat { parts } => parts.iter().map(|part| of(*part)).sum(),
-                Layer::Curve { x, .. } | Layer::BatchNorm { x, .. } => of(*x),
+                Layer::Curve { x, .. }
+                | Layer::BatchNorm { x, .. }
+                | Layer::Function { x, .. }
+                | Layer::Product { x, .. }
+                | Layer::LayerNorm { x, .. } => of(*x),
+                Layer::Sum { parts } => parts.first().map_or(0, |part| of(*part)),
                 Layer::Conv2d { layer, .. } => layer.output_len(),
                 Layer::Dense { layer, .. } => layer.outputs,
                 Layer::MaxPool2d { layer, .. } => layer.output_len(),
@@ -212,16 +221,26 @@ impl Network {
     /// Whether nothing but an element-wise function reads the layer: then what that gives is the better split point.
     fn not_followed_by_curve(&self, number: usize) -> bool {
         let mut readers = self.layers.iter().filter(|layer| layer.sources().contains(&number));
-        !readers.all(|layer| matches!(layer, Layer::Curve { .. }))
+        !readers.all(|layer| matches!(layer, Layer::Curve { .. } | Layer::Function { .. }))
     }
 
-    /// The same network before its outputs saturate: the last sigmoid or tanh, if only what is linear follows it, is left out. Its gradient
-    /// does not vanish where the policy is at its limits.
+    /// The same network before its outputs saturate: clips at its end and the last sigmoid or tanh, if only what is linear follows them,
+    /// are left out. Its gradient does not vanish where the policy is at its limits.
     #[must_use]
     pub fn unsaturated(&self) -> Self {
         let mut network = self.clone();
         let mut number = self.output;
         loop {
+            let layer = network.layers.get_mut(number);
+            if let Some(layer) = layer
+                && let Layer::Function {
+                    x,
+                    function: Function::Clip { .. },
+                } = *layer
+            {
+                let curve = UNSATURATED;
+                *layer = Layer::Curve { x, curve };
+            }
             let source = match network.layers.get_mut(number) {
                 Some(Layer::Dense { x, curve, .. } | Layer::Curve { x, curve }) => match curve {
                     Activation::Tanh { .. } | Activation::Sigmoid => {
@@ -229,10 +248,10 @@ impl Network {
                         return network;
                     }
                     Activation::Identity => *x,
-                    _ => return self.clone(),
+                    _ => return network,
                 },
-                Some(Layer::Slice { x, .. }) => *x,
-                _ => return self.clone(),
+                Some(Layer::Slice { x, .. } | Layer::BatchNorm { x, .. }) => *x,
+                _ => return network,
             };
             number = source;
         }

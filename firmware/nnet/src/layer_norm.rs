@@ -1,5 +1,10 @@
-//! Layer normalisation, for critics: it keeps their values from growing where they were never told any (Ball et al. 2023).
+//! Layer normalisation: of imported policies, and of critics, whose values it keeps from growing where they were never told any
+//! (Ball et al. 2023).
 
+use crate::activation::rescale;
+use crate::graph::operation::Operation;
+use crate::graph::run::{Backward as BackwardNode, Forward as ForwardNode, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params, description};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 use crate::shape::{ShapeError, expect};
@@ -94,6 +99,81 @@ impl LayerNorm {
             },
         );
         Ok(())
+    }
+}
+
+/// `x̂` of a tape, and the rows' `1 / √(variance + ε)`.
+type Normal<'a> = (&'a [f32], &'a [f32]);
+
+impl LayerNorm {
+    /// Turns `d`, the multipliers of `y`, into those of `x`: its parts are the centred values c, the mean of their squares v, its
+    /// inverse root r, and their product c · r.
+    fn multipliers(&self, scale: &[f32], now: Normal<'_>, reference: Normal<'_>, d: &mut [f32]) {
+        let width = self.width.max(1);
+        let rows = now.0.chunks_exact(width).zip(now.1);
+        let of_reference = reference.0.chunks_exact(width).zip(reference.1);
+        for (d, ((normal, r), (normal_ref, r_ref))) in d.chunks_exact_mut(width).zip(rows.zip(of_reference)) {
+            let centred = || normal.iter().zip(normal_ref).map(|(n, n_ref)| n / r + n_ref / r_ref);
+            d.iter_mut().zip(scale).for_each(|(d, scale)| *d *= scale);
+            let of_r: f32 = d.iter().zip(centred()).map(|(d, both)| 0.5 * d * both).sum();
+            let (v, v_ref) = (1.0 / (r * r), 1.0 / (r_ref * r_ref));
+            let of_v = of_r * rescale(v, *r, v_ref, *r_ref, -0.5 * r * r * r);
+            for (d, both) in d.iter_mut().zip(centred()) {
+                *d = 0.5 * (r + r_ref) * *d + of_v / width as f32 * both;
+            }
+            let mean = sum(d, |d| d) / width as f32;
+            d.iter_mut().for_each(|d| *d -= mean);
+        }
+    }
+}
+
+impl GraphBuilder {
+    /// Layer normalisation of each row of `layer.width` values.
+    ///
+    /// # Errors
+    /// An unknown node, or one that is no whole number of rows.
+    pub fn layer_norm(&mut self, x: NodeId, layer: LayerNorm, params: Params) -> Result<NodeId, ShapeError> {
+        let len = self.len_of(x)?;
+        if layer.width == 0 || !len.is_multiple_of(layer.width) {
+            return description("layer norm", "its input is no whole number of rows");
+        }
+        if !(layer.epsilon > 0.0 && layer.epsilon.is_finite()) {
+            return description("layer norm", "epsilon is not above 0");
+        }
+        Self::check_params("layer norm parameters", params, layer.param_len())?;
+        self.add(layer, &[x], len, params)
+    }
+}
+
+impl Operation for LayerNorm {
+    fn aux_len(&self, len: usize, _: crate::Purpose) -> usize {
+        len + len / self.width.max(1)
+    }
+
+    fn forward_node(&self, node: &mut ForwardNode<'_>) -> Result<(), ShapeError> {
+        let x = node.source(0)?;
+        let (normal, inverse) = node.aux.split_at_mut_checked(x.len()).unwrap_or_default();
+        self.forward(node.isa, node.params, x, normal, inverse, node.value)
+    }
+
+    fn backward_node(&self, node: &mut BackwardNode<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError> {
+        let split = |aux| <[f32]>::split_at_checked(aux, d.len()).unwrap_or_default();
+        let now: Normal<'_> = split(node.kept(node.tape)?.aux);
+        match pass.reference() {
+            None => {
+                let d_params = node.d_params(pass)?;
+                self.backward(node.isa, node.packed, now.0, now.1, d, d_params)?;
+            }
+            Some(tape) => {
+                let reference = split(node.kept(tape)?.aux);
+                let (scale, _) = node.packed.split_at_checked(self.width).unwrap_or_default();
+                self.multipliers(scale, now, reference, d);
+            }
+        }
+        node.write_source(0, |dx, _| {
+            dx.copy_from_slice(d);
+            Ok(())
+        })
     }
 }
 

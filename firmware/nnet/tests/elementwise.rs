@@ -1,0 +1,310 @@
+//! Functions of single values, sums, products and layer normalisation: gradients by finite differences of plain definitions in
+//! float64, multipliers by their additivity and, where a layer is made of others, by the layers that it is made of.
+
+mod common;
+
+use common::*;
+use vigil_nnet::{Activation, Dense, Function, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Purpose};
+
+/// Each function with its definition.
+fn functions() -> Vec<(Function, fn(f64) -> f64)> {
+    vec![
+        (
+            Function::LeakyRelu { alpha: 0.2 },
+            |x| if x < 0.0 { 0.2 * x } else { x },
+        ),
+        (
+            Function::Elu { alpha: 0.7 },
+            |x| if x > 0.0 { x } else { 0.7 * x.exp_m1() },
+        ),
+        (Function::Softplus, |x| x.exp().ln_1p()),
+        (Function::Clip { least: -0.5, most: 0.6 }, |x| x.clamp(-0.5, 0.6)),
+        (
+            Function::Clip {
+                least: -0.5,
+                most: f32::INFINITY,
+            },
+            |x| x.max(-0.5),
+        ),
+        (Function::Power { exponent: 2.0 }, |x| x * x),
+        (Function::Power { exponent: 3.0 }, |x| x * x * x),
+        (Function::Exp, f64::exp),
+        (Function::Abs, f64::abs),
+        (Function::Erf, |x| {
+            // Its series, which converges everywhere.
+            let mut term = x;
+            let mut sum = x;
+            for n in 1..60 {
+                term *= -x * x / f64::from(n);
+                sum += term / f64::from(2 * n + 1);
+            }
+            sum * std::f64::consts::FRAC_2_SQRT_PI
+        }),
+    ]
+}
+
+/// Those of numbers above 0 alone.
+fn of_positive() -> Vec<(Function, fn(f64) -> f64)> {
+    vec![
+        (Function::Log, f64::ln),
+        (Function::Power { exponent: 0.5 }, f64::sqrt),
+        (Function::Power { exponent: -1.0 }, |x| 1.0 / x),
+        (Function::Power { exponent: 1.7 }, |x| x.powf(1.7)),
+    ]
+}
+
+struct Evaluated {
+    graph: Graph,
+    params: Vec<f32>,
+    packed: Vec<f32>,
+}
+
+impl Evaluated {
+    fn new(build: impl FnOnce(&mut GraphBuilder, NodeId) -> NodeId, inputs: usize, params: Vec<f32>) -> Self {
+        let mut b = GraphBuilder::new();
+        let x = b.input(inputs, true).unwrap();
+        let y = build(&mut b, x);
+        let graph = b.finish(y, Purpose::Multipliers).unwrap();
+        assert_eq!(graph.param_len(), params.len());
+        let mut packed = vec![0.0; params.len()];
+        graph.pack(&params, &mut packed).unwrap();
+        Self { graph, params, packed }
+    }
+
+    fn tape(&self, x: &[f32]) -> Vec<f32> {
+        let mut tape = vec![f32::NAN; self.graph.tape_len()];
+        self.graph
+            .forward(Isa::detect(), &self.params, &[x], &mut tape)
+            .unwrap();
+        tape
+    }
+
+    fn output(&self, x: &[f32]) -> Vec<f32> {
+        self.graph.output(&self.tape(x)).unwrap().to_vec()
+    }
+
+    fn gradient(&self, x: &[f32], d: &[f32]) -> Vec<f32> {
+        let mut work = vec![f32::NAN; self.graph.work_len()];
+        let isa = Isa::detect();
+        self.graph
+            .backward(isa, &self.packed, &self.tape(x), d, None, &mut work)
+            .unwrap();
+        self.graph.input_gradient(&work, 0).unwrap().to_vec()
+    }
+
+    fn multipliers(&self, x: &[f32], x_ref: &[f32], m: &[f32]) -> Vec<f32> {
+        let mut work = vec![f32::NAN; self.graph.work_len()];
+        let (tape, reference) = (self.tape(x), self.tape(x_ref));
+        self.graph
+            .multipliers(Isa::detect(), &self.packed, &tape, &reference, m, &mut work)
+            .unwrap();
+        self.graph.input_gradient(&work, 0).unwrap().to_vec()
+    }
+
+    /// Σ m · Δx is Σ m_output · Δy.
+    fn adds_up(&self, x: &[f32], x_ref: &[f32], m: &[f32]) {
+        let of = |a: &[f32], b: &[f32], c: &[f32]| -> f64 {
+            let each = a.iter().zip(b).zip(c);
+            each.map(|((a, b), c)| f64::from(*a) * (f64::from(*b) - f64::from(*c)))
+                .sum()
+        };
+        let told = of(&self.multipliers(x, x_ref, m), x, x_ref);
+        let true_difference = of(m, &self.output(x), &self.output(x_ref));
+        assert!(
+            (told - true_difference).abs() < 2e-5 * true_difference.abs().max(1.0),
+            "{told} {true_difference}"
+        );
+    }
+}
+
+#[test]
+fn each_function_has_its_definitions_value_gradient_and_quotient() {
+    let mut rng = rng(11);
+    for (positive, all) in [(false, functions()), (true, of_positive())] {
+        for (function, definition) in all {
+            let n = 24;
+            let inside = |x: Vec<f32>| -> Vec<f32> {
+                x.into_iter()
+                    .map(|x| if positive { 0.2 + x.abs() } else { x })
+                    .collect()
+            };
+            let (x, x_ref) = (inside(uniform(&mut rng, n, 2.0)), inside(uniform(&mut rng, n, 2.0)));
+            let m = uniform(&mut rng, n, 1.0);
+            let layer = Evaluated::new(|b, x| b.function(x, function).unwrap(), n, vec![]);
+            let want: Vec<f64> = wide(&x).into_iter().map(definition).collect();
+            assert!(
+                distance(&layer.output(&x), &want) < 3e-6 * largest(&want).max(1.0),
+                "{function:?}"
+            );
+            let whole = |x: &[f64]| -> Vec<f64> { x.iter().map(|x| definition(*x)).collect() };
+            let want = finite_differences(whole, &wide(&m), &wide(&x));
+            assert!(
+                distance(&layer.gradient(&x, &m), &want) < 1e-5 * largest(&want).max(1.0),
+                "{function:?}"
+            );
+            let quotients: Vec<f64> = (0..n)
+                .map(|i| {
+                    let [a, b] = [x[i], x_ref[i]].map(f64::from);
+                    f64::from(m[i]) * (definition(a) - definition(b)) / (a - b)
+                })
+                .collect();
+            // A quotient of two differences that may be small.
+            let got = layer.multipliers(&x, &x_ref, &m);
+            assert!(
+                distance(&got, &quotients) < 1e-3 * largest(&quotients).max(1.0),
+                "{function:?}"
+            );
+        }
+    }
+    for (function, _) in functions() {
+        assert!(function.value(f32::NAN).is_nan(), "{function:?}: NaN stays NaN");
+    }
+}
+
+#[test]
+fn sums_and_products_share_what_they_have_in_common() {
+    let (mut rng, n) = (rng(12), 16);
+    let (x, x_ref, m) = (
+        uniform(&mut rng, n, 1.5),
+        uniform(&mut rng, n, 1.5),
+        uniform(&mut rng, n, 1.0),
+    );
+    // (x + x · sigmoid(x) + x) · (x · sigmoid(x)): a node that is read five times.
+    let network = |b: &mut GraphBuilder, x: NodeId| {
+        let gate = b.activation(x, Activation::Sigmoid).unwrap();
+        let silu = b.product(x, gate).unwrap();
+        let sum = b.sum(&[x, silu, x]).unwrap();
+        b.product(sum, silu).unwrap()
+    };
+    let built = Evaluated::new(network, n, vec![]);
+    let definition = |x: &[f64]| -> Vec<f64> {
+        let silu = |x: f64| x / (1.0 + (-x).exp());
+        x.iter().map(|x| (2.0 * x + silu(*x)) * silu(*x)).collect()
+    };
+    assert!(distance(&built.output(&x), &definition(&wide(&x))) < 1e-5);
+    let want = finite_differences(definition, &wide(&m), &wide(&x));
+    assert!(distance(&built.gradient(&x, &m), &want) < 1e-5 * largest(&want).max(1.0));
+    built.adds_up(&x, &x_ref, &m);
+    // Of one varying value the midpoint rule is the rescale rule: SiLU as a product has Δy / Δx.
+    let silu = Evaluated::new(
+        |b, x| {
+            let gate = b.activation(x, Activation::Sigmoid).unwrap();
+            b.product(x, gate).unwrap()
+        },
+        n,
+        vec![],
+    );
+    let quotients: Vec<f64> = (0..n)
+        .map(|i| {
+            let [a, b] = [x[i], x_ref[i]].map(f64::from);
+            let value = |x: f64| x / (1.0 + (-x).exp());
+            f64::from(m[i]) * (value(a) - value(b)) / (a - b)
+        })
+        .collect();
+    assert!(distance(&silu.multipliers(&x, &x_ref, &m), &quotients) < 1e-4);
+}
+
+#[test]
+fn layer_normalisation_is_explained_as_the_layers_that_it_is_made_of() {
+    let (mut rng, rows, width) = (rng(13), 2, 12);
+    let n = rows * width;
+    let layer = LayerNorm { width, epsilon: 1e-3 };
+    let params = uniform(&mut rng, 2 * width, 1.0);
+    let (x, x_ref, m) = (
+        uniform(&mut rng, n, 2.0),
+        uniform(&mut rng, n, 2.0),
+        uniform(&mut rng, n, 1.0),
+    );
+    let whole = Evaluated::new(
+        |b, x| {
+            let own = b.params(layer.param_len());
+            b.layer_norm(x, layer, own).unwrap()
+        },
+        n,
+        params.clone(),
+    );
+    let definition = |x: &[f64]| -> Vec<f64> {
+        let of_row = |x: &[f64]| -> Vec<f64> {
+            let mean = x.iter().sum::<f64>() / width as f64;
+            let variance = x.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
+            let normal = x.iter().map(|x| (x - mean) / (variance + 1e-3).sqrt());
+            let both = params[..width].iter().zip(&params[width..]);
+            normal
+                .zip(both)
+                .map(|(x, (g, b))| x * f64::from(*g) + f64::from(*b))
+                .collect()
+        };
+        x.chunks_exact(width).flat_map(of_row).collect()
+    };
+    assert!(distance(&whole.output(&x), &definition(&wide(&x))) < 1e-5);
+    let want = finite_differences(definition, &wide(&m), &wide(&x));
+    assert!(distance(&whole.gradient(&x, &m), &want) < 1e-4 * largest(&want).max(1.0));
+    whole.adds_up(&x, &x_ref, &m);
+
+    // One row, written out: centred values by weights, squares, their mean, its inverse root, the product, scale and shift.
+    let (centre, mean, all) = (
+        Dense {
+            inputs: width,
+            outputs: width,
+        },
+        Dense {
+            inputs: width,
+            outputs: 1,
+        },
+        Dense {
+            inputs: 1,
+            outputs: width,
+        },
+    );
+    let mut written = Vec::new();
+    for i in 0..width * width {
+        written.push(f32::from(u8::from(i % (width + 1) == 0)) - 1.0 / width as f32);
+    }
+    written.extend(vec![0.0; width]);
+    written.extend(vec![1.0 / width as f32; width]);
+    written.push(1e-3);
+    written.extend(vec![1.0; width]);
+    written.extend(vec![0.0; width]);
+    for (i, scale) in params[..width].iter().enumerate() {
+        written.extend((0..width).map(|j| if i == j { *scale } else { 0.0 }));
+    }
+    written.extend(&params[width..]);
+    let parts = Evaluated::new(
+        |b, x| {
+            let [p1, p2, p3, p4] = [centre, mean, all, centre].map(|layer| b.params(layer.param_len()));
+            let centred = b.dense(x, centre, Activation::Identity, p1).unwrap();
+            let squares = b.function(centred, Function::Power { exponent: 2.0 }).unwrap();
+            let variance = b.dense(squares, mean, Activation::Identity, p2).unwrap();
+            let inverse = b.function(variance, Function::Power { exponent: -0.5 }).unwrap();
+            let inverse = b.dense(inverse, all, Activation::Identity, p3).unwrap();
+            let normal = b.product(centred, inverse).unwrap();
+            b.dense(normal, centre, Activation::Identity, p4).unwrap()
+        },
+        width,
+        written,
+    );
+    let (of_whole, first) = (whole.multipliers(&x, &x_ref, &m), |x: &[f32]| x[..width].to_vec());
+    let of_parts = parts.multipliers(&first(&x), &first(&x_ref), &first(&m));
+    assert!(distance(&of_parts, &wide(&first(&of_whole))) < 1e-4 * largest(&wide(&of_parts)).max(1.0));
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let mut b = GraphBuilder::new();
+    let (x, y) = (b.input(4, true).unwrap(), b.input(3, true).unwrap());
+    let own = b.params(10);
+    assert!(b.sum(&[]).is_err() && b.sum(&[x, y]).is_err() && b.product(x, y).is_err());
+    for layer in [
+        LayerNorm {
+            width: 5,
+            epsilon: 1e-5,
+        },
+        LayerNorm {
+            width: 0,
+            epsilon: 1e-5,
+        },
+        LayerNorm { width: 4, epsilon: 0.0 },
+    ] {
+        assert!(b.layer_norm(x, layer, own).is_err(), "{layer:?}");
+    }
+}

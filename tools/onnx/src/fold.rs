@@ -1,0 +1,285 @@
+//! Nodes whose inputs are all constants: bounds made of two numbers, shapes that are computed, statistics with an epsilon. They
+//! become constants.
+
+use crate::constant::{Constant, Data, len_of};
+use crate::movement::axis;
+use std::rc::Rc;
+
+/// The shape of two together, as NumPy broadcasts them.
+pub fn broadcast_shape(a: &[usize], b: &[usize]) -> Result<Vec<usize>, String> {
+    let rank = a.len().max(b.len());
+    let size = |shape: &[usize], i: usize| {
+        let missing = rank - shape.len();
+        i.checked_sub(missing).and_then(|i| shape.get(i)).copied().unwrap_or(1)
+    };
+    let joined = (0..rank).map(|i| match (size(a, i), size(b, i)) {
+        (a, b) if a == b || b == 1 => Some(a),
+        (1, b) => Some(b),
+        _ => None,
+    });
+    joined
+        .collect::<Option<_>>()
+        .ok_or_else(|| format!("the shapes {a:?} and {b:?} do not fit each other"))
+}
+
+/// Where each value of `shape` is in what is spread to it, whose own shape is `own`.
+pub fn spread_places(own: &[usize], shape: &[usize]) -> Result<Vec<usize>, String> {
+    let wrong = || format!("the shape {own:?} cannot be spread to {shape:?}");
+    let missing = shape.len().checked_sub(own.len()).ok_or_else(wrong)?;
+    let own: Vec<usize> = std::iter::repeat_n(1, missing).chain(own.iter().copied()).collect();
+    if own.iter().zip(shape).any(|(own, size)| *own != 1 && own != size) {
+        return Err(wrong());
+    }
+    let len = len_of(shape)?;
+    let place_of = |i: usize| {
+        let (mut rest, mut place, mut stride) = (i, 0, 1);
+        for (size, own) in shape.iter().zip(&own).rev() {
+            let index = rest % size;
+            rest /= size;
+            if *own != 1 {
+                place += index * stride;
+                stride *= own;
+            }
+        }
+        place
+    };
+    Ok((0..len).map(place_of).collect())
+}
+
+/// The axes that a reduction goes along, and the shape that is left of `shape`.
+pub fn reduced(
+    shape: &[usize],
+    axes: Option<&[i64]>,
+    keep: bool,
+    noop: bool,
+) -> Result<(Vec<bool>, Vec<usize>), String> {
+    let mut along = vec![matches!(axes, None | Some([])) && !noop; shape.len()];
+    for given in axes.unwrap_or_default() {
+        along[axis(*given, shape.len())?] = true;
+    }
+    let sizes = shape.iter().zip(&along);
+    let left = sizes.filter_map(|(size, along)| match (*along, keep) {
+        (false, _) => Some(*size),
+        (true, true) => Some(1),
+        (true, false) => None,
+    });
+    let left = left.collect();
+    Ok((along, left))
+}
+
+/// For each value of `shape` the place of what it is reduced to.
+pub fn reduced_places(shape: &[usize], along: &[bool]) -> Result<Vec<usize>, String> {
+    let kept: Vec<usize> = shape
+        .iter()
+        .zip(along)
+        .map(|(size, along)| if *along { 1 } else { *size })
+        .collect();
+    // What is spread back over the reduced axes stands where it came from.
+    spread_places(&kept, shape)
+}
+
+fn unary(operator: &str, x: f32) -> Option<f32> {
+    Some(match operator {
+        "Neg" => -x,
+        "Abs" => x.abs(),
+        "Exp" => libm::expf(x),
+        "Log" => libm::logf(x),
+        "Sqrt" => libm::sqrtf(x),
+        "Reciprocal" => 1.0 / x,
+        "Tanh" => libm::tanhf(x),
+        "Sigmoid" => 1.0 / (1.0 + libm::expf(-x)),
+        "Relu" => x.max(0.0),
+        "Softplus" => libm::log1pf(libm::expf(x)),
+        "Floor" => libm::floorf(x),
+        "Ceil" => libm::ceilf(x),
+        "Round" => libm::rintf(x),
+        "Sign" if x == 0.0 => 0.0,
+        "Sign" => x.signum(),
+        "Erf" => libm::erff(x),
+        _ => return None,
+    })
+}
+
+fn binary(operator: &str, a: f32, b: f32) -> Option<f32> {
+    let truth = |is: bool| f32::from(u8::from(is));
+    Some(match operator {
+        "Add" | "Sum" => a + b,
+        "Sub" => a - b,
+        "Mul" => a * b,
+        "Div" => a / b,
+        "Pow" => libm::powf(a, b),
+        "Min" => a.min(b),
+        "Max" => a.max(b),
+        "Equal" => truth(a == b),
+        "Greater" => truth(a > b),
+        "GreaterOrEqual" => truth(a >= b),
+        "Less" => truth(a < b),
+        "LessOrEqual" => truth(a <= b),
+        _ => return None,
+    })
+}
+
+/// Whole numbers: shapes and indices that are computed.
+fn whole_binary(operator: &str, a: i64, b: i64) -> Option<i64> {
+    match operator {
+        "Add" | "Sum" => a.checked_add(b),
+        "Sub" => a.checked_sub(b),
+        "Mul" => a.checked_mul(b),
+        "Div" => a.checked_div(b),
+        "Mod" => a.checked_rem_euclid(b),
+        "Min" => Some(a.min(b)),
+        "Max" => Some(a.max(b)),
+        "And" => Some(a & b),
+        "Or" => Some(a | b),
+        "Equal" => Some(i64::from(a == b)),
+        "Greater" => Some(i64::from(a > b)),
+        "GreaterOrEqual" => Some(i64::from(a >= b)),
+        "Less" => Some(i64::from(a < b)),
+        "LessOrEqual" => Some(i64::from(a <= b)),
+        _ => None,
+    }
+}
+
+/// Two constants to one of a shape that both are spread to.
+fn together(operator: &str, a: &Constant, b: &Constant) -> Result<Option<Constant>, String> {
+    let shape = broadcast_shape(&a.shape, &b.shape)?;
+    let places = spread_places(&a.shape, &shape)?
+        .into_iter()
+        .zip(spread_places(&b.shape, &shape)?);
+    let data = match (&a.data, &b.data) {
+        (Data::Real(a), Data::Real(b)) => {
+            let values: Option<Vec<f32>> = places.map(|(i, j)| binary(operator, *a.get(i)?, *b.get(j)?)).collect();
+            values.map(|values| match operator {
+                "Equal" | "Greater" | "GreaterOrEqual" | "Less" | "LessOrEqual" => {
+                    Data::Whole(values.iter().map(|x| i64::from(*x != 0.0)).collect())
+                }
+                _ => Data::Real(values),
+            })
+        }
+        (Data::Whole(a), Data::Whole(b)) => {
+            let values: Option<Vec<i64>> = places
+                .map(|(i, j)| whole_binary(operator, *a.get(i)?, *b.get(j)?))
+                .collect();
+            values.map(Data::Whole)
+        }
+        // Powers of whole exponents.
+        (Data::Real(a), Data::Whole(b)) if operator == "Pow" => {
+            let values: Option<Vec<f32>> = places
+                .map(|(i, j)| Some(libm::powf(*a.get(i)?, *b.get(j)? as f32)))
+                .collect();
+            values.map(Data::Real)
+        }
+        _ => return Err("one of its constants is of whole numbers, the other of real ones".to_owned()),
+    };
+    Ok(data.map(|data| Constant { shape, data }))
+}
+
+/// What an element-wise operator makes of constants; `None` where it is none of those.
+///
+/// # Errors
+/// Shapes or kinds of number that do not fit each other.
+pub fn fold(operator: &str, inputs: &[Rc<Constant>]) -> Result<Option<Constant>, String> {
+    match (operator, inputs) {
+        ("Not", [x]) => Ok(Some(Constant {
+            shape: x.shape.clone(),
+            data: Data::Whole(x.whole()?.iter().map(|x| i64::from(*x == 0)).collect()),
+        })),
+        (_, [x]) => {
+            let data = match &x.data {
+                Data::Real(values) => {
+                    let values: Option<Vec<f32>> = values.iter().map(|x| unary(operator, *x)).collect();
+                    values.map(Data::Real)
+                }
+                Data::Whole(values) if operator == "Neg" => {
+                    Some(Data::Whole(values.iter().map(|x| x.wrapping_neg()).collect()))
+                }
+                Data::Whole(_) => None,
+            };
+            Ok(data.map(|data| Constant {
+                shape: x.shape.clone(),
+                data,
+            }))
+        }
+        ("Where", [condition, a, b]) => {
+            let shape = broadcast_shape(&broadcast_shape(&condition.shape, &a.shape)?, &b.shape)?;
+            let chosen = condition.whole()?;
+            let places = spread_places(&condition.shape, &shape)?;
+            let (of_a, of_b) = (spread_places(&a.shape, &shape)?, spread_places(&b.shape, &shape)?);
+            let is_a = |i: usize| {
+                places
+                    .get(i)
+                    .and_then(|place| chosen.get(*place))
+                    .is_some_and(|x| *x != 0)
+            };
+            fn pick<T: Copy>(a: &[T], b: &[T], of: [&[usize]; 2], is_a: impl Fn(usize) -> bool) -> Vec<T> {
+                let both = of[0].iter().zip(of[1]).enumerate();
+                both.filter_map(|(i, (x, y))| if is_a(i) { a.get(*x) } else { b.get(*y) }.copied())
+                    .collect()
+            }
+            let data = match (&a.data, &b.data) {
+                (Data::Real(a), Data::Real(b)) => Data::Real(pick(a, b, [&of_a, &of_b], is_a)),
+                (Data::Whole(a), Data::Whole(b)) => Data::Whole(pick(a, b, [&of_a, &of_b], is_a)),
+                _ => return Err("one of its constants is of whole numbers, the other of real ones".to_owned()),
+            };
+            Ok(Some(Constant { shape, data }))
+        }
+        // In the order that the standard has: first up to the least, then down to the most.
+        ("Clip", [x, bounds @ ..]) => {
+            let mut clipped = x.as_ref().clone();
+            for (bound, operator) in bounds.iter().zip(["Max", "Min"]) {
+                match together(operator, &clipped, bound)? {
+                    Some(next) => clipped = next,
+                    None => return Ok(None),
+                }
+            }
+            Ok(Some(clipped))
+        }
+        (_, [first, rest @ ..]) => {
+            let mut all = first.as_ref().clone();
+            for next in rest {
+                match together(operator, &all, next)? {
+                    Some(joined) => all = joined,
+                    None => return Ok(None),
+                }
+            }
+            Ok(Some(all))
+        }
+        (_, []) => Ok(None),
+    }
+}
+
+/// A reduction of a constant along axes: mean, sum, product, least or most.
+///
+/// # Errors
+/// Whole numbers other than a product, as a shape's is.
+pub fn reduce(operator: &str, x: &Constant, along: &[bool], shape: Vec<usize>) -> Result<Constant, String> {
+    let places = reduced_places(&x.shape, along)?;
+    let count = x.len() / len_of(&shape)?.max(1);
+    if let (Data::Whole(values), "ReduceProd" | "ReduceSum") = (&x.data, operator) {
+        let start = i64::from(operator == "ReduceProd");
+        let mut all = vec![start; len_of(&shape)?];
+        for (value, place) in values.iter().zip(places) {
+            all[place] = match operator {
+                "ReduceProd" => all[place].wrapping_mul(*value),
+                _ => all[place].wrapping_add(*value),
+            };
+        }
+        let data = Data::Whole(all);
+        return Ok(Constant { shape, data });
+    }
+    let (start, with): (f32, fn(f32, f32) -> f32) = match operator {
+        "ReduceMax" => (f32::NEG_INFINITY, f32::max),
+        "ReduceMin" => (f32::INFINITY, f32::min),
+        "ReduceProd" => (1.0, |a, b| a * b),
+        _ => (0.0, |a, b| a + b),
+    };
+    let mut all = vec![start; len_of(&shape)?];
+    for (value, place) in x.real()?.iter().zip(places) {
+        all[place] = with(all[place], *value);
+    }
+    if operator == "ReduceMean" {
+        all.iter_mut().for_each(|sum| *sum /= count as f32);
+    }
+    let data = Data::Real(all);
+    Ok(Constant { shape, data })
+}
