@@ -17,8 +17,8 @@ use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::{
-    AlarmPolicy, AtGoal, AutopilotChoice, Duty, Encoder, EngagePolicy, FrameKeys, Goal, LogContent, NedVector,
-    ObstacleReports, OnNoProgress, ParameterSpec, PilotKind,
+    AlarmPolicy, AtGoal, AutopilotChoice, Duty, EngagePolicy, FrameKeys, Goal, LogContent, NedVector, ObstacleReports,
+    OnNoProgress, ParameterSpec, PilotKind,
 };
 
 /// A configuration file has a page or two.
@@ -222,9 +222,6 @@ pub struct PilotConfig {
     /// The frozen actor; absent means the one built into this program.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actor_file: Option<PathBuf>,
-    /// How the actor's convolutions calculate.
-    #[serde(with = "choice")]
-    pub encoder: Encoder,
     /// Fastest forward speed of the geometric pilot.
     #[serde(deserialize_with = "number::cruise")]
     pub cruise_m_s: f32,
@@ -411,7 +408,6 @@ impl Default for PilotConfig {
             kind: PilotKind::default(),
             apf: parameters::APF.is_on(),
             actor_file: None,
-            encoder: Encoder::default(),
             cruise_m_s: d.cruise_m_s,
             repulsive_range_m: d.repulsive_range_m,
         }
@@ -483,7 +479,7 @@ impl FirmwareConfig {
     /// # Errors
     /// The parser's report: line, field and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| e.to_string())
+        toml::from_str(text).map_err(|e| crate::removed::explain(e.to_string()))
     }
 
     /// Writes TOML that [`Self::from_toml`] reads back unchanged.

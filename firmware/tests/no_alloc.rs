@@ -25,7 +25,7 @@ use vigil_nnet::Purpose;
 use vigil_policy::actor::{ActorSpec, FRAMES_SPREAD};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_policy::{ActorInputs, FrozenActor, LedBy};
-use vigil_types::{Duty, Encoder, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
+use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 thread_local! {
     /// Allocations of this thread; other threads may allocate as they like.
@@ -67,15 +67,6 @@ fn a_whole_flight_of_ticks_allocates_nothing() {
 fn the_actor_s_ticks_allocate_nothing() {
     let mut config = config();
     config.pilot.kind = PilotKind::Actor;
-    config.detector.enabled = Some(false);
-    whole_flight(&config);
-}
-
-#[test]
-fn an_encoder_of_bytes_allocates_nothing() {
-    let mut config = config();
-    config.pilot.kind = PilotKind::Actor;
-    config.pilot.encoder = Encoder::Int8;
     config.detector.enabled = Some(false);
     whole_flight(&config);
 }
@@ -157,10 +148,6 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     let refused = Crew::of(&config).err().unwrap().to_string();
     assert!(refused.contains("add --detector off"), "{refused}");
     config.detector.enabled = Some(false);
-    config.pilot.encoder = Encoder::Int8;
-    let refused = Crew::of(&config).err().unwrap().to_string();
-    assert!(refused.contains("float32 only"), "{refused}");
-    config.pilot.encoder = Encoder::Float32;
     whole_flight(&config);
     // Explained at its convolution, and judged.
     let detector = folder.path().join("detector.safetensors");

@@ -4,8 +4,8 @@
 //! default, the MAVLink parameter of that name, the text of `--help` and the reference in docs/firmware.md.
 
 use crate::{
-    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, Encoder, EngagePolicy, LogContent,
-    ObstacleReports, OnNoProgress, PilotKind,
+    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports,
+    OnNoProgress, PilotKind,
 };
 use core::fmt;
 
@@ -475,7 +475,6 @@ table! {
     PILOT = choice("pilot.kind", PilotKind::WORDS, PilotKind::Actor as usize, "who decides");
     APF = switch("pilot.apf", true, "add the potential field to the actor's action");
     ACTOR_FILE = text("pilot.actor_file", "\"my.safetensors\"", "the frozen actor; without it the one built into the program");
-    ENCODER = choice("pilot.encoder", Encoder::WORDS, Encoder::Float32 as usize, "how the actor's convolutions calculate (docs/nnet.md, \"Bytes\")");
     CRUISE = real("pilot.cruise_m_s", SPEED_M_S, "m/s", ACTION_LIMIT as f64, "fastest forward speed of the geometric pilot").mavlink("PLT_CRUISE", false);
     REPULSIVE_RANGE = real("pilot.repulsive_range_m", (0.0, 20.0), "m", 3.0, "range of the geometric pilot's repulsive field").mavlink("PLT_APF_RANGE", false);
 

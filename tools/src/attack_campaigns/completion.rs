@@ -233,7 +233,6 @@ fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &FrozenPilot), unit: u64) -
         burst: s.burst,
         evade: None,
         evades_guard_m: None,
-        learned: None,
     });
     // Undefended; with a detector: `vigil attack defended`.
     let (config, firmware) = campaign::actor_flight(actor, apf, seed);

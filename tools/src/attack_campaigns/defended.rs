@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
 use vigil_adversary::{Attack, AttackArgs};
-use vigil_adversary::{AttackConfig, Burst, LearnedAdversary, Method, Towards};
+use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::{number, parse_switch};
@@ -82,10 +82,6 @@ pub struct DefendedArgs {
     /// Adaptive: leave what lies within so many degrees of the nose as it is, where a second sensor looks.
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
     truthful_ahead: f32,
-
-    /// What `--attack learned` does: a file of `vigil attack learn`.
-    #[arg(long, value_name = "FILE")]
-    learned: Option<PathBuf>,
 
     /// The detector that judges the actor [default: the one built in].
     #[arg(long, value_name = "FILE")]
@@ -218,9 +214,6 @@ struct Settings {
     /// Whether the attacker stays within what the guard lets pass.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     evades_guard: bool,
-    /// Digest of what the attacker learned.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    learned_sha256: Option<String>,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
@@ -544,7 +537,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         region: args.region,
         evade_guard: args.evade_guard,
         truthful_ahead: args.truthful_ahead,
-        learned: args.learned.clone(),
     };
     let attack = attack
         .attack(args.common.actor.as_deref())?
@@ -575,7 +567,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         burst: attack.burst,
         evades_sha256: attack.evade.as_ref().map(FrozenDetector::sha256),
         evades_guard: args.evade_guard,
-        learned_sha256: attack.learned.as_ref().map(weights_sha256),
     };
     let arms = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm));
     let plan = Plan {
@@ -588,11 +579,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     }
     let log = Log::open(folder.join(CSV), &plan.settings, args.resume)?;
     fly_missing(args, &attack, log, &plan, folder)
-}
-
-fn weights_sha256(learned: &LearnedAdversary) -> String {
-    let bytes = learned.weights().iter().flat_map(|w| w.to_le_bytes());
-    part::sha256(&bytes.collect::<Vec<u8>>())
 }
 
 /// What parts call this command.
@@ -755,7 +741,6 @@ mod tests {
             burst: Burst::Steps(burst),
             evades_sha256: None,
             evades_guard: false,
-            learned_sha256: None,
         }
     }
 

@@ -4,19 +4,12 @@
 //! of a backward pass belong to the caller, so one graph serves any number of threads, samples and weight sets, and an
 //! evaluation allocates nothing.
 
-mod bounds;
 mod build;
 pub(crate) mod layer;
 pub(crate) mod operation;
 pub(crate) mod run;
 mod structure;
 
-pub(crate) use bounds::BoundsForward;
-pub use bounds::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR, Rounding};
-#[cfg(feature = "train")]
-pub(crate) use bounds::{BoundsBackward, ends_to_split, through_backward};
-#[cfg(feature = "train")]
-pub use bounds::{BoundsGradient, PackedBoundsParams};
 pub use build::GraphBuilder;
 pub(crate) use build::description;
 
