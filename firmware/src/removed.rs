@@ -1,7 +1,10 @@
 //! What an earlier version had and this one has not: commands, arguments and configuration keys, each with what replaces it.
 
+const CONSTANT: &str =
+    "the guard's thresholds are constants (docs/detection.md); `--guard off`, `guard = false`, leaves the guard out";
+
 /// Name as it was written, and what to do instead. Kept for one version.
-const REMOVED: [(&str, &str); 8] = [
+const REMOVED: [(&str, &str); 17] = [
     (
         "train",
         "training by imitation is gone: `vigil learn nothing` trains an actor from nothing",
@@ -28,6 +31,15 @@ const REMOVED: [(&str, &str); 8] = [
     ),
     ("--encoder", "the actor calculates in float32: leave it out"),
     ("encoder", "the actor calculates in float32: leave it out"),
+    ("--astray", CONSTANT),
+    ("--disagreement", CONSTANT),
+    ("--smooth-share", CONSTANT),
+    ("--guard-final", CONSTANT),
+    ("astray_m", CONSTANT),
+    ("disagreement_s", CONSTANT),
+    ("smooth_share", CONSTANT),
+    ("guard_final", CONSTANT),
+    ("unknown_steps", CONSTANT),
 ];
 
 /// What replaces a command, an argument (with its dashes) or a key of a configuration, if this version has dropped it.

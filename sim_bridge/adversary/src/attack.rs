@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
-use vigil_types::{NedVector, parameters};
+use vigil_types::NedVector;
 
 /// An attack on the frames as they pass.
 #[derive(Debug, Clone, clap::Args)]
@@ -106,7 +106,7 @@ impl AttackArgs {
             },
             burst: self.burst,
             evade,
-            evades_guard_m: self.evade_guard.then(|| parameters::ASTRAY.number_f32()),
+            evades_guard: self.evade_guard,
         }))
     }
 
@@ -146,8 +146,8 @@ pub struct Attack {
     pub burst: Burst,
     /// The detector to deceive along with the actor.
     pub evade: Option<FrozenDetector>,
-    /// The guard is to stay silent as well, which finds the actor astray so far behind, metres (0 is never).
-    pub evades_guard_m: Option<f32>,
+    /// The guard is to stay silent as well.
+    pub evades_guard: bool,
 }
 
 impl Attack {
@@ -166,9 +166,9 @@ impl Attack {
         }
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
         let interceptor = interceptor.with_inputs(self.pilot.inputs());
-        match self.evades_guard_m {
-            Some(astray_m) => interceptor.evading_guard(astray_m),
-            None => Ok(interceptor),
+        match self.evades_guard {
+            true => interceptor.evading_guard(),
+            false => Ok(interceptor),
         }
     }
 }
