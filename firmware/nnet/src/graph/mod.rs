@@ -170,15 +170,6 @@ impl Graph {
         let node = self.input_node(i)?;
         part("work buffer", work, node.gradient_at, node.len)
     }
-
-    /// The gradient or multipliers of a node's value after a backward pass. Meaningless where the pass did not go.
-    ///
-    /// # Errors
-    /// A work buffer of another length, a node of another graph.
-    pub fn node_gradient<'a>(&self, work: &'a [f32], node: NodeId) -> Result<&'a [f32], ShapeError> {
-        let node = self.node(node.0)?;
-        part("work buffer", work, node.gradient_at, node.len)
-    }
 }
 
 #[cfg(feature = "train")]
