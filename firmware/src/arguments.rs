@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::str::FromStr;
 use vigil_types::parameters::{self, Kind, ParameterSpec, Preset};
-use vigil_types::{AlarmPolicy, Choice, Encoder, PilotKind};
+use vigil_types::{AlarmPolicy, Choice, PilotKind};
 
 /// The help of an argument: the row's text, what is accepted and the default.
 pub fn help(row: &ParameterSpec) -> String {
@@ -96,9 +96,6 @@ pub struct PilotArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::APF))]
     apf: Option<bool>,
 
-    #[arg(long, value_parser = choice::<Encoder>(), help = help(&parameters::ENCODER))]
-    encoder: Option<Encoder>,
-
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::DETECTOR))]
     detector: Option<bool>,
 
@@ -114,18 +111,6 @@ pub struct PilotArgs {
 
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::GUARD))]
     guard: Option<bool>,
-
-    #[arg(long, value_name = "M", value_parser = number::<f32>(&parameters::ASTRAY), help = help(&parameters::ASTRAY))]
-    astray: Option<f32>,
-
-    #[arg(long, value_name = "S", value_parser = number::<f32>(&parameters::DISAGREEMENT), help = help(&parameters::DISAGREEMENT))]
-    disagreement: Option<f32>,
-
-    #[arg(long, value_name = "SHARE", value_parser = number::<f32>(&parameters::SMOOTH_SHARE), help = help(&parameters::SMOOTH_SHARE))]
-    smooth_share: Option<f32>,
-
-    #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::GUARD_FINAL))]
-    guard_final: Option<bool>,
 
     #[arg(long, value_parser = choice::<AlarmPolicy>(), help = help(&parameters::ALARM))]
     alarm: Option<AlarmPolicy>,
@@ -143,7 +128,6 @@ impl PilotArgs {
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
-        config.pilot.encoder = self.encoder.unwrap_or(config.pilot.encoder);
         config.detector.enabled = self.detector.or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
         config.detector.threshold = self.threshold.or(config.detector.threshold);
@@ -151,10 +135,6 @@ impl PilotArgs {
             (config.detector.raise_count, config.detector.raise_window) = (count, window);
         }
         config.detector.guard = self.guard.or(config.detector.guard);
-        config.detector.astray_m = self.astray.unwrap_or(config.detector.astray_m);
-        config.detector.disagreement_s = self.disagreement.unwrap_or(config.detector.disagreement_s);
-        config.detector.smooth_share = self.smooth_share.unwrap_or(config.detector.smooth_share);
-        config.detector.guard_final = self.guard_final.unwrap_or(config.detector.guard_final);
         config.detector.alarm = self.alarm.unwrap_or(config.detector.alarm);
         config.plausibility = self.plausibility.unwrap_or(config.plausibility);
         config.second_sensor = self.second_sensor.unwrap_or(config.second_sensor);
@@ -183,15 +163,10 @@ impl PilotArgs {
         let switch = |on: bool| if on { "on" } else { "off" }.to_owned();
         hand("--pilot", self.pilot.map(|kind| kind.name().to_owned()));
         hand("--apf", self.apf.map(switch));
-        hand("--encoder", self.encoder.map(|encoder| encoder.name().to_owned()));
         hand("--detector", self.detector.map(switch));
         hand("--threshold", self.threshold.map(|score| score.to_string()));
         hand("--raise", self.raise.map(|(count, window)| format!("{count}/{window}")));
         hand("--guard", self.guard.map(switch));
-        hand("--astray", self.astray.map(|limit_m| limit_m.to_string()));
-        hand("--disagreement", self.disagreement.map(|limit_s| limit_s.to_string()));
-        hand("--smooth-share", self.smooth_share.map(|share| share.to_string()));
-        hand("--guard-final", self.guard_final.map(switch));
         hand("--alarm", self.alarm.map(|policy| policy.name().to_owned()));
         hand("--plausibility", self.plausibility.map(switch));
         hand("--second-sensor", self.second_sensor.map(switch));

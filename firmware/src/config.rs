@@ -17,8 +17,8 @@ use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::{
-    AlarmPolicy, AtGoal, AutopilotChoice, Duty, Encoder, EngagePolicy, FrameKeys, Goal, LogContent, NedVector,
-    ObstacleReports, OnNoProgress, ParameterSpec, PilotKind,
+    AlarmPolicy, AtGoal, AutopilotChoice, Duty, EngagePolicy, FrameKeys, Goal, LogContent, NedVector, ObstacleReports,
+    OnNoProgress, ParameterSpec, PilotKind,
 };
 
 /// A configuration file has a page or two.
@@ -222,9 +222,6 @@ pub struct PilotConfig {
     /// The frozen actor; absent means the one built into this program.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actor_file: Option<PathBuf>,
-    /// How the actor's convolutions calculate.
-    #[serde(with = "choice")]
-    pub encoder: Encoder,
     /// Fastest forward speed of the geometric pilot.
     #[serde(deserialize_with = "number::cruise")]
     pub cruise_m_s: f32,
@@ -255,25 +252,10 @@ pub struct DetectorConfig {
     /// Verdicts that are looked back on.
     #[serde(deserialize_with = "number::raise_window")]
     pub raise_window: u8,
-    /// Consecutive steps without a verdict that the actor may fly.
-    #[serde(deserialize_with = "number::unknown_steps")]
-    pub unknown_steps: u16,
     /// Whether the recovery pilot raises the alarm, whatever the verdict, when the actor is about to fly into something; absent
     /// means that it does where the detector is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub guard: Option<bool>,
-    /// The guard raises the alarm when the actor falls so far behind along the guard's way, metres; 0 is never.
-    #[serde(deserialize_with = "number::astray_m")]
-    pub astray_m: f32,
-    /// The guard raises the alarm when actor and recovery pilot have wanted to turn apart for so much longer than they have not,
-    /// seconds; 0 is never.
-    #[serde(deserialize_with = "number::disagreement_s")]
-    pub disagreement_s: f32,
-    /// The guard raises the alarm when fewer cells of the frames show one surface, in `raise_count` of `raise_window` frames; 0 is never.
-    #[serde(deserialize_with = "number::smooth_share")]
-    pub smooth_share: f32,
-    /// Whether after an alarm of the guard only an operator, or the end of the flight, gives the vehicle back to the actor.
-    pub guard_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
     #[serde(deserialize_with = "number::clear_steps")]
     pub clear_steps: u16,
@@ -289,12 +271,7 @@ impl Default for DetectorConfig {
             alarm: d.policy,
             raise_count: d.raise_count,
             raise_window: d.raise_window,
-            unknown_steps: d.unknown_limit,
             guard: None,
-            astray_m: d.astray_limit_m,
-            disagreement_s: d.disagreement_limit_s,
-            smooth_share: d.smooth_share,
-            guard_final: d.guard_is_final,
             clear_steps: d.clear_steps,
         }
     }
@@ -411,7 +388,6 @@ impl Default for PilotConfig {
             kind: PilotKind::default(),
             apf: parameters::APF.is_on(),
             actor_file: None,
-            encoder: Encoder::default(),
             cruise_m_s: d.cruise_m_s,
             repulsive_range_m: d.repulsive_range_m,
         }
@@ -483,7 +459,7 @@ impl FirmwareConfig {
     /// # Errors
     /// The parser's report: line, field and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| e.to_string())
+        toml::from_str(text).map_err(|e| crate::removed::explain(e.to_string()))
     }
 
     /// Writes TOML that [`Self::from_toml`] reads back unchanged.
@@ -593,7 +569,11 @@ impl FirmwareConfig {
 
     /// What the flight stack needs of this.
     pub fn stack(&self) -> StackConfig {
-        let (limits, alarm) = (&self.limits, AlarmConfig::default());
+        let limits = &self.limits;
+        let alarm = match self.has_guard() {
+            true => AlarmConfig::default(),
+            false => AlarmConfig::default().without_guard(),
+        };
         let guidance = GuidanceConfig {
             // Who guards somebody else's flight takes it over on command only.
             engage: match self.duty {
@@ -634,26 +614,7 @@ impl FirmwareConfig {
                 policy: self.detector.alarm,
                 raise_count: self.detector.raise_count,
                 raise_window: self.detector.raise_window,
-                unknown_limit: self.detector.unknown_steps,
                 clear_steps: self.detector.clear_steps,
-                guard_steps: if self.has_guard() { alarm.guard_steps } else { 0 },
-                recovery_guard_steps: if self.has_guard() {
-                    alarm.recovery_guard_steps
-                } else {
-                    0
-                },
-                astray_limit_m: if self.has_guard() { self.detector.astray_m } else { 0.0 },
-                disagreement_limit_s: if self.has_guard() {
-                    self.detector.disagreement_s
-                } else {
-                    0.0
-                },
-                smooth_share: if self.has_guard() {
-                    self.detector.smooth_share
-                } else {
-                    0.0
-                },
-                guard_is_final: self.detector.guard_final,
                 ..alarm
             },
             ..GuidanceConfig::default()
@@ -801,11 +762,7 @@ mod number {
         threshold: Option<f32> = THRESHOLD;
         raise_count: u8 = RAISE_COUNT;
         raise_window: u8 = RAISE_WINDOW;
-        unknown_steps: u16 = UNKNOWN_STEPS;
         clear_steps: u16 = CLEAR_STEPS;
-        astray_m: f32 = ASTRAY;
-        disagreement_s: f32 = DISAGREEMENT;
-        smooth_share: f32 = SMOOTH_SHARE;
         priority: u8 = PRIORITY;
         offset: u8 = OFFSET;
     }

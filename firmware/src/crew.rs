@@ -5,7 +5,6 @@ use vigil_detector::Monitor;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
 use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot};
-use vigil_types::Encoder;
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig, crate::step::StackError, std::path::Path, vigil_detector::FrozenDetector,
@@ -43,8 +42,7 @@ impl Crew {
         }
     }
 
-    /// A learned pilot, alone or watched by `monitor`, the guard or both; `field` adds the potential field to it. An
-    /// imported policy has no `encoder` but its own.
+    /// A learned pilot, alone or watched by `monitor`, the guard or both; `field` adds the potential field to it.
     ///
     /// # Errors
     /// Parameters of another length.
@@ -52,7 +50,6 @@ impl Crew {
         isa: Isa,
         frozen: &FrozenPilot,
         field: bool,
-        encoder: Encoder,
         monitor: Option<Box<Monitor>>,
         watched: bool,
     ) -> Result<Self, FileError> {
@@ -60,9 +57,7 @@ impl Crew {
         let leads = inputs.led_by == LedBy::Path && inputs.told_of_movers;
         Ok(Self {
             pilot: match frozen {
-                FrozenPilot::Actor(actor) => {
-                    FlightPilot::Actor(ActorPilot::new(actor.actor_with(isa, encoder)?, field))
-                }
+                FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, field)),
                 FrozenPilot::Imported(policy) => FlightPilot::Imported(policy.pilot(isa, field)?),
             },
             monitor,
@@ -101,9 +96,6 @@ impl Crew {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
         };
-        if matches!(frozen, FrozenPilot::Imported(_)) && config.pilot.encoder != Encoder::default() {
-            return Err(StackError::EncoderOfPolicy);
-        }
         // The built-in detector is the built-in actor's.
         if matches!(frozen, FrozenPilot::Imported(_)) && config.has_detector() && config.detector.file.is_none() {
             return Err(StackError::NoDetectorOfPolicy);
@@ -121,14 +113,7 @@ impl Crew {
             }
         };
         let watched = config.is_watched();
-        Ok(Self::learned(
-            isa,
-            &frozen,
-            config.pilot.apf,
-            config.pilot.encoder,
-            monitor,
-            watched,
-        )?)
+        Ok(Self::learned(isa, &frozen, config.pilot.apf, monitor, watched)?)
     }
 }
 

@@ -38,6 +38,8 @@ pub mod realtime;
 #[cfg(feature = "std")]
 pub mod reference;
 #[cfg(feature = "std")]
+pub mod removed;
+#[cfg(feature = "std")]
 pub mod replay;
 #[cfg(feature = "std")]
 pub mod saved;

@@ -16,10 +16,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
-use vigil_nnet::Isa;
 use vigil_types::parameters;
 use vigil_types::{
-    AtGoal, AutopilotChoice, Choice, Duty, Encoder, EngagePolicy, LogContent, ObstacleReports, PilotKind, StepReport,
+    AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports, PilotKind, StepReport,
 };
 
 /// Arguments of `vigil firmware` and of the `firmware` program.
@@ -325,13 +324,8 @@ fn pilot_line(config: &FirmwareConfig) -> String {
         None => "built in".to_owned(),
     };
     let field = if config.pilot.apf { "with" } else { "without" };
-    let encoder = match config.pilot.encoder {
-        Encoder::Float32 => "",
-        Encoder::Int8 if Isa::detect().multiplies_bytes() => ", encoder int8",
-        Encoder::Int8 => ", encoder int8, which is slower than float32 on this processor",
-    };
     let actor = format!(
-        "the actor ({}{encoder}), {field} the potential field",
+        "the actor ({}), {field} the potential field",
         named(&config.pilot.actor_file)
     );
     let detector = config

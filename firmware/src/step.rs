@@ -35,9 +35,6 @@ pub enum StackError {
          have the recovery pilot warn and take over before a collision"
     )]
     NoDetectorOfPolicy,
-    /// Only an actor of ours has another encoder.
-    #[error("an imported policy is to fly: it calculates in float32 only; leave out `encoder`")]
-    EncoderOfPolicy,
     /// The detector is not this actor's, or cannot explain it.
     #[error("detector {file}: {source}")]
     Monitor {

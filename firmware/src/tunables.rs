@@ -25,11 +25,6 @@ pub(crate) struct Tunables {
     pub threshold: Option<f32>,
     /// `None` when nothing raises an alarm.
     alarm: Option<AlarmPolicy>,
-    /// `None` without a guard, as are the next.
-    astray_limit_m: Option<f32>,
-    disagreement_limit_s: Option<f32>,
-    smooth_share: Option<f32>,
-    guard_is_final: Option<bool>,
     /// `None` where somebody else's flight is not guarded from the start.
     duty: Option<Duty>,
 }
@@ -43,7 +38,7 @@ struct Tunable {
 }
 
 /// In the order in which they are listed to a ground station.
-const TUNABLES: [Tunable; 12] = [
+const TUNABLES: [Tunable; 8] = [
     Tunable {
         spec: parameters::CRUISE,
         get: |all| Some(ParameterValue::Real(all.pilot.cruise_m_s)),
@@ -80,29 +75,6 @@ const TUNABLES: [Tunable; 12] = [
         set: |all, value| all.alarm = all.alarm.map(|policy| value.as_choice().unwrap_or(policy)),
     },
     Tunable {
-        spec: parameters::ASTRAY,
-        get: |all| all.astray_limit_m.map(ParameterValue::Real),
-        set: |all, value| all.astray_limit_m = all.astray_limit_m.map(|_| value.as_f32()),
-    },
-    Tunable {
-        spec: parameters::DISAGREEMENT,
-        get: |all| all.disagreement_limit_s.map(ParameterValue::Real),
-        set: |all, value| all.disagreement_limit_s = all.disagreement_limit_s.map(|_| value.as_f32()),
-    },
-    Tunable {
-        spec: parameters::SMOOTH_SHARE,
-        get: |all| all.smooth_share.map(ParameterValue::Real),
-        set: |all, value| all.smooth_share = all.smooth_share.map(|_| value.as_f32()),
-    },
-    Tunable {
-        spec: parameters::GUARD_FINAL,
-        get: |all| {
-            all.guard_is_final
-                .map(|is_final| ParameterValue::Integer(is_final.into()))
-        },
-        set: |all, value| all.guard_is_final = all.guard_is_final.map(|_| value.as_f32() > 0.5),
-    },
-    Tunable {
         spec: parameters::DUTY,
         get: |all| all.duty.map(|duty| ParameterValue::Integer(duty.code())),
         set: |all, value| all.duty = all.duty.map(|duty| value.as_choice().unwrap_or(duty)),
@@ -112,7 +84,6 @@ const TUNABLES: [Tunable; 12] = [
 impl Tunables {
     /// `threshold` is the detector's, `is_watched` tells whether anything raises an alarm.
     pub fn of(config: &StackConfig, threshold: Option<f32>, is_watched: bool) -> Self {
-        let has_guard = config.guidance.alarm.guard_steps > 0;
         Self {
             pilot: config.pilot,
             // NaN or a negative number would be no limit that can be kept.
@@ -121,10 +92,6 @@ impl Tunables {
             at_goal: config.guidance.at_goal,
             threshold,
             alarm: is_watched.then_some(config.guidance.alarm.policy),
-            astray_limit_m: has_guard.then_some(config.guidance.alarm.astray_limit_m),
-            disagreement_limit_s: has_guard.then_some(config.guidance.alarm.disagreement_limit_s),
-            smooth_share: has_guard.then_some(config.guidance.alarm.smooth_share),
-            guard_is_final: has_guard.then_some(config.guidance.alarm.guard_is_final),
             duty: (config.duty != Duty::Fly).then_some(config.duty),
         }
     }
@@ -168,10 +135,6 @@ impl Tunables {
             at_goal: self.at_goal,
             alarm: AlarmConfig {
                 policy: self.alarm.unwrap_or(config.alarm.policy),
-                astray_limit_m: self.astray_limit_m.unwrap_or(config.alarm.astray_limit_m),
-                disagreement_limit_s: self.disagreement_limit_s.unwrap_or(config.alarm.disagreement_limit_s),
-                smooth_share: self.smooth_share.unwrap_or(config.alarm.smooth_share),
-                guard_is_final: self.guard_is_final.unwrap_or(config.alarm.guard_is_final),
                 ..config.alarm
             },
             ..*config

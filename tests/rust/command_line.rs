@@ -552,3 +552,22 @@ fn a_course_is_drawn_as_the_ending_of_its_file_says() {
         "{words}"
     );
 }
+
+#[test]
+fn what_an_earlier_version_had_is_refused_with_what_replaces_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let config = folder.path().join("old.toml");
+    std::fs::write(&config, "[pilot]\nencoder = \"int8\"\n").expect("written");
+    for (arguments, code, part) in [
+        (&["train"][..], 2, "`vigil learn nothing`"),
+        (&["attack", "certify"], 2, "`vigil attack table`"),
+        (&["evaluate", "--encoder", "int8"], 2, "float32"),
+        (&["evaluate", "--astray", "3"], 2, "constants"),
+        (&["firmware", "--config", text(&config)], 1, "float32"),
+    ] {
+        let refused = run(arguments);
+        assert_eq!(refused.status.code(), Some(code), "{}", said(&refused));
+        assert!(said(&refused).contains("of an earlier version"), "{}", said(&refused));
+        assert!(said(&refused).contains(part), "{}", said(&refused));
+    }
+}

@@ -1,5 +1,6 @@
 //! What the pilots make of a take-off: nothing. Frames taken on the ground show the ground at the vehicle's own height.
 
+use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::SimConfig;
 use vigil_tests::fly_watched;
@@ -55,12 +56,16 @@ fn after_a_take_off_on_an_empty_field_the_geometric_pilot_flies_straight_to_the_
 
 #[test]
 fn after_a_take_off_the_recovery_pilot_flies_straight_to_the_goal() {
+    // A detector without weights gives everything the score 0.5: the alarm comes with its first verdict, and stays.
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("detector.safetensors");
+    let mut undecided = FrozenDetector::built_in().expect("a detector");
+    undecided.params.fill(0.0);
+    undecided.save(&file).expect("written");
     let reports = fly(|config| {
         config.pilot.kind = PilotKind::Actor;
-        config.detector.enabled = Some(true);
-        // The first nine steps have no verdict: the alarm comes at once, and stays.
-        config.detector.unknown_steps = 1;
-        config.detector.clear_steps = 1200;
+        (config.detector.enabled, config.detector.file) = (Some(true), Some(file));
+        config.detector.threshold = Some(0.4);
     });
     let recovery = motion(&reports, |report| {
         report.state == GuidanceState::Guided

@@ -77,50 +77,6 @@ def channel_first(ours: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return theirs
 
 
-def split(params: np.ndarray, shapes: list[tuple[str, tuple[int, ...]]]) -> dict[str, np.ndarray]:
-    """Cuts one of our flat parameter slices into named tensors of our order."""
-    tensors, at = {}, 0
-    for name, shape in shapes:
-        size = int(np.prod(shape))
-        tensors[name] = params[at : at + size].reshape(shape)
-        at += size
-    if at != params.size:
-        raise SystemExit(f"{params.size} parameters, expected {at}: the networks have changed, tools/peers has not")
-    return tensors
-
-
-def gru_shapes() -> list[tuple[str, tuple[int, ...]]]:
-    """Tensors of a GRU in the order of our parameters."""
-    gates = 3 * HIDDEN
-    return [
-        ("gru.input_weight", (FEATURES, gates)),
-        ("gru.recurrent_weight", (HIDDEN, gates)),
-        ("gru.input_bias", (gates,)),
-        ("gru.recurrent_bias", (gates,)),
-    ]
-
-
-def dense_shapes(name: str, inputs: int, outputs: int) -> list[tuple[str, tuple[int, ...]]]:
-    """Tensors of a dense layer in the order of our parameters."""
-    return [(f"{name}.weight", (inputs, outputs)), (f"{name}.bias", (outputs,))]
-
-
-def actor_shapes() -> list[tuple[str, tuple[int, ...]]]:
-    """Tensors of the actor in the order of our parameters."""
-    shapes, channels = [], 1
-    for i, (kernel, filters) in enumerate([(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)], start=1):
-        shapes += [(f"convolution_{i}.weight", (kernel, kernel, channels, filters)), (f"convolution_{i}.bias", (filters,))]
-        channels = filters
-    shapes += gru_shapes()
-    return shapes + dense_shapes("positional", 2, 6) + dense_shapes("dense", 54, 32) + dense_shapes("output", 32, 2)
-
-
-def critic_shapes() -> list[tuple[str, tuple[int, ...]]]:
-    """Tensors of the critic behind the shared encoder, in the order of our parameters (docs/learning.md)."""
-    shapes = gru_shapes() + dense_shapes("positional", 2, 6)
-    return shapes + dense_shapes("dense", 56, 128) + dense_shapes("dense_2", 128, 64) + dense_shapes("output", 64, 1)
-
-
 def pattern_frames(seed: int) -> np.ndarray:
     """Five depth frames that any language can make again, exactly: sums of two triangle waves in steps of 1/1024.
 

@@ -41,7 +41,6 @@ from tqdm import tqdm
 import actor as frozen
 import export_onnx
 import networks
-from ddpg import Ddpg, batch_of
 
 HERE = Path(__file__).resolve().parent
 DOCUMENT = frozen.REPOSITORY / "docs/peers.md"
@@ -50,7 +49,7 @@ MARKS = ("<!-- measured by tools/peers/run.sh -->", "<!-- end -->")
 ATTACK_TARGET = 10.0
 ATTACK_STEP_GAIN = 2.5
 YAW = 1
-ORDER = ("actor", "update", "update-as-trained", "shap-hidden", "shap-pixels", "bim", "lstm-ad")
+ORDER = ("actor", "shap-hidden", "shap-pixels", "bim", "lstm-ad")
 
 
 @dataclass
@@ -198,54 +197,6 @@ def actor_case(c: Context) -> Case:
         agreement.append(within("tract", tract.first, t["state_action"][0], 1e-5))
         peers["tract"] = Peer(runs=20, goal=3.0, time_ns=tract.time_ns)
     return Case("One new frame through the actor", "actor", 50, peers, ", ".join(agreement), 30)
-
-
-def update_case(c: Context, as_trained: bool) -> Case:
-    """One DDPG update of 32 transitions."""
-    t, notes = c.ours.tensors, c.ours.notes
-    first = frozen.channel_first(frozen.split(t["before_actor"], frozen.actor_shapes()))
-    critic = frozen.channel_first(frozen.split(t["before_critic"], frozen.critic_shapes()))
-    keys = ("gradient_norm", "tau", "actor_rate", "critic_rate", "saturation_penalty", "value_weight", "imitation_width")
-    config = {key: float(notes[key]) for key in keys}
-    batch = batch_of(t)
-    if as_trained:
-        agreement = "not compared: each side draws its own mirrors and frames"
-    else:
-        net = Ddpg(first, critic, config, as_trained=False)
-        report = net.update(batch)
-        agreement = ", ".join(
-            within(f"{key} (relative)", value / float(notes[key]), 1.0, 1e-4) for key, value in report.items()
-        )
-        theirs = net.first_moments()
-        moments = {
-            "encoder": (t["after_encoder_mean"], frozen.actor_shapes()[:10]),
-            "actor": (t["after_actor_mean"], frozen.actor_shapes()[10:]),
-            "critic": (t["after_critic_mean"], frozen.critic_shapes()),
-        }
-        worst = 0.0
-        for name, (flat, shapes) in moments.items():
-            for key, mean in frozen.channel_first(frozen.split(flat, shapes)).items():
-                own = theirs[torch_name(name, key)].numpy()
-                worst = max(worst, float(np.abs(own - mean).max() / np.abs(mean).max()))
-        agreement += ", " + within("gradients (relative)", worst, 0.0, 1e-3)
-    peers = {}
-    for name, bf16 in (("PyTorch", False), ("PyTorch, bfloat16", True)):
-        net = Ddpg(first, critic, config, as_trained, bf16)
-        peers[name] = Peer(lambda net=net: net.update(batch), goal=None if bf16 else 3.0)
-    if as_trained:
-        return Case("One update as we train (batch 32)", "update-as-trained", 1, peers, agreement, 5)
-    return Case("One DDPG update (batch 32)", "update", 1, peers, agreement, 5)
-
-
-def torch_name(module: str, key: str) -> str:
-    """Our tensor's name in ddpg.py's modules."""
-    layer, part = key.split(".")
-    if layer.startswith("convolution"):
-        return f"{module}.{2 * (int(layer[-1]) - 1)}.{part}"
-    if layer == "gru":
-        side, kind = part.split("_")
-        return f"{module}.gru.{kind}_{'ih' if side == 'input' else 'hh'}_l0"
-    return f"{module}.head.{key}" if module == "actor" else f"{module}.{key}"
 
 
 def hidden_shap_case(c: Context) -> Case:
@@ -489,8 +440,6 @@ def main() -> None:
     strength: list[dict] = []
     makers: dict[str, Callable[[Context], Case]] = {
         "actor": actor_case,
-        "update": lambda c: update_case(c, as_trained=False),
-        "update-as-trained": lambda c: update_case(c, as_trained=True),
         "shap-hidden": hidden_shap_case,
         "shap-pixels": pixel_shap_case,
         "bim": lambda c: attack_case(c, strength),

@@ -19,7 +19,7 @@ const PART: usize = 16;
 const PART_ROWS: usize = DEPTH_ROWS / PART;
 const PART_COLS: usize = DEPTH_COLS / PART;
 /// The guard's default for what it takes for an altered picture (docs/detection.md, rough picture), and what leaves little room above it.
-const ROUGH_SHARE: f64 = vigil_types::parameters::SMOOTH_SHARE.number_f32() as f64;
+const ROUGH_SHARE: f64 = vigil_guidance::ROUGH_BELOW as f64;
 const NEARLY_ROUGH_SHARE: f64 = ROUGH_SHARE + 0.1;
 /// Half the side of the square in the middle of the image that is held against a wall.
 const MIDDLE: usize = 4;
@@ -300,13 +300,10 @@ impl SensorCheck {
             let (severity, advice) = if least < ROUGH_SHARE {
                 (
                     Severity::Warning,
-                    ": the guard would take this sensor's pictures for altered ones; lower detector.smooth_share, or see to its noise",
+                    ": the guard would take this sensor's pictures for altered ones: see to its noise, or fly without the guard",
                 )
             } else if least < NEARLY_ROUGH_SHARE {
-                (
-                    Severity::Warning,
-                    ": hardly more than the guard asks for (detector.smooth_share)",
-                )
+                (Severity::Warning, ": hardly more than the guard asks for")
             } else {
                 (Severity::Good, "")
             };

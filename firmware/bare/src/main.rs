@@ -16,7 +16,7 @@ use vigil_firmware::crew::Crew;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
-use vigil_types::{Attitude, Datagrams, DepthFrame, Encoder, NedVector, StepTiming};
+use vigil_types::{Attitude, Datagrams, DepthFrame, NedVector, StepTiming};
 
 core::arch::global_asm!(include_str!("boot.s"));
 
@@ -89,7 +89,7 @@ fn crew(setup: &Setup) -> Crew {
     let head = pilot.head(Purpose::Multipliers).expect("the actor's head");
     let mut monitor = Monitor::new(isa, head, &pilot.sha256(), &detector).expect("the detector is the actor's");
     monitor.set_threshold(setup.threshold);
-    Crew::learned(isa, &pilot, setup.field, Encoder::Float32, Some(Box::new(monitor)), true).expect("the built-in actor")
+    Crew::learned(isa, &pilot, setup.field, Some(Box::new(monitor)), true).expect("the built-in actor")
 }
 
 #[unsafe(no_mangle)]

@@ -14,9 +14,20 @@ use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, Paramete
 const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 4.0);
 const RECOVERY_GUARD_STEPS: ParameterSpec = own("recovery_guard_steps", (0.0, 1200.0), "steps", 2.0);
 const WAY_SPEED: ParameterSpec = own("way_speed", (0.0, 1.5), "m/s", 0.5);
+// One false alarm in 6.8 hours of unattacked flight; a vehicle that is led away at 1.2 m/s is found after 3.5 s (docs/detection.md).
+const ASTRAY: ParameterSpec = own("astray", (0.0, 100.0), "m", 6.0);
 const APART: ParameterSpec = own("apart", (0.1, 3.0), "", 2.0);
+// Longer than a swerve round an obstacle on the other side than the planner's (docs/detection.md).
+const DISAGREEMENT: ParameterSpec = own("disagreement", (0.0, 60.0), "s", 2.5);
+// Unaltered, no frame of three families fell below 0.70 with up to three times the sensor's noise (docs/robustness.md).
+const SMOOTH_SHARE: ParameterSpec = own("smooth_share", (0.0, 0.95), "", ROUGH_BELOW as f64);
+// The detector's window is ten steps long.
+const UNKNOWN_STEPS: ParameterSpec = own("unknown_steps", (1.0, 1200.0), "steps", 10.0);
 const STOPPED: ParameterSpec = own("stopped", (0.05, 1.0), "m/s", 0.2);
 const STOP_LIMIT: ParameterSpec = own("stop_limit", (0.05, 60.0), "s", 3.0);
+
+/// A picture is rough when fewer of its cells than this share show one surface.
+pub const ROUGH_BELOW: f32 = 0.6;
 
 /// Thresholds of the alarm; [`AlarmConfig::default`] is what `docs/guidance.md` states.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,8 +55,6 @@ pub struct AlarmConfig {
     pub apart_yaw: f32,
     /// Fewer cells of one surface than this share make a picture rough; as many rough ones as verdicts of attack raise the alarm. 0 is never.
     pub smooth_share: f32,
-    /// Whether clean verdicts do not end an alarm of the guard: then an operator does, or the end of the flight.
-    pub guard_is_final: bool,
     /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
     pub clear_steps: u16,
     /// The vehicle counts as stopped below this speed, metres per second.
@@ -60,15 +69,14 @@ impl Default for AlarmConfig {
             policy: AlarmPolicy::default(),
             raise_count: parameters::RAISE_COUNT.number() as u8,
             raise_window: parameters::RAISE_WINDOW.number() as u8,
-            unknown_limit: parameters::UNKNOWN_STEPS.number() as u16,
+            unknown_limit: UNKNOWN_STEPS.number() as u16,
             guard_steps: GUARD_STEPS.number() as u16,
             recovery_guard_steps: RECOVERY_GUARD_STEPS.number() as u16,
-            astray_limit_m: parameters::ASTRAY.number_f32(),
+            astray_limit_m: ASTRAY.number_f32(),
             way_speed_m_s: WAY_SPEED.number_f32(),
-            disagreement_limit_s: parameters::DISAGREEMENT.number_f32(),
+            disagreement_limit_s: DISAGREEMENT.number_f32(),
             apart_yaw: APART.number_f32(),
-            smooth_share: parameters::SMOOTH_SHARE.number_f32(),
-            guard_is_final: parameters::GUARD_FINAL.is_on(),
+            smooth_share: SMOOTH_SHARE.number_f32(),
             clear_steps: parameters::CLEAR_STEPS.number() as u16,
             stopped_m_s: STOPPED.number_f32(),
             stop_limit_ns: STOP_LIMIT.nanos(),
@@ -77,19 +85,32 @@ impl Default for AlarmConfig {
 }
 
 impl AlarmConfig {
+    /// The same where no guard looks on: the verdict alone raises the alarm.
+    #[must_use]
+    pub fn without_guard(self) -> Self {
+        Self {
+            guard_steps: 0,
+            recovery_guard_steps: 0,
+            astray_limit_m: 0.0,
+            disagreement_limit_s: 0.0,
+            smooth_share: 0.0,
+            ..self
+        }
+    }
+
     /// Whether guidance may fly with these thresholds.
     pub(crate) fn check(&self) -> Result<(), OutOfRange> {
         for (parameter, value) in [
             (&parameters::RAISE_WINDOW, f64::from(self.raise_window)),
             (&parameters::RAISE_COUNT, self.raise_count.into()),
-            (&parameters::UNKNOWN_STEPS, self.unknown_limit.into()),
+            (&UNKNOWN_STEPS, self.unknown_limit.into()),
             (&GUARD_STEPS, self.guard_steps.into()),
             (&RECOVERY_GUARD_STEPS, self.recovery_guard_steps.into()),
-            (&parameters::ASTRAY, self.astray_limit_m.into()),
+            (&ASTRAY, self.astray_limit_m.into()),
             (&WAY_SPEED, self.way_speed_m_s.into()),
-            (&parameters::DISAGREEMENT, self.disagreement_limit_s.into()),
+            (&DISAGREEMENT, self.disagreement_limit_s.into()),
             (&APART, self.apart_yaw.into()),
-            (&parameters::SMOOTH_SHARE, self.smooth_share.into()),
+            (&SMOOTH_SHARE, self.smooth_share.into()),
             (&parameters::CLEAR_STEPS, self.clear_steps.into()),
             (&STOPPED, self.stopped_m_s.into()),
             (&STOP_LIMIT, self.stop_limit_ns as f64 / 1e9),
@@ -149,14 +170,8 @@ struct Raised {
 impl Raised {
     /// Whether only an operator gives the vehicle back to the actor in this flight. The verdict then had nothing to say when the actor
     /// was led astray, so it has nothing to say on when that is over.
-    fn is_final(&self, config: &AlarmConfig) -> bool {
-        match self.cause {
-            AlarmCause::Attack | AlarmCause::NoVerdict => false,
-            AlarmCause::CollisionCourse
-            | AlarmCause::LedAstray
-            | AlarmCause::Disagreement
-            | AlarmCause::RoughPicture => config.guard_is_final,
-        }
+    fn is_final(&self) -> bool {
+        !matches!(self.cause, AlarmCause::Attack | AlarmCause::NoVerdict)
     }
 }
 
@@ -192,8 +207,8 @@ impl AlarmLogic {
     }
 
     /// An operator trusts the actor again: ends an alarm that nothing else ends.
-    pub fn trust_again(&mut self, config: &AlarmConfig) {
-        if self.raised.is_some_and(|raised| raised.is_final(config)) {
+    pub fn trust_again(&mut self) {
+        if self.raised.is_some_and(|raised| raised.is_final()) {
             self.end();
         }
     }
@@ -273,7 +288,7 @@ impl AlarmLogic {
                     recovery_stopped: false,
                 });
             }
-            (Some(raised), _) if raised.is_final(config) => {}
+            (Some(raised), _) if raised.is_final() => {}
             // It is known now to be an attack; the actor does not fly any more, so there is nothing to stop anew.
             (Some(raised), Some(AlarmCause::Attack)) => raised.cause = AlarmCause::Attack,
             (Some(_), _) if clean => self.end(),
@@ -421,7 +436,7 @@ mod tests {
         for _ in 0..5000 {
             assert!(step(&mut logic, Some(false)).is_some());
         }
-        logic.trust_again(&config);
+        logic.trust_again();
         assert_eq!(step(&mut logic, Some(false)), None);
     }
 
@@ -526,7 +541,7 @@ mod tests {
         for _ in 0..5 {
             logic.step(&config, &input);
         }
-        logic.trust_again(&config);
+        logic.trust_again();
         assert!(logic.step(&config, &input).is_some());
     }
 }

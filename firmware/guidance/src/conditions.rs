@@ -177,7 +177,7 @@ pub static CONDITIONS: [Condition; 33] = [
         Demand::Recover,
         false,
         "the policy is *recover*, and *attack*, *no verdict*, *collision course*, *led astray*, *disagreement* or *rough picture* has stopped the vehicle",
-        "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after one of the last three an operator's engage (with `guard_final = false` as after *attack*); the end of the flight",
+        "after *attack* or *no verdict* {alarm_clear_steps} clean verdicts in a row, after each further alarm of a flight twice as many; after one of the last three an operator's engage; the end of the flight",
     ),
     condition(
         Reason::CollisionCourse,
@@ -246,7 +246,7 @@ pub static CONDITIONS: [Condition; 33] = [
         Reason::LedAstray,
         Demand::Hold,
         false,
-        "the flying actor fell more than `detector.astray_m`, if that is not 0, behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*",
+        "the flying actor fell more than {astray} behind a vehicle that flies at {way_speed} along the way that the recovery pilot plans, what it had gained on it before not counted; and the policy is *stop* or *recover*",
         "as *collision course*",
     ),
     condition(
@@ -260,7 +260,7 @@ pub static CONDITIONS: [Condition; 33] = [
         Reason::RoughPicture,
         Demand::Hold,
         false,
-        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than `detector.smooth_share` of the cells of 4 × 4 pixels in which something is seen showed one surface; and the policy is *stop* or *recover*",
+        "in `detector.raise_count` of the last `detector.raise_window` frames fewer than {smooth_share} of the cells of 4 × 4 pixels in which something is seen showed one surface; and the policy is *stop* or *recover*",
         "as *collision course*",
     ),
     condition(

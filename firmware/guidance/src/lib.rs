@@ -45,7 +45,7 @@ mod machine;
 mod setpoint;
 pub mod table;
 
-pub use alarm::AlarmConfig;
+pub use alarm::{AlarmConfig, ROUGH_BELOW};
 pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
 pub use just_stop::{JustStop, JustStopConfig, JustStopInput, JustStopState};
 pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};

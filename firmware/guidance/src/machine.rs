@@ -372,7 +372,7 @@ impl Guidance {
         self.operator_land = false;
         self.handover_failed_ns = None;
         self.progress = Progress::default();
-        self.alarm.trust_again(&self.config.alarm);
+        self.alarm.trust_again();
         RequestOutcome::Accepted
     }
 

@@ -35,6 +35,8 @@ fn thresholds(text: &str) -> String {
         ("{guard_steps}", c.alarm.guard_steps.to_string()),
         ("{recovery_guard_steps}", c.alarm.recovery_guard_steps.to_string()),
         ("{apart}", c.alarm.apart_yaw.to_string()),
+        ("{astray}", format!("{} m", c.alarm.astray_limit_m)),
+        ("{smooth_share}", c.alarm.smooth_share.to_string()),
         ("{disagreement}", format!("{} s", c.alarm.disagreement_limit_s)),
         ("{way_speed}", format!("{} m/s", c.alarm.way_speed_m_s)),
         ("{unknown_limit}", c.alarm.unknown_limit.to_string()),

@@ -1230,23 +1230,6 @@ fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
 }
 
 #[test]
-fn where_the_guard_s_alarm_is_not_final_clean_verdicts_give_the_vehicle_back_to_the_actor() {
-    let mut s = watched(AlarmPolicy::Recover);
-    s.verdict = Some(Verdict::Clean);
-    s.collision_course = Some(true);
-    s.run(4);
-    s.collision_course = Some(false);
-    s.velocity_ned_m_s.x = 0.0;
-    assert!(s.run(seconds(30.0)).alarm.is_some());
-    // An operator sets it in flight.
-    let mut config = *s.guidance.config();
-    config.alarm.guard_is_final = false;
-    s.guidance.reconfigure(config).unwrap();
-    assert_eq!(s.step().alarm, None, "the verdicts have been clean for long");
-    assert_eq!(s.run(20).setpoint.unwrap().velocity_m_s.x, 1.0);
-}
-
-#[test]
 fn a_new_flight_begins_with_the_actor() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Clean);

@@ -1,10 +1,7 @@
 //! Element-wise functions: value, gradient and DeepLIFT multipliers (rescale rule).
 
-use crate::graph::BoundsForward;
 use crate::graph::operation::Operation;
 use crate::graph::run::{Backward, Forward, Pass};
-#[cfg(feature = "train")]
-use crate::graph::{BoundsBackward, BoundsMut, through_backward};
 use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
@@ -263,26 +260,6 @@ impl Operation for Activation {
         }
         node.write_source(0, |dx, _| {
             dx.copy_from_slice(d);
-            Ok(())
-        })
-    }
-
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        let from = node.source(0)?;
-        node.value.lower.copy_from_slice(from.lower);
-        node.value.upper.copy_from_slice(from.upper);
-        node.value.through(node.isa, node.rounding, *self);
-        Ok(())
-    }
-
-    #[cfg(feature = "train")]
-    fn bounds_backward_node(&self, node: &mut BoundsBackward<'_>, d: BoundsMut<'_>) -> Result<(), ShapeError> {
-        let (value, _) = node.kept()?;
-        // Of a curve that falls, the upper end's value is that of the lower input, and so is its slope.
-        through_backward(node.isa, *self, value, d.lower, d.upper)?;
-        node.write_source(0, |dx, _| {
-            dx.lower.copy_from_slice(d.lower);
-            dx.upper.copy_from_slice(d.upper);
             Ok(())
         })
     }

@@ -1,14 +1,11 @@
 //! Fully connected layer.
 
 use crate::activation::Activation;
-use crate::graph::BoundsForward;
 use crate::graph::layer::weighted_backward;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::operation::{Operation, kept_before};
 use crate::graph::run::{Backward, Forward, Pass, unless_empty};
-#[cfg(feature = "train")]
-use crate::graph::{BoundsBackward, BoundsMut};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
@@ -224,30 +221,6 @@ impl Operation for (Dense, Activation) {
             pass,
             |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
             |d, dx, _| layer.input_gradient(isa, packed, d, dx),
-        )
-    }
-
-    fn weight_len(&self) -> usize {
-        self.0.weight_len()
-    }
-
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let isa = node.isa;
-        node.weighted(layer.inputs, *activation, |params, x, y| {
-            layer.forward(isa, params, Activation::Identity, x, None, y)
-        })
-    }
-
-    #[cfg(feature = "train")]
-    fn bounds_backward_node(&self, node: &mut BoundsBackward<'_>, d: BoundsMut<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let isa = node.isa;
-        node.weighted(
-            *activation,
-            d,
-            |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
-            |packed, d, dx, _| layer.input_gradient(isa, packed, d, dx),
         )
     }
 

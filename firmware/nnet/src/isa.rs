@@ -22,9 +22,6 @@ pub(crate) enum Level {
     /// 512-bit vectors with fused multiply-add and lane masks.
     #[cfg(target_arch = "x86_64")]
     Avx512,
-    /// The same, and sums of four products of bytes in one instruction.
-    #[cfg(target_arch = "x86_64")]
-    Avx512Vnni,
     /// 128-bit vectors with fused multiply-add, which every 64-bit ARM processor has.
     #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
     Neon,
@@ -51,11 +48,9 @@ impl Isa {
             let avx2 = std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma");
             // The AVX-512 kernels are compiled with AVX2 and FMA as well, for what is not 512 bits wide.
             let avx512 = avx2 && std::arch::is_x86_feature_detected!("avx512f");
-            let vnni = avx512 && std::arch::is_x86_feature_detected!("avx512vnni");
             [
                 avx2.then_some(Self(Level::Avx2Fma)),
                 avx512.then_some(Self(Level::Avx512)),
-                vnni.then_some(Self(Level::Avx512Vnni)),
             ]
         };
         #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
@@ -68,15 +63,6 @@ impl Isa {
         core::iter::once(Self::PORTABLE).chain(vectors.into_iter().flatten())
     }
 
-    /// Whether there is a kernel for products of bytes; without one [`Int8Chain`](crate::Int8Chain) is slower than float32.
-    pub fn multiplies_bytes(self) -> bool {
-        match self.0 {
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx512Vnni => true,
-            _ => false,
-        }
-    }
-
     /// Name for logs and benchmarks.
     pub fn name(self) -> &'static str {
         match self.0 {
@@ -85,8 +71,6 @@ impl Isa {
             Level::Avx2Fma => "avx2+fma",
             #[cfg(target_arch = "x86_64")]
             Level::Avx512 => "avx512",
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx512Vnni => "avx512+vnni",
             #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
             Level::Neon => "neon",
         }

@@ -293,61 +293,6 @@ fn element_wise_curves_match_their_definition() {
     }
 }
 
-#[test]
-fn normalisation_in_training_uses_and_remembers_the_batch() {
-    let layer = BatchNorm {
-        channels: 3,
-        epsilon: 1e-3,
-    };
-    let rows = 5;
-    let mut rng = rng(11);
-    let x = uniform(&mut rng, rows * 3, 1.0);
-    let weights = uniform(&mut rng, rows * 3, 1.0);
-    let mut params = uniform(&mut rng, 12, 1.0);
-    let before = params.clone();
-    let column = |x: &[f64], c: usize| x.iter().skip(c).step_by(3).copied().collect::<Vec<_>>();
-    let moments = |x: &[f64], c: usize| {
-        let column = column(x, c);
-        let mean = column.iter().sum::<f64>() / rows as f64;
-        (mean, column.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>())
-    };
-    let oracle = |p: &[f64], x: &[f64]| -> Vec<f64> {
-        let at = |(i, x_i): (usize, &f64)| {
-            let (mean, squares) = moments(x, i % 3);
-            p[i % 3] * (x_i - mean) / (squares / rows as f64 + 1e-3f32 as f64).sqrt() + p[3 + i % 3]
-        };
-        x.iter().enumerate().map(at).collect()
-    };
-    let (mut y, mut statistics) = (vec![0.0; 15], vec![0.0; 6]);
-    layer
-        .train_forward(&mut params, 0.1, &x, &mut y, &mut statistics)
-        .unwrap();
-    close("batch norm value", &y, &oracle(&wide(&params), &wide(&x)));
-    for c in 0..3 {
-        let (mean, squares) = moments(&wide(&x), c);
-        let running = |old: f32, new: f64| 0.9 * f64::from(old) + 0.1 * new;
-        close("running mean", &params[6 + c..7 + c], &[running(before[6 + c], mean)]);
-        close(
-            "running variance",
-            &params[9 + c..10 + c],
-            &[running(before[9 + c], squares / 4.0)],
-        );
-    }
-    let (mut dx, mut d_params) = (vec![0.0; 15], vec![0.0; 12]);
-    layer
-        .train_backward(&params, &statistics, &x, &weights, &mut dx, &mut d_params)
-        .unwrap();
-    let want = finite_differences(|x| oracle(&wide(&params), x), &wide(&weights), &wide(&x));
-    close("batch norm input gradient", &dx, &want);
-    let want = finite_differences(|p| oracle(p, &wide(&x)), &wide(&weights), &wide(&params));
-    close("batch norm weight gradient", &d_params[..6], &want[..6]);
-    assert!(
-        layer
-            .train_forward(&mut params, 0.1, &x[..3], &mut y[..3], &mut statistics)
-            .is_err()
-    );
-}
-
 /// Convolution is linear in its input and in its weights, so both gradients are its adjoints:
 /// `⟨conv(x, w), d⟩ = ⟨x, input gradient(d)⟩ = ⟨w, weight gradient(d)⟩`. Shapes are drawn, so that every meeting of
 /// kernel, stride, padding and edge occurs.

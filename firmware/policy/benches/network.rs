@@ -4,8 +4,7 @@ use divan::{Bencher, black_box};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose};
-use vigil_policy::actor::{Actor, ActorSpec, FRAMES_IN_A_ROW};
-use vigil_types::Encoder;
+use vigil_policy::actor::{Actor, ActorSpec};
 
 fn main() {
     divan::main();
@@ -43,24 +42,12 @@ fn encoder_one_frame(bencher: Bencher, isa: Named) {
     bencher.bench_local(|| graph.forward(isa.0, &params, &[black_box(&frame)], &mut tape).unwrap());
 }
 
-/// The same with weights and values rounded to bytes.
 #[divan::bench(args = sets())]
-fn int8_encoder_one_frame(bencher: Bencher, isa: Named) {
-    let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false).unwrap();
-    let mut encoder = ActorSpec::FULL.int8_encoder(&initial(&graph)).unwrap();
-    let frame = values(ActorSpec::FULL.frame_len(), 0.5);
-    let mut features = vec![0.0; ActorSpec::FULL.features()];
-    bencher.bench_local(|| encoder.forward(isa.0, black_box(&frame), &mut features).unwrap());
-}
-
-/// Of both encoders.
-#[divan::bench(args = sets(), consts = [false, true])]
-fn actor_one_new_frame<const INT8: bool>(bencher: Bencher, isa: Named) {
+fn actor_one_new_frame(bencher: Bencher, isa: Named) {
     let graph = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
     let frame = values(ActorSpec::FULL.frame_len(), 0.5);
-    let encoder = if INT8 { Encoder::Int8 } else { Encoder::Float32 };
     let params = initial(&graph);
-    let mut actor = Actor::with_encoder(ActorSpec::FULL, isa.0, &params, FRAMES_IN_A_ROW, encoder).unwrap();
+    let mut actor = Actor::new(ActorSpec::FULL, isa.0, &params).unwrap();
     bencher.bench_local(|| actor.decide(black_box(&frame), [0.3, 0.1]).unwrap());
 }
 

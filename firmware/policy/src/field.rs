@@ -12,7 +12,7 @@ use vigil_types::{ACTION_LIMIT, Action, Nanos, NedVector};
 /// around what the actor has already dealt with.
 const FIELD_HALF_ANGLE_RAD: f32 = FRAC_PI_4;
 /// ... and nearer than this, metres: the trained actor keeps farther away by itself, and the field is there for where it does not. From
-/// farther off it steers where the actor has long decided, and what it holds back from a gap stands still (docs/experiments/potential-field.md).
+/// farther off it steers where the actor has long decided, and what it holds back from a gap stands still.
 const FIELD_RANGE_M: f32 = 0.6;
 /// What the field adds to turn from a standstill: more than the actor can turn against.
 const ESCAPE_YAW: f32 = 2.0 * ACTION_LIMIT;

@@ -106,20 +106,3 @@ fn a_forest_of_thin_columns_is_crossed() {
     }
     arrives(&flight(&Scene::new(columns), 0.0, (20.0, 5.0), 60.0));
 }
-
-fn teacher(scene: &Scene, goal: (f32, f32), limit_s: f32) -> Flight {
-    let mut pilot = Box::new(GeometricPilot::teacher(GeometricConfig::default()));
-    fly(scene, pilot.as_mut(), 0.0, goal, limit_s)
-}
-
-#[test]
-fn without_memory_a_column_dead_ahead_is_passed_all_the_same() {
-    arrives(&teacher(&Scene::new([column(6.0, 0.0, 0.3)]), (20.0, 0.0), 30.0));
-}
-
-#[test]
-fn without_memory_a_wall_is_flown_along_to_its_end_and_not_turned_from_and_to() {
-    // From the middle both ends are as far; beside the wall the other half is out of sight and forgotten.
-    let wall = Scene::new([block([8.0, 8.3], [-4.0, 4.0])]);
-    arrives(&teacher(&wall, (20.0, 0.0), 40.0));
-}

@@ -2,18 +2,13 @@
 
 #[path = "../../nnet/tests/common/mod.rs"]
 mod plain;
-#[path = "common/mod.rs"]
-mod scene;
 #[path = "common/torch.rs"]
 mod torch;
 
 use plain::{distance, rng, uniform, wide};
-use scene::{Scene, block, column};
 use torch::{SPEC, Tensors, actor_params};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
-use vigil_policy::FrozenActor;
-use vigil_policy::actor::{Actor, ActorSpec, FRAMES_IN_A_ROW, FRAMES_SPREAD, PositionalInputs};
-use vigil_types::{Attitude, DepthFrame, Encoder, NedVector};
+use vigil_policy::actor::{Actor, ActorSpec, FRAMES_SPREAD};
 
 const FRAME: usize = 128 * 256;
 
@@ -139,10 +134,8 @@ fn a_pixel_that_is_not_a_number_is_not_hidden() {
     let mut frame = vec![0.4; spec.frame_len()];
     frame[777] = f32::NAN;
     for isa in Isa::available() {
-        for encoder in [Encoder::Float32, Encoder::Int8] {
-            let mut actor = Actor::with_encoder(spec, isa, &params, FRAMES_IN_A_ROW, encoder).unwrap();
-            assert!(actor.decide(&frame, [0.0; 2]).unwrap()[0].is_nan(), "{}", isa.name());
-        }
+        let mut actor = Actor::new(spec, isa, &params).unwrap();
+        assert!(actor.decide(&frame, [0.0; 2]).unwrap()[0].is_nan(), "{}", isa.name());
     }
 }
 
@@ -220,45 +213,4 @@ fn frames_may_be_spread_over_many_decisions() {
     for ages in [[4, 3, 2, 1, 1], [4, 3, 3, 1, 0], [0, 1, 2, 3, 4], [65, 3, 2, 1, 0]] {
         assert!(Actor::with_frame_ages(spec, isa, &params, ages).is_err(), "{ages:?}");
     }
-}
-
-#[test]
-fn with_an_encoder_of_bytes_the_actor_decides_nearly_the_same_on_every_instruction_set() {
-    let frozen = FrozenActor::built_in().unwrap();
-    let scene = Scene::new(vec![
-        block([6.0, 6.3], [-3.0, 1.0]),
-        column(3.5, 1.5, 0.15),
-        column(9.0, -4.0, 0.3),
-    ]);
-    let mut frame = DepthFrame::EMPTY;
-    let mut exact = frozen.actor(Isa::detect()).unwrap();
-    let mut coarse: Vec<Actor> = Isa::available()
-        .map(|isa| frozen.actor_with(isa, Encoder::Int8).unwrap())
-        .collect();
-    let (mut sum, mut worst, mut state) = (0.0, 0.0_f32, 0.0_f32);
-    let steps = 60;
-    for step in 0..steps {
-        let north_m = 0.07 * step as f32;
-        scene.render(
-            NedVector::new(north_m, 0.0, -1.5),
-            Attitude::from_euler_rad(0.02, -0.05, 0.01 * step as f32),
-            0,
-            &mut frame,
-        );
-        let position = PositionalInputs::at_rest([1.0 - 0.05 * north_m, -0.1], frozen.inputs);
-        let want = exact.decide(&frame.depth, position).unwrap();
-        let mut features = None;
-        for actor in &mut coarse {
-            let got = actor.decide(&frame.depth, position).unwrap();
-            let encoded = actor.features(0).unwrap().to_vec();
-            assert!(*features.get_or_insert(encoded.clone()) == encoded, "other bits");
-            let error = got.iter().zip(want).fold(0.0_f32, |e, (a, b)| e.max((a - b).abs()));
-            (sum, worst) = (sum + error, worst.max(error));
-            let states = actor.state().iter().zip(exact.state());
-            state = states.fold(state, |e, (a, b)| e.max((a - b).abs()));
-        }
-    }
-    let mean = sum / (steps * coarse.len()) as f32;
-    println!("action: mean {mean}, worst {worst}; state: worst {state}");
-    assert!(mean < 0.05 && worst < 0.5 && state < 0.3);
 }

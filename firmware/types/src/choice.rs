@@ -118,13 +118,6 @@ choices! {
         #[default]
         Actor = "actor": "the frozen actor",
     }
-
-    /// How the actor's convolutions calculate.
-    Encoder {
-        #[default]
-        Float32 = "float32": "as it was trained",
-        Int8 = "int8": "with weights and values rounded to bytes",
-    }
 }
 
 #[cfg(test)]
@@ -153,7 +146,6 @@ mod tests {
         each_value_is_found_by_its_name_and_its_number::<AutopilotChoice>();
         each_value_is_found_by_its_name_and_its_number::<LogContent>();
         each_value_is_found_by_its_name_and_its_number::<PilotKind>();
-        each_value_is_found_by_its_name_and_its_number::<Encoder>();
         assert_eq!(AlarmPolicy::Recover.code(), 2, "DT_ALARM");
         assert_eq!(AtGoal::Land.code(), 1, "GD_AT_GOAL");
     }

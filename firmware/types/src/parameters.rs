@@ -4,8 +4,8 @@
 //! default, the MAVLink parameter of that name, the text of `--help` and the reference in docs/firmware.md.
 
 use crate::{
-    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, Encoder, EngagePolicy, LogContent,
-    ObstacleReports, OnNoProgress, PilotKind,
+    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports,
+    OnNoProgress, PilotKind,
 };
 use core::fmt;
 
@@ -475,7 +475,6 @@ table! {
     PILOT = choice("pilot.kind", PilotKind::WORDS, PilotKind::Actor as usize, "who decides");
     APF = switch("pilot.apf", true, "add the potential field to the actor's action");
     ACTOR_FILE = text("pilot.actor_file", "\"my.safetensors\"", "the frozen actor; without it the one built into the program");
-    ENCODER = choice("pilot.encoder", Encoder::WORDS, Encoder::Float32 as usize, "how the actor's convolutions calculate (docs/nnet.md, \"Bytes\")");
     CRUISE = real("pilot.cruise_m_s", SPEED_M_S, "m/s", ACTION_LIMIT as f64, "fastest forward speed of the geometric pilot").mavlink("PLT_CRUISE", false);
     REPULSIVE_RANGE = real("pilot.repulsive_range_m", (0.0, 20.0), "m", 3.0, "range of the geometric pilot's repulsive field").mavlink("PLT_APF_RANGE", false);
 
@@ -487,36 +486,6 @@ table! {
          where the detector is"
     )
     .absent("true");
-    ASTRAY = real(
-        "detector.astray_m",
-        (0.0, 100.0),
-        "m",
-        6.0,
-        "the guard raises the alarm when the actor falls so far behind 0.5 m/s along the way that the recovery pilot plans; 0 is never"
-    )
-    .mavlink("DT_ASTRAY", true);
-    DISAGREEMENT = real(
-        "detector.disagreement_s",
-        (0.0, 60.0),
-        "s",
-        2.5,
-        "the guard raises the alarm when actor and recovery pilot have wanted to turn apart by more than 60 deg/s for so much longer than they have not; 0 is never"
-    )
-    .mavlink("DT_DISAGREE", true);
-    SMOOTH_SHARE = real(
-        "detector.smooth_share",
-        (0.0, 0.95),
-        "",
-        0.6,
-        "the guard raises the alarm when fewer of a frame's 4 x 4 pixels in which something is seen show one surface, in raise_count of raise_window frames; 0 is never"
-    )
-    .mavlink("DT_SMOOTH_SHARE", true);
-    GUARD_FINAL = switch(
-        "detector.guard_final",
-        true,
-        "after an alarm of the guard the actor flies again only when an operator engages, or in the next flight; false: after clear_steps, as after one of the detector"
-    )
-    .mavlink("DT_GUARD_FINAL", true);
     DETECTOR_FILE = text("detector.file", "\"my.safetensors\"", "the frozen detector; without it the one built into the program");
     THRESHOLD = real("detector.threshold", (0.01, 0.999), "", 0.0, "score above which a verdict is attack; default: the detector's own")
         .absent("0.5")
@@ -524,7 +493,6 @@ table! {
     ALARM = choice("detector.alarm", AlarmPolicy::WORDS, AlarmPolicy::Recover as usize, "what an alarm brings about").mavlink("DT_ALARM", true);
     RAISE_COUNT = whole("detector.raise_count", (1, 32), "verdicts", 5, "this many of the last raise_window verdicts raise the alarm when they are attack");
     RAISE_WINDOW = whole("detector.raise_window", (1, 32), "verdicts", 6, "verdicts that are looked back on");
-    UNKNOWN_STEPS = whole("detector.unknown_steps", STEPS, "steps", 10, "consecutive steps without a verdict that the actor may fly");
     CLEAR_STEPS = whole("detector.clear_steps", STEPS, "steps", 40, "consecutive clean steps that end the first alarm of a flight; each further one asks for twice as many");
 
     PRIORITY = whole("rate.priority", (0, 99), "", 50, "FIFO priority of the loop; 0 asks for neither FIFO scheduling nor locked memory");

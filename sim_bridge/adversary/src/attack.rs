@@ -1,16 +1,13 @@
 //! Which attack is flown against: the arguments that campaigns, live flights and the adversary's own process share.
 
-use crate::{
-    AttackConfig, AttackError, Burst, BurstPlan, FrameAttack, Interceptor, LearnedAdversary, Method, PassedStep,
-    Towards,
-};
+use crate::{AttackConfig, AttackError, Burst, BurstPlan, FrameAttack, Interceptor, Method, PassedStep, Towards};
 use anyhow::{Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
-use vigil_types::{NedVector, parameters};
+use vigil_types::NedVector;
 
 /// An attack on the frames as they pass.
 #[derive(Debug, Clone, clap::Args)]
@@ -54,10 +51,6 @@ pub struct AttackArgs {
     /// Adaptive: leave what lies within so many degrees of the nose as it is, where a second sensor looks.
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, requires = "attack")]
     pub truthful_ahead: f32,
-
-    /// What `--attack learned` does: a file of `vigil attack learn`.
-    #[arg(long, value_name = "FILE", requires = "attack")]
-    pub learned: Option<PathBuf>,
 }
 
 impl Default for AttackArgs {
@@ -80,7 +73,6 @@ impl Default for AttackArgs {
             region,
             evade_guard: false,
             truthful_ahead: 0.0,
-            learned: None,
         }
     }
 }
@@ -114,8 +106,7 @@ impl AttackArgs {
             },
             burst: self.burst,
             evade,
-            evades_guard_m: self.evade_guard.then(|| parameters::ASTRAY.number_f32()),
-            learned: self.learned.as_deref().map(LearnedAdversary::load).transpose()?,
+            evades_guard: self.evade_guard,
         }))
     }
 
@@ -141,9 +132,6 @@ impl AttackArgs {
         if self.truthful_ahead != 0.0 {
             command.arg(format!("--truthful-ahead={}", self.truthful_ahead));
         }
-        if let Some(file) = &self.learned {
-            command.arg("--learned").arg(file);
-        }
     }
 }
 
@@ -158,25 +146,18 @@ pub struct Attack {
     pub burst: Burst,
     /// The detector to deceive along with the actor.
     pub evade: Option<FrozenDetector>,
-    /// The guard is to stay silent as well, which finds the actor astray so far behind, metres (0 is never).
-    pub evades_guard_m: Option<f32>,
-    /// What [`Method::Learned`] does.
-    pub learned: Option<LearnedAdversary>,
+    /// The guard is to stay silent as well.
+    pub evades_guard: bool,
 }
 
 impl Attack {
     /// The adversary of one flight. Its seed decides when it attacks and what it draws.
     ///
     /// # Errors
-    /// ε or iterations out of range, a detector that does not fit, [`Method::Learned`] without what was learned.
+    /// ε or iterations out of range, a detector that does not fit.
     pub fn interceptor(&self, seed: u64, goal_ned_m: NedVector) -> Result<Interceptor, AttackError> {
         let config = AttackConfig { seed, ..self.config };
         let mut attack = FrameAttack::on(&self.pilot, Isa::detect(), &config)?;
-        match &self.learned {
-            Some(learned) => attack = attack.having_learned(learned.clone()),
-            None if config.method == Method::Learned => return Err(AttackError::NotLearned),
-            None => {}
-        }
         if let Some(detector) = &self.evade {
             attack = match attack {
                 FrameAttack::Actor(attack) => attack.evading(detector)?.into(),
@@ -185,9 +166,9 @@ impl Attack {
         }
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
         let interceptor = interceptor.with_inputs(self.pilot.inputs());
-        match self.evades_guard_m {
-            Some(astray_m) => interceptor.evading_guard(astray_m),
-            None => Ok(interceptor),
+        match self.evades_guard {
+            true => interceptor.evading_guard(),
+            false => Ok(interceptor),
         }
     }
 }

@@ -40,14 +40,11 @@ pub enum Method {
     /// Black box: as [`Method::BimAccumulating`], by an estimate of the gradient from the yaw output alone, asked [`SPSA_QUERIES`] times in each
     /// iteration (simultaneous perturbation; Spall 1992, Uesato et al. 2018). Finds more with [`AttackConfig::region_pixels`].
     Spsa,
-    /// Black box: whole sectors are shown nearer or farther, by iterations · ε at the most, as an adversary does that was learned by evolution
-    /// from how flights ended ([`LearnedAdversary`](crate::LearnedAdversary)).
-    Learned,
 }
 
 impl Method {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 12] = [
         Self::Fgsm,
         Self::BimClipped,
         Self::BimAccumulating,
@@ -60,15 +57,11 @@ impl Method {
         Self::Blind,
         Self::Replay,
         Self::Spsa,
-        Self::Learned,
     ];
 
     /// Whether it follows a gradient, known or estimated: to a yaw that is aimed at.
     pub fn aims(self) -> bool {
-        !matches!(
-            self,
-            Self::Noise | Self::Recede | Self::Blind | Self::Replay | Self::Learned
-        )
+        !matches!(self, Self::Noise | Self::Recede | Self::Blind | Self::Replay)
     }
 
     /// Its name on the command line and in reports.
@@ -86,7 +79,6 @@ impl Method {
             Self::Blind => "blind",
             Self::Replay => "replay",
             Self::Spsa => "spsa",
-            Self::Learned => "learned",
         }
     }
 }
@@ -182,9 +174,7 @@ impl AttackConfig {
         let epsilon = self.epsilon();
         match self.method {
             Method::Fgsm | Method::BimClipped | Method::Pgd | Method::Momentum => epsilon,
-            Method::BimAccumulating | Method::Noise | Method::Recede | Method::Spsa | Method::Learned => {
-                epsilon * self.iterations as f32
-            }
+            Method::BimAccumulating | Method::Noise | Method::Recede | Method::Spsa => epsilon * self.iterations as f32,
             Method::Blind | Method::Replay => 1.0,
             Method::L2 => epsilon * (pixels as f32).sqrt(),
             Method::Patch => epsilon * PATCH_GAIN,
@@ -283,9 +273,6 @@ pub enum AttackError {
         "an attack that evades detector or guard knows our own actor's architecture only, and this is an imported policy: leave --evade and --evade-guard out"
     )]
     EvadingPolicy,
-    /// The weights of [`Method::Learned`] are missing.
-    #[error("the attack `learned` needs a learned adversary: give --learned FILE, which `vigil attack learn` makes")]
-    NotLearned,
     /// Frames or parameters of another actor.
     #[error(transparent)]
     Shape(#[from] ShapeError),

@@ -1,7 +1,6 @@
 //! The attack in flight on whichever learned pilot flies.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::learned::LearnedAdversary;
 use crate::policy_attack::PolicyAttack;
 use crate::stream_attack::StreamAttack;
 use vigil_nnet::Isa;
@@ -33,16 +32,6 @@ impl FrameAttack {
             FrozenPilot::Actor(actor) => Self::Actor(StreamAttack::new(isa, actor, config)?),
             FrozenPilot::Imported(policy) => Self::Policy(PolicyAttack::new(isa, policy, config)?),
         })
-    }
-
-    /// The same attack with what [`Method::Learned`](crate::Method::Learned) needs.
-    #[must_use]
-    pub fn having_learned(mut self, learned: LearnedAdversary) -> Self {
-        match &mut self {
-            Self::Actor(attack) => attack.learn(learned),
-            Self::Policy(attack) => attack.learn(learned),
-        }
-        self
     }
 
     /// Lets a frame (`[rows][cols]` ranges over 100 m) pass unaltered, but remembers it. Ends a burst.

@@ -21,8 +21,6 @@ pub(crate) struct GuardEvasion {
     planner: Box<RecoveryPilot>,
     /// What the guard looks at, as guidance has it by default.
     guard: AlarmConfig,
-    /// How far behind the guard lets the actor fall, metres; 0 is as far as it likes.
-    astray_m: f32,
     behind_m: f32,
     catching_up: bool,
     /// What the planner wanted in the last step, and whether the actor's action led into something.
@@ -30,12 +28,11 @@ pub(crate) struct GuardEvasion {
 }
 
 impl GuardEvasion {
-    /// Against a guard that lets the actor fall so far behind, metres; 0 is as far as it likes.
-    pub fn new(astray_m: f32) -> Self {
+    /// Against the guard as it is.
+    pub fn new() -> Self {
         Self {
             planner: Box::default(),
             guard: AlarmConfig::default(),
-            astray_m,
             behind_m: 0.0,
             catching_up: false,
             last: None,
@@ -73,7 +70,7 @@ impl GuardEvasion {
         self.behind_m = (self.behind_m + (self.guard.way_speed_m_s - along_way_m_s) * STEP_S).max(0.0);
         let (most, least) = BEHIND;
         let turns_at = if self.catching_up { least } else { most };
-        self.catching_up = self.astray_m > 0.0 && self.behind_m > turns_at * self.astray_m;
+        self.catching_up = self.behind_m > turns_at * self.guard.astray_limit_m;
     }
 }
 
@@ -83,7 +80,7 @@ mod tests {
 
     #[test]
     fn the_actor_is_bent_within_what_the_guard_tolerates_and_let_go_before_it_would_collide() {
-        let mut evasion = GuardEvasion::new(0.0);
+        let mut evasion = GuardEvasion::new();
         assert_eq!(evasion.yaw_bounds(), None, "the guard does not look yet");
         let mut bounds = |yaw: f32, on_collision_course: bool| {
             let planned = Action { forward_m_s: 0.8, yaw };
@@ -102,16 +99,18 @@ mod tests {
 
     #[test]
     fn it_catches_up_before_the_guard_finds_it_astray_and_strays_again() {
-        for (astray_m, most_m) in [(10.0, 7.1), (0.0, f32::INFINITY)] {
-            let mut evasion = GuardEvasion::new(astray_m);
-            let mut farthest_m = 0.0_f32;
-            for _ in 0..2000 {
-                // Straight away from the goal whenever it may.
-                evasion.fall_behind(if evasion.catching_up { 1.5 } else { -1.0 });
-                farthest_m = farthest_m.max(evasion.behind_m);
-            }
-            assert!(farthest_m <= most_m && farthest_m > 7.0, "{farthest_m} m of {astray_m}");
-            assert!(evasion.behind_m > 3.8, "it strays again");
+        let mut evasion = GuardEvasion::new();
+        let limit_m = evasion.guard.astray_limit_m;
+        let mut farthest_m = 0.0_f32;
+        for _ in 0..2000 {
+            // Straight away from the goal whenever it may.
+            evasion.fall_behind(if evasion.catching_up { 1.5 } else { -1.0 });
+            farthest_m = farthest_m.max(evasion.behind_m);
         }
+        assert!(
+            farthest_m <= 0.7 * limit_m + 0.1 && farthest_m > 0.7 * limit_m,
+            "{farthest_m} m of {limit_m}"
+        );
+        assert!(evasion.behind_m > 0.4 * limit_m - 0.2, "it strays again");
     }
 }

@@ -75,15 +75,15 @@ impl Interceptor {
         self
     }
 
-    /// Makes the attack adaptive: it keeps the actor within what a guard lets pass that finds it astray so far behind, metres (0 is never).
+    /// Makes the attack adaptive: it keeps the actor within what the guard lets pass.
     ///
     /// # Errors
     /// An attack on an imported policy.
-    pub fn evading_guard(mut self, astray_m: f32) -> Result<Self, AttackError> {
+    pub fn evading_guard(mut self) -> Result<Self, AttackError> {
         if matches!(self.attack, FrameAttack::Policy(_)) {
             return Err(AttackError::EvadingPolicy);
         }
-        self.guard = Some(GuardEvasion::new(astray_m));
+        self.guard = Some(GuardEvasion::new());
         Ok(self)
     }
 

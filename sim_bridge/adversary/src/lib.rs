@@ -23,13 +23,11 @@
 
 mod attack;
 mod burst;
-mod certificate;
 mod config;
 mod detector_evasion;
 mod frame_attack;
 mod guard_evasion;
 mod intercept;
-mod learned;
 mod perturb;
 mod policy_attack;
 pub mod process;
@@ -39,13 +37,11 @@ mod surrogate;
 
 pub use attack::{Attack, AttackArgs, AttackRecord};
 pub use burst::{Burst, BurstPlan, SINGLE_BURST_FIRST, SINGLE_BURST_LAST};
-pub use certificate::{Certificate, CertifiedOutput};
 pub use config::{
     AttackConfig, AttackError, AttackOutcome, EFFECTIVE_YAW, Method, REPLAYED_FRAMES, SPSA_QUERIES, Towards,
 };
 pub use frame_attack::FrameAttack;
 pub use intercept::{Interceptor, PassedStep, goal_seen_from};
-pub use learned::{LearnedAdversary, LearnedError};
 pub use policy_attack::PolicyAttack;
 pub use state_attack::StateAttack;
 pub use stream_attack::StreamAttack;

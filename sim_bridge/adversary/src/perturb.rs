@@ -2,7 +2,6 @@
 
 use crate::config::{AttackConfig, AttackError, Method, PATCH_GAIN, REPLAYED_FRAMES, SPSA_QUERIES};
 use crate::detector_evasion::DetectorEvasion;
-use crate::learned::LearnedAdversary;
 use crate::surrogate::{Ends, Surrogate};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -14,7 +13,7 @@ use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad}
 const LIMIT: f32 = 10.0;
 /// Steps of the projected methods, in ε over iterations: enough to cross the whole range and come back (Madry et al., 2018).
 const STEP_GAIN: f32 = 2.5;
-/// [`Method::Recede`] and [`Method::Learned`] leave alone what is seen farther down than this, 20°: the ground near the vehicle.
+/// [`Method::Recede`] leaves alone what is seen farther down than this, 20°: the ground near the vehicle.
 const GROUND_BELOW_RAD: f32 = 0.349;
 /// The patch's share of rows and columns; their product is 1 / [`PATCH_GAIN`].
 const PATCH_ROWS: usize = 4;
@@ -50,8 +49,6 @@ pub(crate) struct Perturber {
     extra: Vec<f32>,
     /// [`Method::Replay`]: what is shown again.
     kept: Vec<f32>,
-    /// [`Method::Learned`]: what was learned.
-    learned: Option<LearnedAdversary>,
 }
 
 /// The first of a frame's rows that shows the ground near the vehicle.
@@ -83,13 +80,7 @@ impl Perturber {
             gradient: vec![0.0; pixels],
             extra: vec![0.0; pixels],
             kept: kept_for(&config, pixels),
-            learned: None,
         })
-    }
-
-    /// What [`Method::Learned`] does.
-    pub fn learn(&mut self, learned: LearnedAdversary) {
-        self.learned = Some(learned);
     }
 
     pub fn config(&self) -> &AttackConfig {
@@ -142,15 +133,10 @@ impl Perturber {
                 each(self.config.iterations, outputs, frames);
                 return Ok(outputs);
             }
-            Method::Recede | Method::Blind | Method::Replay | Method::Learned => {
+            Method::Recede | Method::Blind | Method::Replay => {
                 match method {
                     Method::Recede => self.recede(frames),
                     Method::Blind => frames.fill(1.0),
-                    Method::Learned => {
-                        let learned = self.learned.as_ref().ok_or(AttackError::NotLearned)?;
-                        let reach = self.config.reach(frames.len());
-                        learned.alter(frames, (self.rows, self.cols), scene.position, reach);
-                    }
                     _ => self.replay(call, frames),
                 }
                 self.spare_ahead(frames);
@@ -259,7 +245,7 @@ impl Perturber {
                 self.along_sign(frames, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
             // Make no steps.
-            Method::Noise | Method::Recede | Method::Blind | Method::Replay | Method::Learned => {}
+            Method::Noise | Method::Recede | Method::Blind | Method::Replay => {}
         }
     }
 

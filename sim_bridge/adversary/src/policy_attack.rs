@@ -1,7 +1,6 @@
 //! The attack in flight on an imported policy: as [`crate::StreamAttack`], on its own frame, of which the newest channel is ours.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::learned::LearnedAdversary;
 use crate::perturb::{Perturber, Scene, limit};
 use crate::surrogate::{Ends, Surrogate};
 use vigil_nnet::network_file::FileError;
@@ -160,11 +159,6 @@ impl PolicyAttack {
             decided_on: vec![0.0; len],
             direction: None,
         })
-    }
-
-    /// What [`Method::Learned`](crate::Method::Learned) does.
-    pub(crate) fn learn(&mut self, learned: LearnedAdversary) {
-        self.perturber.learn(learned);
     }
 
     /// Lets a frame (`[rows][cols]` ranges over 100 m) pass unaltered, but remembers it. Ends a burst.

@@ -2,7 +2,6 @@
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::detector_evasion::DetectorEvasion;
-use crate::learned::LearnedAdversary;
 use crate::perturb::{Perturber, Scene, before_saturation, limit};
 use crate::surrogate::{Surrogate, SurrogateActor};
 use vigil_detector::FrozenDetector;
@@ -80,11 +79,6 @@ impl StreamAttack {
         let evasion = DetectorEvasion::new(self.spec, self.isa, &self.params, detector)?;
         self.evasion = Some(Box::new(evasion));
         Ok(self)
-    }
-
-    /// What [`Method::Learned`](crate::Method::Learned) does.
-    pub(crate) fn learn(&mut self, learned: LearnedAdversary) {
-        self.perturber.learn(learned);
     }
 
     /// From now on aims at no yaw output below the first or above the second, both within ±1.5 and in this order; without bounds, at a limit.

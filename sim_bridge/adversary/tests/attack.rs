@@ -4,9 +4,7 @@
 mod oracle;
 
 use oracle::{activation, conv2d, dense, gru, rng, uniform, wide};
-use vigil_adversary::{
-    AttackConfig, AttackError, Certificate, Method, REPLAYED_FRAMES, StateAttack, StreamAttack, Towards,
-};
+use vigil_adversary::{AttackConfig, AttackError, Method, REPLAYED_FRAMES, StateAttack, StreamAttack, Towards};
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, WINDOW, normalise};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::actor::{
@@ -31,11 +29,6 @@ fn small_params(seed: u64) -> Vec<f32> {
 fn small_frames(count: usize, seed: u64) -> Vec<f32> {
     let values = uniform(&mut rng(seed), count * SMALL.frame_len(), 0.6);
     values.iter().map(|v| (v + 0.5).clamp(0.0, 1.0)).collect()
-}
-
-/// All but the one that does what was learned, on frames as they pass: tests/intercept.rs.
-fn methods() -> impl Iterator<Item = Method> {
-    Method::ALL.into_iter().filter(|method| *method != Method::Learned)
 }
 
 fn config(method: Method) -> AttackConfig {
@@ -106,7 +99,7 @@ fn what_is_reported_is_what_the_actor_does_and_the_yaw_goes_where_it_was_aimed()
         graph.forward(Isa::detect(), &params, &inputs, &mut tape).unwrap();
         graph.output(&tape).unwrap().to_vec()
     };
-    for method in methods() {
+    for method in Method::ALL {
         for (towards, sign) in [(Towards::Left, -1.0), (Towards::Right, 1.0)] {
             let told = AttackConfig {
                 towards,
@@ -157,7 +150,7 @@ fn away_is_away_from_the_clean_decision_even_when_that_is_saturated() {
 #[test]
 fn no_method_leaves_its_bounds() {
     let (params, frames) = (small_params(1), small_frames(ACTOR_FRAMES, 2));
-    for method in methods() {
+    for method in Method::ALL {
         let told = config(method);
         let mut attack = StateAttack::on(SMALL, Isa::detect(), &params, &told).unwrap();
         let mut altered = frames.clone();
@@ -204,7 +197,7 @@ fn the_same_seed_gives_the_same_bits_and_an_accumulating_run_holds_all_shorter_o
             .unwrap();
         (altered, each)
     };
-    for method in methods() {
+    for method in Method::ALL {
         let told = config(method);
         assert_eq!(run(&told).0, run(&told).0, "{}", method.name());
         let other = AttackConfig { seed: 6, ..told };
@@ -242,46 +235,6 @@ fn a_replay_shows_what_passed_first_and_a_blinded_sensor_sees_nothing() {
             .iter()
             .all(|(_, altered)| altered.iter().all(|x| *x == 1.0))
     );
-}
-
-/// Whatever an attack within ε does lies between the bounds, which it needs no attack to know.
-#[test]
-fn no_attack_leaves_what_is_certified() {
-    let (frames, position) = (small_frames(ACTOR_FRAMES, 4), [0.9, 0.5]);
-    for (seed, size) in [(3, 1.0), (4, 0.25)] {
-        let params: Vec<f32> = small_params(seed).iter().map(|p| size * p).collect();
-        let mut certificate = Certificate::new(SMALL, Isa::detect(), &params).unwrap();
-        let mut widest = 0.0;
-        for epsilon_255 in [0.1, 1.0, 5.0] {
-            let outputs = certificate.outputs(&frames, position, epsilon_255 / 255.0).unwrap();
-            for method in [Method::Fgsm, Method::BimClipped, Method::Pgd, Method::Momentum] {
-                for towards in [Towards::Left, Towards::Right] {
-                    let told = AttackConfig {
-                        epsilon_255,
-                        towards,
-                        ..config(method)
-                    };
-                    let mut attack = StateAttack::on(SMALL, Isa::detect(), &params, &told).unwrap();
-                    let outcome = attack.attack(&mut frames.clone(), position).unwrap();
-                    for (output, (clean, attacked)) in outputs.iter().zip(outcome.clean.iter().zip(outcome.attacked)) {
-                        assert_eq!(output.clean, *clean);
-                        assert!(
-                            output.lower <= attacked && attacked <= output.upper,
-                            "{output:?}, {attacked}"
-                        );
-                    }
-                }
-            }
-            assert!(outputs[1].most_moved() >= widest, "wider with ε: {outputs:?}");
-            widest = outputs[1].most_moved();
-        }
-        assert_eq!(
-            certificate.outputs(&frames, position, 1e-6).unwrap()[1].holds(),
-            size < 1.0
-        );
-    }
-    let mut certificate = Certificate::new(SMALL, Isa::detect(), &small_params(3)).unwrap();
-    assert!(certificate.outputs(&frames[1..], position, 0.01).is_err());
 }
 
 /// A pillar 2 m to 3 m ahead between two walls, as the LiDAR would see it.
@@ -469,9 +422,6 @@ fn bad_configurations_and_frames_are_refused_by_name() {
     let mut attack = StreamAttack::on(SMALL, Isa::PORTABLE, &params, &AttackConfig::PAPER).unwrap();
     let error = attack.attack(&mut [0.5; 7], [0.0; 2]).unwrap_err();
     assert_eq!(error.to_string(), "frame holds 7 values, expected 2048");
-    let mut unlearned = StreamAttack::on(SMALL, Isa::PORTABLE, &params, &config(Method::Learned)).unwrap();
-    let error = unlearned.attack(&mut small_frames(1, 2), [0.0; 2]).unwrap_err();
-    assert!(error.to_string().contains("vigil attack learn"), "{error}");
 }
 
 /// A detector of random weights for the small actor.

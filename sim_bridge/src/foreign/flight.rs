@@ -388,11 +388,6 @@ impl ForeignFlight {
         self.ending
     }
 
-    /// Whether the vehicle ended by touching something.
-    pub fn has_crashed(&self) -> bool {
-        self.ending.is_some_and(|ending| ending.outcome == Outcome::Collision)
-    }
-
     /// Metres flown from lift-off to the ending.
     pub fn path_length_m(&self) -> f64 {
         self.path_length_m
@@ -423,11 +418,6 @@ impl ForeignFlight {
     /// Whether home and the local origin are known, and the latter's place on the globe.
     pub fn places_are_told(&self) -> bool {
         self.vehicle.home_ned_m().is_some() && self.vehicle.is_origin_told()
-    }
-
-    /// Whether HIL_STATE_QUATERNION is wanted and came within the last 0.3 s, or is not wanted.
-    pub fn has_truth(&self, now_ns: Nanos) -> bool {
-        !self.wants_truth || self.truth.is_some_and(|(motion, _)| motion.is_fresh(now_ns))
     }
 
     /// The vehicle's mode by name, as far as Vigil tells modes apart.

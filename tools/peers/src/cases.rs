@@ -2,7 +2,7 @@
 
 use crate::record::Record;
 use crate::states::{State, watch};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
@@ -14,7 +14,6 @@ use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
 use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN};
-use vigil_tools::actor_training::{Example, KeptState, Rehearsal, TrainConfig};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// A program to time.
@@ -27,8 +26,6 @@ const COURSES: u64 = 30;
 const BACKGROUNDS: usize = 30;
 /// States on which results are compared.
 const STATES: usize = 16;
-/// Transitions of an update.
-const BATCH: usize = 32;
 /// Windows for LSTM-AD.
 const WINDOWS: usize = 16;
 /// States attacked at each setting.
@@ -58,22 +55,15 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
     let flights = (FIRST_COURSE..FIRST_COURSE + COURSES)
         .map(|seed| watch(&mut pilot, frozen.inputs, seed))
         .collect::<Result<Vec<_>>>()?;
-    // One state of each flight as background, one for results, pairs of neighbours as transitions.
+    // One state of each flight as background, one for results.
     let nth = |n: usize| flights.iter().filter_map(move |f| f.get(n));
     let backgrounds: Vec<State> = nth(0).take(BACKGROUNDS).cloned().collect();
     let states: Vec<State> = nth(3).take(STATES).cloned().collect();
-    let pairs: Vec<[State; 2]> = flights
-        .iter()
-        .flat_map(|f| f.windows(2).skip(1).step_by(2))
-        .map(|pair| [pair[0].clone(), pair[1].clone()])
-        .take(BATCH)
-        .collect();
     ensure!(
-        backgrounds.len() == BACKGROUNDS && states.len() == STATES && pairs.len() == BATCH,
-        "the actor ends too many flights early: {} backgrounds, {} states, {} transitions",
+        backgrounds.len() == BACKGROUNDS && states.len() == STATES,
+        "the actor ends too many flights early: {} backgrounds, {} states",
         backgrounds.len(),
-        states.len(),
-        pairs.len()
+        states.len()
     );
     let mut record = Record::default();
     record.note("actor_sha256", frozen.sha256());
@@ -84,7 +74,6 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
     actor_case(&mut record, &mut cases, isa, &frozen, &states)?;
     hidden_shap_case(&mut record, &mut cases, isa, &frozen, &states, &backgrounds)?;
     pixel_shap_case(&mut record, &mut cases, isa, &frozen, &states[0], &backgrounds)?;
-    update_cases(&mut record, &mut cases, isa, &pairs)?;
     attack_case(&mut record, &mut cases, isa, &frozen, &states)?;
     lstm_ad_case(&mut record, &mut cases, isa)?;
     record.save(to)?;
@@ -204,109 +193,6 @@ fn pixel_shap_case(
             Ok(shap.attribute(YAW, &mut phi)?)
         }),
     );
-    Ok(())
-}
-
-/// One update of encoder, actor, critic and targets: as DDPG is written, and as training makes it.
-fn update_cases(
-    record: &mut Record,
-    cases: &mut HashMap<&'static str, Case>,
-    isa: Isa,
-    pairs: &[[State; 2]],
-) -> Result<()> {
-    let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let mut pair = || -> [f32; 2] { [rng.random_range(-1.5..1.5), rng.random_range(-1.5..1.5)] };
-    let keep = |s: &State| -> Result<KeptState> {
-        let mut frames = Vec::with_capacity(ACTOR_FRAMES);
-        let goal = s
-            .position
-            .first_chunk()
-            .copied()
-            .context("distance and bearing of the goal")?;
-        for frame in s.each_frame() {
-            frames.push(<&[f32; DEPTH_PIXELS]>::try_from(frame)?);
-        }
-        Ok(KeptState::new(core::array::from_fn(|i| frames[i]), goal))
-    };
-    let batch = pairs
-        .iter()
-        .map(|[state, next]| {
-            Ok(Example {
-                state: keep(state)?,
-                action: pair(),
-                teacher_action: pair(),
-                reward: pair()[0],
-                discount: 0.97,
-                next: keep(next)?,
-                weight: 0.5 + pair()[0].abs() / 3.0,
-            })
-        })
-        .collect::<Result<Vec<_>>>()?;
-    for (name, of) in [
-        ("batch", (|e| &e.state) as fn(&Example) -> &KeptState),
-        ("batch_next", |e| &e.next),
-    ] {
-        let frames = batch.iter().flat_map(|e| of(e).frames.concat()).collect();
-        record.bytes(
-            &format!("{name}_frames"),
-            &[ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS],
-            frames,
-        );
-        let position = batch.iter().flat_map(|e| &of(e).position);
-        record.floats(&format!("{name}_position"), &[2], position);
-    }
-    record.floats("batch_action", &[2], batch.iter().flat_map(|e| &e.action));
-    record.floats("batch_guide", &[2], batch.iter().flat_map(|e| &e.teacher_action));
-    record.floats("batch_reward", &[], batch.iter().map(|e| &e.reward));
-    record.floats("batch_discount", &[], batch.iter().map(|e| &e.discount));
-    record.floats("batch_weight", &[], batch.iter().map(|e| &e.weight));
-
-    // As trained, behind the warm-up.
-    let mut as_trained = TrainConfig::default();
-    as_trained.warm_up.updates = 0;
-    // As DDPG is written: no imitation, the critic's value alone, every frame's gradient, no mirror.
-    let value_weight = as_trained.learning.value_weight;
-    let mut plain = as_trained.clone();
-    plain.learning.imitation = 0.0;
-    plain.learning.value_weight = 1.0;
-    plain.learning.encoder_frames = ACTOR_FRAMES;
-    plain.learning.mirror = false;
-    for (name, config) in [("update", plain), ("update-as-trained", as_trained)] {
-        let mut rehearsal = Rehearsal::new(isa, &config, batch.clone())?;
-        if name == "update" {
-            let l = &config.learning;
-            for (key, value) in [
-                ("gradient_norm", l.gradient_norm),
-                ("tau", l.tau),
-                ("actor_rate", l.actor_rate),
-                ("critic_rate", l.critic_rate),
-                ("saturation_penalty", l.saturation_penalty),
-                ("value_weight", value_weight),
-                ("imitation_width", l.imitation_width),
-            ] {
-                record.note(key, value);
-            }
-            for (part, values) in rehearsal.parts().into_iter().take(2) {
-                record.floats(&format!("before_{part}"), &[], values);
-            }
-            let mut twin = Rehearsal::new(isa, &config, batch.clone())?;
-            let report = twin.update()?;
-            record.note("critic_loss", report.critic_loss);
-            record.note("value", report.value);
-            record.note("critic_norm", report.critic_norm);
-            record.note("actor_norm", report.actor_norm);
-            for (part, values) in twin.parts() {
-                record.floats(&format!("after_{part}"), &[], values);
-            }
-        }
-        cases.insert(
-            name,
-            Box::new(move || {
-                black_box(rehearsal.update()?);
-                Ok(())
-            }),
-        );
-    }
     Ok(())
 }
 

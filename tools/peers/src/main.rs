@@ -20,7 +20,7 @@ use vigil_tools::threads::thread_pool;
 Example:
   echo 'actor 100' | vigil-peers target/peers
 
-Cases: update, update-as-trained, actor, shap-hidden, shap-pixels, bim, lstm-ad")]
+Cases: actor, shap-hidden, shap-pixels, bim, lstm-ad")]
 struct Arguments {
     /// Folder for ours.safetensors.
     folder: PathBuf,

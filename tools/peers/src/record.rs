@@ -19,11 +19,6 @@ impl Record {
         self.push(name, inner, Dtype::F32, bytes);
     }
 
-    /// Adds bytes.
-    pub fn bytes(&mut self, name: &str, inner: &[usize], values: Vec<u8>) {
-        self.push(name, inner, Dtype::U8, values);
-    }
-
     fn push(&mut self, name: &str, inner: &[usize], dtype: Dtype, bytes: Vec<u8>) {
         let row = inner.iter().product::<usize>() * if dtype == Dtype::F32 { 4 } else { 1 };
         let shape = [&[bytes.len() / row], inner].concat();

@@ -3,7 +3,6 @@
 //! A new term is a row of [`TERMS`], its weight in [`RewardWeights`] and in the configurations that have it, and a row of the table in
 //! docs/training.md, which a test asks for.
 
-use crate::actor_training::config::RewardConfig;
 use crate::actor_training::value::ValueReward;
 use vigil_world::Outcome;
 
@@ -40,18 +39,6 @@ pub struct RewardWeights {
     pub checkpoint: f32,
     /// For each decision that ends near an obstacle, times the share of [`NEAR_M`] that is missing.
     pub near: f32,
-}
-
-impl From<&RewardConfig> for RewardWeights {
-    fn from(c: &RewardConfig) -> Self {
-        Self {
-            success: c.success,
-            dead: c.dead,
-            decision: 0.0,
-            checkpoint: c.checkpoint,
-            near: 0.0,
-        }
-    }
 }
 
 impl From<&ValueReward> for RewardWeights {

@@ -232,8 +232,7 @@ fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &FrozenPilot), unit: u64) -
         config: s.config,
         burst: s.burst,
         evade: None,
-        evades_guard_m: None,
-        learned: None,
+        evades_guard: false,
     });
     // Undefended; with a detector: `vigil attack defended`.
     let (config, firmware) = campaign::actor_flight(actor, apf, seed);

@@ -17,14 +17,12 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Mutex;
 use vigil_adversary::{Attack, AttackArgs};
-use vigil_adversary::{AttackConfig, Burst, LearnedAdversary, Method, Towards};
+use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::arguments::{number, parse_switch};
-use vigil_firmware::config::DetectorConfig;
+use vigil_firmware::arguments::parse_switch;
 use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
-use vigil_types::parameters;
 use vigil_world::Outcome;
 
 /// Arguments of `vigil attack defended`.
@@ -83,10 +81,6 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0)]
     truthful_ahead: f32,
 
-    /// What `--attack learned` does: a file of `vigil attack learn`.
-    #[arg(long, value_name = "FILE")]
-    learned: Option<PathBuf>,
-
     /// The detector that judges the actor [default: the one built in].
     #[arg(long, value_name = "FILE")]
     detector: Option<PathBuf>,
@@ -98,22 +92,6 @@ pub struct DefendedArgs {
     /// Whether the recovery pilot raises the alarm as well when the actor is about to fly into something.
     #[arg(long, value_name = "on|off", value_parser = parse_switch, default_value = "on", action = clap::ArgAction::Set)]
     guard: bool,
-
-    /// The guard raises the alarm when the actor falls so far behind along its way, metres; 0 is never [default: the firmware's]
-    #[arg(long, value_name = "M", value_parser = number::<f32>(&parameters::ASTRAY))]
-    astray: Option<f32>,
-
-    /// The guard raises the alarm when actor and recovery pilot want to turn apart for so long, seconds; 0 is never [default: the firmware's]
-    #[arg(long, value_name = "S", value_parser = number::<f32>(&parameters::DISAGREEMENT))]
-    disagreement: Option<f32>,
-
-    /// The guard raises the alarm when fewer cells of the frames show one surface, a share; 0 is never [default: the firmware's]
-    #[arg(long, value_name = "SHARE", value_parser = number::<f32>(&parameters::SMOOTH_SHARE))]
-    smooth_share: Option<f32>,
-
-    /// Whether only an operator ends an alarm of the guard [default: the firmware's]
-    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
-    guard_final: Option<bool>,
 
     /// Fly only what the folder's defended.csv does not have yet, once Ctrl-C or a kill ended an earlier run.
     #[arg(long, conflicts_with = "shard")]
@@ -130,17 +108,6 @@ pub struct DefendedArgs {
 
     #[command(flatten)]
     common: Common,
-}
-
-impl DefendedArgs {
-    /// Sets what was given of the guard.
-    fn set_guard(&self, detector: &mut DetectorConfig) {
-        detector.guard = (!self.guard).then_some(false);
-        detector.astray_m = self.astray.unwrap_or(detector.astray_m);
-        detector.disagreement_s = self.disagreement.unwrap_or(detector.disagreement_s);
-        detector.smooth_share = self.smooth_share.unwrap_or(detector.smooth_share);
-        detector.guard_final = self.guard_final.unwrap_or(detector.guard_final);
-    }
 }
 
 /// Who flies against what.
@@ -200,12 +167,6 @@ struct Settings {
     /// Verdicts that raise the alarm, and of how many.
     raise: (u8, u8),
     guard: bool,
-    astray_m: f32,
-    disagreement_s: f32,
-    /// Left out where it is 0, as in campaigns of before it was looked at, which can so be gone on with.
-    #[serde(default, skip_serializing_if = "is_zero")]
-    smooth_share: f32,
-    guard_final: bool,
     #[serde(default, skip_serializing_if = "is_none")]
     second_sensor_heads: u8,
     first_seed: u64,
@@ -218,14 +179,6 @@ struct Settings {
     /// Whether the attacker stays within what the guard lets pass.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     evades_guard: bool,
-    /// Digest of what the attacker learned.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    learned_sha256: Option<String>,
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
-fn is_zero(value: &f32) -> bool {
-    *value == 0.0
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref, reason = "what serde calls it with")]
@@ -544,17 +497,11 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         region: args.region,
         evade_guard: args.evade_guard,
         truthful_ahead: args.truthful_ahead,
-        learned: args.learned.clone(),
     };
     let attack = attack
         .attack(args.common.actor.as_deref())?
         .context("an attack was asked for")?;
-    let mut detector = FirmwareConfig::default().detector;
-    args.set_guard(&mut detector);
-    let attack = Attack {
-        evades_guard_m: attack.evades_guard_m.map(|_| detector.astray_m),
-        ..attack
-    };
+    let detector = FirmwareConfig::default().detector;
     let settings = Settings {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         actor_sha256: args.common.pilot()?.sha256(),
@@ -564,10 +511,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         },
         raise: (detector.raise_count, detector.raise_window),
         guard: args.guard,
-        astray_m: detector.astray_m,
-        disagreement_s: detector.disagreement_s,
-        smooth_share: detector.smooth_share,
-        guard_final: detector.guard_final,
         second_sensor_heads: args.second_sensor_heads,
         first_seed: args.seed,
         apf: args.apf,
@@ -575,7 +518,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         burst: attack.burst,
         evades_sha256: attack.evade.as_ref().map(FrozenDetector::sha256),
         evades_guard: args.evade_guard,
-        learned_sha256: attack.learned.as_ref().map(weights_sha256),
     };
     let arms = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm));
     let plan = Plan {
@@ -588,11 +530,6 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
     }
     let log = Log::open(folder.join(CSV), &plan.settings, args.resume)?;
     fly_missing(args, &attack, log, &plan, folder)
-}
-
-fn weights_sha256(learned: &LearnedAdversary) -> String {
-    let bytes = learned.weights().iter().flat_map(|w| w.to_le_bytes());
-    part::sha256(&bytes.collect::<Vec<u8>>())
 }
 
 /// What parts call this command.
@@ -705,7 +642,7 @@ fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flow
     let (mut config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = Some(arm.alarm().is_some());
     firmware.detector.file.clone_from(&args.detector);
-    args.set_guard(&mut firmware.detector);
+    firmware.detector.guard = (!args.guard).then_some(false);
     // Part of what defends: the undefended fly without.
     config.second_sensor_heads = args.second_sensor_heads.into();
     firmware.second_sensor = args.second_sensor_heads > 0 && arm.alarm().is_some();
@@ -744,10 +681,6 @@ mod tests {
             detector_sha256: "d".to_owned(),
             raise: (2, 3),
             guard: true,
-            astray_m: 6.0,
-            disagreement_s: 2.5,
-            smooth_share: 0.0,
-            guard_final: true,
             second_sensor_heads: 0,
             first_seed: 7,
             apf: false,
@@ -755,7 +688,6 @@ mod tests {
             burst: Burst::Steps(burst),
             evades_sha256: None,
             evades_guard: false,
-            learned_sha256: None,
         }
     }
 

@@ -1,10 +1,8 @@
 //! `vigil attack`: how far the actor can be deceived. One command for each table of docs/adversary.md.
 
-mod certify;
 mod completion;
 mod defended;
 mod deflection;
-mod learn;
 mod pictures;
 mod states;
 mod strength;
@@ -28,7 +26,6 @@ use vigil_policy::{ActorInputs, FrozenPilot};
 Examples:
   vigil attack table                     share of states deceived, by size and iterations (the paper's figure 11)
   vigil attack table --states 1000       the same on more states
-  vigil attack certify --states 200      share of states in which no attack within ε can turn the actor, and in which one does
   vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
   vigil attack completion --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
   vigil attack completion --flights 200 --shard 2/9
@@ -39,9 +36,6 @@ Examples:
   vigil attack defended --flights 500 --burst continuous --resume
                                          go on after an interruption
   vigil attack pictures -o runs/pictures what each attack makes of a frame, as a picture
-  vigil attack learn -o runs/learned     an adversary that learns from how flights end, against everything that defends
-  vigil attack defended --attack learned --learned runs/learned/adversary.json --burst continuous --flights 200
-                                         what it can do on courses that it did not learn on
   vigil attack defended --flights 500 --actor mine.safetensors --detector mine-detector.safetensors
                                          an imported policy with the detector that was trained for it
 
@@ -56,8 +50,6 @@ pub struct AttackCommands {
 enum AttackCommand {
     /// Share of states met in flight whose yaw moves by 1.0 or more, by method, ε and iterations.
     Table(strength::TableArgs),
-    /// Share of states met in flight whose yaw is proved to move by less than 1.0, and share that an attack moves, over ε.
-    Certify(certify::CertifyArgs),
     /// Yaw deflection in front of a wall, by gap and bearing of the goal.
     Deflection(deflection::DeflectionArgs),
     /// Completion with the potential field on and off, attacked and not.
@@ -68,8 +60,6 @@ enum AttackCommand {
     Defended(defended::DefendedArgs),
     /// Draws what each attack makes of a frame.
     Pictures(pictures::PicturesArgs),
-    /// Learns an adversary by evolution, from how flights end, without any gradient or knowledge of the actor's weights.
-    Learn(learn::LearnArgs),
 }
 
 /// What all of them take.
@@ -132,12 +122,10 @@ impl Common {
 pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     match &args.command {
         AttackCommand::Table(args) => strength::run(args),
-        AttackCommand::Certify(args) => certify::run(args),
         AttackCommand::Deflection(args) => deflection::run(args),
         AttackCommand::Completion(args) => completion::run_completion(args),
         AttackCommand::Search(args) => completion::run_search(args),
         AttackCommand::Defended(args) => defended::run(args),
-        AttackCommand::Learn(args) => learn::run(args),
         AttackCommand::Pictures(args) => pictures::run(args),
     }
 }

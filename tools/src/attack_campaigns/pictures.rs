@@ -5,9 +5,8 @@ use super::states::met_in_flight;
 use crate::cli::output::{self, range_grey, say};
 use crate::report::{ColourScale, Picture, Plate};
 use anyhow::{Context, Result};
-use std::path::PathBuf;
 use std::process::ExitCode;
-use vigil_adversary::{AttackConfig, FrameAttack, LearnedAdversary, Method};
+use vigil_adversary::{AttackConfig, FrameAttack, Method};
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
@@ -22,30 +21,25 @@ const NEAR: f32 = 0.1;
 #[command(after_help = "\
 Examples:
   vigil attack pictures -o runs/pictures                 attacks.svg and attacks.png: a frame of validation course 5000
-  vigil attack pictures --seed 7 --learned runs/learned/adversary.json
-                                                         of another course, with a learned adversary among them")]
+  vigil attack pictures --seed 7                         of another course")]
 pub struct PicturesArgs {
     /// Seed of the validation course.
     #[arg(long, default_value_t = 5000)]
     seed: u64,
-
-    /// Show what this adversary makes of it as well: a file of `vigil attack learn`.
-    #[arg(long, value_name = "FILE")]
-    learned: Option<PathBuf>,
 
     #[command(flatten)]
     common: Common,
 }
 
 /// Names and settings of the rows.
-fn attacks(with_learned: bool) -> Vec<([&'static str; 2], AttackConfig)> {
+fn attacks() -> [([&'static str; 2], AttackConfig); 7] {
     let of = |method, epsilon_255, region_pixels| AttackConfig {
         method,
         epsilon_255,
         region_pixels,
         ..AttackConfig::PAPER
     };
-    let mut attacks = vec![
+    [
         (["FGSM", "ε = 10/255"], of(Method::Fgsm, 10.0, 1)),
         (["BIM, clipped", "ε = 1/255"], of(Method::BimClipped, 1.0, 1)),
         (["accumulating", "1/255 × 20"], of(Method::BimAccumulating, 1.0, 1)),
@@ -53,11 +47,7 @@ fn attacks(with_learned: bool) -> Vec<([&'static str; 2], AttackConfig)> {
         (["patch", "5/255 × 20"], of(Method::Patch, 5.0, 1)),
         (["noise", "20/255"], of(Method::Noise, 1.0, 1)),
         (["recede", "1/255 × 20"], of(Method::Recede, 1.0, 1)),
-    ];
-    if with_learned {
-        attacks.push((["learned", "1/255 × 20"], of(Method::Learned, 1.0, 1)));
-    }
-    attacks
+    ]
 }
 
 /// Red nearer, blue farther, white as it was; −1 and 1 are full colours.
@@ -73,12 +63,11 @@ fn change_colour(share: f32) -> [u8; 3] {
 /// Draws them.
 ///
 /// # Errors
-/// A file that is no actor or no adversary, a folder that cannot be written.
+/// A file that is no actor, a folder that cannot be written.
 pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
     let folder = args.common.folder()?;
     let victim = args.common.victim()?;
     let pilot: FrozenPilot = args.common.pilot()?;
-    let learned = args.learned.as_deref().map(LearnedAdversary::load).transpose()?;
     let met = met_in_flight((&victim.params, victim.inputs), args.seed)?;
     let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
     let state = met
@@ -94,11 +83,8 @@ pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
             .collect::<Vec<u8>>()
     };
     let mut rows = vec![(vec!["as taken".to_owned()], [grey(&clean), change(&clean)])];
-    for (name, config) in attacks(learned.is_some()) {
+    for (name, config) in attacks() {
         let mut attack = FrameAttack::on(&pilot, Isa::detect(), &config)?;
-        if let Some(learned) = &learned {
-            attack = attack.having_learned(learned.clone());
-        }
         let mut frame = clean.clone();
         let outcome = attack.attack_while(&mut frame, state.position, || true)?;
         let turned_deg_s = (outcome.yaw_change() * YAW_RATE_PER_UNIT_RAD_S).to_degrees();

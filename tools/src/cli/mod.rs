@@ -12,7 +12,6 @@ mod family;
 mod figures;
 mod fly;
 mod foreign;
-mod harden;
 mod import;
 mod learn;
 mod live;
@@ -27,7 +26,6 @@ mod reproduce;
 mod rollout;
 mod scene;
 mod sensor;
-mod train;
 mod view;
 
 pub(crate) use log::write_report as write_flight_report;
@@ -97,12 +95,8 @@ enum Command {
     Import(import::ImportArgs),
     /// Export an actor or an imported policy to ONNX.
     Export(export::ExportArgs),
-    /// Train an actor from nothing.
-    Train(train::TrainArgs),
     /// Train an expert or an actor by value: critics that see the true state, reward along the shortest free way.
     Learn(learn::LearnArgs),
-    /// Harden an actor: taught on until its decisions provably hold for frames altered within ε.
-    Harden(harden::HardenArgs),
     /// Every table and figure of the paper and ours, from data or flown anew, on one page.
     Reproduce(reproduce::ReproduceArgs),
     /// Table I and figures 9 and 10 from the logs of training runs of yours.
@@ -123,7 +117,7 @@ enum Command {
 
 /// Reads the arguments of the process and does what they say.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli: Cli = vigil_firmware::removed::parse();
     output::start_tracing(cli.verbose);
     if let Some(parent) = cli.ends_with
         && let Err(error) = family::end_with(parent)
@@ -159,9 +153,7 @@ fn execute(command: Command) -> Result<ExitCode> {
         Command::Recover(args) => recover::run(&args),
         Command::Import(args) => import::run(&args),
         Command::Export(args) => export::run(&args),
-        Command::Train(args) => train::run(&args),
         Command::Learn(args) => learn::run(&args),
-        Command::Harden(args) => harden::run(&args),
         Command::Report(args) => report::run(&args),
         Command::Rollout(args) => rollout::run(&args),
         Command::Detector(args) => detector::run(&args),

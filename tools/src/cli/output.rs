@@ -229,11 +229,6 @@ impl Progress {
         }
     }
 
-    /// Writes to standard output without the bar in between.
-    pub fn suspend(&self, write: impl FnOnce()) {
-        self.bar.suspend(write);
-    }
-
     /// Takes the bar away.
     pub fn finish(&self) {
         self.bar.finish_and_clear();

@@ -1,7 +1,7 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
 use crate::actor_training::value::ValueResult;
-use crate::actor_training::{FlightCount, FlightLine, RunResult};
+use crate::actor_training::{FlightCount, FlightLine};
 use crate::cli::output::{self, put, say};
 use crate::report::{Figure, Panel, Picture, Series, from_csv};
 use anyhow::{Context, Result, ensure};
@@ -21,15 +21,14 @@ const ROLLING_SUCCESSES: usize = 10;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
-  vigil report                        table I and figures 9 and 10 from the runs in docs/runs
+  vigil report                        table I and figures 9 and 10 from the runs in docs/runs/from-nothing
   vigil report runs/a runs/b -o out   the same from runs of yours
 
-A run is a folder that `vigil train` or `vigil learn` left: result.json and flights.csv are read; of the latter's tests the
-validation family's counts. Runs with the field in no training flight
-are called DDPG, the others DDPG-APF.")]
+A run is a folder that `vigil learn` left: result.json and flights.csv are read; of its tests the validation family's counts.
+Runs with the field in no training flight are called DDPG, the others DDPG-APF.")]
 pub struct ReportArgs {
     /// Folders of runs, or folders that hold them.
-    #[arg(default_value = "docs/runs", value_name = "DIR")]
+    #[arg(default_value = "docs/runs/from-nothing", value_name = "DIR")]
     runs: Vec<PathBuf>,
 
     /// Where table-1.md, figure-9 and figure-10 (PNG and SVG) go.
@@ -44,7 +43,7 @@ struct Flight {
     reward: f64,
 }
 
-/// What a run came to, whichever command made it.
+/// What a run came to.
 #[derive(Debug, Clone, PartialEq)]
 struct Trained {
     seed: u64,
@@ -56,21 +55,6 @@ struct Trained {
     elapsed_s: f64,
     /// Flights without the field that nothing was chosen by.
     test: FlightCount,
-}
-
-impl From<RunResult> for Trained {
-    fn from(r: RunResult) -> Self {
-        Self {
-            seed: r.seed,
-            apf_share: r.apf_share,
-            decisions: r.decisions,
-            steps: r.steps,
-            flights: r.flights,
-            updates: r.updates,
-            elapsed_s: r.elapsed_s,
-            test: r.test,
-        }
-    }
 }
 
 /// A run by value; its test is over the validation family.
@@ -162,7 +146,7 @@ pub(crate) fn arms(given: &[PathBuf]) -> Result<Vec<Arm>> {
     let arms: Vec<Arm> = arms.into_iter().filter(|a| !a.runs.is_empty()).collect();
     ensure!(
         !arms.is_empty(),
-        "no run in {}: `vigil train -o DIR` makes one",
+        "no run in {}: `vigil learn nothing -o DIR` makes one",
         given
             .iter()
             .map(|p| p.display().to_string())
@@ -219,20 +203,10 @@ fn read(folder: &Path) -> Result<Run> {
         let path = folder.join(name);
         vigil_files::read_text(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
     };
-    let bad = |name: &str| {
-        format!(
-            "{} is not what `vigil train` or `vigil learn` writes",
-            folder.join(name).display()
-        )
-    };
+    let bad = |name: &str| format!("{} is not what `vigil learn` writes", folder.join(name).display());
     let json = text("result.json")?;
-    let result = match serde_json::from_str::<ValueResult>(&json) {
-        Ok(result) => by_value(&result),
-        Err(_) => serde_json::from_str::<RunResult>(&json)
-            .map(Trained::from)
-            .map_err(Into::into),
-    };
-    let result = result.with_context(|| bad("result.json"))?;
+    let result = serde_json::from_str::<ValueResult>(&json).with_context(|| bad("result.json"))?;
+    let result = by_value(&result).with_context(|| bad("result.json"))?;
     let flights = from_csv::<FlightLine>(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
     let flights = flights.iter().map(Flight::from).collect();
     Ok(Run { result, flights })

@@ -1,6 +1,6 @@
 //! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
 
-use crate::actor_training::{EvaluatedActor, EvaluationSpec, KnownMovers};
+use crate::actor_training::{EvaluatedActor, EvaluationSpec};
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::wilson_95;
@@ -21,8 +21,6 @@ Examples:
   vigil rollout --actor zero                            what the field does without any actor
   vigil rollout --actor random                          ... and with one that draws its action evenly each step
   vigil rollout --actor geometric --family hard         the geometric pilot
-  vigil rollout --actor geometric --family hard --knows all
-                                                        ... that is told how all movers move
 
 The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
 pub struct RolloutArgs {
@@ -33,10 +31,6 @@ pub struct RolloutArgs {
     /// Lead the actor by the goal or by the planned path, whatever its file says.
     #[arg(long, value_enum)]
     led_by: Option<LedByName>,
-
-    /// What the geometric pilot knows of movers: place, velocity, size and lane from the simulator, not from its frames.
-    #[arg(long, value_enum, default_value_t = KnownMovers::Followed)]
-    knows: KnownMovers,
 
     /// Number of flights; flight i uses seed SEED + i.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
@@ -86,7 +80,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,
         "random" => EvaluatedActor::Random,
-        "geometric" => EvaluatedActor::Geometric(args.knows),
+        "geometric" => EvaluatedActor::Geometric,
         file => {
             frozen = FrozenActor::load(Path::new(file))?;
             EvaluatedActor::Actor(&frozen.params, inputs(args, frozen.inputs))
@@ -104,7 +98,7 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
     ]);
     // The geometric pilot has the field in it.
     let fields: &[bool] = match evaluated {
-        EvaluatedActor::Geometric(_) => &[false],
+        EvaluatedActor::Geometric => &[false],
         _ => &[false, true],
     };
     for &field in fields {

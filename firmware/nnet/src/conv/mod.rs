@@ -6,14 +6,11 @@ mod reorder;
 
 use crate::activation::Activation;
 use crate::dense::column_sums;
-use crate::graph::BoundsForward;
 use crate::graph::layer::weighted_backward;
 #[cfg(feature = "train")]
 use crate::graph::operation::draw_for;
 use crate::graph::operation::{Operation, kept_before};
 use crate::graph::run::{Backward, Forward, Pass, unless_empty};
-#[cfg(feature = "train")]
-use crate::graph::{BoundsBackward, BoundsMut};
 use crate::graph::{GraphBuilder, NodeId, Params, Purpose};
 use crate::isa::Isa;
 use crate::kernels::{Product, Start};
@@ -367,34 +364,6 @@ impl Operation for (Conv2d, Activation) {
             pass,
             |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
             |d, dx, scratch| {
-                let scratch = part_mut("work buffer", scratch, 0, scratch_len)?;
-                layer.input_gradient(isa, packed, d, dx, scratch)
-            },
-        )
-    }
-
-    fn weight_len(&self) -> usize {
-        self.0.weight_len()
-    }
-
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let isa = node.isa;
-        let terms = layer.kernel * layer.kernel * layer.channels;
-        node.weighted(terms, *activation, |params, x, y| {
-            layer.forward(isa, params, Activation::Identity, x, None, y)
-        })
-    }
-
-    #[cfg(feature = "train")]
-    fn bounds_backward_node(&self, node: &mut BoundsBackward<'_>, d: BoundsMut<'_>) -> Result<(), ShapeError> {
-        let (layer, activation) = self;
-        let (isa, scratch_len) = (node.isa, self.scratch_len());
-        node.weighted(
-            *activation,
-            d,
-            |x, d, d_params| layer.weight_gradient(isa, x, d, d_params),
-            |packed, d, dx, scratch| {
                 let scratch = part_mut("work buffer", scratch, 0, scratch_len)?;
                 layer.input_gradient(isa, packed, d, dx, scratch)
             },

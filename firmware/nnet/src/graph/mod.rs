@@ -4,19 +4,12 @@
 //! of a backward pass belong to the caller, so one graph serves any number of threads, samples and weight sets, and an
 //! evaluation allocates nothing.
 
-mod bounds;
 mod build;
 pub(crate) mod layer;
 pub(crate) mod operation;
 pub(crate) mod run;
 mod structure;
 
-pub(crate) use bounds::BoundsForward;
-pub use bounds::{Bounds, BoundsMut, BoundsParams, CURVE_ERROR, Rounding};
-#[cfg(feature = "train")]
-pub(crate) use bounds::{BoundsBackward, ends_to_split, through_backward};
-#[cfg(feature = "train")]
-pub use bounds::{BoundsGradient, PackedBoundsParams};
 pub use build::GraphBuilder;
 pub(crate) use build::description;
 
@@ -175,15 +168,6 @@ impl Graph {
     /// A work buffer of another length, no such input.
     pub fn input_gradient<'a>(&self, work: &'a [f32], i: usize) -> Result<&'a [f32], ShapeError> {
         let node = self.input_node(i)?;
-        part("work buffer", work, node.gradient_at, node.len)
-    }
-
-    /// The gradient or multipliers of a node's value after a backward pass. Meaningless where the pass did not go.
-    ///
-    /// # Errors
-    /// A work buffer of another length, a node of another graph.
-    pub fn node_gradient<'a>(&self, work: &'a [f32], node: NodeId) -> Result<&'a [f32], ShapeError> {
-        let node = self.node(node.0)?;
         part("work buffer", work, node.gradient_at, node.len)
     }
 }

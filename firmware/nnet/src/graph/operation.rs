@@ -1,10 +1,8 @@
 //! What a node of a graph computes. Each layer implements [`Operation`] beside itself; [`AnyOperation`] lists them.
 
+use super::Purpose;
 use super::run::{Backward, Forward, Pass};
 use super::structure::{Concat, Input, Slice, Zeros};
-#[cfg(feature = "train")]
-use super::{BoundsBackward, BoundsMut};
-use super::{BoundsForward, Purpose, description};
 use crate::elementwise::{Product, Sum};
 use crate::shape::ShapeError;
 use crate::{Activation, BatchNorm, Conv2d, Dense, Function, Gru, LayerNorm, Lstm, MaxPool2d};
@@ -27,22 +25,6 @@ pub(crate) trait Operation {
     /// Turns `d`, the gradient or the multipliers of the node's value, into those of its sources and, if the pass wants them,
     /// adds those of its parameters.
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], pass: &mut Pass<'_>) -> Result<(), ShapeError>;
-
-    /// Parameters that multiply; those behind them are added.
-    fn weight_len(&self) -> usize {
-        0
-    }
-
-    /// Writes the bounds of the node's value, and of what it keeps besides, from its sources' bounds.
-    fn bounds_node(&self, _node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        description("graph", "a layer in it has no bounds (docs/nnet.md)")
-    }
-
-    /// Turns `d`, the gradient of the ends of the node's bounds, into those of its sources, and adds those of its parameters.
-    #[cfg(feature = "train")]
-    fn bounds_backward_node(&self, _node: &mut BoundsBackward<'_>, _d: BoundsMut<'_>) -> Result<(), ShapeError> {
-        description("graph", "a layer in it has no bounds (docs/nnet.md)")
-    }
 
     /// Writes the parameters in the order that the backward pass reads. Both slices have the layer's length.
     fn pack_node(&self, params: &[f32], packed: &mut [f32]) -> Result<(), ShapeError> {

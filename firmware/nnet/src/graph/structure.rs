@@ -1,11 +1,8 @@
 //! Nodes that compute nothing: inputs, constants, and values put together or cut out.
 
-use super::BoundsForward;
 use super::build::GraphBuilder;
 use super::operation::Operation;
 use super::run::{Backward, Forward, Pass};
-#[cfg(feature = "train")]
-use super::{BoundsBackward, BoundsMut};
 use super::{NodeId, Params};
 use crate::shape::{ShapeError, expect, part, part_mut};
 
@@ -84,17 +81,6 @@ impl Operation for Input {
         Ok(())
     }
 
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        for (given, value) in [
-            (node.given.lower, &mut *node.value.lower),
-            (node.given.upper, &mut *node.value.upper),
-        ] {
-            expect("network input", given, value.len())?;
-            value.copy_from_slice(given);
-        }
-        Ok(())
-    }
-
     fn backward_node(&self, _: &mut Backward<'_>, _: &mut [f32], _: &mut Pass<'_>) -> Result<(), ShapeError> {
         Ok(())
     }
@@ -103,12 +89,6 @@ impl Operation for Input {
 impl Operation for Zeros {
     fn forward_node(&self, node: &mut Forward<'_>) -> Result<(), ShapeError> {
         node.value.fill(0.0);
-        Ok(())
-    }
-
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        node.value.lower.fill(0.0);
-        node.value.upper.fill(0.0);
         Ok(())
     }
 
@@ -124,34 +104,6 @@ impl Operation for Concat {
             let from = node.source(i)?;
             part_mut("tape", node.value, at, from.len())?.copy_from_slice(from);
             at += from.len();
-        }
-        Ok(())
-    }
-
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        let mut at = 0;
-        for i in 0..node.source_count() {
-            let from = node.source(i)?;
-            let to = node.value.part_mut("tape", at, from.lower.len())?;
-            to.lower.copy_from_slice(from.lower);
-            to.upper.copy_from_slice(from.upper);
-            at += from.lower.len();
-        }
-        Ok(())
-    }
-
-    #[cfg(feature = "train")]
-    fn bounds_backward_node(&self, node: &mut BoundsBackward<'_>, d: BoundsMut<'_>) -> Result<(), ShapeError> {
-        let mut at = 0;
-        for i in 0..node.source_count() {
-            let len = node.source(i)?.lower.len();
-            let share = d.view().part("work buffer", at, len)?;
-            node.write_source(i, |dx, _| {
-                dx.lower.copy_from_slice(share.lower);
-                dx.upper.copy_from_slice(share.upper);
-                Ok(())
-            })?;
-            at += len;
         }
         Ok(())
     }
@@ -176,25 +128,6 @@ impl Operation for Slice {
         let from = part("tape", node.source(0)?, self.from, node.value.len())?;
         node.value.copy_from_slice(from);
         Ok(())
-    }
-
-    fn bounds_node(&self, node: &mut BoundsForward<'_>) -> Result<(), ShapeError> {
-        let from = node.source(0)?.part("tape", self.from, node.value.lower.len())?;
-        node.value.lower.copy_from_slice(from.lower);
-        node.value.upper.copy_from_slice(from.upper);
-        Ok(())
-    }
-
-    #[cfg(feature = "train")]
-    fn bounds_backward_node(&self, node: &mut BoundsBackward<'_>, d: BoundsMut<'_>) -> Result<(), ShapeError> {
-        node.write_source(0, |mut dx, _| {
-            dx.lower.fill(0.0);
-            dx.upper.fill(0.0);
-            let to = dx.part_mut("work buffer", self.from, d.lower.len())?;
-            to.lower.copy_from_slice(d.lower);
-            to.upper.copy_from_slice(d.upper);
-            Ok(())
-        })
     }
 
     fn backward_node(&self, node: &mut Backward<'_>, d: &mut [f32], _: &mut Pass<'_>) -> Result<(), ShapeError> {

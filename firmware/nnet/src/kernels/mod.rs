@@ -1,4 +1,4 @@
-//! The only module with `unsafe`: one product kernel, one for bytes ([`DotProduct`]), and a way to compile element-wise
+//! The only module with `unsafe`: one product kernel, and a way to compile element-wise
 //! loops for each instruction set.
 //!
 //! Every layer that multiplies (convolution, dense, recurrent; forward, input gradient, weight gradient, multipliers)
@@ -10,11 +10,9 @@
 
 #![allow(unsafe_code)]
 
-mod dot;
 mod product;
 mod simd;
 
-pub(crate) use dot::{BLOCK, DEPTH, DotProduct, Factors, Meaning};
 pub(crate) use product::{Product, Start};
 
 use crate::isa::{Isa, Level};
@@ -54,7 +52,7 @@ pub(crate) fn run<T: Task>(isa: Isa, task: T) {
         Level::Avx2Fma => unsafe { run_avx2(task) },
         // SAFETY: as above.
         #[cfg(target_arch = "x86_64")]
-        Level::Avx512 | Level::Avx512Vnni => unsafe { run_avx512(task) },
+        Level::Avx512 => unsafe { run_avx512(task) },
         #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
         Level::Neon => task.run::<true>(),
     }

@@ -114,7 +114,7 @@ impl Product {
                 #[cfg(target_arch = "x86_64")]
                 Level::Avx2Fma => tiles.all::<Avx2Fma>(),
                 #[cfg(target_arch = "x86_64")]
-                Level::Avx512 | Level::Avx512Vnni => tiles.all::<Avx512>(),
+                Level::Avx512 => tiles.all::<Avx512>(),
                 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
                 Level::Neon => tiles.all::<Neon>(),
             }

@@ -19,7 +19,6 @@ use alloc::vec::Vec;
 use std::path::Path;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
 use vigil_nnet::{Isa, Purpose};
-use vigil_types::Encoder;
 
 /// Value of the entry `format`.
 pub const FORMAT: &str = "vigil actor 1";
@@ -150,15 +149,7 @@ impl FrozenActor {
     /// # Errors
     /// Parameters of another length.
     pub fn actor(&self, isa: Isa) -> Result<Actor, FileError> {
-        self.actor_with(isa, Encoder::Float32)
-    }
-
-    /// The same with another encoder.
-    ///
-    /// # Errors
-    /// Parameters of another length.
-    pub fn actor_with(&self, isa: Isa, encoder: Encoder) -> Result<Actor, FileError> {
-        Actor::with_encoder(self.inputs.spec(), isa, &self.params, self.inputs.frame_ages, encoder)
+        Actor::with_frame_ages(self.inputs.spec(), isa, &self.params, self.inputs.frame_ages)
             .map_err(|e| self.kind().content_error("in memory", e.to_string()))
     }
 

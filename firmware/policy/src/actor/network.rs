@@ -11,9 +11,8 @@ use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::shape::{expect, part, part_mut};
 use vigil_nnet::{
-    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Gru, Int8Chain, Isa, NodeId, Params, Purpose, ShapeError,
+    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, NodeId, Params, Purpose, ShapeError,
 };
-use vigil_types::Encoder;
 
 /// Frames in one state (docs/paper.md, "State").
 pub const ACTOR_FRAMES: usize = 5;
@@ -290,24 +289,6 @@ impl ActorSpec {
         b.finish(features, purpose)
     }
 
-    /// The encoder with weights and values rounded to bytes.
-    ///
-    /// # Errors
-    /// Parameters of another length.
-    pub fn int8_encoder(&self, params: &[f32]) -> Result<Int8Chain, ShapeError> {
-        let layout = self.reserve(&mut GraphBuilder::new());
-        let mut layers = Vec::with_capacity(ENCODER.len());
-        for (layer, Params { at, len }) in self.convolutions().into_iter().zip(layout.convolutions) {
-            layers.push((layer, part("actor parameters", params, at, len)?));
-        }
-        let input = if self.near_contrast {
-            Activation::NEAR_CONTRAST
-        } else {
-            Activation::Identity
-        };
-        Int8Chain::new(input, layers)
-    }
-
     /// The second half model: inputs are the GRU's state and the positional values.
     ///
     /// # Errors
@@ -322,42 +303,6 @@ impl ActorSpec {
     }
 }
 
-/// What makes features of a frame.
-#[derive(Debug, Clone)]
-enum FrameEncoder {
-    Float32 { graph: Graph, tape: Aligned },
-    Int8 { chain: Int8Chain, features: Vec<f32> },
-}
-
-impl FrameEncoder {
-    fn new(encoder: Encoder, spec: ActorSpec, params: &[f32]) -> Result<Self, ShapeError> {
-        Ok(match encoder {
-            Encoder::Float32 => {
-                let graph = spec.encoder_graph(Purpose::Gradients, false)?;
-                let tape = Aligned::zeros(graph.tape_len());
-                Self::Float32 { graph, tape }
-            }
-            Encoder::Int8 => Self::Int8 {
-                chain: spec.int8_encoder(params)?,
-                features: vec![0.0; spec.features()],
-            },
-        })
-    }
-
-    fn encode(&mut self, isa: Isa, params: &[f32], frame: &[f32]) -> Result<&[f32], ShapeError> {
-        match self {
-            Self::Float32 { graph, tape } => {
-                graph.forward(isa, params, &[frame], tape)?;
-                graph.output(tape)
-            }
-            Self::Int8 { chain, features } => {
-                chain.forward(isa, frame, features)?;
-                Ok(features)
-            }
-        }
-    }
-}
-
 /// A frozen actor in flight: encodes only the new frame and remembers what the four older ones gave the GRU.
 #[derive(Debug, Clone)]
 pub struct Actor {
@@ -365,7 +310,8 @@ pub struct Actor {
     isa: Isa,
     params: Aligned,
     layout: ActorParams,
-    encoder: FrameEncoder,
+    encoder: Graph,
+    encoder_tape: Aligned,
     head: Graph,
     head_tape: Vec<f32>,
     /// How many decisions ago each frame was taken, oldest first.
@@ -403,20 +349,6 @@ impl Actor {
         params: &[f32],
         ages: [usize; ACTOR_FRAMES],
     ) -> Result<Self, ShapeError> {
-        Self::with_encoder(spec, isa, params, ages, Encoder::Float32)
-    }
-
-    /// The same with a choice of the encoder.
-    ///
-    /// # Errors
-    /// As [`Self::with_frame_ages`].
-    pub fn with_encoder(
-        spec: ActorSpec,
-        isa: Isa,
-        params: &[f32],
-        ages: [usize; ACTOR_FRAMES],
-        encoder: Encoder,
-    ) -> Result<Self, ShapeError> {
         let falls = ages.windows(2).all(|pair| pair.first() > pair.last());
         let (first, last) = (ages.first().copied(), ages.last().copied());
         let kept = first.filter(|age| *age <= OLDEST_FRAME && falls && last == Some(0));
@@ -426,6 +358,7 @@ impl Actor {
                 why: "they have to fall from at most 64 to 0",
             });
         };
+        let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
         let head = spec.head_graph(Purpose::Gradients)?;
         expect("actor parameters", params, head.param_len())?;
         let layout = spec.reserve(&mut GraphBuilder::new());
@@ -433,7 +366,8 @@ impl Actor {
             isa,
             params: Aligned::from(params),
             layout,
-            encoder: FrameEncoder::new(encoder, spec, params)?,
+            encoder_tape: Aligned::zeros(encoder.tape_len()),
+            encoder,
             head_tape: vec![0.0; head.tape_len()],
             head,
             features: vec![0.0; kept * spec.features()],
@@ -466,7 +400,9 @@ impl Actor {
     ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         let gru = self.spec.gru();
         let len = gru.projection_len();
-        let features = self.encoder.encode(self.isa, &self.params, frame)?;
+        self.encoder
+            .forward(self.isa, &self.params, &[frame], &mut self.encoder_tape)?;
+        let features = self.encoder.output(&self.encoder_tape)?;
         let gru_params = part(
             "actor parameters",
             &self.params,

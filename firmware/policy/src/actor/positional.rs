@@ -1,6 +1,6 @@
 //! What an actor decides from beside its frames: where it is led and, if its file asks for it, what moves near it.
 //!
-//! Five frames show a GRU over them badly how a thing moves (docs/experiments/learning-by-value.md), while a Kalman filter over the same
+//! Five frames show a GRU over them badly how a thing moves, while a Kalman filter over the same
 //! frames knows it to a few centimetres per second. So an actor may be told the tracks of [`MoverTracker`] as further positional inputs.
 
 use crate::actor::ActorInputs;

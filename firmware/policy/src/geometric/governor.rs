@@ -108,18 +108,11 @@ impl Margins {
     }
 }
 
-/// The fastest admissible forward speed up to `wanted_m_s`; 0 if none is. `spare_m` is kept in addition, except where the vehicle
-/// squeezes through.
-pub fn admissible_speed_m_s(
-    motion: &Motion,
-    scan: &Scan,
-    memory: &OccupancyGrid,
-    wanted_m_s: f32,
-    spare_m: f32,
-) -> f32 {
+/// The fastest admissible forward speed up to `wanted_m_s`; 0 if none is.
+pub fn admissible_speed_m_s(motion: &Motion, scan: &Scan, memory: &OccupancyGrid, wanted_m_s: f32) -> f32 {
     let wanted_m_s = wanted_m_s.clamp(0.0, ACTION_LIMIT);
     let here = motion.position_ned_m;
-    let margins = Margins::new(scan, memory, here, KEEP_CLEAR_M + spare_m, KEEP_CLEAR_SQUARED_CELLS);
+    let margins = Margins::new(scan, memory, here, KEEP_CLEAR_M, KEEP_CLEAR_SQUARED_CELLS);
     let free = PARTS
         .iter()
         .map(|part| part * wanted_m_s)
@@ -207,7 +200,7 @@ mod tests {
             velocity_m_s: HeadingVector::new(velocity_m_s, 0.0, 0.0),
             yaw_rate_rad_s,
         };
-        admissible_speed_m_s(&motion, &scan_of(points), &Box::new(OccupancyGrid::new()), 1.5, 0.0)
+        admissible_speed_m_s(&motion, &scan_of(points), &Box::new(OccupancyGrid::new()), 1.5)
     }
 
     #[test]
@@ -303,8 +296,8 @@ mod tests {
             velocity_m_s: HeadingVector::new(0.5, 0.0, 0.0),
             yaw_rate_rad_s: 0.0,
         };
-        let toward = admissible_speed_m_s(&motion, &Scan::EMPTY, &memory, 1.5, 0.0);
-        let away = admissible_speed_m_s(&Motion { yaw_rad: 3.0, ..motion }, &Scan::EMPTY, &memory, 1.5, 0.0);
+        let toward = admissible_speed_m_s(&motion, &Scan::EMPTY, &memory, 1.5);
+        let away = admissible_speed_m_s(&Motion { yaw_rad: 3.0, ..motion }, &Scan::EMPTY, &memory, 1.5);
         assert!(toward < 1.0 && away == 1.5, "{toward} {away}");
     }
 }

@@ -154,25 +154,6 @@ impl Track {
         }
     }
 
-    /// A mover of which everything is known: place, velocity, size, the ends of its lane and when it turns. For measurements in the simulator.
-    #[cfg(feature = "teacher")]
-    pub fn known(
-        place_m: (f32, f32),
-        velocity_m_s: (f32, f32),
-        radius_m: f32,
-        lane_m: [(f32, f32); 2],
-        turns_after_s: f32,
-    ) -> Self {
-        let mut track = Self::new(&Thing {
-            north_m: place_m.0,
-            east_m: place_m.1,
-            radius_m,
-        });
-        (track.north_m_s, track.east_m_s) = velocity_m_s;
-        (track.moves, track.lane_m, track.turns_after_s) = (true, lane_m, turns_after_s);
-        track
-    }
-
     /// Where it will be, metres north and east.
     pub fn position_after(&self, seconds: f32) -> (f32, f32) {
         (
@@ -459,15 +440,6 @@ impl MoverTracker {
     /// Forgets everything.
     pub fn clear(&mut self) {
         *self = Self::default();
-    }
-
-    /// Forgets what it has followed and takes these as they are. For measurements in the simulator.
-    #[cfg(feature = "teacher")]
-    pub fn know(&mut self, movers: impl Iterator<Item = Track>) {
-        self.clear();
-        for (slot, track) in self.tracks.iter_mut().zip(movers) {
-            *slot = Some(track);
-        }
     }
 
     /// What moves, as of the last frame.

@@ -28,14 +28,6 @@ const FACTOR_SHIFT: u32 = 2;
 /// Squared clearances that have a factor of their own.
 const FACTORS: usize = 64;
 
-/// Cosine of the angle off the nose beyond which a cell counts as unseen: 53°, the field of view less some cells.
-#[cfg(feature = "teacher")]
-const SEEN_COSINE: f32 = 0.6;
-
-/// What a cell out there costs in addition to its length, and what one in view costs at a right angle.
-#[cfg(feature = "teacher")]
-const TURN_COST: f32 = 1.0;
-
 const BUCKETS: usize = 8192;
 const NO_CELL: u16 = u16::MAX;
 const UNREACHED: u16 = u16::MAX;
@@ -96,9 +88,6 @@ pub struct PathPlanner {
     on_way: [bool; CELLS],
     points: [(f32, f32); WAY_POINTS],
     len: usize,
-    /// North and east part of the nose's direction when cells off it cost more.
-    #[cfg(feature = "teacher")]
-    nose: Option<(f32, f32)>,
 }
 
 impl Default for PathPlanner {
@@ -126,17 +115,17 @@ impl PathPlanner {
             on_way: [false; CELLS],
             points: [(0.0, 0.0); WAY_POINTS],
             len: 0,
-            #[cfg(feature = "teacher")]
-            nose: None,
         };
         for (squared, factor) in way.factor.iter_mut().enumerate() {
             let clearance_m = libm::sqrtf(squared as f32) * CELL_M;
             if clearance_m < LETHAL_CLEARANCE_M {
                 way.lethal_squared = squared as u8 + 1;
                 *factor = if squared == 0 { 0 } else { LETHAL_FACTOR };
+            } else {
+                let lack = ((WANTED_CLEARANCE_M - clearance_m) / (WANTED_CLEARANCE_M - LETHAL_CLEARANCE_M)).max(0.0);
+                *factor = ((1.0 + NARROW_FACTOR * lack * lack) * (1 << FACTOR_SHIFT) as f32) as u16;
             }
         }
-        way.set_clearance(WANTED_CLEARANCE_M, NARROW_FACTOR);
         way
     }
 
@@ -144,49 +133,6 @@ impl PathPlanner {
     pub fn clear(&mut self) {
         self.working = false;
         self.len = 0;
-    }
-
-    /// Counts clearance up to `wanted_m`, and its lack more.
-    pub fn set_clearance(&mut self, wanted_m: f32, narrow_factor: f32) {
-        for (squared, factor) in self.factor.iter_mut().enumerate() {
-            let clearance_m = libm::sqrtf(squared as f32) * CELL_M;
-            if clearance_m >= LETHAL_CLEARANCE_M {
-                let lack = ((wanted_m - clearance_m) / (wanted_m - LETHAL_CLEARANCE_M)).max(0.0);
-                *factor = ((1.0 + narrow_factor * lack * lack) * (1 << FACTOR_SHIFT) as f32) as u16;
-            }
-        }
-    }
-
-    /// From the next search on, cells off a nose that points to this yaw cost more, up to twice their length where it does not
-    /// look: a way once turned to is kept.
-    #[cfg(feature = "teacher")]
-    pub fn prefer_ahead(&mut self, yaw_rad: f32) {
-        self.nose = Some((libm::cosf(yaw_rad), libm::sinf(yaw_rad)));
-    }
-
-    /// What a cell off the nose costs in addition, for a step of this length.
-    #[cfg(feature = "teacher")]
-    fn turn_cost(&self, cell: Cell, length: u32) -> u32 {
-        let Some((nose_north, nose_east)) = self.nose else {
-            return 0;
-        };
-        let north = (cell.north - self.vehicle.north) as f32;
-        let east = (cell.east - self.vehicle.east) as f32;
-        let distance = libm::sqrtf(north * north + east * east);
-        let ahead = north * nose_north + east * nose_east;
-        let aside = libm::fabsf(east * nose_north - north * nose_east);
-        let share = if ahead < SEEN_COSINE * distance {
-            1.0
-        } else {
-            aside / distance.max(1.0)
-        };
-        (TURN_COST * share * length as f32) as u32
-    }
-
-    /// Of the pilots that fly, none prefers what is ahead.
-    #[cfg(not(feature = "teacher"))]
-    fn turn_cost(&self, _cell: Cell, _length: u32) -> u32 {
-        0
     }
 
     /// Whether a search is under way.
@@ -267,7 +213,7 @@ impl PathPlanner {
                 } else {
                     OFF_WAY
                 };
-                let through = cost + ((length * factor) >> FACTOR_SHIFT) + off_way + self.turn_cost(neighbour, length);
+                let through = cost + ((length * factor) >> FACTOR_SHIFT) + off_way;
                 self.open(index, neighbour, through, towards);
             }
         }

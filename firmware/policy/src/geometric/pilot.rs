@@ -63,41 +63,13 @@ const LOOK_AROUND_YAW: f32 = ACTION_LIMIT;
 const STUCK_M: f32 = 0.5;
 const STUCK_NS: Nanos = 10_000_000_000;
 
-/// What a pilot keeps clear.
-#[derive(Debug, Clone, Copy)]
-struct Margins {
-    /// Clearance of a straight line to a waypoint; squared cells.
-    sight_squared_cells: u8,
-    /// A straight line towards the goal that is clear this far is taken whatever the way, metres.
-    goal_sight_m: f32,
-    /// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this, metres.
-    repulsive_half_width_m: f32,
-    /// What the governor keeps in addition, metres.
-    spare_m: f32,
-}
-
-/// Of a straight line to a waypoint 0.75 m, beside the way ahead the vehicle's radius and 0.20 m. Points beside the way would
-/// push it out of every gap.
-const TIGHT: Margins = Margins {
-    sight_squared_cells: 9,
-    // As far as surfaces are remembered.
-    goal_sight_m: occupancy_grid::MARK_RANGE_M,
-    repulsive_half_width_m: 0.50,
-    spare_m: 0.0,
-};
-/// What the teacher keeps, so that a pupil's error of 0.2 m is no collision.
-#[cfg(feature = "teacher")]
-const GENEROUS: Margins = Margins {
-    sight_squared_cells: 14,
-    goal_sight_m: LOOKAHEAD_M,
-    repulsive_half_width_m: 0.80,
-    spare_m: 0.30,
-};
-/// Clearance from which on more is no better for the teacher's way, and what the narrowest passage costs it more, per metre.
-#[cfg(feature = "teacher")]
-const GENEROUS_CLEARANCE_M: f32 = 1.5;
-#[cfg(feature = "teacher")]
-const GENEROUS_NARROW_FACTOR: f32 = 10.0;
+/// Clearance of a straight line to a waypoint: 0.75 m, in cells, squared.
+const SIGHT_SQUARED_CELLS: u8 = 9;
+/// A straight line towards the goal that is clear this far is taken whatever the way, metres: as far as surfaces are remembered.
+const GOAL_SIGHT_M: f32 = occupancy_grid::MARK_RANGE_M;
+/// The repulsive field takes points within 45° of the nose that the vehicle would pass nearer than this, metres: its radius and
+/// 0.20 m. Points beside the way would push it out of every gap.
+const REPULSIVE_HALF_WIDTH_M: f32 = 0.50;
 
 /// The geometric pilots there are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,46 +79,6 @@ enum Strategy {
     /// Flies when an attack on the depth frames is detected: every frame may have been altered, so what only one of them shows
     /// neither enters the grid nor moves the vehicle.
     Recovery,
-    /// Teaches the actor: decides by the newest frame alone, and keeps farther from obstacles than a pilot that flies itself.
-    #[cfg(feature = "teacher")]
-    Teacher,
-    /// As `Mapping`, but told how what moves does so: what following movers could bring at best.
-    #[cfg(feature = "teacher")]
-    Knowing,
-}
-
-impl Strategy {
-    fn margins(self) -> &'static Margins {
-        match self {
-            Self::Mapping | Self::Recovery => &TIGHT,
-            #[cfg(feature = "teacher")]
-            Self::Knowing => &TIGHT,
-            #[cfg(feature = "teacher")]
-            Self::Teacher => &GENEROUS,
-        }
-    }
-
-    /// Whether the grid holds more than the newest frame.
-    fn remembers(self) -> bool {
-        match self {
-            Self::Mapping | Self::Recovery => true,
-            #[cfg(feature = "teacher")]
-            Self::Knowing => true,
-            #[cfg(feature = "teacher")]
-            Self::Teacher => false,
-        }
-    }
-
-    /// Cells that the search settles in one step.
-    fn search_budget(self) -> usize {
-        match self {
-            Self::Mapping | Self::Recovery => SEARCH_BUDGET,
-            #[cfg(feature = "teacher")]
-            Self::Knowing => SEARCH_BUDGET,
-            #[cfg(feature = "teacher")]
-            Self::Teacher => occupancy_grid::CELLS,
-        }
-    }
 }
 
 /// The pilot. A large value (about 120 kB) without pointers; no allocation.
@@ -177,32 +109,6 @@ impl GeometricPilot {
     /// The pilot that takes the actor's place, and believes what it sees only when several frames say it (docs/detection.md).
     pub(crate) fn recovery(config: GeometricConfig) -> Self {
         Self::of(Strategy::Recovery, config)
-    }
-
-    /// The actor's teacher: decides by the newest frame alone, as one has to that is imitated by an actor without a map. Ways off
-    /// its nose count as longer, up to twice as long out of sight: a side once turned to is kept without a memory of it.
-    ///
-    /// Its search is not cut into slices: it is for training, not for a step of 50 ms.
-    #[cfg(feature = "teacher")]
-    pub fn teacher(config: GeometricConfig) -> Self {
-        let mut pilot = Self::of(Strategy::Teacher, config);
-        pilot
-            .planner
-            .set_clearance(GENEROUS_CLEARANCE_M, GENEROUS_NARROW_FACTOR);
-        pilot
-    }
-
-    /// The pilot that flies, but told by [`Self::know_movers`] how what moves does so: what following movers could bring at best. For
-    /// measurements in the simulator.
-    #[cfg(feature = "teacher")]
-    pub fn knowing(config: GeometricConfig) -> Self {
-        Self::of(Strategy::Knowing, config)
-    }
-
-    /// What moves now. Before [`Pilot::decide`], in every step.
-    #[cfg(feature = "teacher")]
-    pub fn know_movers(&mut self, movers: impl Iterator<Item = crate::geometric::movers::Track>) {
-        self.movers.know(movers);
     }
 
     fn of(strategy: Strategy, config: GeometricConfig) -> Self {
@@ -258,8 +164,7 @@ impl GeometricPilot {
         // 31° off it.
         let goal_m = from_here(goal);
         let towards_goal = |distance_m: f32| here + (goal - here) * (distance_m / goal_m.max(distance_m));
-        let known = goal_m < self.strategy.margins().goal_sight_m || self.strategy.remembers();
-        if known && self.in_sight(here, towards_goal(self.strategy.margins().goal_sight_m)) {
+        if self.in_sight(here, towards_goal(GOAL_SIGHT_M)) {
             return Some(towards_goal(LOOKAHEAD_M));
         }
         // The way began where the vehicle was when the search began: drop what lies behind.
@@ -289,7 +194,7 @@ impl GeometricPilot {
         }))
     }
 
-    /// Whether the straight line between two points is clear by [`Margins::sight_squared_cells`].
+    /// Whether the straight line between two points is clear by [`SIGHT_SQUARED_CELLS`].
     fn in_sight(&self, from: NedVector, to: NedVector) -> bool {
         const SAMPLE_M: f32 = 0.2;
         let line = to - from;
@@ -298,15 +203,13 @@ impl GeometricPilot {
         (1..=samples).all(|i| {
             let along_m = i as f32 * SAMPLE_M;
             let point = from + line * (along_m / length_m);
-            along_m < SIGHT_FROM_M
-                || self.grid.clearance_squared_at(point.x, point.y) >= self.strategy.margins().sight_squared_cells
+            along_m < SIGHT_FROM_M || self.grid.clearance_squared_at(point.x, point.y) >= SIGHT_SQUARED_CELLS
         })
     }
 
     /// The repulsive field of the nearest point that the vehicle would run into, going on as it points.
     fn repulsion(&self, seen: &Scan, bearing_of_waypoint_rad: f32) -> Action {
-        let in_the_way =
-            |&(x, y, _): &(f32, f32, f32)| y.abs() < self.strategy.margins().repulsive_half_width_m && y.abs() <= x;
+        let in_the_way = |&(x, y, _): &(f32, f32, f32)| y.abs() < REPULSIVE_HALF_WIDTH_M && y.abs() <= x;
         let points = seen.points().filter(in_the_way);
         let Some((x, y, distance_m)) = points.min_by(|a, b| a.2.total_cmp(&b.2)) else {
             return Action::HOVER;
@@ -383,13 +286,6 @@ impl GeometricPilot {
         let header = &input.depth.header;
         let here = position_ned_m(input);
         self.doubt(here, input.now_ns);
-        #[cfg(feature = "teacher")]
-        if self.strategy == Strategy::Teacher {
-            self.grid.clear();
-            self.planner.clear();
-            self.planner.prefer_ahead(yaw_rad);
-            self.last_sequence = None;
-        }
 
         let (scan, hit) = if self.strategy == Strategy::Recovery {
             (
@@ -423,8 +319,7 @@ impl GeometricPilot {
             self.grid.measure_clearance();
             self.planner.start(&self.grid, here, goal);
         }
-        let budget = self.strategy.search_budget();
-        if self.planner.advance(&self.grid, budget) == Search::NoWay {
+        if self.planner.advance(&self.grid, SEARCH_BUDGET) == Search::NoWay {
             self.planner.clear();
         }
 
@@ -527,7 +422,6 @@ impl GeometricPilot {
                 standing.as_ref().unwrap_or(seen),
                 &self.grid,
                 wanted.forward_m_s,
-                self.strategy.margins().spare_m,
             ),
             yaw: wanted.yaw,
         };

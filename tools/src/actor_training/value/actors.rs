@@ -11,7 +11,7 @@ use vigil_sim::environment::true_state::{TRUE_STATE, mirror};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
 pub const LAST_LAYER_LIMIT: f32 = 3e-3;
-/// Layers with more inputs than this learn at a lower rate, as in [`Networks::rate_shares`].
+/// Layers with more inputs than this learn at a lower rate, as in `rate_shares_of`.
 const FULL_RATE_INPUTS: f32 = 64.0;
 
 const GATES: usize = 3 * ACTOR_HIDDEN;
@@ -75,7 +75,7 @@ impl ActorNetwork {
             Self::Truth(actor) => Ok(actor.mlp.initial(rng, LAST_LAYER_LIMIT)),
             Self::Pictures(pictures) => {
                 let networks = Networks::new()?;
-                let (actor, _) = networks.initial(rng);
+                let actor = networks.initial(rng);
                 let behind = &actor[networks.encoder_len()..];
                 Ok(if pictures.spec.told_of_movers {
                     told_of_movers(behind, rng)
@@ -475,7 +475,7 @@ mod tests {
         let isa = Isa::detect();
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         let networks = Networks::new().unwrap();
-        let (actor, _) = networks.initial(&mut rng);
+        let actor = networks.initial(&mut rng);
         let behind = &actor[networks.encoder_len()..];
         let told = told_of_movers(behind, &mut rng);
         let kept: Vec<u16> = (0..SPEC.features())
@@ -517,7 +517,7 @@ mod tests {
         let isa = Isa::detect();
         let mut rng = ChaCha8Rng::seed_from_u64(8);
         let networks = Networks::new().unwrap();
-        let (mut actor, _) = networks.initial(&mut rng);
+        let mut actor = networks.initial(&mut rng);
         for p in &mut actor[networks.encoder_len()..] {
             *p += rng.random_range(-0.02..0.02);
         }

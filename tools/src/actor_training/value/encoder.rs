@@ -6,7 +6,7 @@ use super::value_config::ValueConfig;
 use crate::actor_training::adam::{self, Adam};
 use crate::actor_training::collector::CollectError;
 use crate::actor_training::learner::UpdateError;
-use crate::actor_training::networks::Networks;
+use crate::actor_training::networks::{Networks, SPEC, rate_shares_of};
 use crate::actor_training::noise::OrnsteinUhlenbeck;
 use crate::actor_training::replay_buffer::{pack_frame, unpack_frame};
 use rand::{RngExt, SeedableRng};
@@ -97,8 +97,8 @@ pub fn teach_encoder(
     let networks = Networks::new()?;
     let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
     rng.set_stream(STREAM);
-    let (mut actor, _) = networks.initial(&mut rng);
-    let (shares, _) = networks.rate_shares();
+    let mut actor = networks.initial(&mut rng);
+    let shares = rate_shares_of(SPEC);
     let encoder = networks.encoder_len();
     let features = networks.encoder.output_len();
     let readout = Dense {

@@ -292,7 +292,7 @@ fn table_1(sources: &Sources) -> Result<Made> {
     Ok(Made {
         figure: None,
         table,
-        caption: "Ten training runs from nothing, each tested on 400 validation courses that nothing was chosen by, flown without the \
+        caption: "Ten training runs from nothing, each tested on 200 validation courses that nothing was chosen by, flown without the \
                   field; intervals of single runs are Wilson's, of means Student's over the seeds. A decision is 0.2 s of flight, a \
                   step of the paper's about 0.5 s. The actor that is built in was tested on the courses of the attacks."
             .to_owned(),
@@ -442,7 +442,7 @@ fn figure_9(sources: &Sources) -> Result<Made> {
         figure: Some(Drawn::of(&training::figure_9(&arms))),
         table,
         caption: "Rolling mean of the training flights' reward; lines are means over the seeds, bands reach from the least to the \
-                  greatest of them. Flights of the warm-up, which the teacher flies, are left out. Interval: Student's over the seeds."
+                  greatest of them. Flights of the warm-up, which noise flies, are left out. Interval: Student's over the seeds."
             .to_owned(),
     })
 }
