@@ -42,6 +42,7 @@ mod graph;
 mod gru;
 mod isa;
 mod kernels;
+mod layer_norm;
 mod lstm;
 mod math;
 #[cfg(feature = "file")]
@@ -59,6 +60,7 @@ pub use dense::Dense;
 pub use graph::{Graph, GraphBuilder, NodeId, Params, Purpose};
 pub use gru::Gru;
 pub use isa::Isa;
+pub use layer_norm::LayerNorm;
 pub use lstm::Lstm;
 pub use norm::BatchNorm;
 pub use pool::MaxPool2d;

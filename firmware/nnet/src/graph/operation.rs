@@ -4,7 +4,7 @@ use super::Purpose;
 use super::run::{Backward, Forward, Pass};
 use super::structure::{Concat, Input, Slice, Zeros};
 use crate::shape::ShapeError;
-use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, Lstm, MaxPool2d};
+use crate::{Activation, BatchNorm, Conv2d, Dense, Gru, LayerNorm, Lstm, MaxPool2d};
 
 /// A layer as a node of a graph.
 pub(crate) trait Operation {
@@ -71,6 +71,7 @@ operations! {
     Dense((Dense, Activation)),
     Activation(Activation),
     BatchNorm(BatchNorm),
+    LayerNorm(LayerNorm),
     MaxPool2d(MaxPool2d),
     Gru(Gru),
     Lstm(Lstm),

@@ -3,10 +3,8 @@
 //! Randomness comes from the caller's generator, so the same seed gives the same bits.
 
 mod initial;
-mod layer_norm;
 mod soft_update;
 mod sum_tree;
 
-pub use layer_norm::LayerNorm;
 pub use soft_update::soft_update;
 pub use sum_tree::SumTree;

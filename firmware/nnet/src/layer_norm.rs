@@ -1,5 +1,9 @@
-//! Layer normalisation, for critics: it keeps their values from growing where they were never told any (Ball et al. 2023).
+//! Layer normalisation, for actor and critics: it keeps their values from growing where they have seen none (Ball et al. 2023).
 
+use crate::Purpose;
+use crate::graph::operation::Operation;
+use crate::graph::run::{self, Pass};
+use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 use crate::shape::{ShapeError, expect};
@@ -94,6 +98,97 @@ impl LayerNorm {
             },
         );
         Ok(())
+    }
+}
+
+/// Squares of deviations whose sums differ by less than this share take the slope of the root instead of a quotient.
+const SAME_VARIANCE: f32 = 1e-4;
+
+impl LayerNorm {
+    /// Turns `m`, the multipliers of `y`, into those of `x`. The deviation `c = x − mean` and the factor `s = 1 / √(variance + ε)`
+    /// are a product of two varying values, so both get the other's mean (docs/deepshap.md); what the factor gets goes on to `c` by
+    /// the rescale rule over the variance. `now` and `reference` are `x̂` and `s` of either pass. Exactly additive.
+    fn multipliers(&self, params: &[f32], now: (&[f32], f32), reference: (&[f32], f32), m: &mut [f32]) {
+        let ((normal, inverse), (normal_ref, inverse_ref)) = (now, reference);
+        let width = self.width.max(1) as f32;
+        let mean_inverse = 0.5 * (inverse + inverse_ref);
+        // Both passes' deviations are x̂ / s.
+        let middle = |normal: f32, normal_ref: f32| 0.5 * (normal / inverse + normal_ref / inverse_ref);
+        let (variance, variance_ref) = (1.0 / (inverse * inverse), 1.0 / (inverse_ref * inverse_ref));
+        let slope = if (variance - variance_ref).abs() < SAME_VARIANCE * variance {
+            -0.5 * inverse * inverse * inverse
+        } else {
+            (inverse - inverse_ref) / (variance - variance_ref)
+        };
+        let mut through_factor = 0.0;
+        for (((m, scale), normal), normal_ref) in m.iter_mut().zip(params).zip(normal).zip(normal_ref) {
+            *m *= scale;
+            through_factor += *m * middle(*normal, *normal_ref);
+        }
+        let by_deviation = 2.0 * through_factor * slope / width;
+        for ((m, normal), normal_ref) in m.iter_mut().zip(normal).zip(normal_ref) {
+            *m = *m * mean_inverse + by_deviation * middle(*normal, *normal_ref);
+        }
+        let mean = sum(m, |m| m) / width;
+        m.iter_mut().for_each(|m| *m -= mean);
+    }
+}
+
+impl GraphBuilder {
+    /// Layer normalisation of one row.
+    ///
+    /// # Errors
+    /// Lengths that do not fit.
+    pub fn layer_norm(&mut self, x: NodeId, layer: LayerNorm, params: Params) -> Result<NodeId, ShapeError> {
+        self.check("layer norm input", x, layer.width)?;
+        Self::check_params("layer norm parameters", params, layer.param_len())?;
+        self.add(layer, &[x], layer.width, params)
+    }
+}
+
+/// What a node keeps besides its value: `x̂`, then `1 / √(variance + ε)`.
+fn kept(aux: &[f32]) -> (&[f32], f32) {
+    aux.split_last()
+        .map_or((&[], 1.0), |(inverse, normal)| (normal, *inverse))
+}
+
+impl Operation for LayerNorm {
+    fn aux_len(&self, len: usize, _purpose: Purpose) -> usize {
+        len + 1
+    }
+
+    fn forward_node(&self, node: &mut run::Forward<'_>) -> Result<(), ShapeError> {
+        let x = node.source(0)?;
+        let (normal, inverse) = node.aux.split_at_mut_checked(self.width).unwrap_or_default();
+        self.forward(node.isa, node.params, x, normal, inverse, node.value)
+    }
+
+    fn backward_node(
+        &self,
+        node: &mut run::Backward<'_>,
+        d: &mut [f32],
+        pass: &mut Pass<'_>,
+    ) -> Result<(), ShapeError> {
+        let now = kept(node.kept(node.tape)?.aux);
+        match pass.reference() {
+            None => {
+                let d_params = node.d_params(pass)?;
+                self.backward(node.isa, node.packed, now.0, &[now.1], d, d_params)?;
+            }
+            Some(reference) => self.multipliers(node.packed, now, kept(node.kept(reference)?.aux), d),
+        }
+        node.write_source(0, |dx, _| {
+            dx.copy_from_slice(d);
+            Ok(())
+        })
+    }
+
+    /// The identity.
+    #[cfg(feature = "train")]
+    fn initialize_node(&self, params: &mut [f32], _draw: &mut dyn FnMut(f32) -> f32) {
+        let (scale, shift) = params.split_at_mut_checked(self.width).unwrap_or_default();
+        scale.fill(1.0);
+        shift.fill(0.0);
     }
 }
 
