@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::str::FromStr;
 use vigil_types::parameters::{self, Kind, ParameterSpec, Preset};
-use vigil_types::{AlarmPolicy, Choice, PilotKind};
+use vigil_types::{Ablation, AlarmPolicy, Choice, PilotKind};
 
 /// The help of an argument: the row's text, what is accepted and the default.
 pub fn help(row: &ParameterSpec) -> String {
@@ -96,6 +96,9 @@ pub struct PilotArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::APF))]
     apf: Option<bool>,
 
+    #[arg(long, value_parser = choice::<Ablation>(), help = help(&parameters::ABLATE))]
+    ablate: Option<Ablation>,
+
     #[arg(long, value_name = "on|off", value_parser = parse_switch, help = help(&parameters::DETECTOR))]
     detector: Option<bool>,
 
@@ -128,6 +131,7 @@ impl PilotArgs {
         config.pilot.kind = self.pilot.unwrap_or(config.pilot.kind);
         config.pilot.actor_file = self.actor.clone().or(config.pilot.actor_file.take());
         config.pilot.apf = self.apf.unwrap_or(config.pilot.apf);
+        config.pilot.ablate = self.ablate.unwrap_or(config.pilot.ablate);
         config.detector.enabled = self.detector.or(config.detector.enabled);
         config.detector.file = self.detector_file.clone().or(config.detector.file.take());
         config.detector.threshold = self.threshold.or(config.detector.threshold);
@@ -163,6 +167,7 @@ impl PilotArgs {
         let switch = |on: bool| if on { "on" } else { "off" }.to_owned();
         hand("--pilot", self.pilot.map(|kind| kind.name().to_owned()));
         hand("--apf", self.apf.map(switch));
+        hand("--ablate", self.ablate.map(|what| what.name().to_owned()));
         hand("--detector", self.detector.map(switch));
         hand("--threshold", self.threshold.map(|score| score.to_string()));
         hand("--raise", self.raise.map(|(count, window)| format!("{count}/{window}")));

@@ -17,8 +17,8 @@ use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::parameters::{self, MAX_INSTANCE};
 use vigil_types::{
-    AlarmPolicy, AtGoal, AutopilotChoice, Duty, EngagePolicy, FrameKeys, Goal, LogContent, NedVector, ObstacleReports,
-    OnNoProgress, ParameterSpec, PilotKind,
+    Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Duty, EngagePolicy, FrameKeys, Goal, LogContent, NedVector,
+    ObstacleReports, OnNoProgress, ParameterSpec, PilotKind,
 };
 
 /// A configuration file has a page or two.
@@ -219,6 +219,9 @@ pub struct PilotConfig {
     pub kind: PilotKind,
     /// Whether the potential field is added to the actor's action.
     pub apf: bool,
+    /// What is taken from the actor, as a control.
+    #[serde(with = "choice")]
+    pub ablate: Ablation,
     /// The frozen actor; absent means the one built into this program.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub actor_file: Option<PathBuf>,
@@ -387,6 +390,7 @@ impl Default for PilotConfig {
         Self {
             kind: PilotKind::default(),
             apf: parameters::APF.is_on(),
+            ablate: Ablation::default(),
             actor_file: None,
             cruise_m_s: d.cruise_m_s,
             repulsive_range_m: d.repulsive_range_m,

@@ -7,8 +7,13 @@ use vigil_nnet::network_file::FileError;
 use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot};
 #[cfg(feature = "std")]
 use {
-    crate::config::FirmwareConfig, crate::step::StackError, std::path::Path, vigil_detector::FrozenDetector,
-    vigil_nnet::Purpose, vigil_policy::FrozenActor, vigil_types::PilotKind,
+    crate::config::FirmwareConfig,
+    crate::step::StackError,
+    std::path::Path,
+    vigil_detector::FrozenDetector,
+    vigil_nnet::Purpose,
+    vigil_policy::{FrozenActor, FrozenSeeing, SeeingPilot},
+    vigil_types::{Ablation, PilotKind},
 };
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
@@ -92,6 +97,20 @@ impl Crew {
                 return Err(StackError::NothingToWatch(what));
             }
         }
+        if let Some(seeing) = config.frozen_seeing()? {
+            if config.has_detector() {
+                return Err(StackError::NoDetectorOfSeeing);
+            }
+            let pilot = SeeingPilot::new(seeing.actor(isa)?, config.pilot.apf).without(config.pilot.ablate);
+            return Ok(Self {
+                recovery: Some(Box::default()),
+                watched: config.is_watched(),
+                ..Self::unwatched(FlightPilot::Seeing(pilot))
+            });
+        }
+        if config.pilot.ablate != Ablation::Nothing {
+            return Err(StackError::AblatedElse);
+        }
         let Some(frozen) = config.frozen_pilot()? else {
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
@@ -127,11 +146,25 @@ fn named(file: Option<&Path>) -> String {
 
 #[cfg(feature = "std")]
 impl FirmwareConfig {
-    /// The actor or imported policy that is to fly; `None` when another pilot is.
+    /// The actor that looks and remembers, if one is to fly.
+    ///
+    /// # Errors
+    /// [`FileError`]: what is truncated, altered or of another architecture, by name.
+    pub fn frozen_seeing(&self) -> Result<Option<FrozenSeeing>, FileError> {
+        match (self.pilot.kind, &self.pilot.actor_file) {
+            (PilotKind::Actor, Some(file)) => FrozenSeeing::load_if_seeing(file),
+            _ => Ok(None),
+        }
+    }
+
+    /// The actor that is led, or the imported policy, that is to fly; `None` when another pilot is.
     ///
     /// # Errors
     /// [`FileError`]: what is truncated, altered or of another architecture, by name.
     pub fn frozen_pilot(&self) -> Result<Option<FrozenPilot>, FileError> {
+        if self.frozen_seeing()?.is_some() {
+            return Ok(None);
+        }
         match (self.pilot.kind, &self.pilot.actor_file) {
             (PilotKind::Geometric, _) => Ok(None),
             (PilotKind::Actor, file) => FrozenPilot::load_or_built_in(file.as_deref()).map(Some),

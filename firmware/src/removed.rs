@@ -3,11 +3,13 @@
 const CONSTANT: &str =
     "the guard's thresholds are constants (docs/detection.md); `--guard off`, `guard = false`, leaves the guard out";
 
+const ONE_RECIPE: &str = "`vigil learn` has one recipe, from nothing: leave it out";
+
 /// Name as it was written, and what to do instead. Kept for one version.
-const REMOVED: [(&str, &str); 17] = [
+const REMOVED: [(&str, &str); 20] = [
     (
         "train",
-        "training by imitation is gone: `vigil learn nothing` trains an actor from nothing",
+        "training by imitation is gone: `vigil learn` trains an actor from nothing",
     ),
     (
         "harden",
@@ -21,6 +23,9 @@ const REMOVED: [(&str, &str); 17] = [
         "learn",
         "the learned adversary is gone: `--attack recede` finds as much",
     ),
+    ("nothing", ONE_RECIPE),
+    ("expert", ONE_RECIPE),
+    ("--expert", ONE_RECIPE),
     (
         "--learned",
         "the learned adversary is gone: `--attack recede` finds as much",

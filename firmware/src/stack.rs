@@ -526,8 +526,9 @@ impl FlightStack {
                 goal: Goal { position_ned_m }.relative_to(&kinematics, &sample),
                 ..input
             },
-            // The geometric pilot plans its own way.
-            (FlightPilot::Geometric(_), _) | (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Path) => input,
+            // The geometric pilot plans its own way, and an actor that looks and remembers needs none.
+            (FlightPilot::Geometric(_) | FlightPilot::Seeing(_), _)
+            | (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Path) => input,
         };
         // The recovery pilot plans its own way too, unless it is to lead the actor along its leg.
         let planned = match led_by {

@@ -28,6 +28,14 @@ pub enum StackError {
         "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
     )]
     NothingToWatch(&'static str),
+    /// A detector is trained for one actor, and none was for one that looks and remembers.
+    #[error("an actor that looks and remembers is to fly, and no detector was trained for it: add --detector off")]
+    NoDetectorOfSeeing,
+    /// Something is to be taken from a pilot that does not have it.
+    #[error(
+        "--ablate takes something from an actor that looks and remembers, and another pilot is to fly: name one with --actor"
+    )]
+    AblatedElse,
     /// A detector judges the pilot that it was trained for.
     #[error(
         "an imported policy is to fly, and the detector that comes with this program judges the built-in actor: give the policy's \

@@ -559,7 +559,8 @@ fn what_an_earlier_version_had_is_refused_with_what_replaces_it() {
     let config = folder.path().join("old.toml");
     std::fs::write(&config, "[pilot]\nencoder = \"int8\"\n").expect("written");
     for (arguments, code, part) in [
-        (&["train"][..], 2, "`vigil learn nothing`"),
+        (&["train"][..], 2, "`vigil learn`"),
+        (&["learn", "nothing"], 2, "leave it out"),
         (&["attack", "certify"], 2, "`vigil attack table`"),
         (&["evaluate", "--encoder", "int8"], 2, "float32"),
         (&["evaluate", "--astray", "3"], 2, "constants"),

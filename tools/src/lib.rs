@@ -1,7 +1,6 @@
 //! Everything a person does with Vigil: the command line, training, campaigns, reports.
 #![deny(clippy::print_stdout, clippy::print_stderr)]
 
-pub mod actor_training;
 mod attack_campaigns;
 mod campaign;
 pub mod cli;

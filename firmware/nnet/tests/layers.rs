@@ -5,7 +5,8 @@ mod common;
 
 use common::*;
 use vigil_nnet::{
-    Activation, BatchNorm, Conv2d, Dense, GraphBuilder, Gru, Isa, Lstm, MaxPool2d, NodeId, Params, Purpose, ShapeError,
+    Activation, BatchNorm, Conv2d, Dense, GraphBuilder, Gru, Isa, LayerNorm, Lstm, MaxPool2d, NodeId, Params, Purpose,
+    ShapeError,
 };
 
 type Build<'a> = dyn Fn(&mut GraphBuilder, &[NodeId], Params) -> Result<NodeId, ShapeError> + 'a;
@@ -275,6 +276,31 @@ fn pooling_and_normalisation_match_their_definition() {
         tame: &|p| p[9..].iter_mut().for_each(|variance| *variance = variance.abs() + 0.1),
     }
     .check();
+}
+
+#[test]
+fn layer_normalisation_matches_its_definition() {
+    // Of two values the norm is ±1, whatever they are.
+    for width in [3, 7, 48, 129] {
+        let layer = LayerNorm { width, epsilon: 1e-5 };
+        Case {
+            name: "layer norm",
+            inputs: &[width],
+            params: layer.param_len(),
+            learned: layer.param_len(),
+            build: &|b, x, p| b.layer_norm(x[0], layer, p),
+            oracle: &|p, x| {
+                let mean = x[0].iter().sum::<f64>() / width as f64;
+                let variance = x[0].iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / width as f64;
+                let root = (variance + 1e-5).sqrt();
+                let row = x[0].iter().zip(p.iter().zip(&p[width..]));
+                row.map(|(x, (scale, shift))| scale * (x - mean) / root + shift)
+                    .collect()
+            },
+            tame: &|_| {},
+        }
+        .check();
+    }
 }
 
 #[test]

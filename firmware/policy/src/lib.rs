@@ -31,6 +31,7 @@ pub mod geometric;
 pub mod imported;
 pub mod plausibility;
 mod second_sensor;
+pub mod seeing;
 
 #[cfg(feature = "actor-file")]
 pub use actor::FrozenActor;
@@ -45,6 +46,9 @@ pub use imported::FrozenPolicy;
 pub use imported::ImportedPilot;
 pub use plausibility::PlausibilityJudge;
 pub use second_sensor::SecondSensor;
+#[cfg(feature = "actor-file")]
+pub use seeing::FrozenSeeing;
+pub use seeing::SeeingPilot;
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
 

@@ -118,6 +118,16 @@ choices! {
         #[default]
         Actor = "actor": "the frozen actor",
     }
+
+    /// What is taken from the actor, as a control: an actor that flies as well without it does not use it.
+    Ablation {
+        #[default]
+        Nothing = "nothing": "the actor as it is",
+        Frames = "frames": "every frame shows nothing",
+        Memory = "memory": "surfaces out of view and the own trail are forgotten",
+        Motion = "motion": "older scans, own motion and the last action are zero",
+        Goal = "goal": "the goal is always 21 m ahead",
+    }
 }
 
 #[cfg(test)]
@@ -146,6 +156,7 @@ mod tests {
         each_value_is_found_by_its_name_and_its_number::<AutopilotChoice>();
         each_value_is_found_by_its_name_and_its_number::<LogContent>();
         each_value_is_found_by_its_name_and_its_number::<PilotKind>();
+        each_value_is_found_by_its_name_and_its_number::<Ablation>();
         assert_eq!(AlarmPolicy::Recover.code(), 2, "DT_ALARM");
         assert_eq!(AtGoal::Land.code(), 1, "GD_AT_GOAL");
     }

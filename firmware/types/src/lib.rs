@@ -36,8 +36,8 @@ mod vehicle_requests;
 
 pub use action::{ACTION_LIMIT, Action, Goal, GoalRelative, VelocitySetpoint, YAW_RATE_PER_UNIT_RAD_S};
 pub use choice::{
-    AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports, OnNoProgress,
-    PilotKind,
+    Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports,
+    OnNoProgress, PilotKind,
 };
 pub use depth::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrameDefect, FrameHeader, HORIZONTAL_FOV_RAD,

@@ -4,8 +4,8 @@
 //! default, the MAVLink parameter of that name, the text of `--help` and the reference in docs/firmware.md.
 
 use crate::{
-    ACTION_LIMIT, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent, ObstacleReports,
-    OnNoProgress, PilotKind,
+    ACTION_LIMIT, Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Choice, Duty, EngagePolicy, LogContent,
+    ObstacleReports, OnNoProgress, PilotKind,
 };
 use core::fmt;
 
@@ -473,6 +473,7 @@ table! {
     STOP_UNSEEN = real("just_stop.unseen_s", (0.1, 60.0), "s", 1.0, "moved so long where the sensor does not look, it is stopped; 0 is never").or_zero();
 
     PILOT = choice("pilot.kind", PilotKind::WORDS, PilotKind::Actor as usize, "who decides");
+    ABLATE = choice("pilot.ablate", Ablation::WORDS, Ablation::Nothing as usize, "what is taken from the actor, as a control (docs/learning.md)");
     APF = switch("pilot.apf", true, "add the potential field to the actor's action");
     ACTOR_FILE = text("pilot.actor_file", "\"my.safetensors\"", "the frozen actor; without it the one built into the program");
     CRUISE = real("pilot.cruise_m_s", SPEED_M_S, "m/s", ACTION_LIMIT as f64, "fastest forward speed of the geometric pilot").mavlink("PLT_CRUISE", false);

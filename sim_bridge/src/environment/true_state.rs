@@ -4,7 +4,7 @@ use super::shortest_way::{ShortestWay, in_the_way};
 use core::f32::consts::{PI, TAU};
 use vigil_types::{GoalRelative, NedVector};
 use vigil_vehicle::Truth;
-use vigil_world::{Course, Mover, Solid};
+use vigil_world::{Course, Mover, Solid, VEHICLE};
 
 /// Ranges all around, the first ahead, then clockwise.
 pub const RAYS: usize = 48;
@@ -55,6 +55,30 @@ enum Outline {
 }
 
 impl Outline {
+    /// The outline grown by a disc: a rectangle becomes two, and a circle at each corner.
+    fn grown(self, by_m: f32) -> Vec<Self> {
+        match self {
+            Self::Circle { at, radius_m } => vec![Self::Circle {
+                at,
+                radius_m: radius_m + by_m,
+            }],
+            Self::Rectangle { at, half_m, along } => {
+                let [length, width] = half_m;
+                let mut parts: Vec<Self> = [[length + by_m, width], [length, width + by_m]]
+                    .map(|half_m| Self::Rectangle { at, half_m, along })
+                    .into();
+                for (l, w) in [(length, width), (length, -width), (-length, width), (-length, -width)] {
+                    let [cos, sin] = along;
+                    parts.push(Self::Circle {
+                        at: [at[0] + cos * l - sin * w, at[1] + sin * l + cos * w],
+                        radius_m: by_m,
+                    });
+                }
+                parts
+            }
+        }
+    }
+
     fn of(solid: &Solid) -> Self {
         let centre = solid.centre_ned_m();
         let at = [centre.x, centre.y];
@@ -110,23 +134,71 @@ impl Outline {
     }
 }
 
+/// What stands and moves on a course, in the plan view of the flight band: what a collision scan is measured from.
+pub struct TruePlan {
+    outlines: Vec<Outline>,
+    movers: Vec<Mover>,
+}
+
+impl TruePlan {
+    /// Of a course.
+    pub fn new(course: &Course) -> Self {
+        Self {
+            outlines: outlines(course),
+            movers: movers(course),
+        }
+    }
+
+    /// How far the vehicle's middle can go along each of these directions (radians clockwise from north) before its body, a disc of
+    /// [`VEHICLE`]'s radius, touches something, metres; infinite where nothing is in the way.
+    pub fn free_ranges_m(
+        &self,
+        position_ned_m: NedVector,
+        at_ns: u64,
+        directions_rad: impl Iterator<Item = f32>,
+    ) -> Vec<f32> {
+        let here = [position_ned_m.x, position_ned_m.y];
+        let moving = self.movers.iter().map(|m| Outline::of(&m.solid_at(at_ns)));
+        let grown: Vec<Outline> = self
+            .outlines
+            .iter()
+            .copied()
+            .chain(moving)
+            .flat_map(|o| o.grown(VEHICLE.radius_m))
+            .collect();
+        directions_rad
+            .map(|angle_rad| {
+                let direction = unit(angle_rad);
+                grown
+                    .iter()
+                    .map(|o| o.range_m(here, direction))
+                    .fold(f32::INFINITY, f32::min)
+            })
+            .collect()
+    }
+}
+
+fn outlines(course: &Course) -> Vec<Outline> {
+    let solids = course.solids();
+    solids
+        .iter()
+        .filter(|s| in_the_way(course, s))
+        .map(Outline::of)
+        .collect()
+}
+
+fn movers(course: &Course) -> Vec<Mover> {
+    let tracks = course.movers.iter().filter(|m| in_the_way(course, &m.track()));
+    tracks.copied().collect()
+}
+
 impl TrueCourse {
     /// Searches the course's ways once.
     pub fn new(course: &Course) -> Self {
-        let solids = course.solids();
         Self {
             way: ShortestWay::new(course),
-            outlines: solids
-                .iter()
-                .filter(|s| in_the_way(course, s))
-                .map(Outline::of)
-                .collect(),
-            movers: course
-                .movers
-                .iter()
-                .filter(|m| in_the_way(course, &m.track()))
-                .copied()
-                .collect(),
+            outlines: outlines(course),
+            movers: movers(course),
         }
     }
 

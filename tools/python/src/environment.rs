@@ -5,11 +5,12 @@ use crate::given::{array, failed, refused};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
+use vigil_learn::config::{Along, RewardConfig};
+use vigil_learn::flight::Flight;
+use vigil_learn::reward::{DecisionResult, reward};
 use vigil_policy::ActorInputs;
 use vigil_policy::actor::Lead;
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
-use vigil_tools::actor_training::Flight;
-use vigil_tools::actor_training::reward::{DecisionResult, RewardWeights, reward};
 use vigil_types::{
     Action, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, Goal, GoalRelative, Kinematics,
     NedVector,
@@ -28,7 +29,7 @@ struct Conditions {
     wind_m_s: f64,
     lidar: LidarConfig,
     time_limit_s: Option<f32>,
-    weights: RewardWeights,
+    weights: RewardConfig,
     /// Progress along the shortest free way, not the straight line.
     along_way: bool,
     /// The true state is told.
@@ -248,7 +249,8 @@ impl Flights {
                 wind_m_s: wind,
                 lidar,
                 time_limit_s: time_limit,
-                weights: RewardWeights {
+                weights: RewardConfig {
+                    along: if along_way { Along::Path } else { Along::Line },
                     success,
                     dead,
                     decision,

@@ -1,10 +1,10 @@
 //! States that an actor meets in flight: five frames and where the goal is.
 
-use crate::actor_training::Flight;
 use anyhow::Result;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
+use vigil_learn::flight::Flight;
 use vigil_nnet::Isa;
 use vigil_policy::ActorInputs;
 use vigil_policy::actor::{Actor, Lead, PositionalInputs};

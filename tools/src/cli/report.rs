@@ -1,13 +1,13 @@
 //! `vigil report`: the paper's table I and figures 9 and 10, from the logs that training runs leave.
 
-use crate::actor_training::value::ValueResult;
-use crate::actor_training::{FlightCount, FlightLine};
 use crate::cli::output::{self, put, say};
 use crate::report::{Figure, Panel, Picture, Series, from_csv};
 use anyhow::{Context, Result, ensure};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use vigil_learn::evaluation::FamilyCount;
+use vigil_learn::run::LearnResult;
 use vigil_world::{Family, Outcome};
 
 /// A run of a million flights has 40 MB.
@@ -43,38 +43,18 @@ struct Flight {
     reward: f64,
 }
 
-/// What a run came to.
-#[derive(Debug, Clone, PartialEq)]
-struct Trained {
-    seed: u64,
-    apf_share: f64,
-    decisions: u64,
-    steps: u64,
-    flights: usize,
-    updates: u64,
-    elapsed_s: f64,
-    /// Flights without the field that nothing was chosen by.
-    test: FlightCount,
-}
-
-/// A run by value; its test is over the validation family.
-fn by_value(r: &ValueResult) -> Result<Trained> {
-    let test = r.test.iter().find(|count| count.family == Family::Validation);
-    let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`")?;
-    Ok(Trained {
-        seed: r.seed,
-        apf_share: r.apf_share,
-        decisions: r.decisions,
-        steps: r.steps,
-        flights: r.flights,
-        updates: r.updates,
-        elapsed_s: r.elapsed_s,
-        test: test.into(),
-    })
+/// A line of `flights.csv`.
+#[derive(Debug, serde::Deserialize)]
+struct FlightLine {
+    warm_up: u8,
+    outcome: String,
+    reward: f64,
 }
 
 struct Run {
-    result: Trained,
+    result: LearnResult,
+    /// Flights over validation courses that nothing was chosen by.
+    test: FamilyCount,
     flights: Vec<Flight>,
 }
 
@@ -98,13 +78,13 @@ pub(crate) struct Test {
 impl Arm {
     /// The test of each run.
     pub fn tests(&self) -> impl Iterator<Item = Test> {
-        self.runs.iter().map(|Run { result: r, .. }| Test {
+        self.runs.iter().map(|Run { result: r, test, .. }| Test {
             seed: r.seed,
             decisions: r.decisions,
-            flights: r.test.flights,
-            successes: r.test.successes,
-            completion: r.test.completion,
-            interval: r.test.wilson_95,
+            flights: test.flights,
+            successes: test.successes,
+            completion: test.completion(),
+            interval: test.wilson_95,
         })
     }
 
@@ -146,7 +126,7 @@ pub(crate) fn arms(given: &[PathBuf]) -> Result<Vec<Arm>> {
     let arms: Vec<Arm> = arms.into_iter().filter(|a| !a.runs.is_empty()).collect();
     ensure!(
         !arms.is_empty(),
-        "no run in {}: `vigil learn nothing -o DIR` makes one",
+        "no run in {}: `vigil learn -o DIR` makes one",
         given
             .iter()
             .map(|p| p.display().to_string())
@@ -205,11 +185,13 @@ fn read(folder: &Path) -> Result<Run> {
     };
     let bad = |name: &str| format!("{} is not what `vigil learn` writes", folder.join(name).display());
     let json = text("result.json")?;
-    let result = serde_json::from_str::<ValueResult>(&json).with_context(|| bad("result.json"))?;
-    let result = by_value(&result).with_context(|| bad("result.json"))?;
+    let result = serde_json::from_str::<LearnResult>(&json).with_context(|| bad("result.json"))?;
+    let tests = |count: &&FamilyCount| count.family == Family::Validation && count.ablation.is_none();
+    let test = result.test.iter().find(tests).cloned();
+    let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`")?;
     let flights = from_csv::<FlightLine>(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
     let flights = flights.iter().map(Flight::from).collect();
-    Ok(Run { result, flights })
+    Ok(Run { result, test, flights })
 }
 
 impl From<&FlightLine> for Flight {
@@ -228,8 +210,8 @@ fn table(arms: &[Arm]) -> String {
          | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |\n",
     );
     for arm in arms {
-        for Run { result: r, .. } in &arm.runs {
-            let (low, high) = r.test.wilson_95;
+        for Run { result: r, test, .. } in &arm.runs {
+            let (low, high) = test.wilson_95;
             let _ = writeln!(
                 text,
                 "| {} | {} | {} ({}) | {} | {} | {:.0} | {:.2} % of {} | {:.1} to {:.1} % | {} | {} |",
@@ -240,12 +222,12 @@ fn table(arms: &[Arm]) -> String {
                 r.flights,
                 r.updates,
                 r.elapsed_s / 60.0,
-                100.0 * r.test.completion,
-                r.test.flights,
+                100.0 * test.completion(),
+                test.flights,
                 100.0 * low,
                 100.0 * high,
-                r.test.collisions,
-                r.test.time_outs
+                test.collisions,
+                test.time_outs
             );
         }
         let (mean, half) = arm.mean();

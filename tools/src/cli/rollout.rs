@@ -1,36 +1,49 @@
 //! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
 
-use crate::actor_training::{EvaluatedActor, EvaluationSpec};
 use crate::cli::output::{or_dash, say};
 use crate::report::{TextTable, numbers, words};
 use crate::statistics::wilson_95;
 use crate::threads::thread_pool_of;
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use std::path::Path;
 use std::process::ExitCode;
+use vigil_firmware::arguments::choice;
+use vigil_learn::evaluation::{EvaluatedActor, EvaluationSpec, evaluate};
+use vigil_learn::observation::Drift;
 use vigil_nnet::Isa;
-use vigil_policy::{ActorInputs, FrozenActor, LedBy};
+use vigil_policy::{FrozenActor, FrozenSeeing};
 use vigil_sim::family_parser;
+use vigil_types::Ablation;
 use vigil_world::{Family, Outcome};
 
 /// Arguments of `vigil rollout`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
-  vigil rollout --actor runs/train/actor.safetensors    100 validation courses, the field off and on
+  vigil rollout --actor runs/learn/actor.safetensors    100 validation courses, the field off and on
+  vigil rollout --actor runs/learn/actor.safetensors --ablate frames
+                                                        ... blind
   vigil rollout --actor zero                            what the field does without any actor
   vigil rollout --actor random                          ... and with one that draws its action evenly each step
   vigil rollout --actor geometric --family hard         the geometric pilot
 
 The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
 pub struct RolloutArgs {
-    /// A frozen actor, or `zero`, `random` or `geometric`.
+    /// A frozen actor, or `built-in`, `zero`, `random` or `geometric`.
     #[arg(long, value_name = "FILE")]
     actor: String,
 
-    /// Lead the actor by the goal or by the planned path, whatever its file says.
-    #[arg(long, value_enum)]
-    led_by: Option<LedByName>,
+    /// Take something from the actor, as a control.
+    #[arg(long, value_parser = choice::<Ablation>(), default_value = "nothing")]
+    ablate: Ablation,
+
+    /// The odometry that the actor remembers by seems longer by this share of the way ...
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    drift_scale: f32,
+
+    /// ... and turns by so much that the vehicle does not, degrees per second.
+    #[arg(long, value_name = "DEG_S", default_value_t = 0.0, allow_negative_numbers = true)]
+    drift_yaw: f32,
 
     /// Number of flights; flight i uses seed SEED + i.
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
@@ -53,39 +66,37 @@ pub struct RolloutArgs {
     time_limit: f32,
 }
 
-/// What leads an actor.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum LedByName {
-    /// The goal.
-    Goal,
-    /// The path planned over the occupancy grid of what it has seen.
-    Path,
-}
-
-fn inputs(args: &RolloutArgs, own: ActorInputs) -> ActorInputs {
-    let led_by = match args.led_by {
-        None => own.led_by,
-        Some(LedByName::Goal) => LedBy::Goal,
-        Some(LedByName::Path) => LedBy::Path,
-    };
-    ActorInputs { led_by, ..own }
-}
-
 /// Flies the courses without and with the field and prints both.
 ///
 /// # Errors
 /// A file that is no actor.
 pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
-    let frozen;
+    let (frozen, seeing);
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,
         "random" => EvaluatedActor::Random,
         "geometric" => EvaluatedActor::Geometric,
-        file => {
-            frozen = FrozenActor::load(Path::new(file))?;
-            EvaluatedActor::Actor(&frozen.params, inputs(args, frozen.inputs))
+        "built-in" => {
+            frozen = FrozenActor::built_in()?;
+            EvaluatedActor::Led(&frozen.params, frozen.inputs)
         }
+        file => match FrozenSeeing::load_if_seeing(Path::new(file))? {
+            Some(actor) => {
+                seeing = actor;
+                EvaluatedActor::Seeing(&seeing.params)
+            }
+            None => {
+                frozen = FrozenActor::load(Path::new(file))?;
+                EvaluatedActor::Led(&frozen.params, frozen.inputs)
+            }
+        },
     };
+    let controlled = args.ablate != Ablation::Nothing || args.drift_scale != 0.0 || args.drift_yaw != 0.0;
+    ensure!(
+        !controlled || matches!(evaluated, EvaluatedActor::Seeing(_)),
+        "--ablate, --drift-scale and --drift-yaw are for actors that look and remember, and {} is none",
+        args.actor
+    );
     let pool = thread_pool_of(args.threads)?;
     let mut table = TextTable::new([
         words("field"),
@@ -108,12 +119,20 @@ pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
             flights: args.flights,
             time_limit_s: args.time_limit,
             field,
+            ablation: args.ablate,
+            drift: Drift {
+                scale: args.drift_scale,
+                yaw_rad_s: args.drift_yaw.to_radians(),
+            },
         };
-        let result = pool.install(|| crate::actor_training::evaluate(evaluated, Isa::detect(), &what))?;
-        let (low, high) = wilson_95(result.successes(), result.flights.len());
+        let result = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
+        let (low, high) = wilson_95(result.count(Outcome::Success), result.flights.len());
         table.row([
             if field { "on" } else { "off" }.to_owned(),
-            format!("{:.1} %", 100.0 * result.completion()),
+            format!(
+                "{:.1} %",
+                100.0 * result.count(Outcome::Success) as f64 / result.flights.len().max(1) as f64
+            ),
             format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high),
             result.count(Outcome::Collision).to_string(),
             result.count(Outcome::OutOfBounds).to_string(),

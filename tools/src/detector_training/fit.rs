@@ -1,12 +1,12 @@
 //! Trains any network with one output to tell two classes apart.
 
-use crate::actor_training::adam::{Adam, norm, shortening};
 use crate::detector_training::error::DetectError;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use vigil_learn::adam::{Adam, norm, shortening};
 use vigil_nnet::{Graph, Isa};
 
 /// Examples with their class.
@@ -175,7 +175,7 @@ pub fn fit(
             let turn = core::f64::consts::PI * step as f64 / steps as f64;
             let rate = config.rate * (0.01 + 0.99 * 0.5 * (1.0 + libm::cos(turn) as f32));
             params.iter_mut().for_each(|p| *p *= 1.0 - rate * config.weight_decay);
-            adam.step(rate, &shares, &mut params, &gradient);
+            adam.step_by_shares(rate, &shares, &mut params, &gradient);
             step += 1;
             progress(step, None);
         }

@@ -1,10 +1,10 @@
 //! A flight flown and written down.
 
-use crate::actor_training::Flight;
 use crate::detector_training::error::DetectError;
 use crate::detector_training::scenario::{Helm, Scenario};
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{FrameAttack, Method};
+use vigil_learn::flight::Flight;
 use vigil_nnet::Isa;
 use vigil_policy::actor::{ACTOR_OUTPUTS, Lead, PositionalInputs};
 use vigil_policy::{FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};

@@ -4,7 +4,7 @@ use crate::actor::positional::{PositionalInputs, PositionalSense};
 use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, Actor, ActorSpec, FRAMES_IN_A_ROW};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
-use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput};
+use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput, SeeingPilot};
 use vigil_types::Action;
 
 /// What an actor's second positional input is the bearing of.
@@ -125,8 +125,10 @@ impl Pilot for ActorPilot {
 pub enum FlightPilot {
     /// Goal seeking, potential field and memory.
     Geometric(GeometricPilot),
-    /// A frozen actor.
+    /// A frozen actor that a planner leads.
     Actor(ActorPilot),
+    /// A frozen actor that looks and remembers.
+    Seeing(SeeingPilot),
     /// A policy of others.
     Imported(ImportedPilot),
 }
@@ -137,6 +139,7 @@ impl FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.surroundings(),
             Self::Actor(pilot) => pilot.surroundings(),
+            Self::Seeing(pilot) => pilot.surroundings(),
             Self::Imported(pilot) => pilot.surroundings(),
         }
     }
@@ -146,6 +149,7 @@ impl FlightPilot {
         match self {
             Self::Geometric(_) => None,
             Self::Actor(pilot) => pilot.position(),
+            Self::Seeing(pilot) => pilot.position(),
             Self::Imported(pilot) => pilot.position(),
         }
     }
@@ -155,6 +159,7 @@ impl FlightPilot {
         match self {
             Self::Geometric(_) => None,
             Self::Actor(pilot) => Some(pilot.state()),
+            Self::Seeing(pilot) => Some(pilot.state()),
             Self::Imported(pilot) => pilot.state(),
         }
     }
@@ -165,6 +170,7 @@ impl Pilot for FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.decide(input),
             Self::Actor(pilot) => pilot.decide(input),
+            Self::Seeing(pilot) => pilot.decide(input),
             Self::Imported(pilot) => pilot.decide(input),
         }
     }
@@ -173,6 +179,7 @@ impl Pilot for FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.reset(),
             Self::Actor(pilot) => pilot.reset(),
+            Self::Seeing(pilot) => pilot.reset(),
             Self::Imported(pilot) => pilot.reset(),
         }
     }

@@ -7,6 +7,7 @@ use crate::actor::ActorInputs;
 use crate::geometric::movers::{MoverTracker, Track};
 use crate::geometric::position_ned_m;
 use crate::geometric::range_scan::Scan;
+use crate::seeing::LOW_DIM;
 use crate::{PilotInput, larger, smaller};
 use vigil_types::{GoalRelative, NedVector};
 
@@ -36,7 +37,7 @@ const TOLD_S: f32 = 6.0;
 /// Whose middle is nearer than its radius has no direction, metres.
 const LEAST_WAY_M: f32 = 1e-3;
 
-/// An actor's positional inputs: 2 or 16 values.
+/// An actor's positional inputs: 2 or 16 values, or the 8 of [`LOW_DIM`].
 ///
 /// | Values | |
 /// | --- | --- |
@@ -73,7 +74,7 @@ impl PositionalInputs {
         let mut values = [0.0; WITH_MOVERS];
         let to = values.get_mut(..recorded.len())?;
         to.copy_from_slice(recorded);
-        matches!(recorded.len(), GOAL_INPUTS | WITH_MOVERS).then_some(Self {
+        matches!(recorded.len(), GOAL_INPUTS | LOW_DIM | WITH_MOVERS).then_some(Self {
             values,
             len: recorded.len(),
         })
@@ -135,6 +136,17 @@ impl From<[f32; GOAL_INPUTS]> for PositionalInputs {
             values,
             len: GOAL_INPUTS,
         }
+    }
+}
+
+impl From<[f32; LOW_DIM]> for PositionalInputs {
+    /// The low-dimensional observation of an actor that looks and remembers.
+    fn from(low_dim: [f32; LOW_DIM]) -> Self {
+        let mut values = [0.0; WITH_MOVERS];
+        if let Some(first) = values.first_chunk_mut() {
+            *first = low_dim;
+        }
+        Self { values, len: LOW_DIM }
     }
 }
 

@@ -1,12 +1,12 @@
 //! The reward of a decision: a sum of named terms.
 //!
-//! A new term is a row of [`TERMS`], its weight in [`RewardWeights`] and in the configurations that have it, and a row of the table in
+//! A new term is a row of [`TERMS`], its weight in [`RewardConfig`], and a row of the table in
 //! docs/training.md, which a test asks for.
 
-use crate::actor_training::value::ValueReward;
+use crate::config::RewardConfig;
 use vigil_world::Outcome;
 
-/// What [`RewardWeights::near`] counts begins at this distance of the vehicle's middle from an obstacle and is whole at 0, metres.
+/// What [`RewardConfig::near`](crate::config::RewardConfig) counts begins at this distance of the vehicle's middle from an obstacle and is whole at 0, metres.
 pub const NEAR_M: f32 = 1.0;
 
 /// What a decision brought about.
@@ -26,38 +26,11 @@ pub struct DecisionResult {
     pub outcome: Option<Outcome>,
 }
 
-/// What each term counts; 0 leaves it out.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RewardWeights {
-    /// At the goal.
-    pub success: f32,
-    /// For collision and out of bounds.
-    pub dead: f32,
-    /// For each decision.
-    pub decision: f32,
-    /// At checkpoint C of N: this times (1 + C/N).
-    pub checkpoint: f32,
-    /// For each decision that ends near an obstacle, times the share of [`NEAR_M`] that is missing.
-    pub near: f32,
-}
-
-impl From<&ValueReward> for RewardWeights {
-    fn from(c: &ValueReward) -> Self {
-        Self {
-            success: c.success,
-            dead: c.dead,
-            decision: c.decision,
-            checkpoint: c.checkpoint,
-            near: c.near,
-        }
-    }
-}
-
 /// A term of the sum.
 pub struct Term {
     /// Its name, as in docs/training.md and, where it has a weight, the configuration's key.
     pub name: &'static str,
-    value: fn(&RewardWeights, &DecisionResult) -> f32,
+    value: fn(&RewardConfig, &DecisionResult) -> f32,
 }
 
 /// All terms, in the order in which they are added.
@@ -76,7 +49,7 @@ pub const TERMS: [Term; 6] = [
     },
     Term {
         name: "near",
-        value: |w, d| w.near * (1.0 - d.obstacle_distance_m / NEAR_M).max(0.0),
+        value: |w, d| w.near * (1.0 - d.obstacle_distance_m / NEAR_M).max(0.0).powi(2),
     },
     Term {
         name: "success",
@@ -98,13 +71,13 @@ pub const TERMS: [Term; 6] = [
     },
 ];
 
-fn checkpoint(w: &RewardWeights, d: &DecisionResult) -> f32 {
+fn checkpoint(w: &RewardConfig, d: &DecisionResult) -> f32 {
     let bonus = |number: usize| w.checkpoint * (1.0 + number as f32 / d.all_checkpoints as f32);
     (d.checkpoints_before + 1..=d.checkpoints).map(bonus).sum()
 }
 
 /// The reward of a decision.
-pub fn reward(weights: &RewardWeights, result: &DecisionResult) -> f32 {
+pub fn reward(weights: &RewardConfig, result: &DecisionResult) -> f32 {
     TERMS.iter().map(|term| (term.value)(weights, result)).sum()
 }
 
@@ -112,7 +85,8 @@ pub fn reward(weights: &RewardWeights, result: &DecisionResult) -> f32 {
 mod tests {
     use super::*;
 
-    const WEIGHTS: RewardWeights = RewardWeights {
+    const WEIGHTS: RewardConfig = RewardConfig {
+        along: crate::config::Along::Path,
         success: 5.0,
         dead: -2.0,
         decision: -0.5,
@@ -137,7 +111,7 @@ mod tests {
             ..RESULT
         };
         assert_eq!(given(two), 0.25 - 0.5 + 2.0 * 1.5 + 2.0 * 1.75);
-        for (obstacle_distance_m, near) in [(NEAR_M, 0.0), (0.75, -0.125), (0.0, -0.5)] {
+        for (obstacle_distance_m, near) in [(NEAR_M, 0.0), (0.75, -0.031_25), (0.0, -0.5)] {
             let result = DecisionResult {
                 obstacle_distance_m,
                 ..RESULT

@@ -1,4 +1,4 @@
-//! Adam (Kingma and Ba 2015) with a share of the rate for each parameter, and limits for gradients given in parts.
+//! Adam (Kingma and Ba 2015), and limits for gradients given in parts.
 
 /// Adam's two running moments for a parameter slice; β₁ = 0.9, β₂ = 0.999, ε = 1e-8.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,14 +25,24 @@ impl Adam {
         }
     }
 
-    /// One step down the gradient, each parameter at its own share of the rate.
-    pub fn step(&mut self, rate: f32, shares: &[f32], params: &mut [f32], gradient: &[f32]) {
+    /// One step down the gradient.
+    pub fn step(&mut self, rate: f32, params: &mut [f32], gradient: &[f32]) {
+        self.step_by_shares(rate, &[], params, gradient);
+    }
+
+    /// The same, each parameter at its own share of the rate; those without a share at the whole.
+    pub fn step_by_shares(&mut self, rate: f32, shares: &[f32], params: &mut [f32], gradient: &[f32]) {
         self.steps += 1;
         let bias = |beta: f32| 1.0 - f64::from(beta).powf(self.steps as f64);
         let rate = (f64::from(rate) / bias(BETA_MEAN)) as f32;
         let unbias = (1.0 / bias(BETA_SQUARE)) as f32;
         let moments = self.mean.iter_mut().zip(&mut self.square);
-        for (((p, g), share), (m, s)) in params.iter_mut().zip(gradient).zip(shares).zip(moments) {
+        for (((p, g), share), (m, s)) in params
+            .iter_mut()
+            .zip(gradient)
+            .zip(shares.iter().chain(core::iter::repeat(&1.0)))
+            .zip(moments)
+        {
             *m += (1.0 - BETA_MEAN) * (g - *m);
             *s += (1.0 - BETA_SQUARE) * (g * g - *s);
             *p -= rate * share * *m / ((*s * unbias).sqrt() + EPSILON);
@@ -67,7 +77,7 @@ mod tests {
     fn the_first_step_has_the_length_of_the_rate_whatever_the_gradient() {
         let mut adam = Adam::new(3);
         let mut p = [1.0, 1.0, 1.0];
-        adam.step(0.1, &[1.0, 0.5, 1.0], &mut p, &[1e-3, -50.0, 0.0]);
+        adam.step_by_shares(0.1, &[1.0, 0.5], &mut p, &[1e-3, -50.0, 0.0]);
         assert!(
             (p[0] - 0.9).abs() < 1e-5 && (p[1] - 1.05).abs() < 1e-5 && p[2] == 1.0,
             "{p:?}"
@@ -81,7 +91,7 @@ mod tests {
         let mut p = [0.0_f32, 0.0];
         for _ in 0..4000 {
             let g = [2.0 * (p[0] - 3.0), 200.0 * (p[1] + 1.0)];
-            adam.step(0.01, &[1.0, 1.0], &mut p, &g);
+            adam.step(0.01, &mut p, &g);
         }
         assert!((p[0] - 3.0).abs() < 1e-3 && (p[1] + 1.0).abs() < 1e-3, "{p:?}");
     }

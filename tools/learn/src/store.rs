@@ -1,13 +1,90 @@
-//! Files of a run by value: experts, and checkpoints that hold the memory as well. They are sealed as `vigil train`'s checkpoints are.
+//! Checkpoints: one safetensors file that holds everything of a run, sealed with a SHA-256 over all tensors in the order of their names
+//! (name, zero byte, type, zero byte, bytes).
 
-use super::mlp::Mlp;
-use super::value_learner::Expert;
-use crate::actor_training::checkpoint::{CheckpointError, DIGEST, SIZE_LIMIT, digest};
-use crate::actor_training::files;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Serialize, de::DeserializeOwned};
+use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
-use vigil_sim::environment::true_state::TRUE_STATE;
+
+const DIGEST: &str = "sha256";
+const SIZE_LIMIT: u64 = 2 << 30;
+
+/// Why a checkpoint is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// It cannot be read.
+    #[error("cannot read checkpoint {path}: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// It cannot be written.
+    #[error("cannot write {path}: {source}; an earlier {path} is kept as it was")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Truncated, or something else altogether.
+    #[error("checkpoint {path} is truncated or not a checkpoint: {message}")]
+    Container {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+    /// Networks of other sizes.
+    #[error(
+        "checkpoint {path} is of another architecture: {tensor} holds {found} values, this program's has {expected}"
+    )]
+    Architecture {
+        /// The file.
+        path: PathBuf,
+        /// The tensor.
+        tensor: String,
+        /// Values in the file.
+        found: usize,
+        /// Values expected.
+        expected: usize,
+    },
+    /// The digest does not match.
+    #[error(
+        "checkpoint {path} was altered: its content has SHA-256 {found}, its own entry says {expected}; it cannot be gone on with, \
+         train anew in another folder"
+    )]
+    Altered {
+        /// The file.
+        path: PathBuf,
+        /// Digest of the content.
+        found: String,
+        /// The entry.
+        expected: String,
+    },
+    /// The run had another configuration.
+    #[error(
+        "checkpoint {path} is of a run with another configuration; resume with the same one, or train in another folder"
+    )]
+    Configuration {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+fn digest<S: AsRef<str>>(tensors: &[(S, TensorView<'_>)]) -> String {
+    let mut sorted: Vec<_> = tensors.iter().map(|(name, view)| (name.as_ref(), view)).collect();
+    sorted.sort_by_key(|(name, _)| *name);
+    let mut hash = Sha256::new();
+    for (name, view) in sorted {
+        let kind = format!("{:?}", view.dtype());
+        for part in [name.as_bytes(), &[0], kind.as_bytes(), &[0], view.data()] {
+            hash.update(part);
+        }
+    }
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
 
 /// A tensor's values.
 pub enum Values<'a> {
@@ -15,7 +92,7 @@ pub enum Values<'a> {
     F32(&'a [f32]),
     /// Priorities.
     F64(&'a [f64]),
-    /// Kept features.
+    /// Stored states.
     U16(&'a [u16]),
 }
 
@@ -47,7 +124,10 @@ pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>
             safetensors::serialize(views, Some(seal.into()))
         })
         .map_err(|e| container(e.to_string()))?;
-    Ok(files::replace(path, &file)?)
+    vigil_files::replace(path, &file, vigil_files::Access::Shared).map_err(|source| CheckpointError::Write {
+        path: path.to_owned(),
+        source,
+    })
 }
 
 /// A file that was read.
@@ -137,68 +217,12 @@ impl Stored {
         Ok(data.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect())
     }
 
-    /// Kept features.
+    /// Stored states.
     ///
     /// # Errors
     /// [`CheckpointError::Container`].
     pub fn u16(&self, name: &str) -> Result<Vec<u16>, CheckpointError> {
         let data = self.tensor(name, Dtype::U16)?;
         Ok(data.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)).collect())
-    }
-}
-
-const EXPERT_FORMAT: &str = "vigil expert 2";
-
-#[derive(Serialize, serde::Deserialize)]
-struct ExpertState {
-    format: String,
-    config: String,
-    updates: u64,
-    actor_units: [usize; 2],
-    critic_units: [usize; 2],
-    critics: usize,
-}
-
-impl Expert {
-    /// Writes it with the configuration and the updates that made it.
-    ///
-    /// # Errors
-    /// `CheckpointError::Write`.
-    pub fn save(&self, path: &Path, config: &str, updates: u64) -> Result<(), CheckpointError> {
-        let state = ExpertState {
-            format: EXPERT_FORMAT.to_owned(),
-            config: config.to_owned(),
-            updates,
-            actor_units: self.actor_units,
-            critic_units: self.critic_units,
-            critics: self.critics.len(),
-        };
-        let mut tensors = vec![("actor".to_owned(), Values::F32(&self.actor))];
-        for (i, critic) in self.critics.iter().enumerate() {
-            tensors.push((format!("critic_{i}"), Values::F32(critic)));
-        }
-        save(path, &state, &tensors)
-    }
-
-    /// Reads one.
-    ///
-    /// # Errors
-    /// `CheckpointError`: unreadable, truncated, another architecture.
-    pub fn load(path: &Path) -> Result<Self, CheckpointError> {
-        let file = Stored::read(path)?;
-        let state: ExpertState = file.state()?;
-        if state.format != EXPERT_FORMAT {
-            return Err(file.container(format!("its format is \"{}\", not \"{EXPERT_FORMAT}\"", state.format)));
-        }
-        let actor = Mlp::new(TRUE_STATE, &state.actor_units, 2);
-        let critic = Mlp::new(TRUE_STATE + 2, &state.critic_units, 1);
-        Ok(Self {
-            actor_units: state.actor_units,
-            actor: file.f32("actor", Some(actor.param_len()))?,
-            critic_units: state.critic_units,
-            critics: (0..state.critics)
-                .map(|i| file.f32(&format!("critic_{i}"), Some(critic.param_len())))
-                .collect::<Result<_, _>>()?,
-        })
     }
 }

@@ -1,8 +1,7 @@
 //! Multilayer perceptrons over whole batches: dense layers, each hidden one followed by layer normalisation and ELU.
 
 use rand::{Rng, RngExt};
-use vigil_nnet::train::LayerNorm;
-use vigil_nnet::{Activation, Aligned, Dense, Isa, ShapeError};
+use vigil_nnet::{Activation, Aligned, Dense, Isa, LayerNorm, ShapeError};
 
 const EPSILON: f32 = 1e-5;
 

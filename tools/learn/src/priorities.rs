@@ -1,7 +1,7 @@
 //! What the replay memories share, whatever they keep of a decision: which outcomes are known, returns over n decisions, and the
 //! priorities by which transitions are sampled (Schaul et al. 2016).
 
-use crate::actor_training::replay_buffer::Next;
+use crate::replay::Next;
 use vigil_nnet::train::SumTree;
 
 /// Keeps every transition possible to sample.

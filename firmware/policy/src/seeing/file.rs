@@ -1,0 +1,173 @@
+//! The frozen actor's file ([`vigil_nnet::network_file`]).
+//!
+//! Metadata: `format`, `architecture`, `normalisation` (these three must be this version's), `training_config` (TOML),
+//! `seed`, `updates`, `git_commit`, `sha256`; tensors in the order of [`SeeingParams`](crate::seeing::SeeingParams).
+
+extern crate alloc;
+#[cfg(feature = "std")]
+extern crate std;
+
+use crate::seeing::{SeeingActor, SeeingSpec};
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec;
+use alloc::vec::Vec;
+#[cfg(feature = "std")]
+use std::path::Path;
+use vigil_nnet::Isa;
+use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
+
+/// Value of the entry `format`.
+pub const FORMAT: &str = "vigil actor 2";
+/// Value of the entry `architecture`.
+pub const ARCHITECTURE: &str = "frame of 128 x 256; conv 5x5/2 16, conv 3x3/2 16, 3 x conv 3x3/2 32, ELU; scan 64 sigmoid; with memory 328 \
+    to 256, 128, layer norm, ELU; 48; tanh, low-dimensional 8-24 tanh; dense 64, 32 ELU; dense 2; 1.5 tanh";
+/// Value of the entry `normalisation`.
+pub const NORMALISATION: &str = "depth 0..1 of 100 m, proximity 1 / (1 + range / 3 m) inside; ln(1 + distance) / ln 22, sine and cosine of the \
+    bearing; velocity / 1.5 m/s, yaw rate / 45 deg/s, last action / 1.5";
+
+/// An actor that looks and remembers, with what is known of its origin.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrozenSeeing {
+    /// Parameters in the order of [`SeeingParams`](crate::seeing::SeeingParams).
+    pub params: Vec<f32>,
+    /// The training configuration, TOML.
+    pub training_config: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Updates after which it was frozen.
+    pub updates: u64,
+    /// Commit of the program that trained it, if known.
+    pub git_commit: Option<String>,
+}
+
+/// Names and shapes of the tensors, in the order of the parameters.
+fn tensors() -> Vec<(String, Vec<usize>)> {
+    let spec = SeeingSpec::FULL;
+    let mut tensors = Vec::new();
+    for (i, c) in spec.convolutions().iter().enumerate() {
+        let name = format!("convolution_{}", i + 1);
+        tensors.push((
+            format!("{name}.weight"),
+            vec![c.kernel, c.kernel, c.channels, c.filters],
+        ));
+        tensors.push((format!("{name}.bias"), vec![c.filters]));
+    }
+    let [first, second] = spec.trunk();
+    let [head_1, head_2] = spec.head();
+    for (name, layer, has_norm) in [
+        ("scan", spec.scan(), false),
+        ("trunk_1", first, true),
+        ("trunk_2", second, true),
+        ("state", spec.state(), false),
+        ("low_dim", spec.low(), false),
+        ("head_1", head_1, false),
+        ("head_2", head_2, false),
+        ("output", spec.output(), false),
+    ] {
+        tensors.push((format!("{name}.weight"), vec![layer.inputs, layer.outputs]));
+        tensors.push((format!("{name}.bias"), vec![layer.outputs]));
+        if has_norm {
+            tensors.push((format!("{name}.norm_scale"), vec![layer.outputs]));
+            tensors.push((format!("{name}.norm_shift"), vec![layer.outputs]));
+        }
+    }
+    tensors
+}
+
+const KIND: Kind = Kind {
+    noun: "actor",
+    identity: [
+        ("format", FORMAT),
+        ("architecture", ARCHITECTURE),
+        ("normalisation", NORMALISATION),
+    ],
+    tensors,
+};
+
+impl FrozenSeeing {
+    fn contents(&self) -> Contents {
+        let commit = self.git_commit.iter().map(|commit| ("git_commit", commit.clone()));
+        let entries = [
+            ("training_config", self.training_config.clone()),
+            ("seed", self.seed.to_string()),
+            ("updates", self.updates.to_string()),
+        ];
+        let mut contents = Contents::new(&KIND, entries.into_iter().chain(commit));
+        contents.push_all(&tensors(), &self.params);
+        contents
+    }
+
+    /// Names and shapes of its tensors, in the order of its parameters.
+    pub fn tensor_shapes(&self) -> Vec<(String, Vec<usize>)> {
+        tensors()
+    }
+
+    /// The actor itself, ready to fly.
+    ///
+    /// # Errors
+    /// Parameters of another length.
+    pub fn actor(&self, isa: Isa) -> Result<SeeingActor, FileError> {
+        SeeingActor::new(SeeingSpec::FULL, isa, &self.params)
+            .map_err(|e| KIND.content_error("in memory", e.to_string()))
+    }
+
+    /// The digest of the actor and its metadata.
+    pub fn sha256(&self) -> String {
+        self.contents().sha256()
+    }
+
+    /// The file's content.
+    ///
+    /// # Errors
+    /// Parameters of another length, or not finite.
+    #[cfg(feature = "std")]
+    pub fn to_bytes(&self) -> Result<Vec<u8>, FileError> {
+        self.contents().to_bytes(&KIND)
+    }
+
+    /// Reads and verifies a file's content. `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`FileError`]: anything but an unaltered actor of this architecture.
+    pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
+        let read = Verified::from_bytes(&KIND, file, bytes)?;
+        Ok(Self {
+            training_config: read.text("training_config")?,
+            seed: read.number("seed")?,
+            updates: read.number("updates")?,
+            git_commit: read.optional("git_commit"),
+            params: read.into_values().flatten().collect(),
+        })
+    }
+
+    /// Reads and verifies a file; `None` if it is that of another kind of pilot.
+    ///
+    /// # Errors
+    /// [`FileError`]: truncated, altered, of another architecture.
+    #[cfg(feature = "std")]
+    pub fn load_if_seeing(path: &Path) -> Result<Option<Self>, FileError> {
+        match Self::load(path) {
+            Err(FileError::Other { key: "format", .. }) => Ok(None),
+            read => read.map(Some),
+        }
+    }
+
+    /// Reads and verifies a file.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    #[cfg(feature = "std")]
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        Self::from_bytes(&path.display().to_string(), &KIND.load(path)?)
+    }
+
+    /// Writes a file beside and renames it, so that an earlier one survives a full disk.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    #[cfg(feature = "std")]
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        KIND.save(path, &self.to_bytes()?)
+    }
+}

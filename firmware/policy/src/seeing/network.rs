@@ -1,0 +1,469 @@
+//! The actor's network: a depth frame, what is remembered, and what the vehicle knows of itself in, two outputs in ±1.5.
+//!
+//! Encoder: convolution 5×5 of 16 filters, 3×3 of 16, then three of 3×3 and 32, all with stride 2 and ELU; a dense layer gives the
+//! collision scan, [`SCAN`] proximities. First half: scan and memory ([`CONTEXT`]) → 256 → 128, each with layer norm and ELU → 48 values,
+//! the paper's split point. Second half: `tanh` of the 48 beside a branch of the low-dimensional observation ([`LOW_DIM`] → 24, tanh) →
+//! 64 → 32, ELU → `1.5 · tanh` of two outputs: x-velocity, yaw.
+
+extern crate alloc;
+
+use crate::PilotInput;
+use crate::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
+use crate::geometric::position_ned_m;
+use crate::seeing::memory::{ActorMemory, CONTEXT, LOW_DIM, OLDER_SCANS, Odometry, SCAN, low_dim, yaw_rate_rad_s};
+use alloc::boxed::Box;
+use alloc::vec;
+use alloc::vec::Vec;
+use vigil_nnet::shape::expect;
+use vigil_nnet::{
+    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Params, Purpose, ShapeError,
+};
+use vigil_types::{Ablation, Action, DepthFrame, Nanos};
+
+/// Kernel, filters of each convolution; all have stride 2 and half the kernel as padding.
+const ENCODER: [(usize, usize); 5] = [(5, 16), (3, 16), (3, 32), (3, 32), (3, 32)];
+/// Units of the two layers between scan and memory and the split point.
+pub const TRUNK: [usize; 2] = [256, 128];
+/// Added to the variance of a layer norm.
+pub const EPSILON: f32 = 1e-5;
+/// Units of the low-dimensional branch, and of the two layers behind the split point.
+pub const LOW_UNITS: usize = 24;
+/// Units of the two layers behind the split point.
+pub const HEAD: [usize; 2] = [64, 32];
+
+/// The actor's dimensions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SeeingSpec {
+    /// Rows of a frame.
+    pub rows: usize,
+    /// Columns of a frame.
+    pub cols: usize,
+}
+
+/// Where the actor's layers keep their parameters; all graphs of one actor share one parameter slice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SeeingParams {
+    /// The five convolutions.
+    pub convolutions: [Params; 5],
+    /// Features to the scan.
+    pub scan: Params,
+    /// Of the two layers of the trunk the dense layer and the norm.
+    pub trunk: [(Params, Params); 2],
+    /// Trunk to the 48 values.
+    pub state: Params,
+    /// The low-dimensional branch.
+    pub low: Params,
+    /// The two layers behind the split point.
+    pub head: [Params; 2],
+    /// 32 → 2.
+    pub output: Params,
+}
+
+impl SeeingSpec {
+    /// The actor for the depth frames of this project, 128 × 256.
+    pub const FULL: Self = Self { rows: 128, cols: 256 };
+
+    /// The five convolutions.
+    pub fn convolutions(&self) -> [Conv2d; 5] {
+        let (mut rows, mut cols, mut channels) = (self.rows, self.cols, 1);
+        ENCODER.map(|(kernel, filters)| {
+            let layer = Conv2d {
+                rows,
+                cols,
+                channels,
+                filters,
+                kernel,
+                stride: 2,
+                padding: kernel / 2,
+            };
+            (rows, cols, channels) = (rows.div_ceil(2), cols.div_ceil(2), filters);
+            layer
+        })
+    }
+
+    /// Values in a frame.
+    pub fn frame_len(&self) -> usize {
+        self.rows * self.cols
+    }
+
+    /// From the convolutions' features, `[row][column][channel]`, to the scan.
+    pub fn scan(&self) -> Dense {
+        let [.., last] = self.convolutions();
+        Dense {
+            inputs: last.output_len(),
+            outputs: SCAN,
+        }
+    }
+
+    /// The trunk's dense layers.
+    pub fn trunk(&self) -> [Dense; 2] {
+        let [first, second] = TRUNK;
+        [
+            Dense {
+                inputs: SCAN + CONTEXT,
+                outputs: first,
+            },
+            Dense {
+                inputs: first,
+                outputs: second,
+            },
+        ]
+    }
+
+    /// The norm behind a dense layer.
+    pub fn norm(layer: Dense) -> LayerNorm {
+        LayerNorm {
+            width: layer.outputs,
+            epsilon: EPSILON,
+        }
+    }
+
+    /// From the trunk to the split point.
+    pub fn state(&self) -> Dense {
+        let [.., last] = TRUNK;
+        Dense {
+            inputs: last,
+            outputs: ACTOR_HIDDEN,
+        }
+    }
+
+    /// The low-dimensional branch.
+    pub fn low(&self) -> Dense {
+        Dense {
+            inputs: LOW_DIM,
+            outputs: LOW_UNITS,
+        }
+    }
+
+    /// The layers behind the split point, of the 48 values beside the low-dimensional branch.
+    pub fn head(&self) -> [Dense; 2] {
+        let [first, second] = HEAD;
+        [
+            Dense {
+                inputs: ACTOR_HIDDEN + LOW_UNITS,
+                outputs: first,
+            },
+            Dense {
+                inputs: first,
+                outputs: second,
+            },
+        ]
+    }
+
+    /// The last layer.
+    pub fn output(&self) -> Dense {
+        let [.., last] = HEAD;
+        Dense {
+            inputs: last,
+            outputs: ACTOR_OUTPUTS,
+        }
+    }
+
+    /// Reserves the parameters, in the order of the fields of [`SeeingParams`].
+    pub fn reserve(&self, builder: &mut GraphBuilder) -> SeeingParams {
+        SeeingParams {
+            convolutions: self.convolutions().map(|layer| builder.params(layer.param_len())),
+            scan: builder.params(self.scan().param_len()),
+            trunk: self.trunk().map(|layer| {
+                (
+                    builder.params(layer.param_len()),
+                    builder.params(Self::norm(layer).param_len()),
+                )
+            }),
+            state: builder.params(self.state().param_len()),
+            low: builder.params(self.low().param_len()),
+            head: self.head().map(|layer| builder.params(layer.param_len())),
+            output: builder.params(self.output().param_len()),
+        }
+    }
+
+    /// Number of parameters of the encoder: convolutions and scan.
+    pub fn encoder_len(&self) -> usize {
+        let convolutions: usize = self.convolutions().iter().map(Conv2d::param_len).sum();
+        convolutions + self.scan().param_len()
+    }
+
+    /// Adds the encoder of one frame; returns its scan.
+    ///
+    /// # Errors
+    /// A frame of another size.
+    pub fn encode(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &SeeingParams,
+        frame: NodeId,
+    ) -> Result<NodeId, ShapeError> {
+        let mut x = builder.activation(frame, Activation::NEAR_CONTRAST)?;
+        for (layer, params) in self.convolutions().into_iter().zip(params.convolutions) {
+            x = builder.conv2d(x, layer, Activation::Elu, params)?;
+        }
+        builder.dense(x, self.scan(), Activation::Sigmoid, params.scan)
+    }
+
+    /// Adds the rest of the first half: scan and memory to the 48 values.
+    ///
+    /// # Errors
+    /// Nodes of other lengths.
+    pub fn trunk_to_state(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &SeeingParams,
+        scan: NodeId,
+        context: NodeId,
+    ) -> Result<NodeId, ShapeError> {
+        let mut x = builder.concat(&[scan, context])?;
+        for (layer, (dense, norm)) in self.trunk().into_iter().zip(params.trunk) {
+            x = builder.dense(x, layer, Activation::Identity, dense)?;
+            x = builder.layer_norm(x, Self::norm(layer), norm)?;
+            x = builder.activation(x, Activation::Elu)?;
+        }
+        builder.dense(x, self.state(), Activation::Identity, params.state)
+    }
+
+    /// Adds the second half: the 48 values and the low-dimensional observation to the outputs; `last` is [`Activation::Identity`] for the
+    /// outputs before their saturation.
+    ///
+    /// # Errors
+    /// Nodes of other lengths.
+    pub fn decide(
+        &self,
+        builder: &mut GraphBuilder,
+        params: &SeeingParams,
+        state: NodeId,
+        low: NodeId,
+        last: Activation,
+    ) -> Result<NodeId, ShapeError> {
+        let state = builder.activation(state, Activation::TANH)?;
+        let low = builder.dense(low, self.low(), Activation::TANH, params.low)?;
+        let mut x = builder.concat(&[state, low])?;
+        for (layer, params) in self.head().into_iter().zip(params.head) {
+            x = builder.dense(x, layer, Activation::Elu, params)?;
+        }
+        builder.dense(x, self.output(), last, params.output)
+    }
+
+    /// The whole actor: inputs are the frame, the memory's values and the low-dimensional observation.
+    ///
+    /// # Errors
+    /// A frame too small for the encoder.
+    pub fn graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let frame = b.input(self.frame_len(), true)?;
+        let context = b.input(CONTEXT, true)?;
+        let low = b.input(LOW_DIM, true)?;
+        let scan = self.encode(&mut b, &params, frame)?;
+        let state = self.trunk_to_state(&mut b, &params, scan, context)?;
+        let output = self.decide(&mut b, &params, state, low, Activation::Tanh { scale: ACTOR_LIMIT })?;
+        b.finish(output, purpose)
+    }
+
+    /// The encoder alone: one frame to its scan.
+    ///
+    /// # Errors
+    /// A frame too small for the encoder.
+    pub fn encoder_graph(&self, purpose: Purpose, explained: bool) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let frame = b.input(self.frame_len(), explained)?;
+        let scan = self.encode(&mut b, &params, frame)?;
+        b.finish(scan, purpose)
+    }
+
+    /// The first half behind the encoder: inputs are the scan and the memory's values, output the 48 values.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn trunk_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let scan = b.input(SCAN, true)?;
+        let context = b.input(CONTEXT, true)?;
+        let state = self.trunk_to_state(&mut b, &params, scan, context)?;
+        b.finish(state, purpose)
+    }
+
+    /// The second half: inputs are the 48 values and the low-dimensional observation.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn head_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let state = b.input(ACTOR_HIDDEN, true)?;
+        let low = b.input(LOW_DIM, true)?;
+        let output = self.decide(&mut b, &params, state, low, Activation::Tanh { scale: ACTOR_LIMIT })?;
+        b.finish(output, purpose)
+    }
+}
+
+/// A frozen actor in flight: encodes the new frame, remembers what the frames before it showed, and decides. Allocates when it is made;
+/// nothing after it does.
+#[derive(Debug, Clone)]
+pub struct SeeingActor {
+    spec: SeeingSpec,
+    isa: Isa,
+    params: Aligned,
+    encoder: Graph,
+    encoder_tape: Aligned,
+    trunk: Graph,
+    trunk_tape: Vec<f32>,
+    head: Graph,
+    head_tape: Vec<f32>,
+    memory: Box<ActorMemory>,
+    scan: [f32; SCAN],
+    context: [f32; CONTEXT],
+    state: [f32; ACTOR_HIDDEN],
+    low: [f32; LOW_DIM],
+    /// Heading of the step before.
+    yaw_before: Option<(Nanos, f32)>,
+    last: Action,
+    ablation: Ablation,
+}
+
+/// Takes something from what is remembered and from the low-dimensional observation; frames are replaced before they are encoded.
+fn take(what: Ablation, context: &mut [f32; CONTEXT], low: &mut [f32; LOW_DIM]) {
+    let (older, remembered) = context.split_at_mut(OLDER_SCANS);
+    match what {
+        Ablation::Nothing | Ablation::Frames => {}
+        Ablation::Memory => remembered.fill(0.0),
+        Ablation::Motion => {
+            older.fill(0.0);
+            let [_, _, _, own @ ..] = low;
+            own.fill(0.0);
+        }
+        Ablation::Goal => {
+            let [distance, sine, cosine, ..] = low;
+            (*distance, *sine, *cosine) = (1.0, 0.0, 1.0);
+        }
+    }
+}
+
+/// A frame that shows nothing.
+static BLANK: DepthFrame = DepthFrame::EMPTY;
+
+impl SeeingActor {
+    /// Takes the parameters (in the order of [`SeeingSpec::reserve`]).
+    ///
+    /// # Errors
+    /// A parameter slice of another length.
+    pub fn new(spec: SeeingSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
+        let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
+        let (trunk, head) = (
+            spec.trunk_graph(Purpose::Gradients)?,
+            spec.head_graph(Purpose::Gradients)?,
+        );
+        expect("actor parameters", params, head.param_len())?;
+        Ok(Self {
+            spec,
+            isa,
+            params: Aligned::from(params),
+            encoder_tape: Aligned::zeros(encoder.tape_len()),
+            encoder,
+            trunk_tape: vec![0.0; trunk.tape_len()],
+            trunk,
+            head_tape: vec![0.0; head.tape_len()],
+            head,
+            memory: Box::default(),
+            scan: [0.0; SCAN],
+            context: [0.0; CONTEXT],
+            state: [0.0; ACTOR_HIDDEN],
+            low: [0.0; LOW_DIM],
+            yaw_before: None,
+            last: Action::HOVER,
+            ablation: Ablation::Nothing,
+        })
+    }
+
+    /// The same actor without something.
+    #[must_use]
+    pub fn without(mut self, ablation: Ablation) -> Self {
+        self.ablation = ablation;
+        self
+    }
+
+    /// Forgets everything that it has seen.
+    pub fn reset(&mut self) {
+        self.memory.reset();
+        self.yaw_before = None;
+        self.last = Action::HOVER;
+    }
+
+    /// One decision: x-velocity and yaw in ±[`ACTOR_LIMIT`].
+    ///
+    /// # Errors
+    /// A frame of another size: nothing is remembered of it.
+    pub fn decide(&mut self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        let depth = match self.ablation {
+            Ablation::Frames => &BLANK.depth,
+            _ => &input.depth.depth,
+        };
+        self.encoder
+            .forward(self.isa, &self.params, &[depth], &mut self.encoder_tape)?;
+        self.scan.copy_from_slice(self.encoder.output(&self.encoder_tape)?);
+        let yaw_rad = input.attitude.yaw_rad();
+        self.memory.observe(
+            &self.scan,
+            Odometry {
+                at_ns: input.now_ns,
+                position_ned_m: position_ned_m(input),
+                yaw_rad,
+            },
+        );
+        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
+        self.yaw_before = Some((input.now_ns, yaw_rad));
+        self.low = low_dim(input.goal, input.velocity_m_s, rate_rad_s, self.last);
+        self.context = *self.memory.context();
+        take(self.ablation, &mut self.context, &mut self.low);
+        self.trunk.forward(
+            self.isa,
+            &self.params,
+            &[&self.scan, &self.context],
+            &mut self.trunk_tape,
+        )?;
+        self.state.copy_from_slice(self.trunk.output(&self.trunk_tape)?);
+        self.head
+            .forward(self.isa, &self.params, &[&self.state, &self.low], &mut self.head_tape)?;
+        let mut action = [0.0; ACTOR_OUTPUTS];
+        action.copy_from_slice(self.head.output(&self.head_tape)?);
+        let [forward_m_s, yaw] = action;
+        self.note_action(Action { forward_m_s, yaw });
+        Ok(action)
+    }
+
+    /// The 48 values of the last decision: the split point, input of the second half.
+    pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
+        &self.state
+    }
+
+    /// The collision scan of the last decision, proximities from left to right.
+    pub fn scan(&self) -> &[f32; SCAN] {
+        &self.scan
+    }
+
+    /// What was remembered in the last decision.
+    pub fn context(&self) -> &[f32; CONTEXT] {
+        &self.context
+    }
+
+    /// The low-dimensional observation of the last decision.
+    pub fn low_dim(&self) -> PositionalInputs {
+        PositionalInputs::from(self.low)
+    }
+
+    /// Takes note of the action that is flown after the last decision, if it is not the actor's own. One that is not finite is not flown:
+    /// the vehicle holds.
+    pub fn note_action(&mut self, flown: Action) {
+        self.last = if flown.is_finite() { flown } else { Action::HOVER };
+    }
+
+    /// The parameters.
+    pub fn params(&self) -> &[f32] {
+        &self.params
+    }
+
+    /// The dimensions.
+    pub fn spec(&self) -> SeeingSpec {
+        self.spec
+    }
+}

@@ -1,0 +1,257 @@
+//! The actor that looks and remembers: in flight against the graph of the whole, its file, its pilot.
+
+#[path = "../../nnet/tests/common/mod.rs"]
+mod plain;
+#[path = "common/mod.rs"]
+mod scene;
+
+use plain::{distance, rng, uniform, wide};
+use scene::{Scene, block, column};
+use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
+use vigil_policy::actor::ACTOR_HIDDEN;
+use vigil_policy::seeing::{CONTEXT, LOW_DIM, SCAN, SeeingActor, SeeingSpec};
+use vigil_policy::{FrozenActor, FrozenSeeing, Pilot, PilotInput, SeeingPilot, apf};
+use vigil_types::{Ablation, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector};
+
+const FRAME: usize = 128 * 256;
+
+/// Some weights of either sign, small enough not to saturate.
+fn params() -> Vec<f32> {
+    let len = SeeingSpec::FULL.head_graph(Purpose::Gradients).unwrap().param_len();
+    uniform(&mut rng(3), len, 0.08)
+}
+
+fn input<'a>(frame: &'a DepthFrame, step: u64) -> PilotInput<'a> {
+    PilotInput {
+        now_ns: frame.header.stamp_ns,
+        depth: frame,
+        goal: GoalRelative {
+            distance_m: 12.0 - 0.1 * step as f32,
+            bearing_rad: 0.4,
+        },
+        attitude: frame.header.attitude,
+        velocity_m_s: HeadingVector::new(1.0, 0.1, 0.0),
+        height_m: 1.5,
+    }
+}
+
+/// A flight past a wall and two columns, a frame for each step of 0.05 s.
+fn frames() -> Vec<DepthFrame> {
+    let scene = Scene::new(vec![
+        block([6.0, 6.3], [-3.0, 1.0]),
+        column(3.5, 1.5, 0.15),
+        column(9.0, -4.0, 0.3),
+    ]);
+    (0..30)
+        .map(|step| {
+            let mut frame = DepthFrame::EMPTY;
+            let here = NedVector::new(0.05 * step as f32, 0.0, -1.5);
+            let attitude = Attitude::from_euler_rad(0.02, -0.05, 0.01 * step as f32);
+            scene.render(here, attitude, 0, &mut frame);
+            frame.header.stamp_ns = step * 50_000_000;
+            frame.header.sequence = step;
+            frame
+        })
+        .collect()
+}
+
+#[test]
+fn the_actor_in_flight_decides_as_the_graph_of_the_whole() {
+    let (params, graph) = (params(), SeeingSpec::FULL.graph(Purpose::Gradients).unwrap());
+    let mut tape = vec![0.0; graph.tape_len()];
+    for isa in Isa::available() {
+        let mut actor = SeeingActor::new(SeeingSpec::FULL, isa, &params).unwrap();
+        let mut twin = actor.clone();
+        for (step, frame) in frames().iter().enumerate() {
+            let action = actor.decide(&input(frame, step as u64)).unwrap();
+            let low = actor.low_dim();
+            graph
+                .forward(isa, &params, &[&frame.depth, actor.context(), &low], &mut tape)
+                .unwrap();
+            assert_eq!(action, graph.output(&tape).unwrap(), "step {step} on {}", isa.name());
+            assert_eq!(twin.decide(&input(frame, step as u64)).unwrap(), action);
+        }
+        assert!(actor.context().iter().any(|x| *x > 0.0), "it remembers");
+        // After a reset the past is gone.
+        actor.reset();
+        let mut fresh = SeeingActor::new(SeeingSpec::FULL, isa, &params).unwrap();
+        let frame = &frames()[3];
+        assert_eq!(actor.decide(&input(frame, 3)), fresh.decide(&input(frame, 3)));
+    }
+    assert!(SeeingActor::new(SeeingSpec::FULL, Isa::detect(), &params[1..]).is_err());
+}
+
+#[test]
+fn a_pixel_that_is_not_a_number_is_not_hidden_and_is_not_remembered() {
+    let params = params();
+    for isa in Isa::available() {
+        let mut actor = SeeingActor::new(SeeingSpec::FULL, isa, &params).unwrap();
+        let mut frames = frames();
+        actor.decide(&input(&frames[0], 0)).unwrap();
+        frames[1].depth[777] = f32::NAN;
+        assert!(
+            actor.decide(&input(&frames[1], 1)).unwrap()[0].is_nan(),
+            "{}",
+            isa.name()
+        );
+        let after = actor.decide(&input(&frames[2], 2)).unwrap();
+        assert!(after.iter().all(|x| x.is_finite()), "{}", isa.name());
+        assert_eq!((actor.state().len(), actor.scan().len()), (ACTOR_HIDDEN, SCAN));
+    }
+}
+
+#[test]
+fn instruction_sets_agree() {
+    let params = params();
+    let graph = SeeingSpec::FULL.graph(Purpose::Multipliers).unwrap();
+    let mut packed = vec![0.0; graph.param_len()];
+    graph.pack(&params, &mut packed).unwrap();
+    let input = |seed: u64| -> [Vec<f32>; 3] {
+        let mut rng = rng(seed);
+        [FRAME, CONTEXT, LOW_DIM].map(|len| uniform(&mut rng, len, 0.5).iter().map(|x| x + 0.5).collect())
+    };
+    let results: Vec<(Isa, [Vec<f32>; 4])> = Isa::available()
+        .map(|isa| {
+            let evaluate = |inputs: &[Vec<f32>; 3]| {
+                let mut tape = vec![0.0; graph.tape_len()];
+                let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
+                graph.forward(isa, &params, &views, &mut tape).unwrap();
+                tape
+            };
+            let (tape, reference) = (evaluate(&input(1)), evaluate(&input(2)));
+            let (mut work, mut d_params) = (vec![0.0; graph.work_len()], vec![0.0; graph.param_len()]);
+            let weights = [1.0, -0.5];
+            graph
+                .backward(isa, &packed, &tape, &weights, Some(&mut d_params), &mut work)
+                .unwrap();
+            let gradient = graph.input_gradient(&work, 0).unwrap().to_vec();
+            graph
+                .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
+                .unwrap();
+            let multipliers = graph.input_gradient(&work, 0).unwrap().to_vec();
+            (isa, [tape, d_params, gradient, multipliers])
+        })
+        .collect();
+    let (_, portable) = &results[0];
+    for (isa, fused) in &results[1..] {
+        // Fused multiply-add in the same order: the same bits, whatever the width.
+        assert_eq!(fused, &results[1].1, "{}", isa.name());
+        let tolerances = [ISA_TOLERANCE, ISA_TOLERANCE, ISA_TOLERANCE, ISA_MULTIPLIER_TOLERANCE];
+        for ((fused, portable), tolerance) in fused.iter().zip(portable).zip(tolerances) {
+            let scale = portable.iter().fold(0.0f32, |m, x| m.max(x.abs()));
+            let error = distance(fused, &wide(portable)) as f32;
+            assert!(error <= tolerance * scale, "{error:e} of {scale}");
+        }
+    }
+}
+
+#[test]
+fn what_is_taken_from_an_actor_it_does_not_use() {
+    let params = params();
+    let frames = frames();
+    let fly = |what: Ablation, frames: &[DepthFrame], bearing_rad: f32| {
+        let mut actor = SeeingActor::new(SeeingSpec::FULL, Isa::detect(), &params)
+            .unwrap()
+            .without(what);
+        let mut last = [0.0; 2];
+        for (step, frame) in frames.iter().enumerate() {
+            let seen = input(frame, step as u64);
+            let goal = GoalRelative {
+                bearing_rad,
+                ..seen.goal
+            };
+            last = actor.decide(&PilotInput { goal, ..seen }).unwrap();
+        }
+        last
+    };
+    let empty: Vec<DepthFrame> = frames
+        .iter()
+        .map(|frame| DepthFrame {
+            header: frame.header,
+            ..DepthFrame::EMPTY
+        })
+        .collect();
+    // Blind it decides the same whatever is there; as it is it does not.
+    assert_eq!(fly(Ablation::Frames, &frames, 0.4), fly(Ablation::Frames, &empty, 0.4));
+    assert_ne!(
+        fly(Ablation::Nothing, &frames, 0.4),
+        fly(Ablation::Nothing, &empty, 0.4)
+    );
+    assert_eq!(fly(Ablation::Goal, &frames, 0.4), fly(Ablation::Goal, &frames, -0.4));
+    assert_ne!(
+        fly(Ablation::Nothing, &frames, 0.4),
+        fly(Ablation::Nothing, &frames, -0.4)
+    );
+    for what in [Ablation::Memory, Ablation::Motion] {
+        assert_ne!(
+            fly(what, &frames, 0.4),
+            fly(Ablation::Nothing, &frames, 0.4),
+            "{what:?}"
+        );
+    }
+}
+
+fn frozen() -> FrozenSeeing {
+    FrozenSeeing {
+        params: params(),
+        training_config: "seed = 3\n".to_owned(),
+        seed: 3,
+        updates: 1000,
+        git_commit: Some("abc".to_owned()),
+    }
+}
+
+#[test]
+fn an_actor_survives_its_file_and_another_kind_s_file_is_told_apart() {
+    let actor = frozen();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("actor.safetensors");
+    actor.save(&path).unwrap();
+    assert_eq!(FrozenSeeing::load(&path).unwrap(), actor);
+    assert_eq!(FrozenSeeing::load_if_seeing(&path).unwrap(), Some(actor.clone()));
+    // Each kind of actor refuses the other's file by its format.
+    let error = FrozenActor::load(&path).unwrap_err().to_string();
+    assert!(error.contains("vigil actor 2"), "{error}");
+    let led = folder.path().join("led.safetensors");
+    FrozenActor::built_in().unwrap().save(&led).unwrap();
+    assert_eq!(FrozenSeeing::load_if_seeing(&led).unwrap(), None);
+    assert!(FrozenSeeing::load(&led).is_err());
+
+    let refused = |bytes: &[u8], why: &str| {
+        let error = FrozenSeeing::from_bytes("some.safetensors", bytes)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("some.safetensors") && error.contains(why), "{error}");
+    };
+    let good = actor.to_bytes().unwrap();
+    refused(&good[..good.len() / 2], "truncated");
+    let mut altered = good.clone();
+    let last = altered.len() - 2;
+    altered[last] ^= 1;
+    refused(&altered, "altered");
+    let mut broken = frozen();
+    broken.params[7] = f32::NAN;
+    assert!(broken.to_bytes().unwrap_err().to_string().contains("not finite"));
+    broken.params.pop();
+    assert!(broken.to_bytes().is_err());
+}
+
+#[test]
+fn the_field_is_added_to_the_actor_s_action_and_is_its_last_action_then() {
+    let actor = frozen().actor(Isa::detect()).unwrap();
+    let (mut with, mut without) = (SeeingPilot::new(actor.clone(), true), SeeingPilot::new(actor, false));
+    let frame = DepthFrame::EMPTY;
+    let seen = input(&frame, 0);
+    let (own, sum) = (without.decide(&seen), with.decide(&seen));
+    assert_eq!(
+        sum,
+        apf::add(own, apf::attraction(seen.goal)),
+        "nothing near: the goal pulls"
+    );
+    let (own, sum) = (without.decide(&seen), with.decide(&seen));
+    assert_ne!(
+        sum,
+        apf::add(own, apf::attraction(seen.goal)),
+        "another last action, another decision"
+    );
+}

@@ -1,0 +1,172 @@
+//! What the actor observes, as the trainer stores it and sees it in a mirror, and how an environment makes it.
+
+use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
+use vigil_policy::seeing::SeeingSpec;
+use vigil_policy::seeing::memory::{
+    ActorMemory, CONTEXT, LOW_DIM, MOVED, Odometry, RING, SCAN, SCAN_AGES, TRAIL, low_dim, yaw_rate_rad_s,
+};
+use vigil_policy::{PilotInput, RangeScan};
+use vigil_types::{Action, Attitude, DepthFrame, Nanos, wrap_pi};
+
+/// Values of the first half's input: the scan, then what is remembered.
+pub const FIRST_HALF: usize = SCAN + CONTEXT;
+/// Values of an observation: the first half's, then the low-dimensional ones.
+pub const OBSERVATION: usize = FIRST_HALF + LOW_DIM;
+
+/// Turns an observation into that of a mirrored world: left and right change places.
+pub fn mirror(observation: &mut [f32]) {
+    let (scan, rest) = observation.split_at_mut(SCAN);
+    scan.reverse();
+    let (moved, rest) = rest.split_at_mut(SCAN_AGES.len() * MOVED);
+    moved.chunks_exact_mut(MOVED).for_each(<[f32]>::reverse);
+    let (ring, rest) = rest.split_at_mut(2 * RING);
+    // The first bin is ahead, or of the trail likewise.
+    ring.chunks_exact_mut(RING).for_each(|bins| bins[1..].reverse());
+    let (trail, low) = rest.split_at_mut(TRAIL);
+    trail[1..].reverse();
+    for k in [1, 4, 5, 7] {
+        low[k] = -low[k];
+    }
+}
+
+/// The frozen encoder.
+pub struct Encoder {
+    graph: Graph,
+    isa: Isa,
+    params: Vec<f32>,
+}
+
+impl Encoder {
+    /// Of these parameters.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn new(isa: Isa, encoder: &[f32]) -> Result<Self, ShapeError> {
+        let graph = SeeingSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
+        let mut params = vec![0.0; graph.param_len()];
+        params[..encoder.len()].copy_from_slice(encoder);
+        Ok(Self { graph, isa, params })
+    }
+}
+
+/// Observes step by step, as the actor in flight does.
+pub struct Observer {
+    memory: Box<ActorMemory>,
+    tape: Aligned,
+    yaw_before: Option<(Nanos, f32)>,
+    drifting: Drifting,
+    /// The newest observation.
+    pub now: [f32; OBSERVATION],
+}
+
+/// How the odometry that the memory gets differs from the estimate.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Drift {
+    /// Share by which ways seem longer.
+    pub scale: f32,
+    /// Turning that does not happen, radians per second.
+    pub yaw_rad_s: f32,
+}
+
+/// Odometry as an estimator that drifts would have it.
+#[derive(Debug, Clone)]
+pub struct Drifting {
+    drift: Drift,
+    /// Where the vehicle last was by the estimate, and by odometry that drifts.
+    last: Option<(Odometry, Odometry)>,
+    frame: Box<DepthFrame>,
+}
+
+impl Drifting {
+    /// At the start of a flight.
+    pub fn new(drift: Drift) -> Self {
+        Self {
+            drift,
+            last: None,
+            frame: Box::new(DepthFrame::EMPTY),
+        }
+    }
+
+    /// What the estimate becomes.
+    pub fn of(&mut self, at: Odometry) -> Odometry {
+        let drifted = match self.last {
+            Some((truly, believed)) => {
+                let waited_s = at.at_ns.saturating_sub(truly.at_ns) as f32 * 1e-9;
+                let turned_rad = wrap_pi(at.yaw_rad - truly.yaw_rad) + self.drift.yaw_rad_s * waited_s;
+                let yaw_rad = wrap_pi(believed.yaw_rad + turned_rad);
+                let moved = (at.position_ned_m - truly.position_ned_m)
+                    .to_heading(at.yaw_rad)
+                    .to_ned(yaw_rad);
+                Odometry {
+                    at_ns: at.at_ns,
+                    position_ned_m: believed.position_ned_m + moved * (1.0 + self.drift.scale),
+                    yaw_rad,
+                }
+            }
+            None => at,
+        };
+        self.last = Some((at, drifted));
+        drifted
+    }
+
+    /// Hands a pilot's input whose position and heading have drifted to `decide`; the goal is where it is.
+    pub fn with<T>(&mut self, input: &PilotInput<'_>, decide: impl FnOnce(&PilotInput<'_>) -> T) -> T {
+        if self.drift == Drift::default() {
+            return decide(input);
+        }
+        let drifted = self.of(odometry(input));
+        self.frame.as_mut().clone_from(input.depth);
+        let moved = RangeScan::moved_since_capture_m(input);
+        self.frame.header.position_ned_m = drifted.position_ned_m - moved;
+        decide(&PilotInput {
+            depth: &self.frame,
+            // Of the attitude now an actor takes the heading alone.
+            attitude: Attitude::from_euler_rad(0.0, 0.0, drifted.yaw_rad),
+            ..*input
+        })
+    }
+}
+
+/// Where the vehicle believes to be.
+fn odometry(input: &PilotInput<'_>) -> Odometry {
+    Odometry {
+        at_ns: input.now_ns,
+        position_ned_m: input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input),
+        yaw_rad: input.attitude.yaw_rad(),
+    }
+}
+
+impl Observer {
+    /// One that has seen nothing.
+    pub fn new(encoder: &Encoder, drift: Drift) -> Self {
+        Self {
+            memory: Box::default(),
+            tape: Aligned::zeros(encoder.graph.tape_len()),
+            yaw_before: None,
+            drifting: Drifting::new(drift),
+            now: [0.0; OBSERVATION],
+        }
+    }
+
+    /// Takes a step's frame and odometry; `last` is the action before it.
+    ///
+    /// # Errors
+    /// None with the frames of this project.
+    pub fn observe(&mut self, encoder: &Encoder, input: &PilotInput<'_>, last: Action) -> Result<(), ShapeError> {
+        let depth = &input.depth.depth;
+        encoder
+            .graph
+            .forward(encoder.isa, &encoder.params, &[depth], &mut self.tape)?;
+        let mut scan = [0.0; SCAN];
+        scan.copy_from_slice(encoder.graph.output(&self.tape)?);
+        let yaw_rad = input.attitude.yaw_rad();
+        self.memory.observe(&scan, self.drifting.of(odometry(input)));
+        let rate = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
+        self.yaw_before = Some((input.now_ns, yaw_rad));
+        self.now[..SCAN].copy_from_slice(&scan);
+        let low = low_dim(input.goal, input.velocity_m_s, rate, last);
+        self.now[SCAN..FIRST_HALF].copy_from_slice(self.memory.context());
+        self.now[FIRST_HALF..].copy_from_slice(&low);
+        Ok(())
+    }
+}
