@@ -5,7 +5,7 @@ use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_mavlink::{MavHeader, MavMessage};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, STEP_NS};
-use vigil_world::{Column, Family, generate};
+use vigil_world::{Column, Family, Outcome, generate};
 
 /// Pixels in the middle of the image.
 const AHEAD: usize = 64 * DEPTH_COLS + 128;
