@@ -6,7 +6,7 @@ use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use vigil_autopilot::{EndpointConfig, Saved};
 use vigil_types::FrameKey;
-use vigil_vehicle::{ParamsError, VehicleParams, Wind};
+use vigil_vehicle::{ParamsError, VehicleModel, VehicleParams, Wind};
 use vigil_world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
 
 /// A simulation file has a page or two.
@@ -123,6 +123,9 @@ pub enum ConfigError {
     /// The family has halls with one way in.
     #[error("--goal-distance: courses of the family {0} cannot be made longer; take another family")]
     NotLonger(Family),
+    /// The simulation file has a vehicle of its own.
+    #[error("--vehicle-model {0} and {1}, which has a [vehicle] of its own: leave one of them out")]
+    TwoVehicles(&'static str, PathBuf),
     /// The course file is not valid.
     #[error(transparent)]
     Course(#[from] CourseError),
@@ -145,6 +148,63 @@ impl Models {
             path: path.to_owned(),
             source,
         })
+    }
+}
+
+/// Which vehicle flies: shared by all commands that simulate one.
+#[derive(Debug, Clone, Copy, Default, PartialEq, clap::Args)]
+pub struct VehicleChoice {
+    /// The vehicle and how its autopilot answers (docs/vehicle.md).
+    #[arg(long, value_name = "MODEL", value_parser = model_parser(), default_value = VehicleModel::Ours.name())]
+    pub vehicle_model: VehicleModel,
+
+    /// Its estimate wanders as one on GPS and barometer does: half a metre, in height up to a metre over minutes. Frames and collisions are
+    /// the truth's.
+    #[arg(long)]
+    pub noisy_estimate: bool,
+}
+
+/// Parses the name of a vehicle model; help and errors list all of them.
+fn model_parser() -> impl TypedValueParser<Value = VehicleModel> {
+    PossibleValuesParser::new(VehicleModel::ALL.map(VehicleModel::name)).try_map(|name| {
+        let model = VehicleModel::ALL.into_iter().find(|model| model.name() == name);
+        model.ok_or_else(|| format!("no vehicle model {name}"))
+    })
+}
+
+impl VehicleChoice {
+    /// The models of a simulation file, or the defaults, with this vehicle.
+    ///
+    /// # Errors
+    /// [`ConfigError::Read`], [`ConfigError::Parse`], [`ConfigError::TwoVehicles`].
+    pub fn models(&self, file: Option<&Path>) -> Result<Models, ConfigError> {
+        let mut models = file.map(Models::load).transpose()?.unwrap_or_default();
+        if self.vehicle_model != VehicleModel::Ours {
+            if let Some(file) = file.filter(|_| models.vehicle != VehicleParams::default()) {
+                return Err(ConfigError::TwoVehicles(self.vehicle_model.name(), file.to_owned()));
+            }
+            models.vehicle = self.vehicle_model.params();
+        }
+        if self.noisy_estimate {
+            models.vehicle = models.vehicle.with_noisy_estimate();
+        }
+        Ok(models)
+    }
+
+    /// The same choice for a process that is started: only what differs from the default.
+    pub fn hand_on(&self, command: &mut std::process::Command) {
+        if self.vehicle_model != VehicleModel::Ours {
+            command.args(["--vehicle-model", self.vehicle_model.name()]);
+        }
+        if self.noisy_estimate {
+            command.arg("--noisy-estimate");
+        }
+    }
+
+    /// The vehicle in words, where it is not the default one.
+    pub fn name(&self) -> Option<String> {
+        let noisy = if self.noisy_estimate { ", noisy estimate" } else { "" };
+        (*self != Self::default()).then(|| format!("{}{noisy}", self.vehicle_model.name()))
     }
 }
 

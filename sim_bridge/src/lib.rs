@@ -34,6 +34,6 @@ mod udp;
 pub mod vehicle_links;
 
 pub use companion_view::CompanionView;
-pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, family_parser};
+pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, VehicleChoice, family_parser};
 pub use sensor_fault::{Onset, SensorFault, SensorFaultMode};
 pub use simulator::{Ending, LIDAR_SENSOR_ID, STEP_MS, Simulator};

@@ -5,7 +5,9 @@ use crate::lockstep_flight::{FirmwarePort, fly_lockstep};
 use crate::saved_state::state_file;
 use crate::udp::ports_in_words;
 use crate::vehicle_links::{LinksConfig, VehicleLinks};
-use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, STEP_MS, SensorFault, SimConfig, Simulator, Start};
+use crate::{
+    CompanionView, CourseChoice, LIDAR_SENSOR_ID, STEP_MS, SensorFault, SimConfig, Simulator, Start, VehicleChoice,
+};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -48,6 +50,8 @@ Examples:
                                         two further links for ground stations
   vigil sim --signing-key vigil.key --allow-unsigned never
                                         obeys signed packets only (docs/mavlink.md, Signing)
+  vigil sim --vehicle-model px4-sih --noisy-estimate
+                                        a vehicle that answers as PX4's own simulated one does
   vigil sim --sensor-fault frozen@8     the LiDAR shows the same image from 8 s on
   vigil sim --lockstep --seed 7         lockstep with `vigil firmware --lockstep`; prints the flight's record")]
 pub struct SimArgs {
@@ -62,6 +66,10 @@ pub struct SimArgs {
     /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind; see docs/simulation.md.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+
+    /// Vehicle to simulate.
+    #[command(flatten)]
+    pub vehicle: VehicleChoice,
 
     /// Begin hovering at flight height, armed, in Hold.
     #[arg(long)]
@@ -196,12 +204,7 @@ impl SimArgs {
 
 fn configure(args: &SimArgs) -> Result<SimConfig> {
     let seed = args.course.seed_or_random();
-    let models = args
-        .config
-        .as_deref()
-        .map(Models::load)
-        .transpose()?
-        .unwrap_or_default();
+    let models = args.vehicle.models(args.config.as_deref())?;
     let mut config = SimConfig::with_models(args.course.load(seed)?, seed, models);
     config.start = if args.airborne { Start::Airborne } else { Start::Ground };
     config.sensor_fault = args.sensor_fault;

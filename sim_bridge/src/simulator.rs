@@ -69,6 +69,7 @@ impl Simulator {
         let course = &config.course;
         let mut vehicle = Vehicle::new(config.vehicle, config.wind, config.seed)?;
         let mut endpoint = Endpoint::new(config.endpoint.clone())?;
+        endpoint.set_hold_law(config.vehicle.control.hold);
         endpoint.restore(&config.saved)?;
         let airborne = config.start == Start::Airborne;
         let start_ned_m = course.start_ned_m() + NedVector::new(0.0, 0.0, -course.flight_height_m);

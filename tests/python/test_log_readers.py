@@ -26,6 +26,8 @@ from mcap.records import Message  # noqa: E402
 from mcap.stream_reader import StreamReader  # noqa: E402
 from mcap_protobuf.decoder import DecoderFactory  # noqa: E402
 from pymavlink import mavutil  # noqa: E402
+from pyulog import ULog  # noqa: E402
+from stack import VIGIL  # noqa: E402
 
 TOP = Path(__file__).resolve().parents[2]
 ROWS, COLS = 128, 256
@@ -268,6 +270,44 @@ def test_mavlogdump_reads_the_tlog(sample_path):
     out = subprocess.run(command, env={**os.environ, "TZ": "UTC"}, check=True, capture_output=True, text=True)
     assert len(out.stdout.splitlines()) == STEPS
     assert out.stdout.startswith("2026-01-02")
+
+
+def test_pyulog_reads_the_flight_as_ulog_with_px4s_topics_and_every_known_number(sample_path, tmp_path):
+    ulg = tmp_path / "flight.ulg"
+    done = subprocess.run([VIGIL, "log", "ulg", sample_path, "-o", ulg], check=True, capture_output=True, text=True)
+    assert f"{STEPS} records" in done.stdout and "not all" not in done.stdout
+    log = ULog(str(ulg))
+    assert not log.file_corruption and log.msg_info_dict["sys_name"] == "Vigil"
+    topics = {data.name: data.data for data in log.data_list}
+    assert {"vehicle_local_position", "vehicle_attitude", "vehicle_status", "vehicle_local_position_setpoint", "vigil_status"} <= set(topics)
+    stamps = [step * STEP_NS // 1000 for step in range(STEPS)]
+    place = topics["vehicle_local_position"]
+    assert place["timestamp"].tolist() == stamps
+    assert place["x"] == pytest.approx([0.1 * step for step in range(STEPS)], rel=1e-6)
+    assert set(place["y"]) == {0.5} and set(place["z"]) == {-1.5} and all(place["xy_valid"])
+    assert place["heading"] == pytest.approx([math.pi / 2] * STEPS, abs=1e-6)
+    # Facing east: forward is east.
+    setpoint, guided = topics["vehicle_local_position_setpoint"], read(sample_path)[0]["/status"][20][1]
+    assert setpoint["timestamp"].tolist() == stamps[20:220] and set(setpoint["yawspeed"]) == {-0.125}
+    assert setpoint["vy"][0] == pytest.approx(guided.setpoint_forward_m_s) and abs(setpoint["vx"][0]) < 1e-6
+    assert set(topics["vehicle_status"]["vehicle_type"]) == {1}
+    status = topics["vigil_status"]
+    assert status["step"].tolist() == list(range(STEPS))
+    assert [math.isnan(x) for x in status["action_yaw"][18:22]] == [True, True, False, False]
+    told = [message.message for message in log.logged_messages]
+    assert "guidance: ready → guided" in told and "guidance: guided → hold (goal reached)" in told
+
+
+def test_a_log_that_is_cut_or_none_becomes_as_much_of_a_ulog_as_is_whole_or_is_refused(sample_path, tmp_path):
+    cut, ulg = tmp_path / "cut.mcap", tmp_path / "cut.ulg"
+    whole = sample_path.read_bytes()
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    done = subprocess.run([VIGIL, "log", "ulg", cut], check=True, capture_output=True, text=True)
+    assert "it is not all of the flight: the log was not closed" in done.stdout
+    steps = {data.name: data.data for data in ULog(str(ulg)).data_list}["vigil_status"]["step"].tolist()
+    assert 20 < len(steps) < STEPS and steps == list(range(len(steps)))
+    done = subprocess.run([VIGIL, "log", "ulg", ulg], check=False, capture_output=True, text=True)
+    assert done.returncode == 1 and "cut.ulg is no MCAP file but a ULog of PX4" in done.stderr
 
 
 def test_a_cut_log_is_read_as_far_as_it_goes(sample_path, tmp_path):

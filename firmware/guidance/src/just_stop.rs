@@ -5,6 +5,11 @@ use vigil_types::{Heartbeat, Nanos, StopCause, VehicleMode, parameters};
 
 /// Slower than this no course can be told, and nothing is run into, metres per second.
 const STANDS_M_S: f32 = 0.25;
+/// A vehicle in hold that is faster than this is on its way to a place, if it does not slow down: by less than this in this many steps,
+/// metres per second.
+const GOES_M_S: f32 = 0.5;
+const SLOWS_M_S: f32 = 0.15;
+const SLOWS_STEPS: usize = 8;
 /// Steps in a row in which something must lie on the course: a single one may be noise.
 const CONFIRMED: u8 = 2;
 /// Without a picture for longer than this, a vehicle that moves is stopped.
@@ -127,6 +132,8 @@ impl JustStopState {
 struct Begun {
     at_ns: Nanos,
     mode: VehicleMode,
+    /// The vehicle has stood since.
+    stood: bool,
 }
 
 /// The guard. No clock, no allocation.
@@ -138,6 +145,8 @@ pub struct JustStop {
     blind_since_ns: Option<Nanos>,
     unseen_since_ns: Option<Nanos>,
     begun: Begun,
+    /// The last speeds, newest first, metres per second.
+    speeds_m_s: [f32; SLOWS_STEPS],
 }
 
 impl JustStop {
@@ -155,34 +164,52 @@ impl JustStop {
             self.state = JustStopState::Unguarded;
             return self.state;
         }
-        let danger = self.danger(config, input, &heartbeat);
         let holds = heartbeat.mode == VehicleMode::Hold;
+        let goes = self.goes(input.speed_m_s);
+        // What is braking in hold already needs no telling; what goes somewhere in it does.
+        let danger = self.danger(config, input, &heartbeat).filter(|_| !holds || goes);
+        self.begun.stood |= input.speed_m_s.is_some_and(|speed_m_s| speed_m_s < STANDS_M_S);
         // A heartbeat of before the command says nothing of it.
         let newer = heartbeat.at_ns > self.begun.at_ns;
         self.state = match self.state {
-            JustStopState::Stopping(cause) if holds && newer => JustStopState::Stopped(cause),
+            JustStopState::Stopping(cause) if holds && newer && !(self.begun.mode == VehicleMode::Hold && goes) => {
+                JustStopState::Stopped(cause)
+            }
             // Somebody chose yet another mode: this stop is over, and what comes of that mode is looked at anew.
             JustStopState::Stopping(_) if newer && heartbeat.mode != self.begun.mode => {
                 self.confirmed = 0;
                 JustStopState::Watching
             }
             JustStopState::Stopping(cause) => JustStopState::Stopping(cause),
-            JustStopState::Stopped(cause) if holds => JustStopState::Stopped(cause),
+            JustStopState::Stopped(cause) if holds && (danger.is_none() || !self.begun.stood) => {
+                JustStopState::Stopped(cause)
+            }
             JustStopState::Idle | JustStopState::Unguarded | JustStopState::Watching | JustStopState::Stopped(_) => {
                 match danger {
-                    // A vehicle that is braking already needs no telling.
-                    Some(cause) if !holds => {
+                    Some(cause) => {
                         self.begun = Begun {
                             at_ns: input.now_ns,
                             mode: heartbeat.mode,
+                            stood: false,
                         };
                         JustStopState::Stopping(cause)
                     }
-                    _ => JustStopState::Watching,
+                    None => JustStopState::Watching,
                 }
             }
         };
         self.state
+    }
+
+    /// Whether the vehicle moves and does not slow down.
+    fn goes(&mut self, speed_m_s: Option<f32>) -> bool {
+        let Some(speed_m_s) = speed_m_s else { return false };
+        let [.., oldest_m_s] = self.speeds_m_s;
+        self.speeds_m_s.rotate_right(1);
+        if let Some(newest) = self.speeds_m_s.first_mut() {
+            *newest = speed_m_s;
+        }
+        speed_m_s > GOES_M_S && oldest_m_s - speed_m_s < SLOWS_M_S
     }
 
     /// Why the vehicle must not go on as it does, if it must not.
@@ -308,6 +335,47 @@ mod tests {
         assert_eq!(flight.step(None), JustStopState::Stopped(cause));
         flight.speed_m_s = Some(0.0);
         assert_eq!(flight.step(Some(1.0)), JustStopState::Stopped(cause));
+    }
+
+    /// A PX4 that is sent to a place by DO_REPOSITION is in hold all the way.
+    #[test]
+    fn a_go_to_in_hold_is_stopped_and_a_hold_that_brakes_is_left_alone() {
+        let mut flight = Flight::at(2.0);
+        flight.mode = VehicleMode::Hold;
+        for _ in 0..20 {
+            assert_eq!(flight.step(None), JustStopState::Watching);
+        }
+        flight.step(Some(3.0));
+        let cause = StopCause::Obstacle { ahead_m: 2.9 };
+        assert_eq!(flight.step(Some(2.9)), JustStopState::Stopping(cause));
+        assert_eq!(flight.step(Some(2.8)), JustStopState::Stopping(cause), "it goes on");
+        let brake = |from_m_s: f32, flight: &mut Flight, wanted: fn(JustStopState) -> bool| {
+            for i in 0..40 {
+                flight.speed_m_s = Some((from_m_s - 0.1 * i as f32).max(0.0));
+                let state = flight.step(Some(2.0));
+                assert!(i < 3 || wanted(state), "{i}: {state:?}");
+            }
+        };
+        brake(2.0, &mut flight, |state| matches!(state, JustStopState::Stopped(_)));
+        // Sent on into it again, it is stopped again; sent away from it, it is left alone.
+        for speed_m_s in [0.2, 0.4, 0.6, 0.8] {
+            flight.speed_m_s = Some(speed_m_s);
+            flight.step(Some(1.5));
+        }
+        assert!(matches!(flight.guard.state(), JustStopState::Stopping(_)));
+        let mut away = Flight::at(0.0);
+        away.mode = VehicleMode::Hold;
+        for i in 0..40 {
+            away.speed_m_s = Some(0.1 * i as f32);
+            assert_eq!(away.step(None), JustStopState::Watching);
+        }
+        // A person's hold before a wall: it brakes, and nobody need say so.
+        let mut held = Flight::at(3.0);
+        for _ in 0..20 {
+            held.step(None);
+        }
+        held.mode = VehicleMode::Hold;
+        brake(2.9, &mut held, |state| state == JustStopState::Watching);
     }
 
     #[test]

@@ -3,12 +3,12 @@
 use crate::alarm::{AlarmInput, AlarmLogic};
 use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
 use crate::config::{ConfigError, GREATEST_GOAL_M, GuidanceConfig};
-use crate::setpoint::guided_setpoint;
+use crate::setpoint::{changes_height, guided_setpoint};
 use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
-    Action, Alarm, AlarmCause, AlarmResponse, AtGoal, EngagePolicy, Goal, GuidanceState, HandoverProgress, Nanos,
-    NedVector, OnNoProgress, OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode, VehicleRequest,
-    VehicleTelemetry, VelocitySetpoint, Verdict,
+    Action, Alarm, AlarmCause, AlarmResponse, AtGoal, EngagePolicy, Goal, GuidanceState, HandoverProgress, Kinematics,
+    Nanos, NedVector, OnNoProgress, OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode,
+    VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
@@ -595,10 +595,16 @@ impl Guidance {
                 },
                 // A hand-over in the air regains a flight; the alarm survives it.
                 in_flight: self.in_flight() || self.state == GuidanceState::Engaging,
-                guided: self.state == GuidanceState::Guided,
+                // On a climb or descent on the spot the action leads nowhere.
+                guided: self.state == GuidanceState::Guided && !self.changes_height(kinematics),
                 speed_m_s: kinematics.map(|k| k.velocity_ned_m_s.norm()),
             },
         )
+    }
+
+    fn changes_height(&self, kinematics: Option<Kinematics>) -> bool {
+        let places = self.goal.zip(kinematics);
+        places.is_some_and(|(goal, kinematics)| changes_height(goal, kinematics.position_ned_m))
     }
 
     fn note_fence(&mut self, position_ned_m: NedVector) {
@@ -624,6 +630,9 @@ impl Guidance {
         let (true, Some(goal)) = (self.state == GuidanceState::Guided, self.goal) else {
             return;
         };
+        if changes_height(goal, position_ned_m) {
+            return;
+        }
         let distance_m = (goal.position_ned_m - position_ned_m).horizontal_norm();
         progress.flown_ns += step_ns.min(LONGEST_STEP_NS);
         if progress

@@ -3,6 +3,7 @@
 use crate::salvage::LENGTH_LIMIT;
 use mcap::McapError;
 use mcap::records::Record;
+use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::fs::File;
 use std::io::{self, BufReader, Read};
@@ -18,6 +19,50 @@ pub(crate) enum Next {
     Cut,
 }
 
+/// A reader of MCAP as all of this crate's are: a chunk's checksum comes before its records, no length is believed that is beyond all
+/// records, and chunks may be packed by LZ4, by Zstandard, or not at all.
+pub(crate) fn linear_reader(options: LinearReaderOptions) -> LinearReader {
+    let options = options
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(LENGTH_LIMIT as usize);
+    let mut reader = LinearReader::new_with_options(options);
+    // Refused are only those without a name.
+    let _ = reader.add_decompressor(Zstandard::default());
+    reader
+}
+
+/// Unpacks Zstandard. Logs of ours are packed by LZ4; other programs write them anew so.
+#[derive(Default)]
+struct Zstandard(ruzstd::decoding::FrameDecoder);
+
+impl Decompressor for Zstandard {
+    fn next_read_size(&self) -> usize {
+        // A whole block with the headers before it.
+        (128 << 10) + 32
+    }
+
+    fn decompress(&mut self, packed: &[u8], to: &mut [u8]) -> Result<DecompressResult, McapError> {
+        if self.0.is_finished() && self.0.can_collect() == 0 {
+            // Another frame.
+            self.0 = ruzstd::decoding::FrameDecoder::new();
+        }
+        let (consumed, wrote) = self
+            .0
+            .decode_from_to(packed, to)
+            .map_err(|error| McapError::DecompressionError(error.to_string()))?;
+        Ok(DecompressResult { consumed, wrote })
+    }
+
+    fn reset(&mut self) -> Result<(), McapError> {
+        *self = Self::default();
+        Ok(())
+    }
+
+    fn name(&self) -> &'static str {
+        "zstd"
+    }
+}
+
 /// An MCAP file being read from its start. Chunks whose checksum does not match give an error, not records.
 pub(crate) struct Container {
     file: BufReader<File>,
@@ -26,12 +71,9 @@ pub(crate) struct Container {
 
 impl Container {
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
-        let options = LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
-            .with_record_length_limit(LENGTH_LIMIT as usize);
         Ok(Self {
             file: BufReader::new(vigil_files::open(path)?),
-            reader: LinearReader::new_with_options(options),
+            reader: linear_reader(LinearReaderOptions::default()),
         })
     }
 
@@ -53,6 +95,8 @@ impl Container {
                 }
                 Ok(LinearReadEvent::Record { .. }) => (),
                 Err(McapError::UnexpectedEof) => return Ok(Next::Cut),
+                // The file was read above: this is what unpacks a chunk.
+                Err(McapError::Io(error)) => return Err(McapError::DecompressionError(error.to_string())),
                 Err(error) => return Err(error),
             }
         }

@@ -45,6 +45,7 @@ mod scene;
 mod side;
 mod story;
 mod tlog;
+mod ulog;
 
 pub use convert::RecordDefect;
 pub use derived::{DerivedLog, MapSeen, SHAP_COLS, SHAP_ROWS};
@@ -59,3 +60,4 @@ pub use recover::{Gap, RecoverError, Recovery, recover};
 pub use scene::{Scene, SceneError, SceneSolid};
 pub use side::{SideError, SideLog, merge_derived, merge_into};
 pub use story::{AttackMark, CleanFrame, Line, Story, Weight};
+pub use ulog::{ULog, ulog};

@@ -2,7 +2,7 @@
 
 use crate::container::{Container, Next};
 use crate::log_file::{LOG_FORMAT, META, META_END, topic};
-use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto};
+use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto, salvage};
 use foxglove::messages::RawImage;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
@@ -10,6 +10,7 @@ use prost::Message;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
+use vigil_types::Nanos;
 
 /// Why a log cannot be read, or cannot be read any further.
 #[derive(Debug, thiserror::Error)]
@@ -23,13 +24,15 @@ pub enum ReadError {
         source: io::Error,
     },
     /// Not an MCAP file.
-    #[error("{path} is no MCAP file; give the .mcap file of a flight")]
+    #[error("{path} is no MCAP file{}; give the .mcap file of a flight", .looks_like.map(|kind| format!(" but {kind}")).unwrap_or_default())]
     NotMcap {
         /// The file.
         path: PathBuf,
+        /// What it is by its first bytes, if that is known.
+        looks_like: Option<&'static str>,
     },
     /// An MCAP file of another program.
-    #[error("{path} is an MCAP file but no flight log of Vigil: it does not begin with the metadata \"vigil\"")]
+    #[error("{path} is an MCAP file but no flight log of Vigil: it holds no metadata \"vigil\"")]
     NotALog {
         /// The file.
         path: PathBuf,
@@ -63,24 +66,67 @@ pub enum ReadError {
     },
     /// The file is damaged; the records before are good.
     #[error(
-        "{path} is damaged after record {records}: {what}; the records before it are good, and \
-         `vigil recover` saves those behind it as well"
+        "{path} is damaged after record {records}{}: {what}; the records before it are good, and \
+         `vigil recover` saves those behind it as well",
+        place(*at_s, *at_byte)
     )]
     Damaged {
         /// The file.
         path: PathBuf,
         /// Records read before the damage.
         records: u64,
+        /// Time from the first record to the last one before the damage, seconds.
+        at_s: f64,
+        /// Where the damaged piece begins, bytes from the file's beginning, if the file's form says so.
+        at_byte: Option<u64>,
         /// What is wrong.
         what: Damage,
     },
 }
 
+fn place(at_s: f64, at_byte: Option<u64>) -> String {
+    match at_byte {
+        Some(byte) => format!(", {at_s:.2} s into the log, at byte {byte}"),
+        None => format!(", {at_s:.2} s into the log"),
+    }
+}
+
+/// What is wrong with a container, in words of what was recorded.
+pub(crate) fn in_words(error: &McapError) -> String {
+    let unpacked = |what: &str| format!("a chunk, a second of flight or less, {what}");
+    match error {
+        McapError::BadChunkCrc { .. } => unpacked("does not match its checksum"),
+        McapError::DecompressionError(what) => unpacked(&format!("cannot be unpacked ({what})")),
+        McapError::UnsupportedCompression(name) => unpacked(&format!(
+            "is compressed with `{name}`, and lz4, zstd and nothing are what can be read"
+        )),
+        McapError::UnexpectedEoc | McapError::BadChunkLength { .. } => unpacked("ends within a record"),
+        McapError::RecordTooLarge { len, .. } | McapError::ChunkTooLarge(len) => {
+            format!("a piece claims {len} bytes, more than any has")
+        }
+        McapError::BadMagic => "its end mark is not MCAP's".to_owned(),
+        McapError::Parse(_) => "a record's content does not have its kind's form".to_owned(),
+        other => format!("the container does not hold together ({other})"),
+    }
+}
+
+/// Files that are taken for logs, by their first bytes.
+const FOREIGN: [(&[u8], &str); 8] = [
+    (b"ULog\x01\x12\x35", "a ULog of PX4"),
+    (b"#ROSBAG", "a ROS 1 bag"),
+    (b"SQLite format 3", "an SQLite database, as ROS 2 records bags in"),
+    (b"\x1f\x8b", "a gzip file: unpack it"),
+    (b"\x28\xb5\x2f\xfd", "a zstd file: unpack it"),
+    (b"PK\x03\x04", "a zip file: unpack it"),
+    (b"\xa3\x95", "a DataFlash log of ArduPilot"),
+    (b"\x89HDF", "an HDF5 file"),
+];
+
 /// What is wrong in a damaged log.
 #[derive(Debug, thiserror::Error)]
 pub enum Damage {
     /// The MCAP container does not hold together (length, checksum, compression).
-    #[error("{0}")]
+    #[error("{}", in_words(.0))]
     Container(McapError),
     /// A message does not decode.
     #[error("a message of {topic} does not decode: {source}")]
@@ -153,6 +199,8 @@ pub struct Reader {
     /// The image that waits for its step.
     image: Option<(MessageHeader, RawImage)>,
     records: u64,
+    /// Times of the first and the last record.
+    span_ns: Option<(Nanos, Nanos)>,
     counted: Option<(u64, u64)>,
     end: Option<LogEnd>,
     done: bool,
@@ -182,6 +230,7 @@ impl Reader {
             channels: BTreeMap::new(),
             image: None,
             records: 0,
+            span_ns: None,
             counted: None,
             end: None,
             done: false,
@@ -194,9 +243,20 @@ impl Reader {
         let path = self.path.clone();
         let meta = match self.next_container_record() {
             Ok(Next::Record(Record::Metadata(meta))) if meta.name == META => meta.metadata,
-            Ok(Next::Record(_) | Next::End) => return Err(ReadError::NotALog { path }),
+            // Programs that write a log anew may put it behind the messages.
+            Ok(Next::Record(_)) => match self.start_elsewhere()? {
+                Some(meta) => meta,
+                None => return Err(ReadError::NotALog { path }),
+            },
+            Ok(Next::End) => return Err(ReadError::NotALog { path }),
             Ok(Next::Cut) => return Err(ReadError::Empty { path }),
-            Err(Damage::Container(McapError::BadMagic)) => return Err(ReadError::NotMcap { path }),
+            Err(Damage::Container(McapError::BadMagic)) => {
+                let mut first = [0; 16];
+                let _ = vigil_files::open(&path).and_then(|mut file| io::Read::read(&mut file, &mut first));
+                let known = FOREIGN.iter().find(|(mark, _)| first.starts_with(mark));
+                let looks_like = known.map(|(_, kind)| *kind);
+                return Err(ReadError::NotMcap { path, looks_like });
+            }
             Err(Damage::Container(McapError::Io(source))) => return Err(ReadError::Io { path, source }),
             Err(what) => return Err(self.damaged(what)),
         };
@@ -211,6 +271,17 @@ impl Reader {
         (self.info, self.epoch_offset_ns) =
             FlightInfo::from_metadata(&meta).map_err(|key| ReadError::Metadata { path, key })?;
         Ok(())
+    }
+
+    /// The metadata of a log that does not begin with them; reading then begins anew.
+    fn start_elsewhere(&mut self) -> Result<Option<BTreeMap<String, String>>, ReadError> {
+        let unreadable = |source| ReadError::Io {
+            path: self.path.clone(),
+            source,
+        };
+        let description = salvage::describe(&self.path).map_err(unreadable)?;
+        self.container = Container::open(&self.path).map_err(unreadable)?;
+        Ok(description.start.map(|start| start.metadata))
     }
 
     /// Who flew with which settings.
@@ -249,9 +320,15 @@ impl Reader {
     }
 
     fn damaged(&self, what: Damage) -> ReadError {
+        // Read a second time: where it is damaged is not asked of a log that is whole.
+        let at_byte = salvage::describe(&self.path).ok().and_then(|found| found.damaged_at);
         ReadError::Damaged {
             path: self.path.clone(),
             records: self.records,
+            at_s: self
+                .span_ns
+                .map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9),
+            at_byte,
             what,
         }
     }
@@ -302,6 +379,8 @@ impl Reader {
                     Some(Channel::Tick) => {
                         self.take_tick(&data, record)?;
                         self.records += 1;
+                        let first_ns = self.span_ns.map_or(record.now_ns, |(first, _)| first);
+                        self.span_ns = Some((first_ns, record.now_ns));
                         return Ok(true);
                     }
                     None => (),

@@ -18,10 +18,17 @@ pub enum RecoverError {
     #[error(transparent)]
     Read(#[from] ReadError),
     /// There is nothing in it to recover.
-    #[error("{path} holds no whole record; nothing was written")]
+    #[error(
+        "{path} holds no whole record{}; nothing was written",
+        .compression.as_deref().map(|name| format!(
+            ": its chunks are compressed with `{name}`, and lz4, zstd and nothing are what can be read"
+        )).unwrap_or_default()
+    )]
     Nothing {
         /// The log.
         path: PathBuf,
+        /// A compression of its chunks that is not known.
+        compression: Option<String>,
     },
     /// The new file is already there; nothing was touched.
     #[error("{path} already exists and is kept; give another name")]
@@ -142,7 +149,10 @@ pub fn recover(from: &Path, to: &Path) -> Result<Recovery, RecoverError> {
     })?;
     let copied = copy(from, &description, sink).map_err(unwritable);
     let result = copied.and_then(|copy| match copy.records {
-        0 => Err(RecoverError::Nothing { path: from.to_owned() }),
+        0 => Err(RecoverError::Nothing {
+            path: from.to_owned(),
+            compression: description.unknown_compression.clone(),
+        }),
         _ => Ok(copy.recovery(&description, from, epoch_offset_ns)),
     });
     if result.is_err() {

@@ -1,13 +1,15 @@
 //! Walks through the pieces of an MCAP file that are whole, around those that are damaged or cut off.
 //!
 //! A file is a row of records: an opcode of one byte, a length of eight, the content. Messages lie in chunks, which have a
-//! checksum. Where a length is damaged the next chunk is found by its form: behind opcode and length two times, size,
-//! checksum, and the name of the compression, whose stored size must agree with the record's length.
+//! checksum; a log that other programs wrote anew may have its messages outside of any chunk. Where a length is damaged the next
+//! piece is found by its form: of a chunk, behind opcode and length two times, size, checksum, and the name of the compression,
+//! the stored size, which must agree with the record's length; of a message, the records that follow it.
 
+use crate::container::linear_reader;
 use crate::log_file::META;
 use mcap::McapError;
-use mcap::read::ChunkReader;
 use mcap::records::{Channel, ChunkHeader, Metadata, Record, SchemaHeader, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReaderOptions};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io;
@@ -20,12 +22,14 @@ pub(crate) const LENGTH_LIMIT: u64 = 64 << 20;
 const MAGIC: u64 = 8;
 /// Opcode and length.
 const HEAD: u64 = 9;
-/// What [`write_options`](crate::log_file::write_options) compresses with, as a chunk names it.
-const COMPRESSION: &[u8] = b"\x03\0\0\0lz4";
-/// Where that name stands in a chunk, from its opcode on.
-const COMPRESSION_AT: u64 = HEAD + 8 + 8 + 8 + 4;
-/// A chunk's content begins so far behind its length.
-const CHUNK_HEAD: u64 = 8 + 8 + 8 + 4 + COMPRESSION.len() as u64 + 8;
+/// Times, size and checksum stand before a chunk's compression, which is a length of four bytes and a name.
+const NAME_AT: usize = 8 + 8 + 8 + 4;
+/// No compression has a longer name.
+const LONGEST_NAME: usize = 32;
+/// A message's channel, number and times.
+const MESSAGE_HEAD: u64 = 2 + 4 + 8 + 8;
+/// So many records have to follow a message that is found by its form.
+const FOLLOWERS: usize = 3;
 
 /// What has to be known of a file before its messages are copied.
 #[derive(Default)]
@@ -37,12 +41,16 @@ pub(crate) struct Description {
     pub(crate) channels: BTreeMap<u16, Channel>,
     /// Bytes of a piece that the end of the file cuts off.
     pub(crate) cut_bytes: u64,
+    /// Where the first piece begins that is damaged, bytes from the file's beginning.
+    pub(crate) damaged_at: Option<u64>,
+    /// A compression that none of the chunks' readers knows.
+    pub(crate) unknown_compression: Option<String>,
 }
 
 /// Reads what describes the messages.
 pub(crate) fn describe(path: &Path) -> io::Result<Description> {
     let mut description = Description::default();
-    let cut_bytes = walk(path, &mut |record| {
+    let walked = walk(path, &mut |record| {
         match record {
             Record::Metadata(metadata) if metadata.name == META => description.start = Some(metadata),
             Record::Schema { header, data } => {
@@ -59,8 +67,12 @@ pub(crate) fn describe(path: &Path) -> io::Result<Description> {
         McapError::Io(error) => error,
         other => io::Error::other(other),
     })?;
-    description.cut_bytes = cut_bytes;
-    Ok(description)
+    Ok(Description {
+        start: description.start,
+        schemas: description.schemas,
+        channels: description.channels,
+        ..walked
+    })
 }
 
 /// Hands over every whole record, those of chunks included, in the order of the file.
@@ -71,30 +83,61 @@ pub(crate) fn pieces(
     walk(path, &mut take).map(|_| ())
 }
 
-fn walk(path: &Path, take: &mut dyn FnMut(Record<'static>) -> Result<(), McapError>) -> Result<u64, McapError> {
+/// What is whole goes to `take`; what is not is described.
+fn walk(path: &Path, take: &mut dyn FnMut(Record<'static>) -> Result<(), McapError>) -> Result<Description, McapError> {
     let file = vigil_files::open(path)?;
     let size = file.metadata()?.len();
+    let mut walked = Description::default();
+    // Packed messages may lie in a damaged chunk as they are, or nearly: only a file without chunks has them by their form.
+    let mut kinds: Option<&[u8]> = None;
+    let mut find = |from: u64| {
+        let known = match kinds {
+            Some(known) => known,
+            None => match find_piece(&file, MAGIC, size, &[op::CHUNK])? {
+                Some(_) => *kinds.insert(&[op::CHUNK]),
+                None => *kinds.insert(&[op::MESSAGE]),
+            },
+        };
+        find_piece(&file, from, size, known)
+    };
     let mut at = MAGIC;
     while at < size {
         let Some((opcode, length)) = head(&file, at, size)? else {
+            walked.damaged_at.get_or_insert(at);
             // A length that was damaged, or the end that was cut off.
-            match find_chunk(&file, at + 1, size)? {
+            match find(at + 1)? {
                 Some(next) => at = next,
-                None => return Ok(size - at),
+                None => {
+                    walked.cut_bytes = size - at;
+                    return Ok(walked);
+                }
             }
             continue;
         };
         let (content, end) = (at + HEAD, at + HEAD + length);
         let whole = match opcode {
-            op::CHUNK => chunk(&read(&file, content, length)?),
-            op::METADATA | op::SCHEMA | op::CHANNEL => mcap::parse_record(opcode, &read(&file, content, length)?)
-                .map(|record| vec![record.into_owned()])
-                .ok(),
+            op::CHUNK => {
+                let bytes = read(&file, content, length)?;
+                chunk(&bytes).unwrap_or_else(|error| {
+                    if let McapError::UnsupportedCompression(name) = error {
+                        walked.unknown_compression.get_or_insert(name);
+                    }
+                    None
+                })
+            }
+            op::METADATA | op::SCHEMA | op::CHANNEL | op::MESSAGE => {
+                mcap::parse_record(opcode, &read(&file, content, length)?)
+                    .map(|record| vec![record.into_owned()])
+                    .ok()
+            }
             // Only the mark follows.
-            op::FOOTER => return Ok(0),
+            op::FOOTER => return Ok(walked),
             _ => Some(Vec::new()),
         };
         let is_whole = whole.is_some();
+        if !is_whole {
+            walked.damaged_at.get_or_insert(at);
+        }
         for record in whole.into_iter().flatten() {
             take(record)?;
         }
@@ -102,10 +145,10 @@ fn walk(path: &Path, take: &mut dyn FnMut(Record<'static>) -> Result<(), McapErr
         at = match trusted {
             true => end,
             // The piece is damaged, and so may be its length.
-            false => find_chunk(&file, at + 1, size)?.unwrap_or(size),
+            false => find(at + 1)?.unwrap_or(size),
         };
     }
-    Ok(0)
+    Ok(walked)
 }
 
 /// Opcode and length of the record at `at`, if there can be one that lies within the file.
@@ -129,53 +172,101 @@ fn read(file: &File, at: u64, length: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The records of a chunk; none if anything in it is damaged.
-fn chunk(bytes: &[u8]) -> Option<Vec<Record<'static>>> {
-    let (head, content) = bytes.split_at_checked(CHUNK_HEAD as usize)?;
-    let number = |at: usize| {
-        head.get(at..at + 8)
-            .map(|b| u64::from_le_bytes(b.try_into().unwrap_or_default()))
-    };
-    let crc = head.get(24..28)?;
+/// What stands before a chunk's records, and how many bytes that is.
+fn chunk_head(bytes: &[u8]) -> Option<(ChunkHeader, usize)> {
+    let number = |at: usize| Some(u64::from_le_bytes(*bytes.get(at..)?.first_chunk()?));
+    let name_len = u32::from_le_bytes(*bytes.get(NAME_AT..)?.first_chunk()?) as usize;
+    let name = bytes.get(NAME_AT + 4..)?.get(..name_len.min(LONGEST_NAME + 1))?;
+    let end = NAME_AT + 4 + name_len;
     let header = ChunkHeader {
         message_start_time: number(0)?,
         message_end_time: number(8)?,
         uncompressed_size: number(16).filter(|size| *size <= LENGTH_LIMIT)?,
-        uncompressed_crc: u32::from_le_bytes(crc.try_into().unwrap_or_default()),
-        compression: "lz4".to_owned(),
-        compressed_size: number(CHUNK_HEAD as usize - 8)?,
+        uncompressed_crc: u32::from_le_bytes(*bytes.get(24..)?.first_chunk()?),
+        compression: String::from_utf8(name.to_vec())
+            .ok()
+            .filter(|_| name_len <= LONGEST_NAME)?,
+        compressed_size: number(end)?,
     };
-    if head.get(28..28 + COMPRESSION.len())? != COMPRESSION || header.compressed_size != content.len() as u64 {
-        return None;
-    }
-    let records = ChunkReader::new(header, content).ok()?;
-    records
-        .map(|record| record.map(Record::into_owned))
-        .collect::<Result<_, _>>()
-        .ok()
+    Some((header, end + 8))
 }
 
-/// The next place from `from` on at which a chunk begins, by its form.
-fn find_chunk(file: &File, from: u64, size: u64) -> io::Result<Option<u64>> {
-    const WINDOW: u64 = 1 << 20;
-    // Neighbouring windows overlap by the mark that is looked for.
-    let overlap = COMPRESSION.len() as u64 - 1;
-    let mut at = from + COMPRESSION_AT;
-    while at + overlap < size {
-        let bytes = read(file, at, WINDOW.min(size - at))?;
-        let marks = bytes.windows(COMPRESSION.len()).enumerate();
-        for (offset, _) in marks.filter(|(_, window)| *window == COMPRESSION) {
-            let begin = at + offset as u64 - COMPRESSION_AT;
-            if let Some((op::CHUNK, length)) = head(file, begin, size)?
-                && length >= CHUNK_HEAD
-            {
-                let stored = read(file, begin + HEAD + CHUNK_HEAD - 8, 8)?;
-                if u64::from_le_bytes(stored.try_into().unwrap_or_default()) == length - CHUNK_HEAD {
-                    return Ok(Some(begin));
+/// The records of a chunk, of which `bytes` is the content; none if anything in it is damaged.
+///
+/// # Errors
+/// A compression that is not known.
+fn chunk(bytes: &[u8]) -> Result<Option<Vec<Record<'static>>>, McapError> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true);
+    let mut reader = linear_reader(options);
+    let length = (bytes.len() as u64).to_le_bytes();
+    let whole = [&[op::CHUNK], length.as_slice(), bytes].concat();
+    let mut rest = whole.as_slice();
+    let mut records = Vec::new();
+    while let Some(event) = reader.next_event() {
+        match event {
+            Ok(LinearReadEvent::ReadRequest(need)) => {
+                let (next, left) = rest.split_at(need.min(rest.len()));
+                if let Some(to) = reader.insert(need).get_mut(..next.len()) {
+                    to.copy_from_slice(next);
                 }
+                reader.notify_read(next.len());
+                rest = left;
+            }
+            Ok(LinearReadEvent::Record { opcode, data }) => match mcap::parse_record(opcode, data) {
+                Ok(record) => records.push(record.into_owned()),
+                Err(_) => return Ok(None),
+            },
+            Err(error @ McapError::UnsupportedCompression(_)) => return Err(error),
+            Err(_) => return Ok(None),
+        }
+    }
+    Ok(Some(records))
+}
+
+/// The next place from `from` on at which a piece of these kinds, chunks or messages, begins, by its form.
+fn find_piece(file: &File, from: u64, size: u64, kinds: &[u8]) -> io::Result<Option<u64>> {
+    const WINDOW: u64 = 1 << 20;
+    // Neighbouring windows overlap by opcode and length, of which the upper half is zero (LENGTH_LIMIT).
+    let mut at = from;
+    while at + HEAD < size {
+        let bytes = read(file, at, WINDOW.min(size - at))?;
+        for (offset, window) in bytes.windows(HEAD as usize).enumerate() {
+            let possible =
+                window.first().is_some_and(|first| kinds.contains(first)) && window.get(5..) == Some(&[0; 4]);
+            if possible && is_piece(file, at + offset as u64, size)? {
+                return Ok(Some(at + offset as u64));
             }
         }
-        at += WINDOW - overlap;
+        at += WINDOW - HEAD + 1;
     }
     Ok(None)
+}
+
+/// Whether a chunk or a message begins at `at`, by its form.
+fn is_piece(file: &File, at: u64, size: u64) -> io::Result<bool> {
+    match head(file, at, size)? {
+        Some((op::CHUNK, length)) => {
+            let most = (NAME_AT + 4 + LONGEST_NAME + 8) as u64;
+            let found = chunk_head(&read(file, at + HEAD, length.min(most))?);
+            Ok(found.is_some_and(|(header, begin)| {
+                // One more letter in the name is damage; another name altogether is no chunk's.
+                let named = header.compression.chars().all(|c| c.is_ascii_graphic());
+                named && header.compressed_size.checked_add(begin as u64) == Some(length)
+            }))
+        }
+        Some((op::MESSAGE, length)) if length >= MESSAGE_HEAD => {
+            let mut next = at + HEAD + length;
+            for _ in 0..FOLLOWERS {
+                next = match head(file, next, size)? {
+                    Some((op::FOOTER, _)) => return Ok(true),
+                    Some((_, length)) => next + HEAD + length,
+                    None => return Ok(next == size),
+                };
+            }
+            Ok(true)
+        }
+        _ => Ok(false),
+    }
 }

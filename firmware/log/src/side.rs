@@ -34,7 +34,7 @@ pub enum SideError {
         source: io::Error,
     },
     /// A file is no MCAP file, or is damaged.
-    #[error("{path}: {source}")]
+    #[error("{path}: {}", crate::reader::in_words(.source))]
     Mcap {
         /// The file.
         path: PathBuf,

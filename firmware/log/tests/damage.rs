@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Draw, bits, drawn, lockstep};
-use mcap::records::Metadata;
+use mcap::records::{Metadata, Record};
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -106,13 +106,237 @@ fn a_log_that_was_not_closed_is_recovered_into_a_new_file_with_an_index() {
     assert!(matches!(recover(&cut, &closed), Err(RecoverError::Exists { .. })));
 }
 
+/// The chunks of a log that are not packed, packed by Zstandard; the index behind them is of no more use.
+fn packed_by_zstandard(log: &[u8]) -> Vec<u8> {
+    let (mut packed, mut from) = (Vec::new(), 0);
+    for (begin, length) in chunks(log) {
+        // Behind opcode and length: times, size and checksum, no name, the stored size.
+        let head = &log[begin + 9..][..28];
+        let content = &log[begin + 9 + 28 + 4 + 8..begin + length];
+        let smaller = ruzstd::encoding::compress_to_vec(content, ruzstd::encoding::CompressionLevel::Fastest);
+        packed.extend(&log[from..begin]);
+        packed.push(6);
+        packed.extend((28 + 8 + 8 + smaller.len() as u64).to_le_bytes());
+        packed.extend(
+            [
+                head,
+                &4u32.to_le_bytes(),
+                b"zstd",
+                &(smaller.len() as u64).to_le_bytes(),
+            ]
+            .concat(),
+        );
+        packed.extend(smaller);
+        from = begin + length;
+    }
+    packed.extend(&log[from..]);
+    packed
+}
+
+/// The same log as another program writes it anew: chunks packed otherwise or none, the metadata in front or behind.
+fn rewritten(log: &[u8], form: &str, options: mcap::WriteOptions, metadata_behind: bool) -> Vec<u8> {
+    let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
+    let mut behind = Vec::new();
+    for record in mcap::read::ChunkFlattener::new(log).unwrap() {
+        match record.unwrap() {
+            Record::Metadata(metadata) if metadata_behind => behind.push(metadata),
+            Record::Metadata(metadata) => writer.write_metadata(&metadata).unwrap(),
+            Record::Schema { header, data } => {
+                let _ = writer.add_schema_with_id(header.id, &header.name, &header.encoding, &data);
+            }
+            Record::Channel(c) => {
+                let (topic, encoding) = (&c.topic, &c.message_encoding);
+                let _ = writer.add_channel_with_id(c.id, c.schema_id, topic, encoding, &c.metadata);
+            }
+            Record::Message { header, data } => writer.write_to_known_channel(&header, &data).unwrap(),
+            // The summary repeats what stands before; the writer makes its own.
+            Record::DataEnd(_) => break,
+            _ => {}
+        }
+    }
+    for metadata in behind {
+        writer.write_metadata(&metadata).unwrap();
+    }
+    writer.finish().unwrap();
+    let log = writer.into_inner().into_inner();
+    if form == "zstd" { packed_by_zstandard(&log) } else { log }
+}
+
+/// Each way in which MCAP can hold a log, by name.
+fn forms(chunk_size: u64) -> Vec<(&'static str, mcap::WriteOptions)> {
+    let packed = |compression| {
+        mcap::WriteOptions::new()
+            .compression(compression)
+            .chunk_size(Some(chunk_size))
+    };
+    vec![
+        ("lz4", packed(Some(mcap::Compression::Lz4))),
+        ("zstd", packed(None)),
+        ("chunks that are not packed", packed(None)),
+        ("no chunks", mcap::WriteOptions::new().use_chunks(false)),
+    ]
+}
+
+#[test]
+fn a_log_that_another_program_wrote_anew_is_read_and_recovered_in_every_form_of_the_format() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = small_log(dir.path());
+    // A chunk for each message.
+    for (name, options) in forms(1) {
+        for metadata_behind in [false, true] {
+            let log = rewritten(&good, name, options.clone(), metadata_behind);
+            let path = dir.path().join("anew.mcap");
+            std::fs::write(&path, &log).unwrap();
+            let read = read_all(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(
+                read,
+                (STEPS, Some(LogEnd::Closed { dropped: 0 })),
+                "{name}, {metadata_behind}"
+            );
+            let (steps, recovery) = recovered(&log);
+            assert_eq!(
+                (steps, recovery.lost),
+                ((0..STEPS).collect(), 0),
+                "{name}, {metadata_behind}"
+            );
+        }
+        // Cut in the middle, and with a length that leads nowhere: what is whole is recovered, before it and behind it.
+        let log = rewritten(&good, name, options, false);
+        let path = dir.path().join("cut.mcap");
+        std::fs::write(&path, &log[..log.len() * 2 / 3]).unwrap();
+        let (records, end) = read_all(&path).unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(end, Some(LogEnd::Interrupted { records }), "{name}");
+        if records > 0 {
+            let (steps, _) = recovered(&log[..log.len() * 2 / 3]);
+            assert_eq!(steps.len() as u64, records, "{name}");
+        }
+        let pieces = pieces(&log, &[5, 6]);
+        let (begin, _) = pieces[pieces.len() / 2];
+        let mut bad = log.clone();
+        bad[begin + 8] = 0x77;
+        std::fs::write(&path, &bad).unwrap();
+        let before = Reader::open(&path).unwrap().filter(Result::is_ok).count();
+        let (steps, recovery) = recovered(&bad);
+        assert!(before < steps.len(), "{name}: {before}, {steps:?}");
+        assert_eq!(recovery.lost, STEPS - steps.len() as u64, "{name}");
+    }
+}
+
+#[test]
+fn a_compression_that_nobody_knows_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut log = small_log(dir.path());
+    for (begin, _) in chunks(&log) {
+        log[begin + 9 + 28 + 4..][..3].copy_from_slice(b"br9");
+    }
+    let (path, copy) = (dir.path().join("br9.mcap"), dir.path().join("copy.mcap"));
+    std::fs::write(&path, &log).unwrap();
+    for error in [
+        read_all(&path).unwrap_err().to_string(),
+        recover(&path, &copy).unwrap_err().to_string(),
+    ] {
+        assert!(
+            error.contains("br9.mcap") && error.contains("compressed with `br9`"),
+            "{error}"
+        );
+        assert!(error.contains("lz4, zstd and nothing are what can be read"), "{error}");
+    }
+    assert!(!copy.exists());
+}
+
+/// A log that is broken in one way of many, and how.
+fn broken(good: &[u8]) -> Vec<(String, Vec<u8>)> {
+    let mut all = Vec::new();
+    for (form, options) in forms(8_000).into_iter().take(3) {
+        let log = rewritten(good, form, options, false);
+        let chunks = chunks(&log);
+        for (number, (begin, length)) in chunks.iter().enumerate().skip(1).take(2) {
+            let name_len = usize::from(log[begin + 9 + 28]);
+            for (what, at, flip) in [
+                ("a bit in the middle of the content", begin + length / 2, 0x10),
+                ("the first byte of the content", begin + 9 + 28 + 4 + name_len + 8, 0xff),
+                ("a bit near the end of the content", begin + length * 7 / 8, 0x01),
+                ("the unpacked size", begin + 9 + 16, 0x7f),
+                ("the unpacked size, beyond all memory", begin + 9 + 16 + 6, 0x7f),
+                ("the checksum", begin + 9 + 24, 0x01),
+                ("the stored size", begin + 9 + 28 + 4 + name_len, 0x05),
+                ("the length", begin + 1, 0x40),
+                ("the opcode", *begin, 0x42),
+            ] {
+                let mut bad = log.clone();
+                bad[at] ^= flip;
+                all.push((format!("{form}: {what} of chunk {number}"), bad));
+            }
+        }
+    }
+    all
+}
+
+#[test]
+fn damage_is_told_by_record_place_and_remedy_and_never_as_a_librarys_bare_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let good = small_log(dir.path());
+    let (mut told, mut silent) = (0, Vec::new());
+    for (name, bytes) in broken(&good) {
+        let (path, copy) = (dir.path().join("bad.mcap"), dir.path().join("copy.mcap"));
+        std::fs::write(&path, &bytes).unwrap();
+        let _ = std::fs::remove_file(&copy);
+        let recovery = recover(&path, &copy).unwrap_or_else(|error| panic!("{name}: {error}"));
+        match read_all(&path) {
+            Err(error) => {
+                let error = error.to_string();
+                for words in [
+                    "bad.mcap is damaged after record ",
+                    " s into the log",
+                    ", at byte ",
+                    "`vigil recover` saves",
+                ] {
+                    assert!(error.contains(words), "{name}: {error}");
+                }
+                for bare in ["LZ4 error", "I/O error", "Unknown frame descriptor", "ERROR_"] {
+                    assert!(
+                        !error.contains(bare) || error.contains("cannot be unpacked ("),
+                        "{name}: {error}"
+                    );
+                }
+                // What is read before the damage is what the copy begins with.
+                let before = Reader::open(&path).unwrap().filter(Result::is_ok).count() as u64;
+                assert!(before <= recovery.records, "{name}");
+                told += 1;
+            }
+            // A length that leads beyond the end reads as a log that was cut; one beside which the checksum holds costs nothing.
+            Ok((records, end)) => {
+                let cut = Some(LogEnd::Interrupted { records });
+                assert!(
+                    end == cut || (records, recovery.records) == (STEPS, STEPS),
+                    "{name}: {records}, {end:?}"
+                );
+                assert!(records <= recovery.records, "{name}: {records}, {recovery}");
+                silent.push(name);
+            }
+        }
+    }
+    assert!(
+        told >= 40 && silent.len() <= told / 3,
+        "{told} told, not damaged for a reader: {silent:?}"
+    );
+}
+
 /// Where the chunks of a log begin, and how long each is.
 fn chunks(log: &[u8]) -> Vec<(usize, usize)> {
+    pieces(log, &[6])
+}
+
+/// The same of records of other kinds.
+fn pieces(log: &[u8], opcodes: &[u8]) -> Vec<(usize, usize)> {
     let mut at = 8;
     let mut chunks = Vec::new();
     while let Some(head) = log.get(at..at + 9) {
         let length = 9 + u64::from_le_bytes(head[1..].try_into().unwrap()) as usize;
-        if head[0] == 6 {
+        if head[0] == 15 {
+            break;
+        }
+        if opcodes.contains(&head[0]) {
             chunks.push((at, length));
         }
         at += length;
@@ -162,16 +386,18 @@ fn what_is_whole_around_damage_is_recovered_and_what_is_lost_is_told() {
             bad[at] ^= 0x10;
             let (steps, recovery) = recovered(&bad);
             let missing: Vec<u64> = all.iter().copied().filter(|step| !steps.contains(step)).collect();
+            let content = at != begin + 1;
+            // Beside a wrong length the checksum may still hold: then nothing is lost.
             assert!(
-                !missing.is_empty() && missing.len() < all.len(),
+                (!missing.is_empty() || !content) && missing.len() < all.len(),
                 "{begin} {at}: {steps:?}"
             );
             let told = recovery.to_string();
-            let content = at != begin + 1;
             match recovery.end {
                 LogEnd::Closed { .. } => {
                     assert_eq!(recovery.lost, missing.len() as u64, "{begin} {at}");
-                    assert!(told.contains("lost to damage") && told.contains("records,"), "{told}");
+                    let lost = told.contains("lost to damage") && told.contains("records,");
+                    assert_eq!(lost, !missing.is_empty(), "{told}");
                 }
                 // Behind the last chunk nothing says where the count of records begins.
                 end => assert!(!content && told.contains("not closed"), "{begin} {at}: {end:?}, {told}"),
@@ -244,6 +470,20 @@ fn a_wrong_file_is_named_for_what_it_is() {
     assert!(matches!(error(&path), ReadError::Empty { .. }));
     std::fs::write(&path, "[pilot]\nkind = 'geometric' and a long text\n").unwrap();
     assert!(matches!(error(&path), ReadError::NotMcap { .. }));
+    for (first, kind) in [
+        (&b"ULog\x01\x12\x35\x01 and what follows"[..], "a ULog of PX4"),
+        (b"#ROSBAG V2.0\n and what follows", "a ROS 1 bag"),
+        (b"SQLite format 3\0 and what follows", "ROS 2 records bags"),
+        (b"\x1f\x8b\x08\0 and what follows, packed", "a gzip file: unpack it"),
+        (b"\xa3\x95\x80\x80 and what follows", "a DataFlash log"),
+    ] {
+        std::fs::write(&path, first).unwrap();
+        let text = error(&path).to_string();
+        assert!(
+            text.contains(kind) && text.contains("give the .mcap file of a flight"),
+            "{text}"
+        );
+    }
     assert!(matches!(error(dir.path()), ReadError::Io { .. }));
     with_metadata(&path, "somebody else's", &[]);
     assert!(matches!(error(&path), ReadError::NotALog { .. }));

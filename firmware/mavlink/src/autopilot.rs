@@ -7,6 +7,7 @@ pub(crate) mod command_number {
     pub const NAV_LAND: u16 = 21;
     pub const NAV_TAKEOFF: u16 = 22;
     pub const DO_SET_MODE: u16 = 176;
+    pub const DO_REPOSITION: u16 = 192;
     pub const COMPONENT_ARM_DISARM: u16 = 400;
     pub const SET_MESSAGE_INTERVAL: u16 = 511;
     pub const REQUEST_MESSAGE: u16 = 512;
@@ -17,6 +18,7 @@ pub(crate) mod command_number {
             NAV_LAND => "landing",
             NAV_TAKEOFF => "take-off",
             DO_SET_MODE => "change of mode",
+            DO_REPOSITION => "stop",
             COMPONENT_ARM_DISARM => "arming",
             _ => "command",
         }

@@ -14,7 +14,7 @@ use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::FramingCounters;
 pub use vigil_mavlink::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector, RANGE_SECTORS};
-use vigil_vehicle::{Estimate, Sensors, Truth, VehicleView};
+use vigil_vehicle::{Estimate, HoldLaw, Sensors, Truth, VehicleView};
 
 /// What was refused since start, besides what the framing refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -134,6 +134,8 @@ pub(crate) struct Core {
     /// Time of the first step, the origin of `time_boot_ms`.
     pub boot_ns: Option<Nanos>,
     pub view: VehicleView,
+    /// What the vehicle's hold is.
+    pub hold_law: HoldLaw,
     pub id: ComponentId,
     /// Where the local origin is, which is home until it is moved.
     pub home: HomePosition,
@@ -179,6 +181,7 @@ impl Core {
             now_ns: 0,
             boot_ns: None,
             view: at_rest(),
+            hold_law: HoldLaw::default(),
             id: ComponentId {
                 system: config.system_id,
                 component: 1,

@@ -9,7 +9,7 @@ use vigil_mavlink::framing::{self, Command, CommandAck, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::carries_key;
 use vigil_types::{Nanos, STEP_NS};
-use vigil_vehicle::{ControlCommand, Truth, VehicleView};
+use vigil_vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 
 /// A PX4-flavoured MAVLink vehicle, sans IO.
 ///
@@ -57,6 +57,11 @@ impl Endpoint {
             due_ns: 0,
             passed_on: [(0, 0); MAX_LINKS],
         })
+    }
+
+    /// From now on its hold is of this kind; at first it stops and holds where it stopped.
+    pub fn set_hold_law(&mut self, law: HoldLaw) {
+        self.core.hold_law = law;
     }
 
     /// Takes one datagram that came on `link`. Whatever it holds, it is obeyed, passed on or counted; never a panic.

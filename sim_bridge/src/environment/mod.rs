@@ -52,6 +52,15 @@ impl Environment {
         Self::with_lidar(course, wind, LidarConfig::default(), seed)
     }
 
+    /// The same with another vehicle: a model's ([`vigil_vehicle::VehicleModel::params`]) or one drawn between the models
+    /// ([`VehicleParams::drawn`]).
+    ///
+    /// # Errors
+    /// Wind or vehicle out of their range.
+    pub fn with_vehicle(course: &Course, vehicle: VehicleParams, wind: Wind, seed: u64) -> Result<Self, ParamsError> {
+        Self::of(course, vehicle, wind, LidarConfig::default(), seed)
+    }
+
     /// The same with another LiDAR.
     ///
     /// # Errors
@@ -60,7 +69,24 @@ impl Environment {
     /// # Panics
     /// A LiDAR out of its range.
     pub fn with_lidar(course: &Course, wind: Wind, lidar: LidarConfig, seed: u64) -> Result<Self, ParamsError> {
-        let mut vehicle = Box::new(Vehicle::new(VehicleParams::default(), wind, seed)?);
+        Self::of(course, VehicleParams::default(), wind, lidar, seed)
+    }
+
+    /// All of it chosen.
+    ///
+    /// # Errors
+    /// Wind or vehicle out of their range.
+    ///
+    /// # Panics
+    /// A LiDAR out of its range.
+    pub fn of(
+        course: &Course,
+        vehicle: VehicleParams,
+        wind: Wind,
+        lidar: LidarConfig,
+        seed: u64,
+    ) -> Result<Self, ParamsError> {
+        let mut vehicle = Box::new(Vehicle::new(vehicle, wind, seed)?);
         let start = course.start_ned_m();
         let height = NedVector::new(start.x, start.y, -course.flight_height_m);
         vehicle.place(height, course.start_heading_rad(), true);

@@ -3,7 +3,7 @@
 use crate::body::Inertia;
 use crate::interface::{ControlCommand, YawCommand};
 use crate::math::{Rotation, Vec3, from_attitude, from_frd, from_ned, heading, tilt_and_heading, wrap};
-use crate::params::{ControlParams, GRAVITY_M_S2};
+use crate::params::{ControlParams, GRAVITY_M_S2, VelocityLaw};
 use crate::rotors::Wrench;
 use crate::shaping::{Limits, Shaped, advance_horizontal, square_root_law};
 
@@ -17,6 +17,8 @@ const YAW_LEASH_RAD: f64 = 0.5;
 const TAKEOFF_CLIMB_M_S: f64 = 0.15;
 /// Largest acceleration that the velocity integral may hold against wind and drag, m/s².
 const INTEGRAL_MAX_M_S2: f64 = 4.0;
+/// Time constant of the acceleration measured under [`VelocityLaw::Direct`], from which a path to a place begins.
+const ACCELERATION_FILTER_S: f64 = 0.05;
 /// Fastest rate about any axis that a rates command may ask for: 720 °/s, in rad/s.
 const RATE_MAX_RAD_S: f64 = 4.0 * core::f64::consts::PI;
 /// Largest angular acceleration that the rate integral may hold, rad/s².
@@ -70,6 +72,8 @@ pub(crate) struct Controller {
     yaw: Limits,
     stage: Stage,
     reference: Reference,
+    /// The wanted velocity as far as [`VelocityLaw::Direct`] has taken it up.
+    taken_up_m_s: Vec3,
     velocity_integral_m_s2: Vec3,
     rates_wanted_rad_s: Vec3,
     thrust_wanted_n: f64,
@@ -107,6 +111,7 @@ impl Controller {
                 yaw_rad: 0.0,
                 yaw_rate: Shaped::default(),
             },
+            taken_up_m_s: Vec3::zeros(),
             velocity_integral_m_s2: Vec3::zeros(),
             rates_wanted_rad_s: Vec3::zeros(),
             thrust_wanted_n: 0.0,
@@ -226,7 +231,16 @@ impl Controller {
                     }
                     _ => (Vec3::zeros(), YawCommand::Hold),
                 };
-                self.follow(&velocity, yaw, belief, on_ground, dt_s);
+                let is_velocity = matches!(
+                    command,
+                    ControlCommand::VelocityHeading { .. } | ControlCommand::VelocityNed { .. }
+                );
+                let law = if is_velocity {
+                    self.params.velocity_law
+                } else {
+                    VelocityLaw::Shaped
+                };
+                self.follow(&velocity, yaw, (belief, on_ground), law, dt_s);
             }
         }
     }
@@ -274,6 +288,7 @@ impl Controller {
     fn reset_reference(&mut self, belief: &Belief) {
         let mut velocity_ned_m_s = belief.velocity_ned_m_s;
         self.limit_velocity(&mut velocity_ned_m_s);
+        self.taken_up_m_s = velocity_ned_m_s;
         self.reference = Reference {
             position_ned_m: belief.position_ned_m,
             velocity_ned_m_s,
@@ -337,8 +352,15 @@ impl Controller {
         v
     }
 
-    /// One interval along a shaped path with this wanted velocity.
-    fn follow(&mut self, velocity_ned_m_s: &Vec3, yaw: YawCommand, belief: &Belief, on_ground: bool, dt_s: f64) {
+    /// One interval towards this wanted velocity.
+    fn follow(
+        &mut self,
+        velocity_ned_m_s: &Vec3,
+        yaw: YawCommand,
+        (belief, on_ground): (&Belief, bool),
+        law: VelocityLaw,
+        dt_s: f64,
+    ) {
         let p = self.params;
         let mut target = *velocity_ned_m_s;
         self.limit_velocity(&mut target);
@@ -347,6 +369,52 @@ impl Controller {
             self.stop(Stage::Idle);
             return;
         }
+        let (ahead, velocity_error) = match law {
+            VelocityLaw::Shaped => self.shaped(&target, belief, dt_s),
+            VelocityLaw::Direct => self.direct(&target, belief, dt_s),
+        };
+
+        let r = &mut self.reference;
+        let yaw_rate_wanted = match yaw {
+            YawCommand::Rate { yaw_rate_rad_s } if yaw_rate_rad_s.is_finite() => f64::from(yaw_rate_rad_s),
+            YawCommand::Angle { yaw_rad } if yaw_rad.is_finite() => {
+                let turn = wrap(f64::from(yaw_rad) - r.yaw_rad);
+                square_root_law(turn.abs(), 2.0, 0.5 * p.yaw_accel_rad_s2) * turn.signum()
+            }
+            _ => 0.0,
+        };
+        r.yaw_rate.advance(
+            yaw_rate_wanted.clamp(-p.yaw_rate_max_rad_s, p.yaw_rate_max_rad_s),
+            &self.yaw,
+            dt_s,
+        );
+        let turned = wrap(r.yaw_rad + r.yaw_rate.value * dt_s - belief.yaw_rad).clamp(-YAW_LEASH_RAD, YAW_LEASH_RAD);
+        r.yaw_rad = wrap(belief.yaw_rad + turned);
+        let r = *r;
+
+        let [velocity_h, velocity_v] = p.velocity_gain_per_s;
+        let [integral_h, integral_v] = p.velocity_integral_per_s2;
+        let acceleration = ahead
+            + velocity_error.component_mul(&Vec3::new(velocity_h, velocity_h, velocity_v))
+            + self.velocity_integral_m_s2;
+        let unlimited = self.unlimited_force(&acceleration);
+        let force = self.force_for(&acceleration);
+        if !self.saturated && (force - unlimited).norm() < 1e-9 {
+            let sum = self.velocity_integral_m_s2
+                + velocity_error.component_mul(&Vec3::new(integral_h, integral_h, integral_v)) * dt_s;
+            self.velocity_integral_m_s2 = sum.map(|v| v.clamp(-INTEGRAL_MAX_M_S2, INTEGRAL_MAX_M_S2));
+        }
+
+        let wanted = tilt_and_heading(&force.normalize(), r.yaw_rad);
+        self.rates_wanted_rad_s = self.rates_towards(&wanted, belief, r.yaw_rate.value);
+        // Thrust along the axis that the body has, not the one that it should have.
+        let thrust_n = force.dot(&(belief.attitude * Vec3::z())).max(0.0);
+        self.thrust_wanted_n += (thrust_n - self.thrust_wanted_n) * dt_s / (dt_s + p.thrust_filter_s);
+    }
+
+    /// The reference an interval on; its acceleration, and the error of the velocity that follows it.
+    fn shaped(&mut self, target: &Vec3, belief: &Belief, dt_s: f64) -> (Vec3, Vec3) {
+        self.taken_up_m_s = belief.velocity_ned_m_s;
         let r = &mut self.reference;
         advance_horizontal(
             &mut r.velocity_ned_m_s,
@@ -367,45 +435,30 @@ impl Controller {
         limit_horizontal(&mut error, LEASH_M);
         error.z = error.z.clamp(-LEASH_M, LEASH_M);
         r.position_ned_m = belief.position_ned_m + error;
-
-        let yaw_rate_wanted = match yaw {
-            YawCommand::Rate { yaw_rate_rad_s } if yaw_rate_rad_s.is_finite() => f64::from(yaw_rate_rad_s),
-            YawCommand::Angle { yaw_rad } if yaw_rad.is_finite() => {
-                let turn = wrap(f64::from(yaw_rad) - r.yaw_rad);
-                square_root_law(turn.abs(), 2.0, 0.5 * p.yaw_accel_rad_s2) * turn.signum()
-            }
-            _ => 0.0,
-        };
-        r.yaw_rate.advance(
-            yaw_rate_wanted.clamp(-p.yaw_rate_max_rad_s, p.yaw_rate_max_rad_s),
-            &self.yaw,
-            dt_s,
-        );
-        let ahead = wrap(r.yaw_rad + r.yaw_rate.value * dt_s - belief.yaw_rad).clamp(-YAW_LEASH_RAD, YAW_LEASH_RAD);
-        r.yaw_rad = wrap(belief.yaw_rad + ahead);
-        let r = *r;
-
-        let [position_h, position_v] = p.position_gain_per_s;
-        let [velocity_h, velocity_v] = p.velocity_gain_per_s;
-        let [integral_h, integral_v] = p.velocity_integral_per_s2;
+        let [position_h, position_v] = self.params.position_gain_per_s;
         let velocity_error = r.velocity_ned_m_s + error.component_mul(&Vec3::new(position_h, position_h, position_v))
             - belief.velocity_ned_m_s;
-        let acceleration = r.acceleration_ned_m_s2
-            + velocity_error.component_mul(&Vec3::new(velocity_h, velocity_h, velocity_v))
-            + self.velocity_integral_m_s2;
-        let unlimited = self.unlimited_force(&acceleration);
-        let force = self.force_for(&acceleration);
-        if !self.saturated && (force - unlimited).norm() < 1e-9 {
-            let sum = self.velocity_integral_m_s2
-                + velocity_error.component_mul(&Vec3::new(integral_h, integral_h, integral_v)) * dt_s;
-            self.velocity_integral_m_s2 = sum.map(|v| v.clamp(-INTEGRAL_MAX_M_S2, INTEGRAL_MAX_M_S2));
-        }
+        (r.acceleration_ned_m_s2, velocity_error)
+    }
 
-        let wanted = tilt_and_heading(&force.normalize(), r.yaw_rad);
-        self.rates_wanted_rad_s = self.rates_towards(&wanted, belief, r.yaw_rate.value);
-        // Thrust along the axis that the body has, not the one that it should have.
-        let thrust_n = force.dot(&(belief.attitude * Vec3::z())).max(0.0);
-        self.thrust_wanted_n += (thrust_n - self.thrust_wanted_n) * dt_s / (dt_s + p.thrust_filter_s);
+    /// The reference is where the vehicle is and moves as it does, for the path that may follow; the error of the velocity,
+    /// weighed as the gain for braking is.
+    fn direct(&mut self, target: &Vec3, belief: &Belief, dt_s: f64) -> (Vec3, Vec3) {
+        let p = &self.params;
+        let velocity = belief.velocity_ned_m_s;
+        let r = &mut self.reference;
+        let measured = (velocity - r.velocity_ned_m_s) / dt_s;
+        r.acceleration_ned_m_s2 += (measured - r.acceleration_ned_m_s2) * (dt_s / (dt_s + ACCELERATION_FILTER_S));
+        r.velocity_ned_m_s = velocity;
+        r.position_ned_m = belief.position_ned_m;
+        self.taken_up_m_s += (target - self.taken_up_m_s) * (dt_s / (dt_s + p.velocity_lag_s));
+        let wanted = Vec3::new(self.taken_up_m_s.x, self.taken_up_m_s.y, target.z);
+        let mut error = wanted - velocity;
+        if target.x * target.x + target.y * target.y < 0.25 * (velocity.x * velocity.x + velocity.y * velocity.y) {
+            error.x *= p.braking_share;
+            error.y *= p.braking_share;
+        }
+        (Vec3::zeros(), error)
     }
 
     /// The force along the body's down axis whose reaction gives this acceleration, NED.
@@ -453,6 +506,11 @@ impl Controller {
             [r.yaw_rad, r.yaw_rate.value, r.yaw_rate.slope, self.thrust_wanted_n],
             [u64::from(self.saturated), self.stage as u64],
         )
+    }
+
+    /// What the next step depends on beside that under [`VelocityLaw::Direct`].
+    pub(crate) fn taken_up_m_s(&self) -> Option<Vec3> {
+        (self.params.velocity_law == VelocityLaw::Direct).then_some(self.taken_up_m_s)
     }
 }
 

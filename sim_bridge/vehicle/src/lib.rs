@@ -27,6 +27,7 @@ mod control;
 mod ground;
 mod interface;
 mod math;
+mod model;
 mod noise;
 mod params;
 mod rotors;
@@ -36,10 +37,11 @@ mod validate;
 mod vehicle;
 
 pub use interface::{ControlCommand, Estimate, Sensors, Truth, VehicleView, YawCommand};
+pub use model::VehicleModel;
 pub use noise::normal_of;
 pub use params::{
-    AirframeParams, BatteryParams, ControlParams, GRAVITY_M_S2, GroundParams, MotorParams, SensorParams, VehicleParams,
-    Wind,
+    AirframeParams, BatteryParams, ControlParams, GRAVITY_M_S2, GroundParams, HoldLaw, MotorParams, SensorParams,
+    VehicleParams, VelocityLaw, Wind,
 };
 pub use validate::ParamsError;
 pub use vehicle::{STEP_NS, Vehicle};

@@ -32,6 +32,11 @@ impl Noise {
         normal_of(self.rng.next_u64())
     }
 
+    /// Uniform from 0 to 1.
+    pub(crate) fn uniform(&mut self) -> f64 {
+        (self.rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
     /// Three independent ones.
     pub(crate) fn normal3(&mut self) -> Vec3 {
         let x = self.normal();

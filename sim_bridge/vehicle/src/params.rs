@@ -150,11 +150,45 @@ impl Default for BatteryParams {
     }
 }
 
+/// How a wanted velocity becomes an acceleration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum VelocityLaw {
+    /// Along a reference of limited acceleration and jerk, whose place is followed too: ArduCopter's.
+    #[default]
+    Shaped,
+    /// By the velocity's error itself, without a reference, so that drag is overcome by the integral alone and a wanted
+    /// velocity of zero holds no place: PX4's `PositionControl`. Places are gone to along a shaped path here too.
+    Direct,
+}
+
+/// What the autopilot does when it is told to hold.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HoldLaw {
+    /// It stops, and holds where it stopped.
+    #[default]
+    Stop,
+    /// It goes to the point where it would stop, reckoned from its velocity alone: told while it gains speed it passes that
+    /// point and flies back to it. PX4's HOLD.
+    FlyBack,
+    /// It loses its speed in proportion to it: ArduCopter's BRAKE.
+    Brake,
+}
+
 /// Limits and gains of the controllers. Limits are ArduCopter's stock values where it has one; the gains were set so
 /// that the answer to setpoints lies in the measured bands (`docs/vehicle.md`).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ControlParams {
+    /// How a wanted velocity is followed.
+    pub velocity_law: VelocityLaw,
+    /// Time constant with which [`VelocityLaw::Direct`] takes up a wanted horizontal velocity, seconds.
+    pub velocity_lag_s: f64,
+    /// Share of the horizontal velocity gain that [`VelocityLaw::Direct`] brakes with, where less than half of the speed is wanted.
+    pub braking_share: f64,
+    /// What a hold is.
+    pub hold: HoldLaw,
     /// Fastest horizontal velocity setpoint, m/s.
     pub speed_max_m_s: f64,
     /// Fastest climb, m/s.
@@ -206,6 +240,10 @@ pub struct ControlParams {
 impl Default for ControlParams {
     fn default() -> Self {
         Self {
+            velocity_law: VelocityLaw::Shaped,
+            velocity_lag_s: 0.0,
+            braking_share: 1.0,
+            hold: HoldLaw::Stop,
             speed_max_m_s: 10.0,
             climb_max_m_s: 2.5,
             descent_max_m_s: 1.5,
@@ -258,6 +296,10 @@ pub struct SensorParams {
     pub estimate_attitude_rad: f64,
     /// Correlation time of the attitude error, seconds.
     pub estimate_attitude_time_s: f64,
+    /// What the estimated position wanders beside that, as one that hangs on GPS and barometer does: horizontal, vertical, metres.
+    pub wander_m: [f64; 2],
+    /// Correlation time of the wander: horizontal, vertical, seconds.
+    pub wander_time_s: [f64; 2],
 }
 
 impl Default for SensorParams {
@@ -273,6 +315,8 @@ impl Default for SensorParams {
             estimate_position_time_s: 100.0,
             estimate_attitude_rad: 0.3f64.to_radians(),
             estimate_attitude_time_s: 20.0,
+            wander_m: [0.0; 2],
+            wander_time_s: [20.0, 150.0],
         }
     }
 }
@@ -290,6 +334,8 @@ impl SensorParams {
         estimate_position_time_s: 100.0,
         estimate_attitude_rad: 0.0,
         estimate_attitude_time_s: 20.0,
+        wander_m: [0.0; 2],
+        wander_time_s: [20.0, 150.0],
     };
 }
 

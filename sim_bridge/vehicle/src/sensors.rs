@@ -11,6 +11,8 @@ use crate::rotors::Rotors;
 const BAROMETER_EVERY: u32 = 5;
 /// Updates of the errors per GPS reading.
 const GPS_EVERY: u32 = 25;
+/// Correlation time of the wander's velocity, seconds: what a hold has to follow, slower than the controllers.
+const WANDER_VELOCITY_TIME_S: f64 = 2.0;
 
 /// The errors between truth and belief, and the readings of the slower sensors.
 ///
@@ -27,6 +29,7 @@ pub(crate) struct Errors {
     attitude: OrnsteinUhlenbeck,
     attitude_error: Rotation,
     position_m: Vec3,
+    wander: Option<Wander>,
     accelerometer: Vec3,
     gyroscope: Vec3,
     gps_position_m: Vec3,
@@ -37,7 +40,7 @@ pub(crate) struct Errors {
 
 impl Errors {
     /// Starts at home: no position error, the others drawn from their stationary distribution.
-    pub(crate) fn new(params: &SensorParams, mut noise: Noise, interval_s: f64) -> Self {
+    pub(crate) fn new(params: &SensorParams, mut noise: Noise, wander_noise: Noise, interval_s: f64) -> Self {
         let all = |deviation| Vec3::repeat(deviation);
         let velocity = OrnsteinUhlenbeck::new(
             all(params.estimate_velocity_m_s),
@@ -60,6 +63,7 @@ impl Errors {
             attitude,
             attitude_error: small_rotation(&attitude.value),
             position_m: Vec3::zeros(),
+            wander: Wander::new(params, wander_noise, interval_s),
             accelerometer: Vec3::zeros(),
             gyroscope: Vec3::zeros(),
             gps_position_m: Vec3::zeros(),
@@ -77,6 +81,9 @@ impl Errors {
         self.attitude.redraw(&mut self.noise);
         self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.noise.normal3() * deviation;
+        if let Some(wander) = &mut self.wander {
+            wander.settle();
+        }
         self.read_barometer(body);
         self.read_gps(body);
     }
@@ -87,6 +94,9 @@ impl Errors {
         self.attitude.advance(&mut self.noise);
         self.attitude_error = small_rotation(&self.attitude.value);
         self.position_m = self.position_m * self.position_keep + self.velocity.value * self.interval_s;
+        if let Some(wander) = &mut self.wander {
+            wander.advance(self.interval_s);
+        }
         self.accelerometer = self.noise.normal3() * self.params.accelerometer_m_s2;
         self.gyroscope = self.noise.normal3() * self.params.gyroscope_rad_s;
         self.updates = self.updates.wrapping_add(1);
@@ -109,12 +119,16 @@ impl Errors {
 
     /// Estimated position.
     pub(crate) fn position_ned_m(&self, body: &Body) -> Vec3 {
-        body.position_ned_m + self.position_m
+        let estimated_m = body.position_ned_m + self.position_m;
+        self.wander.as_ref().map_or(estimated_m, |w| estimated_m + w.position_m)
     }
 
     /// Estimated velocity.
     pub(crate) fn velocity_ned_m_s(&self, body: &Body) -> Vec3 {
-        body.velocity_ned_m_s + self.velocity.value
+        let estimated_m_s = body.velocity_ned_m_s + self.velocity.value;
+        self.wander
+            .as_ref()
+            .map_or(estimated_m_s, |w| estimated_m_s + w.rate_m_s())
     }
 
     /// Estimated attitude.
@@ -169,6 +183,65 @@ impl Errors {
             [self.barometer_height_m],
             [self.noise.position(), u64::from(self.updates)],
         )
+    }
+
+    /// The same of the wander, where there is one.
+    pub(crate) fn wander_memory(&self) -> Option<([Vec3; 2], u64)> {
+        let wander = self.wander.as_ref()?;
+        Some(([wander.velocity.value, wander.position_m], wander.noise.position()))
+    }
+}
+
+/// The slow error of a position that hangs on GPS and barometer: a velocity error of [`WANDER_VELOCITY_TIME_S`] summed up with a
+/// leak, so that the vehicle's own velocity estimate follows it too.
+#[derive(Debug, Clone)]
+struct Wander {
+    noise: Noise,
+    velocity: OrnsteinUhlenbeck,
+    position_m: Vec3,
+    deviation_m: Vec3,
+    leak_per_s: Vec3,
+}
+
+impl Wander {
+    fn new(params: &SensorParams, mut noise: Noise, interval_s: f64) -> Option<Self> {
+        let [horizontal_m, vertical_m] = params.wander_m;
+        if horizontal_m == 0.0 && vertical_m == 0.0 {
+            return None;
+        }
+        let [horizontal_s, vertical_s] = params.wander_time_s;
+        // Of the sum's stationary distribution: var = deviation² · time · leak_time² / (time + leak_time).
+        let velocity = |deviation_m: f64, leak_s: f64| {
+            deviation_m / leak_s * libm::sqrt((WANDER_VELOCITY_TIME_S + leak_s) / WANDER_VELOCITY_TIME_S)
+        };
+        let (level, down) = (velocity(horizontal_m, horizontal_s), velocity(vertical_m, vertical_s));
+        Some(Self {
+            velocity: OrnsteinUhlenbeck::new(
+                Vec3::new(level, level, down),
+                WANDER_VELOCITY_TIME_S,
+                interval_s,
+                &mut noise,
+            ),
+            noise,
+            position_m: Vec3::zeros(),
+            deviation_m: Vec3::new(horizontal_m, horizontal_m, vertical_m),
+            leak_per_s: Vec3::new(1.0 / horizontal_s, 1.0 / horizontal_s, 1.0 / vertical_s),
+        })
+    }
+
+    fn settle(&mut self) {
+        self.velocity.redraw(&mut self.noise);
+        self.position_m = self.deviation_m.component_mul(&self.noise.normal3());
+    }
+
+    fn advance(&mut self, interval_s: f64) {
+        self.velocity.advance(&mut self.noise);
+        self.position_m += self.rate_m_s() * interval_s;
+    }
+
+    /// How fast the error changes.
+    fn rate_m_s(&self) -> Vec3 {
+        self.velocity.value - self.leak_per_s.component_mul(&self.position_m)
     }
 }
 

@@ -216,7 +216,8 @@ impl ControlParams {
         ] {
             all_in_range(field, &gains, 0.0, 200.0, "from 0 to 200")?;
         }
-        Ok(())
+        in_range("control.velocity_lag_s", self.velocity_lag_s, 0.0, 1.0, "from 0 to 1 s")?;
+        in_range("control.braking_share", self.braking_share, 0.1, 1.0, "from 0.1 to 1")
     }
 }
 
@@ -240,7 +241,15 @@ impl SensorParams {
         ] {
             in_range(field, value, 0.05, 100_000.0, "from 0.05 to 100 000 s")?;
         }
-        Ok(())
+        all_in_range("sensors.wander_m", &self.wander_m, 0.0, 10.0, "from 0 to 10 m")?;
+        // The wander's velocity is correlated over two seconds.
+        all_in_range(
+            "sensors.wander_time_s",
+            &self.wander_time_s,
+            5.0,
+            100_000.0,
+            "from 5 to 100 000 s",
+        )
     }
 }
 

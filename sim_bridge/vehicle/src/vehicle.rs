@@ -70,7 +70,7 @@ impl Vehicle {
             rotors: Rotors::new(&params.motors, &params.airframe, STEP_S),
             ground,
             controller: Controller::new(&params.control, params.airframe.mass_kg, inertia),
-            errors: Errors::new(&params.sensors, Noise::new(seed, 2), SLOW_S),
+            errors: Errors::new(&params.sensors, Noise::new(seed, 2), Noise::new(seed, 3), SLOW_S),
             battery: Battery::new(&params.battery),
             gusts: OrnsteinUhlenbeck::new(gust, wind.gust_time_s, SLOW_S, &mut gust_noise),
             gust_noise,
@@ -281,10 +281,15 @@ impl Vehicle {
         vectors.iter().for_each(|v| bytes.vector(v));
         numbers.iter().for_each(|n| bytes.number(*n));
         flags.iter().for_each(|f| bytes.word(*f));
+        self.controller.taken_up_m_s().iter().for_each(|v| bytes.vector(v));
         let (vectors, numbers, words) = self.errors.memory();
         vectors.iter().for_each(|v| bytes.vector(v));
         numbers.iter().for_each(|n| bytes.number(*n));
         words.iter().for_each(|w| bytes.word(*w));
+        if let Some((vectors, word)) = self.errors.wander_memory() {
+            vectors.iter().for_each(|v| bytes.vector(v));
+            bytes.word(word);
+        }
         bytes.number(self.battery.charge);
         bytes.number(self.battery.voltage_v);
         bytes.word(self.gust_noise.position());
@@ -309,7 +314,7 @@ impl Default for StateBytes {
 }
 
 impl StateBytes {
-    /// 96 words at most (all eight contact points touching) and room to spare.
+    /// 106 words at most (all eight contact points touching) and room to spare.
     const SIZE: usize = 1024;
 
     fn word(&mut self, word: u64) {

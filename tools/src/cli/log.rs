@@ -26,6 +26,26 @@ enum LogCommand {
     Film(FilmArgs),
     /// Replay the flight and put into its log what follows from it: the pilot's map, its planned way, SHAP of the pixels.
     Derive(DeriveArgs),
+    /// The flight as ULog (.ulg), which PX4's Flight Review, pyulog and PlotJuggler open.
+    Ulg(UlgArgs),
+}
+
+/// Arguments of `vigil log ulg`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil log ulg runs/fly-1760000000-7               flight-0001.ulg beside the log
+  vigil log ulg flight-0001.mcap -o - | ulog_info /dev/stdin
+
+It holds what the guidance computer knows: position, attitude, setpoints, status, battery, texts, and its own topic vigil_status. A log
+that was cut off or is damaged is converted as far as it is whole.")]
+pub struct UlgArgs {
+    /// A flight log (MCAP), or a folder that holds one.
+    log: PathBuf,
+
+    /// Where it goes [default: beside the log, as .ulg]; `-` is standard output.
+    #[arg(short = 'o', long, value_name = "FILE")]
+    output: Option<PathBuf>,
 }
 
 /// Arguments of `vigil log report`.
@@ -165,6 +185,20 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
             let bytes = write_report(&log, &to, args.shap)?;
             if !is_stdout(&to) {
                 say!("{} ({:.1} MB)", to.display(), bytes as f64 / 1e6);
+            }
+        }
+        LogCommand::Ulg(args) => {
+            let log = find_log(&args.log)?;
+            let to = args.output.clone().unwrap_or_else(|| log.with_extension("ulg"));
+            output::prepare(&to)?;
+            let converted = vigil_log::ulog(&log).with_context(|| format!("no ULog of {}", log.display()))?;
+            output::write(&to, &converted.bytes)?;
+            if !is_stdout(&to) {
+                let megabytes = converted.bytes.len() as f64 / 1e6;
+                say!("{} ({} records, {megabytes:.1} MB)", to.display(), converted.records);
+                if let Some(why) = converted.incomplete {
+                    say!("it is not all of the flight: {why}");
+                }
             }
         }
         LogCommand::Derive(args) => {

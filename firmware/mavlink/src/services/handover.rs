@@ -143,13 +143,21 @@ impl Handover {
                     self.end();
                     self.asked_mode = Some(asked);
                 }
-                let [base, main, sub] = asked;
-                let mode = self.wanted(
-                    command_number::DO_SET_MODE,
-                    EFFECT_NS,
-                    &[(1, base), (2, main), (3, sub)],
-                );
-                self.insist(now_ns, &mode, HOLD_PAUSE_NS, vehicle)
+                let holds = vehicle.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
+                let wanted = if request != VehicleRequest::Resume && holds && self.flavour == Flavour::Px4 {
+                    // A PX4 in hold may be on its way to a place; the mode that it has already changes nothing. A go-to without a place is
+                    // how ground stations pause one.
+                    self.wanted(
+                        command_number::DO_REPOSITION,
+                        EFFECT_NS,
+                        &[(1, -1.0), (2, 1.0), (3, 0.0)],
+                    )
+                } else {
+                    let [base, main, sub] = asked;
+                    let set = [(1, base), (2, main), (3, sub)];
+                    self.wanted(command_number::DO_SET_MODE, EFFECT_NS, &set)
+                };
+                self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle)
             }
         }
     }

@@ -3,7 +3,7 @@
 //! The LiDAR sees 120°; what the vehicle passes is beside it, unseen. The grid keeps it, forgets what the vehicle has
 //! left behind by more than half the grid's side, and frees a cell again when rays are seen to pass through it.
 
-use crate::geometric::range_scan::Scan;
+use crate::geometric::range_scan::{BAND_HALF_HEIGHT_M, Scan};
 use crate::smaller;
 use vigil_types::NedVector;
 
@@ -31,6 +31,8 @@ pub const MARK_RANGE_M: f32 = 11.0;
 const FREE_FROM_M: f32 = 1.0;
 /// A ray proves cells free up to this far before its surface.
 const FREE_SHORT_OF_SURFACE_M: f32 = 0.4;
+/// What was seen at a height that is farther from the vehicle's than this is not at its own: the bands of both do not touch, metres.
+const LEVEL_M: f32 = 2.0 * BAND_HALF_HEIGHT_M;
 /// The grid is moved when the vehicle is this many cells off its middle.
 const RECENTRE_CELLS: u32 = 8;
 
@@ -67,6 +69,8 @@ impl Cell {
 pub struct OccupancyGrid {
     /// Cell coordinates (NED divided by [`CELL_M`]) of the grid's south-western corner; `None` before the first frame.
     corner: Option<(i32, i32)>,
+    /// How far down (NED metres) the vehicle was when the first of what is remembered was seen.
+    level_m: f32,
     /// Evidence of an obstacle; 0 is free or never seen, [`HIT`] and more is an obstacle.
     score: [i8; CELLS],
     /// Squared distance to the nearest obstacle, in cells, at most [`CLEARANCE_LIMIT_SQUARED`].
@@ -86,6 +90,7 @@ impl OccupancyGrid {
     pub const fn new() -> Self {
         Self {
             corner: None,
+            level_m: 0.0,
             score: [0; CELLS],
             clearance_squared: [CLEARANCE_LIMIT_SQUARED; CELLS],
             parity: false,
@@ -129,8 +134,15 @@ impl OccupancyGrid {
         )
     }
 
-    /// Moves the grid so that the vehicle is near its middle. Returns whether it moved: indices of cells then changed.
+    /// Moves the grid so that the vehicle is near its middle. Returns whether it moved: indices of cells then changed. A vehicle that
+    /// climbs or descends forgets what it saw at another height: it is neither ahead, nor free there.
     pub fn follow(&mut self, position_ned_m: NedVector) -> bool {
+        if self.corner.is_some() && (position_ned_m.z - self.level_m).abs() > LEVEL_M {
+            self.clear();
+        }
+        if self.corner.is_none() {
+            self.level_m = position_ned_m.z;
+        }
         let half = SIDE as i32 / 2;
         let vehicle = self.cell_of(position_ned_m.x, position_ned_m.y);
         let (north, east) = (vehicle.north.saturating_sub(half), vehicle.east.saturating_sub(half));
@@ -342,6 +354,25 @@ fn fixed(x: f32) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_was_seen_at_another_height_is_forgotten() {
+        let mut grid = OccupancyGrid::new();
+        grid.follow(NedVector::new(0.0, 0.0, -6.0));
+        grid.occupy(3.0, 0.0);
+        for z in [-6.3, -5.7, -5.4, -6.6] {
+            grid.follow(NedVector::new(0.0, 0.0, z));
+            assert!(occupied(&mut grid, 3.0, 0.0), "keeping its height, {z}");
+        }
+        assert!(
+            grid.follow(NedVector::new(0.0, 0.0, -5.2)),
+            "a search in it is worth nothing"
+        );
+        assert!(!occupied(&mut grid, 3.0, 0.0));
+        grid.occupy(3.0, 0.0);
+        grid.follow(NedVector::new(0.0, 0.0, -4.8));
+        assert!(occupied(&mut grid, 3.0, 0.0), "seen from 5.2 m");
+    }
 
     /// Nothing moves.
     const STILL: fn(f32, f32) -> bool = |_, _| false;

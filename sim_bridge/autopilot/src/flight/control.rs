@@ -8,7 +8,7 @@ use vigil_mavlink::common::{
     ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
 };
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, YawCommand};
+use vigil_vehicle::{ControlCommand, HoldLaw, YawCommand};
 
 /// Nearer than this the direction of a region of interest is the estimate's noise.
 const INTEREST_RADIUS_M: f32 = 1.0;
@@ -24,6 +24,14 @@ const TOUCH_DOWN_RADIUS_M: f32 = 1.0;
 const TOUCH_DOWN_DRIFT_M_S: f32 = 0.5;
 /// Braking ends here at the latest: the estimate's noise must not keep it from holding a position.
 const BRAKE_NS: Nanos = 3_000_000_000;
+/// The same for [`HoldLaw::Brake`], which loses speed for longer.
+const LONG_BRAKE_NS: Nanos = 6_000_000_000;
+/// [`HoldLaw::Brake`] asks for so much of the present speed: with the vehicle's shaping its speed falls to a third in 1.2 s.
+const BRAKE_KEEPS: f32 = 0.55;
+/// Of the point that [`HoldLaw::FlyBack`] projects: what PX4 reckons a stop with, `MPC_ACC_HOR` and `MPC_JERK_AUTO`, of which it
+/// takes 0.6 (`computeBrakingDistanceFromVelocity`).
+const PROJECTED_BRAKING_M_S2: f32 = 3.0;
+const PROJECTED_JERK_M_S3: f32 = 0.6 * 4.0;
 
 impl Core {
     /// One step of flight: ground contact, failsafes, maneuver.
@@ -141,14 +149,20 @@ impl Core {
     fn fly_brake(&mut self, began_ns: Option<Nanos>, height_m: Option<f32>) -> ControlCommand {
         let began = began_ns.unwrap_or(self.now_ns);
         let velocity = self.view.estimate.velocity_ned_m_s;
+        let level = NedVector::new(velocity.x, velocity.y, 0.0);
+        let (wanted, limit_ns) = match self.hold_law {
+            HoldLaw::FlyBack => return self.fly_to_projected(velocity, height_m),
+            HoldLaw::Brake => (level * BRAKE_KEEPS, LONG_BRAKE_NS),
+            HoldLaw::Stop => (NedVector::ZERO, BRAKE_NS),
+        };
         let stopped = velocity.horizontal_norm() < 0.2 && velocity.z.abs() < 0.2;
-        if !stopped && self.now_ns.saturating_sub(began) < BRAKE_NS {
+        if !stopped && self.now_ns.saturating_sub(began) < limit_ns {
             self.commander.maneuver = Maneuver::Brake {
                 began_ns: Some(began),
                 height_m,
             };
             return ControlCommand::VelocityNed {
-                velocity_m_s: NedVector::ZERO,
+                velocity_m_s: wanted,
                 yaw: YawCommand::Hold,
             };
         }
@@ -157,6 +171,25 @@ impl Core {
             position_ned_m.z = -height_m;
         }
         let speed_limit_m_s = self.cruise_speed_m_s();
+        self.commander.maneuver = Maneuver::Station {
+            position_ned_m,
+            yaw: YawCommand::Hold,
+            speed_limit_m_s,
+        };
+        self.fly_station(position_ned_m, YawCommand::Hold, speed_limit_m_s)
+    }
+
+    /// Holds the point at which the vehicle would stop if it did not gain speed.
+    fn fly_to_projected(&mut self, velocity: NedVector, height_m: Option<f32>) -> ControlCommand {
+        let speed_m_s = velocity.horizontal_norm();
+        let stop_s = speed_m_s / (2.0 * PROJECTED_BRAKING_M_S2) + PROJECTED_BRAKING_M_S2 / PROJECTED_JERK_M_S3;
+        let here = self.view.estimate.position_ned_m;
+        let position_ned_m = NedVector::new(
+            here.x + velocity.x * stop_s,
+            here.y + velocity.y * stop_s,
+            height_m.map_or(here.z, |height_m| -height_m),
+        );
+        let speed_limit_m_s = self.param(ParamId::MaxSpeedMS);
         self.commander.maneuver = Maneuver::Station {
             position_ned_m,
             yaw: YawCommand::Hold,
