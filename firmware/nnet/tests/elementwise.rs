@@ -7,7 +7,10 @@ use common::*;
 use vigil_nnet::{Activation, Dense, Function, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Purpose};
 
 /// Each function with its definition.
-fn functions() -> Vec<(Function, fn(f64) -> f64)> {
+/// A function and its definition in float64.
+type Defined = (Function, fn(f64) -> f64);
+
+fn functions() -> Vec<Defined> {
     vec![
         (
             Function::LeakyRelu { alpha: 0.2 },
@@ -44,7 +47,7 @@ fn functions() -> Vec<(Function, fn(f64) -> f64)> {
 }
 
 /// Those of numbers above 0 alone.
-fn of_positive() -> Vec<(Function, fn(f64) -> f64)> {
+fn of_positive() -> Vec<Defined> {
     vec![
         (Function::Log, f64::ln),
         (Function::Power { exponent: 0.5 }, f64::sqrt),
