@@ -387,7 +387,7 @@ fn files_of_another_kind_or_size_are_refused_at_once_and_told_once() {
         (["sim", "--course"], "4 MiB"),
         (["sim", "--config"], "1 MiB"),
         (["firmware", "--config"], "1 MiB"),
-        (["train", "--config"], "1 MiB"),
+        (["learn", "--config"], "1 MiB"),
         (["rollout", "--actor"], "64 MiB"),
     ] {
         let refused = run(&[&arguments[..], &[text(&huge)]].concat());
