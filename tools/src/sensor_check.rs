@@ -464,7 +464,7 @@ mod tests {
                 f.depth.fill(1.0);
                 f.seal();
             }),
-            ("surfaces", "smooth_share", |n, f, _| {
+            ("surfaces", "without the guard", |n, f, _| {
                 let rough = f.depth.iter_mut().skip(n as usize % 2).step_by(2);
                 rough.for_each(|v| *v += 0.01);
                 f.seal();

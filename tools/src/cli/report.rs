@@ -188,7 +188,8 @@ fn read(folder: &Path) -> Result<Run> {
     let result = serde_json::from_str::<LearnResult>(&json).with_context(|| bad("result.json"))?;
     let tests = |count: &&FamilyCount| count.family == Family::Validation && count.ablation.is_none();
     let test = result.test.iter().find(tests).cloned();
-    let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`")?;
+    let test = test.context("its actor was not tested on validation courses: `vigil learn --test-flights`");
+    let test = test.with_context(|| bad("result.json"))?;
     let flights = from_csv::<FlightLine>(&text("flights.csv")?).with_context(|| bad("flights.csv"))?;
     let flights = flights.iter().map(Flight::from).collect();
     Ok(Run { result, test, flights })
