@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from pyulog import ULog
 
 from stack import TOP, Firmware, Process, free_simulator, venv_python
 
@@ -78,7 +79,12 @@ def test_param_dump_lists_the_parameters_of_the_vehicle_and_of_guidance(sides):
         assert {name: found.get(name) for name in expected} == expected
 
 
-def test_log_download_writes_the_log_of_the_flight(sides):
+def test_log_download_writes_the_log_of_the_flight(sides, tmp_path):
     listed, log = sides["logs"]
     assert f"{len(log)} bytes" in listed
-    assert log.startswith(b"ULog\x01\x12\x35") and b"vehicle_local_position" in log and b"mode: offboard" in log
+    file = tmp_path / "flight.ulg"
+    file.write_bytes(log)
+    ulog = ULog(str(file))
+    # PX4's number of OFFBOARD, and the flight's height.
+    assert 14 in ulog.get_dataset("vehicle_status").data["nav_state"]
+    assert ulog.get_dataset("vehicle_local_position").data["z"].min() < -1.0
