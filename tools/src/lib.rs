@@ -11,5 +11,6 @@ pub mod flight_report;
 mod realtime_bench;
 pub mod report;
 mod sensor_check;
-pub mod statistics;
 pub mod threads;
+
+pub use vigil_learn::statistics;

@@ -197,7 +197,7 @@ impl Learner {
     ) -> Result<(UpdateReport, Vec<(usize, f32)>), UpdateError> {
         let errors = self.critic_step(batch, rng)?;
         let report = self.actor_step(batch)?;
-        self.targets_step()?;
+        self.targets_step(report.actor_norm)?;
         Ok((report, errors))
     }
 
@@ -315,20 +315,19 @@ impl Learner {
     }
 
     /// Moves the weights down their gradients, and the target networks after them.
-    fn targets_step(&mut self) -> Result<(), UpdateError> {
+    fn targets_step(&mut self, actor_norm: f32) -> Result<(), UpdateError> {
         let (share, limit, tau) = (self.rates_share(), self.config.gradient_norm, self.config.tau);
         let step = |rate: f32, adam: &mut Adam, params: &mut [f32], d: &mut [f32], norm: f32| {
             let scale = adam::shortening(f64::from(norm), limit);
             d.iter_mut().for_each(|d| *d *= scale);
             adam.step(rate * share, params, d);
         };
-        let norm = adam::norm(&[&self.d_actor]) as f32;
         step(
             self.config.actor_rate,
             &mut self.actor_adam,
             &mut self.actor,
             &mut self.d_actor,
-            norm,
+            actor_norm,
         );
         soft_update(tau, &self.actor, &mut self.actor_target)?;
         let rate = self.config.critic_rate;

@@ -114,7 +114,7 @@ impl Drifting {
         if self.drift == Drift::default() {
             return decide(input);
         }
-        let drifted = self.of(odometry(input));
+        let drifted = self.of(Odometry::of(input));
         self.frame.as_mut().clone_from(input.depth);
         let moved = RangeScan::moved_since_capture_m(input);
         self.frame.header.position_ned_m = drifted.position_ned_m - moved;
@@ -124,15 +124,6 @@ impl Drifting {
             attitude: Attitude::from_euler_rad(0.0, 0.0, drifted.yaw_rad),
             ..*input
         })
-    }
-}
-
-/// Where the vehicle believes to be.
-fn odometry(input: &PilotInput<'_>) -> Odometry {
-    Odometry {
-        at_ns: input.now_ns,
-        position_ned_m: input.depth.header.position_ned_m + RangeScan::moved_since_capture_m(input),
-        yaw_rad: input.attitude.yaw_rad(),
     }
 }
 
@@ -160,7 +151,7 @@ impl Observer {
         let mut scan = [0.0; SCAN];
         scan.copy_from_slice(encoder.graph.output(&self.tape)?);
         let yaw_rad = input.attitude.yaw_rad();
-        self.memory.observe(&scan, self.drifting.of(odometry(input)));
+        self.memory.observe(&scan, self.drifting.of(Odometry::of(input)));
         let rate = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
         self.yaw_before = Some((input.now_ns, yaw_rad));
         self.now[..SCAN].copy_from_slice(&scan);

@@ -6,6 +6,5 @@ mod initial;
 mod soft_update;
 mod sum_tree;
 
-pub use crate::layer_norm::LayerNorm;
 pub use soft_update::soft_update;
 pub use sum_tree::SumTree;

@@ -6,6 +6,8 @@
 
 extern crate alloc;
 
+use crate::PilotInput;
+use crate::geometric::position_ned_m;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
@@ -79,6 +81,17 @@ pub struct Odometry {
     pub position_ned_m: NedVector,
     /// Clockwise from north, radians.
     pub yaw_rad: f32,
+}
+
+impl Odometry {
+    /// Of a pilot's input.
+    pub fn of(input: &PilotInput<'_>) -> Self {
+        Self {
+            at_ns: input.now_ns,
+            position_ned_m: position_ned_m(input),
+            yaw_rad: input.attitude.yaw_rad(),
+        }
+    }
 }
 
 /// A cell in which a surface was seen.

@@ -9,7 +9,6 @@ extern crate alloc;
 
 use crate::PilotInput;
 use crate::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
-use crate::geometric::position_ned_m;
 use crate::seeing::memory::{ActorMemory, CONTEXT, LOW_DIM, OLDER_SCANS, Odometry, SCAN, low_dim, yaw_rate_rad_s};
 use alloc::boxed::Box;
 use alloc::vec;
@@ -401,17 +400,10 @@ impl SeeingActor {
         self.encoder
             .forward(self.isa, &self.params, &[depth], &mut self.encoder_tape)?;
         self.scan.copy_from_slice(self.encoder.output(&self.encoder_tape)?);
-        let yaw_rad = input.attitude.yaw_rad();
-        self.memory.observe(
-            &self.scan,
-            Odometry {
-                at_ns: input.now_ns,
-                position_ned_m: position_ned_m(input),
-                yaw_rad,
-            },
-        );
-        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
-        self.yaw_before = Some((input.now_ns, yaw_rad));
+        let odometry = Odometry::of(input);
+        self.memory.observe(&self.scan, odometry);
+        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, odometry.at_ns, odometry.yaw_rad);
+        self.yaw_before = Some((odometry.at_ns, odometry.yaw_rad));
         self.low = low_dim(input.goal, input.velocity_m_s, rate_rad_s, self.last);
         self.context = *self.memory.context();
         take(self.ablation, &mut self.context, &mut self.low);
