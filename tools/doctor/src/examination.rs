@@ -2,7 +2,7 @@
 
 use crate::finding::{Finding, Severity};
 use crate::ground::ground_tilt;
-use crate::parameters;
+use crate::parameters::{self, Row, STICKS_BY_SPEED, Versions};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use vigil_mavlink::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, GLOBAL_POSITION_INT_DATA,
@@ -67,6 +67,7 @@ const LOW_BATTERY: f32 = 0.2;
 const EKF_ATTITUDE: u16 = 1;
 const EKF_VELOCITY: u16 = 2 | 4;
 const EKF_POSITION: u16 = 8 | 16;
+const EKF_ABSOLUTE_POSITION: u16 = 16;
 const EKF_HEIGHT: u16 = 32 | 64;
 const EKF_CONSTANT_POSITION: u16 = 128;
 const EKF_BAD: u16 = 1024 | 2048;
@@ -924,7 +925,9 @@ impl Examination {
                 if flags & EKF_VELOCITY != EKF_VELOCITY {
                     lacks.push("velocity");
                 }
-                if flags & EKF_CONSTANT_POSITION != 0 {
+                // A PX4 at rest sets it beside an absolute position: it does stand still.
+                let stands = flags & EKF_ABSOLUTE_POSITION != 0 && !self.vehicle.telemetry.is_airborne();
+                if flags & EKF_CONSTANT_POSITION != 0 && !stands {
                     lacks.push("any source of position (it assumes to stand still)");
                 }
                 if flags & EKF_BAD != 0 {
@@ -1052,7 +1055,14 @@ impl Examination {
     }
 
     fn read_parameters(&self, report: &mut Report) {
-        for row in parameters::of(self.vehicle.flavour()) {
+        let told = |name: &str| self.parameters.get(name).is_some_and(|asked| asked.value.is_some());
+        let by_speed = told(STICKS_BY_SPEED);
+        let judged = |row: &&Row| match row.versions {
+            Versions::All => true,
+            Versions::BeforeSticksBySpeed => !by_speed,
+            Versions::SticksBySpeed => by_speed,
+        };
+        for row in parameters::of(self.vehicle.flavour()).filter(judged) {
             match self.parameters.get(row.name).and_then(|asked| asked.value) {
                 Some(value) => {
                     let told = format!("{value} {}", row.unit).trim_end().to_owned();

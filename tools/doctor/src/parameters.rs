@@ -11,22 +11,38 @@ pub(crate) struct Row {
     pub flavour: Flavour,
     pub name: &'static str,
     pub unit: &'static str,
+    /// Which versions of the autopilot have it, or need it.
+    pub versions: Versions,
     pub wanted: &'static str,
     /// Why, and what to do.
     pub why: &'static str,
     pub judge: fn(f32) -> Severity,
 }
 
+/// Versions of an autopilot that a parameter is judged for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Versions {
+    All,
+    /// PX4 before 1.18.
+    BeforeSticksBySpeed,
+    /// PX4 from 1.18 on: those that have [`STICKS_BY_SPEED`].
+    SticksBySpeed,
+}
+
+/// What PX4 1.18 has in place of COM_RC_OVERRIDE; whoever tells it needs no COM_RCL_EXCEPT either.
+pub(crate) const STICKS_BY_SPEED: &str = "MAN_OVERRIDE_SPD";
+
 /// Whether a bit of a parameter that is a set is on.
 fn has_bit(value: f32, bit: u32) -> bool {
     value >= 0.0 && value as u32 & bit != 0
 }
 
-pub(crate) const ROWS: [Row; 8] = [
+pub(crate) const ROWS: [Row; 9] = [
     Row {
         flavour: Flavour::Px4,
         name: "COM_OF_LOSS_T",
         unit: "s",
+        versions: Versions::All,
         wanted: "at most 1 s",
         why: "the vehicle keeps to its last setpoint for so long when the guidance computer falls silent",
         judge: |v| match v {
@@ -39,19 +55,30 @@ pub(crate) const ROWS: [Row; 8] = [
         flavour: Flavour::Px4,
         name: "COM_OBL_RC_ACT",
         unit: "",
-        wanted: "3 (return), 4 (land) or 5 (hold)",
-        why: "what follows a lost setpoint stream: below 0 nothing does, 0 to 2 need a pilot at the sticks at once, 6 and 7 let the \
-              vehicle fall",
+        versions: Versions::All,
+        wanted: "5 (hold) or 4 (land)",
+        why: "what follows a lost setpoint stream, as when the firmware is killed: 3, and 0 to 2 without sticks, return at RTL_RETURN_ALT through \
+              whatever is there; below 0 nothing follows, 6 and 7 let the vehicle fall: param set COM_OBL_RC_ACT 5",
         judge: |v| match v as i32 {
-            3..=5 => Good,
-            0..=2 => Warning,
+            4 | 5 => Good,
+            3 => Warning,
             _ => Failure,
         },
     },
     Row {
         flavour: Flavour::Px4,
+        name: STICKS_BY_SPEED,
+        unit: "",
+        versions: Versions::SticksBySpeed,
+        wanted: "above 0",
+        why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
+        judge: |v| if v > 0.0 { Good } else { Warning },
+    },
+    Row {
+        flavour: Flavour::Px4,
         name: "COM_RC_OVERRIDE",
         unit: "",
+        versions: Versions::BeforeSticksBySpeed,
         wanted: "bit 1 on (add 2)",
         why: "without it the pilot's sticks do not end OFFBOARD; only the mode switch does",
         judge: |v| if has_bit(v, 2) { Good } else { Warning },
@@ -60,6 +87,7 @@ pub(crate) const ROWS: [Row; 8] = [
         flavour: Flavour::Px4,
         name: "COM_RCL_EXCEPT",
         unit: "",
+        versions: Versions::BeforeSticksBySpeed,
         wanted: "bit 2 on (add 4) where nobody has sticks",
         why: "without it, and without sticks, OFFBOARD ends in the failsafe of lost sticks as soon as it begins",
         judge: |v| if has_bit(v, 4) { Good } else { Warning },
@@ -68,6 +96,7 @@ pub(crate) const ROWS: [Row; 8] = [
         flavour: Flavour::ArduPilot,
         name: "GUID_TIMEOUT",
         unit: "s",
+        versions: Versions::All,
         wanted: "at most 1 s",
         why: "the vehicle flies on by its last setpoint for so long when the guidance computer falls silent; Vigil sets 0.5 s when it takes \
               the vehicle, unless told otherwise",
@@ -81,6 +110,7 @@ pub(crate) const ROWS: [Row; 8] = [
         flavour: Flavour::ArduPilot,
         name: "FS_EKF_ACTION",
         unit: "",
+        versions: Versions::All,
         wanted: "1 (land), 2 (altitude hold) or 3",
         why: "at 0 nothing follows when the estimator fails, and setpoints are flown by a position that is wrong",
         judge: |v| if v > 0.0 { Good } else { Warning },
@@ -89,6 +119,7 @@ pub(crate) const ROWS: [Row; 8] = [
         flavour: Flavour::ArduPilot,
         name: "ARMING_CHECK",
         unit: "",
+        versions: Versions::All,
         wanted: "1 (all)",
         why: "at 0 the vehicle arms whatever is wrong with it",
         judge: |v| if v == 0.0 { Warning } else { Good },
@@ -97,6 +128,7 @@ pub(crate) const ROWS: [Row; 8] = [
         flavour: Flavour::ArduPilot,
         name: "RC_OVERRIDE_TIME",
         unit: "s",
+        versions: Versions::All,
         wanted: "0 to 3 s",
         why: "how long sticks sent by MAVLink count after the last of them: below 0 a program that died holds them for ever",
         judge: |v| match v {

@@ -357,6 +357,29 @@ fn everything_that_is_wrong_with_a_vehicle_is_named_with_its_value() {
     assert!(named(&findings, "heading").why.contains("east-north-up"));
 }
 
+/// PX4 1.18 on the ground, asked as it stands: what it lacks of earlier versions is no fault, what it ships with for a lost stream is one.
+#[test]
+fn a_px4_1_18_at_rest_passes_once_a_lost_stream_does_not_return_it() {
+    let mut vehicle = Scripted::well(Flavour::Px4);
+    // CONST_POS_MODE beside an absolute position.
+    vehicle.estimator = 0x03ff;
+    vehicle.parameters = [
+        ("COM_OF_LOSS_T", 1.0),
+        ("COM_OBL_RC_ACT", f32::from_bits(0)),
+        ("MAN_OVERRIDE_SPD", 10.0),
+    ]
+    .into();
+    let findings = examined(&mut vehicle);
+    assert_eq!(bad(&findings), [("COM_OBL_RC_ACT", Severity::Failure)], "{findings:#?}");
+    vehicle.parameters.insert("COM_OBL_RC_ACT", f32::from_bits(5));
+    vehicle.asked.clear();
+    let findings = examined(&mut vehicle);
+    assert!(bad(&findings).is_empty(), "{findings:#?}");
+    // Without an absolute position it knows none.
+    vehicle.estimator = 0x03ff & !16;
+    assert!(bad(&examined(&mut vehicle)).contains(&("estimator", Severity::Failure)));
+}
+
 #[test]
 fn an_ardupilot_whose_failsafes_are_off_is_told_so_and_what_it_never_sends_too() {
     let mut vehicle = Scripted::well(Flavour::ArduPilot);

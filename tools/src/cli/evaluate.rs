@@ -21,7 +21,7 @@ use vigil_adversary::{AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep_flight::FlightRecord;
-use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, family_parser};
+use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, VehicleChoice, family_parser};
 use vigil_types::{FrameKey, NedVector, STEP_S};
 use vigil_vehicle::Wind;
 use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
@@ -43,6 +43,8 @@ Examples:
   vigil evaluate --flights 200 --noise 2                LiDAR range noise and dropouts doubled
   vigil evaluate --flights 200 --family hard            narrow doors, dead ends, moving obstacles; or dense
   vigil evaluate --flights 200 --goal-distance 30..300  goals 30 to 300 m away, as dense all the way
+  vigil evaluate --flights 200 --vehicle-model px4-sih --noisy-estimate
+                                                        a vehicle that answers as PX4's own simulated one does
   vigil evaluate --flights 200 --pilot geometric        the geometric pilot
   vigil evaluate --flights 200 --apf off --detector off the frozen actor alone
   vigil evaluate --apf off --attack bim-accumulating --burst 50
@@ -82,6 +84,9 @@ pub struct EvaluateArgs {
     /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+
+    #[command(flatten)]
+    vehicle: VehicleChoice,
 
     /// Mean wind in m/s from a direction drawn per flight, with gusts.
     #[arg(long, value_name = "M_S", default_value_t = 0.0)]
@@ -230,6 +235,8 @@ struct Plan {
     /// With each fault of the sensor.
     flights: u64,
     family: Family,
+    /// Where it is not the default one.
+    vehicle_model: Option<String>,
     wind_m_s: f64,
     noise_factor: f32,
     still: bool,
@@ -258,6 +265,7 @@ impl Plan {
             family,
             threads: _,
             config,
+            vehicle,
             wind,
             noise,
             still,
@@ -287,6 +295,7 @@ impl Plan {
             first_seed: *seed,
             flights: *flights,
             family: *family,
+            vehicle_model: vehicle.name(),
             wind_m_s: *wind,
             noise_factor: *noise,
             still: *still,
@@ -332,6 +341,8 @@ struct Report<'a> {
     flights_asked_for: u64,
     family: Family,
     first_seed: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    vehicle_model: Option<&'a str>,
     wind_m_s: f64,
     noise_factor: f32,
     still: bool,
@@ -384,12 +395,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         "--noise must be between 0 and 100, got {}",
         args.noise
     );
-    let models = args
-        .config
-        .as_deref()
-        .map(Models::load)
-        .transpose()?
-        .unwrap_or_default();
+    let models = args.vehicle.models(args.config.as_deref())?;
     let path = match args.shard {
         Some(shard) => shard.file(&args.json),
         None => args.json.clone(),
@@ -735,6 +741,9 @@ fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> 
     let good: Vec<bool> = told().map(|r| r.outcome == "success").collect();
     paint.table(&table, &good);
     let from_ground = flights.iter().filter(|f| f.from_ground).count();
+    if let Some(model) = &plan.vehicle_model {
+        say!("vehicle          {model}");
+    }
     say!("from the ground  {from_ground} of {} flights", flights.len());
     let times: Vec<f64> = flights
         .iter()
@@ -794,6 +803,7 @@ fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> 
         flights_asked_for: asked_for,
         family: plan.family,
         first_seed: plan.first_seed,
+        vehicle_model: plan.vehicle_model.as_deref(),
         wind_m_s: plan.wind_m_s,
         noise_factor: plan.noise_factor,
         still: plan.still,

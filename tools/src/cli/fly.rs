@@ -10,7 +10,7 @@ use crate::cli::view::ViewerArgs;
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_film::FilmOptions;
 use crate::flight_report::{self, EXPLAINED};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -26,7 +26,7 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::choice;
 use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
-use vigil_sim::{CourseChoice, SensorFault};
+use vigil_sim::{CourseChoice, SensorFault, VehicleChoice};
 use vigil_types::{Attitude, Choice, LogContent, Nanos, NedVector};
 use vigil_world::{Course, FlightPath};
 
@@ -35,6 +35,10 @@ const SIMULATOR_NOTES: &str = "simulator.part";
 const ADVERSARY_NOTES: &str = "adversary.part";
 /// After reaching the goal the vehicle may take this long to land.
 const LANDING_LIMIT: Duration = Duration::from_secs(30);
+/// A vehicle that flew and stands disarmed for so long does not go on: its autopilot, or a person, ended the flight.
+const DISARMED_LIMIT: Duration = Duration::from_secs(5);
+/// Above this height it flies, metres.
+const FLIES_M: f32 = 1.0;
 /// Diagnostics of a child beyond this are not shown.
 const SIZE_LIMIT: u64 = 1 << 20;
 /// A simulator that says nothing for so long is given up.
@@ -77,6 +81,9 @@ pub struct FlyArgs {
     /// Simulation file (TOML) that changes LiDAR, vehicle, sensors or wind.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+
+    #[command(flatten)]
+    vehicle: VehicleChoice,
 
     #[command(flatten)]
     foreign: ForeignArgs,
@@ -130,6 +137,7 @@ impl Default for FlyArgs {
             course: CourseChoice::default(),
             instance: 0,
             config: None,
+            vehicle: VehicleChoice::default(),
             foreign: ForeignArgs::default(),
             pilot: PilotArgs::default(),
             attack: AttackArgs::default(),
@@ -153,6 +161,10 @@ impl Default for FlyArgs {
 pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     let seed = args.course.seed_or_random();
     let course = args.course.load(seed)?;
+    ensure!(
+        !args.foreign.is_foreign() || args.vehicle == VehicleChoice::default(),
+        "--vehicle flies a vehicle that already runs: --vehicle-model and --noisy-estimate are for the simulated one"
+    );
     if args.view {
         args.viewer.check_with_port()?;
     }
@@ -189,6 +201,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         false => Process::start("simulator", &folder, |c| {
             c.arg("sim");
             c.arg(format!("--second-sensor-heads={}", args.second_sensor.heads));
+            args.vehicle.hand_on(c);
             world(c);
         })?,
     };
@@ -344,7 +357,7 @@ fn about(
     if let Some(commit) = crate::cli::output::git_commit() {
         about.insert("git_commit".to_owned(), commit);
     }
-    if let Some(vehicle) = args.foreign.in_words() {
+    if let Some(vehicle) = args.foreign.in_words().or_else(|| args.vehicle.name()) {
         about.insert("vehicle".to_owned(), vehicle);
     }
     if let Some(attack) = args.attack.attack {
@@ -597,6 +610,7 @@ fn watch(
     let mut flight = Flight::default();
     let mut last_printed_s = f64::NEG_INFINITY;
     let mut reached_at: Option<Instant> = None;
+    let (mut has_flown, mut disarmed_at) = (false, None::<Instant>);
     let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
     while !interrupt.came() {
         match statuses.recv_timeout(SILENCE_LIMIT) {
@@ -658,7 +672,20 @@ fn watch(
                 }
             }
             Some(_) => break,
-            None => {}
+            None => {
+                has_flown |= status.armed && status.position_ned_m[2] < -FLIES_M;
+                let landed = has_flown && !status.armed && status.position_ned_m[2] > -FLIES_M;
+                disarmed_at = disarmed_at.or_else(|| Some(Instant::now())).filter(|_| landed);
+                if disarmed_at.is_some_and(|at| at.elapsed() > DISARMED_LIMIT) {
+                    bar.suspend(|| {
+                        say!(
+                            "landed     the vehicle landed and disarmed {:.1} m from the goal",
+                            status.goal_distance_m
+                        )
+                    });
+                    break;
+                }
+            }
         }
     }
     bar.finish_and_clear();

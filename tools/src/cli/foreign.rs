@@ -146,9 +146,12 @@ impl PilotWatch {
             return None;
         }
         self.told = true;
+        let change = match status.mode.as_str() {
+            "hold" => "",
+            _ => "change it to GUIDED (ArduPilot) or Hold (PX4) when it may go, or ",
+        };
         Some(format!(
-            "waiting    the vehicle is in its pilot's mode {}: change it to GUIDED (ArduPilot) or Hold (PX4) when it may go, or engage \
-             from a ground station (docs/guidance.md, \"Where auto engages\")",
+            "waiting    the vehicle is in its pilot's mode {}: {change}engage from a ground station (docs/guidance.md, \"Where auto engages\")",
             status.mode
         ))
     }
