@@ -643,7 +643,7 @@ impl FirmwareConfig {
                     AutopilotChoice::ArduPilot => Some(Flavour::ArduPilot),
                 },
                 obstacles: self.obstacle_distance,
-                wants_mission_place: self.duty == Duty::FlyAround,
+                wants_mission_place: self.duty != Duty::Fly,
                 setpoint_timeout_s: Some(limits.setpoint_timeout_s).filter(|longest_s| *longest_s > 0.0),
                 system_id: self.link.as_ref().and_then(|link| link.system),
                 ..CompanionConfig::default()

@@ -21,6 +21,17 @@ use vigil_types::{
 const G_M_S2: f32 = 9.81;
 /// Steepest tilt whose thrust is believed, as the sine of the thrust's elevation.
 const LEAST_LIFT: f32 = 0.3;
+/// A vehicle that climbs faster than this and moves slower than that over the ground goes straight up, metres per second.
+const CLIMBS_M_S: f32 = 0.3;
+const STRAIGHT_UP_M_S: f32 = 0.5;
+/// Drag and wind are followed as an observer of second order of this frequency, rad/s, and a damping of 0.8.
+const OBSERVER_RAD_S: f32 = 1.5;
+/// The most that they are believed to take away, metres per second squared.
+const GREATEST_LOSS_M_S2: f32 = 4.0;
+/// After a gap so long between two velocities it begins anew, seconds.
+const OBSERVER_GAP_S: f32 = 0.5;
+/// A vehicle that loses more than this has begun to brake, metres per second squared.
+const BRAKES_M_S2: f32 = 0.5;
 /// So near to the edge of the field of view a course does not count as seen: the vehicle has a width.
 const FOV_MARGIN_RAD: f32 = 0.17;
 
@@ -38,9 +49,55 @@ pub(crate) struct Guarding {
     lookout: Lookout,
     guard: JustStop,
     last: Option<Kinematics>,
+    air: Option<Air>,
+    /// Where the vehicle that is told to hold can come to rest, metres north and east.
+    stop_place_m: Option<(f32, f32)>,
     detour: Detour,
     /// Consecutive steps in which the straight way to the mission's place was free.
     free_steps: u16,
+}
+
+/// What drag and wind take off the acceleration that the tilt gives: a steady tilt against them is no gain of speed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Air {
+    at_ns: Nanos,
+    /// Followed velocity, NED.
+    velocity_ned_m_s: NedVector,
+    /// Taken away, NED.
+    loss_ned_m_s2: NedVector,
+}
+
+impl Air {
+    /// One that knows of no drag yet, which errs to the careful side.
+    fn new(now: &Kinematics) -> Self {
+        Self {
+            at_ns: now.at_ns,
+            velocity_ned_m_s: now.velocity_ned_m_s,
+            loss_ned_m_s2: NedVector::ZERO,
+        }
+    }
+
+    /// Up to this velocity, with this acceleration by the tilt since the last one.
+    fn follow(self, now: &Kinematics, lean_ned_m_s2: NedVector) -> Self {
+        let dt_s = now.at_ns.saturating_sub(self.at_ns) as f32 * 1e-9;
+        if dt_s > OBSERVER_GAP_S {
+            return Self::new(now);
+        }
+        let predicted = self.velocity_ned_m_s + (lean_ned_m_s2 - self.loss_ned_m_s2) * dt_s;
+        let error = now.velocity_ned_m_s - predicted;
+        let loss = self.loss_ned_m_s2 - error * (OBSERVER_RAD_S * OBSERVER_RAD_S * dt_s);
+        let size = loss.horizontal_norm();
+        let share = if size > GREATEST_LOSS_M_S2 {
+            GREATEST_LOSS_M_S2 / size
+        } else {
+            1.0
+        };
+        Self {
+            at_ns: now.at_ns,
+            velocity_ned_m_s: predicted + error * (1.6 * OBSERVER_RAD_S * dt_s),
+            loss_ned_m_s2: NedVector::new(loss.x * share, loss.y * share, 0.0),
+        }
+    }
 }
 
 /// How a stopped mission gets around what is there.
@@ -92,6 +149,8 @@ impl Guarding {
             lookout: Lookout::new(),
             guard: JustStop::default(),
             last: None,
+            air: None,
+            stop_place_m: None,
             detour: Detour::None,
             free_steps: 0,
         }
@@ -114,14 +173,23 @@ impl Guarding {
         // Frames taken on the ground show the ground at the vehicle's own height.
         let airborne = telemetry.is_airborne();
         let jumped = motion.is_some_and(|motion| self.has_jumped(motion.kinematics));
-        if jumped || !airborne {
+        // From below flight height too, and a take-off that is an item of a mission is told as MISSION in the air.
+        if jumped || !airborne || climbs(telemetry, motion.as_ref()) {
             self.lookout.reset();
+        }
+        match motion {
+            Some(Motion { kinematics, sample }) if !jumped => {
+                let lean = lean_ned_m_s2(sample.attitude);
+                let air = self.air.unwrap_or_else(|| Air::new(&kinematics));
+                self.air = Some(air.follow(&kinematics, lean));
+            }
+            _ => self.air = None,
         }
         let mut course = None;
         if let (Some(motion), Some(depth), true) = (motion, frame, airborne) {
             self.lookout
                 .observe(&motion.pilot_input(now_ns, depth, NedVector::ZERO));
-            course = Some(self.course(&motion.kinematics, motion.sample.attitude));
+            course = Some(self.course(&motion.kinematics, motion.sample.attitude, input.mission_place_m));
         }
         (course, jumped && airborne)
     }
@@ -138,10 +206,12 @@ impl Guarding {
                 now_ns,
                 heartbeat: telemetry.heartbeat,
                 airborne: telemetry.is_airborne(),
+                climbing: climbs(telemetry, input.motion.as_ref()),
                 speed_m_s: kinematics.map(|k| k.velocity_ned_m_s.horizontal_norm()),
                 course,
             },
         );
+        let request = self.ask_to_hold(input.motion.as_ref(), course, state);
         let (fly_to_m, notice) = self.plan_detour(input, kinematics, before, state);
         let notice = match (state, before) {
             (JustStopState::Unguarded, before) if before != JustStopState::Unguarded => Some(GuardNotice::Unguarded),
@@ -149,10 +219,7 @@ impl Guarding {
             _ => notice,
         };
         Guarded {
-            request: match state {
-                JustStopState::Stopping(cause) => VehicleRequest::Hold(cause),
-                _ => VehicleRequest::None,
-            },
+            request,
             // A blind stop has its reasons among guidance's own.
             reasons: Reasons::NONE.with_if(
                 matches!(state.cause(), Some(StopCause::Obstacle { .. })),
@@ -161,6 +228,61 @@ impl Guarding {
             looked: course.is_some(),
             notice,
             fly_to_m,
+        }
+    }
+
+    /// What the vehicle is asked in this state: to hold, and where, until it stands.
+    fn ask_to_hold(&mut self, motion: Option<&Motion>, course: Option<Course>, state: JustStopState) -> VehicleRequest {
+        let moves = motion.is_some_and(|m| m.kinematics.velocity_ned_m_s.horizontal_norm() > STANDING_M_S);
+        let cause = match state {
+            JustStopState::Stopping(cause) => cause,
+            // The autopilot took the mode before it could be told the place.
+            JustStopState::Stopped(cause) if moves && self.stop_place_m.is_some() => cause,
+            _ => {
+                self.stop_place_m = None;
+                return VehicleRequest::None;
+            }
+        };
+        if let (Some(motion), JustStopState::Stopping(_)) = (motion, state) {
+            let ahead_m = match (course.and_then(|course| course.obstacle_m), cause) {
+                (Some(ahead_m), _) | (None, StopCause::Obstacle { ahead_m }) => ahead_m,
+                (None, StopCause::Blind | StopCause::Unseen) => f32::INFINITY,
+            };
+            let velocity = motion.kinematics.velocity_ned_m_s;
+            let gain_m_s2 = self.gain_m_s2(velocity, motion.sample.attitude);
+            // Once it brakes, it is on its way to where it was told.
+            if self.stop_place_m.is_none() || gain_m_s2 > -BRAKES_M_S2 {
+                self.stop_place_m = Some(self.stop_place_m(&motion.kinematics, gain_m_s2, ahead_m));
+            }
+        }
+        VehicleRequest::Hold {
+            cause: Some(cause),
+            place_m: self.stop_place_m,
+        }
+    }
+
+    /// Metres north and east of where the vehicle can come to rest, or else of what must not be passed.
+    fn stop_place_m(&self, kinematics: &Kinematics, gain_m_s2: f32, ahead_m: f32) -> (f32, f32) {
+        let (here, velocity) = (kinematics.position_ned_m, kinematics.velocity_ned_m_s);
+        let speed_m_s = velocity.horizontal_norm();
+        let way_m = self.config.way_m(speed_m_s, gain_m_s2).min(ahead_m.max(0.0));
+        let share = if speed_m_s > STANDING_M_S {
+            way_m / speed_m_s
+        } else {
+            0.0
+        };
+        (here.x + velocity.x * share, here.y + velocity.y * share)
+    }
+
+    /// What the vehicle gains along its velocity, metres per second squared.
+    fn gain_m_s2(&self, velocity: NedVector, attitude: Attitude) -> f32 {
+        let loss = self.air.map_or(NedVector::ZERO, |air| air.loss_ned_m_s2);
+        let gain = lean_ned_m_s2(attitude) - loss;
+        let speed_m_s = velocity.horizontal_norm();
+        if speed_m_s > 0.0 {
+            (gain.x * velocity.x + gain.y * velocity.y) / speed_m_s
+        } else {
+            0.0
         }
     }
 
@@ -247,18 +369,28 @@ impl Guarding {
     }
 
     /// What is seen along the velocity.
-    fn course(&self, kinematics: &Kinematics, attitude: Attitude) -> Course {
+    fn course(&self, kinematics: &Kinematics, attitude: Attitude, place_m: Option<(f32, f32)>) -> Course {
+        let here = kinematics.position_ned_m;
+        let start_obstacle_m = place_m.and_then(|(north_m, east_m)| {
+            let way = NedVector::new(north_m - here.x, east_m - here.y, 0.0);
+            let reach_m = self.config.start_reach_m().min(way.horizontal_norm());
+            self.lookout.obstacle_ahead_m(here, way, reach_m)
+        });
         let velocity = kinematics.velocity_ned_m_s;
         let speed_m_s = velocity.horizontal_norm();
         if speed_m_s <= 0.0 {
-            return Course::default();
+            return Course {
+                start_obstacle_m,
+                ..Course::default()
+            };
         }
-        let reach_m = self.config.reach_m(speed_m_s, gain_m_s2(attitude, velocity, speed_m_s));
+        let reach_m = self.config.reach_m(speed_m_s, self.gain_m_s2(velocity, attitude));
         let off_nose_rad = wrap_pi(libm::atan2f(velocity.y, velocity.x) - attitude.yaw_rad());
         Course {
             obstacle_m: self
                 .lookout
                 .obstacle_ahead_m(kinematics.position_ned_m, velocity, reach_m),
+            start_obstacle_m,
             unseen: off_nose_rad.abs() > 0.5 * HORIZONTAL_FOV_RAD - FOV_MARGIN_RAD,
         }
     }
@@ -269,10 +401,49 @@ impl Guarding {
     }
 }
 
-/// Acceleration along the velocity, metres per second squared, as the thrust's lean gives it: what drag takes away is not
-/// counted, which errs to the careful side.
-fn gain_m_s2(attitude: Attitude, velocity: NedVector, speed_m_s: f32) -> f32 {
+/// Acceleration over the ground as the thrust's lean gives it, metres per second squared: without what drag and wind take away.
+fn lean_ned_m_s2(attitude: Attitude) -> NedVector {
     let thrust = attitude.to_ned(FrdVector::new(0.0, 0.0, -1.0));
     let lift = (-thrust.z).max(LEAST_LIFT);
-    G_M_S2 * (thrust.x * velocity.x + thrust.y * velocity.y) / (lift * speed_m_s)
+    NedVector::new(G_M_S2 * thrust.x / lift, G_M_S2 * thrust.y / lift, 0.0)
+}
+
+/// Whether the vehicle goes straight up and does not hold: a take-off, whatever its autopilot calls it.
+fn climbs(telemetry: &VehicleTelemetry, motion: Option<&Motion>) -> bool {
+    let holds = telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
+    let velocity = motion.map_or(NedVector::ZERO, |motion| motion.kinematics.velocity_ned_m_s);
+    !holds && velocity.z < -CLIMBS_M_S && velocity.horizontal_norm() < STRAIGHT_UP_M_S
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use vigil_types::STEP_NS;
+
+    /// Flies north with this tilt forward for so long under a drag of 1/s; what the tilt less drag and wind comes to at the end.
+    fn gain_after_m_s2(seconds: f32, pitch_rad: f32) -> f32 {
+        let attitude = Attitude::from_euler_rad(0.0, pitch_rad, 0.0);
+        let lean = lean_ned_m_s2(attitude);
+        let mut now = Kinematics {
+            at_ns: 0,
+            position_ned_m: NedVector::ZERO,
+            velocity_ned_m_s: NedVector::ZERO,
+        };
+        let mut air = Air::new(&now);
+        for _ in 0..(seconds * 20.0) as u32 {
+            now.at_ns += STEP_NS;
+            now.velocity_ned_m_s = now.velocity_ned_m_s + (lean - now.velocity_ned_m_s) * 0.05;
+            air = air.follow(&now, lean);
+        }
+        (lean - air.loss_ned_m_s2).x
+    }
+
+    #[test]
+    fn a_steady_tilt_against_drag_is_no_gain_of_speed_and_a_start_is_one() {
+        // Tilted forward by 17°: 3 m/s², and 3 m/s in the end.
+        let at_the_start = gain_after_m_s2(0.3, -0.297);
+        let steady = gain_after_m_s2(8.0, -0.297);
+        assert!(at_the_start > 2.2, "{at_the_start}");
+        assert!(steady.abs() < 0.2, "{steady}");
+    }
 }

@@ -22,9 +22,11 @@ use vigil_tests::{Pair, mission};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
 };
+use vigil_vehicle::{HoldLaw, VehicleModel, VehicleParams};
 use vigil_world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 
 const LOCAL_POSITION_NED: u32 = 32;
+const GPS_GLOBAL_ORIGIN: u32 = 49;
 
 /// What a mission came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,10 +41,74 @@ enum End {
     Other,
 }
 
+/// A mission as it was flown.
+#[derive(Debug, Clone, Copy)]
+struct Flown {
+    end: End,
+    /// Least distance to an obstacle, metres.
+    nearest_m: f32,
+    stop: Option<Stop>,
+}
+
+/// How a mission was stopped, from where it was first told to hold.
+#[derive(Debug, Clone, Copy)]
+struct Stop {
+    at_ned_m: NedVector,
+    speed_m_s: f32,
+    /// Metres to the nearest column there.
+    obstacle_m: f32,
+    /// How far it went on, and where it was at the end, metres.
+    way_m: f32,
+    rests_m: f32,
+}
+
+/// What a mission takes that is begun, and stopped as soon as it is seen to move: measured on `px4-sih` and `px4-light`, metres.
+const START_AND_STOP_M: f32 = 3.4;
+
+impl Stop {
+    /// The way that the vehicle needs: what it took, or would have taken had it begun to move.
+    fn needed_m(&self) -> f32 {
+        if self.speed_m_s < 0.3 {
+            START_AND_STOP_M
+        } else {
+            self.way_m
+        }
+    }
+
+    fn follow(&mut self, here: NedVector) {
+        self.rests_m = (here - self.at_ned_m).horizontal_norm();
+        self.way_m = self.way_m.max(self.rests_m);
+    }
+}
+
+/// Metres over the ground from a place to a column's surface.
+fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
+    (column.north_m - from_ned_m.x).hypot(column.east_m - from_ned_m.y) - column.radius_m
+}
+
+/// The vehicle never tells where its local origin is on the globe.
+fn keep_origin_from(told: &mut Datagrams) {
+    let mut kept = Datagrams::default();
+    for (link, datagram) in told.iter() {
+        let mut counters = FramingCounters::default();
+        if packets(datagram, &mut counters).all(|packet| packet.message_id() != GPS_GLOBAL_ORIGIN) {
+            kept.push(link, datagram);
+        }
+    }
+    *told = kept;
+}
+
 /// Flies the mission over a course; how it ended, and the least distance to an obstacle on the way.
 fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
+    let flown = fly_with(VehicleParams::default(), course, seed, speed_m_s, duty);
+    (flown.end, flown.nearest_m)
+}
+
+fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
+    let columns = course.columns.clone();
     let mut simulation = SimConfig::new(course, seed);
     simulation.start = Start::Airborne;
+    simulation.vehicle = vehicle;
     simulation.saved = mission::plan(&simulation, speed_m_s);
     let config = FirmwareConfig {
         duty,
@@ -55,17 +121,36 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
     };
     let mut pair = Pair::of(&simulation, &config);
     let (mut nearest_m, mut stood) = (f32::INFINITY, 0);
+    let mut stop: Option<Stop> = None;
     for step in 0..2400 {
         if step == 40 {
             pair.simulator.receive(0, &mission::start());
         }
         pair.simulate();
+        // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode: so is one without an origin.
+        if vehicle.control.hold == HoldLaw::Brake {
+            keep_origin_from(&mut pair.to_firmware);
+        }
         let report = pair.decide(true);
         assert!(
             report.setpoint.is_none() || duty == Duty::FlyAround,
             "who only stops gives no setpoints"
         );
         nearest_m = nearest_m.min(pair.simulator.obstacle_distance_m());
+        let truth = pair.simulator.truth();
+        if stop.is_none() && report.reasons.contains(Reason::CollisionCourse) {
+            stop = Some(Stop {
+                at_ned_m: truth.position_ned_m,
+                speed_m_s: truth.velocity_ned_m_s.horizontal_norm(),
+                obstacle_m: columns
+                    .iter()
+                    .map(|c| away_m(truth.position_ned_m, c))
+                    .fold(f32::INFINITY, f32::min),
+                way_m: 0.0,
+                rests_m: 0.0,
+            });
+        }
+        stop.iter_mut().for_each(|stop| stop.follow(truth.position_ned_m));
         let end = match pair.simulator.ending().map(|ending| ending.outcome) {
             Some(Outcome::Success) => Some(End::Arrived),
             Some(Outcome::Collision) => Some(End::Collision),
@@ -73,7 +158,7 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
             None => None,
         };
         if let Some(end) = end {
-            return (end, nearest_m);
+            return Flown { end, nearest_m, stop };
         }
         let holds = report.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
         stood = match holds && report.reasons.contains(Reason::CollisionCourse) {
@@ -81,10 +166,12 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
             false => 0,
         };
         if stood == 100 {
-            return (End::Stopped, nearest_m);
+            let end = End::Stopped;
+            return Flown { end, nearest_m, stop };
         }
     }
-    (End::Other, nearest_m)
+    let end = End::Other;
+    Flown { end, nearest_m, stop }
 }
 
 /// The same course with everything taken away that stands.
@@ -254,6 +341,38 @@ fn a_mission_through_a_wall_is_stopped_on_either_autopilot_and_stopped_again_whe
     }
 }
 
+/// A PX4's hold projects its place from the velocity alone, and flies back to it where speed was being gained.
+#[test]
+fn a_px4_is_told_the_mode_and_then_the_place_where_it_can_stop_and_one_that_refuses_the_place_holds_by_its_mode() {
+    for (flavour, refuses_places) in [(Flavour::Px4, false), (Flavour::Px4, true), (Flavour::ArduPilot, false)] {
+        let mut f = Guarded::before_a_wall(flavour, 40.0);
+        f.peer.refuses_places = refuses_places;
+        let mut told_at_m = None;
+        for _ in 0..400 {
+            f.step();
+            if told_at_m.is_none() && f.mode_changes() > 0 {
+                told_at_m = Some(f.peer.north_m);
+            }
+        }
+        let told_at_m = told_at_m.expect("it was told to hold");
+        assert!(f.holds() && f.nearest_m > 0.3, "{flavour:?} {}", f.nearest_m);
+        let asked = 1 + usize::from(refuses_places);
+        assert_eq!(f.mode_changes(), asked, "the mode first, and again after a refusal");
+        let Some((x, y, [speed_m_s, flags, altitude_m])) = f.peer.places.first().copied() else {
+            assert_eq!(flavour, Flavour::ArduPilot);
+            continue;
+        };
+        let place_m = (x - 473_977_420) as f32 / 89.932;
+        // From 3 m/s: braking at MPC_ACC_HOR takes 2.6 m, the hold of a PX4 4.3 m.
+        assert!((2.6..4.3).contains(&(place_m - told_at_m)), "{place_m} {told_at_m}");
+        assert!((y - 85_455_940).abs() < 20 && place_m < 40.0 - 0.3);
+        assert_eq!((speed_m_s, flags), (1.0, 1.0), "slowly, and in hold");
+        assert!(altitude_m.is_nan(), "at its height");
+        assert_eq!(f.was_told("refused"), refuses_places, "{:?}", f.texts);
+        assert!(f.peer.places.len() <= 2, "{}", f.peer.places.len());
+    }
+}
+
 #[test]
 fn a_vehicle_that_another_companion_flies_is_stopped_too() {
     for flavour in BOTH {
@@ -336,6 +455,177 @@ fn a_stop_that_is_refused_is_asked_for_again_and_told() {
         f.run_s(12.0);
         assert!(f.holds() && f.was_told("refused"), "{:?}", f.texts);
     }
+}
+
+/// An open field with one column so far north, so far beside the straight way.
+fn column_at(north_m: f32, east_m: f32, radius_m: f32) -> Course {
+    let mut course = emptied(generate(Family::Training, 1));
+    course.columns = vec![Column {
+        north_m,
+        east_m,
+        radius_m,
+        height_m: 5.0,
+    }];
+    course
+}
+
+/// Of one model and missions at 2 to 5 m/s: towards a column that is 3.5 to 18 m away, and every fourth one past a column 3 m beside the way.
+#[derive(Debug, Default)]
+struct Tally {
+    blocked: u32,
+    collided: u32,
+    stopped: u32,
+    /// Told to hold no earlier than 1.5 times the way that it needs, and 1 m and its radius more.
+    in_time: u32,
+    free: u32,
+    false_stops: u32,
+    nearest_m: f32,
+}
+
+fn missions_of(vehicle: VehicleParams, first_seed: u64, count: u64) -> Tally {
+    let mut tally = Tally {
+        nearest_m: f32::INFINITY,
+        ..Tally::default()
+    };
+    // The golden ratio and its square spread seeds evenly.
+    let spread = |n: u64, of: f64| (n as f64 * of).fract() as f32;
+    for n in first_seed..first_seed + count {
+        let speed_m_s = 2.0 + 3.0 * spread(n, 0.618_034);
+        let away_m = 3.5 + 14.5 * spread(n, 0.381_966);
+        let radius_m = 0.15 + 0.4 * spread(n, 0.754_878);
+        let is_free = n % 4 == 3;
+        let east_m = if is_free {
+            3.0
+        } else {
+            0.3 * (2.0 * spread(n, 0.569_84) - 1.0)
+        };
+        let mut course = column_at(0.0, 0.0, radius_m);
+        let start = course.start_ned_m();
+        let goal = course.goal_ned_m();
+        // Along the straight way from start to goal.
+        let way = goal - start;
+        let (north, east) = (way.x / way.horizontal_norm(), way.y / way.horizontal_norm());
+        course.columns[0].north_m = start.x + north * away_m - east * east_m;
+        course.columns[0].east_m = start.y + east * away_m + north * east_m;
+        let flown = fly_with(vehicle, course, n, speed_m_s, Duty::JustStop);
+        if std::env::var_os("EACH").is_some() {
+            println!("{n}: {speed_m_s:.1} m/s, {away_m:.1} m, free {is_free}: {flown:?}");
+        }
+        if is_free {
+            tally.free += 1;
+            tally.false_stops += u32::from(flown.stop.is_some());
+        } else {
+            tally.blocked += 1;
+            tally.collided += u32::from(flown.end == End::Collision);
+            tally.stopped += u32::from(flown.end == End::Stopped);
+            let is_late = |s: Stop| s.obstacle_m <= 1.5 * s.needed_m() + 1.3;
+            tally.in_time += u32::from(flown.stop.is_some_and(is_late));
+            tally.nearest_m = tally.nearest_m.min(flown.nearest_m);
+        }
+    }
+    tally
+}
+
+#[test]
+fn a_mission_towards_something_is_stopped_before_it_on_every_vehicle_model_with_a_noisy_estimate_too() {
+    for model in VehicleModel::ALL {
+        for vehicle in [model.params(), model.params().with_noisy_estimate()] {
+            let tally = missions_of(vehicle, 1, 4);
+            println!("{} {tally:?}", model.name());
+            assert_eq!((tally.collided, tally.stopped), (0, tally.blocked), "{}", model.name());
+        }
+    }
+}
+
+/// The course of one column on the straight way from start to goal, so many metres away.
+fn column_on_the_way(away_m: f32) -> Course {
+    let mut course = column_at(0.0, 0.0, 0.4);
+    let start = course.start_ned_m();
+    let way = course.goal_ned_m() - start;
+    let share = away_m / way.horizontal_norm();
+    (course.columns[0].north_m, course.columns[0].east_m) = (start.x + way.x * share, start.y + way.y * share);
+    course
+}
+
+/// PX4 told to hold at 1.9 m/s and 2.7 m/s² goes on to 3.1 m/s, and flies 3 m back to the point that it projected
+/// (`sim_bridge/tests/vehicle_models.rs`).
+#[test]
+fn a_px4_that_is_stopped_while_it_gains_speed_comes_to_rest_where_it_can_and_does_not_fly_back() {
+    for model in [VehicleModel::Px4Sih, VehicleModel::Px4Light] {
+        for away_m in [6.5, 8.0] {
+            let flown = fly_with(model.params(), column_on_the_way(away_m), 1, 5.0, Duty::JustStop);
+            println!("{} {away_m} m: {flown:?}", model.name());
+            let stop = flown.stop.expect("it was stopped");
+            assert_eq!(flown.end, End::Stopped, "{flown:?}");
+            assert!(stop.speed_m_s < 3.0, "it gains speed: {stop:?}");
+            assert!(stop.way_m - stop.rests_m < 1.2, "{stop:?}");
+        }
+    }
+}
+
+/// ArduCopter's BRAKE loses speed in proportion to it.
+#[test]
+fn an_arducopter_brakes_in_a_second_and_a_half_times_its_speed_and_that_is_reckoned_with() {
+    for speed_m_s in [2.0, 3.5, 5.0] {
+        let vehicle = VehicleModel::ArduCopter.params();
+        let flown = fly_with(vehicle, column_on_the_way(17.0), 1, speed_m_s, Duty::JustStop);
+        println!("{speed_m_s} m/s: {flown:?}");
+        let stop = flown.stop.expect("it was stopped");
+        assert_eq!(flown.end, End::Stopped, "{flown:?}");
+        // What the firmware needs to tell it is in this way.
+        let way_s = stop.way_m / stop.speed_m_s;
+        assert!((1.2..2.0).contains(&way_s), "{way_s} s: {stop:?}");
+        assert!(flown.nearest_m > 0.3, "{flown:?}");
+    }
+}
+
+#[test]
+fn two_missions_in_a_row_through_the_same_wall_are_held_before_they_move_where_it_is_too_near() {
+    let course = column_on_the_way(3.5);
+    let start = course.start_ned_m();
+    let mut simulation = SimConfig::new(course, 1);
+    simulation.start = Start::Airborne;
+    simulation.vehicle = VehicleModel::Px4Sih.params();
+    simulation.saved = mission::plan(&simulation, 5.0);
+    let config = FirmwareConfig {
+        duty: Duty::JustStop,
+        engage: EngagePolicy::Command,
+        ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
+    };
+    let mut pair = Pair::of(&simulation, &config);
+    let mut stops = 0;
+    for step in 0..600 {
+        if step == 60 || step == 300 {
+            pair.simulator.receive(0, &mission::start());
+        }
+        pair.simulate();
+        pair.decide(true);
+        stops += usize::from(pair.texts().iter().any(|text| text.contains("stop: something")));
+        let moved_m = (pair.simulator.truth().position_ned_m - start).horizontal_norm();
+        assert!(moved_m < 1.2, "step {step}: it moved {moved_m} m");
+    }
+    assert_eq!(stops, 2);
+}
+
+/// `MODEL=px4-sih FIRST_SEED=1 MISSIONS=40 cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture on_a_model`
+#[test]
+#[ignore = "missions of one vehicle model: minutes"]
+fn missions_on_a_model() {
+    let variable = |name: &str| std::env::var(name).ok();
+    let number = |name: &str, otherwise| variable(name).map_or(otherwise, |text| text.parse().expect("a number"));
+    let name = variable("MODEL").unwrap_or_else(|| "px4-sih".to_owned());
+    let model = VehicleModel::ALL
+        .into_iter()
+        .find(|m| m.name() == name)
+        .expect("a model's name");
+    let vehicle = match variable("NOISY").is_some() {
+        true => model.params().with_noisy_estimate(),
+        false => model.params(),
+    };
+    println!(
+        "{name} {:?}",
+        missions_of(vehicle, number("FIRST_SEED", 1), number("MISSIONS", 40))
+    );
 }
 
 /// `cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture scripted`

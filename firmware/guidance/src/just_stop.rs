@@ -19,6 +19,17 @@ const RECKON_S: f32 = 0.05;
 const RECKON_STEPS: usize = 400;
 /// Fastest that a vehicle is believed to gain speed, metres per second squared.
 const GREATEST_GAIN_M_S2: f32 = 6.0;
+/// A vehicle that gains more than this is still on its way to [`MISSION_GAIN_M_S2`], metres per second squared.
+const STARTS_M_S2: f32 = 0.3;
+/// What an autopilot gains speed with in a mission: PX4's MPC_ACC_HOR is 3, Copter's WPNAV_ACCEL 2.5 by default, metres per second squared.
+const MISSION_GAIN_M_S2: f32 = 3.0;
+/// The way of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
+/// 1.5 s on ArduCopter (BRAKE).
+const HOLD_WAY_S: f32 = 1.5;
+/// From a command until the autopilot acts on it, seconds.
+const TOLD_S: f32 = 0.1;
+/// After so long in a hold that was told, a vehicle that goes on as before has taken the mode and not obeyed it.
+const OBEYS_NS: Nanos = 2_000_000_000;
 
 /// How the vehicle stops. [`JustStopConfig::default`] is what docs/just-stop.md states.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,8 +61,20 @@ impl Default for JustStopConfig {
 impl JustStopConfig {
     /// Metres within which something on the course stops a vehicle of this speed, metres per second, that gains speed with this
     /// acceleration, metres per second squared. An autopilot takes its acceleration back as fast as its jerk allows: who is told to
-    /// hold while it gains speed goes on gaining it for a while.
+    /// hold while it gains speed goes on gaining it for a while; and until it is told, who has begun to gain speed gains more.
     pub fn reach_m(&self, speed_m_s: f32, gain_m_s2: f32) -> f32 {
+        let steady_m = speed_m_s.max(0.0) * (self.reaction_s + HOLD_WAY_S);
+        self.spare_m + self.braking_way_m(speed_m_s, gain_m_s2, self.reaction_s).max(steady_m)
+    }
+
+    /// Metres to where an autopilot that is told to hold now can come to rest from this speed, metres per second, that it gains with
+    /// this acceleration, metres per second squared.
+    pub fn way_m(&self, speed_m_s: f32, gain_m_s2: f32) -> f32 {
+        self.braking_way_m(speed_m_s, gain_m_s2, TOLD_S)
+    }
+
+    /// Metres of a stop that is begun after so many seconds.
+    fn braking_way_m(&self, speed_m_s: f32, gain_m_s2: f32, reaction_s: f32) -> f32 {
         let mut speed_m_s = speed_m_s.max(0.0);
         // It may cease braking in the moment in which it is looked at.
         let mut gain_m_s2 = if gain_m_s2.is_finite() {
@@ -59,20 +82,30 @@ impl JustStopConfig {
         } else {
             GREATEST_GAIN_M_S2
         };
-        let (mut reach_m, mut reaction_s) = (self.spare_m, self.reaction_s);
-        for _ in 0..RECKON_STEPS {
-            if reaction_s > 0.0 {
-                reaction_s -= RECKON_S;
+        let mut way_m = 0.0;
+        let reaction_steps = (reaction_s / RECKON_S + 0.5) as usize;
+        for step in 0..RECKON_STEPS {
+            if step < reaction_steps {
+                if gain_m_s2 > STARTS_M_S2 {
+                    gain_m_s2 = (gain_m_s2 + self.jerk_m_s3 * RECKON_S).min(gain_m_s2.max(MISSION_GAIN_M_S2));
+                }
             } else {
                 gain_m_s2 = (gain_m_s2 - self.jerk_m_s3 * RECKON_S).max(-self.braking_m_s2);
             }
-            speed_m_s += gain_m_s2 * RECKON_S;
+            let before_m_s = speed_m_s;
+            speed_m_s = (speed_m_s + gain_m_s2 * RECKON_S).max(0.0);
+            way_m += 0.5 * (before_m_s + speed_m_s) * RECKON_S;
             if speed_m_s <= 0.0 {
                 break;
             }
-            reach_m += speed_m_s * RECKON_S;
         }
-        reach_m
+        way_m
+    }
+
+    /// Metres that a mission takes which is begun and stopped again as soon as its vehicle is seen to move: what lies nearer on its
+    /// course stops it before it moves.
+    pub fn start_reach_m(&self) -> f32 {
+        self.reach_m(2.0 * STANDS_M_S, MISSION_GAIN_M_S2)
     }
 }
 
@@ -85,6 +118,8 @@ pub struct JustStopInput {
     pub heartbeat: Option<Heartbeat>,
     /// Whether the vehicle is in the air.
     pub airborne: bool,
+    /// It climbs straight up, as a take-off that is an item of a mission does: the autopilot says IN_AIR and MISSION then.
+    pub climbing: bool,
     /// Its horizontal speed, metres per second; `None` when it is not known, too old or not finite.
     pub speed_m_s: Option<f32>,
     /// What is seen of the course; `None` without a picture that can be believed.
@@ -97,6 +132,9 @@ pub struct Course {
     /// Metres to where the vehicle would come too near to something; `None` when nothing lies within
     /// [`JustStopConfig::reach_m`].
     pub obstacle_m: Option<f32>,
+    /// Metres to the same towards the mission's next place, within [`JustStopConfig::start_reach_m`] and not beyond that place; `None` also
+    /// where the place is not known.
+    pub start_obstacle_m: Option<f32>,
     /// The velocity points out of the sensor's field of view.
     pub unseen: bool,
 }
@@ -153,8 +191,10 @@ impl JustStop {
     /// One step; the state from now on. While it is [`JustStopState::Stopping`] the vehicle is to be told to hold.
     pub fn step(&mut self, config: &JustStopConfig, input: &JustStopInput) -> JustStopState {
         // What goes up and down by itself, the grid of a level cannot judge.
-        let guarded =
-            |h: &Heartbeat| h.armed && input.airborne && !matches!(h.mode, VehicleMode::Takeoff | VehicleMode::Land);
+        let guarded = |h: &Heartbeat| {
+            let by_itself = matches!(h.mode, VehicleMode::Takeoff | VehicleMode::Land);
+            h.armed && input.airborne && !by_itself && !(input.climbing && h.mode != VehicleMode::Hold)
+        };
         let Some(heartbeat) = input.heartbeat.filter(guarded) else {
             *self = Self::default();
             return self.state;
@@ -181,7 +221,7 @@ impl JustStop {
                 JustStopState::Watching
             }
             JustStopState::Stopping(cause) => JustStopState::Stopping(cause),
-            JustStopState::Stopped(cause) if holds && (danger.is_none() || !self.begun.stood) => {
+            JustStopState::Stopped(cause) if holds && (danger.is_none() || self.may_obey_yet(input.now_ns)) => {
                 JustStopState::Stopped(cause)
             }
             JustStopState::Idle | JustStopState::Unguarded | JustStopState::Watching | JustStopState::Stopped(_) => {
@@ -199,6 +239,11 @@ impl JustStop {
             }
         };
         self.state
+    }
+
+    /// Whether the vehicle that was told to hold may still be on its way to a stand.
+    fn may_obey_yet(&self, now_ns: Nanos) -> bool {
+        !self.begun.stood && now_ns.saturating_sub(self.begun.at_ns) < OBEYS_NS
     }
 
     /// Whether the vehicle moves and does not slow down.
@@ -226,7 +271,13 @@ impl JustStop {
             moves && seen.is_some_and(|course| course.unseen),
             config.unseen_limit_ns.unwrap_or(Nanos::MAX),
         );
-        let obstacle_m = seen.and_then(|course| course.obstacle_m).filter(|_| moves);
+        // A mission that stands has not begun yet, or is sent on.
+        let starts = !moves && heartbeat.mode == VehicleMode::Mission;
+        let obstacle_m = seen.and_then(|course| match (moves, starts) {
+            (true, _) => course.obstacle_m,
+            (false, true) => course.start_obstacle_m,
+            (false, false) => None,
+        });
         self.confirmed = match obstacle_m {
             Some(_) => self.confirmed.saturating_add(1),
             None => 0,
@@ -258,6 +309,8 @@ mod tests {
         mode: VehicleMode,
         failsafe: bool,
         speed_m_s: Option<f32>,
+        climbing: bool,
+        start_obstacle_m: Option<f32>,
         sees: bool,
         unseen: bool,
     }
@@ -270,6 +323,8 @@ mod tests {
                 mode: VehicleMode::Mission,
                 failsafe: false,
                 speed_m_s: Some(speed_m_s),
+                climbing: false,
+                start_obstacle_m: None,
                 sees: true,
                 unseen: false,
             }
@@ -288,9 +343,11 @@ mod tests {
                         failsafe: self.failsafe,
                     }),
                     airborne: true,
+                    climbing: self.climbing,
                     speed_m_s: self.speed_m_s,
                     course: self.sees.then_some(Course {
                         obstacle_m,
+                        start_obstacle_m: self.start_obstacle_m,
                         unseen: self.unseen,
                     }),
                 },
@@ -306,18 +363,40 @@ mod tests {
     #[test]
     fn the_reach_is_that_of_a_stop_with_delay_jerk_and_braking() {
         let config = JustStopConfig::default();
-        // 1.2 m in 0.4 s; half a second to 2 m/s² costs 0.5 m/s; 2.5² / 4 = 1.56 m from there; half a metre spare.
-        let ramp_m = 3.0 * 0.5 - 4.0 * 0.125 / 6.0;
-        let by_hand_m = 1.2 + ramp_m + 1.5625 + 0.5;
+        // 2.4 m in 0.4 s; half a second to 2 m/s² costs 0.5 m/s; 5.5² / 4 = 7.56 m from there; half a metre spare.
+        let ramp_m = 6.0 * 0.5 - 4.0 * 0.125 / 6.0;
+        let by_hand_m = 2.4 + ramp_m + 7.5625 + 0.5;
         assert!(
-            (config.reach_m(3.0, 0.0) - by_hand_m).abs() < 0.15,
+            (config.reach_m(6.0, 0.0) - by_hand_m).abs() < 0.15,
             "{}",
-            config.reach_m(3.0, 0.0)
+            config.reach_m(6.0, 0.0)
+        );
+        // The ways of real autopilots' holds from steady flight, and 0.4 s until they are told.
+        for (speed_m_s, way_m) in [(1.8, 2.4), (2.6, 3.4), (3.3, 4.9), (5.0, 7.5)] {
+            let needed_m = way_m + 0.4 * speed_m_s;
+            let reach_m = config.reach_m(speed_m_s, 0.0);
+            assert!(
+                reach_m >= needed_m && reach_m <= 1.3 * needed_m + 1.0,
+                "{speed_m_s}: {reach_m}"
+            );
+        }
+        // PX4 told at 1.9 m/s while it gains 2.7 m/s² needs 6.6 m; half as much again and a metre is early enough.
+        assert!(
+            (6.6..1.5 * 6.6 + 1.0).contains(&config.reach_m(1.9, 2.7)),
+            "{}",
+            config.reach_m(1.9, 2.7)
         );
         assert!((config.reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
+        // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is told lies between.
+        assert!(
+            (2.6..4.3).contains(&config.way_m(3.0, 0.0)),
+            "{}",
+            config.way_m(3.0, 0.0)
+        );
+        assert!(config.way_m(1.9, 2.7) > config.way_m(2.8, 0.0) + 1.0);
         // Who gains 3 m/s² gains another 1.2 m/s during the reaction and 1.125 while it is taken back.
         assert!(config.reach_m(2.0, 3.0) > config.reach_m(4.3, 0.0));
-        assert!(config.reach_m(3.0, -2.0) < config.reach_m(3.0, 0.0) - 0.5);
+        assert!(config.reach_m(6.0, -2.0) < config.reach_m(6.0, 0.0) - 0.5);
         assert!(config.reach_m(3.0, f32::NAN).is_finite() && config.reach_m(f32::MAX, 9.0) > 1e6);
     }
 
@@ -376,6 +455,54 @@ mod tests {
         }
         held.mode = VehicleMode::Hold;
         brake(2.9, &mut held, |state| state == JustStopState::Watching);
+    }
+
+    #[test]
+    fn a_vehicle_that_takes_the_mode_and_flies_on_is_told_again() {
+        let mut flight = Flight::at(2.0);
+        flight.step(Some(5.0));
+        flight.step(Some(5.0));
+        flight.mode = VehicleMode::Hold;
+        let mut told = 0;
+        for _ in 0..100 {
+            let before = flight.guard.state();
+            let state = flight.step(Some(3.0));
+            told += u32::from(matches!(state, JustStopState::Stopping(_)) && state != before);
+        }
+        assert!(told >= 1, "{told}");
+        assert!(matches!(flight.guard.state(), JustStopState::Stopping(_)));
+    }
+
+    #[test]
+    fn a_mission_that_begins_before_a_wall_is_held_before_it_moves_each_time_it_is_sent_on() {
+        let mut flight = Flight::at(0.05);
+        flight.start_obstacle_m = Some(3.5);
+        for _ in 0..2 {
+            flight.mode = VehicleMode::Mission;
+            flight.step(None);
+            assert!(matches!(flight.step(None), JustStopState::Stopping(_)));
+            flight.mode = VehicleMode::Hold;
+            assert!(matches!(flight.step(None), JustStopState::Stopped(_)));
+        }
+        // Who holds, or flies by sticks, has not begun a mission.
+        let mut flight = Flight::at(0.05);
+        (flight.start_obstacle_m, flight.mode) = (Some(3.5), VehicleMode::Other);
+        assert_eq!(flight.stopped_after_s(), None);
+    }
+
+    #[test]
+    fn a_climb_straight_up_within_a_mission_is_a_take_off_and_is_not_stopped() {
+        let mut flight = Flight::at(0.3);
+        flight.climbing = true;
+        for _ in 0..40 {
+            assert_eq!(flight.step(Some(0.1)), JustStopState::Idle);
+        }
+        flight.climbing = false;
+        flight.step(Some(0.5));
+        assert!(
+            matches!(flight.step(Some(0.5)), JustStopState::Stopping(_)),
+            "then it is watched"
+        );
     }
 
     #[test]

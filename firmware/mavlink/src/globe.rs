@@ -67,6 +67,14 @@ impl Origin {
             .then_some(origin)
     }
 
+    /// Latitude and longitude, 1e-7 degrees, of the place so many metres north and east of the origin; `None` when that is no place.
+    pub fn place_e7(&self, north_m: f32, east_m: f32) -> Option<(i32, i32)> {
+        let (latitude_deg, longitude_deg) = to_global((self.latitude_deg, self.longitude_deg), north_m, east_m);
+        let is_place = latitude_deg.abs() <= 90.0 && longitude_deg.abs() <= 180.0;
+        let e7 = |deg: f64| libm::round(deg * 1e7) as i32;
+        is_place.then(|| (e7(latitude_deg), e7(longitude_deg)))
+    }
+
     /// Metres north and east of the origin.
     pub fn north_east_m(&self, latitude_deg: f64, longitude_deg: f64) -> (f32, f32) {
         to_local((self.latitude_deg, self.longitude_deg), latitude_deg, longitude_deg)

@@ -13,10 +13,12 @@ const RETRY_NS: Nanos = 500_000_000;
 const PROGRESS_NS: Nanos = 10_000_000_000;
 
 /// A command of the hand-over.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Wanted {
     pub number: u16,
     pub params: [f32; 7],
+    /// Latitude and longitude in place of parameters 5 and 6, 1e-7 degrees: it goes as a COMMAND_INT.
+    pub place: Option<(i32, i32)>,
     /// How long its effect may take to be seen after it was accepted; then it is sent again.
     pub effect_ns: Nanos,
 }

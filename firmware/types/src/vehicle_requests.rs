@@ -62,8 +62,14 @@ pub enum VehicleRequest {
     },
     /// Land.
     Land,
-    /// Stop by its own means and hold its position: its flight is somebody else's, and is guarded.
-    Hold(StopCause),
+    /// Stop by its own means and hold its position.
+    Hold {
+        /// Why, of a flight that is somebody else's and is guarded; `None` where guidance lets go of the vehicle.
+        cause: Option<StopCause>,
+        /// Where it can come to rest, metres north and east in the local frame, for an autopilot that is told a place; `None` leaves that
+        /// to it.
+        place_m: Option<(f32, f32)>,
+    },
     /// Go on with its mission.
     Resume,
 }

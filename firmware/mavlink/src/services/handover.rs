@@ -6,7 +6,7 @@
 use crate::autopilot::{Flavour, command_number};
 use crate::companion::CompanionConfig;
 use crate::core::Core;
-use crate::framing::{Command, CommandAck, Packet};
+use crate::framing::{Command, CommandAck, CommandForm, Packet};
 use crate::report;
 use crate::service::{Service, Step};
 use crate::tracker::{Failure, Next, Tracker, Wanted};
@@ -23,8 +23,13 @@ const TAKEOFF_EFFECT_NS: Nanos = 10_000_000_000;
 const LAND_PAUSE_NS: Nanos = 2_000_000_000;
 /// The same for the modes of a guarded flight: something lies ahead.
 const HOLD_PAUSE_NS: Nanos = 200_000_000;
+/// Fastest on the way to the place of a stop, where the autopilot bears a speed with it, metres per second: it is to brake, and what it
+/// passes the place by is flown back slowly.
+const STOP_SPEED_M_S: f32 = 1.0;
 /// How far below the asked height a climb counts as finished: a tenth of it, at most this.
 const CLIMB_TOLERANCE_M: f32 = 0.3;
+/// MAV_FRAME_GLOBAL.
+const GLOBAL: u8 = 0;
 /// A heartbeat this much later than the beginning of a climb shows the mode that the take-off put the vehicle into.
 const MODE_SHOWS_NS: Nanos = 1_000_000_000;
 
@@ -42,8 +47,8 @@ pub(crate) enum Trouble {
 /// What the hand-over wants in this step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Action {
-    /// A command to send: number, parameters, confirmation.
-    pub send: Option<(u16, [f32; 7], u8)>,
+    /// A command to send, and its confirmation.
+    pub send: Option<(Wanted, u8)>,
     /// Something to tell people, once.
     pub trouble: Option<Trouble>,
 }
@@ -66,6 +71,8 @@ pub(crate) struct Handover {
     landing: bool,
     /// Or the mode that it asked for.
     asked_mode: Option<[f32; 3]>,
+    /// The vehicle does not take the place of a stop.
+    refuses_place: bool,
     streaming_since_ns: Option<Nanos>,
     /// A take-off was seen or accepted at this time and has not reached its height.
     climbing_since_ns: Option<Nanos>,
@@ -81,6 +88,7 @@ impl Handover {
             flying: false,
             landing: false,
             asked_mode: None,
+            refuses_place: false,
             streaming_since_ns: None,
             climbing_since_ns: None,
             failed_ns: None,
@@ -134,38 +142,71 @@ impl Handover {
                 }
                 self.land(now_ns, vehicle)
             }
-            VehicleRequest::Hold(_) | VehicleRequest::Resume => {
-                let asked = match request {
-                    VehicleRequest::Resume => self.flavour.mission_mode(),
-                    _ => self.flavour.hold_mode(),
+            VehicleRequest::Hold { place_m, .. } => {
+                self.ask_mode(self.flavour.hold_mode());
+                let wanted = match self.flavour {
+                    Flavour::Px4 => self.px4_stop(place_m, vehicle),
+                    Flavour::ArduPilot => self.set_mode(self.flavour.hold_mode()),
                 };
-                if self.asked_mode != Some(asked) {
-                    self.end();
-                    self.asked_mode = Some(asked);
-                }
-                let holds = vehicle.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
-                let wanted = if request != VehicleRequest::Resume && holds && self.flavour == Flavour::Px4 {
-                    // A PX4 in hold may be on its way to a place; the mode that it has already changes nothing. A go-to without a place is
-                    // how ground stations pause one.
-                    self.wanted(
-                        command_number::DO_REPOSITION,
-                        EFFECT_NS,
-                        &[(1, -1.0), (2, 1.0), (3, 0.0)],
-                    )
-                } else {
-                    let [base, main, sub] = asked;
-                    let set = [(1, base), (2, main), (3, sub)];
-                    self.wanted(command_number::DO_SET_MODE, EFFECT_NS, &set)
-                };
+                let action = self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle);
+                self.refuses_place |= wanted.place.is_some() && action.trouble.is_some();
+                action
+            }
+            VehicleRequest::Resume => {
+                self.ask_mode(self.flavour.mission_mode());
+                let wanted = self.set_mode(self.flavour.mission_mode());
                 self.insist(now_ns, &wanted, HOLD_PAUSE_NS, vehicle)
             }
         }
     }
 
+    /// This mode is asked for from now on.
+    fn ask_mode(&mut self, mode: [f32; 3]) {
+        if self.asked_mode != Some(mode) {
+            self.end();
+            self.asked_mode = Some(mode);
+        }
+    }
+
+    /// The mode first, which every PX4 takes. It holds a point that it projects from its velocity alone, and flies back to it if it was
+    /// gaining speed: so it is told the place where it can stop as soon as it has the mode.
+    fn px4_stop(&self, place_m: Option<(f32, f32)>, vehicle: &Vehicle) -> Wanted {
+        let holds = vehicle.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
+        let has_mode = holds
+            || self.tracker.is_accepted(command_number::DO_SET_MODE)
+            || self.tracker.number() == Some(command_number::DO_REPOSITION);
+        // An origin that was inferred from home may be metres aside.
+        let origin = vehicle
+            .origin
+            .filter(|_| vehicle.is_origin_told() && !self.refuses_place);
+        let reposition = |speed_m_s| {
+            let set = [(1, speed_m_s), (2, 1.0), (3, 0.0)];
+            self.wanted(command_number::DO_REPOSITION, EFFECT_NS, &set)
+        };
+        let place = origin
+            .zip(place_m)
+            .and_then(|(origin, (north_m, east_m))| origin.place_e7(north_m, east_m));
+        match place {
+            Some(_) if has_mode => Wanted {
+                place,
+                ..reposition(STOP_SPEED_M_S)
+            },
+            // In hold it may be on its way to a place; the mode that it has already changes nothing. A go-to without a place is how
+            // ground stations pause one.
+            _ if holds => reposition(-1.0),
+            _ => self.set_mode(self.flavour.hold_mode()),
+        }
+    }
+
+    fn set_mode(&self, [base, main, sub]: [f32; 3]) -> Wanted {
+        let set = [(1, base), (2, main), (3, sub)];
+        self.wanted(command_number::DO_SET_MODE, EFFECT_NS, &set)
+    }
+
     fn end(&mut self) {
         self.tracker.reset();
         self.progress = HandoverProgress::Idle;
-        (self.flying, self.landing, self.asked_mode) = (false, false, None);
+        (self.flying, self.landing, self.asked_mode, self.refuses_place) = (false, false, None, false);
         self.climbing_since_ns = None;
         self.failed_ns = None;
     }
@@ -194,7 +235,7 @@ impl Handover {
         match self.tracker.next(now_ns, &wanted) {
             Next::Wait => Action::default(),
             Next::Send(confirmation) => Action {
-                send: Some((wanted.number, wanted.params, confirmation)),
+                send: Some((wanted, confirmation)),
                 trouble: None,
             },
             Next::Failed(failure) => self.fail(Trouble::Command {
@@ -282,6 +323,7 @@ impl Handover {
         Wanted {
             number,
             params,
+            place: None,
             effect_ns,
         }
     }
@@ -292,12 +334,7 @@ impl Handover {
     }
 
     fn external_mode(&self) -> Wanted {
-        let [base, main, sub] = self.flavour.external_mode();
-        self.wanted(
-            command_number::DO_SET_MODE,
-            EFFECT_NS,
-            &[(1, base), (2, main), (3, sub)],
-        )
+        self.set_mode(self.flavour.external_mode())
     }
 
     fn take_off(&self, takeoff_height_m: f32, vehicle: &Vehicle) -> Wanted {
@@ -332,7 +369,7 @@ impl Handover {
         match self.tracker.next(now_ns, wanted) {
             Next::Wait => Action::default(),
             Next::Send(confirmation) => Action {
-                send: Some((wanted.number, wanted.params, confirmation)),
+                send: Some((*wanted, confirmation)),
                 trouble: None,
             },
             Next::Failed(failure) => {
@@ -388,15 +425,18 @@ impl Service for HandoverService {
         ) {
             core.tell(out, &report::overdue_text(unfinished));
         }
-        if let (VehicleRequest::Hold(cause), None) = (step.request, self.handover.asked_mode) {
+        if let (VehicleRequest::Hold { cause: Some(cause), .. }, None) = (step.request, self.handover.asked_mode) {
             core.tell(out, &report::hold_text(cause));
         }
         let action = self
             .handover
             .step(step.report.now_ns, step.request, core.streaming, &core.vehicle);
         let Some(system) = core.system_id else { return };
-        if let Some((number, params, confirmation)) = action.send {
-            let command = Command::to_autopilot(system, number, params, confirmation);
+        if let Some((wanted, confirmation)) = action.send {
+            let mut command = Command::to_autopilot(system, wanted.number, wanted.params, confirmation);
+            if let Some((x, y)) = wanted.place {
+                command.form = CommandForm::Int { frame: GLOBAL, x, y };
+            }
             core.sender.command(out, core.config.link, &command);
         }
         if let Some(trouble) = action.trouble {

@@ -61,6 +61,8 @@ pub struct Peer {
     pub height_m: f32,
     /// What it reports; only missions and what stops them fly by it.
     pub speed_north_m_s: f32,
+    /// As it leans to gain speed.
+    pub pitch_rad: f32,
     /// In missions.
     pub cruise_m_s: f32,
     /// COM_OF_LOSS_T or GUID_TIMEOUT, seconds.
@@ -87,6 +89,10 @@ pub struct Peer {
     pub tells_landed: bool,
     pub quirks: Vec<Quirk>,
     pub commands: Vec<Got>,
+    /// Latitude and longitude, 1e-7 degrees, of the places that it was sent to; speed, flags and altitude.
+    pub places: Vec<(i32, i32, [f32; 3])>,
+    /// As one outside its fence.
+    pub refuses_places: bool,
     /// Time, velocity and yaw rate of each setpoint.
     pub setpoints: Vec<(Nanos, [f32; 4])>,
     /// A setpoint came well before the take-off's height (it ends a Copter's take-off).
@@ -114,6 +120,7 @@ impl Peer {
             east_m: 0.0,
             height_m: 0.0,
             speed_north_m_s: 0.0,
+            pitch_rad: 0.0,
             cruise_m_s: 3.0,
             // What either autopilot ships with.
             setpoint_timeout_s: match flavour {
@@ -133,6 +140,8 @@ impl Peer {
             tells_landed: true,
             quirks: Vec::new(),
             commands: Vec::new(),
+            places: Vec::new(),
+            refuses_places: false,
             setpoints: Vec::new(),
             disturbed_takeoff: false,
             boot_ns: 20 * SECOND,
@@ -242,6 +251,7 @@ impl Peer {
         if now && streams(30, px4, &self.wanted_messages) {
             out.push(MavMessage::ATTITUDE(ATTITUDE_DATA {
                 time_boot_ms,
+                pitch: self.pitch_rad,
                 ..Default::default()
             }));
         }
@@ -341,7 +351,9 @@ impl Peer {
     /// Flies north; 2.5 m/s² to another speed.
     fn gain(&mut self, wanted_m_s: f32) {
         let most_m_s = 2.5 * STEP_S;
-        self.speed_north_m_s += (wanted_m_s - self.speed_north_m_s).clamp(-most_m_s, most_m_s);
+        let gained_m_s = (wanted_m_s - self.speed_north_m_s).clamp(-most_m_s, most_m_s);
+        self.speed_north_m_s += gained_m_s;
+        self.pitch_rad = -(gained_m_s / STEP_S / 9.81).atan();
         self.north_m += self.speed_north_m_s * STEP_S;
     }
 
@@ -416,6 +428,24 @@ impl Peer {
                             ..Default::default()
                         }));
                     }
+                }
+                MavMessage::COMMAND_INT(c) if c.target_system == self.system && c.target_component == 1 => {
+                    assert_eq!(c.frame as u8, 0, "above sea level, where that is told");
+                    self.places.push((c.x, c.y, [c.param1, c.param2, c.z]));
+                    let is_taken = self.flavour == Flavour::Px4 && c.command as u16 == 192 && !self.refuses_places;
+                    if is_taken {
+                        self.mode = Mode::Loiter;
+                    }
+                    self.replies.push(MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
+                        command: c.command,
+                        result: match is_taken {
+                            true => MavResult::MAV_RESULT_ACCEPTED,
+                            false => MavResult::MAV_RESULT_DENIED,
+                        },
+                        target_system: self.system,
+                        target_component: 191,
+                        ..Default::default()
+                    }));
                 }
                 #[allow(deprecated)] // what ArduPilot's ground stations use
                 MavMessage::REQUEST_DATA_STREAM(r) if r.target_system == self.system => {
