@@ -25,6 +25,8 @@ use vigil_types::{Datagrams, GuidanceState, Nanos, StepReport};
 
 /// Steps between a request to end and the end: guidance brakes and sends zeros in them.
 const FAREWELL_STEPS: u64 = 5;
+/// The most of them while the vehicle, which flies by our setpoints, has not yet been seen to hold by itself.
+const LET_GO_STEPS: u64 = 60;
 
 /// Why a flight could not begin.
 #[derive(Debug, thiserror::Error)]
@@ -88,6 +90,8 @@ pub struct FlightSummary {
     pub routing: RoutingCounters,
     /// Guidance state at the end.
     pub state: GuidanceState,
+    /// The vehicle flew by our setpoints until the end: whether it was seen in a mode of its own before they ended.
+    pub holds: Option<bool>,
     /// What became of the log, if there was one.
     pub log: Option<vigil_log::Summary>,
 }
@@ -101,6 +105,14 @@ impl std::fmt::Display for FlightSummary {
             self.slips,
             self.state.name()
         )?;
+        match self.holds {
+            Some(true) => writeln!(f, "vehicle   holds by itself")?,
+            Some(false) => writeln!(
+                f,
+                "vehicle   did not take its hold mode: its failsafe of lost setpoints follows (PX4: COM_OBL_RC_ACT)"
+            )?,
+            None => {}
+        }
         writeln!(f, "step      {}", self.execution)?;
         writeln!(f, "wake-up   {} late", self.wake_late)?;
         write!(
@@ -335,12 +347,16 @@ impl LiveLoop {
         self.schedule.previous_execution_ns()
     }
 
-    /// Brakes, sends zeros for some steps, closes the log.
+    /// Brakes, has the vehicle hold by itself while it is still sent zeros, closes the log.
     pub fn finish(mut self) -> FlightSummary {
         // What follows is the program's own end, and no person's take-over to be kept. Dropped last: it waits for its writer.
         let _keeper = self.parameters.take();
+        let flew = self.last.has_vehicle();
         self.firmware.disengage_command(&mut self.link.pending);
-        for _ in 0..FAREWELL_STEPS {
+        for step in 0..LET_GO_STEPS {
+            if step >= FAREWELL_STEPS && !self.last.has_vehicle() {
+                break;
+            }
             self.step();
         }
         self.firmware.shut_down(self.clock.now_ns(), &mut self.link);
@@ -357,6 +373,7 @@ impl LiveLoop {
             line: self.link.link.statistics(),
             routing: self.link.link.routing(),
             state: self.last.state,
+            holds: flew.then(|| !self.last.has_vehicle()),
             log: self.firmware.finish(),
         }
     }

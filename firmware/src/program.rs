@@ -36,7 +36,7 @@ Examples:
   firmware --lockstep                       answer a simulator that sets the pace
   firmware --config my.toml                 with a configuration file (docs/firmware.md); flags override it
 
-Ctrl-C or SIGTERM: brakes, sends zeros for a quarter of a second, closes the log.
+Ctrl-C or SIGTERM: brakes, has the vehicle hold by itself (3 s at most), closes the log.
 Exit code: 0 ended on request, 1 error, 2 wrong arguments.")]
 pub struct FirmwareArgs {
     /// Configuration file (TOML).
@@ -225,9 +225,7 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     } else {
         let summary = live_loop::fly(&config, &stop, |granted| {
             announce(&format!("{}\nscheduling {granted}", Start(&config)));
-            announce(
-                "end        Ctrl-C or SIGTERM: it brakes, sends zeros for a quarter of a second and closes the log",
-            );
+            announce("end        Ctrl-C or SIGTERM: it brakes, has the vehicle hold by itself and closes the log");
         })?;
         vigil_files::print_line(&summary.to_string())?;
     }

@@ -19,7 +19,7 @@ use vigil_guidance::{
     ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, JustStopConfig,
 };
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
-use vigil_mavlink::{Companion, CompanionConfig, LinkCounters, MavHeader, Parameters, StatusText, framing};
+use vigil_mavlink::{Companion, CompanionConfig, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::PositionalInputs;
 use vigil_policy::{
     FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge, SecondSensor,
@@ -446,6 +446,7 @@ impl FlightStack {
     pub fn disengage_command(&self, received: &mut Datagrams) {
         let command = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
             command: MavCmd::MAV_CMD_NAV_GUIDED_ENABLE,
+            param2: LET_GO,
             target_system: self.companion.system_id().unwrap_or(DEFAULT_SYSTEM),
             target_component: self.component_id,
             ..COMMAND_LONG_DATA::DEFAULT

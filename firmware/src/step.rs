@@ -131,7 +131,8 @@ impl Firmware {
         self.stack.frame_refusals()
     }
 
-    /// The command of a person at the terminal who disengages guidance, for the next step's link to receive.
+    /// The command of a person at the terminal who disengages guidance and has the vehicle hold by itself, for the next step's link to
+    /// receive.
     pub fn disengage_command(&self, received: &mut Datagrams) {
         self.stack.disengage_command(received);
     }

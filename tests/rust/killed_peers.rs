@@ -5,10 +5,16 @@ use rustix::process::Signal;
 use std::net::UdpSocket;
 use std::path::Path;
 use std::time::Duration;
+use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, TickRecord};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::ground::{Request, STATION, packet};
 use vigil_tests::{Pair, Running};
-use vigil_types::{GuidanceState, Nanos, Reason};
-use vigil_world::Family;
+use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
+use vigil_vehicle::VehicleModel;
+use vigil_world::{Family, generate};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
 
@@ -198,5 +204,99 @@ fn a_blind_firmware_stops_asking_for_motion_in_the_step_that_finds_out() {
             );
             return;
         }
+    }
+}
+
+/// Guidance computer, vehicle and a ground station, in lockstep.
+struct Card {
+    pair: Pair,
+    sequence: u8,
+}
+
+impl Card {
+    fn on(model: VehicleModel) -> Self {
+        let mut simulation = SimConfig::new(generate(Family::Training, 11), 11);
+        simulation.start = Start::Airborne;
+        simulation.vehicle = model.params();
+        let config = FirmwareConfig {
+            engage: EngagePolicy::Command,
+            ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
+        };
+        Self {
+            pair: Pair::of(&simulation, &config),
+            sequence: 0,
+        }
+    }
+
+    /// Steps until it is so, at most 20 s; what an operator asks is asked once a second until then.
+    fn until(&mut self, what: &str, asked: Option<Request>, is_so: impl Fn(&StepReport, &str) -> bool) {
+        for step in 0..400 {
+            self.pair.simulate();
+            if let (Some(request), 0) = (asked, step % 20) {
+                self.sequence += 1;
+                let request = packet(STATION, self.sequence, &request.message(1));
+                assert!(self.pair.to_firmware.push(0, &request), "no room");
+            }
+            let report = self.pair.decide(true);
+            if is_so(&report, self.pair.simulator.status().mode.name()) {
+                return;
+            }
+        }
+        panic!("{what}: never");
+    }
+
+    fn flies(report: &StepReport, mode: &str) -> bool {
+        report.state == GuidanceState::Guided && mode == "offboard"
+    }
+
+    fn speed_m_s(&self) -> f32 {
+        self.pair.simulator.truth().velocity_ned_m_s.norm()
+    }
+}
+
+/// PX4's test card for modes that another computer flies: engage, leave, engage again, let go, engage again, kill.
+#[test]
+fn the_test_card_of_an_external_mode_passes_on_every_vehicle_model() {
+    for model in VehicleModel::ALL {
+        let mut card = Card::on(model);
+        card.until("engaged", Some(Request::Engage), Card::flies);
+        // A ground station's Hold: guidance leaves, and leaves it at that.
+        let hold = MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            command: MavCmd::MAV_CMD_DO_SET_MODE,
+            param1: 129.0,
+            param2: 4.0,
+            param3: 3.0,
+            target_system: 1,
+            target_component: 1,
+            ..COMMAND_LONG_DATA::DEFAULT
+        });
+        card.pair.to_vehicle(&packet(STATION, 0, &hold));
+        card.until("left", None, |report, mode| report.setpoint.is_none() && mode == "hold");
+        for _ in 0..200 {
+            card.pair.simulate();
+            let report = card.pair.decide(true);
+            assert_eq!(
+                (report.setpoint, card.pair.simulator.status().mode.name()),
+                (None, "hold")
+            );
+        }
+        card.until("engaged again", Some(Request::Engage), Card::flies);
+        // Let go: it is still sent zeros until it holds by itself.
+        card.until("let go", Some(Request::LetGo), |report, mode| {
+            assert!(report.setpoint.is_some() || mode == "hold", "{mode}");
+            mode == "hold" && !report.has_vehicle()
+        });
+        assert!(card.pair.simulator.status().failsafe.is_none(), "no failsafe held it");
+        card.until("engaged a third time", Some(Request::Engage), Card::flies);
+        card.until("moves", None, |report, _| {
+            let speed_m_s = |k: vigil_types::Kinematics| k.velocity_ned_m_s.horizontal_norm();
+            report.telemetry.kinematics.is_some_and(|k| speed_m_s(k) > 0.5)
+        });
+        card.pair.silence();
+        for _ in 0..200 {
+            card.pair.simulate();
+        }
+        assert_eq!(card.pair.simulator.status().mode.name(), "hold", "{}", model.name());
+        assert!(card.speed_m_s() < 0.3, "{} {}", model.name(), card.speed_m_s());
     }
 }

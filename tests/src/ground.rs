@@ -13,6 +13,8 @@ pub enum Request {
     Land,
     /// Take the vehicle and fly.
     Engage,
+    /// Give it back: it holds by itself.
+    LetGo,
 }
 
 /// System and component that ground stations have.
@@ -37,9 +39,10 @@ impl Request {
     /// The message to the guidance computer of a system.
     pub fn message(self, system: u8) -> MavMessage {
         const GUIDANCE: u8 = 191;
-        let long = |command, param1| {
+        let long = |command, param1, param2| {
             MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
                 param1,
+                param2,
                 command,
                 target_system: system,
                 target_component: GUIDANCE,
@@ -59,8 +62,9 @@ impl Request {
                 frame: MavFrame::MAV_FRAME_LOCAL_NED,
                 ..COMMAND_INT_DATA::DEFAULT
             }),
-            Self::Land => long(MavCmd::MAV_CMD_NAV_LAND, 0.0),
-            Self::Engage => long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 1.0),
+            Self::Land => long(MavCmd::MAV_CMD_NAV_LAND, 0.0, 0.0),
+            Self::Engage => long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 1.0, 0.0),
+            Self::LetGo => long(MavCmd::MAV_CMD_NAV_GUIDED_ENABLE, 0.0, 1.0),
         }
     }
 }

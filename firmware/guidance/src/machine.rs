@@ -20,6 +20,9 @@ const BORN_AIRBORNE_NS: Nanos = 30_000_000_000;
 const LONGEST_STEP_NS: Nanos = 1_000_000_000;
 /// Missed steps that are remembered; [`GuidanceConfig::slip_limit`] is at most this.
 const SLIPS_REMEMBERED: usize = 8;
+/// A failsafe hold within this time after the stream of setpoints was interrupted is for that: the longest limit that a PX4 may have, and the
+/// second between two heartbeats.
+const INTERRUPTION_NS: Nanos = 6_000_000_000;
 
 /// What became of the depth frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -154,6 +157,10 @@ pub struct Guidance {
     restarts: Option<u32>,
     slips: Option<u64>,
     slip_times_ns: [Option<Nanos>; SLIPS_REMEMBERED],
+    /// When the stream of setpoints may last have been interrupted: steps were missed, or the vehicle was not heard.
+    interrupted_ns: Option<Nanos>,
+    /// In the vehicle's failsafe hold: whether lost setpoints are what it is for.
+    setpoints_lost: Option<bool>,
     /// Consecutive steps: without a condition that keeps from leaving standby or hold; the same with the vehicle's mode
     /// and failsafe left aside; out of the external mode.
     clear_steps: u16,
@@ -197,6 +204,8 @@ impl Guidance {
             restarts: None,
             slips: None,
             slip_times_ns: [None; SLIPS_REMEMBERED],
+            interrupted_ns: None,
+            setpoints_lost: None,
             clear_steps: 0,
             regain_steps: 0,
             released_steps: 0,
@@ -463,6 +472,9 @@ impl Guidance {
     fn note_slips(&mut self, input: &GuidanceInput<'_>) {
         let before = self.slips.replace(input.timing.slips).unwrap_or(input.timing.slips);
         let missed = input.timing.slips.saturating_sub(before);
+        if missed > 0 {
+            self.interrupted_ns = Some(input.now_ns);
+        }
         for _ in 0..missed.min(SLIPS_REMEMBERED as u64) {
             self.slip_times_ns.rotate_right(1);
             if let Some(newest) = self.slip_times_ns.first_mut() {
@@ -661,7 +673,22 @@ impl Guidance {
         input.telemetry.heartbeat.is_some_and(|h| !h.armed)
     }
 
+    /// Tells the vehicle's failsafe of lost setpoints from every other, as its fence or its battery, which weighs more than the flight:
+    /// it follows an interruption of the stream.
+    fn note_failsafe(&mut self, input: &GuidanceInput<'_>, reasons: Reasons) {
+        if reasons.contains(Reason::LinkLost) || reasons.contains(Reason::StaleTelemetry) {
+            self.interrupted_ns = Some(input.now_ns);
+        }
+        let heartbeat = input.telemetry.heartbeat;
+        let holds = heartbeat.is_some_and(|h| h.failsafe && h.armed && h.mode == VehicleMode::Hold);
+        let interrupted = self
+            .interrupted_ns
+            .is_some_and(|at_ns| input.now_ns.saturating_sub(at_ns) < INTERRUPTION_NS);
+        self.setpoints_lost = holds.then(|| self.setpoints_lost.unwrap_or(interrupted));
+    }
+
     fn count_steps(&mut self, input: &GuidanceInput<'_>, reasons: Reasons) {
+        self.note_failsafe(input, reasons);
         let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
         let relevant = match self.state {
             GuidanceState::Standby => self.ready_conditions,
@@ -680,9 +707,8 @@ impl Guidance {
         let heartbeat = input.telemetry.heartbeat;
         let unclear = reasons.intersects(self.hold_conditions);
         let done = input.handover == HandoverProgress::Done && self.obeys(input) && !self.disarmed(input);
-        let failsafe_hold = self.config.engage == EngagePolicy::Auto
-            && self.intent
-            && heartbeat.is_some_and(|h| h.failsafe && h.armed && h.mode == VehicleMode::Hold);
+        let failsafe_hold =
+            self.config.engage == EngagePolicy::Auto && self.intent && self.setpoints_lost == Some(true);
         match guard {
             Guard::VehicleRestarted => restarted,
             Guard::MotorsOff => reasons.contains(Reason::Disarmed),

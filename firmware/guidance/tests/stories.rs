@@ -342,7 +342,8 @@ fn slips_before_the_first_step_are_not_held_against_the_flight() {
 #[test]
 fn with_policy_auto_guidance_takes_the_vehicle_back_after_a_failsafe_hold() {
     let mut s = Story::guided(auto());
-    // The vehicle missed setpoints and holds by itself; it says so.
+    // A step was missed, so the vehicle missed setpoints and holds by itself; it says so.
+    s.slips += 1;
     (s.mode, s.failsafe, s.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
     let hold = s.step();
     assert_eq!(
@@ -365,12 +366,26 @@ fn with_policy_auto_guidance_takes_the_vehicle_back_after_a_failsafe_hold() {
 #[test]
 fn a_failsafe_hold_is_not_regained_while_frames_are_still_missing() {
     let mut s = Story::guided(auto());
+    s.slips += 1;
     (s.mode, s.failsafe, s.frame.age_ns) = (VehicleMode::Hold, true, Some(5_000_000_000));
     s.action = None;
     assert_eq!(s.run(seconds(20.0)).state, Hold);
     s.frame.age_ns = Some(STEP_NS);
     s.action = Some(Action::HOVER);
     assert_eq!(s.until(Engaging), 10);
+}
+
+/// A fence, a battery, sticks that were lost: the vehicle has its reasons, and no setpoint of ours was missing.
+#[test]
+fn a_failsafe_hold_that_lost_setpoints_are_not_the_reason_of_stays_until_an_operator_engages() {
+    let mut s = Story::guided(auto());
+    (s.mode, s.failsafe, s.handover) = (VehicleMode::Hold, true, HandoverProgress::Idle);
+    s.until(Standby);
+    let out = s.run(seconds(60.0));
+    assert_eq!((out.state, out.setpoint), (Ready, None));
+    assert!(out.reasons.contains(Reason::VehicleFailsafe) && out.reasons.contains(Reason::PilotInCommand));
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.step().state, Engaging);
 }
 
 #[test]

@@ -221,6 +221,13 @@ impl Companion {
 
     /// Writes this step's packets: `report` is what was decided, `request` what guidance asks of the vehicle.
     pub fn emit(&mut self, report: &StepReport, request: VehicleRequest, out: &mut Datagrams) {
+        let request = match request {
+            VehicleRequest::None if self.core.letting_go && report.has_vehicle() => VehicleRequest::Hold {
+                cause: None,
+                place_m: None,
+            },
+            other => other,
+        };
         self.core.vehicle.in_flight = !matches!(report.state, GuidanceState::Standby | GuidanceState::Ready);
         self.core.begin_step(out);
         self.services.speak(&mut self.core, &Step { report, request }, out);

@@ -75,6 +75,8 @@ pub(crate) struct Core {
     pub said: Option<(GuidanceState, Reasons)>,
     /// Setpoints go to the vehicle.
     pub streaming: bool,
+    /// The vehicle is to hold by itself while it still flies by our setpoints.
+    pub letting_go: bool,
     /// Mean time between the last positions or attitudes, whichever is longer.
     pub telemetry_interval_ns: Option<Nanos>,
     /// A ground station was heard for the first time: it is told the state.
@@ -102,6 +104,7 @@ impl Core {
             counters: LinkCounters::default(),
             said: None,
             streaming: false,
+            letting_go: false,
             telemetry_interval_ns: None,
             newcomer: false,
             vehicle_heard: false,

@@ -48,7 +48,7 @@ pub use companion::{Companion, CompanionConfig, LinkCounters};
 pub use mavlink;
 pub use mavlink::MavHeader;
 pub use mavlink::dialects::common::{self, MavMessage};
-pub use operator::PendingRequest;
+pub use operator::{LET_GO, PendingRequest};
 pub use parameter_table::{MAX_PARAMETERS, Parameter, ParameterValue, Parameters, ValueError};
 pub use status_text::StatusText;
 pub use vehicle::Vehicle;

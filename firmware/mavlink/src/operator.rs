@@ -73,6 +73,9 @@ pub(crate) fn result_of(outcome: RequestOutcome) -> u8 {
     }
 }
 
+/// Parameter 2 of a NAV_GUIDED_ENABLE that disengages: the vehicle is to hold by itself, so that it does when the setpoints end.
+pub const LET_GO: f32 = 1.0;
+
 /// What a command asks, or the MAV_RESULT of one that asks nothing.
 pub(crate) fn decode(command: &Command, vehicle: &Vehicle) -> Result<OperatorRequest, u8> {
     match command.number {

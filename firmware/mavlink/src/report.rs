@@ -324,11 +324,15 @@ pub(crate) fn no_home_text() -> StatusText {
 /// Why guidance does not engage by itself.
 pub(crate) fn pilot_in_command_text(flavour: Flavour) -> StatusText {
     StatusText::new(MavSeverity::MAV_SEVERITY_NOTICE, |text| {
-        write!(
-            text,
-            "a person has the vehicle: engage guidance, or if nobody took it over, change to {}",
-            flavour.external_mode_name()
-        )
+        match flavour {
+            // It refuses OFFBOARD while nobody streams setpoints, and guidance streams none while a person has the vehicle.
+            Flavour::Px4 => text.write_str("a person has the vehicle: engage guidance when it may go on"),
+            Flavour::ArduPilot => write!(
+                text,
+                "a person has the vehicle: engage guidance, or if nobody took it over, change to {}",
+                flavour.external_mode_name()
+            ),
+        }
     })
 }
 

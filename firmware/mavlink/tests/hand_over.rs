@@ -268,9 +268,12 @@ fn a_failsafe_hold_of_the_vehicle_is_regained_with_the_mode_alone() {
     f.until(Guided);
     f.run(20);
     f.peer.commands.clear();
-    // The firmware's packets were lost for a while: the vehicle holds by itself.
-    (f.peer.mode, f.peer.failsafe) = (Mode::Loiter, true);
+    // The line was dead for a while, both ways: the vehicle holds by itself.
+    f.hears = false;
     f.until(Hold);
+    (f.peer.mode, f.peer.failsafe, f.hears) = (Mode::Loiter, true, true);
+    // Its mode is told once a second.
+    f.run(30);
     f.until(Guided);
     assert_eq!(f.peer.flight_commands(), [176]);
     assert!(!f.peer.failsafe);

@@ -156,6 +156,14 @@ pub struct StepReport {
     pub frames_refused: u64,
 }
 
+impl StepReport {
+    /// Whether the vehicle flies by the setpoints that it is sent, as far as its newest heartbeat tells.
+    pub fn has_vehicle(&self) -> bool {
+        let obeys = |h: crate::Heartbeat| h.armed && h.mode == crate::VehicleMode::External;
+        self.setpoint.is_some() && self.telemetry.heartbeat.is_some_and(obeys)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -3,7 +3,7 @@
 use crate::companion::CompanionConfig;
 use crate::core::Core;
 use crate::framing::{Command, Packet};
-use crate::operator::{PendingRequest, ReplyTo, decode, request_name, result, result_of};
+use crate::operator::{LET_GO, PendingRequest, ReplyTo, decode, request_name, result, result_of};
 use crate::report::{self, Refusal};
 use crate::service::{Service, Step};
 use heapless::{Deque, Vec};
@@ -61,6 +61,11 @@ impl CommandService {
     fn command(&mut self, core: &mut Core, command: &Command, reply: ReplyTo) {
         match decode(command, &core.vehicle) {
             Ok(request) => {
+                match request {
+                    OperatorRequest::Disengage => core.letting_go = command.param(2) == Some(LET_GO),
+                    OperatorRequest::Engage => core.letting_go = false,
+                    _ => {}
+                }
                 let pending = PendingRequest {
                     request,
                     command: command.number,
