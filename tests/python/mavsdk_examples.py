@@ -22,10 +22,8 @@ from stack import TOP, Simulator
 PAGE = TOP / "docs" / "mavsdk.md"
 NOTES = {
     "calibration": "the gyroscope's works; nobody turns a simulated vehicle by hand for the accelerometer's",
-    "follow_me_example": "written for MAVSDK 1, whose types MAVSDK 3 has not: an error before anything is sent. Following itself works: `follow_me.*` above",
     "logfile_download": "after `takeoff_and_land`: before the first flight there is no log, and MAVSDK says NO_LOGFILES",
-    "manual_control": "its last line named a function that is not there and was put right: `manual_controls`",
-    "mission_import": "the mission is uploaded; MAVSDK refuses an empty list of rally points before it sends anything",
+    "offboard_from_csv/offboard_from_csv": "with `anyio` installed beside MAVSDK",
 }
 
 
@@ -52,7 +50,7 @@ EXAMPLES = {
     "do_orbit": Example(("takeoff", "orbit", "return"), (25.0, 31.0), 120.0, disarms=True),
     "failure_injection": Example(("takeoff", "hold", "land"), (15.0, 26.0), 90.0, disarms=True),
     "firmware_version": Example(says="flight_sw_major"),
-    "follow_me_example": Example(error="FollowDirection"),
+    "follow_me_example": Example(("takeoff", "follow", "land"), (2.0, 3.0), 90.0, disarms=True),
     "geofence": Example(says="Geofence uploaded!"),
     "goto": Example(("takeoff", "hold"), (15.0, 21.0), 60.0, endless=True),
     "highres_imu": Example(endless=True, limit_s=10.0, says="HIGHRES_IMU (105)"),
@@ -61,20 +59,24 @@ EXAMPLES = {
     "mavlink_direct_receive": Example(endless=True, limit_s=10.0, says="ATTITUDE from 1/1"),
     "mavlink_direct_send": Example(says="Sending airspeed 19"),
     "mission": Example(("mission", "return"), (24.0, 31.0), 240.0, disarms=True),
-    "mission_import": Example(error="NO_MISSION_AVAILABLE", says="5 mission items"),
+    "mission_import": Example(says="Mission uploaded"),
     "mission_raw": Example(says="-- Done"),
     "offboard_attitude": Example(("offboard", "land"), (15.0, 60.0), 60.0, disarms=True),
+    "offboard_from_csv/offboard_from_csv": Example(("offboard", "land"), (14.0, 17.0), 200.0),
     "offboard_position_ned": Example(("offboard",), (4.7, 6.0), 90.0),
     # Its landing is ended at once by the hold that `offboard.stop` asks for.
     "offboard_position_velocity_ned": Example(("offboard", "hold"), (9.5, 12.0), 90.0),
     "offboard_velocity_body": Example(("offboard", "hold"), (4.0, 6.0), 120.0),
     "offboard_velocity_ned": Example(("offboard", "hold"), (6.0, 9.0), 90.0),
+    "rtcm": Example(),
     "send_status_message": Example(says="Connected to drone!"),
     "takeoff_and_land": Example(("takeoff", "land"), (2.0, 3.0), 60.0, disarms=True),
     "telemetry": Example(endless=True, limit_s=10.0, says="In air: False"),
+    "telemetry_flight_mode": Example(endless=True, limit_s=10.0, says="FlightMode: HOLD"),
     "telemetry_is_armed_is_in_air": Example(endless=True, limit_s=10.0, says="Is_in_air: False"),
     "telemetry_status_text": Example(endless=True, limit_s=10.0, says="Connected to drone!"),
     "telemetry_takeoff_and_land": Example(("takeoff", "land"), (9.0, 10.5), 90.0, disarms=True),
+    "tune": Example(says="Tune played"),
 }
 
 

@@ -56,6 +56,11 @@ impl Shape {
     }
 }
 
+/// Whether an item is a circle of radius 0. It holds nothing, wherever it is: MAVSDK's example sends one off Africa, at 0° 0°.
+fn is_empty(item: &PlanItem) -> bool {
+    matches!(item.command, NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION) && item.params[0] == 0.0
+}
+
 /// The geofence. Without areas everything is allowed.
 #[derive(Debug, Default)]
 pub(crate) struct Fence {
@@ -71,7 +76,6 @@ impl Fence {
             NAV_FENCE_POLYGON_VERTEX_INCLUSION | NAV_FENCE_POLYGON_VERTEX_EXCLUSION => {
                 (3.0..=200.0).contains(&size) && size.fract() == 0.0
             }
-            // Of radius 0 it holds nothing, and is taken as one: MAVSDK's example sends it.
             NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION => (0.0..=MAX_RADIUS_M).contains(&item.params[0]),
             _ => {
                 return Err(PlanDefect::new(
@@ -86,7 +90,10 @@ impl Fence {
                 "radius or number of vertices",
             ));
         }
-        item.point(home).map(|_| ())
+        match is_empty(item) {
+            true => Ok(()),
+            false => item.point(home).map(|_| ()),
+        }
     }
 
     pub fn new(items: Vec<PlanItem>, home: &HomePosition) -> Result<Self, PlanDefect> {
@@ -116,7 +123,10 @@ impl Fence {
                 }
                 (Shape::Polygon(vertices), count)
             } else {
-                let centre_m = first.point(home)?;
+                let centre_m = match is_empty(first) {
+                    true => (0.0, 0.0),
+                    false => first.point(home)?,
+                };
                 (
                     Shape::Circle {
                         centre_m,
@@ -125,7 +135,7 @@ impl Fence {
                     1,
                 )
             };
-            if is_polygon || size > 0.0 {
+            if !is_empty(first) {
                 areas.push(Area {
                     is_inclusion: matches!(
                         first.command,
@@ -144,10 +154,7 @@ impl Fence {
 
     /// Whether a circle of radius 0 is among its items.
     pub fn has_empty_circle(&self) -> bool {
-        let is_circle =
-            |item: &&PlanItem| matches!(item.command, NAV_FENCE_CIRCLE_INCLUSION | NAV_FENCE_CIRCLE_EXCLUSION);
-        let mut circles = self.wire.items.iter().filter(is_circle);
-        circles.any(|item| item.params[0] == 0.0)
+        self.wire.items.iter().any(is_empty)
     }
 
     pub fn wire(&self) -> &Wire {
@@ -240,7 +247,12 @@ mod tests {
         let alone = fence(vec![item(5003, 0.0, (0.0, 5.0))]);
         assert!(alone.has_empty_circle() && alone.allows((0.0, 0.0)));
         let mut items = polygon(5001, &L);
-        items.extend([item(5003, 0.0, (50.0, 50.0)), item(5004, 0.0, (5.0, 5.0))]);
+        let off_africa = PlanItem {
+            x: 0,
+            y: 0,
+            ..item(5003, 0.0, (0.0, 0.0))
+        };
+        items.extend([off_africa, item(5003, 0.0, (50.0, 50.0)), item(5004, 0.0, (5.0, 5.0))]);
         let beside = fence(items);
         assert!(beside.allows((5.0, 5.0)) && !beside.allows((50.0, 50.0)));
         assert!(!fence(polygon(5001, &L)).has_empty_circle());
