@@ -61,12 +61,7 @@ pub fn cnn_ad(output: Activation) -> Result<Graph, ShapeError> {
             };
             let pair = [conv(channels), conv(filters)];
             channels = filters;
-            let pool = MaxPool2d {
-                rows,
-                cols,
-                channels: filters,
-                window: 2,
-            };
+            let pool = MaxPool2d::tiles(rows, cols, filters, 2);
             (pair, pool)
         })
     };

@@ -336,7 +336,90 @@ def layer_normalisation():
     return b.model(b.Clip(b.gemm(b.Elu(x), 16, 2), np.float32(-1.2), np.float32(1.2)))
 
 
+def impala_of_rl_games():
+    """rl_games' resnet, CleanRL's for Procgen, rsl_rl's max_pool: windows of 3 every 2, padded, and residual blocks behind them."""
+    b = Build(frame=[1, 3, 22, 32])
+    x = "frame"
+    for channels, filters in [(3, 6), (6, 8)]:
+        x = b.conv(x, channels, filters, 3, pads=[1] * 4)
+        x = b.MaxPool(x, kernel_shape=[3, 3], strides=[2, 2], pads=[1] * 4)
+        y = b.conv(b.Relu(x), filters, filters, 3, pads=[1] * 4)
+        x = b.Add(b.conv(b.Relu(y), filters, filters, 3, pads=[1] * 4), x)
+    x = b.Relu(b.gemm(b.Relu(b.Flatten(x)), 8 * 6 * 8, 16))
+    return b.model(b.gemm(x, 16, 2))
+
+
+def largest_of_each_channel():
+    """rsl_rl's global_pool = max as both exporters write it; a dilated convolution."""
+    b = Build(frame=[1, 1, 20, 30])
+    x = b.Elu(b.conv("frame", 1, 10, 3, dilations=[2, 2], strides=[2, 2], pads=[2] * 4))
+    y = b.Elu(b.conv(x, 10, 12, 3))
+    first = b.Flatten(b.MaxPool(x, kernel_shape=[10, 15], strides=[10, 15]))
+    second = b.ReduceMax(y, axes=[2, 3], keepdims=0)
+    third = b.Flatten(b.GlobalMaxPool(y))
+    x = b.Elu(b.gemm(b.Concat(first, second, third, axis=1), 34, 12))
+    return b.model(b.gemm(x, 12, 2))
+
+
+def channels_last_behind_their_normalisation():
+    """rl_games' permute_input with running statistics, skrl's scaler over a flattened space."""
+    b = Build(frame=[1, 16, 24, 3])
+    x = b.Reshape("frame", np.array([1, -1]))
+    x = b.Div(b.Sub(x, b.weights(1152, 1)[:, 0]), np.abs(b.weights(1152, 1)[:, 0]) + np.float32(0.1))
+    x = b.Reshape(b.Clip(x, np.float32(-5), np.float32(5)), np.array([1, 16, 24, 3]))
+    x = b.Relu(b.conv(b.Transpose(x, perm=[0, 3, 1, 2]), 3, 6, 4, strides=[2, 2]))
+    return b.model(b.gemm(b.Flatten(x), 6 * 7 * 11, 2))
+
+
+def layer_norm_of_images():
+    """More values than can be put in another order, as one node and written out."""
+    b = Build(frame=[1, 1, 40, 60])
+    x = b.conv("frame", 1, 6, 3, strides=[2, 2], pads=[1] * 4)
+    x = b.Elu(b.LayerNormalization(x, b.weights(6, 600).reshape(6, 20, 30), b.weights(6, 600).reshape(6, 20, 30), axis=1))
+    x = b.conv(x, 6, 8, 3, pads=[1] * 4)
+    centred = b.Sub(x, b.ReduceMean(x, axes=[1, 2, 3], keepdims=1))
+    variance = b.ReduceMean(b.Mul(centred, centred), axes=[1, 2, 3], keepdims=1)
+    x = b.Div(centred, b.Sqrt(b.Add(variance, np.float32(1e-5))))
+    x = b.Add(b.Mul(x, b.weights(8, 1).reshape(1, 8, 1, 1)), b.weights(8, 1).reshape(1, 8, 1, 1))
+    # rl_games': the mean of each channel, spread over its pixels, and its deviation.
+    row = b.Reshape(b.Transpose(x, perm=[0, 3, 2, 1]), np.array([-1, 8]))
+    mean = b.Expand(b.Unsqueeze(b.ReduceMean(row, axes=[0], keepdims=0), np.array([1, 2])), b.Shape(x))
+    away = b.Sub(row, b.ReduceMean(row, axes=[0], keepdims=1))
+    deviation = b.Sqrt(b.Div(b.Mul(b.ReduceMean(b.Mul(away, away), axes=[0], keepdims=0), np.float32(600)), np.float32(599)))
+    spread = b.Expand(b.Unsqueeze(deviation, np.array([1, 2])), b.Shape(x))
+    x = b.Elu(b.Div(b.Mul(b.Sub(x, mean), np.float32(0.7)), b.Add(spread, np.float32(1e-6))))
+    return b.model(b.gemm(b.Relu(b.Flatten(b.MaxPool(x, kernel_shape=[4, 4], strides=[4, 4]))), 8 * 5 * 7, 2))
+
+
+def softplus_in_two_pieces():
+    """As PyTorch's newer exporter writes softplus; a shape that is computed backwards beside it."""
+    b = Build(frame=[1, 1, 8, 12])
+    backwards = b.Slice(np.array([96, 1]), np.array([-1]), np.array([-(2**62)]), np.array([0]), np.array([-1]))
+    x = b.gemm(b.Reshape("frame", backwards), 96, 16)
+    x = b.Where(b.Greater(x, np.float32(20)), x, b.Softplus(x))
+    return b.model(b.gemm(x, 16, 2))
+
+
+def rsl_rl_row_of_values():
+    """rsl_rl's, rl_games' and skrl's perceptrons get their frame and the goal as one row."""
+    b = Build(obs=[1, 3 * 8 * 12 + 2])
+    x = b.Div(b.Sub("obs", b.weights(290, 1)[:, 0]), np.abs(b.weights(290, 1)[:, 0]) + np.float32(0.1))
+    x = b.Elu(b.gemm(x, 290, 24))
+    return b.model(b.gemm(b.Elu(b.gemm(x, 24, 12)), 12, 2))
+
+
+# How a row of values is read.
+FLAT = {"rsl_rl_row_of_values": ("3x8x12+goal", (3, 8, 12))}
+# Weights in a file beside the model.
+BESIDE = ["rsl_rl_actor_critic", "impala_of_rl_games"]
+
 MODELS = [
+    impala_of_rl_games,
+    largest_of_each_channel,
+    channels_last_behind_their_normalisation,
+    layer_norm_of_images,
+    softplus_in_two_pieces,
+    rsl_rl_row_of_values,
     sb3_log_probability_beside_the_action,
     constants_that_are_combined,
     sb3_with_vec_normalize,
@@ -373,6 +456,7 @@ def refused():
 
     flat = lambda b: b.Flatten("frame")  # noqa: E731
     nan = np.full((64, 2), np.nan, np.float32)
+    two_pieces = lambda b, x, from_: b.Where(b.Greater(x, np.float32(from_)), x, b.Softplus(x))  # noqa: E731
     cases = {
         "node 2 `node_2` (Softmax)": one(lambda b: b.Softmax(b.MatMul(flat(b), b.weights(64, 2)))),
         "(Frobnicate): this operator is not supported": one(lambda b: b.Frobnicate("frame", domain="my.own")),
@@ -380,7 +464,12 @@ def refused():
         "that is not finite": one(lambda b: b.MatMul(flat(b), nan)),
         "has 3 values; an action has 2": one(lambda b: b.MatMul(flat(b), b.weights(64, 3))),
         "a kernel of 3 × 2": one(lambda b: b.Flatten(b.Conv("frame", b.weights(1, 1, 3, 2)))),
-        "windows of 3 every 2": one(lambda b: b.MaxPool("frame", kernel_shape=[3, 3], strides=[2, 2])),
+        "a kernel of 3 × 2 is not": one(lambda b: b.MaxPool("frame", kernel_shape=[3, 2], strides=[2, 2])),
+        "a state that goes from one decision to the next": (lambda b: b.model(b.Add(b.gemm(flat(b), 64, 2), "h")))(
+            Build(frame=[1, 1, 8, 8], h=[1, 1, 2])
+        ),
+        "with --flat": (lambda b: b.model(b.gemm("obs", 64, 2)))(Build(obs=[1, 64])),
+        "(Greater): this operator is not supported": one(lambda b: two_pieces(b, b.gemm(flat(b), 64, 2), 1.0)),
         "direction = bidirectional": one(
             lambda b: b.GRU(
                 b.Reshape("frame", np.array([8, 1, 8])),
@@ -414,6 +503,16 @@ def refused():
     short = one(lambda b: b.MatMul(flat(b), b.weights(64, 2)))
     short.graph.initializer[0].dims[0] = 2**40
     cases["the tensor `c0`: the shape [1099511627776, 2]"] = short
+    for place, said in {
+        "nowhere.data": "has to lie beside the model",
+        "../weights.data": "which is not in the model's folder",
+        "0.onnx": "which has",
+    }.items():
+        elsewhere = one(lambda b: b.MatMul(flat(b), b.weights(64, 2)))
+        tensor = elsewhere.graph.initializer[0]
+        onnx.external_data_helper.set_external_data(tensor, place, offset=2**40, length=512)
+        tensor.ClearField("raw_data")
+        cases[said] = elsewhere
     return cases
 
 
@@ -423,7 +522,8 @@ def main(folder):
         model = make()
         onnx.checker.check_model(model)
         name = folder / make.__name__
-        onnx.save(model, f"{name}.onnx")
+        beside = {"save_as_external_data": True, "location": f"{name.name}.onnx.data", "size_threshold": 0}
+        onnx.save(model, f"{name}.onnx", **(beside if name.name in BESIDE else {}))
         session = onnxruntime.InferenceSession(f"{name}.onnx", providers=["CPUExecutionProvider"])
         given, ours = {}, []
         # Only the action's ancestors count: `temperature` is none.
@@ -431,13 +531,20 @@ def main(folder):
             shape = [size if isinstance(size, int) else 1 for size in info.shape]
             value = RNG.uniform(-0.5, 1.0, shape).astype(np.float32)
             given[info.name] = value
+            if name.name in FLAT:
+                _, frame = FLAT[name.name]
+                goal = value.ravel()[np.prod(frame) :]
+                ours = [value.ravel()[: np.prod(frame)].reshape(frame).transpose(1, 2, 0).ravel().tolist(), goal.tolist()]
+                continue
             last = shape[-1] == 3 or len(shape) == 2
             ours.append((value if last else value.transpose(0, 2, 3, 1)).ravel().tolist())
         if "temperature" in {info.name for info in session.get_inputs()}:
             given["temperature"] = np.zeros((1, 1), np.float32)
         # The first output is the action; where there are others, its name has to be told.
         action = session.get_outputs()[0].name
-        Path(f"{name}.action.txt").write_text(action if len(session.get_outputs()) > 1 else "")
+        options = ["--action", action] if len(session.get_outputs()) > 1 else []
+        options += ["--flat", FLAT[name.name][0]] if name.name in FLAT else []
+        Path(f"{name}.options.json").write_text(json.dumps(options))
         (output,) = session.run([action], given)
         Path(f"{name}.inputs.json").write_text(json.dumps(ours))
         Path(f"{name}.outputs.json").write_text(json.dumps(output.ravel().tolist()))

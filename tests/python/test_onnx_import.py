@@ -20,10 +20,9 @@ def models(tmp_path_factory):
     return folder
 
 
-def action(model):
-    """What names the action of a model with several outputs."""
-    name = model.with_suffix(".action.txt").read_text()
-    return ["--action", name] if name else []
+def options(model):
+    """What names the action of a model with several outputs, and how its row of values is read."""
+    return json.loads(model.with_suffix(".options.json").read_text())
 
 
 def vigil(*arguments):
@@ -34,7 +33,7 @@ def test_every_shape_gives_what_onnx_runtime_gives(models, tmp_path):
     found = {}
     for model in sorted(models.glob("*.onnx")):
         out = tmp_path / f"{model.stem}.safetensors"
-        done = vigil("import", model, *action(model), "-o", out, "--compute", model.with_suffix(".inputs.json"))
+        done = vigil("import", model, *options(model), "-o", out, "--compute", model.with_suffix(".inputs.json"))
         assert done.returncode == 0, f"{model.stem}: {done.stderr}"
         ours = json.loads(done.stdout.splitlines()[-1])
         theirs = json.loads(model.with_suffix(".outputs.json").read_text())
@@ -42,7 +41,7 @@ def test_every_shape_gives_what_onnx_runtime_gives(models, tmp_path):
         found[model.stem] = max(abs(a - b) / max(1.0, abs(b)) for a, b in zip(ours, theirs))
         assert out.stat().st_size > 100
     print(found)
-    assert len(found) >= 24
+    assert len(found) >= 30
     assert max(found.values()) < TOLERANCE, found
     outputs = [json.loads(path.read_text()) for path in models.glob("*.outputs.json")]
     assert all(max(map(abs, output)) > 1e-3 for output in outputs), "an output of nothing shows nothing"
@@ -60,7 +59,7 @@ def test_what_is_exported_gives_in_onnx_runtime_what_it_gives_here_and_comes_bac
     for model in sorted(models.glob("*.onnx")):
         policy, out = tmp_path / f"{model.stem}.safetensors", exported / model.name
         inputs = model.with_suffix(".inputs.json")
-        assert vigil("import", model, *action(model), "-o", policy).returncode == 0
+        assert vigil("import", model, *options(model), "-o", policy).returncode == 0
         done = vigil("export", "--actor", policy, "-o", out)
         assert done.returncode == 0, done.stderr
         # The very line that it prints brings it back.
@@ -106,7 +105,7 @@ def test_an_export_that_fails_leaves_what_was_there(models, tmp_path):
 
 def test_what_cannot_be_imported_is_refused_with_the_reason_and_nothing_is_written(models, tmp_path):
     words = json.loads((models / "refused.json").read_text())
-    assert len(words) >= 18
+    assert len(words) >= 31
     kept = tmp_path / "kept.safetensors"
     kept.write_text("an earlier one")
     for name, said in words.items():
@@ -119,12 +118,13 @@ def test_what_cannot_be_imported_is_refused_with_the_reason_and_nothing_is_writt
 
 
 LIBRARIES = ["sb3_with_vec_normalize", "rl_games_a2c_network", "rsl_rl_actor_critic", "clean_rl_sac_actor", "layer_normalisation"]
+LIBRARIES += ["impala_of_rl_games", "largest_of_each_channel", "rsl_rl_row_of_values"]
 
 
 @pytest.mark.parametrize("name", [*LIBRARIES, "residual_sums", "curves_of_many_kinds"])
 def test_what_libraries_export_is_flown_and_attacked(models, tmp_path, name):
     policy, model = tmp_path / "policy.safetensors", models / f"{name}.onnx"
-    done = vigil("import", model, *action(model), "-o", policy)
+    done = vigil("import", model, *options(model), "-o", policy)
     assert done.returncode == 0, done.stderr
     assert "split point" in done.stdout and "split point      none" not in done.stdout, done.stdout
     done = vigil(

@@ -6,9 +6,10 @@ use crate::graph::{GraphBuilder, NodeId, Params};
 use crate::isa::Isa;
 use crate::kernels::{self, Task};
 use crate::shape::{ShapeError, expect};
+use core::ops::Range;
 
-/// The largest value of each window of one image `[row][column][channel]`, without padding; windows do not overlap.
-/// Rows and columns left over at the end are not looked at.
+/// The largest value of each window of one image `[row][column][channel]`; windows may overlap, and what pads the image never is
+/// the largest. Rows and columns left over at the end are not looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MaxPool2d {
     /// Input rows.
@@ -17,33 +18,58 @@ pub struct MaxPool2d {
     pub cols: usize,
     /// Channels.
     pub channels: usize,
-    /// Side of a window, and the step between windows.
-    pub window: usize,
+    /// Rows and columns of a window.
+    pub window: [usize; 2],
+    /// Step between windows.
+    pub stride: usize,
+    /// Rows and columns that are added on each side: less than a window has.
+    pub padding: usize,
 }
 
 impl MaxPool2d {
+    /// Square windows side by side.
+    pub fn tiles(rows: usize, cols: usize, channels: usize, side: usize) -> Self {
+        Self {
+            rows,
+            cols,
+            channels,
+            window: [side; 2],
+            stride: side,
+            padding: 0,
+        }
+    }
+
     /// Checks the description.
     ///
     /// # Errors
-    /// A zero size or a window larger than the image.
+    /// A zero size, a window larger than the padded image, or one that holds padding alone.
     pub fn validate(&self) -> Result<(), ShapeError> {
-        if self.channels * self.window == 0 || self.window > self.rows.min(self.cols) {
+        let [height, width] = self.window;
+        let fits = |size: usize, window: usize| {
+            let padded = size.saturating_add(self.padding.saturating_mul(2));
+            size > 0 && window <= padded && self.padding < window
+        };
+        if self.channels == 0 || self.stride == 0 || !fits(self.rows, height) || !fits(self.cols, width) {
             return Err(ShapeError::Description {
                 what: "max pool",
-                why: "a size is zero or the window is larger than the image",
+                why: "a size is zero, the window is larger than the image, or the padding is as large as the window",
             });
         }
         Ok(())
     }
 
+    fn out(&self, size: usize, window: usize) -> usize {
+        (size + 2 * self.padding).saturating_sub(window) / self.stride.max(1) + 1
+    }
+
     /// Output rows.
     pub fn out_rows(&self) -> usize {
-        self.rows / self.window.max(1)
+        self.out(self.rows, self.window[0])
     }
 
     /// Output columns.
     pub fn out_cols(&self) -> usize {
-        self.cols / self.window.max(1)
+        self.out(self.cols, self.window[1])
     }
 
     /// Values in the input image.
@@ -62,17 +88,22 @@ impl MaxPool2d {
         expect("max pool output", y, self.output_len())
     }
 
-    /// Offsets of the window of each output pixel: its number and where its first value is.
-    fn windows(&self) -> impl Iterator<Item = (usize, usize)> + use<> {
-        let (cols, window, row) = (self.out_cols(), self.window, self.cols * self.channels);
-        let channels = self.channels;
-        (0..self.out_rows() * cols).map(move |o| (o, o / cols * window * row + o % cols * window * channels))
+    /// Rows and columns of the image that the window of output pixel `o` looks at.
+    fn window_of(&self, o: usize) -> [Range<usize>; 2] {
+        let (row, col) = (o / self.out_cols(), o % self.out_cols());
+        let within = |at: usize, window: usize, size: usize| {
+            let from = at * self.stride;
+            from.saturating_sub(self.padding)..(from + window).saturating_sub(self.padding).min(size)
+        };
+        [
+            within(row, self.window[0], self.rows),
+            within(col, self.window[1], self.cols),
+        ]
     }
 
-    /// Offsets of the pixels within a window.
-    fn taps(&self) -> impl Iterator<Item = usize> + use<> {
-        let (window, row, channels) = (self.window, self.cols * self.channels, self.channels);
-        (0..window * window).map(move |t| t / window * row + t % window * channels)
+    /// Output pixels.
+    fn pixels(&self) -> usize {
+        self.out_rows() * self.out_cols()
     }
 
     /// `y` `[out_rows][out_cols][channels]`: the maximum of each window of `x` `[rows][cols][channels]`.
@@ -85,12 +116,15 @@ impl MaxPool2d {
         Ok(())
     }
 
-    /// Where in `x` the maximum of a window lies for one channel: the first of equals.
-    fn winner(&self, x: &[f32], first: usize, channel: usize, best: f32) -> usize {
-        self.taps()
-            .map(|tap| first + tap + channel)
+    /// Where in `x` the maximum of window `o` lies for one channel: the first of equals.
+    fn winner(&self, x: &[f32], o: usize, channel: usize, best: f32) -> usize {
+        let [rows, cols] = self.window_of(o);
+        let at = |row: usize, col: usize| (row * self.cols + col) * self.channels + channel;
+        let first = at(rows.start, cols.start);
+        let all = rows.flat_map(|row| cols.clone().map(move |col| (row, col)));
+        all.map(|(row, col)| at(row, col))
             .find(|at| x.get(*at).is_some_and(|x| *x == best))
-            .unwrap_or(first + channel)
+            .unwrap_or(first)
     }
 
     /// `dx`: each output's gradient at the input that was the maximum.
@@ -102,11 +136,11 @@ impl MaxPool2d {
         expect("max pool output gradient", dy, self.output_len())?;
         expect("max pool input gradient", dx, self.input_len())?;
         dx.fill(0.0);
-        for (o, first) in self.windows() {
+        for o in 0..self.pixels() {
             for channel in 0..self.channels {
                 let at = o * self.channels + channel;
                 if let (Some(best), Some(d)) = (y.get(at), dy.get(at))
-                    && let Some(slot) = dx.get_mut(self.winner(x, first, channel, *best))
+                    && let Some(slot) = dx.get_mut(self.winner(x, o, channel, *best))
                 {
                     *slot += d;
                 }
@@ -133,16 +167,16 @@ impl MaxPool2d {
         expect("max pool output multipliers", m_out, self.output_len())?;
         expect("max pool input multipliers", m_in, self.input_len())?;
         m_in.fill(0.0);
-        for (o, first) in self.windows() {
+        for o in 0..self.pixels() {
             for channel in 0..self.channels {
                 let at = o * self.channels + channel;
                 let (Some(y), Some(y_ref), Some(m)) = (y.get(at), y_ref.get(at), m_out.get(at)) else {
                     continue;
                 };
                 let winner = if y >= y_ref {
-                    self.winner(x, first, channel, *y)
+                    self.winner(x, o, channel, *y)
                 } else {
-                    self.winner(x_ref, first, channel, *y_ref)
+                    self.winner(x_ref, o, channel, *y_ref)
                 };
                 if let (Some(x), Some(x_ref), Some(slot)) = (x.get(winner), x_ref.get(winner), m_in.get_mut(winner)) {
                     let dx = x - x_ref;
@@ -182,15 +216,14 @@ impl Task for Pooled<'_> {
 impl Pooled<'_> {
     #[inline(always)]
     fn by<const C: usize>(self) {
-        let MaxPool2d {
-            cols, channels, window, ..
-        } = self.layer;
-        let (row, side) = (cols * channels, window * channels);
-        for (best, (_, first)) in self.y.chunks_exact_mut(channels).zip(self.layer.windows()) {
+        let MaxPool2d { cols, channels, .. } = self.layer;
+        for (o, best) in self.y.chunks_exact_mut(channels).enumerate() {
+            let [lines, columns] = self.layer.window_of(o);
+            let side = columns.len() * channels;
             for (c, best) in best.as_chunks_mut::<C>().0.iter_mut().enumerate() {
                 let mut largest = [f32::NEG_INFINITY; C];
-                for line in 0..window {
-                    let at = first + line * row;
+                for line in lines.clone() {
+                    let at = (line * cols + columns.start) * channels;
                     for pixel in self.x.get(at..at + side).unwrap_or_default().chunks_exact(channels) {
                         let Some(pixel) = pixel.as_chunks::<C>().0.get(c) else {
                             continue;

@@ -246,22 +246,30 @@ fn recurrent_steps_match_their_definition() {
 
 #[test]
 fn pooling_and_normalisation_match_their_definition() {
-    let layer = MaxPool2d {
-        rows: 7,
-        cols: 10,
-        channels: 9,
-        window: 2,
+    let tiles = MaxPool2d::tiles(7, 10, 9, 2);
+    let overlapping = MaxPool2d {
+        window: [3; 2],
+        stride: 2,
+        padding: 1,
+        ..tiles
     };
-    Case {
-        name: "max pool",
-        inputs: &[layer.input_len()],
-        params: 0,
-        learned: 0,
-        build: &|b, x, _| b.max_pool2d(x[0], layer),
-        oracle: &|_, x| max_pool(layer, x[0]),
-        tame: &|_| {},
+    let whole = MaxPool2d {
+        window: [7, 10],
+        stride: 1,
+        ..tiles
+    };
+    for layer in [tiles, overlapping, whole] {
+        Case {
+            name: "max pool",
+            inputs: &[layer.input_len()],
+            params: 0,
+            learned: 0,
+            build: &|b, x, _| b.max_pool2d(x[0], layer),
+            oracle: &|_, x| max_pool(layer, x[0]),
+            tame: &|_| {},
+        }
+        .check();
     }
-    .check();
     let layer = BatchNorm {
         channels: 3,
         epsilon: 1e-3,

@@ -534,7 +534,11 @@ impl Writer<'_> {
             Layer::MaxPool2d { x, layer: p } => {
                 let (x, _) = value_of(values, *x)?;
                 let x = self.image(x, [p.rows, p.cols, p.channels]);
-                let attributes = vec![ints("kernel_shape", &[p.window; 2]), ints("strides", &[p.window; 2])];
+                let attributes = vec![
+                    ints("kernel_shape", &p.window),
+                    ints("strides", &[p.stride; 2]),
+                    ints("pads", &[p.padding; 4]),
+                ];
                 let y = self.node("MaxPool", &[&x], attributes);
                 (self.row(&y, p.output_len()), p.output_len())
             }

@@ -4,6 +4,7 @@
 //! keep images as `[row][column][channel]`, so reshaping, transposing, cutting and joining only change these places, and the
 //! next layer's weights are put in their order.
 
+use crate::beside;
 use crate::constant::{Constant, Data, len_of};
 use crate::fold;
 use crate::movement::{self, axis, reshape, take, transpose};
@@ -18,8 +19,8 @@ use vigil_policy::imported::{Channels, Depth, Layer, MOST_VALUES, Network, Polic
 
 /// The operators that are known, for the message about others.
 const KNOWN: &str = "Abs, Add, AveragePool, BatchNormalization, Cast, Celu, Clip, Concat, Constant, Conv, Div, Dropout, Elu, Erf, \
-    Exp, Expand, Flatten, GRU, Gather, Gelu, Gemm, GlobalAveragePool, HardSigmoid, HardSwish, Identity, LSTM, LayerNormalization, \
-    LeakyRelu, Log, MatMul, Max, MaxPool, Min, Mish, Mul, Neg, PRelu, Pow, Reciprocal, ReduceMean, ReduceSum, Relu, Reshape, Selu, \
+    Exp, Expand, Flatten, GRU, Gather, Gelu, Gemm, GlobalAveragePool, GlobalMaxPool, HardSigmoid, HardSwish, Identity, LSTM, LayerNormalization, \
+    LeakyRelu, Log, MatMul, Max, MaxPool, Min, Mish, Mul, Neg, PRelu, Pow, Reciprocal, ReduceMax, ReduceMean, ReduceSum, Relu, Reshape, Selu, \
     Shape, Sigmoid, Slice, Softplus, Softsign, Split, Sqrt, Squeeze, Sub, Sum, Swish, Tanh, Transpose, Unsqueeze";
 
 /// Weights of a layer that only puts values in their order, at most.
@@ -74,10 +75,55 @@ pub struct Adapter {
     pub scale: f32,
     /// Its outputs are multiplied by it.
     pub output_scale: f32,
+    /// The row of values that it takes, if it takes no picture.
+    pub flat: Option<Flat>,
     /// The output that is the action, where there are several.
     pub output: Option<String>,
     /// The node, or its output, whose values are explained; absent: the last layer with weights that can be.
     pub split: Option<String>,
+}
+
+/// Where the goal is in a policy's one row of values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FlatGoal {
+    /// It has none.
+    None,
+    /// Before the frame.
+    First,
+    /// After it.
+    Last,
+}
+
+/// A frame that a policy takes as a row of values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Flat {
+    /// Channels, rows and columns, or rows, columns and channels where the last number is less than the first; the last runs fastest.
+    pub frame: [usize; 3],
+    /// The goal in the same row.
+    pub goal: FlatGoal,
+}
+
+impl std::str::FromStr for Flat {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (frame, goal) = match (text.strip_prefix("goal+"), text.strip_suffix("+goal")) {
+            (Some(frame), _) => (frame, FlatGoal::First),
+            (_, Some(frame)) => (frame, FlatGoal::Last),
+            _ => (text, FlatGoal::None),
+        };
+        let sizes: Option<Vec<usize>> = frame
+            .split('x')
+            .map(|size| size.parse().ok().filter(|n| *n > 0))
+            .collect();
+        match sizes.as_deref() {
+            Some([a, b, c]) => Ok(Self {
+                frame: [*a, *b, *c],
+                goal,
+            }),
+            _ => Err("three sizes are wanted, as 1x24x32, 1x24x32+goal or goal+1x24x32".to_owned()),
+        }
+    }
 }
 
 impl Default for Adapter {
@@ -87,6 +133,7 @@ impl Default for Adapter {
             depth: Depth::default(),
             scale: 1.0,
             output_scale: 1.0,
+            flat: None,
             output: None,
             split: None,
         }
@@ -122,12 +169,17 @@ struct RecurrentWeights<'a> {
     layer: usize,
 }
 
-/// Makes a policy of a model. `file` names it in errors.
+/// Makes a policy of a model. `file` names it in errors; `beside` reads a file of weights that the model names, from its own folder.
 ///
 /// # Errors
 /// [`ImportError`]: what cannot be read, is not known, does not fit, or is too large for the step.
-pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolicy, ImportError> {
-    let model = Model::decode(bytes).map_err(|source| ImportError::Container {
+pub fn import(
+    file: &str,
+    bytes: &[u8],
+    beside: &dyn Fn(&str) -> Result<Vec<u8>, String>,
+    adapter: &Adapter,
+) -> Result<FrozenPolicy, ImportError> {
+    let mut model = Model::decode(bytes).map_err(|source| ImportError::Container {
         file: file.to_owned(),
         source,
     })?;
@@ -137,12 +189,16 @@ pub fn import(file: &str, bytes: &[u8], adapter: &Adapter) -> Result<FrozenPolic
     };
     let graph = model
         .graph
-        .as_ref()
+        .as_mut()
         .ok_or_else(|| of_model("it holds no graph".to_owned()))?;
+    beside::bring_in(graph, beside).map_err(of_model)?;
+    let graph = &*graph;
     let action = action_name(graph, adapter.output.as_deref()).map_err(of_model)?;
     let needed = Needed::by(graph, action);
     let mut importer = Importer::new(graph, action, &needed).map_err(of_model)?;
-    let frame = importer.inputs(graph, action, &needed).map_err(of_model)?;
+    let frame = importer
+        .inputs(graph, action, &needed, adapter.flat)
+        .map_err(of_model)?;
     let nodes = graph.node.iter().enumerate();
     for (number, node) in nodes.filter(|(number, _)| needed.nodes.get(*number) == Some(&true)) {
         importer.node(node).map_err(|message| ImportError::Node {
@@ -209,6 +265,27 @@ fn action_name<'a>(graph: &'a Graph, wanted: Option<&str>) -> Result<&'a str, St
 struct Needed<'a> {
     nodes: Vec<bool>,
     tensors: HashSet<&'a str>,
+    /// Outputs of nodes that are [`is_softplus_in_pieces`]: their third input, the others are not computed.
+    pieces: HashSet<&'a str>,
+}
+
+/// Whether a node is `x > threshold ? x : softplus(x)`, as PyTorch's softplus is written out: from 15 on both are the same number.
+fn is_softplus_in_pieces(graph: &Graph, producer: impl Fn(&str) -> Option<usize>, node: &Node) -> bool {
+    let [condition, x, softplus] = node.input.as_slice() else {
+        return false;
+    };
+    let made_by = |name: &str, operator: &str| {
+        let node = graph.node.get(producer(name)?)?;
+        (node.op_type == operator).then_some(node.input.as_slice())
+    };
+    let threshold = |name: &str| {
+        let tensor = graph.initializer.iter().find(|tensor| tensor.name == name);
+        let constant = tensor.and_then(|tensor| Constant::of(tensor).ok());
+        constant.is_some_and(|constant| constant.real().is_ok_and(|all| all.iter().all(|value| *value >= 15.0)))
+    };
+    node.op_type == "Where"
+        && matches!(made_by(softplus, "Softplus"), Some([of]) if of == x)
+        && matches!(made_by(condition, "Greater"), Some([of, bound]) if of == x && threshold(bound))
 }
 
 impl<'a> Needed<'a> {
@@ -220,7 +297,7 @@ impl<'a> Needed<'a> {
             }
         }
         let mut nodes = vec![false; graph.node.len()];
-        let mut tensors = HashSet::new();
+        let (mut tensors, mut pieces) = (HashSet::new(), HashSet::new());
         let mut open = vec![action];
         while let Some(name) = open.pop() {
             if !tensors.insert(name) {
@@ -230,10 +307,15 @@ impl<'a> Needed<'a> {
                 && let (Some(is_needed), Some(node)) = (nodes.get_mut(*number), graph.node.get(*number))
                 && !std::mem::replace(is_needed, true)
             {
-                open.extend(node.input.iter().map(String::as_str).filter(|input| !input.is_empty()));
+                let in_pieces = is_softplus_in_pieces(graph, |name| producers.get(name).copied(), node);
+                if in_pieces {
+                    pieces.insert(name);
+                }
+                let read = node.input.iter().skip(if in_pieces { 2 } else { 0 });
+                open.extend(read.map(String::as_str).filter(|input| !input.is_empty()));
             }
         }
-        Self { nodes, tensors }
+        Self { nodes, tensors, pieces }
     }
 }
 
@@ -246,6 +328,26 @@ struct Frame {
     has_position: bool,
 }
 
+/// Whether a frame's channels are its last axis: it is transposed before a layer looks at it as an image; `None` where none does.
+fn is_channels_last(graph: &Graph, needed: &Needed<'_>, frame: &str) -> Option<bool> {
+    // Nodes stand in the order of computation.
+    let mut of_frame = HashSet::from([frame]);
+    let nodes = graph.node.iter().zip(&needed.nodes).filter(|(_, needed)| **needed);
+    for (node, _) in nodes {
+        if !node.input.iter().any(|input| of_frame.contains(input.as_str())) {
+            continue;
+        }
+        match node.op_type.as_str() {
+            "Transpose" => return Some(Settings(&node.attribute).list("perm") == Some(&[0, 3, 1, 2])),
+            "Conv" | "MaxPool" | "AveragePool" => return Some(false),
+            // What they give is no frame.
+            "Gemm" | "MatMul" | "GlobalAveragePool" | "GlobalMaxPool" | "Concat" | "Shape" => {}
+            _ => of_frame.extend(node.output.iter().map(String::as_str)),
+        }
+    }
+    None
+}
+
 struct Importer<'a> {
     network: Network,
     /// Of each layer.
@@ -256,6 +358,8 @@ struct Importer<'a> {
     /// How many nodes read a tensor.
     uses: HashMap<&'a str, usize>,
     recurrent_weights: Vec<RecurrentWeights<'a>>,
+    /// [`Needed::pieces`].
+    pieces: HashSet<&'a str>,
 }
 
 /// A node's settings.
@@ -321,6 +425,12 @@ fn image_places(channels: usize, rows: usize, cols: usize) -> Vec<u32> {
     places
 }
 
+const WIDE_PADDING: &str = "padding as large as the kernel is not supported";
+
+fn not_square(height: usize, width: usize) -> String {
+    format!("a kernel of {height} × {width} is not supported: squares only")
+}
+
 fn identity(len: usize) -> Rc<Vec<u32>> {
     Rc::new((0..len as u32).collect())
 }
@@ -341,6 +451,7 @@ impl<'a> Importer<'a> {
             tensors: HashMap::new(),
             uses: HashMap::new(),
             recurrent_weights: Vec::new(),
+            pieces: needed.pieces.clone(),
         };
         let initializers = graph.initializer.iter();
         for tensor in initializers.filter(|tensor| needed.tensors.contains(tensor.name.as_str())) {
@@ -357,7 +468,13 @@ impl<'a> Importer<'a> {
         Ok(importer)
     }
 
-    fn inputs(&mut self, graph: &'a Graph, action: &str, needed: &Needed<'a>) -> Result<Frame, String> {
+    fn inputs(
+        &mut self,
+        graph: &'a Graph,
+        action: &str,
+        needed: &Needed<'a>,
+        flat: Option<Flat>,
+    ) -> Result<Frame, String> {
         let mut found: Option<Frame> = None;
         let mut positions = 0;
         // Old exports list the weights among the inputs.
@@ -367,17 +484,18 @@ impl<'a> Importer<'a> {
             needed.tensors.contains(name) && !weights.contains(name)
         });
         let real: Vec<&ValueInfo> = real.collect();
+        if let Some(flat) = flat {
+            return match real.as_slice() {
+                [info] => self.flat_input(info, flat),
+                _ => Err(format!("it has {} inputs; --flat is for policies with one", real.len())),
+            };
+        }
         for (number, info) in real.into_iter().enumerate() {
             let shape = sizes_of(info)?;
             let len = len_of(&shape)?;
             let places = match *shape.as_slice() {
                 [1, a, b, c] if found.is_none() => {
-                    let channels_last = graph.node.iter().zip(&needed.nodes).any(|(node, needed)| {
-                        *needed
-                            && node.op_type == "Transpose"
-                            && node.input.first() == Some(&info.name)
-                            && Settings(&node.attribute).list("perm") == Some(&[0, 3, 1, 2])
-                    });
+                    let channels_last = is_channels_last(graph, needed, &info.name).unwrap_or(c < a);
                     let (rows, cols, channels) = if channels_last { (a, b, c) } else { (b, c, a) };
                     found = Some(Frame {
                         rows,
@@ -396,9 +514,13 @@ impl<'a> Importer<'a> {
                     identity(len)
                 }
                 _ => {
+                    let more = match *shape.as_slice() {
+                        [1, _] => "; if it is a frame's values in a row, say so with --flat",
+                        _ => "; a state that goes from one decision to the next is not supported",
+                    };
                     return Err(format!(
                         "the input `{}` has the shape {shape:?}; a policy gets one frame [1, channels, rows, columns] (or \
-                         channels last, if it is transposed first), and beside it [1, 2], distance and bearing of the goal",
+                         channels last, if it is transposed first), and beside it [1, 2], distance and bearing of the goal{more}",
                         info.name
                     ));
                 }
@@ -423,6 +545,48 @@ impl<'a> Importer<'a> {
         Ok(Frame {
             has_position: positions == 1,
             ..frame
+        })
+    }
+
+    /// The one input of a policy that takes its frame as a row of values.
+    fn flat_input(&mut self, info: &'a ValueInfo, flat: Flat) -> Result<Frame, String> {
+        let shape = sizes_of(info)?;
+        let [a, b, c] = flat.frame;
+        let (rows, cols, channels) = if c < a { (a, b, c) } else { (b, c, a) };
+        let len = len_of(&flat.frame)?;
+        let has_position = flat.goal != FlatGoal::None;
+        let wanted = len + if has_position { 2 } else { 0 };
+        if shape != [1, wanted] {
+            return Err(format!(
+                "the input `{}` has the shape {shape:?}; --flat says [1, {wanted}], a frame of {rows} × {cols} with {channels} channels{}",
+                info.name,
+                if has_position { " and the goal" } else { "" }
+            ));
+        }
+        let of_frame = match c < a {
+            true => (0..len as u32).collect(),
+            false => image_places(channels, rows, cols),
+        };
+        let mut layer = self.push(Layer::Input { len }, Vec::new(), len)?;
+        let mut places = of_frame;
+        if has_position {
+            let goal = self.push(Layer::Input { len: 2 }, Vec::new(), 2)?;
+            let parts = vec![layer, goal];
+            layer = self.push(Layer::Concat { parts }, Vec::new(), wanted)?;
+            let of_goal = [len as u32, len as u32 + 1];
+            match flat.goal {
+                FlatGoal::First => places.splice(0..0, of_goal).for_each(drop),
+                _ => places.extend(of_goal),
+            }
+        }
+        let value = self.fresh(layer, shape, Rc::new(places));
+        self.tensors.insert(&info.name, value);
+        Ok(Frame {
+            rows,
+            cols,
+            channels,
+            input: 0,
+            has_position,
         })
     }
 
@@ -530,6 +694,14 @@ impl<'a> Importer<'a> {
         if !(node.domain.is_empty() || node.domain == "ai.onnx") {
             return Err(unknown());
         }
+        if node
+            .output
+            .first()
+            .is_some_and(|name| self.pieces.contains(name.as_str()))
+        {
+            let (_, softplus) = self.input(node, 2)?;
+            return self.set(node, 0, softplus);
+        }
         if let Some(constant) = self.folded(node, &settings)? {
             return self.set(node, 0, Value::Constant(Rc::new(constant)));
         }
@@ -572,7 +744,8 @@ impl<'a> Importer<'a> {
             "Gemm" => self.gemm(node, &settings)?,
             "MatMul" => self.mat_mul(node)?,
             "Conv" => self.conv(node, &settings)?,
-            "MaxPool" => self.max_pool(node, &settings)?,
+            "MaxPool" | "GlobalMaxPool" => self.max_pool(node, &settings)?,
+            "ReduceMax" => self.reduce_max(node, &settings)?,
             "AveragePool" => self.average_pool(node, &settings)?,
             "GlobalAveragePool" => self.global_average(node)?,
             "BatchNormalization" => self.batch_norm(node, &settings)?,
@@ -818,8 +991,8 @@ impl<'a> Importer<'a> {
         Ok((x.layer, [channels, rows, cols]))
     }
 
-    /// Kernel, stride and padding, which have to be the same both ways.
-    fn window(settings: &Settings<'_>, kernel: (usize, usize)) -> Result<[usize; 3], String> {
+    /// Stride, padding and dilation, which have to be the same both ways.
+    fn window(settings: &Settings<'_>) -> Result<[usize; 3], String> {
         if let Some(pad) = settings
             .word("auto_pad")
             .filter(|pad| pad != "NOTSET" && pad != "VALID")
@@ -827,12 +1000,6 @@ impl<'a> Importer<'a> {
             return Err(format!(
                 "auto_pad = {pad} is not supported: export it with explicit padding"
             ));
-        }
-        if settings
-            .list("dilations")
-            .is_some_and(|all| all.iter().any(|d| *d != 1))
-        {
-            return Err("dilations are not supported".to_owned());
         }
         settings.only("ceil_mode", 0)?;
         let same = |what: &str, default: i64| match settings.list(what) {
@@ -842,16 +1009,22 @@ impl<'a> Importer<'a> {
                 "{what} = {other:?} is not supported: the same on all sides only"
             )),
         };
-        if kernel.0 != kernel.1 {
-            return Err(format!(
-                "a kernel of {} × {} is not supported: squares only",
-                kernel.0, kernel.1
-            ));
+        let padding = usize::try_from(same("pads", 0)?).map_err(|_| "negative padding is not supported".to_owned())?;
+        let [stride, dilation] = ["strides", "dilations"].map(|what| same(what, 1).and_then(|n| positive(n, what)));
+        Ok([stride?, padding, dilation?])
+    }
+
+    /// A square kernel with its stride and padding, for pooling.
+    fn square(settings: &Settings<'_>) -> Result<[usize; 3], String> {
+        let (height, width) = Self::kernel_shape(settings)?;
+        if height != width {
+            return Err(not_square(height, width));
         }
-        let stride = positive(same("strides", 1)?, "strides")?;
-        let padding = usize::try_from(same("pads", 0)?).ok().filter(|p| *p < kernel.0);
-        let padding = padding.ok_or("padding as large as the kernel is not supported")?;
-        Ok([kernel.0, stride, padding])
+        match Self::window(settings)? {
+            [stride, padding, 1] if padding < height => Ok([height, stride, padding]),
+            [_, _, 1] => Err(WIDE_PADDING.to_owned()),
+            _ => Err("dilations of pooling are not supported".to_owned()),
+        }
     }
 
     fn convolve(&mut self, x: usize, layer: Conv2d, params: Vec<f32>) -> Result<Value, String> {
@@ -877,7 +1050,15 @@ impl<'a> Importer<'a> {
                 w.shape
             ));
         }
-        let [kernel, stride, padding] = Self::window(settings, (height, width))?;
+        if height != width {
+            return Err(not_square(height, width));
+        }
+        let [stride, padding, dilation] = Self::window(settings)?;
+        // A dilated kernel is a larger one with zeros between.
+        let kernel = (height - 1).saturating_mul(dilation).saturating_add(1);
+        if padding >= kernel {
+            return Err(WIDE_PADDING.to_owned());
+        }
         let layer = Conv2d {
             rows,
             cols,
@@ -890,8 +1071,9 @@ impl<'a> Importer<'a> {
         let taps = len_of(&[kernel, kernel, channels, filters])?;
         let mut params = vec![0.0; taps + filters];
         for (i, value) in w.real()?.iter().enumerate() {
-            let (filter, rest) = (i / (depth * kernel * kernel), i % (depth * kernel * kernel));
-            let (channel, tap) = (rest / (kernel * kernel), rest % (kernel * kernel));
+            let (filter, rest) = (i / (depth * height * width), i % (depth * height * width));
+            let (channel, tap) = (rest / (height * width), rest % (height * width));
+            let tap = (tap / width * kernel + tap % width) * dilation;
             let channel = filter / (filters / groups) * depth + channel;
             params[(tap * channels + channel) * filters + filter] = *value;
         }
@@ -910,18 +1092,29 @@ impl<'a> Importer<'a> {
 
     fn max_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
         let (x, [channels, rows, cols]) = self.image(node)?;
-        let [window, stride, padding] = Self::window(settings, Self::kernel_shape(settings)?)?;
-        if stride != window || padding != 0 {
-            return Err(format!(
-                "windows of {window} every {stride} with a padding of {padding} are not supported: windows that do not \
-                 overlap, without padding"
-            ));
-        }
-        let layer = MaxPool2d {
-            rows,
-            cols,
-            channels,
-            window,
+        let whole = match node.op_type.as_str() {
+            "MaxPool" => Self::kernel_shape(settings)? == (rows, cols),
+            _ => true,
+        };
+        let layer = MaxPool2d::tiles(rows, cols, channels, 1);
+        let layer = match whole
+            && settings
+                .list("pads")
+                .is_none_or(|pads| pads.iter().all(|pad| *pad == 0))
+        {
+            true => MaxPool2d {
+                window: [rows, cols],
+                ..layer
+            },
+            false => {
+                let [window, stride, padding] = Self::square(settings)?;
+                MaxPool2d {
+                    window: [window; 2],
+                    stride,
+                    padding,
+                    ..layer
+                }
+            }
         };
         layer.validate().map_err(|e| e.to_string())?;
         let (rows, cols) = (layer.out_rows(), layer.out_cols());
@@ -933,7 +1126,7 @@ impl<'a> Importer<'a> {
     /// A convolution whose weights are all the same, each channel for itself.
     fn average_pool(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
         let (x, [channels, rows, cols]) = self.image(node)?;
-        let [kernel, stride, padding] = Self::window(settings, Self::kernel_shape(settings)?)?;
+        let [kernel, stride, padding] = Self::square(settings)?;
         if padding != 0 && settings.whole("count_include_pad", 0) == 0 {
             return Err("padding that does not count is not supported: count_include_pad = 1, or none".to_owned());
         }
@@ -1065,9 +1258,14 @@ impl<'a> Importer<'a> {
 
     /// The values in the tensor's order as a layer of their own.
     fn arranged(&mut self, x: &Live) -> Result<usize, String> {
+        self.arranged_as(x, &identity(x.places.len()))
+    }
+
+    /// A layer of the values, each at the place that `order` has for it; `order` has each place once.
+    fn arranged_as(&mut self, x: &Live, order: &[u32]) -> Result<usize, String> {
         let x = self.narrowed(x)?;
         let (own, n) = (self.lens.get(x.layer).copied().unwrap_or(0), x.places.len());
-        if own == n && x.places.iter().copied().eq(0..n as u32) {
+        if own == n && *x.places == order {
             return Ok(x.layer);
         }
         if own.saturating_mul(n) > MOST_REARRANGED {
@@ -1077,8 +1275,8 @@ impl<'a> Importer<'a> {
             ));
         }
         let mut params = vec![0.0; (own + 1) * n];
-        for (i, place) in x.places.iter().enumerate() {
-            params[*place as usize * n + i] = 1.0;
+        for (place, to) in x.places.iter().zip(order) {
+            params[*place as usize * n + *to as usize] = 1.0;
         }
         let layer = Layer::Dense {
             x: x.layer,
@@ -1091,23 +1289,29 @@ impl<'a> Importer<'a> {
         self.push(layer, params, n)
     }
 
-    /// The sum or the product of two that both depend on the inputs.
+    /// Whether the values are all those of a layer, each once, as an image's are.
+    fn is_whole(&self, x: &Live) -> bool {
+        let n = x.places.len();
+        let mut seen = vec![false; n];
+        let each_once = x.places.iter().all(|place| {
+            let slot = seen.get_mut(*place as usize);
+            slot.is_some_and(|slot| !std::mem::replace(slot, true))
+        });
+        each_once && self.lens.get(x.layer) == Some(&n)
+    }
+
+    /// The sum or the product of two that both depend on the inputs, in the order of one that is a whole layer.
     fn both(&mut self, a: &Live, b: &Live, multiply: bool) -> Result<Value, String> {
         let shape = fold::broadcast_shape(&a.shape, &b.shape)?;
         let (a, b) = (spread_live(a, &shape)?, spread_live(b, &shape)?);
         let (a, b) = (self.narrowed(&a)?, self.narrowed(&b)?);
         let n = a.places.len();
-        let is_whole = |live: &Live| self.lens.get(live.layer) == Some(&n);
-        let mut seen = vec![false; n];
-        let each_once = a.places.iter().all(|place| {
-            let slot = seen.get_mut(*place as usize);
-            slot.is_some_and(|slot| !std::mem::replace(slot, true))
-        });
-        // Images are in the same order on both sides.
-        let (x, y, places) = match is_whole(&a) && is_whole(&b) && a.places == b.places && each_once {
-            true => (a.layer, b.layer, a.places.clone()),
-            false => (self.arranged(&a)?, self.arranged(&b)?, identity(n)),
+        let places = match (self.is_whole(&a), self.is_whole(&b)) {
+            (true, _) => a.places.clone(),
+            (_, true) => b.places.clone(),
+            _ => identity(n),
         };
+        let (x, y) = (self.arranged_as(&a, &places)?, self.arranged_as(&b, &places)?);
         let layer = match multiply {
             true => Layer::Product { x, y },
             false => Layer::Sum { parts: vec![x, y] },
@@ -1340,10 +1544,26 @@ impl<'a> Importer<'a> {
             return Err(format!("epsilon = {epsilon} is not supported: above 0"));
         }
         let (shape, n) = (x.shape.clone(), x.places.len());
-        let x = self.arranged(&x)?;
+        let x = self.narrowed(&x)?;
+        // All of an image together: in its own order.
+        let places = match width == n && self.is_whole(&x) {
+            true => x.places.clone(),
+            false => identity(n),
+        };
+        let mut params = [scale, shift].concat();
+        if width == n {
+            let ordered: Vec<f32> = params.clone();
+            for (half, values) in params.chunks_exact_mut(n).zip(ordered.chunks_exact(n)) {
+                places
+                    .iter()
+                    .zip(values)
+                    .for_each(|(place, value)| half[*place as usize] = *value);
+            }
+        }
+        let x = self.arranged_as(&x, &places)?;
         let layer = LayerNorm { width, epsilon };
-        let layer = self.push(Layer::LayerNorm { x, layer }, [scale, shift].concat(), n)?;
-        Ok(self.fresh(layer, shape, identity(n)))
+        let layer = self.push(Layer::LayerNorm { x, layer }, params, n)?;
+        Ok(self.fresh(layer, shape, places))
     }
 
     /// Means and sums along axes: a layer whose weights are all the same.
@@ -1365,28 +1585,38 @@ impl<'a> Importer<'a> {
         Ok(Value::Live(live))
     }
 
+    /// The largest value of each channel of an image.
+    fn reduce_max(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Value, String> {
+        let x = self.live(node, 0)?;
+        let (along, shape) = self.reduction(node, settings, &x.shape)?;
+        if along != [false, false, true, true] {
+            return Err("the largest of other than an image's rows and columns is not supported".to_owned());
+        }
+        match self.max_pool(node, settings)? {
+            Value::Live(live) => Ok(Value::Live(Live { shape, ..live })),
+            constant => Ok(constant),
+        }
+    }
+
     /// `y = factor · x + summand`, each value of the tensor its own: in the layer before where that is possible.
     fn scaled(&mut self, x: &Live, factors: &[f32], summands: &[f32]) -> Result<Value, String> {
-        // What stands in several places of the tensor has a factor for each.
-        let distinct: HashSet<&u32> = x.places.iter().collect();
+        let mut len = self.lens.get(x.layer).copied().unwrap_or(0);
         let own;
-        let x = if distinct.len() < x.places.len() {
-            let layer = self.arranged(x)?;
-            own = Live {
-                layer,
-                shape: x.shape.clone(),
-                places: identity(x.places.len()),
-                alone: false,
-            };
-            &own
-        } else {
-            x
+        let (x, (factor, summand)) = match each_place(&x.places, len, factors, summands) {
+            Some(both) => (x, both),
+            // What stands in several places of the tensor has a factor for each.
+            None => {
+                let layer = self.arranged(x)?;
+                len = x.places.len();
+                own = Live {
+                    layer,
+                    shape: x.shape.clone(),
+                    places: identity(len),
+                    alone: false,
+                };
+                (&own, (factors.to_vec(), summands.to_vec()))
+            }
         };
-        let len = self.lens.get(x.layer).copied().unwrap_or(0);
-        let (mut factor, mut summand) = (vec![1.0; len], vec![0.0; len]);
-        for ((place, f), s) in x.places.iter().zip(factors).zip(summands) {
-            (factor[*place as usize], summand[*place as usize]) = (*f, *s);
-        }
         let result = |layer: usize| {
             Value::Live(Live {
                 layer,
@@ -1583,9 +1813,15 @@ impl<'a> Importer<'a> {
         for (((start, end), along), step) in starts.iter().zip(&ends).zip(&axes).zip(&steps) {
             let along = axis(*along, shape.len())?;
             let size = moved.0[along] as i64;
-            let place = |value: i64| if value < 0 { value.saturating_add(size) } else { value }.clamp(0, size);
-            let step = positive(*step, "a step")?;
-            let taken: Vec<usize> = (place(*start)..place(*end)).step_by(step).map(|i| i as usize).collect();
+            // Backwards it ends before the first.
+            let (first, last) = if *step < 0 { (-1, size - 1) } else { (0, size) };
+            let place = |value: i64| if value < 0 { value.saturating_add(size) } else { value }.clamp(first, last);
+            let stride = positive(step.saturating_abs(), "a step")?;
+            let (from, to) = (place(*start), place(*end));
+            let taken: Vec<usize> = match *step < 0 {
+                true => (to + 1..=from).rev().step_by(stride).map(|i| i as usize).collect(),
+                false => (from..to).step_by(stride).map(|i| i as usize).collect(),
+            };
             if taken.is_empty() {
                 return Err(format!("nothing is left of axis {along}"));
             }
@@ -1876,6 +2112,20 @@ fn spread(constant: &Constant, shape: &[usize]) -> Result<Vec<f32>, String> {
         .map_err(|_| format!("a constant of shape {:?} for values of shape {shape:?}", constant.shape))?;
     let picked: Option<Vec<f32>> = places.into_iter().map(|place| values.get(place).copied()).collect();
     picked.ok_or_else(|| "a value is missing".to_owned())
+}
+
+/// Factors and summands of a layer's values, of those that stand at `places` of it; `None` where one stands at several that differ.
+fn each_place(places: &[u32], len: usize, factors: &[f32], summands: &[f32]) -> Option<(Vec<f32>, Vec<f32>)> {
+    let (mut factor, mut summand) = (vec![1.0; len], vec![0.0; len]);
+    let mut seen = vec![false; len];
+    for ((place, f), s) in places.iter().zip(factors).zip(summands) {
+        let place = *place as usize;
+        if std::mem::replace(&mut seen[place], true) && (factor[place], summand[place]) != (*f, *s) {
+            return None;
+        }
+        (factor[place], summand[place]) = (*f, *s);
+    }
+    Some((factor, summand))
 }
 
 /// Values spread to a shape, as NumPy broadcasts them.

@@ -4,12 +4,14 @@
 //! use vigil_onnx::{Adapter, import};
 //!
 //! let bytes = std::fs::read("policy.onnx")?;
-//! let policy = import("policy.onnx", &bytes, &Adapter::default())?;
+//! let beside = |name: &str| std::fs::read(name).map_err(|e| e.to_string());
+//! let policy = import("policy.onnx", &bytes, &beside, &Adapter::default())?;
 //! policy.save("policy.safetensors".as_ref())?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 #![forbid(unsafe_code)]
 
+mod beside;
 mod constant;
 mod export;
 mod fold;
@@ -18,4 +20,4 @@ mod movement;
 mod proto;
 
 pub use export::{ExportError, export};
-pub use import::{Adapter, ImportError, import};
+pub use import::{Adapter, Flat, FlatGoal, ImportError, import};

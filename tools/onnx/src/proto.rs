@@ -127,6 +127,9 @@ pub struct Tensor {
     pub raw_data: Vec<u8>,
     #[prost(double, repeated, tag = "10")]
     pub double_data: Vec<f64>,
+    /// Where in which file the data is, if it is in another.
+    #[prost(message, repeated, tag = "13")]
+    pub external_data: Vec<Entry>,
     /// 1: the data is in another file.
     #[prost(int32, tag = "14")]
     pub data_location: i32,

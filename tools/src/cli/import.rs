@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use vigil_nnet::{Graph, Isa, Purpose};
-use vigil_onnx::Adapter;
+use vigil_onnx::{Adapter, Flat};
 use vigil_policy::FrozenPolicy;
 use vigil_policy::imported::{Channels, Depth};
 use vigil_types::STEP_S;
@@ -60,6 +60,11 @@ pub struct ImportArgs {
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     output_scale: f32,
 
+    /// The policy takes no picture but one row of values: channels, rows and columns of the frame, the last running fastest (rows,
+    /// columns and channels where the last number is the smaller), and where distance and bearing of the goal are in it.
+    #[arg(long, value_name = "[goal+]1x24x32[+goal]")]
+    flat: Option<Flat>,
+
     /// The output that is the action, where there are several.
     #[arg(long, value_name = "NAME")]
     action: Option<String>,
@@ -111,10 +116,13 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         },
         scale: args.scale,
         output_scale: args.output_scale,
+        flat: args.flat,
         output: args.action.clone(),
         split: args.split.clone(),
     };
-    let policy = vigil_onnx::import(&name, &bytes, &adapter)?;
+    let folder = args.model.parent().unwrap_or(Path::new(""));
+    let beside = |name: &str| vigil_files::read(&folder.join(name), SIZE_LIMIT).map_err(|e| e.to_string());
+    let policy = vigil_onnx::import(&name, &bytes, &beside, &adapter)?;
     let graph = policy.network.graph(Purpose::Gradients)?;
     let output = args
         .compute

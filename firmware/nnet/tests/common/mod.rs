@@ -146,13 +146,19 @@ pub fn conv2d(c: Conv2d, act: Activation, p: &[f64], x: &[f64]) -> Vec<f64> {
 }
 
 pub fn max_pool(m: MaxPool2d, x: &[f64]) -> Vec<f64> {
+    let [height, width] = m.window;
     let mut y = Vec::new();
-    for oy in 0..m.rows / m.window {
-        for ox in 0..m.cols / m.window {
+    for oy in 0..(m.rows + 2 * m.padding - height) / m.stride + 1 {
+        for ox in 0..(m.cols + 2 * m.padding - width) / m.stride + 1 {
             for ch in 0..m.channels {
-                let pixels = (0..m.window * m.window).map(|t| {
-                    let (iy, ix) = (oy * m.window + t / m.window, ox * m.window + t % m.window);
-                    x[(iy * m.cols + ix) * m.channels + ch]
+                let pixels = (0..height * width).map(|t| {
+                    let (iy, ix) = (oy * m.stride + t / width, ox * m.stride + t % width);
+                    let inside =
+                        (m.padding..m.padding + m.rows).contains(&iy) && (m.padding..m.padding + m.cols).contains(&ix);
+                    match inside {
+                        true => x[((iy - m.padding) * m.cols + ix - m.padding) * m.channels + ch],
+                        false => f64::NEG_INFINITY,
+                    }
                 });
                 y.push(pixels.fold(f64::NEG_INFINITY, f64::max));
             }

@@ -185,7 +185,10 @@ impl Layer {
                 [l.rows, l.cols, l.channels, l.filters, l.kernel, l.stride, l.padding].into()
             }
             Self::Dense { layer, .. } => [layer.inputs, layer.outputs].into(),
-            Self::MaxPool2d { layer: l, .. } => [l.rows, l.cols, l.channels, l.window].into(),
+            Self::MaxPool2d { layer: l, .. } => {
+                let [height, width] = l.window;
+                [l.rows, l.cols, l.channels, height, width, l.stride, l.padding].into()
+            }
             Self::BatchNorm { layer, .. } => [layer.channels].into(),
             Self::Gru { layer, .. } => [layer.inputs, layer.hidden].into(),
             Self::Lstm { layer, .. } => [layer.inputs, layer.hidden].into(),
@@ -221,7 +224,17 @@ impl Layer {
                     weights,
                 )
             }
-            Self::MaxPool2d { layer: l, .. } => (0, product(&[l.rows, l.cols, l.channels]), 0),
+            Self::MaxPool2d { layer: l, .. } => {
+                let out = |size: usize, window: usize| {
+                    (size as u64 + 2 * l.padding as u64).saturating_sub(window as u64) / l.stride.max(1) as u64 + 1
+                };
+                let [height, width] = l.window;
+                let pixels = out(l.rows, height).saturating_mul(out(l.cols, width));
+                let values = pixels.saturating_mul(l.channels as u64);
+                // A comparison counts as a multiply-add: large windows that overlap are many.
+                let compared = pixels.saturating_mul(product(&[height, width, l.channels]));
+                (0, values.max(product(&[l.rows, l.cols, l.channels])), compared)
+            }
             Self::BatchNorm { layer, .. } => (4 * layer.channels as u64, layer.channels as u64, 0),
             Self::Gru { layer, .. } => recurrent(3, layer.inputs, layer.hidden),
             Self::Lstm { layer, .. } => recurrent(4, layer.inputs, layer.hidden),
@@ -468,7 +481,15 @@ impl fmt::Display for Network {
                     line(f, "dense", &[*x, layer.inputs, layer.outputs], &name_of(*curve))?;
                 }
                 Layer::MaxPool2d { x, layer: l } => {
-                    line(f, "max_pool2d", &[*x, l.rows, l.cols, l.channels, l.window], "")?;
+                    let [height, width] = l.window;
+                    // Windows side by side have one number.
+                    match *l == MaxPool2d::tiles(l.rows, l.cols, l.channels, height) {
+                        true => line(f, "max_pool2d", &[*x, l.rows, l.cols, l.channels, height], "")?,
+                        false => {
+                            let numbers = [*x, l.rows, l.cols, l.channels, height, width, l.stride, l.padding];
+                            line(f, "max_pool2d", &numbers, "")?;
+                        }
+                    }
                 }
                 Layer::BatchNorm { x, layer } => {
                     line(f, "batch_norm", &[*x, layer.channels], &layer.epsilon.to_string())?;
@@ -547,13 +568,17 @@ impl FromStr for Network {
                     },
                     curve: curve()?,
                 },
-                ("max_pool2d", [x, rows, cols, channels, window]) => Layer::MaxPool2d {
+                ("max_pool2d", [x, rows, cols, channels, side]) => Layer::MaxPool2d {
+                    x: *x,
+                    layer: MaxPool2d::tiles(*rows, *cols, *channels, *side),
+                },
+                ("max_pool2d", [x, rows, cols, channels, height, width, stride, padding]) => Layer::MaxPool2d {
                     x: *x,
                     layer: MaxPool2d {
-                        rows: *rows,
-                        cols: *cols,
-                        channels: *channels,
-                        window: *window,
+                        window: [*height, *width],
+                        stride: *stride,
+                        padding: *padding,
+                        ..MaxPool2d::tiles(*rows, *cols, *channels, 1)
                     },
                 },
                 ("batch_norm", [x, channels]) => Layer::BatchNorm {
