@@ -19,8 +19,11 @@ const RECKON_S: f32 = 0.05;
 const RECKON_STEPS: usize = 400;
 /// Fastest that a vehicle is believed to gain speed, metres per second squared.
 const GREATEST_GAIN_M_S2: f32 = 6.0;
-/// A vehicle that gains more than this is still on its way to [`MISSION_GAIN_M_S2`], metres per second squared.
+/// A vehicle that gains more than this is still on its way to [`MISSION_GAIN_M_S2`], metres per second squared: after a start, and above
+/// this speed, metres per second, which it has by then. There a gain may be what is not yet known of drag or wind.
 const STARTS_M_S2: f32 = 0.3;
+const GAINS_M_S2: f32 = 1.0;
+const STARTED_M_S: f32 = 1.5;
 /// What an autopilot gains speed with in a mission: PX4's MPC_ACC_HOR is 3, Copter's WPNAV_ACCEL 2.5 by default, metres per second squared.
 const MISSION_GAIN_M_S2: f32 = 3.0;
 /// The way of a hold from steady flight is this time times the speed: measured 1.3 to 1.5 s on PX4 (HOLD from 1.8 to 3.3 m/s) and about
@@ -83,10 +86,15 @@ impl JustStopConfig {
             GREATEST_GAIN_M_S2
         };
         let mut way_m = 0.0;
+        let grows_from_m_s2 = if speed_m_s < STARTED_M_S {
+            STARTS_M_S2
+        } else {
+            GAINS_M_S2
+        };
         let reaction_steps = (reaction_s / RECKON_S + 0.5) as usize;
         for step in 0..RECKON_STEPS {
             if step < reaction_steps {
-                if gain_m_s2 > STARTS_M_S2 {
+                if gain_m_s2 > grows_from_m_s2 {
                     gain_m_s2 = (gain_m_s2 + self.jerk_m_s3 * RECKON_S).min(gain_m_s2.max(MISSION_GAIN_M_S2));
                 }
             } else {
@@ -387,6 +395,10 @@ mod tests {
             config.reach_m(1.9, 2.7)
         );
         assert!((config.reach_m(0.0, 0.0) - 0.5).abs() < 1e-6);
+        // What drag still hides of a steady flight costs less than a metre; in a start it is the beginning of more.
+        assert!(config.reach_m(2.6, 0.6) < config.reach_m(2.6, 0.0) + 1.0);
+        let costs_m = |speed_m_s| config.reach_m(speed_m_s, 0.6) - config.reach_m(speed_m_s, 0.0);
+        assert!(costs_m(1.4) > costs_m(1.6) + 0.5, "{} {}", costs_m(1.4), costs_m(1.6));
         // From 3 m/s braking at MPC_ACC_HOR takes 2.6 m, and the hold of a PX4 4.3 m: the place that it is told lies between.
         assert!(
             (2.6..4.3).contains(&config.way_m(3.0, 0.0)),
