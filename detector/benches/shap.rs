@@ -47,18 +47,10 @@ fn second_half_both_outputs(bencher: Bencher) {
     });
 }
 
-/// Exact: all pixels of five frames, one output, 30 backgrounds.
-#[divan::bench(args = [1, 2], sample_count = 5, sample_size = 1)]
-fn pixels_of_five_frames(bencher: Bencher, threads: usize) {
-    let (mut shap, x) = explainer(ActorSpec::FULL.graph(Purpose::Multipliers, true).unwrap());
-    let (x, mut phi) = (views(&x), vec![0.0; shap.phi_len()]);
-    bencher.bench_local(|| explain(&mut shap, black_box(&x), threads, &mut phi));
-}
-
-/// The live mode: pixels of the newest frame, features of the older ones, one output, 30 backgrounds. Exact as well.
+/// Exact: all pixels of the newest frame, what is remembered beside them, one output, 30 backgrounds.
 #[divan::bench(args = [1, 2], sample_count = 20, sample_size = 1)]
 fn pixels_of_the_newest_frame(bencher: Bencher, threads: usize) {
-    let (mut shap, x) = explainer(ActorSpec::FULL.newest_frame_graph(Purpose::Multipliers).unwrap());
+    let (mut shap, x) = explainer(ActorSpec::FULL.graph(Purpose::Multipliers).unwrap());
     let (x, mut phi) = (views(&x), vec![0.0; shap.phi_len()]);
     bencher.bench_local(|| explain(&mut shap, black_box(&x), threads, &mut phi));
 }

@@ -1,8 +1,7 @@
-//! CNN-AD and FCN-AD: networks that say from a state's five SHAP images whether its frames were altered.
+//! CNN-AD and FCN-AD: networks that say from a state's SHAP image whether its frame was altered.
 
-use crate::images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES};
+use crate::images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS};
 use vigil_nnet::{Activation, BatchNorm, Conv2d, Dense, Graph, GraphBuilder, MaxPool2d, NodeId, Purpose, ShapeError};
-use vigil_policy::actor::ACTOR_FRAMES;
 
 /// Filters of each pair of convolutions; the paper leaves them open.
 const FILTERS: [usize; 3] = [8, 16, 32];
@@ -32,9 +31,8 @@ fn dense_layers(
     Ok(x)
 }
 
-/// CNN-AD (docs/paper.md): batch norm, six convolutions of 3 × 3 over each image with the same weights, max pooling after every
-/// second, five dense layers. One input of [`IMAGES`] values in 0..=1, `[5][64][128][2]`, oldest image first; one output, whose
-/// curve is `output`. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both
+/// CNN-AD (docs/paper.md): batch norm, six convolutions of 3 × 3, max pooling after every second, five dense layers. One input of
+/// [`IMAGE`] values in 0..=1, `[64][128][2]` (the paper's actor has five frames, ours one); one output, whose curve is `output`. Batch norm comes first, so its parameters do, too: scale, shift, running mean, running variance of both
 /// channels. They are statistics of the training data and do not change while training.
 ///
 /// # Errors
@@ -46,11 +44,13 @@ pub fn cnn_ad(output: Activation) -> Result<Graph, ShapeError> {
         epsilon: EPSILON,
     };
     let norm_params = b.params(norm.param_len());
-    let layers = || {
-        let mut channels = IMAGE_CHANNELS;
-        FILTERS.into_iter().enumerate().map(move |(k, filters)| {
-            let (rows, cols) = (IMAGE_ROWS >> k, IMAGE_COLS >> k);
-            let conv = |channels| Conv2d {
+    let image = b.input(IMAGE, false)?;
+    let mut x = b.batch_norm(image, norm, norm_params)?;
+    let (mut channels, mut width) = (IMAGE_CHANNELS, IMAGE);
+    for (k, filters) in FILTERS.into_iter().enumerate() {
+        let (rows, cols) = (IMAGE_ROWS >> k, IMAGE_COLS >> k);
+        for channels in [channels, filters] {
+            let conv = Conv2d {
                 rows,
                 cols,
                 channels,
@@ -59,42 +59,24 @@ pub fn cnn_ad(output: Activation) -> Result<Graph, ShapeError> {
                 stride: 1,
                 padding: 1,
             };
-            let pair = [conv(channels), conv(filters)];
-            channels = filters;
-            let pool = MaxPool2d::tiles(rows, cols, filters, 2);
-            (pair, pool)
-        })
-    };
-    let conv_params: Vec<_> = layers()
-        .map(|(pair, _)| pair.map(|conv| b.params(conv.param_len())))
-        .collect();
-    let images = b.input(IMAGES, false)?;
-    let images = b.batch_norm(images, norm, norm_params)?;
-    let mut features = Vec::with_capacity(ACTOR_FRAMES);
-    let mut width = 0;
-    for i in 0..ACTOR_FRAMES {
-        let mut x = b.slice(images, i * IMAGE, IMAGE)?;
-        for ((pair, pool), params) in layers().zip(&conv_params) {
-            for (conv, params) in pair.into_iter().zip(params) {
-                x = b.conv2d(x, conv, Activation::Relu, *params)?;
-            }
-            x = b.max_pool2d(x, pool)?;
-            width = pool.output_len();
+            let params = b.params(conv.param_len());
+            x = b.conv2d(x, conv, Activation::Relu, params)?;
         }
-        features.push(x);
+        let pool = MaxPool2d::tiles(rows, cols, filters, 2);
+        x = b.max_pool2d(x, pool)?;
+        (channels, width) = (filters, pool.output_len());
     }
-    let x = b.concat(&features)?;
-    let x = dense_layers(&mut b, x, ACTOR_FRAMES * width, &CNN_UNITS, output)?;
+    let x = dense_layers(&mut b, x, width, &CNN_UNITS, output)?;
     b.finish(x, Purpose::Gradients)
 }
 
-/// FCN-AD, the paper's fully connected baseline on the same images, `[5][64][128][2]` to `[1]`: three dense layers.
+/// FCN-AD, the paper's fully connected baseline on the same image, `[64][128][2]` to `[1]`: three dense layers.
 ///
 /// # Errors
 /// None.
 pub fn fcn_ad(output: Activation) -> Result<Graph, ShapeError> {
     let mut b = GraphBuilder::new();
-    let images = b.input(IMAGES, false)?;
-    let x = dense_layers(&mut b, images, IMAGES, &FCN_UNITS, output)?;
+    let image = b.input(IMAGE, false)?;
+    let x = dense_layers(&mut b, image, IMAGE, &FCN_UNITS, output)?;
     b.finish(x, Purpose::Gradients)
 }

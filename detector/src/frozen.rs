@@ -13,24 +13,23 @@ use alloc::vec::Vec;
 use std::path::Path;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::{Contents, FileError, Kind, Verified};
-use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
+use vigil_policy::actor::{ACTOR_HIDDEN, GOAL_INPUTS, LOW_DIM, PositionalInputs};
 use vigil_policy::{ExplainedHead, FrozenPilot};
 
 /// Value of the entry `format`.
-pub const FORMAT: &str = "vigil detector 1";
+pub const FORMAT: &str = "vigil detector 2";
+/// Of the actors that decided from five frames, and the version that flies them.
+const FORMAT_BEFORE: (&str, &str) = ("vigil detector 1", "0.2.0");
 /// Value of the entry `architecture`.
 pub const ARCHITECTURE: &str = "10 rows of 48; LSTM 100 relu; dense 64, 32, 16 relu; dense 1 sigmoid";
 /// Value of the entry `normalisation`.
 pub const NORMALISATION: &str =
     "DeepSHAP of the yaw output at the actor's split point; (phi - centre) / scale, clipped to 10";
-/// Value of the entry `normalisation` of a detector of an actor that is told of movers.
-pub const NORMALISATION_WITH_MOVERS: &str = "DeepSHAP of the yaw output at the split point of an actor that is told of movers; \
-    (phi - centre) / scale, clipped to 10";
-
 /// Value of the entry `normalisation` of a detector of an imported policy.
 pub const NORMALISATION_IMPORTED: &str = "DeepSHAP of the yaw output at an imported policy's split point in rows of 48; (phi - centre) / scale, clipped to 10";
 
-/// A state of the background sample: the split point's values (48 of our actor) and the positional inputs.
+/// A state of the background sample: the split point's values (48 of our actor), and what decides beside them (8 values, or 2 of an
+/// imported policy).
 pub type Background = (Vec<f32>, PositionalInputs);
 
 /// A detector with what it needs to explain and judge one actor, and what is known of its origin.
@@ -74,27 +73,24 @@ pub fn split_point_shap(isa: Isa, head: ExplainedHead, backgrounds: &[Background
 pub enum Of {
     /// An actor of ours.
     Actor,
-    /// One that is told of movers.
-    ActorWithMovers,
     /// A policy of others.
     Imported,
 }
 
 impl Of {
-    const ALL: [Self; 3] = [Self::Actor, Self::ActorWithMovers, Self::Imported];
+    const ALL: [Self; 2] = [Self::Actor, Self::Imported];
 
     fn kind(self) -> &'static Kind {
         match self {
             Self::Actor => &KIND,
-            Self::ActorWithMovers => &KIND_WITH_MOVERS,
             Self::Imported => &KIND_IMPORTED,
         }
     }
 
     fn positional(self) -> usize {
         match self {
-            Self::Actor | Self::Imported => GOAL_INPUTS,
-            Self::ActorWithMovers => WITH_MOVERS,
+            Self::Actor => LOW_DIM,
+            Self::Imported => GOAL_INPUTS,
         }
     }
 
@@ -102,7 +98,6 @@ impl Of {
     pub fn pilot(pilot: &FrozenPilot) -> Self {
         match pilot {
             FrozenPilot::Imported(_) => Self::Imported,
-            FrozenPilot::Actor(actor) if actor.inputs.told_of_movers => Self::ActorWithMovers,
             FrozenPilot::Actor(_) => Self::Actor,
         }
     }
@@ -115,18 +110,7 @@ const KIND: Kind = Kind {
         ("architecture", ARCHITECTURE),
         ("normalisation", NORMALISATION),
     ],
-    tensors: || tensors(ACTOR_HIDDEN, GOAL_INPUTS),
-};
-
-/// Of an actor that is told of movers.
-const KIND_WITH_MOVERS: Kind = Kind {
-    identity: [
-        ("format", FORMAT),
-        ("architecture", ARCHITECTURE),
-        ("normalisation", NORMALISATION_WITH_MOVERS),
-    ],
-    tensors: || tensors(ACTOR_HIDDEN, WITH_MOVERS),
-    ..KIND
+    tensors: || tensors(ACTOR_HIDDEN, LOW_DIM),
 };
 
 /// Of an imported policy, whose split point has any width.
@@ -139,6 +123,21 @@ const KIND_IMPORTED: Kind = Kind {
     tensors: || tensors(0, GOAL_INPUTS),
     ..KIND
 };
+
+/// Says of a file of the format before which version flies it.
+fn of_before(file: &str, refused: FileError) -> FileError {
+    let (format, version) = FORMAT_BEFORE;
+    match refused {
+        FileError::Other { key: "format", found, .. } if found == format => KIND.content_error(
+            file,
+            format!(
+                "has format \"{format}\", of an actor that decides from five frames: Vigil {version} flies it. This program takes \
+                 \"{FORMAT}\": train one for the actor that is to fly (vigil detector train)"
+            ),
+        ),
+        other => other,
+    }
+}
 
 /// Names and shapes of the tensors: any number of background states; 0 stands for any width.
 fn tensors(state: usize, positional: usize) -> Vec<(String, Vec<usize>)> {
@@ -245,7 +244,7 @@ impl FrozenDetector {
     /// # Errors
     /// [`FileError`]: anything but an unaltered detector of this architecture.
     pub fn from_bytes(file: &str, bytes: &[u8]) -> Result<Self, FileError> {
-        let (read, which) = Verified::of_any(&KIND, &[&KIND_WITH_MOVERS, &KIND_IMPORTED], file, bytes)?;
+        let (read, which) = Verified::of_any(&KIND, &[&KIND_IMPORTED], file, bytes).map_err(|e| of_before(file, e))?;
         let of = Of::ALL.get(which).copied().unwrap_or(Of::Actor);
         let mut detector = Self {
             of,

@@ -1,6 +1,4 @@
-//! What the image detectors look at: the five frames' pixel explanations, as images.
-
-use vigil_policy::actor::ACTOR_FRAMES;
+//! What the image detectors look at: the newest frame's pixel explanation, as an image.
 
 /// Rows and columns of an image: a value stands for 2 × 2 pixels of the depth frame.
 pub const IMAGE_ROWS: usize = 64;
@@ -8,32 +6,28 @@ pub const IMAGE_ROWS: usize = 64;
 pub const IMAGE_COLS: usize = 128;
 /// The negative part and the positive part.
 pub const IMAGE_CHANNELS: usize = 2;
-/// Values of one image.
+/// Values of an image.
 pub const IMAGE: usize = IMAGE_ROWS * IMAGE_COLS * IMAGE_CHANNELS;
-/// Values of a state's five images, oldest first.
-pub const IMAGES: usize = ACTOR_FRAMES * IMAGE;
 
 const BLOCK: usize = 2;
 const COLS: usize = IMAGE_COLS * BLOCK;
 const FRAME: usize = IMAGE_ROWS * BLOCK * COLS;
 
-/// SHAP values of the pixels of five frames (5 × 128 · 256, oldest first) as five images of two channels `[5][64][128][2]`: sums of the negative
-/// and of the positive values over blocks of 2 × 2 pixels, each channel of a state over its largest value, 0 to 1 as bytes.
-/// `None` for another length or a value that is not finite.
-pub fn images(phi: &[f32]) -> Option<Vec<u8>> {
-    if phi.len() != ACTOR_FRAMES * FRAME || !phi.iter().all(|x| x.is_finite()) {
+/// SHAP values of a frame's pixels (128 · 256) as an image of two channels `[64][128][2]`: sums of the negative and of the positive
+/// values over blocks of 2 × 2 pixels, each channel over its largest value, 0 to 1 as bytes. `None` for another length or a value
+/// that is not finite.
+pub fn image(phi: &[f32]) -> Option<Vec<u8>> {
+    if phi.len() != FRAME || !phi.iter().all(|x| x.is_finite()) {
         return None;
     }
-    let mut sums = vec![0.0f32; IMAGES];
-    for (image, frame) in sums.chunks_exact_mut(IMAGE).zip(phi.chunks_exact(FRAME)) {
-        let bands = image.chunks_exact_mut(IMAGE_COLS * IMAGE_CHANNELS);
-        for (row, band) in bands.zip(frame.chunks_exact(BLOCK * COLS)) {
-            for line in band.chunks_exact(COLS) {
-                for (slot, block) in row.chunks_exact_mut(IMAGE_CHANNELS).zip(line.chunks_exact(BLOCK)) {
-                    for x in block {
-                        if let Some(slot) = slot.get_mut(usize::from(*x > 0.0)) {
-                            *slot += x.abs();
-                        }
+    let mut sums = vec![0.0f32; IMAGE];
+    let bands = sums.chunks_exact_mut(IMAGE_COLS * IMAGE_CHANNELS);
+    for (row, band) in bands.zip(phi.chunks_exact(BLOCK * COLS)) {
+        for line in band.chunks_exact(COLS) {
+            for (slot, block) in row.chunks_exact_mut(IMAGE_CHANNELS).zip(line.chunks_exact(BLOCK)) {
+                for x in block {
+                    if let Some(slot) = slot.get_mut(usize::from(*x > 0.0)) {
+                        *slot += x.abs();
                     }
                 }
             }
@@ -45,7 +39,7 @@ pub fn images(phi: &[f32]) -> Option<Vec<u8>> {
             *largest = largest.max(*x);
         }
     }
-    let mut bytes = vec![0; IMAGES];
+    let mut bytes = vec![0; IMAGE];
     for (bytes, pair) in bytes
         .chunks_exact_mut(IMAGE_CHANNELS)
         .zip(sums.chunks_exact(IMAGE_CHANNELS))
@@ -63,17 +57,15 @@ mod tests {
 
     #[test]
     fn negative_and_positive_parts_are_summed_over_blocks_and_scaled_apart() {
-        let mut phi = vec![0.0; ACTOR_FRAMES * FRAME];
-        // The third image's block of row 1, column 2: rows 2 and 3, columns 4 and 5 of the third frame.
-        let at = |row: usize, col: usize| 2 * FRAME + row * COLS + col;
+        let mut phi = vec![0.0; FRAME];
+        // The block of row 1, column 2: rows 2 and 3, columns 4 and 5 of the frame.
+        let at = |row: usize, col: usize| row * COLS + col;
         phi[at(2, 4)] = 3.0;
         phi[at(3, 5)] = 1.0;
         phi[at(3, 4)] = -0.5;
         phi[at(0, 0)] = 2.0;
-        let bytes = images(&phi).unwrap();
-        let value = |row: usize, col: usize, channel: usize| {
-            bytes[2 * IMAGE + (row * IMAGE_COLS + col) * IMAGE_CHANNELS + channel]
-        };
+        let bytes = image(&phi).unwrap();
+        let value = |row: usize, col: usize, channel: usize| bytes[(row * IMAGE_COLS + col) * IMAGE_CHANNELS + channel];
         assert_eq!(
             (value(1, 2, 0), value(1, 2, 1)),
             (255, 255),
@@ -85,13 +77,13 @@ mod tests {
 
     #[test]
     fn what_is_not_an_explanation_gives_no_image() {
-        assert!(images(&[0.0; 7]).is_none());
-        let mut phi = vec![0.0; ACTOR_FRAMES * FRAME];
+        assert!(image(&[0.0; 7]).is_none());
+        let mut phi = vec![0.0; FRAME];
         phi[9] = f32::NAN;
-        assert!(images(&phi).is_none());
+        assert!(image(&phi).is_none());
         phi[9] = 0.0;
         assert!(
-            images(&phi).unwrap().iter().all(|b| *b == 0),
+            image(&phi).unwrap().iter().all(|b| *b == 0),
             "nothing explained, nothing shown"
         );
     }

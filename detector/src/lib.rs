@@ -37,7 +37,7 @@ mod shap;
 pub use cnn_ad::{cnn_ad, fcn_ad};
 pub use frozen::{Background, FrozenDetector, Of, split_point_shap};
 #[cfg(feature = "std")]
-pub use images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, IMAGES, images};
+pub use images::{IMAGE, IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, image};
 pub use lstm_ad::{LstmAd, ROW, ROW_LIMIT, WINDOW, normalise, row_of};
 pub use monitor::{Monitor, MonitorError};
 #[cfg(feature = "std")]

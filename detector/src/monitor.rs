@@ -7,7 +7,7 @@ use alloc::string::String;
 use alloc::vec::Vec;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_policy::ExplainedHead;
-use vigil_policy::actor::{PositionalInputs, WITH_MOVERS};
+use vigil_policy::actor::{LOW_DIM, PositionalInputs};
 use vigil_types::{Judgement, Verdict};
 
 /// The actor's output that is explained: yaw, the one an attack aims at.
@@ -45,7 +45,7 @@ pub struct Monitor {
     scale: [f32; ROW],
     threshold: f32,
     base: f32,
-    /// The last explanation: the split point's values, then the positional inputs.
+    /// The last explanation: the split point's values, then those beside it.
     phi: Vec<f32>,
     /// Values of the split point.
     width: usize,
@@ -97,8 +97,9 @@ impl Monitor {
         self.threshold = threshold;
     }
 
-    /// Judges a decision by the values at the split point (our actor's 48) and the positional inputs it was made from. Unknown until ten decisions in a row
-    /// were explained, and whenever an explanation or the score is not finite. No allocation, no panic.
+    /// Judges a decision by the values at the split point (our actor's 48) and what it was made from beside them (our actor's
+    /// low-dimensional observation, the goal of an imported policy). Unknown until ten decisions in a row were explained, and whenever
+    /// an explanation or the score is not finite. No allocation, no panic.
     pub fn judge(&mut self, state: &[f32], position: impl Into<PositionalInputs>) -> Judgement {
         let Ok(phi) = self.explain(state, &position.into()) else {
             // A window has no gaps.
@@ -119,7 +120,7 @@ impl Monitor {
         } else {
             None
         };
-        let [distance, bearing, told @ ..] = of_position;
+        let [distance, sine_or_bearing, cosine, own_motion @ ..] = of_position;
         Judgement {
             verdict: match score {
                 None => Verdict::Unknown,
@@ -128,9 +129,10 @@ impl Monitor {
             },
             score,
             image: of_state.iter().sum(),
-            bearing,
+            // An imported policy has one value of it, and nothing behind.
+            bearing: sine_or_bearing + cosine,
             distance,
-            told: told.iter().sum(),
+            told: own_motion.iter().sum(),
             base: self.base,
             phi: of_state,
         }
@@ -140,11 +142,11 @@ impl Monitor {
         &mut self,
         state: &[f32],
         position: &PositionalInputs,
-    ) -> Result<([f32; ROW], [f32; WITH_MOVERS]), ShapError> {
+    ) -> Result<([f32; ROW], [f32; LOW_DIM]), ShapError> {
         self.shap.evaluate(&[state, position])?;
         self.shap.attribute(YAW, &mut self.phi)?;
         let (of_state, of_inputs) = self.phi.split_at_checked(self.width).unwrap_or_default();
-        let mut of_position = [0.0; WITH_MOVERS];
+        let mut of_position = [0.0; LOW_DIM];
         for (to, from) in of_position.iter_mut().zip(of_inputs) {
             *to = *from;
         }

@@ -148,8 +148,8 @@ fn frozen() -> FrozenDetector {
         of: Of::Actor,
         actor_sha256: "ab12".to_owned(),
         backgrounds: vec![
-            (row(0).to_vec(), [0.5, -0.25].into()),
-            (row(1).to_vec(), [0.125, 1.0].into()),
+            (row(0).to_vec(), [0.5, -0.25, 0.1, 0.0, 0.3, 0.0, 0.7, -0.2].into()),
+            (row(1).to_vec(), [0.125, 1.0, 0.0, -0.4, 0.0, 0.2, 0.0, 0.9].into()),
         ],
         centre: row(2),
         scale: row(3).map(|x: f32| x.abs() + 0.1),
@@ -209,21 +209,27 @@ fn detectors_that_cannot_judge_are_not_written() {
 #[test]
 fn another_programs_file_is_refused_by_what_differs() {
     let bytes = frozen().to_bytes().unwrap();
-    let header = b"vigil detector 1";
+    let header = b"vigil detector 2";
     let at = bytes.windows(header.len()).position(|w| w == header).unwrap();
     let mut other = bytes.clone();
     other[at + header.len() - 1] = b'9';
     let refused = FrozenDetector::from_bytes("mine", &other).unwrap_err().to_string();
     assert!(
-        refused.contains("vigil detector 9") && refused.contains("vigil detector 1"),
+        refused.contains("vigil detector 9") && refused.contains("vigil detector 2"),
         "{refused}"
     );
+    // The format before is named with the version that flies it.
+    other[at + header.len() - 1] = b'1';
+    let refused = FrozenDetector::from_bytes("mine", &other).unwrap_err().to_string();
+    for part in ["mine", "vigil detector 1", "Vigil 0.2.0 flies it", "train"] {
+        assert!(refused.contains(part), "{part}: {refused}");
+    }
     let actor = actors_file();
     let refused = FrozenDetector::from_bytes("actor.safetensors", &actor)
         .unwrap_err()
         .to_string();
     assert!(
-        refused.contains("actor.safetensors") && refused.contains("vigil actor 1"),
+        refused.contains("actor.safetensors") && refused.contains("vigil actor 2"),
         "{refused}"
     );
 }

@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use vigil_detector::{Background, FrozenDetector, LstmAd, Monitor, MonitorError, Of, WINDOW, normalise};
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::ExplainedHead;
-use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec};
+use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, LOW_DIM};
 use vigil_policy::imported::Network;
 use vigil_types::{Judgement, Verdict};
 
@@ -20,7 +20,7 @@ struct Bench {
 
 /// An actor's second half.
 fn explained(params: &[f32]) -> ExplainedHead {
-    ExplainedHead::of_actor(ActorSpec::FULL, params, Purpose::Multipliers).unwrap()
+    ExplainedHead::of_actor(params, Purpose::Multipliers).unwrap()
 }
 
 impl Bench {
@@ -61,7 +61,7 @@ impl Bench {
         let mut draw = || self.random.random_range(-0.9..0.9);
         (
             (0..ACTOR_HIDDEN).map(|_| draw()).collect(),
-            core::array::from_fn::<_, 2, _>(|_| draw()).into(),
+            core::array::from_fn::<_, LOW_DIM, _>(|_| draw()).into(),
         )
     }
 
@@ -91,6 +91,32 @@ fn the_contributions_add_up_to_what_the_actor_decided() {
         assert!((j.base - mean).abs() < 1e-5);
         assert!((j.yaw() - bench.yaw(&decision)).abs() < 1e-5);
         assert!((j.image - j.phi.iter().sum::<f32>()).abs() < 1e-6);
+    }
+}
+
+/// Of the low-dimensional observation value 0 is the goal's distance, 1 and 2 its bearing, the others the vehicle's own motion.
+#[test]
+fn each_contribution_is_of_what_its_name_says() {
+    let mut bench = Bench::new();
+    let usual = bench.detector.backgrounds[0].clone();
+    // Against a single background, what does not differ from it contributes nothing.
+    bench.detector.backgrounds.truncate(1);
+    let mut monitor = bench.monitor();
+    for changed in 0..LOW_DIM {
+        let mut low = <[f32; LOW_DIM]>::try_from(&*usual.1).unwrap();
+        low[changed] += 0.5;
+        let j = monitor.judge(&usual.0, low);
+        let named = [j.image, j.distance, j.bearing, j.told];
+        let expected = match changed {
+            0 => 1,
+            1 | 2 => 2,
+            _ => 3,
+        };
+        for (i, contribution) in named.into_iter().enumerate() {
+            assert_eq!(contribution != 0.0, i == expected, "value {changed}: {named:?}");
+        }
+        let yaw = bench.yaw(&(usual.0.clone(), low.into()));
+        assert!((j.yaw() - yaw).abs() < 1e-5);
     }
 }
 

@@ -4,10 +4,12 @@
 #[path = "../../firmware/policy/tests/common/torch.rs"]
 mod torch;
 
-use torch::{SPEC, Tensors, actor_params, features, transposed};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use torch::{Reference, Tensors, actor_params, features, transposed};
 use vigil_detector::{DeepShap, ShapError};
 use vigil_nnet::{Activation, Dense, Graph, GraphBuilder, Isa, Purpose};
-use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, GOAL_INPUTS};
+use vigil_policy::actor::{ActorSpec, CONTEXT, LOW_DIM, SCAN};
 
 /// Largest difference allowed to a reference, and of Σφ to f(x) − mean f(b).
 const TOLERANCE: f32 = 1e-5;
@@ -47,7 +49,7 @@ fn the_second_half_is_explained_as_by_shap_and_in_float64() {
     let t = Tensors::load("second_half");
     let (bg_h, bg_pos, x_h, x_pos) = (t.get("bg_h"), t.get("bg_pos"), t.get("x_h"), t.get("x_pos"));
     for isa in Isa::available() {
-        let graph = SPEC.head_graph(Purpose::Multipliers).unwrap();
+        let graph = Reference::new().head_graph(Purpose::Multipliers);
         let mut shap = DeepShap::new(isa, graph, &actor_params(), &pairs(&bg_h, 48, &bg_pos, 2)).unwrap();
         for (i, inputs) in pairs(&x_h, 48, &x_pos, 2).iter().enumerate() {
             let f = shap.evaluate(inputs).unwrap().to_vec();
@@ -55,8 +57,8 @@ fn the_second_half_is_explained_as_by_shap_and_in_float64() {
                 let mut phi = vec![0.0; shap.phi_len()];
                 shap.attribute(output, &mut phi).unwrap();
                 for who in ["shap", "np64"] {
-                    let h = column(&t.get(&format!("{who}_h")), i, ACTOR_HIDDEN, output);
-                    let pos = column(&t.get(&format!("{who}_pos")), i, GOAL_INPUTS, output);
+                    let h = column(&t.get(&format!("{who}_h")), i, 48, output);
+                    let pos = column(&t.get(&format!("{who}_pos")), i, 2, output);
                     close(who, &phi, &[h, pos].concat());
                 }
                 additive("second half", &phi, f - shap.expected()[output]);
@@ -134,13 +136,7 @@ fn for_a_linear_network_deepshap_is_the_exact_shapley_value() {
 #[test]
 fn through_the_gru_each_frames_share_is_as_in_float64() {
     let t = Tensors::load("frames7");
-    let mut b = GraphBuilder::new();
-    let params = SPEC.reserve(&mut b);
-    let frames: Vec<_> = (0..5).map(|_| b.input(1024, true).unwrap()).collect();
-    let position = b.input(2, true).unwrap();
-    let state = SPEC.recur(&mut b, &params, &frames).unwrap();
-    let output = SPEC.head(&mut b, &params, state, position).unwrap();
-    let graph = b.finish(output, Purpose::Multipliers).unwrap();
+    let graph = Reference::new().features_graph(Purpose::Multipliers);
     let load = |what: &str| -> Vec<Vec<f32>> { t.get(what).chunks_exact(1024).map(features).collect() };
     let (bg_feat, x_feat) = (load("bg_feat"), load("x_feat"));
     let (bg_pos, x_pos) = (t.get("bg_pos"), t.get("x_pos"));
@@ -181,7 +177,7 @@ fn the_whole_actor_is_explained_at_its_pixels_as_in_float64() {
     };
     let rows = bg_img.chunks_exact(5 * FRAME).zip(bg_pos.chunks_exact(2));
     let backgrounds: Vec<Vec<&[f32]>> = rows.map(|(images, position)| state(images, position)).collect();
-    let graph = SPEC.graph(Purpose::Multipliers, true).unwrap();
+    let graph = Reference::new().graph(Purpose::Multipliers, true);
     let mut shap = DeepShap::new(Isa::detect(), graph, &actor_params(), &backgrounds).unwrap();
     let f = shap.evaluate(&state(&x_img, &x_pos)).unwrap().to_vec();
     let sampled = t.get("np64_img_every_5th");
@@ -211,73 +207,72 @@ fn the_whole_actor_is_explained_at_its_pixels_as_in_float64() {
     }
 }
 
-/// In flight only the newest frame's pixels are asked for; the older frames are explained at their features.
+/// Values that differ from place to place, the same in each run; within ±1.
+fn wave(n: usize, seed: usize) -> Vec<f32> {
+    let at = |i: usize| ((i * i + 3 * seed * i + seed) as f32 * 0.37).sin();
+    (0..n).map(at).collect()
+}
+
+fn views(state: &[Vec<f32>]) -> Vec<&[f32]> {
+    state.iter().map(Vec::as_slice).collect()
+}
+
+/// φ of the yaw output, and the change of the output that it explains.
+fn explained(graph: Graph, params: &[f32], backgrounds: &[Vec<Vec<f32>>], x: &[Vec<f32>]) -> (Vec<f32>, f32) {
+    let backgrounds: Vec<_> = backgrounds.iter().map(|b| views(b)).collect();
+    let mut shap = DeepShap::new(Isa::detect(), graph, params, &backgrounds).unwrap();
+    let yaw = shap.evaluate(&views(x)).unwrap()[1];
+    let mut phi = vec![0.0; shap.phi_len()];
+    shap.attribute(1, &mut phi).unwrap();
+    (phi, yaw - shap.expected()[1])
+}
+
+/// The actor of flight: the newest frame's pixels carry what its scan does, and what is remembered and low-dimensional keeps its share.
 #[test]
-fn explaining_only_the_newest_frame_gives_its_pixels_the_same_values() {
-    let spec = ActorSpec {
-        rows: 32,
-        cols: 64,
-        near_contrast: true,
-        told_of_movers: false,
+fn the_actors_pixels_share_out_what_its_scan_contributed() {
+    let spec = ActorSpec { rows: 32, cols: 64 };
+    let graph = spec.graph(Purpose::Multipliers).unwrap();
+    // The same network from the scan on.
+    let behind_the_scan = {
+        let mut b = GraphBuilder::new();
+        let params = spec.reserve(&mut b);
+        let (scan, context) = (b.input(SCAN, true).unwrap(), b.input(CONTEXT, true).unwrap());
+        let low = b.input(LOW_DIM, true).unwrap();
+        let state = spec.trunk_to_state(&mut b, &params, scan, context).unwrap();
+        let last = Activation::Tanh { scale: 1.5 };
+        let output = spec.decide(&mut b, &params, state, low, last).unwrap();
+        b.finish(output, Purpose::Multipliers).unwrap()
     };
-    let (whole, newest) = (
-        spec.graph(Purpose::Multipliers, true).unwrap(),
-        spec.newest_frame_graph(Purpose::Multipliers).unwrap(),
-    );
     let encoder = spec.encoder_graph(Purpose::Gradients, false).unwrap();
-    let wave = |n: usize, seed: usize| -> Vec<f32> {
-        let at = |i: usize| ((i * i + 3 * seed * i + seed) as f32 * 0.37).sin();
-        (0..n).map(at).collect()
-    };
-    let params: Vec<f32> = wave(whole.param_len(), 1).iter().map(|x| 0.15 * x).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let params: Vec<f32> = (0..graph.param_len()).map(|_| random.random_range(-0.3..0.3)).collect();
     let isa = Isa::detect();
     let mut tape = vec![0.0; encoder.tape_len()];
-    // Five frames and a position; the same with the four older frames encoded.
     let mut state = |seed: usize| {
-        let frames = (0..5).map(|i| {
-            wave(spec.frame_len(), 10 * seed + i)
-                .iter()
-                .map(|x| 0.5 + 0.5 * x)
-                .collect()
-        });
-        let mut whole: Vec<Vec<f32>> = frames.collect();
-        whole.push(wave(2, seed));
-        let mut newest = whole.clone();
-        for frame in &mut newest[..4] {
-            encoder.forward(isa, &params, &[frame], &mut tape).unwrap();
-            *frame = encoder.output(&tape).unwrap().to_vec();
-        }
-        (whole, newest)
+        let frame: Vec<f32> = wave(spec.frame_len(), 10 * seed)
+            .iter()
+            .map(|x| 0.1 + 0.1 * x)
+            .collect();
+        encoder.forward(isa, &params, &[&frame], &mut tape).unwrap();
+        let scan = encoder.output(&tape).unwrap().to_vec();
+        let beside = [wave(CONTEXT, seed + 50), wave(LOW_DIM, seed + 90)];
+        let with = |first: Vec<f32>| [&[first][..], &beside[..]].concat();
+        (with(frame), with(scan))
     };
-    let (backgrounds, x): (Vec<_>, _) = ((1..4).map(&mut state).collect(), state(0));
-    fn views(state: &[Vec<f32>]) -> Vec<&[f32]> {
-        state.iter().map(Vec::as_slice).collect()
-    }
-    let explain = |graph: Graph, backgrounds: Vec<Vec<&[f32]>>, x: &[Vec<f32>]| {
-        let mut shap = DeepShap::new(isa, graph, &params, &backgrounds).unwrap();
-        shap.evaluate(&views(x)).unwrap();
-        let mut phi = vec![0.0; shap.phi_len()];
-        shap.attribute(1, &mut phi).unwrap();
-        phi
-    };
-    let all = explain(whole, backgrounds.iter().map(|(whole, _)| views(whole)).collect(), &x.0);
-    let new = explain(
-        newest,
-        backgrounds.iter().map(|(_, newest)| views(newest)).collect(),
-        &x.1,
-    );
-    let (frame, features) = (spec.frame_len(), spec.features());
-    assert_eq!(all[4 * frame..], new[4 * features..], "newest frame and position");
-    let largest = all.iter().fold(0.0f32, |m, phi| m.max(phi.abs()));
-    assert!(largest > 1e-4);
-    for i in 0..4 {
-        let pixels: f32 = all[i * frame..(i + 1) * frame].iter().sum();
-        let share: f32 = new[i * features..(i + 1) * features].iter().sum();
-        assert!(
-            (pixels - share).abs() < TOLERANCE,
-            "frame {i}: {pixels} against {share}"
-        );
-    }
+    let x = state(0);
+    let (frames, scans): (Vec<_>, Vec<_>) = (1..5).map(&mut state).unzip();
+    let (pixels, change) = explained(graph, &params, &frames, &x.0);
+    let (columns, same_change) = explained(behind_the_scan, &params, &scans, &x.1);
+    assert!(change.abs() > 1e-2, "the outputs differ: {change}");
+    assert!((change - same_change).abs() < TOLERANCE);
+    additive("pixels, memory and low-dimensional values", &pixels, change);
+    let (frame, beside) = pixels.split_at(spec.frame_len());
+    let (scan, beside_the_scan) = columns.split_at(SCAN);
+    close("memory and low-dimensional values", beside, beside_the_scan);
+    let (of_pixels, of_scan): (f32, f32) = (frame.iter().sum(), scan.iter().sum());
+    assert!((of_pixels - of_scan).abs() < TOLERANCE, "{of_pixels} against {of_scan}");
+    assert!(of_scan.abs() > 1e-4, "the frame has a share: {of_scan}");
+    assert!(beside.iter().any(|phi| phi.abs() > 1e-4), "so has what is remembered");
 }
 
 #[test]
@@ -285,13 +280,13 @@ fn what_cannot_be_explained_is_refused_by_name() {
     let params = actor_params();
     let (h, pos) = ([0.1f32; 48], [0.2f32; 2]);
     let background = || vec![vec![&h[..], &pos[..]]];
-    let head = || SPEC.head_graph(Purpose::Multipliers).unwrap();
+    let head = || Reference::new().head_graph(Purpose::Multipliers);
     let none: [Vec<&[f32]>; 0] = [];
     let new = |graph, backgrounds: &[Vec<&[f32]>]| DeepShap::new(Isa::detect(), graph, &params, backgrounds);
     assert_eq!(new(head(), &none).unwrap_err(), ShapError::NoBackground);
-    let gradients = SPEC.head_graph(Purpose::Gradients).unwrap();
+    let gradients = Reference::new().head_graph(Purpose::Gradients);
     assert_eq!(new(gradients, &background()).unwrap_err(), ShapError::Purpose);
-    let encoder = SPEC.encoder_graph(Purpose::Multipliers, false).unwrap();
+    let encoder = Reference::new().graph(Purpose::Multipliers, false);
     assert_eq!(new(encoder, &background()).unwrap_err(), ShapError::NothingExplained);
     let broken = [f32::NAN; 48];
     let with_nan = vec![vec![&h[..], &pos[..]], vec![&broken[..], &pos[..]]];

@@ -8,7 +8,7 @@ use divan::Bencher;
 use std::cell::RefCell;
 use std::fmt;
 use vigil_firmware::FirmwareConfig;
-use vigil_firmware::crew::Crew;
+use vigil_firmware::pilots::Pilots;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_nnet::Isa;
 use vigil_types::PilotKind;
@@ -34,9 +34,9 @@ struct Inputs {
 
 impl Flight {
     fn guided(config: &FirmwareConfig, isa: Isa) -> Self {
-        let crew = Crew::of_with(config, isa).unwrap();
+        let pilots = Pilots::of_with(config, isa).unwrap();
         let mut flight = Self {
-            stack: Box::new(FlightStack::with_crew(&config.stack(), crew).unwrap()),
+            stack: Box::new(FlightStack::with_pilots(&config.stack(), pilots).unwrap()),
             output: Box::default(),
             vehicle: TestVehicle::hovering(2.5),
             step: 0,

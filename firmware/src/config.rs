@@ -809,7 +809,7 @@ mod spec {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::crew::Crew;
+    use crate::pilots::Pilots;
 
     #[test]
     fn an_empty_file_is_the_default_and_every_configuration_survives_its_own_toml() {
@@ -906,14 +906,14 @@ mod tests {
     fn an_actor_that_is_not_there_or_not_one_is_refused_by_name() {
         let mut config = FirmwareConfig::default();
         config.pilot.kind = PilotKind::Actor;
-        assert!(Crew::of(&config).is_ok());
+        assert!(Pilots::of(&config).is_ok());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("my.safetensors");
         config.pilot.actor_file = Some(path.clone());
-        let error = Crew::of(&config).err().unwrap().to_string();
+        let error = Pilots::of(&config).err().unwrap().to_string();
         assert!(error.contains("my.safetensors"), "{error}");
         std::fs::write(&path, "no actor").unwrap();
-        let error = Crew::of(&config).err().unwrap().to_string();
+        let error = Pilots::of(&config).err().unwrap().to_string();
         assert!(
             error.contains("my.safetensors") && error.contains("truncated"),
             "{error}"

@@ -18,7 +18,6 @@ pub mod arguments;
 pub mod config;
 #[cfg(feature = "std")]
 mod console;
-pub mod crew;
 mod frame_keeper;
 mod guarding;
 mod leg;
@@ -27,6 +26,7 @@ pub mod live_loop;
 #[cfg(feature = "std")]
 pub mod lockstep;
 mod motion;
+pub mod pilots;
 #[cfg(feature = "std")]
 pub mod ports;
 #[cfg(feature = "std")]

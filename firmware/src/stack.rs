@@ -9,21 +9,19 @@
     clippy::alloc_instead_of_core
 )]
 
-use crate::crew::Crew;
 use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
 use crate::guarding::{Guarded, Guarding, GuardingInput};
 use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::motion::Motion;
+use crate::pilots::Pilots;
 use crate::tunables::Tunables;
 use vigil_guidance::{
     ConfigError, FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, JustStopConfig,
 };
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
-use vigil_policy::actor::PositionalInputs;
-use vigil_policy::{
-    FlightPilot, GeometricConfig, GeometricPilot, LedBy, Pilot, PilotInput, PlausibilityJudge, SecondSensor,
-};
+use vigil_policy::actor::Actor;
+use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, PlausibilityJudge, SecondSensor};
 use vigil_types::{
     Action, AlarmResponse, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GoalRelative, GuardNotice,
     GuidanceState, Judgement, Nanos, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, StepReport,
@@ -99,14 +97,16 @@ pub struct FlightStack {
     guidance: Guidance,
     /// Guards somebody else's flight; `None` when that is not its duty.
     guarding: Option<Guarding>,
-    crew: Crew,
-    /// The vehicle was flown by the recovery pilot, or by the actor along its path, in the step before.
+    pilots: Pilots,
+    /// The vehicle was flown by the recovery pilot, or by an imported policy along its path, in the step before.
     along_path: bool,
     /// The recovery pilot flew since the alarm was raised; while the vehicle stops for its own course too.
     recovery_flew: bool,
     /// The pilot was asked in the step before.
     pilot_asked: bool,
-    /// What the actor follows to a far goal.
+    /// Jumps of the odometry that were told of.
+    forgotten: u32,
+    /// What an imported policy follows to a far goal.
     leg: Leg,
     /// The recovery pilot has seen nothing since its last reset.
     recovery_is_new: bool,
@@ -121,22 +121,22 @@ impl FlightStack {
     /// # Errors
     /// A guidance configuration that must not fly.
     pub fn new(config: &StackConfig) -> Result<Self, ConfigError> {
-        Self::with_crew(
+        Self::with_pilots(
             config,
-            Crew::unwatched(FlightPilot::Geometric(GeometricPilot::new(config.pilot))),
+            Pilots::unwatched(FlightPilot::Geometric(GeometricPilot::new(config.pilot))),
         )
     }
 
-    /// A stack with a crew that has seen nothing yet.
+    /// A stack with pilots that have seen nothing yet.
     ///
     /// # Errors
     /// A guidance configuration that must not fly, or a goal that it does not permit.
-    pub fn with_crew(config: &StackConfig, crew: Crew) -> Result<Self, ConfigError> {
+    pub fn with_pilots(config: &StackConfig, pilots: Pilots) -> Result<Self, ConfigError> {
         let mut guidance = Guidance::new(config.guidance)?;
         let tunables = Tunables::of(
             config,
-            crew.monitor.as_ref().map(|monitor| monitor.threshold()),
-            crew.watched,
+            pilots.monitor.as_ref().map(|monitor| monitor.threshold()),
+            pilots.watched,
         );
         if let Some(Goal { position_ned_m }) = config.goal {
             let outcome = guidance.request(OperatorRequest::Goal {
@@ -160,10 +160,11 @@ impl FlightStack {
             tunables,
             guidance,
             guarding: (config.duty != Duty::Fly).then(|| Guarding::new(config.just_stop)),
-            crew,
+            pilots,
             along_path: false,
             recovery_flew: false,
             pilot_asked: false,
+            forgotten: 0,
             leg: Leg::default(),
             recovery_is_new: true,
             component_id: config.companion.component_id,
@@ -236,7 +237,7 @@ impl FlightStack {
             },
             action,
             recovery,
-            verdict: self.crew.monitor.as_ref().map(|_| verdict),
+            verdict: self.pilots.monitor.as_ref().map(|_| verdict),
             collision_course,
             recovery_course,
             speed_along_way_m_s,
@@ -261,7 +262,7 @@ impl FlightStack {
         });
         self.along_path = match guidance.alarm {
             Some(_) => self.recovery_flew,
-            None => self.pilot_asked && (self.crew.led_by == LedBy::Path || self.leg.is_by_path()),
+            None => self.pilot_asked && self.leg.is_by_path(),
         };
 
         // Emit.
@@ -290,8 +291,13 @@ impl FlightStack {
         if let Some(notice) = guards.notice {
             self.companion.tell_of_guard(notice, &mut output.sent);
         }
+        let forgotten = self.pilots.pilot.forgotten();
+        if self.forgotten != forgotten {
+            self.forgotten = forgotten;
+            self.companion.tell_of_guard(GuardNotice::Jumped, &mut output.sent);
+        }
         let looked = match (&self.guarding, action) {
-            (_, Some(_)) => Some(self.crew.pilot.surroundings().scan()),
+            (_, Some(_)) => Some(self.pilots.pilot.surroundings().scan()),
             (Some(guarding), None) if guards.looked => Some(guarding.scan()),
             _ => None,
         };
@@ -384,10 +390,10 @@ impl FlightStack {
         let _ = self
             .guidance
             .reconfigure(self.tunables.guidance(self.guidance.config()));
-        if let (Some(monitor), Some(threshold)) = (&mut self.crew.monitor, self.tunables.threshold) {
+        if let (Some(monitor), Some(threshold)) = (&mut self.pilots.monitor, self.tunables.threshold) {
             monitor.set_threshold(threshold);
         }
-        if let FlightPilot::Geometric(pilot) = &mut self.crew.pilot
+        if let FlightPilot::Geometric(pilot) = &mut self.pilots.pilot
             && self.tunables.pilot != before.pilot
         {
             // Set on the ground only, where the pilot remembers nothing of use.
@@ -418,17 +424,19 @@ impl FlightStack {
     /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked. For
     /// looking at a flight afterwards ([`crate::replay()`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
-        match (&self.crew.recovery, &self.crew.pilot) {
+        match (&self.pilots.recovery, &self.pilots.pilot) {
             (Some(recovery), _) if !self.recovery_is_new => Some(recovery.mapping()),
             (None, FlightPilot::Geometric(pilot)) => Some(pilot),
             _ => None,
         }
     }
 
-    /// What the actor decided from beside its frames in the last step in which it did; `None` without an actor. For looking at a flight
-    /// afterwards.
-    pub fn positional_inputs(&self) -> Option<PositionalInputs> {
-        self.crew.pilot.position()
+    /// The actor and the frame that it decided on in the last step; `None` if none did. For looking at a flight afterwards.
+    pub fn actor(&self) -> Option<(&Actor, &DepthFrame)> {
+        match &self.pilots.pilot {
+            FlightPilot::Actor(pilot) if self.pilot_asked => Some((pilot.actor(), self.frames.newest()?)),
+            _ => None,
+        }
     }
 
     /// The texts that the last step told people.
@@ -481,30 +489,28 @@ impl FlightStack {
 
     /// Asks the pilots, or tells them once that what they remember is out of date.
     fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Decision {
-        let Crew {
+        let Pilots {
             pilot,
             monitor,
             recovery,
             watched,
-            led_by,
-            leader,
-        } = &mut self.crew;
+        } = &mut self.pilots;
         let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
         if before_flight {
             self.leg.reset();
         }
         if let (true, Some(recovery)) = (before_flight && !self.recovery_is_new, &mut *recovery) {
             recovery.reset();
-            if let Some(leader) = leader {
-                leader.reset();
-            }
             self.recovery_is_new = true;
         }
         let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
-            if self.pilot_asked {
+            if before_flight {
                 pilot.reset();
-                // The recovery pilot keeps its memory through the whole flight: whoever can hold back frames must not be able to
-                // erase it.
+            }
+            if self.pilot_asked {
+                // Actor and recovery pilot keep what they remember of places through the whole flight: whoever can hold back frames must not
+                // be able to erase it.
+                pilot.pause();
                 if let Some(monitor) = monitor {
                     monitor.reset();
                 }
@@ -518,49 +524,37 @@ impl FlightStack {
             // Home is on the ground, wherever the estimator began.
             ..view.motion.pilot_input(now_ns, depth, self.guidance.home_ned_m())
         };
-        let Motion { kinematics, sample } = view.motion;
-        let here = kinematics.position_ned_m;
-        self.leg.take_up(now_ns, here, view.goal_ned_m);
-        let led_to = self.leg.next(now_ns, here, view.goal.bearing_rad);
-        let towards = match (&*pilot, led_to) {
-            (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Point(position_ned_m)) => PilotInput {
-                goal: Goal { position_ned_m }.relative_to(&kinematics, &sample),
-                ..input
-            },
-            // The geometric pilot plans its own way, and an actor that looks and remembers needs none.
-            (FlightPilot::Geometric(_) | FlightPilot::Seeing(_), _)
-            | (FlightPilot::Actor(_) | FlightPilot::Imported(_), LedTo::Path) => input,
-        };
-        // The recovery pilot plans its own way too, unless it is to lead the actor along its leg.
-        let planned = match led_by {
-            LedBy::Goal => input,
-            LedBy::Path => towards,
-        };
+        // An imported policy knows near goals only. The actor and the geometric pilot fly to the goal as it is.
+        let mut detour = None;
+        let mut towards = input;
+        if let FlightPilot::Imported(_) = pilot {
+            let Motion { kinematics, sample } = view.motion;
+            let here = kinematics.position_ned_m;
+            self.leg.take_up(now_ns, here, view.goal_ned_m);
+            match self.leg.next(now_ns, here, view.goal.bearing_rad) {
+                LedTo::Point(position_ned_m) => {
+                    towards.goal = Goal { position_ned_m }.relative_to(&kinematics, &sample);
+                }
+                LedTo::Path => detour = Some(input.goal),
+            }
+        }
         // Nobody asks for a path to a near goal that nothing watches.
-        let is_asked = *watched || (*led_by == LedBy::Path && leader.is_none()) || self.leg.is_far();
+        let is_asked = *watched || self.leg.is_far();
         let mut recovery = recovery.as_deref_mut().filter(|_| is_asked);
         if let Some(recovery) = recovery.as_deref_mut() {
             self.recovery_is_new = false;
-            recovery.observe(&planned, self.along_path);
+            recovery.observe(&input, self.along_path);
+            detour = detour.map(|_| along_path(recovery.lead(&input)));
         }
-        let path = match leader {
-            Some(leader) => Some(leader.lead(&planned)),
-            None => recovery
-                .as_deref()
-                .filter(|_| led_to == LedTo::Path || *led_by == LedBy::Path)
-                .map(|recovery| recovery.lead(&planned)),
-        };
-        let detour = path.filter(|_| led_to == LedTo::Path).map(along_path);
-        let led = PilotInput {
-            goal: detour.or(path).unwrap_or(towards.goal),
-            ..input
-        };
+        if let Some(along) = detour {
+            towards.goal = along;
+        }
         let limit_m_s = self.tunables.speed_limit_m_s;
         let limited = |action: Action| Action {
             forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
             ..action
         };
-        let decided = pilot.decide(&led);
+        let decided = pilot.decide(&towards);
         let action = limited(detour.map_or(decided, |way| turned_to_path(way, decided)));
         let mut decision = Decision {
             action: Some(action),
@@ -570,11 +564,11 @@ impl FlightStack {
             decision.judgement = Some(monitor.judge(state, position));
         }
         if let (true, Some(recovery)) = (*watched, recovery) {
-            let own = limited(recovery.decide(&planned));
+            let own = limited(recovery.decide(&input));
             decision.recovery = Some(own);
-            decision.collision_course = Some(recovery.foresees_collision(&planned, action));
-            decision.speed_along_way_m_s = Some(recovery.speed_along_way_m_s(&planned).unwrap_or(0.0));
-            decision.recovery_course = Some(recovery.foresees_own_collision(&planned, own));
+            decision.collision_course = Some(recovery.foresees_collision(&input, action));
+            decision.speed_along_way_m_s = Some(recovery.speed_along_way_m_s(&input).unwrap_or(0.0));
+            decision.recovery_course = Some(recovery.foresees_own_collision(&input, own));
         }
         decision
     }

@@ -1,8 +1,8 @@
 //! One step over the ports, the same live, in lockstep and in replay: receive, tick, send, record.
 
 use crate::config::FirmwareConfig;
-use crate::crew::Crew;
 use crate::frame_keeper::FrameRefusals;
+use crate::pilots::Pilots;
 use crate::ports::{Clock, FrameSource, Link};
 use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
 use vigil_detector::MonitorError;
@@ -11,8 +11,8 @@ use vigil_log::Recorder;
 use vigil_mavlink::{LinkCounters, Parameters, StatusText};
 use vigil_nnet::network_file::FileError;
 use vigil_policy::GeometricPilot;
-use vigil_policy::actor::PositionalInputs;
-use vigil_types::{Datagrams, FrameKeys, Nanos, StepReport, StepTiming};
+use vigil_policy::actor::Actor;
+use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport, StepTiming};
 
 /// Why a flight stack cannot be made of a configuration.
 #[derive(Debug, thiserror::Error)]
@@ -28,13 +28,8 @@ pub enum StackError {
         "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
     )]
     NothingToWatch(&'static str),
-    /// A detector is trained for one actor, and none was for one that looks and remembers.
-    #[error("an actor that looks and remembers is to fly, and no detector was trained for it: add --detector off")]
-    NoDetectorOfSeeing,
     /// Something is to be taken from a pilot that does not have it.
-    #[error(
-        "--ablate takes something from an actor that looks and remembers, and another pilot is to fly: name one with --actor"
-    )]
+    #[error("--ablate takes something from an actor, and another pilot is to fly")]
     AblatedElse,
     /// A detector judges the pilot that it was trained for.
     #[error(
@@ -75,12 +70,12 @@ impl Firmware {
         })
     }
 
-    /// A stack with the crew of a configuration.
+    /// A stack with the pilots of a configuration.
     ///
     /// # Errors
     /// [`StackError`]: a guidance configuration that must not fly, an actor or a detector that is refused.
     pub fn of(config: &FirmwareConfig, recorder: Option<Recorder>) -> Result<Self, StackError> {
-        let stack = FlightStack::with_crew(&config.stack(), Crew::of(config)?)?;
+        let stack = FlightStack::with_pilots(&config.stack(), Pilots::of(config)?)?;
         Ok(Self {
             stack: Box::new(stack),
             received: Box::default(),
@@ -158,9 +153,9 @@ impl Firmware {
         self.stack.mapping()
     }
 
-    /// What the actor decided from beside its frames ([`FlightStack::positional_inputs`]).
-    pub fn positional_inputs(&self) -> Option<PositionalInputs> {
-        self.stack.positional_inputs()
+    /// The actor and the frame that it decided on ([`FlightStack::actor`]).
+    pub fn actor(&self) -> Option<(&Actor, &DepthFrame)> {
+        self.stack.actor()
     }
 
     /// The texts that the last step told people.

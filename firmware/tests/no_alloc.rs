@@ -10,8 +10,8 @@ use std::os::unix::fs::PermissionsExt;
 use vigil_detector::{FrozenDetector, Of};
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::config::{LogConfig, RateConfig, SigningConfig, StateConfig};
-use vigil_firmware::crew::Crew;
 use vigil_firmware::live_loop::LiveLoop;
+use vigil_firmware::pilots::Pilots;
 use vigil_firmware::ports::Clock;
 use vigil_firmware::ports::live::MonotonicClock;
 use vigil_firmware::stack::{FlightStack, StackConfig, TickInput, TickOutput};
@@ -22,9 +22,7 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_nnet::Purpose;
-use vigil_policy::actor::{ActorSpec, FRAMES_SPREAD};
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
-use vigil_policy::{ActorInputs, FrozenActor, LedBy};
 use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
 thread_local! {
@@ -71,50 +69,6 @@ fn the_actor_s_ticks_allocate_nothing() {
     whole_flight(&config);
 }
 
-/// Weights of nobody's learning.
-fn made_up(spec: ActorSpec) -> Vec<f32> {
-    let len = spec.graph(Purpose::Gradients, false).unwrap().param_len();
-    (0..len).map(|i| ((i * 37 % 101) as f32 - 50.0) / 2000.0).collect()
-}
-
-#[test]
-fn an_actor_that_is_told_of_the_goal_alone_allocates_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("actor.safetensors");
-    let actor = FrozenActor {
-        inputs: ActorInputs::default(),
-        params: made_up(ActorSpec::FULL),
-        ..FrozenActor::built_in().unwrap()
-    };
-    actor.save(&file).unwrap();
-    let mut config = config();
-    config.pilot.kind = PilotKind::Actor;
-    config.pilot.actor_file = Some(file);
-    config.detector.enabled = Some(false);
-    whole_flight(&config);
-}
-
-#[test]
-fn an_actor_that_is_told_of_movers_allocates_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("actor.safetensors");
-    let actor = FrozenActor {
-        inputs: ActorInputs {
-            frame_ages: FRAMES_SPREAD,
-            led_by: LedBy::Path,
-            told_of_movers: true,
-        },
-        params: made_up(ActorSpec::FULL_WITH_MOVERS),
-        ..FrozenActor::built_in().unwrap()
-    };
-    actor.save(&file).unwrap();
-    let mut config = config();
-    config.pilot.kind = PilotKind::Actor;
-    config.pilot.actor_file = Some(file);
-    config.detector.enabled = Some(false);
-    whole_flight(&config);
-}
-
 #[test]
 fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     let folder = tempfile::tempdir().unwrap();
@@ -145,7 +99,7 @@ fn an_imported_policy_with_field_and_guard_allocates_nothing() {
     config.pilot.actor_file = Some(file);
     // It has learned nothing and flies in circles, which the guard would take for being led astray.
     let patient = |stack: &mut StackConfig| stack.guidance.alarm.astray_limit_m = 0.0;
-    let refused = Crew::of(&config).err().unwrap().to_string();
+    let refused = Pilots::of(&config).err().unwrap().to_string();
     assert!(refused.contains("add --detector off"), "{refused}");
     config.detector.enabled = Some(false);
     whole_flight_of(&config, patient);
@@ -183,10 +137,10 @@ fn whole_flight(config: &FirmwareConfig) {
 }
 
 fn whole_flight_of(config: &FirmwareConfig, change: impl FnOnce(&mut StackConfig)) {
-    let crew = Crew::of(config).unwrap();
+    let pilots = Pilots::of(config).unwrap();
     let mut stack_config = config.stack();
     change(&mut stack_config);
-    let mut stack = Box::new(FlightStack::with_crew(&stack_config, crew).unwrap());
+    let mut stack = Box::new(FlightStack::with_pilots(&stack_config, pilots).unwrap());
     let mut output = Box::new(TickOutput::default());
     let mut vehicle = TestVehicle::on_ground();
     let mut states = Vec::new();

@@ -468,6 +468,33 @@ fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_the
 }
 
 #[test]
+fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_are_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    // The judge of frames refuses those of a pose that jumps, for a while.
+    let config = FirmwareConfig {
+        plausibility: false,
+        ..watched_config(folder.path())
+    };
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &config);
+    flight.until(GuidanceState::Guided, 10.0);
+    let jumps = |flight: &Flight| {
+        let heard = flight.vehicle.heard.iter();
+        heard
+            .filter(|(_, message)| match message {
+                MavMessage::STATUSTEXT(text) => text.text.to_str().unwrap().contains("the position jumped"),
+                _ => false,
+            })
+            .count()
+    };
+    assert_eq!(jumps(&flight), 0);
+    flight.vehicle.position_ned_m.y += 30.0;
+    for _ in 0..20 {
+        flight.step();
+    }
+    assert_eq!(jumps(&flight), 1);
+}
+
+#[test]
 fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_flies() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = watched_config(folder.path());

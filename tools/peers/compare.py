@@ -146,15 +146,13 @@ class Context:
     tract: Path | None = None
     config: dict[str, float] = field(default_factory=dict)
 
-    def state(self, i: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Frames [1, 5, 128, 256] and position [1, 2 or 16] of a state."""
-        t = self.ours.tensors
-        return torch.from_numpy(t["state_frames"][i : i + 1]), torch.from_numpy(t["state_position"][i : i + 1])
+    def given(self, of: str) -> tuple[torch.Tensor, ...]:
+        """Frames [n, 1, 128, 256], what is remembered [n, 328] and low-dimensional observations [n, 8] of `state` or `background`."""
+        return tuple(torch.from_numpy(self.ours.tensors[f"{of}_{name}"]) for name in ("frame", "context", "low_dim"))
 
-    def backgrounds(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Frames and positions of the background sample."""
-        t = self.ours.tensors
-        return torch.from_numpy(t["background_frames"]), torch.from_numpy(t["background_position"])
+    def state(self, i: int) -> tuple[torch.Tensor, ...]:
+        """The same of one state."""
+        return tuple(x[i : i + 1] for x in self.given("state"))
 
 
 def within(what: str, got: np.ndarray, want: np.ndarray, limit: float) -> str:
@@ -169,27 +167,23 @@ def actor_case(c: Context) -> Case:
     """One new frame through the actor."""
     t = c.ours.tensors
     net = networks.Actor(c.actor.weights).eval().requires_grad_(False)
-    frames, position = torch.from_numpy(t["state_frames"]), torch.from_numpy(t["state_position"])
     whole = export_onnx.session(export_onnx.whole(c.actor))
-    (by_onnx,) = whole.run(["action"], {"frames": t["state_frames"], "position": t["state_position"]})
+    feed = {name: t[f"state_{name}"] for name in ("frame", "context", "low_dim")}
     agreement = [
-        within("PyTorch", net(frames, position).numpy(), t["state_action"], 1e-5),
-        within("ONNX Runtime", by_onnx, t["state_action"], 1e-5),
+        within("PyTorch", net(*c.given("state")).numpy(), t["state_action"], 1e-5),
+        within("ONNX Runtime", whole.run(["action"], feed)[0], t["state_action"], 1e-5),
     ]
-    older = net.encoder(net.contrast(frames[0, :4, None])).numpy()
-    feed = {"frame": t["state_frames"][:1, 4:], "older": older, "position": t["state_position"][:1]}
-    model = export_onnx.newest_frame(c.actor)
-    newest = export_onnx.session(model)
-    agreement.append(within("newest frame", newest.run(["action"], feed)[0], t["state_action"][:1], 1e-5))
-    torch_newest = networks.NewestFrame(net)
-    inputs = [torch.from_numpy(feed[name]) for name in ("frame", "older", "position")]
+    feed = {name: values[:1] for name, values in feed.items()}
+    model = export_onnx.whole(c.actor, 1)
+    single = export_onnx.session(model)
+    inputs = c.state(0)
 
     def by_torch() -> None:
         with torch.inference_mode():
-            torch_newest(*inputs)
+            net(*inputs)
 
     peers = {
-        "ONNX Runtime": Peer(lambda: newest.run(None, feed), 50, goal=0.9),
+        "ONNX Runtime": Peer(lambda: single.run(None, feed), 50, goal=0.9),
         "PyTorch": Peer(by_torch, 20),
     }
     if c.tract is not None:
@@ -203,8 +197,8 @@ def hidden_shap_case(c: Context) -> Case:
     """DeepSHAP at the split point, yaw, 30 backgrounds."""
     t = c.ours.tensors
     head = networks.Head(c.actor.weights, only=YAW)
-    background = [torch.from_numpy(t["background_hidden"]), torch.from_numpy(t["background_position"])]
-    states = [torch.from_numpy(t["state_hidden"]), torch.from_numpy(t["state_position"])]
+    background = [torch.from_numpy(t["background_hidden"]), torch.from_numpy(t["background_low_dim"])]
+    states = [torch.from_numpy(t["state_hidden"]), torch.from_numpy(t["state_low_dim"])]
     explainer = shap.DeepExplainer(head, background)
     lift = captum.attr.DeepLiftShap(head)
     by_shap = np.concatenate([x[:, :, 0] for x in explainer.shap_values(states, check_additivity=False)], axis=1)
@@ -220,13 +214,13 @@ def hidden_shap_case(c: Context) -> Case:
 
 
 def pixel_shap_case(c: Context) -> Case:
-    """DeepSHAP at the pixels of five frames, yaw, 30 backgrounds."""
+    """DeepSHAP at the newest frame's pixels, yaw, 30 backgrounds."""
     t = c.ours.tensors
     # Neither knows the contrast layer; the rule of any other curve is the right one.
     deep_pytorch.op_handler["NearContrast"] = deep_pytorch.nonlinear_1d
     deep_lift.SUPPORTED_NON_LINEAR[networks.NearContrast] = deep_lift.nonlinear
-    net = networks.ExplainedActor(c.actor.weights)
-    background, state = list(c.backgrounds()), list(c.state(0))
+    net = networks.Actor(c.actor.weights, only=YAW, explained=True)
+    background, state = list(c.given("background")), list(c.state(0))
     explainer = shap.DeepExplainer(net, background)
     lift = captum.attr.DeepLiftShap(net)
     by_shap = explainer.shap_values(state, check_additivity=False)
@@ -241,18 +235,18 @@ def pixel_shap_case(c: Context) -> Case:
         "shap": Peer(lambda: explainer.shap_values(state, check_additivity=False), goal=20.0),
         "captum": Peer(lambda: lift.attribute(tuple(state), tuple(background)), goal=20.0),
     }
-    return Case("Pixel DeepSHAP, five frames, yaw, 30 backgrounds", "shap-pixels", 1, peers, ", ".join(agreement), 3)
+    return Case("Pixel DeepSHAP, newest frame, yaw, 30 backgrounds", "shap-pixels", 1, peers, ", ".join(agreement), 3)
 
 
 class Attacked(torch.nn.Module):
-    """Frames to the yaw before its saturation, at a fixed position: what ART differentiates."""
+    """A frame to the yaw before its saturation, with what is beside it fixed: what ART differentiates."""
 
-    def __init__(self, weights: networks.Weights, position: torch.Tensor) -> None:
+    def __init__(self, weights: networks.Weights, *beside: torch.Tensor) -> None:
         super().__init__()
-        self.net, self.position = networks.Actor(weights, saturated=False), position
+        self.net, self.beside = networks.Actor(weights, saturated=False), beside
 
     def forward(self, frames: torch.Tensor) -> torch.Tensor:
-        return self.net(frames, self.position.expand(len(frames), -1))[:, YAW : YAW + 1]
+        return self.net(frames, *(x.expand(len(frames), -1) for x in self.beside))[:, YAW : YAW + 1]
 
 
 def attack_steps(setting: dict) -> tuple[float, float]:
@@ -278,20 +272,20 @@ def torch_bim(net: Attacked, frames: torch.Tensor, target: float, setting: dict)
 def art_bim(net: Attacked, setting: dict) -> BasicIterativeMethod:
     """ART's BIM with the same loss, step and reach."""
     step, reach = attack_steps(setting)
-    shape = (frozen.FRAMES, frozen.ROWS, frozen.COLS)
+    shape = (1, frozen.ROWS, frozen.COLS)
     estimator = PyTorchRegressor(net, torch.nn.MSELoss(), shape, clip_values=(0.0, 1.0), device_type="cpu")
     iterations = setting["iterations"]
     return BasicIterativeMethod(estimator, reach, step, iterations, targeted=True, batch_size=1, verbose=False)
 
 
 def attack_case(c: Context, strength: list[dict]) -> Case:
-    """BIM, 20 iterations, on all five frames; fills `strength` with the mean change of yaw at each setting."""
+    """BIM, 20 iterations, on the newest frame; fills `strength` with the mean change of yaw at each setting."""
     t = c.ours.tensors
     settings, ours = json.loads(c.ours.notes["attacks"]), t["attack_yaw_changes"]
     nets = []
     for i in range(ours.shape[1]):
-        frames, position = c.state(i)
-        net = Attacked(c.actor.weights, position).eval().requires_grad_(False)
+        frames, *beside = c.state(i)
+        net = Attacked(c.actor.weights, *beside).eval().requires_grad_(False)
         target = -ATTACK_TARGET if float(t["state_action"][i, YAW]) >= 0.0 else ATTACK_TARGET
         nets.append((net, frames, target))
     for setting, mine in tqdm(list(zip(settings, ours)), desc="attack strength", leave=False):
@@ -317,7 +311,7 @@ def attack_case(c: Context, strength: list[dict]) -> Case:
         "PyTorch": Peer(lambda: torch_bim(net, frames, target, paper), goal=4.0),
         "ART": Peer(lambda: attack.generate(frames.numpy(), y), goal=4.0),
     }
-    return Case("BIM, 20 iterations, five frames", "bim", 1, peers, agreement, 5)
+    return Case("BIM, 20 iterations, newest frame", "bim", 1, peers, agreement, 5)
 
 
 def lstm_ad_case(c: Context) -> Case:

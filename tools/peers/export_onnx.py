@@ -1,8 +1,8 @@
 """Turns a frozen actor into ONNX and checks the result with ONNX Runtime.
 
-Writes actor.onnx beside the actor (inputs `frames` [n, 5, 128, 256], range / 100 m, oldest first, and `position` [n, 2] or [n, 16],
-distance / 20 m, bearing / 1 rad and what the actor is told of movers; output `action` [n, 2], forward speed and yaw in -1.5..1.5), and actor.onnx.json: what ONNX
-Runtime makes of five patterns. firmware/policy/tests/onnx.rs compares our own actor with that.
+Writes actor.onnx beside the actor (inputs `frame` [n, 1, 128, 256], range / 100 m, `context` [n, 328], what is remembered, and `low_dim` [n, 8];
+output `action` [n, 2], forward speed and yaw in -1.5..1.5), and actor.onnx.json: what ONNX Runtime makes of five patterns.
+firmware/policy/tests/onnx.rs compares our own actor with that.
 
 Examples:
   tools/peers/export.sh                                    the built-in actor
@@ -19,7 +19,7 @@ import onnxruntime
 from onnx import TensorProto, helper, numpy_helper
 
 import actor as frozen
-from actor import CONTRAST_GAIN, CONVOLUTIONS, FEATURES, FRAMES, HIDDEN, LIMIT
+from actor import CONTEXT, CONTRAST_GAIN, CONVOLUTIONS, EPSILON, LIMIT, LOW_DIM
 
 # Read by ONNX Runtime since 1.15 and by tract.
 OPSET = 17
@@ -44,9 +44,14 @@ class Builder:
         self.nodes.append(helper.make_node(op, inputs, [output], name=output, **attributes))
         return output
 
-    def encoder(self, weights: dict[str, np.ndarray], frames: str, features: str) -> None:
-        """`frames` [m, 1, 128, 256] to `features` [m, 1024], channel first."""
-        scaled = self.add("Mul", [frames, self.constant("contrast_gain", np.float32(CONTRAST_GAIN))], "scaled")
+    def dense(self, weights: dict[str, np.ndarray], x: str, name: str) -> str:
+        """A dense layer."""
+        parts = [self.constant(f"{name}.{part}", weights[f"{name}.{part}"]) for part in ("weight", "bias")]
+        return self.add("Gemm", [x, *parts], f"{name}.dense", transB=1)
+
+    def encoder(self, weights: dict[str, np.ndarray], frame: str, scan: str) -> None:
+        """`frame` [m, 1, 128, 256] to `scan` [m, 64]."""
+        scaled = self.add("Mul", [frame, self.constant("contrast_gain", np.float32(CONTRAST_GAIN))], "scaled")
         shifted = self.add("Add", [scaled, self.constant("one", np.float32(1.0))], "shifted")
         x = self.add("Reciprocal", [shifted], "contrast")
         for i in range(1, CONVOLUTIONS + 1):
@@ -56,36 +61,23 @@ class Builder:
             sizes = {"kernel_shape": [kernel] * 2, "strides": [2, 2], "pads": [kernel // 2] * 4}
             x = self.add("Conv", [x, weight, bias], name, **sizes)
             x = self.add("Elu", [x], f"{name}.elu", alpha=1.0)
-        self.add("Flatten", [x], features, axis=1)
+        x = self.add("Flatten", [x], "features", axis=1)
+        self.add("Sigmoid", [self.dense(weights, x, "scan")], scan)
 
-    def behind(self, weights: dict[str, np.ndarray], sequence: str, position: str, action: str) -> None:
-        """`sequence` [5, n, 1024] and `position` [n, 2 or 16] to `action` [n, 2]."""
-
-        def zrh(tensor: np.ndarray) -> np.ndarray:
-            # PyTorch's gates r, z, n; ONNX's z, r, h.
-            r, z, n = np.split(tensor, 3)
-            return np.concatenate([z, r, n])
-
-        bias = np.concatenate([zrh(weights["gru.input_bias"]), zrh(weights["gru.recurrent_bias"])])
-        inputs = [
-            sequence,
-            self.constant("gru.W", zrh(weights["gru.input_weight"])[None]),
-            self.constant("gru.R", zrh(weights["gru.recurrent_weight"])[None]),
-            self.constant("gru.B", bias[None]),
-        ]
-        gru = helper.make_node("GRU", inputs, ["", "last"], name="gru", hidden_size=HIDDEN, linear_before_reset=1)
-        self.nodes.append(gru)
-        state = self.add("Squeeze", ["last", self.constant("axis_0", np.array([0], dtype=np.int64))], "state")
-        self.add("Tanh", [state], "state.tanh")
-
-        def dense(x: str, name: str) -> str:
-            parts = [self.constant(f"{name}.{part}", weights[f"{name}.{part}"]) for part in ("weight", "bias")]
-            return self.add("Gemm", [x, *parts], name, transB=1)
-
-        where = self.add("Tanh", [dense(position, "positional")], "positional.tanh")
-        joined = self.add("Concat", ["state.tanh", where], "joined", axis=1)
-        hidden = self.add("Elu", [dense(joined, "dense")], "dense.elu", alpha=1.0)
-        tanh = self.add("Tanh", [dense(hidden, "output")], "output.tanh")
+    def behind(self, weights: dict[str, np.ndarray], scan: str, context: str, low_dim: str, action: str) -> None:
+        """`scan` [n, 64], `context` [n, 328] and `low_dim` [n, 8] to `action` [n, 2]."""
+        x = self.add("Concat", [scan, context], "seen", axis=1)
+        for name in ("trunk_1", "trunk_2"):
+            x = self.dense(weights, x, name)
+            parts = [self.constant(f"{name}.{part}", weights[f"{name}.{part}"]) for part in ("norm_scale", "norm_shift")]
+            x = self.add("LayerNormalization", [x, *parts], f"{name}.norm", axis=-1, epsilon=EPSILON)
+            x = self.add("Elu", [x], f"{name}.elu", alpha=1.0)
+        state = self.add("Tanh", [self.dense(weights, x, "state")], "state.tanh")
+        own = self.add("Tanh", [self.dense(weights, low_dim, "low_dim")], "low_dim.tanh")
+        x = self.add("Concat", [state, own], "joined", axis=1)
+        for name in ("head_1", "head_2"):
+            x = self.add("Elu", [self.dense(weights, x, name)], f"{name}.elu", alpha=1.0)
+        tanh = self.add("Tanh", [self.dense(weights, x, "output")], "output.tanh")
         self.add("Mul", [tanh, self.constant("limit", np.float32(LIMIT))], action)
 
     def model(self, name: str, inputs: list, outputs: list, metadata: dict[str, str]) -> onnx.ModelProto:
@@ -99,29 +91,13 @@ class Builder:
         return model
 
 
-def whole(actor: frozen.Actor) -> onnx.ModelProto:
-    """Five frames and position to action."""
+def whole(actor: frozen.Actor, n: str | int = "n") -> onnx.ModelProto:
+    """Frame, memory and low-dimensional observation to action."""
     b = Builder()
-    single = b.constant("frame_shape", np.array([-1, 1, frozen.ROWS, frozen.COLS], dtype=np.int64))
-    b.add("Reshape", ["frames", single], "single_frames")
-    b.encoder(actor.weights, "single_frames", "features")
-    by_state = b.constant("sequence_shape", np.array([-1, FRAMES, FEATURES], dtype=np.int64))
-    b.add("Reshape", ["features", by_state], "by_state")
-    b.add("Transpose", ["by_state"], "sequence", perm=[1, 0, 2])
-    b.behind(actor.weights, "sequence", "position", "action")
-    inputs = [("frames", ["n", FRAMES, frozen.ROWS, frozen.COLS]), ("position", ["n", actor.positional_inputs])]
-    return b.model("actor", inputs, [("action", ["n", 2])], actor.metadata)
-
-
-def newest_frame(actor: frozen.Actor) -> onnx.ModelProto:
-    """One new frame, the four older ones' features and position to action and the new features: what flies."""
-    b = Builder()
-    b.encoder(actor.weights, "frame", "features")
-    b.add("Concat", ["older", "features"], "five", axis=0)
-    b.add("Unsqueeze", ["five", b.constant("axis_1", np.array([1], dtype=np.int64))], "sequence")
-    b.behind(actor.weights, "sequence", "position", "action")
-    inputs = [("frame", [1, 1, frozen.ROWS, frozen.COLS]), ("older", [FRAMES - 1, FEATURES]), ("position", [1, actor.positional_inputs])]
-    return b.model("actor, newest frame", inputs, [("action", [1, 2]), ("features", [1, FEATURES])], actor.metadata)
+    b.encoder(actor.weights, "frame", "scanned")
+    b.behind(actor.weights, "scanned", "context", "low_dim", "action")
+    inputs = [("frame", [n, 1, frozen.ROWS, frozen.COLS]), ("context", [n, CONTEXT]), ("low_dim", [n, LOW_DIM])]
+    return b.model("actor", inputs, [("action", [n, 2])], actor.metadata)
 
 
 def session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
@@ -140,9 +116,10 @@ def main() -> None:
     model = whole(actor)
     to = path.with_suffix(".onnx")
     to.write_bytes(model.SerializeToString())
-    frames = np.stack([frozen.pattern_frames(seed) for seed in range(PATTERNS)])
-    positions = np.stack([frozen.pattern_position(seed, actor.positional_inputs) for seed in range(PATTERNS)])
-    (actions,) = session(model).run(["action"], {"frames": frames, "position": positions})
+    given = {"frame": np.stack([frozen.pattern_frame(seed) for seed in range(PATTERNS)])}
+    for name, count in [("context", CONTEXT), ("low_dim", LOW_DIM)]:
+        given[name] = np.stack([frozen.pattern_values(seed, count) for seed in range(PATTERNS)])
+    (actions,) = session(model).run(["action"], given)
     if not np.isfinite(actions).all():
         raise SystemExit("ONNX Runtime's outputs are not finite")
     record = {

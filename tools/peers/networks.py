@@ -7,7 +7,7 @@ from onnx import helper
 from torch import nn
 
 import actor as frozen
-from actor import CONTRAST_GAIN, CONVOLUTIONS, FEATURES, FRAMES, HIDDEN, LIMIT
+from actor import CONTRAST_GAIN, CONVOLUTIONS, EPSILON, LIMIT
 from export_onnx import Builder
 
 Weights = dict[str, np.ndarray]
@@ -28,17 +28,6 @@ def linear(weights: Weights, name: str) -> nn.Linear:
     return layer
 
 
-def gru(weights: Weights) -> nn.GRU:
-    """The GRU over features."""
-    layer = nn.GRU(FEATURES, HIDDEN, batch_first=True)
-    with torch.no_grad():
-        layer.weight_ih_l0.copy_(torch.from_numpy(weights["gru.input_weight"]))
-        layer.weight_hh_l0.copy_(torch.from_numpy(weights["gru.recurrent_weight"]))
-        layer.bias_ih_l0.copy_(torch.from_numpy(weights["gru.input_bias"]))
-        layer.bias_hh_l0.copy_(torch.from_numpy(weights["gru.recurrent_bias"]))
-    return layer
-
-
 class NearContrast(nn.Module):
     """1 / (1 + range / 3 m)."""
 
@@ -47,7 +36,7 @@ class NearContrast(nn.Module):
 
 
 class Encoder(nn.Sequential):
-    """Contrast [m, 1, 128, 256] to features [m, 1024]."""
+    """Contrast [m, 1, 128, 256] to the scan [m, 64]."""
 
     def __init__(self, weights: Weights) -> None:
         layers: list[nn.Module] = []
@@ -56,61 +45,62 @@ class Encoder(nn.Sequential):
             layer = nn.Conv2d(channels, filters, kernel, stride=2, padding=kernel // 2)
             put(layer, "weight", "bias", weights, f"convolution_{i}")
             layers += [layer, nn.ELU()]
-        super().__init__(*layers, nn.Flatten())
-
+        super().__init__(*layers, nn.Flatten(), linear(weights, "scan"), nn.Sigmoid())
 
 class Head(nn.Module):
-    """The second half model: GRU state [n, 48] and position [n, 2] to the outputs before or after saturation."""
+    """The second half: state [n, 48] and low-dimensional observation [n, 8] to the outputs before or after saturation."""
 
     def __init__(self, weights: Weights, saturated: bool = True, only: int | None = None) -> None:
         super().__init__()
-        self.state_curve, self.position_curve = nn.Tanh(), nn.Tanh()
-        self.positional, self.dense = linear(weights, "positional"), linear(weights, "dense")
-        self.elu, self.output = nn.ELU(), linear(weights, "output")
+        self.state_curve, self.low_curve = nn.Tanh(), nn.Tanh()
+        self.low, self.output = linear(weights, "low_dim"), linear(weights, "output")
+        self.layers = nn.Sequential(linear(weights, "head_1"), nn.ELU(), linear(weights, "head_2"), nn.ELU())
         self.saturation = nn.Tanh() if saturated else None
         self.only = only
 
-    def forward(self, state: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-        where = self.position_curve(self.positional(position))
-        y = self.output(self.elu(self.dense(torch.cat([self.state_curve(state), where], dim=1))))
+    def forward(self, state: torch.Tensor, low_dim: torch.Tensor) -> torch.Tensor:
+        own = self.low_curve(self.low(low_dim))
+        y = self.output(self.layers(torch.cat([self.state_curve(state), own], dim=1)))
         if self.saturation is not None:
             y = LIMIT * self.saturation(y)
         return y if self.only is None else y[:, self.only : self.only + 1]
 
 
-class Actor(nn.Module):
-    """Five frames [n, 5, 128, 256] of normalised range and position [n, 2] to the outputs."""
+def layer_norm(weights: Weights, name: str) -> nn.LayerNorm:
+    """The norm behind a layer of the trunk."""
+    scale = torch.from_numpy(weights[f"{name}.norm_scale"])
+    layer = nn.LayerNorm(len(scale), eps=EPSILON)
+    with torch.no_grad():
+        layer.weight.copy_(scale)
+        layer.bias.copy_(torch.from_numpy(weights[f"{name}.norm_shift"]))
+    return layer
 
-    def __init__(self, weights: Weights, saturated: bool = True) -> None:
+
+class Actor(nn.Module):
+    """A frame [n, 1, 128, 256] of normalised range, what is remembered [n, 328] and the low-dimensional observation [n, 8] to the outputs.
+
+    With `explained` it is made for `shap` and `captum`: layer norms written out.
+    """
+
+    def __init__(self, weights: Weights, saturated: bool = True, only: int | None = None, explained: bool = False) -> None:
         super().__init__()
         self.contrast, self.encoder = NearContrast(), Encoder(weights)
-        self.gru, self.head = gru(weights), Head(weights, saturated)
+        layers: list[nn.Module] = []
+        for name in ("trunk_1", "trunk_2"):
+            norm = layer_norm(weights, name)
+            layers += [linear(weights, name), ExplainedNorm(norm) if explained else norm, nn.ELU()]
+        self.trunk = nn.Sequential(*layers, linear(weights, "state"))
+        self.head = Head(weights, saturated, only)
 
-    def forward(self, frames: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-        features = self.encoder(self.contrast(frames.reshape(-1, 1, frozen.ROWS, frozen.COLS)))
-        _, last = self.gru(features.reshape(-1, FRAMES, FEATURES))
-        return self.head(last[0], position)
-
-
-class NewestFrame(nn.Module):
-    """One new frame [1, 1, 128, 256], the older ones' features [4, 1024] and position to outputs and new features."""
-
-    def __init__(self, actor: Actor) -> None:
-        super().__init__()
-        self.actor = actor
-
-    def forward(
-        self, frame: torch.Tensor, older: torch.Tensor, position: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        features = self.actor.encoder(self.actor.contrast(frame))
-        _, last = self.actor.gru(torch.cat([older, features])[None])
-        return self.actor.head(last[0], position), features
+    def forward(self, frame: torch.Tensor, context: torch.Tensor, low_dim: torch.Tensor) -> torch.Tensor:
+        scan = self.encoder(self.contrast(frame))
+        return self.head(self.trunk(torch.cat([scan, context], dim=1)), low_dim)
 
 
 class MidpointProduct(torch.autograd.Function):
     """a·b, backwards with the mean of explained input and background, which are the halves of the batch.
 
-    `shap` and `captum` know no rule for products of two varying values; without one a GRU's explanation does not add up.
+    `shap` and `captum` know no rule for products of two varying values; without one a layer norm's explanation does not add up.
     """
 
     @staticmethod
@@ -124,29 +114,35 @@ class MidpointProduct(torch.autograd.Function):
         return gradient * b, gradient * a
 
 
-class ExplainedActor(nn.Module):
-    """The actor's yaw for `shap` and `captum`: the GRU written out, every curve a module of its own."""
+class RescaledRoot(torch.autograd.Function):
+    """1 / √v, backwards with the quotient of the differences between the halves of the batch, as for any curve."""
 
-    def __init__(self, weights: Weights) -> None:
+    @staticmethod
+    def forward(ctx: object, v: torch.Tensor) -> torch.Tensor:
+        s = v.rsqrt()
+        ctx.save_for_backward(v, s)
+        return s
+
+    @staticmethod
+    def backward(ctx: object, gradient: torch.Tensor) -> torch.Tensor:
+        v, s = ctx.saved_tensors
+        (v_0, v_1), (s_0, s_1) = v.chunk(2), s.chunk(2)
+        near = (v_0 - v_1).abs() < 1e-4 * v_0
+        slope = torch.where(near, -0.5 * s_0**3, (s_0 - s_1) / torch.where(near, torch.ones_like(v_0), v_0 - v_1))
+        return gradient * slope.repeat(2, 1)
+
+
+class ExplainedNorm(nn.Module):
+    """A layer norm written out: deviation times factor, both with the other's mean."""
+
+    def __init__(self, norm: nn.LayerNorm) -> None:
         super().__init__()
-        self.contrast, self.encoder, self.head = NearContrast(), Encoder(weights), Head(weights, only=1)
-        for name in ("input_weight", "recurrent_weight", "input_bias", "recurrent_bias"):
-            self.register_buffer(name, torch.from_numpy(weights[f"gru.{name}"]))
-        self.r = nn.ModuleList(nn.Sigmoid() for _ in range(FRAMES))
-        self.z = nn.ModuleList(nn.Sigmoid() for _ in range(FRAMES))
-        self.n = nn.ModuleList(nn.Tanh() for _ in range(FRAMES))
+        self.norm = norm
 
-    def forward(self, frames: torch.Tensor, position: torch.Tensor) -> torch.Tensor:
-        x = self.encoder(self.contrast(frames.reshape(-1, 1, frozen.ROWS, frozen.COLS)))
-        x = nn.functional.linear(x, self.input_weight, self.input_bias).reshape(-1, FRAMES, 3 * HIDDEN)
-        h = torch.zeros(len(x), HIDDEN)
-        for t in range(FRAMES):
-            x_r, x_z, x_n = x[:, t].chunk(3, dim=1)
-            u_r, u_z, u_n = nn.functional.linear(h, self.recurrent_weight, self.recurrent_bias).chunk(3, dim=1)
-            r, z = self.r[t](x_r + u_r), self.z[t](x_z + u_z)
-            n = self.n[t](x_n + MidpointProduct.apply(r, u_n))
-            h = n + MidpointProduct.apply(z, h - n)
-        return self.head(h, position)
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        c = x - x.mean(dim=1, keepdim=True)
+        factor = RescaledRoot.apply(MidpointProduct.apply(c, c).mean(dim=1, keepdim=True) + self.norm.eps)
+        return MidpointProduct.apply(c, factor.expand_as(c)) * self.norm.weight + self.norm.bias
 
 
 def lstm_ad(ours: Weights) -> onnx.ModelProto:

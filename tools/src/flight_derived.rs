@@ -1,10 +1,11 @@
 //! What a flight log does not hold and a replay of it gives: the pilot's map and planned way, and the pixels' SHAP values.
 
-use crate::detector_training::{Memory, PixelExplainer, YAW};
+use crate::detector_training::{PixelExplainer, YAW};
 use anyhow::{Context, Result};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::replay::{firmware_of, step_again};
+use vigil_firmware::step::Firmware;
 use vigil_log::{DerivedLog, MapSeen, Reader, SHAP_COLS, SHAP_ROWS, TickRecord, merge_derived};
 use vigil_nnet::Isa;
 use vigil_policy::geometric::{CELL_M, SCORE_LIMIT, SIDE};
@@ -99,21 +100,17 @@ fn write(log: &Path, notes: &Path, wanted: Wanted) -> Result<Derived> {
                 .map_or(0.0, |kinematics| kinematics.position_ned_m.z);
             to.way(now_ns, step, pilot.way_ned_m(), down_m)?;
         }
-        if let (Some((explainer, memory)), Some(frame)) = (&mut explainer, record.frame()) {
-            memory.push(frame);
+        if let (Some(explainer), Some((actor, frame))) = (&mut explainer, firmware.actor()) {
             let near = alarms_ns.iter().any(|at_ns| at_ns.abs_diff(now_ns) <= AROUND_ALARM_NS);
             let due = now_ns >= next_shap_ns && sparse < SHAP_LIMIT;
-            if (near || due)
-                && let Some(position) = firmware.positional_inputs()
-                && let Some(inputs) = memory.inputs(&position)
-            {
+            if record.frame().is_some() && (near || due) {
                 if due {
                     next_shap_ns = now_ns + SHAP_NS;
                     sparse += 1;
                 }
                 derived.explained += 1;
-                let phi = explainer.newest_frame(&inputs, YAW)?;
-                to.shap(now_ns, step, &squares(&phi))?;
+                let phi = explainer.newest_frame(actor, frame, YAW)?;
+                to.shap(now_ns, step, &squares(phi))?;
             }
         }
     }
@@ -139,19 +136,62 @@ fn alarms(log: &Path) -> Result<Vec<Nanos>> {
 }
 
 /// The explainer of the actor that flew; `None` where none did.
-fn explainer(reader: &Reader) -> Result<Option<(PixelExplainer, Memory)>> {
+fn explainer(reader: &Reader) -> Result<Option<PixelExplainer>> {
     // Understood before: the stack was made of it.
     let config = FirmwareConfig::from_toml(&reader.info().config_toml).map_err(anyhow::Error::msg)?;
     let Some(actor) = config.frozen_actor()? else {
         return Ok(None);
     };
-    let memory = Memory::new(actor.inputs.frame_ages);
     let explainer = PixelExplainer::new(Isa::detect(), &actor).context("the pixels cannot be explained")?;
-    Ok(Some((explainer, memory)))
+    Ok(Some(explainer))
+}
+
+/// Replays a log beside whoever reads it and explains its frames: what the actor remembered is not in the log.
+pub(crate) struct ExplainedReplay {
+    /// `None` behind a gap in the log.
+    firmware: Option<Firmware>,
+    explainer: PixelExplainer,
+    sent: Box<Datagrams>,
+}
+
+impl ExplainedReplay {
+    /// From the log's first step on, with the actor that flew.
+    ///
+    /// # Errors
+    /// Why it cannot be replayed, or that no actor flew.
+    pub fn of(reader: &Reader) -> Result<Self> {
+        Ok(Self {
+            firmware: Some(firmware_of(reader)?),
+            explainer: explainer(reader)?.context("no actor flew")?,
+            sent: Box::default(),
+        })
+    }
+
+    /// Takes the next step, which has to be every one.
+    pub fn step(&mut self, record: &TickRecord) {
+        if record.dropped_before > 0 {
+            self.firmware = None;
+        }
+        if let Some(firmware) = &mut self.firmware {
+            step_again(firmware, record, &mut self.sent);
+        }
+    }
+
+    /// The yaw output's SHAP values of the frame that the actor decided on in the last step, summed over squares; `None` where it did not
+    /// decide.
+    ///
+    /// # Errors
+    /// An explanation that is not finite.
+    pub fn squares(&mut self) -> Result<Option<Vec<f32>>> {
+        let Some((actor, frame)) = self.firmware.as_ref().and_then(Firmware::actor) else {
+            return Ok(None);
+        };
+        Ok(Some(squares(self.explainer.newest_frame(actor, frame, YAW)?)))
+    }
 }
 
 /// Sums over 4 × 4 pixels, which keep the sum of all: single pixels are too small to see.
-pub(crate) fn squares(phi: &[f32]) -> Vec<f32> {
+fn squares(phi: &[f32]) -> Vec<f32> {
     let mut sums = vec![0.0; SHAP_ROWS * SHAP_COLS];
     for (i, value) in phi.iter().enumerate() {
         let (row, col) = (i / DEPTH_COLS / 4, i % DEPTH_COLS / 4);

@@ -5,10 +5,10 @@ use vigil_adversary::{AttackConfig, Method};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_tools::detector_training::{
-    Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, Plan, Scenario, Step, fit, fly,
+    Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Scenario,
+    Shown, Step, YAW, fit, fly,
 };
 use vigil_tools::threads::thread_pool;
-use vigil_types::DepthFrame;
 use vigil_world::Family;
 
 fn actor() -> FrozenPilot {
@@ -38,8 +38,8 @@ fn attacked(plan: Plan) -> Scenario {
 struct Differences(Vec<usize>);
 
 impl vigil_tools::detector_training::Onlooker for Differences {
-    fn step(&mut self, _: &Step, delivered: &DepthFrame, taken: &DepthFrame) -> Result<(), DetectError> {
-        let pairs = delivered.depth.iter().zip(&taken.depth);
+    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+        let pairs = shown.input.depth.depth.iter().zip(&shown.taken.depth);
         self.0.push(pairs.filter(|(a, b)| a != b).count());
         Ok(())
     }
@@ -56,6 +56,43 @@ fn only_frames_that_count_as_attacked_differ_from_what_the_sensor_took() {
         assert_eq!(*pixels > 1000, within, "step {i}: {pixels} pixels differ");
         assert_eq!(step.yaw_change != 0.0, within, "step {i}");
     }
+}
+
+/// Explains each frame's pixels.
+struct Explained {
+    explainer: PixelExplainer,
+    frames: usize,
+}
+
+impl vigil_tools::detector_training::Onlooker for Explained {
+    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+        let vigil_policy::Decider::Actor(actor) = shown.pilot else {
+            panic!("an actor of ours flies")
+        };
+        let phi = self.explainer.newest_frame(actor, shown.input.depth, YAW)?;
+        assert_eq!(phi.len(), shown.input.depth.depth.len(), "one value a pixel");
+        assert!(
+            phi.iter().any(|phi| phi.abs() > 0.0),
+            "the frame has a share in the decision"
+        );
+        self.frames += 1;
+        Ok(())
+    }
+}
+
+#[test]
+fn the_pixels_of_the_built_in_actor_s_newest_frame_are_explained() {
+    let frozen = FrozenActor::built_in().unwrap();
+    let mut onlooker = Explained {
+        explainer: PixelExplainer::new(Isa::detect(), &frozen).unwrap(),
+        frames: 0,
+    };
+    let scenario = Scenario {
+        steps: 3,
+        ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
+    };
+    fly(Isa::detect(), &actor(), &scenario, &mut onlooker).unwrap();
+    assert_eq!(onlooker.frames, 3);
 }
 
 #[test]
@@ -76,7 +113,7 @@ fn who_steers_changes_the_flight_but_not_what_is_explained_first() {
 #[test]
 fn the_same_seed_flies_the_same_flight() {
     let fly = |seed, is_attacked| {
-        let mut scenario = Scenario::drawn(Family::Training, seed, is_attacked);
+        let mut scenario = Scenario::drawn(seed, is_attacked);
         scenario.steps = 20;
         scenario.adversary = scenario.adversary.map(|a| Adversary {
             bursts: std::iter::once(8..10).collect(),

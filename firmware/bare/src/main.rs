@@ -12,7 +12,7 @@ use alloc::boxed::Box;
 use recording::{Digest, HAS_FRAME, KNOWN_ALTERED, MAGIC, Setup};
 use semihosting::{println, process::exit};
 use vigil_detector::{FrozenDetector, Monitor};
-use vigil_firmware::crew::Crew;
+use vigil_firmware::pilots::Pilots;
 use vigil_firmware::stack::{FlightStack, TickInput, TickOutput};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
@@ -81,7 +81,7 @@ impl Cursor {
     }
 }
 
-fn crew(setup: &Setup) -> Crew {
+fn pilots(setup: &Setup) -> Pilots {
     let isa = Isa::detect();
     println!("kernels: {}", isa.name());
     let pilot = FrozenPilot::Actor(FrozenActor::built_in().expect("the built-in actor"));
@@ -89,7 +89,7 @@ fn crew(setup: &Setup) -> Crew {
     let head = pilot.head(Purpose::Multipliers).expect("the actor's head");
     let mut monitor = Monitor::new(isa, head, &pilot.sha256(), &detector).expect("the detector is the actor's");
     monitor.set_threshold(setup.threshold);
-    Crew::learned(isa, &pilot, setup.field, Some(Box::new(monitor)), true).expect("the built-in actor")
+    Pilots::learned(isa, &pilot, setup.field, Some(Box::new(monitor)), true).expect("the built-in actor")
 }
 
 #[unsafe(no_mangle)]
@@ -110,7 +110,7 @@ extern "C" fn main() -> ! {
     let config = setup.stack();
     assert!(Digest::of(&config) == setup.config, "this image's configuration is not the flight's: {config:?}");
 
-    let mut stack = Box::new(FlightStack::with_crew(&config, crew(&setup)).expect("the configuration may fly"));
+    let mut stack = Box::new(FlightStack::with_pilots(&config, pilots(&setup)).expect("the configuration may fly"));
     let mut received = Box::<Datagrams>::default();
     let mut recorded = Box::<Datagrams>::default();
     let mut output = Box::<TickOutput>::default();

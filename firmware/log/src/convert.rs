@@ -376,7 +376,7 @@ fn judgement_from_proto(judgement: &proto::Judgement) -> Result<Judgement, Recor
         image: need(judgement.image, "report.judgement.image")?,
         bearing: need(judgement.bearing, "report.judgement.bearing")?,
         distance: need(judgement.distance, "report.judgement.distance")?,
-        // Logs from before actors were told of more than the goal do not have it.
+        // Logs of actors that were given the goal alone do not have it.
         told: judgement.told.unwrap_or(0.0),
         base: need(judgement.base, "report.judgement.base")?,
         phi: judgement

@@ -1,10 +1,16 @@
 //! Timings of the actor's network: `cargo bench --profile release -p vigil-policy --bench network`.
 
+#[path = "../tests/common/mod.rs"]
+mod common;
+
+use common::input;
 use divan::{Bencher, black_box};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose};
+use vigil_policy::PilotInput;
 use vigil_policy::actor::{Actor, ActorSpec};
+use vigil_types::{Attitude, DepthFrame};
 
 fn main() {
     divan::main();
@@ -45,32 +51,17 @@ fn encoder_one_frame(bencher: Bencher, isa: Named) {
 #[divan::bench(args = sets())]
 fn actor_one_new_frame(bencher: Bencher, isa: Named) {
     let graph = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap();
-    let frame = values(ActorSpec::FULL.frame_len(), 0.5);
+    let mut frame = DepthFrame::EMPTY;
+    frame.depth.copy_from_slice(&values(ActorSpec::FULL.frame_len(), 0.5));
     let params = initial(&graph);
     let mut actor = Actor::new(ActorSpec::FULL, isa.0, &params).unwrap();
-    bencher.bench_local(|| actor.decide(black_box(&frame), [0.3, 0.1]).unwrap());
-}
-
-/// 32 states of 5 frames, forward and backward with weight gradients, on one core: the actor's part of an update.
-#[divan::bench(args = sets(), sample_count = 5, sample_size = 1)]
-fn batch_32_forward_and_backward(bencher: Bencher, isa: Named) {
-    let graph = ActorSpec::FULL.graph(Purpose::Gradients, false).unwrap();
-    let params = initial(&graph);
-    let mut packed = Aligned::zeros(graph.param_len());
-    let mut d_params = Aligned::zeros(graph.param_len());
-    let mut tape = Aligned::zeros(graph.tape_len());
-    let mut work = Aligned::zeros(graph.work_len());
-    let frames: Vec<_> = (0..5).map(|_| values(ActorSpec::FULL.frame_len(), 0.5)).collect();
-    let position = [0.3, 0.1];
-    let mut inputs: Vec<&[f32]> = frames.iter().map(|frame| &**frame).collect();
-    inputs.push(&position);
+    let mut now_ns = 0;
     bencher.bench_local(|| {
-        graph.pack(&params, &mut packed).unwrap();
-        for _ in 0..32 {
-            graph.forward(isa.0, &params, black_box(&inputs), &mut tape).unwrap();
-            graph
-                .backward(isa.0, &packed, &tape, &[1.0, -1.0], Some(&mut d_params), &mut work)
-                .unwrap();
-        }
+        now_ns += 50_000_000;
+        let input = PilotInput {
+            now_ns,
+            ..input(&frame, Attitude::LEVEL_NORTH)
+        };
+        actor.decide(black_box(&input)).unwrap()
     });
 }

@@ -8,7 +8,7 @@ use crate::actor::{ACTOR_OUTPUTS, Actor, ActorSpec, PositionalInputs};
 #[cfg(feature = "std")]
 use crate::imported::POLICY_FORMAT;
 use crate::imported::{Channels, Head};
-use crate::{ActorInputs, FrozenActor, FrozenPolicy, ImportedPilot};
+use crate::{FrozenActor, FrozenPolicy, ImportedPilot, PilotInput};
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -41,9 +41,9 @@ impl ExplainedHead {
     ///
     /// # Errors
     /// None for a valid description.
-    pub fn of_actor(spec: ActorSpec, params: &[f32], purpose: Purpose) -> Result<Self, ShapeError> {
+    pub fn of_actor(params: &[f32], purpose: Purpose) -> Result<Self, ShapeError> {
         Ok(Self {
-            graph: spec.head_graph(purpose)?,
+            graph: ActorSpec::FULL.head_graph(purpose)?,
             params: params.to_vec(),
         })
     }
@@ -90,18 +90,10 @@ impl FrozenPilot {
         }
     }
 
-    /// What it decides from beside its frames. An imported policy is led by the goal, and told of nothing else.
-    pub fn inputs(&self) -> ActorInputs {
-        match self {
-            Self::Actor(actor) => actor.inputs,
-            Self::Imported(_) => ActorInputs::default(),
-        }
-    }
-
     /// How many decisions ago each frame was taken that it decides from, oldest first.
     pub fn frame_ages(&self) -> Vec<usize> {
         match self {
-            Self::Actor(actor) => actor.inputs.frame_ages.to_vec(),
+            Self::Actor(_) => [0].to_vec(),
             Self::Imported(policy) => match policy.inputs.order {
                 Channels::Stack => (0..policy.inputs.channels).rev().collect(),
                 Channels::Repeat => [0].to_vec(),
@@ -147,17 +139,26 @@ pub enum Decider {
 }
 
 impl Decider {
-    /// Decides on the newest frame, `[rows][cols]` ranges over 100 m: forward speed in m/s and yaw, each within ±1.5.
+    /// Decides on the newest frame: forward speed in m/s and yaw, each within ±1.5.
     ///
     /// # Errors
-    /// A frame or positional inputs of another length.
-    pub fn decide(&mut self, depth: &[f32], position: PositionalInputs) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+    /// A frame of another length.
+    pub fn decide(&mut self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         match self {
-            Self::Actor(actor) => actor.decide(depth, position),
+            Self::Actor(actor) => actor.decide(input),
             Self::Imported(policy) => {
-                let Action { forward_m_s, yaw } = policy.decide_on(depth, position);
+                let Action { forward_m_s, yaw } =
+                    policy.decide_on(&input.depth.depth, PositionalInputs::of_goal(input.goal));
                 Ok([forward_m_s, yaw])
             }
+        }
+    }
+
+    /// What it decided from beside frames and memory, in the last decision.
+    pub fn position(&self) -> Option<PositionalInputs> {
+        match self {
+            Self::Actor(actor) => Some(actor.low_dim()),
+            Self::Imported(policy) => policy.position(),
         }
     }
 

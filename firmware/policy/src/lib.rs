@@ -31,11 +31,10 @@ pub mod geometric;
 pub mod imported;
 pub mod plausibility;
 mod second_sensor;
-pub mod seeing;
 
 #[cfg(feature = "actor-file")]
 pub use actor::FrozenActor;
-pub use actor::{ActorInputs, ActorPilot, FlightPilot, LedBy};
+pub use actor::{ActorPilot, FlightPilot};
 pub use apf::NearestObstacle;
 pub use field::FlightField;
 #[cfg(feature = "actor-file")]
@@ -46,9 +45,6 @@ pub use imported::FrozenPolicy;
 pub use imported::ImportedPilot;
 pub use plausibility::PlausibilityJudge;
 pub use second_sensor::SecondSensor;
-#[cfg(feature = "actor-file")]
-pub use seeing::FrozenSeeing;
-pub use seeing::SeeingPilot;
 
 use vigil_types::{Action, Attitude, DepthFrame, GoalRelative, HeadingVector, Nanos};
 
@@ -74,8 +70,13 @@ pub trait Pilot {
     /// Decides. An output that is not finite is treated as a fault by the caller (explicit hold).
     fn decide(&mut self, input: &PilotInput<'_>) -> Action;
 
-    /// Forgets everything it remembered of earlier steps (a new flight, or after a gap in the frames).
+    /// Forgets everything it remembered of earlier steps (a new flight).
     fn reset(&mut self);
+
+    /// Frames or telemetry failed in flight: what follows does not continue what was before. What is remembered of places may be kept; it ages.
+    fn pause(&mut self) {
+        self.reset();
+    }
 }
 
 /// The smaller of two numbers, neither NaN: `f32::min` also settles NaN, at several times the cost in the inner loops.

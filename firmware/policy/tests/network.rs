@@ -1,21 +1,26 @@
-//! The actor against PyTorch's, and in flight against itself.
+//! Networks of our layers against PyTorch's, and the actor in flight against the graph of the whole.
 
 #[path = "../../nnet/tests/common/mod.rs"]
 mod plain;
+#[path = "common/mod.rs"]
+mod scene;
 #[path = "common/torch.rs"]
 mod torch;
 
 use plain::{distance, rng, uniform, wide};
-use torch::{SPEC, Tensors, actor_params};
+use scene::{Scene, block, column};
+use torch::{Reference, Tensors, actor_params};
 use vigil_nnet::{ISA_MULTIPLIER_TOLERANCE, ISA_TOLERANCE, Isa, Purpose};
-use vigil_policy::actor::{Actor, ActorSpec, FRAMES_SPREAD};
+use vigil_policy::actor::{ACTOR_HIDDEN, Actor, ActorSpec, CONTEXT, LOW_DIM, SCAN};
+use vigil_policy::{ActorPilot, Pilot, PilotInput, apf};
+use vigil_types::{Ablation, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector};
 
 const FRAME: usize = 128 * 256;
 
 #[test]
 fn the_second_half_gives_what_pytorch_gives() {
     let (t, params) = (Tensors::load("second_half"), actor_params());
-    let graph = SPEC.head_graph(Purpose::Gradients).unwrap();
+    let graph = Reference::new().head_graph(Purpose::Gradients);
     let mut tape = vec![0.0; graph.tape_len()];
     for isa in Isa::available() {
         for (h, pos, want) in [("x_h", "x_pos", "f_x"), ("bg_h", "bg_pos", "f_bg")] {
@@ -33,7 +38,7 @@ fn the_second_half_gives_what_pytorch_gives() {
 #[test]
 fn the_whole_actor_gives_what_pytorch_gives() {
     let (t, params) = (Tensors::load("pixel"), actor_params());
-    let graph = SPEC.graph(Purpose::Gradients, false).unwrap();
+    let graph = Reference::new().graph(Purpose::Gradients, false);
     let mut tape = vec![0.0; graph.tape_len()];
     for isa in Isa::available() {
         let mut evaluate = |images: &[f32], pos: &[f32]| {
@@ -57,110 +62,104 @@ fn the_whole_actor_gives_what_pytorch_gives() {
     }
 }
 
-/// A small actor with near contrast and random weights.
-fn small() -> (ActorSpec, Vec<f32>) {
-    let spec = ActorSpec {
-        rows: 32,
-        cols: 64,
-        near_contrast: true,
-        told_of_movers: false,
-    };
-    let params = spec.head_graph(Purpose::Gradients).unwrap().param_len();
-    (spec, uniform(&mut rng(3), params, 0.2))
+/// Some weights of either sign, small enough not to saturate.
+fn params() -> Vec<f32> {
+    let len = ActorSpec::FULL.head_graph(Purpose::Gradients).unwrap().param_len();
+    uniform(&mut rng(3), len, 0.08)
 }
 
-#[test]
-fn encoding_only_the_new_frame_gives_the_bits_of_encoding_all_five() {
-    let (spec, params) = small();
-    let graph = spec.graph(Purpose::Gradients, false).unwrap();
-    let encoder = spec.encoder_graph(Purpose::Gradients, false).unwrap();
-    let mut encoder_tape = vec![0.0; encoder.tape_len()];
-    let frames: Vec<Vec<f32>> = (0..9)
-        .map(|i| {
-            uniform(&mut rng(i), spec.frame_len(), 0.5)
-                .iter()
-                .map(|x| x + 0.5)
-                .collect()
-        })
-        .collect();
-    for isa in Isa::available() {
-        let mut actor = Actor::new(spec, isa, &params).unwrap();
-        let mut tape = vec![0.0; graph.tape_len()];
-        for newest in 0..frames.len() {
-            let position = [0.1 * newest as f32, -0.2];
-            let action = actor.decide(&frames[newest], position).unwrap();
-            // Before the fifth frame the first one stands for the missing ones.
-            let mut inputs: Vec<&[f32]> = (0..5)
-                .map(|age| frames[(newest + age).saturating_sub(4)].as_slice())
-                .collect();
-            inputs.push(&position);
-            graph.forward(isa, &params, &inputs, &mut tape).unwrap();
-            assert_eq!(action, graph.output(&tape).unwrap(), "step {newest} on {}", isa.name());
-            for age in 0..5 {
-                encoder
-                    .forward(isa, &params, &inputs[4 - age..5 - age], &mut encoder_tape)
-                    .unwrap();
-                assert_eq!(actor.features(age), Some(encoder.output(&encoder_tape).unwrap()));
-            }
-            assert_eq!(actor.features(5), None);
-        }
-        actor.reset();
-        let again = actor.decide(&frames[0], [0.0, -0.2]).unwrap();
-        let first = Actor::new(spec, isa, &params)
-            .unwrap()
-            .decide(&frames[0], [0.0, -0.2])
-            .unwrap();
-        assert_eq!(again, first, "a reset forgets");
+fn input<'a>(frame: &'a DepthFrame, step: u64) -> PilotInput<'a> {
+    PilotInput {
+        now_ns: frame.header.stamp_ns,
+        depth: frame,
+        goal: GoalRelative {
+            distance_m: 12.0 - 0.1 * step as f32,
+            bearing_rad: 0.4,
+        },
+        attitude: frame.header.attitude,
+        velocity_m_s: HeadingVector::new(1.0, 0.1, 0.0),
+        height_m: 1.5,
     }
 }
 
-#[test]
-fn a_frame_of_another_size_is_refused_and_not_remembered() {
-    let (spec, params) = small();
-    let mut actor = Actor::new(spec, Isa::detect(), &params).unwrap();
-    let mut twin = actor.clone();
-    let frame = vec![0.4; spec.frame_len()];
-    actor.decide(&frame, [0.0; 2]).unwrap();
-    twin.decide(&frame, [0.0; 2]).unwrap();
-    let error = actor.decide(&frame[1..], [0.0; 2]).unwrap_err();
-    assert_eq!(error.to_string(), "network input holds 2047 values, expected 2048");
-    assert_eq!(actor.decide(&frame, [0.1; 2]), twin.decide(&frame, [0.1; 2]));
-    assert!(Actor::new(spec, Isa::detect(), &params[1..]).is_err());
+/// A flight past a wall and two columns, a frame for each step of 0.05 s.
+fn frames() -> Vec<DepthFrame> {
+    let scene = Scene::new(vec![
+        block([6.0, 6.3], [-3.0, 1.0]),
+        column(3.5, 1.5, 0.15),
+        column(9.0, -4.0, 0.3),
+    ]);
+    (0..30)
+        .map(|step| {
+            let mut frame = DepthFrame::EMPTY;
+            let here = NedVector::new(0.05 * step as f32, 0.0, -1.5);
+            let attitude = Attitude::from_euler_rad(0.02, -0.05, 0.01 * step as f32);
+            scene.render(here, attitude, 0, &mut frame);
+            frame.header.stamp_ns = step * 50_000_000;
+            frame.header.sequence = step;
+            frame
+        })
+        .collect()
 }
 
 #[test]
-fn a_pixel_that_is_not_a_number_is_not_hidden() {
-    let (spec, params) = small();
-    let mut frame = vec![0.4; spec.frame_len()];
-    frame[777] = f32::NAN;
+fn the_actor_in_flight_decides_as_the_graph_of_the_whole() {
+    let (params, graph) = (params(), ActorSpec::FULL.graph(Purpose::Gradients).unwrap());
+    let mut tape = vec![0.0; graph.tape_len()];
     for isa in Isa::available() {
-        let mut actor = Actor::new(spec, isa, &params).unwrap();
-        assert!(actor.decide(&frame, [0.0; 2]).unwrap()[0].is_nan(), "{}", isa.name());
+        let mut actor = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
+        let mut twin = actor.clone();
+        for (step, frame) in frames().iter().enumerate() {
+            let action = actor.decide(&input(frame, step as u64)).unwrap();
+            let low = actor.low_dim();
+            graph
+                .forward(isa, &params, &[&frame.depth, actor.context(), &low], &mut tape)
+                .unwrap();
+            assert_eq!(action, graph.output(&tape).unwrap(), "step {step} on {}", isa.name());
+            assert_eq!(twin.decide(&input(frame, step as u64)).unwrap(), action);
+        }
+        assert!(actor.context().iter().any(|x| *x > 0.0), "it remembers");
+        // After a reset the past is gone.
+        actor.reset();
+        let mut fresh = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
+        let frame = &frames()[3];
+        assert_eq!(actor.decide(&input(frame, 3)), fresh.decide(&input(frame, 3)));
+    }
+    assert!(Actor::new(ActorSpec::FULL, Isa::detect(), &params[1..]).is_err());
+}
+
+#[test]
+fn a_pixel_that_is_not_a_number_is_not_hidden_and_is_not_remembered() {
+    let params = params();
+    for isa in Isa::available() {
+        let mut actor = Actor::new(ActorSpec::FULL, isa, &params).unwrap();
+        let mut frames = frames();
+        actor.decide(&input(&frames[0], 0)).unwrap();
+        frames[1].depth[777] = f32::NAN;
+        assert!(
+            actor.decide(&input(&frames[1], 1)).unwrap()[0].is_nan(),
+            "{}",
+            isa.name()
+        );
+        let after = actor.decide(&input(&frames[2], 2)).unwrap();
+        assert!(after.iter().all(|x| x.is_finite()), "{}", isa.name());
+        assert_eq!((actor.state().len(), actor.scan().len()), (ACTOR_HIDDEN, SCAN));
     }
 }
 
 #[test]
 fn instruction_sets_agree() {
-    let (spec, params) = small();
-    let graph = spec.graph(Purpose::Multipliers, true).unwrap();
+    let params = params();
+    let graph = ActorSpec::FULL.graph(Purpose::Multipliers).unwrap();
     let mut packed = vec![0.0; graph.param_len()];
     graph.pack(&params, &mut packed).unwrap();
-    let input = |seed: u64| -> Vec<Vec<f32>> {
+    let input = |seed: u64| -> [Vec<f32>; 3] {
         let mut rng = rng(seed);
-        let mut all: Vec<Vec<f32>> = (0..5)
-            .map(|_| {
-                uniform(&mut rng, spec.frame_len(), 0.5)
-                    .iter()
-                    .map(|x| x + 0.5)
-                    .collect()
-            })
-            .collect();
-        all.push(vec![0.3, -0.4]);
-        all
+        [FRAME, CONTEXT, LOW_DIM].map(|len| uniform(&mut rng, len, 0.5).iter().map(|x| x + 0.5).collect())
     };
     let results: Vec<(Isa, [Vec<f32>; 4])> = Isa::available()
         .map(|isa| {
-            let evaluate = |inputs: &[Vec<f32>]| {
+            let evaluate = |inputs: &[Vec<f32>; 3]| {
                 let mut tape = vec![0.0; graph.tape_len()];
                 let views: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
                 graph.forward(isa, &params, &views, &mut tape).unwrap();
@@ -172,11 +171,11 @@ fn instruction_sets_agree() {
             graph
                 .backward(isa, &packed, &tape, &weights, Some(&mut d_params), &mut work)
                 .unwrap();
-            let gradient = graph.input_gradient(&work, 2).unwrap().to_vec();
+            let gradient = graph.input_gradient(&work, 0).unwrap().to_vec();
             graph
                 .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
                 .unwrap();
-            let multipliers = graph.input_gradient(&work, 2).unwrap().to_vec();
+            let multipliers = graph.input_gradient(&work, 0).unwrap().to_vec();
             (isa, [tape, d_params, gradient, multipliers])
         })
         .collect();
@@ -194,23 +193,86 @@ fn instruction_sets_agree() {
 }
 
 #[test]
-fn frames_may_be_spread_over_many_decisions() {
-    let (spec, params) = small();
-    let isa = Isa::detect();
-    let graph = spec.graph(Purpose::Gradients, false).unwrap();
-    let mut tape = vec![0.0; graph.tape_len()];
-    let frames: Vec<Vec<f32>> = (0..50).map(|i| uniform(&mut rng(i), spec.frame_len(), 0.5)).collect();
-    let mut actor = Actor::with_frame_ages(spec, isa, &params, FRAMES_SPREAD).unwrap();
-    for newest in 0..frames.len() {
-        let position = [0.3, 0.02 * newest as f32];
-        let action = actor.decide(&frames[newest], position).unwrap();
-        let older = FRAMES_SPREAD.map(|age| frames[newest.saturating_sub(age)].as_slice());
-        let mut inputs = older.to_vec();
-        inputs.push(&position);
-        graph.forward(isa, &params, &inputs, &mut tape).unwrap();
-        assert_eq!(action, graph.output(&tape).unwrap(), "step {newest}");
+fn what_is_taken_from_an_actor_it_does_not_use() {
+    let params = params();
+    let frames = frames();
+    let fly = |what: Ablation, frames: &[DepthFrame], bearing_rad: f32| {
+        let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params)
+            .unwrap()
+            .without(what);
+        let mut last = [0.0; 2];
+        for (step, frame) in frames.iter().enumerate() {
+            let seen = input(frame, step as u64);
+            let goal = GoalRelative {
+                bearing_rad,
+                ..seen.goal
+            };
+            last = actor.decide(&PilotInput { goal, ..seen }).unwrap();
+        }
+        last
+    };
+    let empty: Vec<DepthFrame> = frames
+        .iter()
+        .map(|frame| DepthFrame {
+            header: frame.header,
+            ..DepthFrame::EMPTY
+        })
+        .collect();
+    // Blind it decides the same whatever is there; as it is it does not.
+    assert_eq!(fly(Ablation::Frames, &frames, 0.4), fly(Ablation::Frames, &empty, 0.4));
+    assert_ne!(
+        fly(Ablation::Nothing, &frames, 0.4),
+        fly(Ablation::Nothing, &empty, 0.4)
+    );
+    assert_eq!(fly(Ablation::Goal, &frames, 0.4), fly(Ablation::Goal, &frames, -0.4));
+    assert_ne!(
+        fly(Ablation::Nothing, &frames, 0.4),
+        fly(Ablation::Nothing, &frames, -0.4)
+    );
+    for what in [Ablation::Memory, Ablation::Motion] {
+        assert_ne!(
+            fly(what, &frames, 0.4),
+            fly(Ablation::Nothing, &frames, 0.4),
+            "{what:?}"
+        );
     }
-    for ages in [[4, 3, 2, 1, 1], [4, 3, 3, 1, 0], [0, 1, 2, 3, 4], [65, 3, 2, 1, 0]] {
-        assert!(Actor::with_frame_ages(spec, isa, &params, ages).is_err(), "{ages:?}");
+}
+
+#[test]
+fn the_field_is_added_to_the_actor_s_action_and_is_its_last_action_then() {
+    let actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params()).unwrap();
+    let (mut with, mut without) = (ActorPilot::new(actor.clone(), true), ActorPilot::new(actor, false));
+    let frame = DepthFrame::EMPTY;
+    let seen = input(&frame, 0);
+    let (own, sum) = (without.decide(&seen), with.decide(&seen));
+    assert_eq!(
+        sum,
+        apf::add(own, apf::attraction(seen.goal)),
+        "nothing near: the goal pulls"
+    );
+    let (own, sum) = (without.decide(&seen), with.decide(&seen));
+    assert_ne!(
+        sum,
+        apf::add(own, apf::attraction(seen.goal)),
+        "another last action, another decision"
+    );
+}
+
+#[test]
+fn after_a_gap_in_flight_what_is_remembered_of_places_is_still_there_and_nothing_of_its_own_motion() {
+    let params = params();
+    let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap();
+    let frames = frames();
+    for (step, frame) in frames[..20].iter().enumerate() {
+        actor.decide(&input(frame, step as u64)).unwrap();
     }
+    let mut fresh = Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap();
+    actor.pause();
+    // Ten frames are missing.
+    let after = input(&frames[29], 29);
+    actor.decide(&after).unwrap();
+    fresh.decide(&after).unwrap();
+    assert_eq!(actor.low_dim(), fresh.low_dim(), "no yaw rate and no last action");
+    assert_ne!(actor.context(), fresh.context(), "older scans and surfaces");
+    assert_eq!(actor.forgotten(), 0);
 }

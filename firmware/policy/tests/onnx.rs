@@ -3,7 +3,7 @@
 use sha2::{Digest, Sha256};
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::ACTOR_FRAMES;
+use vigil_policy::actor::{ActorSpec, CONTEXT, LOW_DIM};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
 
 const ONNX: &[u8] = include_bytes!("../actor/actor.onnx");
@@ -17,23 +17,29 @@ struct Record {
     actions: Vec<[f32; 2]>,
 }
 
-/// One of five depth frames: the formula of `pattern_frames` in tools/peers/actor.py.
-fn pattern_frame(seed: usize, t: usize) -> Vec<f32> {
+/// A depth frame: the formula of `pattern_frame` in tools/peers/actor.py.
+fn pattern_frame(seed: usize) -> Vec<f32> {
     let triangle = |x: usize| (x % 512).abs_diff(256) as f32;
     let at = |i: usize| {
         let (row, col) = (i / DEPTH_COLS, i % DEPTH_COLS);
-        (triangle(7 * col + 3 * t + 40 * seed) + triangle(5 * row + 11 * t + 90 * seed)) / 1024.0
+        (triangle(7 * col + 40 * seed) + triangle(5 * row + 90 * seed)) / 1024.0
     };
     (0..DEPTH_ROWS * DEPTH_COLS).map(at).collect()
 }
 
-fn act(isa: Isa, graph: &Graph, params: &[f32], inputs: usize, seed: usize) -> Vec<f32> {
-    let frames: Vec<Vec<f32>> = (0..ACTOR_FRAMES).map(|t| pattern_frame(seed, t)).collect();
-    let told = |i: usize| 0.125 * ((3 * i + seed) % 9) as f32 - 0.5;
-    let mut position = vec![0.125 * (seed as f32 + 1.0), 0.25 * (seed as f32 - 2.0)];
-    position.extend((2..inputs).map(told));
-    let mut given: Vec<&[f32]> = frames.iter().map(Vec::as_slice).collect();
-    given.push(&position);
+/// What is remembered, or low-dimensional: the formula of `pattern_values` there.
+fn pattern_values(seed: usize, count: usize) -> Vec<f32> {
+    let value = |i: usize| 0.125 * ((3 * i + seed) % 9) as f32 - 0.5;
+    (0..count).map(value).collect()
+}
+
+fn act(isa: Isa, graph: &Graph, params: &[f32], seed: usize) -> Vec<f32> {
+    let given = [
+        pattern_frame(seed),
+        pattern_values(seed, CONTEXT),
+        pattern_values(seed, LOW_DIM),
+    ];
+    let given = given.each_ref().map(Vec::as_slice);
     let mut tape = vec![0.0; graph.tape_len()];
     graph.forward(isa, params, &given, &mut tape).unwrap();
     graph.output(&tape).unwrap().to_vec()
@@ -50,12 +56,11 @@ fn onnx_runtime_decides_as_our_actor_does() {
     );
     let onnx: String = Sha256::digest(ONNX).iter().map(|byte| format!("{byte:02x}")).collect();
     assert_eq!(record.onnx_sha256, onnx, "actor.onnx was altered; {EXPORT}");
-    let spec = actor.inputs.spec();
-    let (graph, inputs) = (spec.graph(Purpose::Gradients, false).unwrap(), spec.positional().inputs);
+    let graph = ActorSpec::FULL.graph(Purpose::Gradients).unwrap();
     assert!(record.actions.len() >= 5);
     for isa in Isa::available() {
         for (seed, theirs) in record.actions.iter().enumerate() {
-            let ours = act(isa, &graph, &actor.params, inputs, seed);
+            let ours = act(isa, &graph, &actor.params, seed);
             for (a, b) in ours.iter().zip(theirs) {
                 assert!(
                     (a - b).abs() < 1e-5,
@@ -65,8 +70,8 @@ fn onnx_runtime_decides_as_our_actor_does() {
             }
         }
         assert_ne!(
-            act(isa, &graph, &actor.params, inputs, 0),
-            act(isa, &graph, &actor.params, inputs, 1),
+            act(isa, &graph, &actor.params, 0),
+            act(isa, &graph, &actor.params, 1),
             "patterns do matter"
         );
     }

@@ -99,7 +99,7 @@ pub fn undecided_detector() -> FrozenDetector {
             .map(|i| {
                 (
                     vec![0.03 * i as f32 - 0.4; 48],
-                    PositionalInputs::at_rest([0.5, 0.1], actor.inputs),
+                    PositionalInputs::from([0.9, 0.1, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
                 )
             })
             .collect(),

@@ -41,12 +41,12 @@ pub struct Judgement {
     pub score: Option<f32>,
     /// Contribution of the depth frames: the sum of `phi`. NaN without an explanation.
     pub image: f32,
-    /// Contribution of the goal's bearing. NaN without an explanation.
+    /// Contribution of the goal's bearing, of our actor its sine's and cosine's. NaN without an explanation.
     pub bearing: f32,
     /// Contribution of the goal's distance. NaN without an explanation.
     pub distance: f32,
-    /// Contribution of what the actor is told beside the goal: its own velocity and the movers near it. 0 for one that is told of the goal
-    /// alone, NaN without an explanation.
+    /// Contribution of the vehicle's own motion and of the last action (movers too, in logs of actors that were told of them). 0 for a
+    /// policy that is given the goal alone, NaN without an explanation.
     pub told: f32,
     /// Mean yaw output of the background sample.
     pub base: f32,

@@ -1,33 +1,49 @@
 //! Attack timings on the built-in actor: `cargo bench --profile release -p vigil-adversary`.
 
 use divan::Bencher;
-use vigil_adversary::{AttackConfig, StateAttack, StreamAttack};
+use vigil_adversary::{AttackConfig, Beside, StateAttack, StreamAttack};
 use vigil_nnet::Isa;
-use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_FRAMES, ActorSpec, PositionalInputs};
+use vigil_policy::{FrozenActor, PilotInput};
+use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
 
 fn main() {
     divan::main();
 }
 
 /// Ranges that differ from place to place, the same in each run.
-fn frames(count: usize) -> Vec<f32> {
-    let len = count * ActorSpec::FULL.frame_len();
-    (0..len)
-        .map(|i| 0.02 + (i * 40_503 % 65_536) as f32 / 300_000.0)
-        .collect()
+fn frame() -> Box<DepthFrame> {
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    for (i, range) in frame.depth.iter_mut().enumerate() {
+        *range = 0.02 + (i * 40_503 % 65_536) as f32 / 300_000.0;
+    }
+    frame
 }
 
-/// The paper's attack on a whole state: 20 iterations over five frames.
+fn input(depth: &DepthFrame) -> PilotInput<'_> {
+    PilotInput {
+        now_ns: 0,
+        depth,
+        goal: GoalRelative {
+            distance_m: 10.0,
+            bearing_rad: 0.1,
+        },
+        attitude: Attitude::LEVEL_NORTH,
+        velocity_m_s: HeadingVector::ZERO,
+        height_m: 1.5,
+    }
+}
+
+/// The paper's attack on a state: 20 iterations over the newest frame.
 #[divan::bench(sample_count = 10, sample_size = 1)]
 fn state_20_iterations(bencher: Bencher) {
-    let actor = FrozenActor::built_in().unwrap();
-    let mut attack = StateAttack::new(Isa::detect(), &actor, &AttackConfig::PAPER).unwrap();
-    bencher.with_inputs(|| frames(ACTOR_FRAMES)).bench_local_refs(|frames| {
-        attack
-            .attack(frames, PositionalInputs::at_rest([0.5, 0.1], actor.inputs))
-            .unwrap()
-    });
+    let frozen = FrozenActor::built_in().unwrap();
+    let mut actor = frozen.actor(Isa::detect()).unwrap();
+    actor.decide(&input(&frame())).unwrap();
+    let beside = Beside::of(&actor);
+    let mut attack = StateAttack::new(Isa::detect(), &frozen, &AttackConfig::PAPER).unwrap();
+    bencher
+        .with_inputs(frame)
+        .bench_local_refs(|frame| attack.attack(&mut frame.depth, &beside).unwrap());
 }
 
 /// The same on a frame as it passes.
@@ -35,9 +51,8 @@ fn state_20_iterations(bencher: Bencher) {
 fn stream_20_iterations(bencher: Bencher) {
     let actor = FrozenActor::built_in().unwrap();
     let mut attack = StreamAttack::new(Isa::detect(), &actor, &AttackConfig::PAPER).unwrap();
-    bencher.with_inputs(|| frames(1)).bench_local_refs(|frame| {
-        attack
-            .attack(frame, PositionalInputs::at_rest([0.5, 0.1], actor.inputs))
-            .unwrap()
-    });
+    let taken = frame();
+    bencher
+        .with_inputs(frame)
+        .bench_local_refs(|delivered| attack.attack(&input(&taken), delivered).unwrap());
 }

@@ -165,7 +165,6 @@ impl Attack {
             };
         }
         let interceptor = Interceptor::new(attack, BurstPlan::new(self.burst, seed), goal_ned_m);
-        let interceptor = interceptor.with_inputs(self.pilot.inputs());
         match self.evades_guard {
             true => interceptor.evading_guard(),
             false => Ok(interceptor),

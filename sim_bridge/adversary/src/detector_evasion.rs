@@ -4,11 +4,11 @@ use crate::config::AttackError;
 use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, ROW_LIMIT, WINDOW, normalise};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::ExplainedHead;
-use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, PositionalInputs, WITH_MOVERS};
+use vigil_policy::actor::{ACTOR_HIDDEN, LOW_DIM, PositionalInputs};
 
 /// The actor's output that the detector explains.
 const YAW: usize = 1;
-/// Step of the one-sided differences of the explanation, in units of the GRU's state (which lies within ±1).
+/// Step of the one-sided differences of the explanation, in units of the values at the split point.
 const DIFFERENCE: f32 = 1e-3;
 /// The attacker lowers the score while its logit is above the threshold's less this margin, and bends the yaw otherwise.
 const MARGIN: f32 = 1.0;
@@ -34,17 +34,19 @@ pub(crate) struct DetectorEvasion {
     /// Normalised explanations of what was delivered, oldest first; the last one is the step under way.
     rows: [[f32; ROW]; WINDOW],
     filled: usize,
+    /// What the actor observes beside frames in the step under way.
+    low_dim: PositionalInputs,
 }
 
 impl DetectorEvasion {
-    pub fn new(spec: ActorSpec, isa: Isa, actor: &[f32], detector: &FrozenDetector) -> Result<Self, AttackError> {
+    pub fn new(isa: Isa, actor: &[f32], detector: &FrozenDetector) -> Result<Self, AttackError> {
         let graph = LstmAd::graph(ROW, LstmAd::CELL, Activation::Identity)?;
         let mut packed = vec![0.0; graph.param_len()];
         graph.pack(&detector.params, &mut packed)?;
         let threshold = detector.threshold;
         Ok(Self {
             isa,
-            shap: detector.explainer(isa, ExplainedHead::of_actor(spec, actor, Purpose::Multipliers)?)?,
+            shap: detector.explainer(isa, ExplainedHead::of_actor(actor, Purpose::Multipliers)?)?,
             params: detector.params.clone(),
             packed,
             tape: vec![0.0; graph.tape_len()],
@@ -55,11 +57,13 @@ impl DetectorEvasion {
             limit: (threshold / (1.0 - threshold)).ln() - MARGIN,
             rows: [[0.0; ROW]; WINDOW],
             filled: 0,
+            low_dim: [0.0; LOW_DIM].into(),
         })
     }
 
-    /// Makes room for a step's explanation.
-    pub fn begin_step(&mut self) {
+    /// Makes room for the explanation of a step with this low-dimensional observation.
+    pub fn begin_step(&mut self, low_dim: PositionalInputs) {
+        self.low_dim = low_dim;
         self.rows.rotate_left(1);
         self.filled = (self.filled + 1).min(WINDOW);
     }
@@ -71,8 +75,8 @@ impl DetectorEvasion {
 
     /// Takes the state that the actor will have in the step under way; returns how far the score's logit is above what the
     /// attacker allows itself, 0 or less while the score is low enough (a window that is not full is not judged).
-    pub fn look(&mut self, state: &[f32], position: &PositionalInputs) -> Result<f32, AttackError> {
-        let phi = self.explain(state, position)?;
+    pub fn look(&mut self, state: &[f32]) -> Result<f32, AttackError> {
+        let phi = self.explain(state)?;
         if let Some(newest) = self.rows.last_mut() {
             *newest = normalise(&phi, &self.centre, &self.scale);
         }
@@ -85,7 +89,7 @@ impl DetectorEvasion {
     }
 
     /// Gradient of the logit with respect to the state last looked at.
-    pub fn gradient(&mut self, state: &[f32], position: &PositionalInputs) -> Result<[f32; ACTOR_HIDDEN], AttackError> {
+    pub fn gradient(&mut self, state: &[f32]) -> Result<[f32; ACTOR_HIDDEN], AttackError> {
         self.graph
             .backward(self.isa, &self.packed, &self.tape, &[1.0], None, &mut self.work)?;
         let mut d_phi = [0.0; ROW];
@@ -95,24 +99,24 @@ impl DetectorEvasion {
             *d = if x.abs() < ROW_LIMIT { *d / scale } else { 0.0 };
         }
         let along = |phi: &[f32; ROW]| phi.iter().zip(&d_phi).map(|(phi, d)| phi * d).sum::<f32>();
-        let here = along(&self.explain(state, position)?);
+        let here = along(&self.explain(state)?);
         let mut moved = [0.0; ACTOR_HIDDEN];
         moved.copy_from_slice(state);
         let mut gradient = [0.0; ACTOR_HIDDEN];
         for i in 0..ACTOR_HIDDEN {
             let kept = moved[i];
             moved[i] = kept + DIFFERENCE;
-            gradient[i] = (along(&self.explain(&moved, position)?) - here) / DIFFERENCE;
+            gradient[i] = (along(&self.explain(&moved)?) - here) / DIFFERENCE;
             moved[i] = kept;
         }
         Ok(gradient)
     }
 
     /// SHAP values of the state, yaw output.
-    fn explain(&mut self, state: &[f32], position: &PositionalInputs) -> Result<[f32; ROW], AttackError> {
-        let mut phi = [0.0; ROW + WITH_MOVERS];
-        self.shap.evaluate(&[state, position])?;
-        self.shap.attribute(YAW, &mut phi[..ROW + position.len()])?;
+    fn explain(&mut self, state: &[f32]) -> Result<[f32; ROW], AttackError> {
+        let mut phi = [0.0; ROW + LOW_DIM];
+        self.shap.evaluate(&[state, &self.low_dim])?;
+        self.shap.attribute(YAW, &mut phi)?;
         let mut of_state = [0.0; ROW];
         of_state.copy_from_slice(&phi[..ROW]);
         Ok(of_state)

@@ -4,11 +4,13 @@ use crate::config::{AttackConfig, AttackError, AttackOutcome};
 use crate::policy_attack::PolicyAttack;
 use crate::stream_attack::StreamAttack;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenPilot;
 use vigil_policy::actor::PositionalInputs;
+use vigil_policy::{FrozenPilot, PilotInput};
+use vigil_types::DepthFrame;
 
 /// Alters frames as they pass.
 #[derive(Debug, Clone)]
+#[expect(clippy::large_enum_variant, reason = "one per flight")]
 pub enum FrameAttack {
     /// Against an actor of ours.
     Actor(StreamAttack),
@@ -34,30 +36,34 @@ impl FrameAttack {
         })
     }
 
-    /// Lets a frame (`[rows][cols]` ranges over 100 m) pass unaltered, but remembers it. Ends a burst.
+    /// Lets what the pilot is given pass unaltered, but remembers it. Ends a burst.
     ///
     /// # Errors
-    /// A frame of another length; nothing is remembered of it.
-    pub fn pass(&mut self, frame: &mut [f32], position: PositionalInputs) -> Result<(), AttackError> {
+    /// None for a pilot of this project's frames.
+    pub fn pass(&mut self, taken: &PilotInput<'_>) -> Result<(), AttackError> {
         match self {
-            Self::Actor(attack) => attack.pass(frame, position),
-            Self::Policy(attack) => attack.pass(frame),
+            Self::Actor(attack) => attack.pass(taken),
+            Self::Policy(attack) => attack.pass(&taken.depth.depth),
         }
     }
 
-    /// Alters a frame in place, as [`StreamAttack::attack_while`]: after each iteration `go_on` says whether there is time for another.
+    /// Alters what the pilot is given, as [`StreamAttack::attack_while`]: `delivered` becomes the frame taken with other pixels; after each
+    /// iteration `go_on` says whether there is time for another.
     ///
     /// # Errors
-    /// A frame of another length; nothing is altered or remembered.
+    /// None for a pilot of this project's frames.
     pub fn attack_while(
         &mut self,
-        frame: &mut [f32],
-        position: PositionalInputs,
+        taken: &PilotInput<'_>,
+        delivered: &mut DepthFrame,
         go_on: impl FnMut() -> bool,
     ) -> Result<AttackOutcome, AttackError> {
         match self {
-            Self::Actor(attack) => attack.attack_while(frame, position, go_on),
-            Self::Policy(attack) => attack.attack_while(frame, &position, go_on),
+            Self::Actor(attack) => attack.attack_while(taken, delivered, go_on),
+            Self::Policy(attack) => {
+                delivered.clone_from(taken.depth);
+                attack.attack_while(&mut delivered.depth, &PositionalInputs::of_goal(taken.goal), go_on)
+            }
         }
     }
 

@@ -4,8 +4,7 @@ use crate::burst::BurstPlan;
 use crate::config::{AttackError, AttackOutcome};
 use crate::frame_attack::FrameAttack;
 use crate::guard_evasion::GuardEvasion;
-use vigil_policy::actor::Lead;
-use vigil_policy::{ActorInputs, PilotInput};
+use vigil_policy::PilotInput;
 use vigil_types::{DepthFrame, FrameHeader, GoalRelative, Nanos, NedVector, wrap_pi};
 
 /// Distance and bearing of a goal from where the frame was taken, by the estimate in its header: what the pilot sees of
@@ -46,12 +45,12 @@ pub struct Interceptor {
     attack: FrameAttack,
     plan: BurstPlan,
     goal_ned_m: NedVector,
-    /// Leads the actor as its file says, over the frames as they were taken.
-    lead: Lead,
     /// The guard that is to stay silent.
     guard: Option<GuardEvasion>,
     /// When and where the frame before was taken.
     before: Option<(Nanos, NedVector)>,
+    /// The frame under way, as it was taken.
+    taken: Box<DepthFrame>,
 }
 
 impl Interceptor {
@@ -61,18 +60,10 @@ impl Interceptor {
             attack: attack.into(),
             plan,
             goal_ned_m,
-            lead: Lead::new(ActorInputs::default()),
+            taken: Box::new(DepthFrame::EMPTY),
             guard: None,
             before: None,
         }
-    }
-
-    /// The same against an actor with these inputs. What the frames that it altered did to the actor's grid, the adversary does not
-    /// follow.
-    #[must_use]
-    pub fn with_inputs(mut self, inputs: ActorInputs) -> Self {
-        self.lead = Lead::new(inputs);
-        self
     }
 
     /// Makes the attack adaptive: it keeps the actor within what the guard lets pass.
@@ -115,15 +106,16 @@ impl Interceptor {
         go_on: impl FnMut() -> bool,
     ) -> Result<PassedStep, AttackError> {
         let velocity = self.velocity(&frame.header);
-        let position = self.lead.inputs(&seen(frame, self.goal_ned_m, velocity)).1;
         if !self.plan.attacks(step) {
-            self.attack.pass(&mut frame.depth, position)?;
+            self.attack.pass(&seen(frame, self.goal_ned_m, velocity))?;
             return Ok(PassedStep::Unaltered);
         }
         if let (Some(guard), FrameAttack::Actor(attack)) = (&self.guard, &mut self.attack) {
             attack.keep_yaw_within(guard.yaw_bounds());
         }
-        let outcome = self.attack.attack_while(&mut frame.depth, position, go_on)?;
+        (*self.taken).clone_from(frame);
+        let taken = seen(&self.taken, self.goal_ned_m, velocity);
+        let outcome = self.attack.attack_while(&taken, frame, go_on)?;
         frame.seal();
         if let Some(guard) = &mut self.guard {
             guard.delivered(&seen(frame, self.goal_ned_m, velocity), outcome.attacked);

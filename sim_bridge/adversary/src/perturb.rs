@@ -6,8 +6,8 @@ use crate::surrogate::{Ends, Surrogate};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vigil_nnet::{Activation, Isa};
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
-use vigil_types::{DEPTH_COLS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS};
+use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, column_bearing_rad, row_elevation_rad};
 
 /// The yaw output's limit before its saturation: 1.5 · tanh(10) is the limit to the last bit.
 const LIMIT: f32 = 10.0;
@@ -41,8 +41,6 @@ pub(crate) struct Perturber {
     config: AttackConfig,
     /// Frames attacked since the last reset: each draws from a stream of its own.
     calls: u64,
-    rows: usize,
-    cols: usize,
     clean: Vec<f32>,
     gradient: Vec<f32>,
     /// [`Method::Momentum`]: the running sum. [`Method::Patch`]: 1 within it. [`Method::Spsa`]: what is tried.
@@ -51,35 +49,16 @@ pub(crate) struct Perturber {
     kept: Vec<f32>,
 }
 
-/// The first of a frame's rows that shows the ground near the vehicle.
-pub(crate) fn first_row_of_ground(rows: usize) -> usize {
-    let scale = DEPTH_ROWS as f32 / rows as f32;
-    let elevation_rad = |row: usize| row_elevation_rad((row as f32 + 0.5) * scale - 0.5);
-    let first_of_ground = (0..rows).find(|row| elevation_rad(*row) < -GROUND_BELOW_RAD);
-    first_of_ground.unwrap_or(rows)
-}
-
-/// Where the frames stand.
-pub(crate) struct Scene<'a> {
-    /// GRU state before the frames, where the surrogate takes one.
-    pub older: &'a [f32; ACTOR_HIDDEN],
-    pub position: &'a PositionalInputs,
-    /// The yaw output before its saturation that is aimed at.
-    pub target: f32,
-}
-
 impl Perturber {
-    pub fn new(config: AttackConfig, pixels: usize, rows: usize, cols: usize) -> Result<Self, AttackError> {
+    pub fn new(config: AttackConfig) -> Result<Self, AttackError> {
         config.check()?;
         Ok(Self {
             config,
             calls: 0,
-            rows,
-            cols,
-            clean: vec![0.0; pixels],
-            gradient: vec![0.0; pixels],
-            extra: vec![0.0; pixels],
-            kept: kept_for(&config, pixels),
+            clean: vec![0.0; DEPTH_PIXELS],
+            gradient: vec![0.0; DEPTH_PIXELS],
+            extra: vec![0.0; DEPTH_PIXELS],
+            kept: kept_for(&config),
         })
     }
 
@@ -89,7 +68,7 @@ impl Perturber {
 
     pub fn configure(&mut self, config: AttackConfig) -> Result<(), AttackError> {
         config.check()?;
-        self.kept = kept_for(&config, self.clean.len());
+        self.kept = kept_for(&config);
         self.config = config;
         self.calls = 0;
         Ok(())
@@ -101,14 +80,14 @@ impl Perturber {
         self.calls = 0;
     }
 
-    /// Alters `frames`, which `surrogate` looked at last and saw `before` (outputs before saturation). After each iteration
-    /// `each` gets its number from 1, the outputs before saturation, and the frames; it says whether to go on. Returns
+    /// Alters `frame`, which `surrogate` looked at last and saw `before` (outputs before saturation). After each iteration
+    /// `each` gets its number from 1, the outputs before saturation, and the frame; it says whether to go on. Returns
     /// the last outputs before saturation.
     pub fn run(
         &mut self,
         surrogate: &mut impl Surrogate,
-        scene: &Scene<'_>,
-        frames: &mut [f32],
+        target: f32,
+        frame: &mut [f32],
         before: [f32; ACTOR_OUTPUTS],
         mut evasion: Option<&mut DetectorEvasion>,
         mut each: impl FnMut(u32, [f32; ACTOR_OUTPUTS], &[f32]) -> bool,
@@ -117,39 +96,39 @@ impl Perturber {
         rng.set_stream(self.calls);
         let call = self.calls;
         self.calls = call.wrapping_add(1);
-        self.clean.copy_from_slice(frames);
+        self.clean.copy_from_slice(frame);
         let (method, epsilon) = (self.config.method, self.config.epsilon());
         let mut outputs = before;
         let iterations = match method {
             Method::Fgsm => 1,
             Method::Noise => {
-                let size = self.config.reach(frames.len());
-                for (x, clean) in frames.iter_mut().zip(&self.clean) {
+                let size = self.config.reach(frame.len());
+                for (x, clean) in frame.iter_mut().zip(&self.clean) {
                     let sign = if rng.random::<bool>() { size } else { -size };
                     *x = (clean + sign).clamp(0.0, 1.0);
                 }
-                self.spare_ahead(frames);
-                outputs = surrogate.look(scene.older, frames, scene.position)?;
-                each(self.config.iterations, outputs, frames);
+                self.spare_ahead(frame);
+                outputs = surrogate.look(frame)?;
+                each(self.config.iterations, outputs, frame);
                 return Ok(outputs);
             }
             Method::Recede | Method::Blind | Method::Replay => {
                 match method {
-                    Method::Recede => self.recede(frames),
-                    Method::Blind => frames.fill(1.0),
-                    _ => self.replay(call, frames),
+                    Method::Recede => self.recede(frame),
+                    Method::Blind => frame.fill(1.0),
+                    _ => self.replay(call, frame),
                 }
-                self.spare_ahead(frames);
-                outputs = surrogate.look(scene.older, frames, scene.position)?;
-                each(self.config.iterations, outputs, frames);
+                self.spare_ahead(frame);
+                outputs = surrogate.look(frame)?;
+                each(self.config.iterations, outputs, frame);
                 return Ok(outputs);
             }
             Method::Pgd => {
-                for (x, clean) in frames.iter_mut().zip(&self.clean) {
+                for (x, clean) in frame.iter_mut().zip(&self.clean) {
                     *x = (clean + rng.random_range(-epsilon..=epsilon)).clamp(0.0, 1.0);
                 }
-                self.spare_ahead(frames);
-                outputs = surrogate.look(scene.older, frames, scene.position)?;
+                self.spare_ahead(frame);
+                outputs = surrogate.look(frame)?;
                 self.config.iterations
             }
             _ => self.config.iterations,
@@ -157,19 +136,19 @@ impl Perturber {
         self.extra.fill(0.0);
         for iteration in 1..=iterations {
             if method == Method::Spsa {
-                self.estimate(surrogate, scene, frames, &mut rng)?;
+                self.estimate(surrogate, target, frame, &mut rng)?;
             } else {
-                let d = ends(surrogate, scene, outputs, evasion.as_deref_mut())?;
+                let d = ends(surrogate, target, outputs, evasion.as_deref_mut())?;
                 surrogate.gradient(&d, &mut self.gradient)?;
             }
             self.move_together();
             if method == Method::Patch && iteration == 1 {
                 self.place_patch();
             }
-            self.step(frames, epsilon, iterations);
-            self.spare_ahead(frames);
-            outputs = surrogate.look(scene.older, frames, scene.position)?;
-            if !each(iteration, outputs, frames) {
+            self.step(frame, epsilon, iterations);
+            self.spare_ahead(frame);
+            outputs = surrogate.look(frame)?;
+            if !each(iteration, outputs, frame) {
                 break;
             }
         }
@@ -183,19 +162,15 @@ impl Perturber {
         if side == 1 {
             return;
         }
-        for band in self
-            .gradient
-            .chunks_exact_mut(self.rows * self.cols)
-            .flat_map(|f| f.chunks_mut(side * self.cols))
-        {
-            for left in (0..self.cols).step_by(side) {
-                let within = left..(left + side).min(self.cols);
-                let lines = band.chunks_exact(self.cols);
+        for band in self.gradient.chunks_mut(side * DEPTH_COLS) {
+            for left in (0..DEPTH_COLS).step_by(side) {
+                let within = left..(left + side).min(DEPTH_COLS);
+                let lines = band.chunks_exact(DEPTH_COLS);
                 let (count, sum) = (
                     (lines.len() * within.len()) as f32,
                     lines.flat_map(|line| &line[within.clone()]).sum::<f32>(),
                 );
-                for line in band.chunks_exact_mut(self.cols) {
+                for line in band.chunks_exact_mut(DEPTH_COLS) {
                     line[within.clone()].fill(sum / count);
                 }
             }
@@ -203,37 +178,37 @@ impl Perturber {
     }
 
     /// One step down the loss.
-    fn step(&mut self, frames: &mut [f32], epsilon: f32, iterations: u32) {
+    fn step(&mut self, frame: &mut [f32], epsilon: f32, iterations: u32) {
         let even = epsilon / iterations as f32;
         let projected = (STEP_GAIN * even).min(epsilon);
         match self.config.method {
-            Method::Fgsm => self.along_sign(frames, epsilon, epsilon),
-            Method::BimClipped | Method::Pgd => self.along_sign(frames, projected, epsilon),
+            Method::Fgsm => self.along_sign(frame, epsilon, epsilon),
+            Method::BimClipped | Method::Pgd => self.along_sign(frame, projected, epsilon),
             // A pixel cannot move by more than 1, so this projects nothing.
-            Method::BimAccumulating | Method::Spsa => self.along_sign(frames, epsilon, 1.0),
+            Method::BimAccumulating | Method::Spsa => self.along_sign(frame, epsilon, 1.0),
             Method::Momentum => {
-                let size = self.gradient.iter().map(|g| f64::from(g.abs())).sum::<f64>() / frames.len() as f64;
+                let size = self.gradient.iter().map(|g| f64::from(g.abs())).sum::<f64>() / frame.len() as f64;
                 let scale = if size > 0.0 { (1.0 / size) as f32 } else { 0.0 };
                 for (sum, g) in self.extra.iter_mut().zip(&mut self.gradient) {
                     *sum += *g * scale;
                     *g = *sum;
                 }
-                self.along_sign(frames, even, epsilon);
+                self.along_sign(frame, even, epsilon);
             }
             Method::L2 => {
-                let radius = f64::from(epsilon) * (frames.len() as f64).sqrt();
+                let radius = f64::from(epsilon) * (frame.len() as f64).sqrt();
                 let length = norm(self.gradient.iter().copied());
                 if length > 0.0 {
                     let step = (f64::from(STEP_GAIN) / f64::from(iterations)).min(1.0) * radius;
                     let scale = (step / length) as f32;
-                    for (x, g) in frames.iter_mut().zip(&self.gradient) {
+                    for (x, g) in frame.iter_mut().zip(&self.gradient) {
                         *x = (*x - scale * g).clamp(0.0, 1.0);
                     }
                 }
-                let moved = norm(frames.iter().zip(&self.clean).map(|(x, clean)| x - clean));
+                let moved = norm(frame.iter().zip(&self.clean).map(|(x, clean)| x - clean));
                 if moved > radius {
                     let shrink = (radius / moved) as f32;
-                    for (x, clean) in frames.iter_mut().zip(&self.clean) {
+                    for (x, clean) in frame.iter_mut().zip(&self.clean) {
                         *x = (clean + shrink * (*x - clean)).clamp(0.0, 1.0);
                     }
                 }
@@ -242,7 +217,7 @@ impl Perturber {
                 for (g, inside) in self.gradient.iter_mut().zip(&self.extra) {
                     *g *= inside;
                 }
-                self.along_sign(frames, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
+                self.along_sign(frame, PATCH_GAIN * projected, PATCH_GAIN * epsilon);
             }
             // Make no steps.
             Method::Noise | Method::Recede | Method::Blind | Method::Replay => {}
@@ -250,9 +225,9 @@ impl Perturber {
     }
 
     /// `x − step · sign(g)`, within `reach` of the clean pixel and 0..=1, and not nearer than [`AttackConfig::floor`] if it was not already.
-    fn along_sign(&self, frames: &mut [f32], step: f32, reach: f32) {
+    fn along_sign(&self, frame: &mut [f32], step: f32, reach: f32) {
         let floor = self.config.floor();
-        for ((x, g), clean) in frames.iter_mut().zip(&self.gradient).zip(&self.clean) {
+        for ((x, g), clean) in frame.iter_mut().zip(&self.gradient).zip(&self.clean) {
             let sign = if *g > 0.0 { step } else { 0.0 } - if *g < 0.0 { step } else { 0.0 };
             // Not `clamp`: its check of the bounds keeps the compiler from vectors.
             let least = (clean - reach).max(floor.min(*clean));
@@ -261,13 +236,13 @@ impl Perturber {
     }
 
     /// Keeps what passes first, and then shows it again.
-    fn replay(&mut self, call: u64, frames: &mut [f32]) {
-        let slot = (call % REPLAYED_FRAMES) as usize * frames.len();
-        let kept = &mut self.kept[slot..slot + frames.len()];
+    fn replay(&mut self, call: u64, frame: &mut [f32]) {
+        let slot = (call % REPLAYED_FRAMES) as usize * frame.len();
+        let kept = &mut self.kept[slot..slot + frame.len()];
         if call < REPLAYED_FRAMES {
-            kept.copy_from_slice(frames);
+            kept.copy_from_slice(frame);
         } else {
-            frames.copy_from_slice(kept);
+            frame.copy_from_slice(kept);
         }
     }
 
@@ -276,15 +251,15 @@ impl Perturber {
     fn estimate(
         &mut self,
         surrogate: &mut impl Surrogate,
-        scene: &Scene<'_>,
-        frames: &[f32],
+        target: f32,
+        frame: &[f32],
         rng: &mut ChaCha8Rng,
     ) -> Result<(), AttackError> {
         let (epsilon, side) = (self.config.epsilon(), self.config.region_pixels as usize);
         // Nobody who sees decisions alone sees more than the saturated output.
         let yaw_of = |before: f32| ACTOR_LIMIT * libm::tanhf(before);
-        let aim = yaw_of(scene.target);
-        let per_row = self.cols.div_ceil(side);
+        let aim = yaw_of(target);
+        let per_row = DEPTH_COLS.div_ceil(side);
         self.gradient.fill(0.0);
         for _ in 0..SPSA_QUERIES / 2 {
             let stream = rng.random::<u64>();
@@ -292,8 +267,8 @@ impl Perturber {
             for way in [1.0, -1.0] {
                 for (row, (to, from)) in self
                     .extra
-                    .chunks_exact_mut(self.cols)
-                    .zip(frames.chunks_exact(self.cols))
+                    .chunks_exact_mut(DEPTH_COLS)
+                    .zip(frame.chunks_exact(DEPTH_COLS))
                     .enumerate()
                 {
                     for (col, (to, from)) in to.iter_mut().zip(from).enumerate() {
@@ -301,11 +276,11 @@ impl Perturber {
                         *to = (from + way * epsilon * sign).clamp(0.0, 1.0);
                     }
                 }
-                let outputs = surrogate.look(scene.older, &self.extra, scene.position)?;
+                let outputs = surrogate.look(&self.extra)?;
                 let error = yaw_of(outputs[1]) - aim;
                 difference += way * error * error;
             }
-            for (row, line) in self.gradient.chunks_exact_mut(self.cols).enumerate() {
+            for (row, line) in self.gradient.chunks_exact_mut(DEPTH_COLS).enumerate() {
                 for (col, g) in line.iter_mut().enumerate() {
                     *g += difference * sign_of(stream, row / side * per_row + col / side);
                 }
@@ -315,52 +290,47 @@ impl Perturber {
     }
 
     /// Shows everything that is seen above [`GROUND_BELOW_RAD`] farther away. What gives no return goes on giving none.
-    fn recede(&self, frames: &mut [f32]) {
-        let by = self.config.reach(frames.len());
-        let pixels = first_row_of_ground(self.rows) * self.cols;
-        for frame in frames.chunks_exact_mut(self.rows * self.cols) {
-            for x in frame[..pixels].iter_mut().filter(|x| **x < 1.0) {
-                *x = (*x + by).min(1.0);
-            }
+    fn recede(&self, frame: &mut [f32]) {
+        let by = self.config.reach(frame.len());
+        let above = |row: &usize| row_elevation_rad(*row as f32) >= -GROUND_BELOW_RAD;
+        let rows = (0..DEPTH_ROWS).take_while(above).count();
+        for x in frame[..rows * DEPTH_COLS].iter_mut().filter(|x| **x < 1.0) {
+            *x = (*x + by).min(1.0);
         }
     }
 
     /// Leaves the columns within [`AttackConfig::truthful_ahead_deg`] of the nose as they were.
-    fn spare_ahead(&self, frames: &mut [f32]) {
+    fn spare_ahead(&self, frame: &mut [f32]) {
         let spared_rad = self.config.truthful_ahead_deg.to_radians();
         if spared_rad == 0.0 {
             return;
         }
-        let scale = DEPTH_COLS as f32 / self.cols as f32;
-        let bearing_rad = |col: usize| column_bearing_rad((col as f32 + 0.5) * scale - 0.5);
-        let is_spared = |col: &usize| bearing_rad(*col).abs() <= spared_rad;
-        let spared = (0..self.cols).filter(is_spared);
+        let is_spared = |col: &usize| column_bearing_rad(*col as f32).abs() <= spared_rad;
+        let spared = (0..DEPTH_COLS).filter(is_spared);
         let (Some(first), count) = (spared.clone().next(), spared.count()) else {
             return;
         };
-        let lines = frames
-            .chunks_exact_mut(self.cols)
-            .zip(self.clean.chunks_exact(self.cols));
+        let lines = frame
+            .chunks_exact_mut(DEPTH_COLS)
+            .zip(self.clean.chunks_exact(DEPTH_COLS));
         for (line, clean) in lines {
             line[first..first + count].copy_from_slice(&clean[first..first + count]);
         }
     }
 
-    /// Finds the patch, in half-patch strides, with the largest sum of gradients over all frames.
+    /// Finds the patch, in half-patch strides, with the largest sum of gradients.
     fn place_patch(&mut self) {
-        let (height, width) = ((self.rows / PATCH_ROWS).max(1), (self.cols / PATCH_COLS).max(1));
-        let (rows, cols) = (self.rows, self.cols);
+        let (height, width) = (DEPTH_ROWS / PATCH_ROWS, DEPTH_COLS / PATCH_COLS);
         let weight = |top: usize, left: usize| -> f64 {
-            let frames = self.gradient.chunks_exact(rows * cols);
-            let lines = frames.flat_map(|frame| frame.chunks_exact(cols).skip(top).take(height));
+            let lines = self.gradient.chunks_exact(DEPTH_COLS).skip(top).take(height);
             lines
                 .flat_map(|line| line.iter().skip(left).take(width))
                 .map(|g| f64::from(g.abs()))
                 .sum()
         };
         let mut best = (f64::NEG_INFINITY, 0, 0);
-        for top in (0..=rows - height).step_by((height / 2).max(1)) {
-            for left in (0..=cols - width).step_by((width / 2).max(1)) {
+        for top in (0..=DEPTH_ROWS - height).step_by(height / 2) {
+            for left in (0..=DEPTH_COLS - width).step_by(width / 2) {
                 let sum = weight(top, left);
                 if sum > best.0 {
                     best = (sum, top, left);
@@ -368,10 +338,8 @@ impl Perturber {
             }
         }
         let (_, top, left) = best;
-        for frame in self.extra.chunks_exact_mut(rows * cols) {
-            for line in frame.chunks_exact_mut(cols).skip(top).take(height) {
-                line.iter_mut().skip(left).take(width).for_each(|inside| *inside = 1.0);
-            }
+        for line in self.extra.chunks_exact_mut(DEPTH_COLS).skip(top).take(height) {
+            line[left..left + width].fill(1.0);
         }
     }
 }
@@ -381,19 +349,19 @@ impl Perturber {
 /// Example Detection Defenses with Orthogonal Projected Gradient Descent", 2022: the selective variant).
 fn ends(
     surrogate: &impl Surrogate,
-    scene: &Scene<'_>,
+    target: f32,
     outputs: [f32; ACTOR_OUTPUTS],
     evasion: Option<&mut DetectorEvasion>,
 ) -> Result<Ends, AttackError> {
     let mut d: Ends = [0.0; ACTOR_OUTPUTS + ACTOR_HIDDEN];
     if let Some(evasion) = evasion {
         let state = surrogate.state()?;
-        if evasion.look(state, scene.position)? > 0.0 {
-            d[ACTOR_OUTPUTS..].copy_from_slice(&evasion.gradient(state, scene.position)?);
+        if evasion.look(state)? > 0.0 {
+            d[ACTOR_OUTPUTS..].copy_from_slice(&evasion.gradient(state)?);
             return Ok(d);
         }
     }
-    d[1] = 2.0 * (outputs[1] - scene.target);
+    d[1] = 2.0 * (outputs[1] - target);
     Ok(d)
 }
 
@@ -406,9 +374,9 @@ fn sign_of(stream: u64, number: usize) -> f32 {
 }
 
 /// Room for what [`Method::Replay`] shows again.
-fn kept_for(config: &AttackConfig, pixels: usize) -> Vec<f32> {
+fn kept_for(config: &AttackConfig) -> Vec<f32> {
     match config.method {
-        Method::Replay => vec![0.0; REPLAYED_FRAMES as usize * pixels],
+        Method::Replay => vec![0.0; REPLAYED_FRAMES as usize * DEPTH_PIXELS],
         _ => Vec::new(),
     }
 }

@@ -1,14 +1,15 @@
 //! The attack in flight on an imported policy: as [`crate::StreamAttack`], on its own frame, of which the newest channel is ours.
 
 use crate::config::{AttackConfig, AttackError, AttackOutcome};
-use crate::perturb::{Perturber, Scene, limit};
+use crate::perturb::{Perturber, limit};
+use crate::state_attack::check;
 use crate::surrogate::{Ends, Surrogate};
 use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::FrozenPolicy;
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::actor::{ACTOR_LIMIT, ACTOR_OUTPUTS, GOAL_INPUTS, PositionalInputs};
 use vigil_policy::imported::{Channels, NetworkError, PolicyInputs};
-use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
+use vigil_types::DEPTH_PIXELS;
 
 /// Alters frames as they pass to an imported policy. It remembers what it delivered and what it was given. Pixels that the policy
 /// does not sample stay as they are.
@@ -77,20 +78,17 @@ struct SurrogatePolicy {
     /// Its own frame as last looked at, and our pixels then.
     frame: Vec<f32>,
     newest: Vec<f32>,
+    /// What is given beside the frame.
+    position: PositionalInputs,
 }
 
 impl Surrogate for SurrogatePolicy {
-    fn look(
-        &mut self,
-        _: &[f32; ACTOR_HIDDEN],
-        newest: &[f32],
-        position: &PositionalInputs,
-    ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+    fn look(&mut self, newest: &[f32]) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
         self.newest.copy_from_slice(newest);
         self.frame.copy_from_slice(&self.before);
         let inputs = self.network.inputs;
         inputs.see(&self.places, newest, !self.started, &mut self.frame);
-        self.network.outputs(&self.frame, position)
+        self.network.outputs(&self.frame, &self.position)
     }
 
     fn state(&self) -> Result<&[f32], ShapeError> {
@@ -142,7 +140,7 @@ impl PolicyAttack {
         graph.pack(&policy.params, &mut packed)?;
         let len = inputs.rows * inputs.cols * inputs.channels;
         Ok(Self {
-            perturber: Perturber::new(*config, DEPTH_PIXELS, DEPTH_ROWS, DEPTH_COLS)?,
+            perturber: Perturber::new(*config)?,
             policy: Evaluated::new(isa, policy, policy.network.graph(Purpose::Gradients).map_err(refused)?),
             surrogate: SurrogatePolicy {
                 packed,
@@ -153,6 +151,7 @@ impl PolicyAttack {
                 started: false,
                 frame: vec![0.0; len],
                 newest: vec![0.0; DEPTH_PIXELS],
+                position: [0.0; GOAL_INPUTS].into(),
             },
             delivered: vec![0.0; len],
             clean: vec![0.0; len],
@@ -184,7 +183,8 @@ impl PolicyAttack {
     ) -> Result<AttackOutcome, AttackError> {
         check(frame)?;
         self.surrogate.before.copy_from_slice(&self.delivered);
-        let before = self.surrogate.look(&NOTHING_OLDER, frame, position)?;
+        self.surrogate.position = *position;
+        let before = self.surrogate.look(frame)?;
         self.decided_on.copy_from_slice(&self.clean);
         let inputs = self.policy.inputs;
         inputs.see(
@@ -196,13 +196,10 @@ impl PolicyAttack {
         let clean = limited(self.policy.outputs(&self.decided_on, position)?);
         let towards = self.perturber.config().towards;
         let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
-        let scene = Scene {
-            older: &NOTHING_OLDER,
-            position,
-            target: limit(direction),
-        };
         self.perturber
-            .run(&mut self.surrogate, &scene, frame, before, None, |_, _, _| go_on())?;
+            .run(&mut self.surrogate, limit(direction), frame, before, None, |_, _, _| {
+                go_on()
+            })?;
         let clean_frame = core::mem::take(&mut self.decided_on);
         self.remember(frame, Some(&clean_frame));
         self.decided_on = clean_frame;
@@ -227,20 +224,6 @@ impl PolicyAttack {
         self.perturber.reset(seed);
         self.surrogate.started = false;
         self.direction = None;
-    }
-}
-
-/// Its surrogate takes no state.
-const NOTHING_OLDER: [f32; ACTOR_HIDDEN] = [0.0; ACTOR_HIDDEN];
-
-fn check(frame: &[f32]) -> Result<(), AttackError> {
-    match frame.len() == DEPTH_PIXELS {
-        true => Ok(()),
-        false => Err(AttackError::Shape(ShapeError::Length {
-            what: "frame",
-            expected: DEPTH_PIXELS,
-            got: frame.len(),
-        })),
     }
 }
 

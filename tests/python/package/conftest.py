@@ -16,13 +16,14 @@ VIGIL = TOP / "target" / "release" / "vigil"
 
 @pytest.fixture(scope="session")
 def flown():
-    """A flight's first 40 steps by the built-in actor: frames `[40, 5, 128, 256]`, goals, positions, states and actions."""
+    """A flight's first 40 steps by the built-in actor: frames `[40, 5, 128, 256]`, goals, positions, states and actions; what the actor
+    held beside each frame: context and low-dimensional observation."""
     from vigil.policy import Actor
 
     actor = Actor()
     env = vigil.gym.VigilEnv("validation", actor=actor)
     observation, _ = env.reset(options={"course_seed": 7})
-    frames, goals, positions, states, actions = [], [], [], [], []
+    frames, goals, positions, states, actions, held = [], [], [], [], [], []
     for _ in range(40):
         action = actor.decide(observation["frames"][-1], observation["position"])
         frames.append(observation["frames"])
@@ -30,8 +31,9 @@ def flown():
         positions.append(observation["position"])
         states.append(actor.state())
         actions.append(action)
+        held.append((actor.context(), actor.low_dim()))
         observation, *_ = env.step(action)
-    return np.stack(frames), np.stack(goals), np.stack(positions), np.stack(states), actions
+    return np.stack(frames), np.stack(goals), np.stack(positions), np.stack(states), actions, held
 
 
 @pytest.fixture(scope="session")

@@ -13,11 +13,11 @@ from vigil.policy import Actor, Policy
 
 
 def test_contributions_and_base_add_up_to_the_decision(flown):
-    frames, _, positions, states, actions = flown
+    _, _, _, states, actions, held = flown
     explain = SplitPoint(Actor())
     for output in (FORWARD, YAW):
         for i in range(5, 40, 7):
-            found = explain.explain(states[i], positions[i], output)
+            found = explain.explain(states[i], held[i][1], output)
             assert found.phi.shape == (48,)
             assert found.output == pytest.approx(actions[i][output], abs=1e-5)
             total = found.base + found.phi.sum() + found.bearing + found.distance + found.told
@@ -25,32 +25,34 @@ def test_contributions_and_base_add_up_to_the_decision(flown):
 
 
 def test_pixels_add_up_to_the_decision_as_well(flown):
-    frames, _, positions, states, actions = flown
-    found = Pixels(Actor(), (frames[:12:4], positions[:12:4])).explain(frames[30], positions[30])
-    assert found.phi.shape == (5, 128, 256)
+    frames, _, _, _, actions, held = flown
+    contexts, low_dims = (np.stack(given) for given in zip(*held))
+    usual = frames[:12:4, -1], contexts[:12:4], low_dims[:12:4]
+    found = Pixels(Actor(), usual).explain(frames[30, -1], *held[30])
+    assert found.phi.shape == (128, 256)
     assert found.output == pytest.approx(actions[30].yaw, abs=1e-4)
-    total = found.base + found.phi.sum(dtype=np.float64) + found.bearing + found.distance + found.told
+    total = found.base + found.phi.sum(dtype=np.float64) + found.memory + found.bearing + found.distance + found.told
     assert total == pytest.approx(found.output, abs=5e-5)
     assert np.abs(found.phi).max() > 1e-5
 
 
 def test_the_monitor_says_what_explainer_and_detector_say(flown):
-    frames, _, positions, states, actions = flown
+    _, _, _, states, _, held = flown
     actor, detector = Actor(), Detector()
     monitor, explain = Monitor(actor, detector), SplitPoint(actor)
-    judged = [monitor.judge(state, position) for state, position in zip(states, positions)]
-    phi = np.stack([explain.explain(state, position).phi for state, position in zip(states, positions)])
+    judged = [monitor.judge(state, low_dim) for state, (_, low_dim) in zip(states, held)]
+    phi = np.stack([explain.explain(state, low_dim).phi for state, (_, low_dim) in zip(states, held)])
     np.testing.assert_array_equal(phi, np.stack([j.phi for j in judged]))
     scores = detector.scores(phi)
     assert np.isnan(scores[:9]).all() and [j.score for j in judged[:9]] == [None] * 9
     np.testing.assert_array_equal(scores[9:], np.array([j.score for j in judged[9:]], np.float32))
     assert all(j.attacked is False for j in judged[9:])
     monitor.reset()
-    assert monitor.judge(states[0], positions[0]).attacked is None
+    assert monitor.judge(states[0], held[0][1]).attacked is None
 
 
 def test_an_attack_in_flight_is_noticed(flown):
-    frames, _, positions, states, _ = flown
+    frames, _, positions, *_ = flown
     actor = Actor()
     monitor, adversary = Monitor(actor), FrameAttack(actor)
     changes, verdicts = [], []
@@ -66,17 +68,17 @@ def test_an_attack_in_flight_is_noticed(flown):
         decided = actor.decide(frame, position)
         if i >= 20:
             assert decided.yaw == pytest.approx(found.attacked.yaw, abs=1e-4)
-        verdicts.append(monitor.judge(actor.state(), position).attacked)
+        verdicts.append(monitor.judge(actor.state(), actor.low_dim()).attacked)
     assert max(changes) > 0.5
     assert True not in verdicts[:20] and True in verdicts[20:]
 
 
 @pytest.mark.parametrize("method", ["fgsm", "bim-clipped", "bim-accumulating", "pgd"])
 def test_a_state_is_attacked_within_its_bounds(flown, method):
-    frames, _, positions, _, actions = flown
-    found = StateAttack(Actor(), method, epsilon=2.0, iterations=5).attack(frames[30], positions[30])
+    frames, _, _, _, actions, held = flown
+    found = StateAttack(Actor(), method, epsilon=2.0, iterations=5).attack(frames[30, -1], *held[30])
     reach = 2.0 * 100.0 / 255.0 * (5 if method == "bim-accumulating" else 1)
-    moved = np.abs(found.frames - frames[30]).max()
+    moved = np.abs(found.frames - frames[30, -1]).max()
     assert 0.1 < moved <= reach + 1e-3
     assert found.frames.min() >= 0.0 and found.frames.max() <= 100.0
     assert found.clean.yaw == pytest.approx(actions[30].yaw, abs=1e-4)
@@ -86,7 +88,7 @@ def test_a_state_is_attacked_within_its_bounds(flown, method):
 
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last", "gru"])
 def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(flown, policies, name):
-    frames, goals, _, _, _ = flown
+    frames, goals, *_ = flown
     policy = Policy(policies[name])
     rows, columns, channels = policy.frame_shape
     for stack, goal in zip(frames[20:26], goals[20:26]):
@@ -120,7 +122,7 @@ def test_an_imported_policy_decides_as_in_flight_and_is_explained_and_attacked(f
 
 @pytest.mark.parametrize("name", ["goal_beside_the_frame", "three_channels_last"])
 def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_frame(flown, policies, tmp_path, name):
-    frames, goals, _, _, _ = flown
+    frames, goals, *_ = flown
     policy = Policy(policies[name])
     with pytest.raises(ValueError, match="nothing was decided yet"):
         policy.state()
@@ -171,7 +173,7 @@ def test_an_imported_policy_is_judged_at_its_split_point_and_attacked_frame_by_f
 
 
 def test_an_actor_written_from_python_decides_as_the_program_does(flown, tmp_path):
-    frames, _, positions, _, actions = flown
+    frames, _, positions, _, actions, _ = flown
     built_in = Actor()
     tensors = built_in.tensors()
     same = policy_module.freeze(tmp_path / "same.safetensors", tensors, seed=3, training_config="rate = 0.1")
@@ -188,7 +190,7 @@ def test_an_actor_written_from_python_decides_as_the_program_does(flown, tmp_pat
     assert digest == Actor(file).sha256
     assert len(completion(seeds=[7], actor=file, detector=False, threads=1).flights) == 1, "it flies"
     for wrong, said in [
-        ({k: v for k, v in tensors.items() if k != "gru.input_bias"}, "gru.input_bias missing"),
+        ({k: v for k, v in tensors.items() if k != "trunk_1.bias"}, "trunk_1.bias missing"),
         ({**tensors, "more": np.zeros(3, np.float32)}, "more unknown"),
         ({**tensors, "output.bias": np.zeros(3, np.float32)}, r"output.bias: expected shape \(2,\)"),
         ({**tensors, "output.bias": np.full(2, np.nan, np.float32)}, "output.bias: holds a value that is not"),
@@ -222,8 +224,8 @@ def test_a_detector_is_trained_on_rows_of_any_width_and_kept(tmp_path):
 
 
 def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
-    frames, _, positions, states, _ = flown
-    actor, frame, position = Actor(), frames[0][-1], positions[0]
+    frames, _, positions, states, _, held = flown
+    actor, frame, position, low_dim = Actor(), frames[0][-1], positions[0], held[0][1]
     bad = frame.copy()
     bad[3, 4] = np.nan
     for given, error, said in [
@@ -235,14 +237,16 @@ def test_what_does_not_fit_is_refused_in_words(flown, tmp_path):
     ]:
         with pytest.raises(error, match=said):
             actor.decide(given, position)
-    with pytest.raises(ValueError, match=r"goal: expected shape \(2,\) or \(16,\)"):
+    with pytest.raises(ValueError, match=r"goal: expected shape \(2,\) or \(9,\)"):
         actor.decide(frame, [1.0])
     with pytest.raises(ValueError, match="a distance of 0 m or more"):
         actor.decide(frame, [-1.0, 0.0])
     with pytest.raises(ValueError, match=r"state: expected shape \(48,\)"):
-        Monitor(actor).judge(states[0][:47], position)
+        Monitor(actor).judge(states[0][:47], low_dim)
     with pytest.raises(ValueError, match="output: 0"):
-        SplitPoint(actor).explain(states[0], position, output=2)
+        SplitPoint(actor).explain(states[0], low_dim, output=2)
+    with pytest.raises(ValueError, match=r"low_dim: expected shape \(8,\)"):
+        SplitPoint(actor).explain(states[0], position)
     with pytest.raises(ValueError, match="empty"):
         SplitPoint(actor, (np.empty((0, 48), np.float32), []))
     with pytest.raises(ValueError, match="is none of fgsm"):

@@ -48,7 +48,7 @@ PLOTS = {
     "plots/yaw": (("actor_yaw", "what the actor wanted", ORANGE), ("action_yaw", "what was flown", BLUE)),
     "plots/cause": (
         ("contribution_image", "picture", BLUE), ("contribution_bearing", "bearing", ORANGE), ("contribution_distance", "distance", GREEN),
-        ("contribution_told", "told of movers", RED),
+        ("contribution_told", "own motion", RED),
     ),
     "plots/speed": (("speed_m_s", "speed, m/s", BLUE), ("setpoint_forward_m_s", "setpoint forward, m/s", ORANGE)),
     "plots/step": (("step_time_ms", "time of a step, ms", BLUE),),

@@ -1,12 +1,12 @@
 //! The actor behind its encoder over whole batches, with its gradient. Parameters are in the order of
-//! [`SeeingParams`](vigil_policy::seeing::SeeingParams), without the encoder's; a test holds it against the graph that flies.
+//! [`ActorParams`](vigil_policy::actor::ActorParams), without the encoder's; a test holds it against the graph that flies.
 
 use crate::mlp::{Mlp, MlpTape};
 use crate::observation::{FIRST_HALF, OBSERVATION};
 use rand::{Rng, RngExt};
 use vigil_nnet::{Activation, Dense, Isa, ShapeError};
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS};
-use vigil_policy::seeing::{HEAD, LOW_UNITS, SeeingSpec, TRUNK};
+use vigil_policy::actor::{ActorSpec, HEAD, LOW_UNITS, TRUNK};
 
 /// Largest weight of the last layers at first (Lillicrap et al. 2016).
 pub const LAST_LAYER_LIMIT: f32 = 3e-3;
@@ -45,7 +45,7 @@ struct At {
 impl ActorNet {
     /// For batches of up to `rows`.
     pub fn new(rows: usize) -> Self {
-        let spec = SeeingSpec::FULL;
+        let spec = ActorSpec::FULL;
         let trunk = Mlp::new(FIRST_HALF, &TRUNK, ACTOR_HIDDEN);
         let mut net = Self {
             tape: trunk.tape(rows),
@@ -221,7 +221,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use vigil_nnet::{GraphBuilder, Purpose};
-    use vigil_policy::seeing::memory::{CONTEXT, LOW_DIM, SCAN};
+    use vigil_policy::actor::memory::{CONTEXT, LOW_DIM, SCAN};
 
     fn observations(rng: &mut ChaCha8Rng, rows: usize) -> Vec<f32> {
         (0..rows * OBSERVATION).map(|_| rng.random_range(-1.0..1.0)).collect()
@@ -229,7 +229,7 @@ mod tests {
 
     /// Scan, memory and low-dimensional observation to the outputs before saturation, as it flies.
     fn graph() -> vigil_nnet::Graph {
-        let spec = SeeingSpec::FULL;
+        let spec = ActorSpec::FULL;
         let mut b = GraphBuilder::new();
         let params = spec.reserve(&mut b);
         let scan = b.input(SCAN, true).unwrap();
@@ -246,7 +246,7 @@ mod tests {
         let (isa, graph) = (Isa::detect(), graph());
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let mut net = ActorNet::new(ROWS);
-        let encoder = SeeingSpec::FULL.encoder_len();
+        let encoder = ActorSpec::FULL.encoder_len();
         let mut all = vec![0.0; encoder];
         all.extend(net.initial(&mut rng));
         all[encoder..]

@@ -10,8 +10,8 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
-use vigil_policy::seeing::SeeingSpec;
-use vigil_policy::seeing::memory::{SCAN, proximity, range_m, scan_bearing_rad};
+use vigil_policy::actor::ActorSpec;
+use vigil_policy::actor::memory::{SCAN, proximity, range_m, scan_bearing_rad};
 use vigil_sim::environment::true_state::TruePlan;
 use vigil_types::{Attitude, DEPTH_COLS, DepthFrame, NedVector};
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
@@ -126,7 +126,7 @@ struct Shard {
 }
 
 /// First weights: the variance is kept, and each filter's weights sum to 0, so that what all frames have in common does not pass.
-fn initial(spec: SeeingSpec, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>) {
+fn initial(spec: ActorSpec, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>) {
     let (mut params, mut shares) = (Vec::new(), Vec::new());
     for layer in spec.convolutions() {
         let fan_in = layer.kernel * layer.kernel * layer.channels;
@@ -166,7 +166,7 @@ pub fn teach_encoder(
     isa: Isa,
     report: &mut (dyn FnMut(u64, f32) + Send),
 ) -> Result<Vec<f32>, EncoderError> {
-    let spec = SeeingSpec::FULL;
+    let spec = ActorSpec::FULL;
     let graph = spec.encoder_graph(Purpose::Gradients, false)?;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(STREAM);
@@ -253,7 +253,7 @@ pub const BANDS_M: [f32; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 12.0];
 /// # Errors
 /// Parameters of another encoder.
 pub fn test_encoder(encoder: &[f32], isa: Isa, frames: usize) -> Result<Vec<Vec<f32>>, EncoderError> {
-    let graph: Graph = SeeingSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
+    let graph: Graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
     let mut params = vec![0.0; graph.param_len()];
     params[..encoder.len()].copy_from_slice(encoder);
     let mut tape = Aligned::zeros(graph.tape_len());

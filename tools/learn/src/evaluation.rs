@@ -9,9 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{Actor, Lead};
-use vigil_policy::seeing::{SeeingActor, SeeingSpec};
-use vigil_policy::{ActorInputs, FlightField, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_policy::actor::{Actor, ActorSpec};
+use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, RangeScan};
 use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice};
 use vigil_vehicle::Wind;
 use vigil_world::{Family, Outcome, generate};
@@ -19,10 +18,8 @@ use vigil_world::{Family, Outcome, generate};
 /// Who decides.
 #[derive(Debug, Clone, Copy)]
 pub enum EvaluatedActor<'a> {
-    /// Parameters of an actor that looks and remembers.
-    Seeing(&'a [f32]),
-    /// Parameters of an actor that a planner leads, and what it decides from.
-    Led(&'a [f32], ActorInputs),
+    /// An actor's parameters.
+    Actor(&'a [f32]),
     /// No motion at all: what the field does alone.
     Zero,
     /// Each output drawn evenly anew each step.
@@ -135,42 +132,35 @@ fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) ->
     let mut course = generate(what.family, seed);
     course.time_limit_s = what.time_limit_s;
     let mut flight = Flight::new(&course, Wind::default(), seed)?;
-    let mut pilot = match actor {
-        EvaluatedActor::Seeing(params) => {
-            let actor = SeeingActor::new(SeeingSpec::FULL, isa, params)?.without(what.ablation);
-            Deciding::Seeing(Box::new(actor))
-        }
-        EvaluatedActor::Led(params, inputs) => {
-            let actor = Actor::with_frame_ages(inputs.spec(), isa, params, inputs.frame_ages)?;
-            Deciding::Led(Box::new((Lead::new(inputs), actor)))
-        }
-        EvaluatedActor::Geometric => Deciding::Geometric(Box::new(GeometricPilot::new(GeometricConfig::default()))),
-        EvaluatedActor::Random => Deciding::Random(Box::new(ChaCha8Rng::seed_from_u64(seed))),
-        EvaluatedActor::Zero => Deciding::Zero,
+    let mut network = match actor {
+        EvaluatedActor::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?.without(what.ablation)),
+        EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,
     };
+    let mut geometric = matches!(actor, EvaluatedActor::Geometric).then(|| {
+        let config = GeometricConfig::default();
+        Box::new(GeometricPilot::new(config))
+    });
     let mut drifting = Drifting::new(what.drift);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut surroundings = Box::new(RangeScan::new());
     let mut field = FlightField::default();
     loop {
-        let input = flight.input();
-        let mut goal = input.goal;
-        let of = |[forward_m_s, yaw]: [f32; 2]| Action { forward_m_s, yaw };
-        let mut action = match &mut pilot {
-            Deciding::Seeing(actor) => of(drifting.with(&input, |input| actor.decide(input))?),
-            Deciding::Led(led) => {
-                let (lead, actor) = &mut **led;
-                let position;
-                (goal, position) = lead.inputs(&input);
-                of(actor.decide(&flight.frame().depth, position)?)
+        let mut action = match (&mut network, &mut geometric) {
+            (Some(actor), _) => {
+                let [forward_m_s, yaw] = drifting.with(&flight.input(), |input| actor.decide(input))?;
+                Action { forward_m_s, yaw }
             }
-            Deciding::Geometric(pilot) => pilot.decide(&input),
-            Deciding::Random(rng) => of([(); 2].map(|()| rng.random_range(-ACTION_LIMIT..ACTION_LIMIT))),
-            Deciding::Zero => Action::HOVER,
+            (None, Some(pilot)) => pilot.decide(&flight.input()),
+            (None, None) if matches!(actor, EvaluatedActor::Random) => Action {
+                forward_m_s: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
+                yaw: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
+            },
+            (None, None) => Action::HOVER,
         };
         if what.field {
-            let input = PilotInput { goal, ..input };
+            let input = flight.input();
             action = field.add_to(action, &input, surroundings.observe(&input));
-            if let Deciding::Seeing(actor) = &mut pilot {
+            if let Some(actor) = &mut network {
                 actor.note_action(action);
             }
         }
@@ -178,13 +168,4 @@ fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) ->
             return Ok((outcome, flight.time_s()));
         }
     }
-}
-
-/// Who decides, in flight.
-enum Deciding {
-    Seeing(Box<SeeingActor>),
-    Led(Box<(Lead, Actor)>),
-    Geometric(Box<GeometricPilot>),
-    Random(Box<ChaCha8Rng>),
-    Zero,
 }

@@ -1,8 +1,8 @@
 //! What the actor observes, as the trainer stores it and sees it in a mirror, and how an environment makes it.
 
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
-use vigil_policy::seeing::SeeingSpec;
-use vigil_policy::seeing::memory::{
+use vigil_policy::actor::ActorSpec;
+use vigil_policy::actor::memory::{
     ActorMemory, CONTEXT, LOW_DIM, MOVED, Odometry, RING, SCAN, SCAN_AGES, TRAIL, low_dim, yaw_rate_rad_s,
 };
 use vigil_policy::{PilotInput, RangeScan};
@@ -42,7 +42,7 @@ impl Encoder {
     /// # Errors
     /// None for a valid description.
     pub fn new(isa: Isa, encoder: &[f32]) -> Result<Self, ShapeError> {
-        let graph = SeeingSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
+        let graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
         let mut params = vec![0.0; graph.param_len()];
         params[..encoder.len()].copy_from_slice(encoder);
         Ok(Self { graph, isa, params })

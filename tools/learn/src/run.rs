@@ -526,7 +526,7 @@ impl<'a> Run<'a> {
             drift: Drift::default(),
         };
         let whole = self.whole(params);
-        let result = evaluate(EvaluatedActor::Seeing(&whole), self.isa, &what)?;
+        let result = evaluate(EvaluatedActor::Actor(&whole), self.isa, &what)?;
         Ok(FamilyCount::new(&what, &result))
     }
 

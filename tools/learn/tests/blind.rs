@@ -1,17 +1,15 @@
-//! The trained actor looks: blind it fails.
+//! The built-in actor looks: blind it fails.
 
-use std::path::Path;
 use vigil_learn::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, evaluate};
 use vigil_learn::observation::Drift;
 use vigil_nnet::Isa;
-use vigil_policy::FrozenSeeing;
+use vigil_policy::FrozenActor;
 use vigil_types::Ablation;
 use vigil_world::Family;
 
 #[test]
 fn the_actor_completes_courses_that_it_does_not_complete_blind() {
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/runs/seeing-1/actor.safetensors");
-    let actor = FrozenSeeing::load(&file).unwrap();
+    let actor = FrozenActor::built_in().unwrap();
     let completed = |family, ablation| {
         let what = EvaluationSpec {
             family,
@@ -22,7 +20,7 @@ fn the_actor_completes_courses_that_it_does_not_complete_blind() {
             ablation,
             drift: Drift::default(),
         };
-        let result = evaluate(EvaluatedActor::Seeing(&actor.params), Isa::detect(), &what).unwrap();
+        let result = evaluate(EvaluatedActor::Actor(&actor.params), Isa::detect(), &what).unwrap();
         FamilyCount::new(&what, &result).successes
     };
     // Of 95 % in the mean fewer than 9 of 12 are one chance in five thousand; of 15 % more than 5 are one in two hundred.

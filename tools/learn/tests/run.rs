@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_learn::config::LearnConfig;
 use vigil_learn::run::{LearnEnd, LearnError, LearnOptions, Progress, learn};
-use vigil_policy::seeing::SeeingSpec;
+use vigil_policy::actor::ActorSpec;
 use vigil_world::Family;
 
 /// Flights end, are cut off and push old ones out of the memory; 1 000 updates make a row of the curve and an evaluation.
@@ -33,7 +33,7 @@ fn small() -> LearnConfig {
 
 fn options(folder: &Path, resume: bool) -> LearnOptions {
     // Of nobody's learning: what it shows is a pattern all the same.
-    let encoder = (0..SeeingSpec::FULL.encoder_len())
+    let encoder = (0..ActorSpec::FULL.encoder_len())
         .map(|i| 0.1 * (i as f32 * 1.7).sin())
         .collect();
     LearnOptions {

@@ -9,8 +9,8 @@ use crate::proto::{
 };
 use prost::Message;
 use std::collections::HashSet;
-use vigil_nnet::{Activation, Function, GraphBuilder, Params, ShapeError};
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ActorSpec};
+use vigil_nnet::{Activation, Dense, Function, GraphBuilder, LayerNorm, Params, ShapeError};
+use vigil_policy::actor::{ACTOR_LIMIT, ActorSpec, CONTEXT, LOW_DIM};
 use vigil_policy::imported::{Layer, NetworkError};
 use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy};
 
@@ -36,24 +36,32 @@ struct Input {
     shape: Vec<usize>,
 }
 
+/// A layer of either.
+enum Step {
+    /// One that imported policies have, too.
+    Layer(Layer),
+    /// Of the actor alone.
+    LayerNorm { x: usize, layer: LayerNorm },
+}
+
 /// Layers with the places of their parameters.
 struct Placed<'a> {
-    layers: Vec<(Layer, Params)>,
+    layers: Vec<(Step, Params)>,
     output: usize,
     params: &'a [f32],
     inputs: Vec<Input>,
 }
 
-/// A pilot's network as a model of ONNX. Inputs of an actor of ours: `frames` `[1, 5, 128, 256]`, oldest first, ranges over 100 m,
-/// and `position` `[1, 2]` or `[1, 16]` ([`PositionalInputs`](vigil_policy::actor::PositionalInputs)); of an imported policy `frame`
-/// `[1, channels, rows, columns]` and, if it has one, `position` `[1, 2]`. Output: `action` `[1, 2]`, of an imported policy before its
+/// A pilot's network as a model of ONNX. Inputs of an actor of ours: `frame` `[1, 1, 128, 256]`, ranges over 100 m, `context` `[1, 328]`,
+/// what it remembers ([`CONTEXT`]), and `low_dim` `[1, 8]` ([`LOW_DIM`]); of an imported policy `frame` `[1, channels, rows, columns]` and,
+/// if it has one, `position` `[1, 2]`. Output: `action` `[1, 2]`, of an imported policy before its
 /// factor. What is to be known beside it is in the model's metadata.
 ///
 /// # Errors
 /// [`ExportError`]: a network that is none.
 pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, ExportError> {
     let (placed, about) = match pilot {
-        FrozenPilot::Actor(actor) => (of_actor(actor)?, about_actor(actor)),
+        FrozenPilot::Actor(actor) => (of_actor(actor), about_actor(actor)),
         FrozenPilot::Imported(policy) => (of_policy(policy)?, about_policy(policy)),
     };
     let mut writer = Writer {
@@ -67,7 +75,10 @@ pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, ExportError> {
     let mut values: Vec<(String, usize)> = Vec::new();
     let mut inputs = placed.inputs.iter();
     for (layer, params) in &placed.layers {
-        let value = writer.layer(layer, *params, &values, &mut inputs)?;
+        let value = match layer {
+            Step::Layer(layer) => writer.layer(layer, *params, &values, &mut inputs)?,
+            Step::LayerNorm { x, layer } => writer.layer_norm(*x, *layer, *params, &values)?,
+        };
         values.push(value);
     }
     let (output, len) = value_of(&values, placed.output)?;
@@ -101,7 +112,7 @@ pub fn export(pilot: &FrozenPilot) -> Result<Vec<u8>, ExportError> {
 
 fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, ExportError> {
     policy.network.check()?;
-    let (mut layers, mut at): (Vec<(Layer, Params)>, usize) = (Vec::new(), 0);
+    let (mut layers, mut at): (Vec<(Step, Params)>, usize) = (Vec::new(), 0);
     for (number, layer) in policy.network.layers.iter().enumerate() {
         let (len, of) = match layer {
             Layer::Conv2d { layer, .. } => (layer.param_len(), number),
@@ -119,7 +130,7 @@ fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, ExportError> {
                 Params { at: at - len, len }
             }
         };
-        layers.push((layer.clone(), params));
+        layers.push((Step::Layer(layer.clone()), params));
     }
     let of_inputs = &policy.inputs;
     let frame = Input {
@@ -142,84 +153,72 @@ fn of_policy(policy: &FrozenPolicy) -> Result<Placed<'_>, ExportError> {
     })
 }
 
-fn of_actor(actor: &FrozenActor) -> Result<Placed<'_>, ExportError> {
-    let spec = actor.inputs.spec();
+fn of_actor(actor: &FrozenActor) -> Placed<'_> {
+    let spec = ActorSpec::FULL;
     let own = spec.reserve(&mut GraphBuilder::new());
-    let mut layers: Vec<(Layer, Params)> = Vec::new();
-    let mut push = |layer: Layer, params: Params| {
-        layers.push((layer, params));
+    let mut layers: Vec<(Step, Params)> = Vec::new();
+    let mut push = |step: Step, params: Params| {
+        layers.push((step, params));
         layers.len() - 1
     };
     let none = Params::default();
-    let (frame, positional) = (spec.frame_len(), spec.positional());
-    let frames = push(
-        Layer::Input {
-            len: ACTOR_FRAMES * frame,
-        },
-        none,
-    );
-    let position = push(Layer::Input { len: positional.inputs }, none);
-    let mut state = push(Layer::Zeros { len: ACTOR_HIDDEN }, none);
-    for number in 0..ACTOR_FRAMES {
-        let slice = Layer::Slice {
-            x: frames,
-            from: number * frame,
-            len: frame,
-        };
-        let mut x = push(slice, none);
-        if spec.near_contrast {
-            let curve = Activation::NEAR_CONTRAST;
-            x = push(Layer::Curve { x, curve }, none);
-        }
-        for (layer, params) in spec.convolutions().into_iter().zip(own.convolutions) {
-            let curve = Activation::Elu;
-            x = push(Layer::Conv2d { x, layer, curve }, params);
-        }
-        let step = Layer::Gru {
-            x,
-            h: state,
-            layer: spec.gru(),
-            params_of: 0,
-        };
-        state = push(step, own.gru);
+    let [frame, context, low] =
+        [spec.frame_len(), CONTEXT, LOW_DIM].map(|len| push(Step::Layer(Layer::Input { len }), none));
+    let curved = |x, curve| Step::Layer(Layer::Curve { x, curve });
+    let dense = |x, layer: Dense, curve| Step::Layer(Layer::Dense { x, layer, curve });
+    let joined = |parts: [usize; 2]| Step::Layer(Layer::Concat { parts: parts.to_vec() });
+    // The encoder.
+    let mut x = push(curved(frame, Activation::NEAR_CONTRAST), none);
+    for (layer, params) in spec.convolutions().into_iter().zip(own.convolutions) {
+        let curve = Activation::Elu;
+        x = push(Step::Layer(Layer::Conv2d { x, layer, curve }), params);
     }
-    let mut dense = |x, layer, curve, params| push(Layer::Dense { x, layer, curve }, params);
-    let position = dense(position, positional, Activation::TANH, own.positional);
-    let curve = Activation::TANH;
-    let state = push(Layer::Curve { x: state, curve }, none);
-    let parts = vec![state, position];
-    let joined = push(Layer::Concat { parts }, none);
-    let mut dense = |x, layer, curve, params| push(Layer::Dense { x, layer, curve }, params);
-    let hidden = dense(joined, spec.dense(), Activation::Elu, own.dense);
+    let scan = push(dense(x, spec.scan(), Activation::Sigmoid), own.scan);
+    // The trunk.
+    let mut x = push(joined([scan, context]), none);
+    for (layer, (params, norm)) in spec.trunk().into_iter().zip(own.trunk) {
+        x = push(dense(x, layer, Activation::Identity), params);
+        let layer = ActorSpec::norm(layer);
+        x = push(Step::LayerNorm { x, layer }, norm);
+        x = push(curved(x, Activation::Elu), none);
+    }
+    let state = push(dense(x, spec.state(), Activation::Identity), own.state);
+    // The second half.
+    let state = push(curved(state, Activation::TANH), none);
+    let low = push(dense(low, spec.low(), Activation::TANH), own.low);
+    let mut x = push(joined([state, low]), none);
+    for (layer, params) in spec.head().into_iter().zip(own.head) {
+        x = push(dense(x, layer, Activation::Elu), params);
+    }
     let scale = ACTOR_LIMIT;
-    let output = dense(hidden, spec.output(), Activation::Tanh { scale }, own.output);
-    Ok(Placed {
+    let output = push(dense(x, spec.output(), Activation::Tanh { scale }), own.output);
+    let input = |name, shape: &[usize]| Input {
+        name,
+        shape: shape.to_vec(),
+    };
+    Placed {
         layers,
         output,
         params: &actor.params,
-        inputs: inputs_of_actor(spec),
-    })
-}
-
-fn inputs_of_actor(spec: ActorSpec) -> Vec<Input> {
-    let frames = Input {
-        name: "frames",
-        shape: vec![1, ACTOR_FRAMES, spec.rows, spec.cols],
-    };
-    let position = Input {
-        name: "position",
-        shape: vec![1, spec.positional().inputs],
-    };
-    vec![frames, position]
+        inputs: vec![
+            input("frame", &[1, 1, spec.rows, spec.cols]),
+            input("context", &[1, CONTEXT]),
+            input("low_dim", &[1, LOW_DIM]),
+        ],
+    }
 }
 
 fn about_actor(actor: &FrozenActor) -> Vec<(&'static str, String)> {
-    let ages = actor.inputs.frame_ages.map(|age| age.to_string()).join(" ");
     vec![
         ("sha256", actor.sha256()),
+        ("frame", "range / 100 m, 0 to 1".to_owned()),
         (
-            "frames",
-            format!("range / 100 m, 0 to 1, oldest first, taken {ages} decisions ago"),
+            "context",
+            "older scans moved to here, remembered surfaces, own trail: docs/architecture.md".to_owned(),
+        ),
+        (
+            "low_dim",
+            "goal, own motion, last action: docs/architecture.md".to_owned(),
         ),
         (
             "action",
@@ -627,6 +626,26 @@ impl Writer<'_> {
                 (self.reshaped(&both, &[1, 2 * l.hidden]), 2 * l.hidden)
             }
         })
+    }
+
+    /// Adds the layer normalisation of a row.
+    fn layer_norm(
+        &mut self,
+        x: usize,
+        layer: LayerNorm,
+        params: Params,
+        values: &[(String, usize)],
+    ) -> Result<(String, usize), ExportError> {
+        let own = self.of(params)?;
+        let (scale, shift) = own.split_at(layer.width);
+        let scale = self.floats(&format!("scale_{}", params.at), &[layer.width], || scale.to_vec());
+        let shift = self.floats(&format!("shift_{}", params.at), &[layer.width], || shift.to_vec());
+        let (x, len) = value_of(values, x)?;
+        let epsilon = float("epsilon", layer.epsilon);
+        Ok((
+            self.node("LayerNormalization", &[x, &scale, &shift], vec![epsilon]),
+            len,
+        ))
     }
 
     fn slice(&mut self, x: &str, from: usize, len: usize) -> String {

@@ -8,12 +8,12 @@ use rand_chacha::ChaCha8Rng;
 use std::collections::HashMap;
 use std::hint::black_box;
 use std::path::Path;
-use vigil_adversary::{AttackConfig, Method, StateAttack, Towards};
+use vigil_adversary::{AttackConfig, Beside, Method, StateAttack, Towards};
 use vigil_detector::Background;
 use vigil_detector::{DeepShap, LstmAd, ROW, WINDOW};
 use vigil_nnet::{Isa, Purpose};
 use vigil_policy::FrozenActor;
-use vigil_policy::actor::{ACTOR_FRAMES, ACTOR_HIDDEN};
+use vigil_policy::actor::{ACTOR_HIDDEN, ActorSpec, CONTEXT, LOW_DIM};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// A program to time.
@@ -53,7 +53,7 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
     };
     let mut pilot = frozen.actor(isa)?;
     let flights = (FIRST_COURSE..FIRST_COURSE + COURSES)
-        .map(|seed| watch(&mut pilot, frozen.inputs, seed))
+        .map(|seed| watch(&mut pilot, seed))
         .collect::<Result<Vec<_>>>()?;
     // One state of each flight as background, one for results.
     let nth = |n: usize| flights.iter().filter_map(move |f| f.get(n));
@@ -81,26 +81,17 @@ pub fn prepare(actor: Option<&Path>, to: &Path) -> Result<HashMap<&'static str, 
 }
 
 fn record_states(record: &mut Record, name: &str, states: &[State]) {
-    let image = [ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS];
-    record.floats(&format!("{name}_frames"), &image, states.iter().flat_map(|s| &s.frames));
-    record.floats(
-        &format!("{name}_position"),
-        &[states.first().map_or(0, |s| s.position.len())],
-        states.iter().flat_map(|s| s.position.iter()),
-    );
+    let image = [1, DEPTH_ROWS, DEPTH_COLS];
+    record.floats(&format!("{name}_frame"), &image, states.iter().flat_map(|s| &s.frame));
+    let contexts = states.iter().flat_map(|s| &s.context);
+    record.floats(&format!("{name}_context"), &[CONTEXT], contexts);
+    let low_dims = states.iter().flat_map(|s| s.low_dim.iter());
+    record.floats(&format!("{name}_low_dim"), &[LOW_DIM], low_dims);
+    let hidden = states.iter().flat_map(|s| &s.hidden);
+    record.floats(&format!("{name}_hidden"), &[ACTOR_HIDDEN], hidden);
 }
 
-/// The split point's values and the outputs of a state, all five frames encoded.
-fn decide(isa: Isa, frozen: &FrozenActor, state: &State) -> Result<([f32; ACTOR_HIDDEN], [f32; 2])> {
-    let mut actor = frozen.actor(isa)?;
-    let mut action = [0.0; 2];
-    for frame in state.each_frame() {
-        action = actor.decide(frame, state.position)?;
-    }
-    Ok((*actor.state(), action))
-}
-
-/// One new frame through the actor, four remembered.
+/// The network on a new frame, without the memory's own work: what the other side computes.
 fn actor_case(
     record: &mut Record,
     cases: &mut HashMap<&'static str, Case>,
@@ -108,22 +99,15 @@ fn actor_case(
     frozen: &FrozenActor,
     states: &[State],
 ) -> Result<()> {
-    let decisions = states
-        .iter()
-        .map(|s| decide(isa, frozen, s))
-        .collect::<Result<Vec<_>>>()?;
-    record.floats(
-        "state_hidden",
-        &[ACTOR_HIDDEN],
-        decisions.iter().flat_map(|(hidden, _)| hidden),
-    );
-    record.floats("state_action", &[2], decisions.iter().flat_map(|(_, action)| action));
-    let mut actor = frozen.actor(isa)?;
+    record.floats("state_action", &[2], states.iter().flat_map(|s| &s.action));
+    let graph = ActorSpec::FULL.graph(Purpose::Gradients)?;
+    let (params, mut tape) = (frozen.params.clone(), vec![0.0; graph.tape_len()]);
     let state = states[0].clone();
     cases.insert(
         "actor",
         Box::new(move || {
-            black_box(actor.decide(black_box(state.each_frame()[4]), state.position)?);
+            graph.forward(isa, &params, black_box(&state.inputs()), &mut tape)?;
+            black_box(graph.output(&tape)?);
             Ok(())
         }),
     );
@@ -139,13 +123,9 @@ fn hidden_shap_case(
     states: &[State],
     backgrounds: &[State],
 ) -> Result<()> {
-    let split = |states: &[State]| -> Result<Vec<Background>> {
-        let each = |s: &State| Ok((decide(isa, frozen, s)?.0.to_vec(), s.position));
-        states.iter().map(each).collect()
-    };
-    let (points, inputs) = (split(backgrounds)?, split(states)?);
-    let hidden = points.iter().flat_map(|(hidden, _)| hidden);
-    record.floats("background_hidden", &[ACTOR_HIDDEN], hidden);
+    let split =
+        |states: &[State]| -> Vec<Background> { states.iter().map(|s| (s.hidden.to_vec(), s.low_dim)).collect() };
+    let (points, inputs) = (split(backgrounds), split(states));
     let head = frozen.head(Purpose::Multipliers)?;
     let mut shap = vigil_detector::split_point_shap(isa, head, &points)?;
     let mut phi = vec![0.0; shap.phi_len()];
@@ -167,7 +147,7 @@ fn hidden_shap_case(
     Ok(())
 }
 
-/// DeepSHAP of the yaw output at the pixels of all five frames.
+/// DeepSHAP of the yaw output at the newest frame's pixels and at what the actor holds beside them.
 fn pixel_shap_case(
     record: &mut Record,
     cases: &mut HashMap<&'static str, Case>,
@@ -176,16 +156,16 @@ fn pixel_shap_case(
     state: &State,
     backgrounds: &[State],
 ) -> Result<()> {
-    let graph = frozen.inputs.spec().graph(Purpose::Multipliers, true)?;
-    let views: Vec<Vec<&[f32]>> = backgrounds.iter().map(State::inputs).collect();
+    let graph = ActorSpec::FULL.graph(Purpose::Multipliers)?;
+    let views: Vec<[&[f32]; 3]> = backgrounds.iter().map(State::inputs).collect();
     let mut shap = DeepShap::new(isa, graph, &frozen.params, &views)?;
     let mut phi = vec![0.0; shap.phi_len()];
     let state = state.clone();
     shap.evaluate(&state.inputs())?;
     shap.attribute(YAW, &mut phi)?;
-    let (images, position) = phi.split_at(ACTOR_FRAMES * DEPTH_PIXELS);
-    record.floats("shap_pixels", &[ACTOR_FRAMES, DEPTH_ROWS, DEPTH_COLS], images);
-    record.floats("shap_pixels_position", &[position.len()], position);
+    let (image, beside) = phi.split_at(DEPTH_PIXELS);
+    record.floats("shap_pixels", &[1, DEPTH_ROWS, DEPTH_COLS], image);
+    record.floats("shap_pixels_beside", &[beside.len()], beside);
     cases.insert(
         "shap-pixels",
         Box::new(move || {
@@ -196,7 +176,7 @@ fn pixel_shap_case(
     Ok(())
 }
 
-/// BIM on all five frames, clipped and accumulating.
+/// BIM on the newest frame, clipped and accumulating.
 fn attack_case(
     record: &mut Record,
     cases: &mut HashMap<&'static str, Case>,
@@ -221,22 +201,33 @@ fn attack_case(
     for config in &settings {
         let mut attack = StateAttack::new(isa, frozen, config)?;
         for state in states.iter().take(ATTACKED) {
-            let mut frames = state.frames.clone();
-            yaw_changes.push(attack.attack(&mut frames, state.position)?.yaw_change());
+            let mut frame = state.frame.clone();
+            yaw_changes.push(attack.attack(&mut frame, &beside(state))?.yaw_change());
         }
     }
     record.floats("attack_yaw_changes", &[ATTACKED], &yaw_changes);
     let mut attack = StateAttack::new(isa, frozen, &AttackConfig::PAPER)?;
-    let (state, mut frames) = (states[0].clone(), states[0].frames.clone());
+    let (state, mut frame) = (states[0].clone(), states[0].frame.clone());
+    let held = beside(&state);
     cases.insert(
         "bim",
         Box::new(move || {
-            frames.copy_from_slice(&state.frames);
-            black_box(attack.attack(&mut frames, state.position)?);
+            frame.copy_from_slice(&state.frame);
+            black_box(attack.attack(&mut frame, &held)?);
             Ok(())
         }),
     );
     Ok(())
+}
+
+/// What the actor holds beside a state's frame.
+fn beside(state: &State) -> Beside {
+    let mut context = [0.0; CONTEXT];
+    context.copy_from_slice(&state.context);
+    Beside {
+        context,
+        low_dim: state.low_dim,
+    }
 }
 
 /// One window through LSTM-AD, with weights of the size that training begins with.

@@ -1,11 +1,10 @@
-//! States to compare on: what the actor sees on development courses.
+//! States to compare on: what the actor sees and remembers on development courses.
 
 use anyhow::Result;
-use vigil_policy::ActorInputs;
-use vigil_policy::actor::{ACTOR_FRAMES, Actor, PositionalInputs};
+use vigil_policy::PilotInput;
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor, PositionalInputs};
 use vigil_types::{
-    ACTION_LIMIT, Attitude, AttitudeSample, DEPTH_PIXELS, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics,
-    NedVector, STEP_NS,
+    ACTION_LIMIT, Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 
@@ -17,30 +16,26 @@ const STATES: u64 = 8;
 const NEAR_M: f32 = 0.6;
 const STEP_S: f32 = STEP_NS as f32 * 1e-9;
 
-/// What the networks take: five frames of normalised range one after the other, oldest first, and the positional inputs.
+/// What the networks take, a frame of normalised range, what is remembered and the low-dimensional observation, and what the actor made
+/// of it.
 #[derive(Debug, Clone)]
 pub struct State {
-    pub frames: Vec<f32>,
-    pub position: PositionalInputs,
+    pub frame: Vec<f32>,
+    pub context: Vec<f32>,
+    pub low_dim: PositionalInputs,
+    pub hidden: [f32; ACTOR_HIDDEN],
+    pub action: [f32; ACTOR_OUTPUTS],
 }
 
 impl State {
-    /// The five frames.
-    pub fn each_frame(&self) -> [&[f32]; ACTOR_FRAMES] {
-        core::array::from_fn(|i| &self.frames[i * DEPTH_PIXELS..(i + 1) * DEPTH_PIXELS])
-    }
-
     /// The networks' inputs.
-    pub fn inputs(&self) -> Vec<&[f32]> {
-        let mut inputs = self.each_frame().to_vec();
-        inputs.push(&self.position);
-        inputs
+    pub fn inputs(&self) -> [&[f32]; 3] {
+        [&self.frame, &self.context, &self.low_dim]
     }
 }
 
 /// Moves through a course as the actor decides, obeying at once: states at equal distances in time.
-/// `inputs` are the actor's; nothing moves here.
-pub fn watch(actor: &mut Actor, inputs: ActorInputs, seed: u64) -> Result<Vec<State>> {
+pub fn watch(actor: &mut Actor, seed: u64) -> Result<Vec<State>> {
     let course: Course = generate(Family::Validation, seed);
     let mut world = World::new(&course);
     let mut lidar = Lidar::new(LidarConfig::default(), seed)?;
@@ -51,7 +46,6 @@ pub fn watch(actor: &mut Actor, inputs: ActorInputs, seed: u64) -> Result<Vec<St
     let start = course.start_ned_m();
     let mut position_ned_m = NedVector::new(start.x, start.y, -course.flight_height_m);
     let mut yaw_rad = course.start_heading_rad();
-    let mut seen: Vec<Vec<f32>> = Vec::new();
     let mut states = Vec::new();
     actor.reset();
     for step in 0..=STATES * EVERY_STEPS {
@@ -78,13 +72,24 @@ pub fn watch(actor: &mut Actor, inputs: ActorInputs, seed: u64) -> Result<Vec<St
             attitude,
             rates_frd_rad_s: FrdVector::new(0.0, 0.0, 0.0),
         };
-        let position = PositionalInputs::at_rest(goal.relative_to(&kinematics, &sample), inputs);
-        seen.push(frame.depth.to_vec());
+        let action = actor.decide(&PilotInput {
+            now_ns: at_ns,
+            depth: &frame,
+            goal: goal.relative_to(&kinematics, &sample),
+            attitude,
+            velocity_m_s: HeadingVector::ZERO,
+            height_m: -position_ned_m.z,
+        })?;
         if step > 0 && step % EVERY_STEPS == 0 {
-            let frames = seen[seen.len() - ACTOR_FRAMES..].concat();
-            states.push(State { frames, position });
+            states.push(State {
+                frame: frame.depth.to_vec(),
+                context: actor.context().to_vec(),
+                low_dim: actor.low_dim(),
+                hidden: *actor.state(),
+                action,
+            });
         }
-        let [forward_m_s, yaw] = actor.decide(&frame.depth, position)?;
+        let [forward_m_s, yaw] = action;
         let velocity = HeadingVector::new(forward_m_s.clamp(-ACTION_LIMIT, ACTION_LIMIT), 0.0, 0.0).to_ned(yaw_rad);
         position_ned_m = position_ned_m + velocity * STEP_S;
         yaw_rad += yaw * vigil_types::YAW_RATE_PER_UNIT_RAD_S * STEP_S;

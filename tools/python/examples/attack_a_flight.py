@@ -18,7 +18,7 @@ for step in range(120):
     else:
         adversary.pass_on(frame, position)
     action = actor.decide(frame, position)
-    judgement = monitor.judge(actor.state(), position)
+    judgement = monitor.judge(actor.state(), actor.low_dim())
     if judgement.attacked and first is None:
         first = step
     observation, _, terminated, truncated, info = env.step(action)

@@ -1,4 +1,4 @@
-"""What moved the actor's yaw? By the frames, bearing and distance, what it is told besides, then by pixel. Some seconds."""
+"""What moved the actor's yaw? The frames, bearing and distance, own motion; then the newest frame's pixels and the memory. Some seconds."""
 
 import numpy as np
 
@@ -7,22 +7,22 @@ from vigil.explain import Pixels, SplitPoint
 from vigil.policy import Actor
 
 actor = Actor()
-env, split_point = vigil.gym.VigilEnv("validation", actor=actor), SplitPoint(actor)
+env, split_point = vigil.gym.VigilEnv("validation", frames=1, actor=actor), SplitPoint(actor)
 observation, _ = env.reset(options={"course_seed": 7})
 backgrounds = []
 for step in range(120):
-    frames, position = observation["frames"], observation["position"]
-    action = actor.decide(frames[-1], position)
-    found = split_point.explain(actor.state(), position)
+    frame = observation["frames"]
+    action = actor.decide(frame, observation["position"])
+    found = split_point.explain(actor.state(), actor.low_dim())
     if step % 20 == 0:
         print(
             f"step {step:3}: yaw {action.yaw:+.2f} = {found.base:+.2f} usually, {found.phi.sum():+.2f} by the frames, "
-            f"{found.bearing:+.2f} by the bearing, {found.distance:+.2f} by the distance, {found.told:+.2f} by own velocity and movers"
+            f"{found.bearing:+.2f} by the bearing, {found.distance:+.2f} by the distance, {found.told:+.2f} by own motion"
         )
-        backgrounds.append((frames, position))
+        backgrounds.append((frame, actor.context(), actor.low_dim()))
     observation, *_ = env.step(action)
-usual = np.stack([f for f, _ in backgrounds]), np.stack([p for _, p in backgrounds])
-found = Pixels(actor, usual).explain(observation["frames"], observation["position"])
-frame, row, column = np.unravel_index(np.abs(found.phi).argmax(), found.phi.shape)
-metres = observation["frames"][frame, row, column]
-print(f"the pixel that counts most: frame {frame} of 5, row {row}, column {column}, at {metres:.1f} m: {found.phi[frame, row, column]:+.4f}")
+usual = tuple(np.stack(given) for given in zip(*backgrounds))
+found = Pixels(actor, usual).explain(frame, actor.context(), actor.low_dim())
+row, column = np.unravel_index(np.abs(found.phi).argmax(), found.phi.shape)
+print(f"the last frame: {found.phi.sum():+.2f}, what is remembered: {found.memory:+.2f}")
+print(f"the pixel that counts most: row {row}, column {column}, at {frame[row, column]:.1f} m: {found.phi[row, column]:+.4f}")

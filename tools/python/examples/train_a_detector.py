@@ -26,7 +26,7 @@ def fly(seed: int) -> tuple[np.ndarray, np.ndarray]:
         else:
             adversary.pass_on(frame, position)
         action = actor.decide(frame, position)
-        rows.append(explain.explain(actor.state(), position).phi)
+        rows.append(explain.explain(actor.state(), actor.low_dim()).phi)
         observation, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
             break

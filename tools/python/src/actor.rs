@@ -1,21 +1,22 @@
 //! Actors and imported policies for Python.
 
-use crate::given::{array, failed, frames, position, refused, values};
+use crate::given::{Moment, array, failed, refused, values};
 use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use vigil_nnet::{Graph, Isa, Purpose};
-use vigil_policy::ActorInputs;
-use vigil_policy::actor::{ACTOR_OUTPUTS, LedBy};
+use vigil_policy::actor::{ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM};
 use vigil_policy::imported::{Channels, Depth};
-use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot, PilotInput};
-use vigil_types::{Attitude, DepthFrame, GoalRelative, HeadingVector};
+use vigil_policy::{FrozenActor, FrozenPilot, FrozenPolicy, ImportedPilot, Pilot};
+use vigil_types::{Nanos, STEP_NS};
 
 /// A frozen actor of Vigil's architecture.
 #[pyclass(module = "vigil._vigil")]
 pub struct Actor {
     pub frozen: FrozenActor,
     actor: vigil_policy::actor::Actor,
+    /// Time of the next decision of which none is given.
+    next_ns: Nanos,
 }
 
 #[pymethods]
@@ -31,26 +32,44 @@ impl Actor {
         Ok(Self {
             actor: frozen.actor(Isa::detect()).map_err(refused)?,
             frozen,
+            next_ns: 0,
         })
     }
 
-    /// One decision on the newest frame, metres.
-    fn decide(&mut self, py: Python<'_>, frame: PyReadonlyArrayDyn<'_, f32>, goal: Vec<f32>) -> PyResult<(f32, f32)> {
-        let frame = frames("frame", &frame, 1)?;
-        let position = position(&goal, self.frozen.inputs)?;
+    /// One decision on the newest frame, metres, and a position, or a goal alone.
+    fn decide(
+        &mut self,
+        py: Python<'_>,
+        frame: PyReadonlyArrayDyn<'_, f32>,
+        position: Vec<f32>,
+    ) -> PyResult<(f32, f32)> {
+        let moment = Moment::of(&frame, &position, self.next_ns)?;
+        let input = moment.input();
+        self.next_ns = input.now_ns + STEP_NS;
         let actor = &mut self.actor;
-        let [forward, yaw] = py.detach(|| actor.decide(&frame, position)).map_err(refused)?;
+        let [forward, yaw] = py.detach(|| actor.decide(&input)).map_err(refused)?;
         Ok((forward, yaw))
     }
 
-    /// Forgets the frames.
+    /// Forgets what it saw.
     fn reset(&mut self) {
         self.actor.reset();
+        self.next_ns = 0;
     }
 
     /// The values at the split point of the last decision.
     fn state<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
         array(py, self.actor.state().to_vec())
+    }
+
+    /// What it remembered in the last decision.
+    fn context<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        array(py, self.actor.context().to_vec())
+    }
+
+    /// The low-dimensional observation of the last decision.
+    fn low_dim<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
+        array(py, self.actor.low_dim().to_vec())
     }
 
     /// Its digest.
@@ -59,16 +78,10 @@ impl Actor {
         self.frozen.sha256()
     }
 
-    /// 2 of the goal, 16 of an actor that is told of movers.
+    /// Values of the low-dimensional observation.
     #[getter]
     fn positional_inputs(&self) -> usize {
-        self.frozen.inputs.spec().positional().inputs
-    }
-
-    /// Steps back that its frames are, oldest first.
-    #[getter]
-    fn frame_ages(&self) -> Vec<usize> {
-        self.frozen.inputs.frame_ages.to_vec()
+        LOW_DIM
     }
 
     /// Names, shapes and values of its tensors, in their order.
@@ -96,7 +109,6 @@ impl Actor {
     ) -> PyResult<String> {
         let frozen = FrozenActor {
             params: values("parameters", &params, self.frozen.params.len())?.to_vec(),
-            inputs: self.frozen.inputs,
             training_config,
             seed,
             updates,
@@ -104,15 +116,6 @@ impl Actor {
         };
         frozen.save(&path).map_err(refused)?;
         Ok(frozen.sha256())
-    }
-
-    /// What its bearing is of.
-    #[getter]
-    fn led_by(&self) -> &'static str {
-        match self.frozen.inputs.led_by {
-            LedBy::Goal => "goal",
-            LedBy::Path => "path",
-        }
     }
 }
 
@@ -171,21 +174,8 @@ impl Policy {
         distance_m: f32,
         bearing_rad: f32,
     ) -> PyResult<(f32, f32)> {
-        let pixels = frames("frame", &frame, 1)?;
-        position(&[distance_m, bearing_rad], ActorInputs::default())?;
-        let mut depth = Box::new(DepthFrame::EMPTY);
-        depth.depth.copy_from_slice(&pixels);
-        let action = self.pilot.decide(&PilotInput {
-            now_ns: 0,
-            depth: &depth,
-            goal: GoalRelative {
-                distance_m,
-                bearing_rad,
-            },
-            attitude: Attitude::LEVEL_NORTH,
-            velocity_m_s: HeadingVector::ZERO,
-            height_m: 2.5,
-        });
+        let moment = Moment::of(&frame, &[distance_m, bearing_rad], 0)?;
+        let action = self.pilot.decide(&moment.input());
         Ok((action.forward_m_s, action.yaw))
     }
 
@@ -287,10 +277,10 @@ impl Policy {
         self.frozen.sha256()
     }
 
-    /// 2 of the goal, 16 of an actor that is told of movers.
+    /// Distance and bearing of the goal.
     #[getter]
     fn positional_inputs(&self) -> usize {
-        ActorInputs::default().spec().positional().inputs
+        GOAL_INPUTS
     }
 }
 

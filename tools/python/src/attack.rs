@@ -1,14 +1,13 @@
 //! Attacks on what a policy sees for Python.
 
 use crate::actor::{Actor, Learned};
-use crate::given::{array, frames, position, refused};
+use crate::given::{Moment, array, beside, frames, refused, values};
 use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
-use vigil_adversary::{AttackConfig, AttackOutcome, Method, Towards};
+use vigil_adversary::{AttackConfig, AttackOutcome, Beside, Method, Towards};
 use vigil_nnet::Isa;
-use vigil_policy::ActorInputs;
-use vigil_policy::actor::ACTOR_FRAMES;
-use vigil_types::DEPTH_FULL_SCALE_M;
+use vigil_policy::actor::CONTEXT;
+use vigil_types::{DEPTH_FULL_SCALE_M, DepthFrame, Nanos, STEP_NS};
 
 fn config(method: &str, epsilon_255: f32, iterations: u32, towards: &str, seed: u64) -> PyResult<AttackConfig> {
     let methods = Method::ALL.map(Method::name);
@@ -34,11 +33,10 @@ fn attacked(py: Python<'_>, mut frames: Vec<f32>, outcome: AttackOutcome) -> Att
     (array(py, frames), outcome.clean, outcome.attacked)
 }
 
-/// Alters all five frames of a state.
+/// Alters a frame, given what the actor holds beside it.
 #[pyclass(module = "vigil._vigil")]
 pub struct StateAttack {
     attack: vigil_adversary::StateAttack,
-    inputs: ActorInputs,
 }
 
 #[pymethods]
@@ -49,22 +47,26 @@ impl StateAttack {
         let attack = vigil_adversary::StateAttack::new(Isa::detect(), &actor.frozen, &config);
         Ok(Self {
             attack: attack.map_err(refused)?,
-            inputs: actor.frozen.inputs,
         })
     }
 
-    /// The frames altered, metres.
+    /// The frame altered, metres.
     fn attack<'py>(
         &mut self,
         py: Python<'py>,
-        state: PyReadonlyArrayDyn<'py, f32>,
-        goal: Vec<f32>,
+        frame: PyReadonlyArrayDyn<'py, f32>,
+        context: PyReadonlyArrayDyn<'py, f32>,
+        low_dim: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
-        let mut state = frames("frames", &state, ACTOR_FRAMES)?;
-        let position = position(&goal, self.inputs)?;
+        let mut frame = frames("frame", &frame, 1)?;
+        let mut held = Beside {
+            context: [0.0; CONTEXT],
+            low_dim: beside(&low_dim, true)?,
+        };
+        held.context.copy_from_slice(values("context", &context, CONTEXT)?);
         let attack = &mut self.attack;
-        let outcome = py.detach(|| attack.attack(&mut state, position)).map_err(refused)?;
-        Ok(attacked(py, state, outcome))
+        let outcome = py.detach(|| attack.attack(&mut frame, &held)).map_err(refused)?;
+        Ok(attacked(py, frame, outcome))
     }
 }
 
@@ -72,7 +74,9 @@ impl StateAttack {
 #[pyclass(module = "vigil._vigil")]
 pub struct FrameAttack {
     attack: vigil_adversary::FrameAttack,
-    inputs: ActorInputs,
+    delivered: Box<DepthFrame>,
+    /// Time of the next frame of which none is given.
+    next_ns: Nanos,
 }
 
 #[pymethods]
@@ -91,15 +95,16 @@ impl FrameAttack {
         let attack = vigil_adversary::FrameAttack::on(&pilot, Isa::detect(), &config);
         Ok(Self {
             attack: attack.map_err(refused)?,
-            inputs: pilot.inputs(),
+            delivered: Box::new(DepthFrame::EMPTY),
+            next_ns: 0,
         })
     }
 
     /// A frame that passes as it is.
-    fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, goal: Vec<f32>) -> PyResult<()> {
-        let mut frame = frames("frame", &frame, 1)?;
-        let position = position(&goal, self.inputs)?;
-        self.attack.pass(&mut frame, position).map_err(refused)
+    fn pass_on(&mut self, frame: PyReadonlyArrayDyn<'_, f32>, position: Vec<f32>) -> PyResult<()> {
+        let moment = Moment::of(&frame, &position, self.next_ns)?;
+        self.next_ns = moment.input().now_ns + STEP_NS;
+        self.attack.pass(&moment.input()).map_err(refused)
     }
 
     /// The frame altered, metres.
@@ -107,17 +112,19 @@ impl FrameAttack {
         &mut self,
         py: Python<'py>,
         frame: PyReadonlyArrayDyn<'py, f32>,
-        goal: Vec<f32>,
+        position: Vec<f32>,
     ) -> PyResult<Attacked<'py>> {
-        let mut frame = frames("frame", &frame, 1)?;
-        let position = position(&goal, self.inputs)?;
-        let attack = &mut self.attack;
-        let outcome = py.detach(|| attack.attack_while(&mut frame, position, || true));
-        Ok(attacked(py, frame, outcome.map_err(refused)?))
+        let moment = Moment::of(&frame, &position, self.next_ns)?;
+        let input = moment.input();
+        self.next_ns = input.now_ns + STEP_NS;
+        let (attack, delivered) = (&mut self.attack, &mut *self.delivered);
+        let outcome = py.detach(|| attack.attack_while(&input, delivered, || true));
+        Ok(attacked(py, self.delivered.depth.to_vec(), outcome.map_err(refused)?))
     }
 
     /// Forgets the frames: a new flight.
     fn reset(&mut self) {
+        self.next_ns = 0;
         self.attack.reset();
     }
 }

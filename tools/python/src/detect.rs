@@ -1,7 +1,7 @@
 //! LSTM-AD for Python: the frozen one, the monitor of the tick, and training on any rows.
 
 use crate::actor::Learned;
-use crate::given::{array, failed, position, refused, values};
+use crate::given::{array, beside, failed, refused, values};
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rand::SeedableRng;
@@ -9,7 +9,7 @@ use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
-use vigil_policy::ActorInputs;
+use vigil_policy::FrozenPilot;
 use vigil_policy::actor::PositionalInputs;
 use vigil_tools::detector_training::{Examples, FitConfig, fit};
 use vigil_types::Verdict;
@@ -189,7 +189,7 @@ impl Lstm {
     }
 }
 
-/// Verdict, score, contributions of image, bearing, distance and what it is told beside them, base, contributions at the split point.
+/// Verdict, score, contributions of image, bearing, distance and own motion, base, contributions at the split point.
 type Judged<'py> = (
     Option<bool>,
     Option<f32>,
@@ -206,7 +206,7 @@ type Judged<'py> = (
 pub struct Monitor {
     monitor: vigil_detector::Monitor,
     width: usize,
-    inputs: ActorInputs,
+    of_actor: bool,
 }
 
 #[pymethods]
@@ -220,7 +220,7 @@ impl Monitor {
         Ok(Self {
             monitor: monitor.map_err(refused)?,
             width,
-            inputs: pilot.inputs(),
+            of_actor: matches!(pilot, FrozenPilot::Actor(_)),
         })
     }
 
@@ -230,15 +230,15 @@ impl Monitor {
         self.width
     }
 
-    /// Judges a decision by the policy's state and the goal it was made from.
+    /// Judges a decision by the policy's state and what it was made from beside it.
     fn judge<'py>(
         &mut self,
         py: Python<'py>,
         state: PyReadonlyArrayDyn<'py, f32>,
-        goal: Vec<f32>,
+        given: Vec<f32>,
     ) -> PyResult<Judged<'py>> {
         let state = values("state", &state, self.width)?;
-        let j = self.monitor.judge(state, position(&goal, self.inputs)?);
+        let j = self.monitor.judge(state, beside(&given, self.of_actor)?);
         let verdict = match j.verdict {
             Verdict::Unknown => None,
             Verdict::Clean => Some(false),

@@ -1,15 +1,13 @@
 //! Flights stepped side by side for `vigil.gym`.
 
 use crate::actor::Actor;
-use crate::given::{array, failed, refused};
+use crate::given::{POSITION, array, failed, refused};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 use vigil_learn::config::{Along, RewardConfig};
 use vigil_learn::flight::Flight;
 use vigil_learn::reward::{DecisionResult, reward};
-use vigil_policy::ActorInputs;
-use vigil_policy::actor::Lead;
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
 use vigil_types::{
     Action, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, Goal, GoalRelative, Kinematics,
@@ -34,8 +32,8 @@ struct Conditions {
     along_way: bool,
     /// The true state is told.
     privileged: bool,
-    /// What the actor takes for which positions are made.
-    inputs: Option<ActorInputs>,
+    /// Positions are given.
+    with_position: bool,
 }
 
 /// A flight that has begun.
@@ -48,9 +46,6 @@ struct Begun {
     steps: usize,
     path_ned_m: Vec<NedVector>,
     outcome: Option<Outcome>,
-    /// Leads an actor and follows what moves, in every step, and what it says of this one.
-    lead: Option<Lead>,
-    position: Vec<f32>,
 }
 
 impl Conditions {
@@ -81,11 +76,8 @@ impl Conditions {
             left_m: 0.0,
             steps: 0,
             outcome: None,
-            lead: self.inputs.map(Lead::new),
-            position: Vec::new(),
         };
         begun.left_m = begun.left_m(self.along_way);
-        begun.follow(self);
         Ok(begun)
     }
 }
@@ -114,24 +106,29 @@ impl Begun {
         };
         self.left_m = left_m;
         self.steps += 1;
-        self.follow(conditions);
         if self.steps.is_multiple_of(PATH_STRIDE) || self.outcome.is_some() {
             self.path_ned_m.push(self.flight.truth().position_ned_m);
         }
         reward(&conditions.weights, &result)
     }
 
-    /// Where an actor is led now and what it is told, from the newest frame.
-    fn follow(&mut self, conditions: &Conditions) {
-        let (Some(lead), Some(inputs)) = (&mut self.lead, conditions.inputs) else {
-            return;
-        };
-        let (goal, position) = lead.inputs(&self.flight.input());
-        self.position = match inputs.told_of_movers {
-            true => position.to_vec(),
-            // What an actor that is told of the goal alone takes is given in metres and radians.
-            false => vec![goal.distance_m, goal.bearing_rad],
-        };
+    /// Goal, odometry and time as a pilot is given them.
+    fn position(&self) -> [f32; POSITION] {
+        let input = self.flight.input();
+        let (header, yaw_rad) = (&input.depth.header, input.attitude.yaw_rad());
+        let since_s = input.now_ns.saturating_sub(header.stamp_ns) as f32 * 1e-9;
+        let here = header.position_ned_m + input.velocity_m_s.to_ned(yaw_rad) * since_s;
+        [
+            input.goal.distance_m,
+            input.goal.bearing_rad,
+            here.x,
+            here.y,
+            input.height_m,
+            yaw_rad,
+            input.velocity_m_s.x,
+            input.velocity_m_s.y,
+            (input.now_ns as f64 * 1e-9) as f32,
+        ]
     }
 
     /// Writes the newest frame, metres.
@@ -259,7 +256,7 @@ impl Flights {
                 },
                 along_way,
                 privileged,
-                inputs: actor.map(|actor| actor.frozen.inputs),
+                with_position: actor.is_some(),
             },
             flights: (0..count).map(|_| None).collect(),
             pool,
@@ -377,10 +374,10 @@ impl Flights {
         array(py, self.flights.iter().flat_map(goal).collect())
     }
 
-    /// What the actor that the flights are for decides from beside its frames, flight after flight.
+    /// Goal, odometry and time ([`POSITION`] values) that an actor decides from beside its frames, flight after flight.
     fn positions<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f32>> {
-        let each = self.flights.iter().flatten();
-        array(py, each.flat_map(|flight| flight.position.iter().copied()).collect())
+        let each = self.flights.iter().flatten().filter(|_| self.conditions.with_position);
+        array(py, each.flat_map(|flight| flight.position()).collect())
     }
 
     /// The true states, flight after flight.
@@ -428,6 +425,10 @@ impl Flights {
     /// Values of a true state.
     #[classattr]
     const TRUE_STATE: usize = TRUE_STATE;
+
+    /// Values of a position.
+    #[classattr]
+    const POSITION: usize = POSITION;
 }
 
 impl Flights {

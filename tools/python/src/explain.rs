@@ -6,6 +6,7 @@ use numpy::{PyArray1, PyReadonlyArrayDyn};
 use pyo3::prelude::*;
 use vigil_detector::DeepShap;
 use vigil_nnet::{Graph, Isa, Purpose};
+use vigil_policy::actor::ActorSpec;
 
 /// DeepSHAP of one network against one background sample, over the network's own inputs.
 #[pyclass(module = "vigil._vigil")]
@@ -24,22 +25,17 @@ fn explainer(py: Python<'_>, graph: Graph, params: &[f32], backgrounds: &[Inputs
 
 #[pymethods]
 impl Explainer {
-    /// What lies behind the split point: inputs are the values of the state and the two positional ones.
+    /// What lies behind the split point: inputs are the values of the state and those beside it (8, or 2 of an imported policy).
     #[staticmethod]
     fn split_point(py: Python<'_>, pilot: Learned<'_>, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
         let head = pilot.frozen().head(Purpose::Multipliers).map_err(refused)?;
         explainer(py, head.graph, &head.params, &backgrounds)
     }
 
-    /// The whole actor: inputs are the five frames over 100 m, oldest first, and the positional values.
+    /// The whole actor: inputs are the frame over 100 m, what is remembered and the low-dimensional observation.
     #[staticmethod]
     fn pixels(py: Python<'_>, actor: &Actor, backgrounds: Vec<Inputs<'_>>) -> PyResult<Self> {
-        let graph = actor
-            .frozen
-            .inputs
-            .spec()
-            .graph(Purpose::Multipliers, true)
-            .map_err(refused)?;
+        let graph = ActorSpec::FULL.graph(Purpose::Multipliers).map_err(refused)?;
         explainer(py, graph, &actor.frozen.params, &backgrounds)
     }
 

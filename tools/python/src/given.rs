@@ -3,9 +3,11 @@
 use numpy::{PyArray1, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use vigil_policy::ActorInputs;
-use vigil_policy::actor::PositionalInputs;
-use vigil_types::{DEPTH_FULL_SCALE_M, DEPTH_PIXELS};
+use vigil_policy::PilotInput;
+use vigil_policy::actor::{GOAL_INPUTS, LOW_DIM, PositionalInputs};
+use vigil_types::{
+    Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DepthFrame, GoalRelative, HeadingVector, Nanos, NedVector,
+};
 
 /// An error that is the caller's.
 pub fn refused(e: impl std::fmt::Display) -> PyErr {
@@ -48,30 +50,115 @@ pub fn frames(what: &str, array: &PyReadonlyArrayDyn<'_, f32>, count: usize) -> 
     Ok(metres.iter().map(|range| range / DEPTH_FULL_SCALE_M).collect())
 }
 
-/// What an actor with these inputs decides from beside its frames: its positional inputs as an environment made for it gives them, or distance in
-/// metres and bearing in radians of where it is led; an actor that is told of movers then stands still and has seen none.
-pub fn position(given: &[f32], inputs: ActorInputs) -> PyResult<PositionalInputs> {
-    let count = inputs.spec().positional().inputs;
-    let &[distance_m, bearing_rad] = given else {
-        let whole = PositionalInputs::from_values(given).filter(|_| given.len() == count);
-        let whole = whole.filter(|_| given.iter().all(|value| value.is_finite()));
-        return whole.ok_or_else(|| {
-            refused(format!(
-                "goal: a distance in metres and a bearing in radians, or the {count} finite values of an environment's position, got {} values",
-                given.len()
-            ))
-        });
-    };
-    if !(distance_m >= 0.0 && distance_m.is_finite() && bearing_rad.is_finite()) {
-        return Err(refused(format!(
-            "goal: a distance of 0 m or more and a bearing in radians, got {distance_m} and {bearing_rad}"
-        )));
+/// Values of a position as an environment made for an actor gives it: distance (m) and bearing (rad) of the goal; north, east and height
+/// (m), heading (rad), velocity forward and right (m/s) as the vehicle believes; time (s).
+pub const POSITION: usize = 9;
+
+/// What a pilot decides on.
+pub struct Moment {
+    now_ns: Nanos,
+    depth: Box<DepthFrame>,
+    goal: GoalRelative,
+    attitude: Attitude,
+    velocity_m_s: HeadingVector,
+    height_m: f32,
+}
+
+impl Moment {
+    /// Of a frame in metres and an environment's position, or of a goal alone, distance in metres and bearing in radians: the vehicle then
+    /// stands where its flight began, and the time is `otherwise_ns`.
+    pub fn of(frame: &PyReadonlyArrayDyn<'_, f32>, position: &[f32], otherwise_ns: Nanos) -> PyResult<Self> {
+        let pixels = frames("frame", frame, 1)?;
+        let (distance_m, bearing_rad, odometry) = match *position {
+            [distance_m, bearing_rad] => (distance_m, bearing_rad, None),
+            [
+                distance_m,
+                bearing_rad,
+                north_m,
+                east_m,
+                height_m,
+                yaw_rad,
+                forward,
+                right,
+                time_s,
+            ] => {
+                let place = NedVector::new(north_m, east_m, -height_m);
+                let moves = HeadingVector::new(forward, right, 0.0);
+                (distance_m, bearing_rad, Some((place, yaw_rad, moves, time_s)))
+            }
+            _ => {
+                return Err(refused(format!(
+                    "goal: a distance in metres and a bearing in radians, or the {POSITION} values of an environment's position, got {} \
+                     values",
+                    position.len()
+                )));
+            }
+        };
+        let all_finite = position.iter().all(|value| value.is_finite());
+        if !(distance_m >= 0.0 && all_finite) {
+            return Err(refused(format!(
+                "goal: a distance of 0 m or more and finite numbers, got {position:?}"
+            )));
+        }
+        let (place, yaw_rad, velocity_m_s, now_ns) = match odometry {
+            // Tenths of a millisecond: a float32 of seconds has no more.
+            Some((place, yaw_rad, moves, time_s)) => {
+                let now_ns = (f64::from(time_s.max(0.0)) * 1e4).round() as Nanos * 100_000;
+                (place, yaw_rad, moves, now_ns)
+            }
+            None => (
+                NedVector::new(0.0, 0.0, -HOVER_M),
+                0.0,
+                HeadingVector::ZERO,
+                otherwise_ns,
+            ),
+        };
+        let attitude = Attitude::from_euler_rad(0.0, 0.0, yaw_rad);
+        let mut depth = Box::new(DepthFrame::EMPTY);
+        depth.depth.copy_from_slice(&pixels);
+        depth.header.stamp_ns = now_ns;
+        depth.header.position_ned_m = place;
+        depth.header.attitude = attitude;
+        Ok(Self {
+            now_ns,
+            depth,
+            goal: GoalRelative {
+                distance_m,
+                bearing_rad,
+            },
+            attitude,
+            velocity_m_s,
+            height_m: -place.z,
+        })
     }
-    let goal = vigil_types::GoalRelative {
-        distance_m,
-        bearing_rad,
-    };
-    Ok(PositionalInputs::at_rest(goal, inputs))
+
+    /// For a pilot.
+    pub fn input(&self) -> PilotInput<'_> {
+        PilotInput {
+            now_ns: self.now_ns,
+            depth: &self.depth,
+            goal: self.goal,
+            attitude: self.attitude,
+            velocity_m_s: self.velocity_m_s,
+            height_m: self.height_m,
+        }
+    }
+}
+
+/// Height of a vehicle of which only the goal is given, metres: the courses'.
+const HOVER_M: f32 = 2.5;
+
+/// What a decision was made from beside the split point: an actor's low-dimensional observation, or an imported policy's goal.
+pub fn beside(given: &[f32], of_actor: bool) -> PyResult<PositionalInputs> {
+    let expected = if of_actor { LOW_DIM } else { GOAL_INPUTS };
+    let finite = given.iter().all(|value| value.is_finite());
+    let found = PositionalInputs::from_values(given).filter(|_| finite && given.len() == expected);
+    found.ok_or_else(|| {
+        refused(match of_actor {
+            true => format!("low_dim: {LOW_DIM} finite values (Actor.low_dim), got {given:?}"),
+            false => format!("goal: distance and bearing as the network takes them, got {given:?}"),
+        })
+    })
 }
 
 /// Handed over without a copy.

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float32]
 ROWS, COLUMNS, FRAMES = 128, 256, 5
 FULL_SCALE_M = 100.0
-POSITIONAL = 16
-"""Positional inputs of an actor that is told of movers."""
+CONTEXT, LOW_DIM = 328, 8
+"""Values of an actor's memory and of its low-dimensional observation."""
+POSITION = 9
+"""Values of a position as an environment gives it."""
 
 
 def floats(what: str, values: Any, shape: Sequence[int | None]) -> Floats:
@@ -43,22 +45,20 @@ def goal(value: Any) -> tuple[float, float]:
 
 
 def position(value: Any) -> list[float]:
-    """A goal, or all positional inputs of an actor that is told of movers."""
+    """A goal, or all of an environment's ``position``."""
     given = floats("goal", value, (None,))
-    if len(given) not in (2, POSITIONAL):
-        raise ValueError(f"goal: expected shape (2,) or ({POSITIONAL},), got {given.shape}")
+    if len(given) not in (2, POSITION):
+        raise ValueError(f"goal: expected shape (2,) or ({POSITION},), got {given.shape}")
     return [float(x) for x in given]
 
 
-def positional(value: Any, inputs: int = 2) -> Floats:
-    """What the networks take beside frames: of a goal distance over 20 m, at most 1.05, and bearing over 1 rad, the others 0 (an actor that
-    is told of movers stands still and has seen none); all of an environment's ``position`` as they are."""
-    if inputs > 2 and np.shape(value) == (inputs,):
-        return floats("goal", value, (inputs,))
+def beside(value: Any, inputs: int = 2) -> Floats:
+    """What a network takes beside the split point: an actor's low-dimensional observation ``[8]`` as it is, or, of an imported policy's goal,
+    distance over 20 m, at most 1.05, and bearing over 1 rad."""
+    if inputs == LOW_DIM:
+        return floats("low_dim", value, (LOW_DIM,))
     distance_m, bearing_rad = goal(value)
-    taken = np.zeros(inputs, dtype=np.float32)
-    taken[:2] = min(distance_m, 21.0) / 20.0, bearing_rad
-    return taken
+    return np.array([min(distance_m, 21.0) / 20.0, bearing_rad], np.float32)
 
 
 def frames_of(what: str, value: Any, count: int | None) -> Floats:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from vigil import _given, _vigil
-from vigil._given import COLUMNS, FRAMES, ROWS, Floats
+from vigil._given import COLUMNS, CONTEXT, LOW_DIM, ROWS, Floats
 from vigil.policy import Action, Actor, Policy
 
 EFFECTIVE_YAW = 1.0
@@ -42,7 +42,7 @@ class Attacked:
 
 
 class StateAttack:
-    """Alters all five frames of a state of our actor: the paper's attack.
+    """Alters the newest frame of a state of our actor, given what it remembers of the older ones: the paper's attack.
 
     Args:
         actor: the actor attacked.
@@ -65,10 +65,12 @@ class StateAttack:
     ) -> None:
         self.native = _vigil.StateAttack(actor.native, method, epsilon, iterations, towards, seed)
 
-    def attack(self, frames: Any, goal: Any) -> Attacked:
-        """Alters a copy of frames ``[5, 128, 256]`` in metres, oldest first."""
-        altered, clean, attacked = self.native.attack(_given.frames_of("frames", frames, FRAMES), _given.position(goal))
-        return Attacked(altered.reshape(FRAMES, ROWS, COLUMNS), Action(*clean), Action(*attacked))
+    def attack(self, frame: Any, context: Any, low_dim: Any) -> Attacked:
+        """Alters a copy of a frame ``[128, 256]`` in metres; ``context`` and ``low_dim`` are what the actor held beside it
+        (:meth:`Actor.context`, :meth:`Actor.low_dim`)."""
+        held = _given.floats("context", context, (CONTEXT,)), _given.floats("low_dim", low_dim, (LOW_DIM,)).tolist()
+        altered, clean, attacked = self.native.attack(_given.frames_of("frame", frame, None), *held)
+        return Attacked(altered.reshape(ROWS, COLUMNS), Action(*clean), Action(*attacked))
 
 
 class FrameAttack:

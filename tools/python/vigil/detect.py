@@ -82,8 +82,8 @@ class Detector(Lstm):
         return self.native.sha256
 
     def backgrounds(self) -> tuple[Floats, Floats]:
-        """DeepSHAP's background sample: states ``[B, values]`` and positional inputs ``[B, 2]`` (distance / 20 m, bearing / 1 rad),
-        ``[B, 16]`` of an actor that is told of movers."""
+        """DeepSHAP's background sample: states ``[B, values]`` and low-dimensional observations ``[B, 8]``, or an imported policy's
+        ``[B, 2]`` (distance / 20 m, bearing / 1 rad)."""
         count, states, positions = self.native.backgrounds()
         return states.reshape(count, -1), positions.reshape(count, -1)
 
@@ -103,7 +103,7 @@ class Judgement:
     distance: float
     """Contribution of the goal's distance."""
     told: float
-    """Contribution of what an actor is told beside the goal: its own velocity, movers."""
+    """Contribution of own motion and last action."""
     base: float
     """Mean yaw of the background sample."""
     phi: Floats
@@ -123,10 +123,13 @@ class Monitor:
 
     def __init__(self, actor: Actor | Policy, detector: Detector | None = None) -> None:
         self._native = _vigil.Monitor(actor.native, (detector or Detector()).native)
+        self._beside = actor.native.positional_inputs
 
-    def judge(self, state: Any, goal: Any) -> Judgement:
-        """Judges the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and a goal."""
-        return Judgement(*self._native.judge(_given.floats("state", state, (self._native.width,)), _given.position(goal)))
+    def judge(self, state: Any, beside: Any) -> Judgement:
+        """Judges the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and what was beside it:
+        :meth:`Actor.low_dim`, or an imported policy's goal."""
+        given = _given.beside(beside, self._beside)
+        return Judgement(*self._native.judge(_given.floats("state", state, (self._native.width,)), given.tolist()))
 
     def reset(self) -> None:
         """Forgets the explanations: a new flight."""
@@ -150,7 +153,8 @@ def freeze(
         path: the file.
         lstm: the network.
         actor: whose explanations it judges; an imported policy needs a split point.
-        backgrounds: DeepSHAP's background sample, states ``[B, values]`` and goals ``[B, 2]``: the one that the explanations were made with.
+        backgrounds: DeepSHAP's background sample, states ``[B, values]`` and what was beside them ``[B, 8]``, an imported policy's
+            goals ``[B, 2]``: the one that the explanations were made with.
         threshold: a score above it is an attack, above 0 and below 1.
         threshold_choice, training_config, seed: what the file tells of its making; the configuration as TOML.
 
@@ -161,7 +165,7 @@ def freeze(
         ValueError: what could not judge in flight; then nothing is written.
     """
     states = _given.floats("background states", backgrounds[0], (None, None))
-    positions = np.array([_given.positional(goal, actor.native.positional_inputs) for goal in backgrounds[1]], np.float32)
+    positions = np.array([_given.beside(given, actor.native.positional_inputs) for given in backgrounds[1]], np.float32)
     if len(states) != len(positions):
         raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
     return _vigil.write_detector(

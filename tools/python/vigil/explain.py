@@ -6,13 +6,13 @@ The contributions of an :class:`Explanation` and its ``base`` add up to the netw
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from vigil import _given, _vigil
-from vigil._given import COLUMNS, FRAMES, FULL_SCALE_M, ROWS, Floats
+from vigil._given import COLUMNS, CONTEXT, FULL_SCALE_M, LOW_DIM, ROWS, Floats
 from vigil.detect import Detector
 from vigil.policy import Actor, Policy
 
@@ -25,17 +25,26 @@ class Explanation:
     """What each input contributed to an output, in the units of the action."""
 
     phi: Floats
-    """Contributions, of the shape of what was explained: ``[48]``, ``[5, 128, 256]``, or the policy's own frame."""
+    """Contributions, of the shape of what was explained: ``[48]``, ``[128, 256]``, or the policy's own frame."""
     distance: float
     """Contribution of the goal's distance."""
     bearing: float
     """Contribution of the goal's bearing."""
     told: float
-    """Contribution of what an actor is told beside the goal: its own velocity, movers."""
+    """Contribution of own motion and last action."""
+    memory: float
+    """Contribution of what is remembered, where pixels are explained; else 0."""
     base: float
     """Mean output of the background sample."""
     output: float
     """The output."""
+
+
+def _of_low_dim(phi: Floats) -> tuple[float, float, float]:
+    """Distance, bearing and own motion of the contributions of an actor's 8 values, or of an imported policy's 2."""
+    if len(phi) < LOW_DIM:
+        return float(phi[0]), float(phi[1]), 0.0
+    return float(phi[0]), float(phi[1:3].sum()), float(phi[3:].sum())
 
 
 def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int, frame_at: int, scale: float) -> Explanation:
@@ -43,14 +52,16 @@ def _explanation(explainer: _vigil.Explainer, inputs: list[Floats], output: int,
         raise ValueError(f"output: 0 (forward speed) or 1 (yaw), got {output}")
     outputs, phi = explainer.explain(inputs, output)
     phi *= np.float32(scale)
-    distance = bearing = told = 0.0
+    distance = bearing = told = memory = 0.0
     frame = phi
     if len(phi) > len(inputs[frame_at]) and sum(map(len, inputs)) == len(phi):
-        # The positional inputs, of which the goal's two values are the first, stand before the frame or after it.
-        count = len(inputs[0 if frame_at == 1 else -1])
-        position, frame = (phi[:count], phi[count:]) if frame_at == 1 else (phi[-count:], phi[:-count])
-        distance, bearing, told = float(position[0]), float(position[1]), float(position[2:].sum())
-    return Explanation(frame, distance, bearing, told, float(explainer.expected()[output]) * scale, float(outputs[output]) * scale)
+        shares = np.split(phi, np.cumsum([len(given) for given in inputs[:-1]]))
+        frame = shares.pop(frame_at)
+        # What is low-dimensional is the last of the others; between it and the frame lies an actor's memory.
+        distance, bearing, told = _of_low_dim(shares.pop())
+        memory = float(sum(share.sum() for share in shares))
+    base, made = float(explainer.expected()[output]) * scale, float(outputs[output]) * scale
+    return Explanation(frame, distance, bearing, told, memory, base, made)
 
 
 class SplitPoint:
@@ -58,7 +69,8 @@ class SplitPoint:
 
     Args:
         actor: the actor, or an imported policy that has a split point.
-        backgrounds: states ``[B, values]`` and goals ``[B, 2]`` to compare with, or a detector, which has such a sample; absent: the
+        backgrounds: states ``[B, values]`` and what was beside them to compare with (``[B, 8]``, :meth:`Actor.low_dim`; an imported
+            policy's goals ``[B, 2]``), or a detector, which has such a sample; absent: the
             built-in detector's thirty, of the built-in actor.
     """
 
@@ -68,42 +80,43 @@ class SplitPoint:
             states, positions = (backgrounds or Detector()).backgrounds()
         else:
             states = _given.floats("background states", backgrounds[0], (None, None))
-            positions = np.array([_given.positional(goal, actor.native.positional_inputs) for goal in backgrounds[1]], np.float32)
+            positions = np.array([_given.beside(given, actor.native.positional_inputs) for given in backgrounds[1]], np.float32)
             if len(states) != len(positions):
-                raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} goals")
+                raise ValueError(f"backgrounds: {len(states)} states, but {len(positions)} of what was beside them")
         self.native = _vigil.Explainer.split_point(actor.native, [[s, p] for s, p in zip(states, positions)])
 
-    def explain(self, state: Any, goal: Any, output: int = YAW) -> Explanation:
-        """Explains the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and a goal."""
-        inputs = [_given.floats("state", state, (self.native.input_lengths[0],)), _given.positional(goal, self.native.input_lengths[-1])]
+    def explain(self, state: Any, beside: Any, output: int = YAW) -> Explanation:
+        """Explains the decision made from a state ``[values]`` (:meth:`Actor.state`, :meth:`Policy.state`) and what was beside it:
+        :meth:`Actor.low_dim`, or an imported policy's goal."""
+        inputs = [_given.floats("state", state, (self.native.input_lengths[0],)), _given.beside(beside, self.native.input_lengths[-1])]
         return _explanation(self.native, inputs, output, 0, self._scale)
 
 
-def _pixel_inputs(frames: Any, goal: Any, positional: int) -> list[Floats]:
-    given = _given.frames_of("frames", frames, FRAMES) / np.float32(FULL_SCALE_M)
-    return [*given.reshape(FRAMES, -1), _given.positional(goal, positional)]
+def _pixel_inputs(frame: Any, context: Any, low_dim: Any) -> list[Floats]:
+    given = _given.frames_of("frame", frame, None) / np.float32(FULL_SCALE_M)
+    return [given.ravel(), _given.floats("context", context, (CONTEXT,)), _given.floats("low_dim", low_dim, (LOW_DIM,))]
 
 
 class Pixels:
-    """Explains an actor's decision by all pixels of its five frames, exactly. A tenth of a second or so for thirty backgrounds.
+    """Explains an actor's decision by all pixels of the newest frame, exactly, and by what it remembered.
 
     Args:
         actor: the actor.
-        backgrounds: frames in metres ``[B, 5, 128, 256]`` and goals ``[B, 2]`` to compare with. Each takes 10 MB.
+        backgrounds: frames in metres ``[B, 128, 256]``, what was remembered ``[B, 328]`` and low-dimensional observations ``[B, 8]`` to
+            compare with.
     """
 
-    def __init__(self, actor: Actor, backgrounds: tuple[Any, Any]) -> None:
-        width = actor.native.positional_inputs
-        given = _given.floats("background frames", backgrounds[0], (None, FRAMES, ROWS, COLUMNS))
-        if len(given) != len(backgrounds[1]):
-            raise ValueError(f"backgrounds: {len(given)} states, but {len(backgrounds[1])} goals")
-        self.native = _vigil.Explainer.pixels(actor.native, [_pixel_inputs(f, g, width) for f, g in zip(given, backgrounds[1])])
+    def __init__(self, actor: Actor, backgrounds: tuple[Any, Any, Any]) -> None:
+        frames, contexts, low_dims = backgrounds
+        if not len(frames) == len(contexts) == len(low_dims):
+            raise ValueError(f"backgrounds: {len(frames)} frames, {len(contexts)} contexts, {len(low_dims)} low-dimensional observations")
+        self.native = _vigil.Explainer.pixels(actor.native, [_pixel_inputs(*given) for given in zip(frames, contexts, low_dims)])
 
-    def explain(self, frames: Any, goal: Any, output: int = YAW) -> Explanation:
-        """Explains the decision on frames ``[5, 128, 256]`` in metres, oldest first. ``phi`` is ``[5, 128, 256]``."""
-        found = _explanation(self.native, _pixel_inputs(frames, goal, self.native.input_lengths[-1]), output, 0, 1.0)
-        phi = found.phi.reshape(FRAMES, ROWS, COLUMNS)
-        return Explanation(phi, found.distance, found.bearing, found.told, found.base, found.output)
+    def explain(self, frame: Any, context: Any, low_dim: Any, output: int = YAW) -> Explanation:
+        """Explains the decision on a frame ``[128, 256]`` in metres, beside which the actor held ``context`` and ``low_dim``
+        (:meth:`Actor.context`, :meth:`Actor.low_dim`). ``phi`` is ``[128, 256]``."""
+        found = _explanation(self.native, _pixel_inputs(frame, context, low_dim), output, 0, 1.0)
+        return replace(found, phi=found.phi.reshape(ROWS, COLUMNS))
 
 
 class PolicyPixels:
@@ -123,5 +136,4 @@ class PolicyPixels:
         native = self.policy.native
         inputs = self.policy.inputs(own_frame, goal)
         found = _explanation(self.native, inputs, output, native.frame_input, native.output_scale)
-        phi = found.phi.reshape(self.policy.frame_shape)
-        return Explanation(phi, found.distance, found.bearing, found.told, found.base, found.output)
+        return replace(found, phi=found.phi.reshape(self.policy.frame_shape))

@@ -69,7 +69,7 @@ def spaces_of(
         ),
     }
     if actor is not None:
-        parts["position"] = spaces.Box(-np.inf, np.inf, (actor.positional_inputs,), np.float32)
+        parts["position"] = spaces.Box(-np.inf, np.inf, (Flights.POSITION,), np.float32)
     if privileged:
         parts["state"] = spaces.Box(-np.inf, np.inf, (Flights.TRUE_STATE,), np.float32)
     return spaces.Dict(parts), spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
@@ -105,11 +105,6 @@ class _Flown:
         if actor is not None and not isinstance(actor, Actor):
             raise TypeError(f"actor: a vigil.policy.Actor, got {type(actor).__name__}")
         self.actor = actor
-        in_a_row = tuple(range(FRAMES - 1, -1, -1))
-        self.ages = (0,) if frames == 1 else in_a_row if actor is None else actor.frame_ages
-        self.in_a_row = frames == 1 or self.ages == in_a_row
-        if self.share_frames and not self.in_a_row:
-            raise ValueError(f"share_frames: the actor's frames are not in a row, they are {self.ages} steps back")
         self.flights = Flights(
             count,
             family=options["family"],
@@ -127,7 +122,7 @@ class _Flown:
             actor=None if actor is None else actor.native,
             threads=threads,
         )
-        self.back = self.ages[0]
+        self.back = frames - 1
         self.slot = -1
         self.block: Floats = np.empty((0,), np.float32)
         self._spare: list[Floats] = []
@@ -181,8 +176,6 @@ class _Flown:
         # Five frames share four with the next five, which Gymnasium's check does not allow; the newest alone shares nothing.
         if self.frames == 1:
             view = view[:, 0]
-        elif not self.in_a_row:
-            view = view[:, [self.back - age for age in self.ages]]
         elif not self.share_frames:
             view = view.copy()
         goals = self.flights.goals().reshape(self.count, 2)
@@ -232,9 +225,9 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
                                      The first frame stands for the missing ones. The newest alone is handed over without a
                                      copy, as a view that cannot be written to; so are five with ``share_frames=True``.
     goal      ``[2]``                distance in metres and bearing in radians, clockwise, as the vehicle believes
-    position  ``[16]`` or ``[2]``    with ``actor=…``: what this actor decides from beside its frames, as in flight: where it is led (the path
-                                     planned over what the frames have shown, or the goal) and what it is told (own velocity, two movers).
-                                     ``Actor.decide(frame, position)``. The five frames are then as far back as the actor's.
+    position  ``[9]``                with ``actor=…``: what an actor decides from beside its frames, as in flight: distance (m) and bearing
+                                     (rad) of the goal; north, east and height (m), heading (rad), velocity forward and right (m/s) as the
+                                     vehicle believes; time (s). ``Actor.decide(frame, position)``.
     state     ``[75]``               with ``privileged=True``: the true state of ``vigil learn``: 48 ranges around, velocity, way …
     ========  =====================  ==================================================================================
 
@@ -262,7 +255,7 @@ class VigilEnv(gymnasium.Env[dict[str, Floats], Floats]):
         share_frames: five frames are a view without a copy as well. It stays as it is while the flight goes on, but shares four frames with
             the next observation, which Gymnasium's ``check_env`` does not allow.
         privileged: the observation has the true state.
-        actor: the observation has the position that this actor takes, and its frames. It is not asked for decisions.
+        actor: the observation has the position that an actor takes. It is not asked for decisions.
         wind: mean wind in m/s, 0 to 20, from a direction that the seed decides, with gusts a third as strong.
         noise: multiplies the LiDAR's range noise and dropouts; 0 to 100.
         time_limit: seconds after which a flight is cut off; absent: the course's.

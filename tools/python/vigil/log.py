@@ -25,7 +25,7 @@ class Log:
     """Time since the first step, seconds, ``[T]``."""
     numbers: dict[str, Floats]
     """``[T, width]``; ``[T]`` where one number is told. Units are in the names; ``goal``: distance (m) and bearing (rad) as the pilot saw
-    it; ``action``: forward speed (m/s) and yaw (30 °/s); ``score``: 0 to 1; ``contributions``: of image, bearing, distance, what it is told of movers, and the base;
+    it; ``action``: forward speed (m/s) and yaw (30 °/s); ``score``: 0 to 1; ``contributions``: of image, bearing, distance, own motion (`told`), and the base;
     ``phi``: ``[T, 48]``."""
     words: dict[str, list[Any]]
     """``state`` of guidance, ``reasons`` present, cause of the ``alarm`` or ``None``, ``verdict``."""

@@ -22,7 +22,7 @@ class Action(NamedTuple):
 
 
 class Actor:
-    """A frozen actor: decides from the newest frame and the four before it, which it remembers.
+    """A frozen actor: decides from the newest frame and from what it remembers of earlier ones.
 
     Args:
         path: its file; absent: the one built in.
@@ -35,19 +35,28 @@ class Actor:
         self.native = _vigil.Actor(None if path is None else str(path))
 
     def decide(self, frame: Any, goal: Any) -> Action:
-        """Decides on the newest frame ``[128, 256]`` in metres and on where it is led and what it is told.
+        """Decides on the newest frame ``[128, 256]`` in metres, the goal and the vehicle's odometry. It remembers the frames, so every one of
+        a flight has to be given.
 
         Args:
             frame: the frame.
-            goal: ``observation["position"]`` of an environment made for this actor (``VigilEnv(actor=…)``), as it is in flight; or only
-                ``(distance in metres, bearing in radians)`` of where it is to fly: an actor that is told of movers then stands still and has
-                seen none.
+            goal: ``observation["position"]`` of an environment (``VigilEnv(actor=…)``), as it is in flight: distance (m) and bearing (rad) of
+                the goal; north, east and height (m), heading (rad), velocity forward and right (m/s) as the vehicle believes; time (s). Or
+                the first two alone: the vehicle then stands where its flight began.
         """
         return Action(*self.native.decide(_given.frames_of("frame", frame, None), _given.position(goal)))
 
     def state(self) -> Floats:
         """The 48 values at the split point of the last decision: what is explained in flight."""
         return self.native.state()
+
+    def context(self) -> Floats:
+        """What it remembered in the last decision, ``[328]``: older scans, surfaces out of view, its trail (docs/architecture.md)."""
+        return self.native.context()
+
+    def low_dim(self) -> Floats:
+        """The low-dimensional observation of the last decision, ``[8]``: goal, own motion, last action (docs/architecture.md)."""
+        return self.native.low_dim()
 
     def reset(self) -> None:
         """Forgets the frames: a new flight."""
@@ -63,26 +72,15 @@ class Actor:
         return self.native.sha256
 
     @property
-    def frame_ages(self) -> tuple[int, ...]:
-        """How many steps back each of its five frames is, oldest first."""
-        return tuple(self.native.frame_ages)
-
-    @property
     def positional_inputs(self) -> int:
-        """2: it is told of the goal alone; 16: of its own velocity and two movers as well (docs/architecture.md)."""
+        """Values of its low-dimensional observation."""
         return self.native.positional_inputs
-
-    @property
-    def led_by(self) -> str:
-        """``goal``, or ``path``: the bearing it wants is then that of a planned path (docs/architecture.md)."""
-        return self.native.led_by
 
 
 def freeze(
     path: str | PathLike[str],
     tensors: Mapping[str, Any],
     *,
-    like: Actor | None = None,
     training_config: str = "",
     seed: int = 0,
     updates: int = 0,
@@ -92,7 +90,6 @@ def freeze(
     Args:
         path: the file.
         tensors: its parameters, of the names and shapes of :meth:`Actor.tensors`.
-        like: the actor that it decides from the same as: the ages of its frames, what its bearing is of; absent: the built-in one.
         training_config, seed, updates: what the file tells of its training; the configuration as TOML.
 
     Returns:
@@ -101,7 +98,7 @@ def freeze(
     Raises:
         ValueError: a tensor that is missing, too many, of another shape or not finite; then nothing is written.
     """
-    like = like or Actor()
+    like = Actor()
     shapes = {name: tuple(shape) for name, shape, _ in like.native.tensors()}
     if missing := [name for name in shapes if name not in tensors]:
         raise ValueError(f"tensors: {', '.join(missing)} missing")
@@ -180,7 +177,7 @@ class Policy:
         frame = _given.floats("own frame", own_frame, self.frame_shape).ravel()
         if not self.native.has_position:
             return [frame]
-        position = _given.positional(goal)
+        position = _given.beside(goal)
         return [frame, position] if self.native.frame_input == 0 else [position, frame]
 
     def outputs(self, own_frame: Any, goal: Any) -> Floats:

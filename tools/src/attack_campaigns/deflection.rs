@@ -7,10 +7,13 @@ use anyhow::Result;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::process::ExitCode;
-use vigil_adversary::{AttackConfig, Method, StateAttack};
+use vigil_adversary::{AttackConfig, Beside, Method, StateAttack};
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
-use vigil_types::{Attitude, DepthFrame, GoalRelative, NedVector, YAW_RATE_PER_UNIT_RAD_S};
+use vigil_policy::PilotInput;
+use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_types::{
+    Action, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector, STEP_NS, YAW_RATE_PER_UNIT_RAD_S,
+};
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 
 /// Gap to the wall, metres (the paper's rows), and the paper's deflection there, °/s.
@@ -153,17 +156,18 @@ fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bear
         iterations: args.iterations,
         ..AttackConfig::PAPER
     };
-    let mut attack = StateAttack::on(victim.inputs.spec(), Isa::detect(), &victim.params, &config)?;
+    let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &config)?;
     let goal = GoalRelative {
         distance_m: args.goal_distance,
         bearing_rad: bearing_deg.to_radians(),
     };
-    let position = PositionalInputs::at_rest(goal, victim.inputs);
     let to_deg_s = YAW_RATE_PER_UNIT_RAD_S.to_degrees();
     let (mut clean, mut deflection) = (0.0, 0.0);
     for i in 0..args.states {
-        attack.reseed(args.seed.wrapping_add(i));
-        let outcome = attack.attack(&mut hovering_before_wall(gap_m, args.seed.wrapping_add(i))?, position)?;
+        let seed = args.seed.wrapping_add(i);
+        attack.reseed(seed);
+        let (mut frame, beside) = hovering_before_wall(victim, goal, gap_m, seed)?;
+        let outcome = attack.attack(&mut frame.depth, &beside)?;
         clean += to_deg_s * outcome.clean[1];
         deflection += to_deg_s * outcome.yaw_change().abs();
     }
@@ -177,27 +181,41 @@ fn cell(args: &DeflectionArgs, victim: &Victim, method: Method, gap_m: f32, bear
     })
 }
 
-/// Five frames of a vehicle that hovers at flight height and looks straight at a wall.
-fn hovering_before_wall(gap_m: f32, seed: u64) -> Result<Vec<f32>> {
+/// The newest frame of a vehicle that hovers at flight height and looks straight at a wall, long enough for the actor to remember nothing
+/// else; and what it remembers.
+fn hovering_before_wall(
+    victim: &Victim,
+    goal: GoalRelative,
+    gap_m: f32,
+    seed: u64,
+) -> Result<(Box<DepthFrame>, Beside)> {
     let course = wall_ahead(gap_m);
     let (world, mut lidar) = (World::new(&course), Lidar::new(LidarConfig::default(), seed)?);
     let position_ned_m = NedVector::new(0.0, 0.0, -course.flight_height_m);
+    let mut actor = victim.actor.actor(Isa::detect())?;
     let mut frame = Box::new(DepthFrame::EMPTY);
-    let mut frames = Vec::with_capacity(ACTOR_FRAMES * frame.depth.len());
-    for sequence in 0..ACTOR_FRAMES as u64 {
+    for sequence in 0..=SCAN_AGES[0] as u64 {
         let shot = Shot {
             position_ned_m,
             attitude: Attitude::LEVEL_NORTH,
             estimated_position_ned_m: position_ned_m,
             estimated_attitude: Attitude::LEVEL_NORTH,
-            stamp_ns: 0,
+            stamp_ns: sequence * STEP_NS,
             sequence,
             sensor_id: 0,
         };
         lidar.capture(&world, &shot, &mut frame);
-        frames.extend_from_slice(&frame.depth);
+        actor.decide(&PilotInput {
+            now_ns: shot.stamp_ns,
+            depth: &frame,
+            goal,
+            attitude: Attitude::LEVEL_NORTH,
+            velocity_m_s: HeadingVector::ZERO,
+            height_m: course.flight_height_m,
+        })?;
+        actor.note_action(Action::HOVER);
     }
-    Ok(frames)
+    Ok((frame, Beside::of(&actor)))
 }
 
 /// Nothing but a wall north of home, its near face at the gap.

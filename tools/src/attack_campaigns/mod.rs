@@ -18,7 +18,7 @@ use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_policy::{ActorInputs, FrozenPilot};
+use vigil_policy::{FrozenActor, FrozenPilot};
 
 /// Arguments of `vigil attack`.
 #[derive(Debug, Clone, clap::Args)]
@@ -80,8 +80,7 @@ struct Common {
 
 /// The actor under attack, named in every report.
 struct Victim {
-    params: Vec<f32>,
-    inputs: ActorInputs,
+    actor: FrozenActor,
     sha256: String,
 }
 
@@ -93,14 +92,13 @@ impl Common {
     fn victim(&self) -> Result<Victim> {
         let FrozenPilot::Actor(actor) = self.pilot()? else {
             bail!(
-                "this attacks five frames of our own actor at once, and --actor is an imported policy: attack it in flight, by \
+                "this attacks single states of our own actor, and --actor is an imported policy: attack it in flight, by \
                  `vigil attack completion`, `search` or `defended`"
             );
         };
         Ok(Victim {
             sha256: actor.sha256(),
-            inputs: actor.inputs,
-            params: actor.params,
+            actor,
         })
     }
 

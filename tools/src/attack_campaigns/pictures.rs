@@ -6,10 +6,9 @@ use crate::cli::output::{self, range_grey, say};
 use crate::report::{ColourScale, Picture, Plate};
 use anyhow::{Context, Result};
 use std::process::ExitCode;
-use vigil_adversary::{AttackConfig, FrameAttack, Method};
+use vigil_adversary::{AttackConfig, Method, StateAttack};
 use vigil_nnet::Isa;
-use vigil_policy::FrozenPilot;
-use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
+use vigil_types::{DEPTH_COLS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
 
 /// Changes of as many metres and more have the full colour.
 const FULL_COLOUR_M: f32 = 8.0;
@@ -67,26 +66,24 @@ fn change_colour(share: f32) -> [u8; 3] {
 pub fn run(args: &PicturesArgs) -> Result<ExitCode> {
     let folder = args.common.folder()?;
     let victim = args.common.victim()?;
-    let pilot: FrozenPilot = args.common.pilot()?;
-    let met = met_in_flight((&victim.params, victim.inputs), args.seed)?;
-    let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
+    let met = met_in_flight(&victim, args.seed)?;
     let state = met
         .iter()
-        .max_by_key(|state| newest(&state.frames).iter().filter(|range| **range < NEAR).count())
-        .context("the flight was over before five frames were taken")?;
-    let clean = newest(&state.frames);
+        .max_by_key(|state| state.frame.iter().filter(|range| **range < NEAR).count())
+        .context("the flight was over before the actor remembered anything")?;
+    let clean = &state.frame;
     let grey = |frame: &[f32]| frame.iter().flat_map(|range| range_grey(*range)).collect::<Vec<u8>>();
     let change = |frame: &[f32]| {
-        let moved_m = frame.iter().zip(&clean).map(|(x, clean)| 100.0 * (x - clean));
+        let moved_m = frame.iter().zip(clean).map(|(x, clean)| 100.0 * (x - clean));
         moved_m
             .flat_map(|m| change_colour(m / FULL_COLOUR_M))
             .collect::<Vec<u8>>()
     };
-    let mut rows = vec![(vec!["as taken".to_owned()], [grey(&clean), change(&clean)])];
+    let mut rows = vec![(vec!["as taken".to_owned()], [grey(clean), change(clean)])];
     for (name, config) in attacks() {
-        let mut attack = FrameAttack::on(&pilot, Isa::detect(), &config)?;
+        let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &config)?;
         let mut frame = clean.clone();
-        let outcome = attack.attack_while(&mut frame, state.position, || true)?;
+        let outcome = attack.attack(&mut frame, &state.beside)?;
         let turned_deg_s = (outcome.yaw_change() * YAW_RATE_PER_UNIT_RAD_S).to_degrees();
         let mut words = name.map(str::to_owned).to_vec();
         words.push(format!("yaw {turned_deg_s:+.0} °/s").replace('-', "−"));

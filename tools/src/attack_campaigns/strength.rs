@@ -76,7 +76,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
             .filter(|_| !interrupt.came())
             .map(|i| {
                 let mut rows = Vec::new();
-                for state in met_in_flight((&victim.params, victim.inputs), args.seed.wrapping_add(i))? {
+                for state in met_in_flight(&victim, args.seed.wrapping_add(i))? {
                     rows.push(yaw_changes(&victim, &state)?);
                     bar.inc(1);
                 }
@@ -121,7 +121,7 @@ pub fn run(args: &TableArgs) -> Result<ExitCode> {
     print(&cells, attacked.len(), args.seed, wall_s);
     let csv = folder.join("figure-11.csv");
     output::write(&csv, to_csv(cells.iter().map(CellLine::from)))?;
-    if let Some(state) = met_in_flight((&victim.params, victim.inputs), args.seed)?.first() {
+    if let Some(state) = met_in_flight(&victim, args.seed)?.first() {
         picture(&victim, state)?.write_png(&folder.join("frames.png"))?;
     }
     write_json(
@@ -150,13 +150,8 @@ fn settings() -> impl Iterator<Item = (Method, f32, u32)> {
 
 /// Change of the yaw output at each of [`settings`].
 fn yaw_changes(victim: &Victim, state: &State) -> Result<Vec<f32>> {
-    let mut attack = StateAttack::on(
-        victim.inputs.spec(),
-        Isa::detect(),
-        &victim.params,
-        &AttackConfig::PAPER,
-    )?;
-    let mut frames = state.frames.clone();
+    let mut attack = StateAttack::new(Isa::detect(), &victim.actor, &AttackConfig::PAPER)?;
+    let mut frame = state.frame.clone();
     let mut changes = Vec::new();
     let mut each: Vec<AttackOutcome> = Vec::new();
     for (method, epsilon_255, iterations) in settings() {
@@ -169,8 +164,8 @@ fn yaw_changes(victim: &Victim, state: &State) -> Result<Vec<f32>> {
         };
         if method != Method::BimAccumulating {
             attack.configure(&config)?;
-            frames.copy_from_slice(&state.frames);
-            changes.push(attack.attack(&mut frames, state.position)?.yaw_change());
+            frame.copy_from_slice(&state.frame);
+            changes.push(attack.attack(&mut frame, &state.beside)?.yaw_change());
             continue;
         }
         // Its iteration k is what an attack of k iterations gives: one run holds all of them.
@@ -179,9 +174,9 @@ fn yaw_changes(victim: &Victim, state: &State) -> Result<Vec<f32>> {
                 iterations: ITERATIONS[ITERATIONS.len() - 1],
                 ..config
             })?;
-            frames.copy_from_slice(&state.frames);
+            frame.copy_from_slice(&state.frame);
             each.clear();
-            attack.attack_each(&mut frames, state.position, |_, outcome, _| each.push(outcome))?;
+            attack.attack_each(&mut frame, &state.beside, |_, outcome, _| each.push(outcome))?;
         }
         changes.push(each[iterations as usize - 1].yaw_change());
     }
@@ -235,18 +230,11 @@ impl From<&Cell> for CellLine {
     }
 }
 
-/// Clean above altered, newest frame, and the difference below: near is bright, red is nearer and blue farther.
+/// Clean above altered, and the difference below: near is bright, red is nearer and blue farther.
 fn picture(victim: &Victim, state: &State) -> Result<Image> {
-    let mut frames = state.frames.clone();
-    StateAttack::on(
-        victim.inputs.spec(),
-        Isa::detect(),
-        &victim.params,
-        &AttackConfig::PAPER,
-    )?
-    .attack(&mut frames, state.position)?;
-    let newest = |frames: &[f32]| frames[frames.len() - DEPTH_PIXELS..].to_vec();
-    let (clean, altered) = (newest(&state.frames), newest(&frames));
+    let mut frame = state.frame.clone();
+    StateAttack::new(Isa::detect(), &victim.actor, &AttackConfig::PAPER)?.attack(&mut frame, &state.beside)?;
+    let (clean, altered) = (&state.frame, frame);
     let reach = AttackConfig::PAPER.reach(DEPTH_PIXELS);
     Ok(Image::from_fn(DEPTH_COLS, 3 * DEPTH_ROWS, |x, y| {
         let at = y % DEPTH_ROWS * DEPTH_COLS + x;

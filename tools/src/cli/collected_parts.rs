@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
-use vigil_world::Family;
 
 /// What parts call this command.
 pub const COMMAND: &str = "detector collect";
@@ -93,7 +92,7 @@ pub fn fly_shard(
         sets,
     };
     fly_plan(&plan, shard, folder, pool, &|first_seed| {
-        Ok(fly_block(isa, pilot, Family::Training, first_seed)?)
+        Ok(fly_block(isa, pilot, first_seed)?)
     })
 }
 
@@ -183,19 +182,18 @@ pub fn merge(parts: &[PathBuf], file: &Path) -> Result<ExitCode> {
 mod tests {
     use super::*;
     use crate::detector_training::{Frame, Scenario, Step};
-    use vigil_policy::actor::PositionalInputs;
 
     /// 40 steps, attacked from the 20th on: 20 attacked windows of ten and 11 unattacked.
     fn flown(first_seed: u64) -> Vec<Record> {
         let step = |seed: u64, number: usize| Step {
             state: vec![seed as f32, number as f32 / 3.0],
-            position: PositionalInputs::from_values(&[0.5, -0.25]).unwrap(),
+            position: [0.5, -0.25].into(),
             output: [1.0, 0.1],
             frame: if number < 20 { Frame::Unaltered } else { Frame::Attacked },
             yaw_change: if number < 20 { 0.0 } else { 2.0 },
         };
         let record = |seed| Record {
-            scenario: Scenario::drawn(Family::Training, seed, true),
+            scenario: Scenario::drawn(seed, true),
             frame_ages: vec![0],
             outcome: None,
             steps: (0..40).map(|number| step(seed, number)).collect(),

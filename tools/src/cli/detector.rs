@@ -36,7 +36,7 @@ Examples:
   vigil detector collect                     fly the data, attacked and not, into runs/detector
   vigil detector train                      train LSTM-AD on them: runs/detector/lstm_ad.safetensors
   vigil detector evaluate                   judge validation courses, attacks not trained on, controls
-  vigil detector ablate                     the same network on GRU state, actions, gradients instead
+  vigil detector ablate                     the same network on the actor's state, actions, gradients instead
   vigil detector images                     states with the SHAP images of all pixels, for the next
   vigil detector table                      CNN-AD, FCN-AD, PCA and LSTM-AD on the same states
   vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
@@ -67,7 +67,7 @@ enum DetectorCommand {
     /// Fly the data to learn from.
     Collect {
         /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
-        #[arg(long, default_value_t = 15_000, value_parser = clap::value_parser!(u64).range(100..))]
+        #[arg(long, default_value_t = 30_000, value_parser = clap::value_parser!(u64).range(100..))]
         windows: u64,
         /// Fly part K of N only and leave it in the folder as collect.K-of-N.part.json; `vigil merge` makes the files of all parts.
         #[arg(long, value_name = "K/N")]
@@ -126,7 +126,7 @@ enum DetectorCommand {
         #[arg(long, value_name = "FILE")]
         detector: Option<PathBuf>,
     },
-    /// Fly states and explain all pixels of their five frames; about 0.12 s of one core a state.
+    /// Fly states and explain all pixels of their newest frame.
     Images {
         /// States to learn from, half of them attacked; a tenth as many choose the epoch.
         #[arg(long, default_value_t = 4000, value_parser = clap::value_parser!(u64).range(40..))]
@@ -293,12 +293,12 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
 }
 
 impl Stage<'_> {
-    /// The actor, for what explains all pixels of its five frames.
+    /// The actor, for what explains all pixels of its frame.
     fn actor(&self, command: &str) -> Result<&FrozenActor> {
         match &self.pilot {
             FrozenPilot::Actor(actor) => Ok(actor),
             FrozenPilot::Imported(_) => bail!(
-                "`vigil detector {command}` explains all pixels of our own actor's five frames, and --actor is an imported policy; \
+                "`vigil detector {command}` explains all pixels of our own actor's frame, and --actor is an imported policy; \
                  collect, train, evaluate and ablate take one"
             ),
         }
@@ -334,7 +334,7 @@ impl Stage<'_> {
                     let (flights, complete) = crate::detector_training::collect(
                         self.isa,
                         &self.pilot,
-                        (Family::Training, seed),
+                        seed,
                         want,
                         begun,
                         &mut |counts, flights| {
@@ -540,7 +540,7 @@ impl Stage<'_> {
             ("SHAP values at the split point", &times.explanation_s, 0.019),
             ("LSTM-AD", &times.verdict_s, 0.001),
             ("a step of the three", &step_s, 0.076),
-            ("SHAP values of all pixels of five frames", &times.pixels_s, 13.33),
+            ("SHAP values of all pixels of the frame", &times.pixels_s, 13.33),
             ("CNN-AD", &times.cnn_s, 0.162),
             ("FCN-AD", &times.fcn_s, 0.056),
         ];

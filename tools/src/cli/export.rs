@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use vigil_nnet::Purpose;
 use vigil_policy::FrozenPilot;
-use vigil_policy::actor::ACTOR_FRAMES;
+use vigil_policy::actor::ActorSpec;
 
 /// Arguments of `vigil export`.
 #[derive(Debug, Clone, clap::Args)]
@@ -16,9 +16,8 @@ Examples:
   vigil export -o actor.onnx                             the built-in actor, for ONNX Runtime and the like
   vigil export --actor mine.safetensors -o mine.onnx     an imported policy, back again
 
-Inputs of an actor of ours: `frames` [1, 5, 128, 256], ranges over 100 m, oldest first, and `position`: [1, 2], distance
-over 20 m (at most 1.05) and bearing in radians; [1, 16] if it is told of movers, as the built-in one is: then own velocity
-and two movers follow. An imported policy has its own inputs, as `frame` and `position`. Output: `action` [1, 2]. Beside the
+Inputs of an actor of ours: `frame` [1, 1, 128, 256], ranges over 100 m; `context` [1, 328], what it remembers of earlier
+frames; `low_dim` [1, 8], goal, own motion and last action (docs/architecture.md). An imported policy has its own inputs, as `frame` and `position`. Output: `action` [1, 2]. Beside the
 network the model's metadata says what was exported and how its inputs are made. docs/import.md.")]
 pub struct ExportArgs {
     /// The actor or imported policy [default: the built-in actor].
@@ -49,13 +48,8 @@ pub fn run(args: &ExportArgs) -> Result<ExitCode> {
             let inputs = read_inputs(file)?;
             match &pilot {
                 FrozenPilot::Actor(actor) => {
-                    let spec = actor.inputs.spec();
-                    let graph = spec.graph(Purpose::Gradients, false)?;
-                    // The five frames are one input of the model.
-                    let frames = inputs.first().map_or(&[][..], Vec::as_slice);
-                    let mut given: Vec<&[f32]> = frames.chunks(spec.frame_len()).collect();
-                    given.truncate(ACTOR_FRAMES);
-                    given.extend(inputs.iter().skip(1).map(Vec::as_slice));
+                    let graph = ActorSpec::FULL.graph(Purpose::Gradients)?;
+                    let given: Vec<&[f32]> = inputs.iter().map(Vec::as_slice).collect();
                     computed(&graph, &actor.params, &given, file)
                 }
                 FrozenPilot::Imported(policy) => {

@@ -7,8 +7,8 @@ use std::process::ExitCode;
 use vigil_learn::config::LearnConfig;
 use vigil_learn::evaluation::FamilyCount;
 use vigil_learn::run::{LearnEnd, LearnOptions, Progress, Row, learn};
-use vigil_policy::FrozenSeeing;
-use vigil_policy::seeing::SeeingSpec;
+use vigil_policy::FrozenActor;
+use vigil_policy::actor::ActorSpec;
 
 /// Arguments of `vigil learn`.
 #[derive(Debug, Clone, clap::Args)]
@@ -80,8 +80,8 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
     }
     let encoder = match &args.encoder_of {
         Some(path) => {
-            let mut params = FrozenSeeing::load(path)?.params;
-            params.truncate(SeeingSpec::FULL.encoder_len());
+            let mut params = FrozenActor::load(path)?.params;
+            params.truncate(ActorSpec::FULL.encoder_len());
             Some(params)
         }
         None => None,
@@ -110,7 +110,7 @@ pub fn run(args: &LearnArgs) -> Result<ExitCode> {
                 say!("{}", completion(count));
             }
             let path = args.output.join("actor.safetensors");
-            let actor = FrozenSeeing {
+            let actor = FrozenActor {
                 params,
                 training_config: config.to_toml(),
                 seed: config.seed,

@@ -11,7 +11,7 @@ use vigil_firmware::arguments::choice;
 use vigil_learn::evaluation::{EvaluatedActor, EvaluationSpec, evaluate};
 use vigil_learn::observation::Drift;
 use vigil_nnet::Isa;
-use vigil_policy::{FrozenActor, FrozenSeeing};
+use vigil_policy::FrozenActor;
 use vigil_sim::family_parser;
 use vigil_types::Ablation;
 use vigil_world::{Family, Outcome};
@@ -71,30 +71,24 @@ pub struct RolloutArgs {
 /// # Errors
 /// A file that is no actor.
 pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
-    let (frozen, seeing);
+    let frozen;
     let evaluated = match args.actor.as_str() {
         "zero" => EvaluatedActor::Zero,
         "random" => EvaluatedActor::Random,
         "geometric" => EvaluatedActor::Geometric,
         "built-in" => {
             frozen = FrozenActor::built_in()?;
-            EvaluatedActor::Led(&frozen.params, frozen.inputs)
+            EvaluatedActor::Actor(&frozen.params)
         }
-        file => match FrozenSeeing::load_if_seeing(Path::new(file))? {
-            Some(actor) => {
-                seeing = actor;
-                EvaluatedActor::Seeing(&seeing.params)
-            }
-            None => {
-                frozen = FrozenActor::load(Path::new(file))?;
-                EvaluatedActor::Led(&frozen.params, frozen.inputs)
-            }
-        },
+        file => {
+            frozen = FrozenActor::load(Path::new(file))?;
+            EvaluatedActor::Actor(&frozen.params)
+        }
     };
     let controlled = args.ablate != Ablation::Nothing || args.drift_scale != 0.0 || args.drift_yaw != 0.0;
     ensure!(
-        !controlled || matches!(evaluated, EvaluatedActor::Seeing(_)),
-        "--ablate, --drift-scale and --drift-yaw are for actors that look and remember, and {} is none",
+        !controlled || matches!(evaluated, EvaluatedActor::Actor(_)),
+        "--ablate, --drift-scale and --drift-yaw are for actors, and {} is none",
         args.actor
     );
     let pool = thread_pool_of(args.threads)?;

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
 use vigil_nnet::{Activation, Graph, Isa};
 use vigil_policy::FrozenPilot;
-use vigil_policy::actor::ACTOR_FRAMES;
 
 /// A detector's row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -31,7 +30,7 @@ impl Examples for &[State] {
 
     fn inputs<'a>(&'a self, i: usize, buffer: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
         buffer.clear();
-        buffer.extend(self[i].images.iter().map(|b| f32::from(*b) / 255.0));
+        buffer.extend(self[i].image.iter().map(|b| f32::from(*b) / 255.0));
         vec![buffer.as_slice()]
     }
 
@@ -120,7 +119,7 @@ impl ImageNetwork {
 fn statistics(states: &[State]) -> [(f32, f32); IMAGE_CHANNELS] {
     let mut sums = [(0.0f64, 0.0f64); IMAGE_CHANNELS];
     let mut count = 0usize;
-    for pair in states.iter().flat_map(|s| s.images.chunks_exact(IMAGE_CHANNELS)) {
+    for pair in states.iter().flat_map(|s| s.image.chunks_exact(IMAGE_CHANNELS)) {
         count += 1;
         for (sum, byte) in sums.iter_mut().zip(pair) {
             let x = f64::from(*byte) / 255.0;
@@ -137,18 +136,17 @@ fn statistics(states: &[State]) -> [(f32, f32); IMAGE_CHANNELS] {
 
 /// Components of the PCA detector.
 const COMPONENTS: usize = 32;
-/// Side of the blocks of image values that it sums: a state is 5 × 16 × 32 × 2 numbers.
+/// Side of the blocks of image values that it sums: a state is 16 × 32 × 2 numbers.
 const BLOCK: usize = 4;
 
-/// A state's images, coarse.
+/// A state's image, coarse.
 fn coarse(state: &State) -> Vec<f32> {
     let (rows, cols) = (IMAGE_ROWS / BLOCK, IMAGE_COLS / BLOCK);
-    let mut sums = vec![0.0f32; ACTOR_FRAMES * rows * cols * IMAGE_CHANNELS];
-    for (i, byte) in state.images.iter().enumerate() {
+    let mut sums = vec![0.0f32; rows * cols * IMAGE_CHANNELS];
+    for (i, byte) in state.image.iter().enumerate() {
         let (channel, pixel) = (i % IMAGE_CHANNELS, i / IMAGE_CHANNELS);
-        let (col, line) = (pixel % IMAGE_COLS, pixel / IMAGE_COLS);
-        let (row, frame) = (line % IMAGE_ROWS, line / IMAGE_ROWS);
-        let block = (frame * rows + row / BLOCK) * cols + col / BLOCK;
+        let (col, row) = (pixel % IMAGE_COLS, pixel / IMAGE_COLS);
+        let block = row / BLOCK * cols + col / BLOCK;
         sums[block * IMAGE_CHANNELS + channel] += f32::from(*byte) / 255.0;
     }
     sums

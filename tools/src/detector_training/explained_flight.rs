@@ -2,14 +2,13 @@
 
 use crate::detector_training::error::DetectError;
 use crate::detector_training::features::YAW;
-use crate::detector_training::pixels::{BACKGROUNDS, Memory, explainer};
-use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Step, fly};
+use crate::detector_training::pixels::PixelExplainer;
+use crate::detector_training::recorded_flight::{Frame, Onlooker, Record, Shown, Step, fly};
 use crate::detector_training::scenario::Scenario;
-use vigil_detector::{DeepShap, FrozenDetector, Monitor};
+use vigil_detector::{FrozenDetector, Monitor};
 use vigil_nnet::{Isa, Purpose};
-use vigil_policy::actor::ACTOR_FRAMES;
 use vigil_policy::{FrozenActor, FrozenPilot};
-use vigil_types::{DEPTH_PIXELS, DepthFrame, Judgement};
+use vigil_types::Judgement;
 
 /// A step of the flight, explained at the split point and judged.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,33 +43,28 @@ pub struct Portrait {
 
 struct Explaining<'a> {
     monitor: Monitor,
-    pixels: DeepShap,
-    phi: Vec<f32>,
-    memory: Memory,
+    pixels: PixelExplainer,
     /// Steps whose pixels are explained.
     chosen: &'a [usize],
     portrait: Portrait,
 }
 
 impl Onlooker for Explaining<'_> {
-    fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
-        self.memory.push(delivered);
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
         let number = self.portrait.steps.len();
         self.portrait.steps.push(ExplainedStep {
             judgement: self.monitor.judge(&step.state, step.position),
             step: step.clone(),
         });
         if self.chosen.contains(&number)
-            && let Some(inputs) = self.memory.inputs(&step.position)
+            && let Some(inputs) = shown.inputs(step)
         {
-            self.pixels.evaluate(&inputs)?;
-            self.pixels.attribute(YAW, &mut self.phi)?;
-            let newest = self.phi.len() - step.position.len() - DEPTH_PIXELS;
+            let phi = self.pixels.of_inputs(&inputs, YAW)?.to_vec();
             self.portrait.frames.push(ExplainedFrame {
                 number,
                 frame: step.frame,
-                depth: delivered.depth.to_vec(),
-                phi: self.phi[newest..newest + DEPTH_PIXELS].to_vec(),
+                depth: shown.input.depth.depth.to_vec(),
+                phi,
             });
         }
         Ok(())
@@ -91,15 +85,10 @@ pub fn portray(
     // Explaining changes nothing, so the same flight is flown first to know how long it takes.
     let pilot = FrozenPilot::from(actor);
     let steps = fly(isa, &pilot, scenario, &mut ())?.steps.len();
-    let chosen: Vec<usize> = (0..pictures)
-        .map(|i| (ACTOR_FRAMES + (2 * i + 1) * steps.saturating_sub(ACTOR_FRAMES) / (2 * pictures)).min(steps - 1))
-        .collect();
-    let pixels = explainer(isa, actor, BACKGROUNDS)?;
+    let chosen: Vec<usize> = (0..pictures).map(|i| (2 * i + 1) * steps / (2 * pictures)).collect();
     let mut onlooker = Explaining {
         monitor: Monitor::new(isa, actor.head(Purpose::Multipliers)?, &actor.sha256(), detector)?,
-        phi: vec![0.0; pixels.phi_len()],
-        pixels,
-        memory: Memory::new(actor.inputs.frame_ages),
+        pixels: PixelExplainer::new(isa, actor)?,
         chosen: &chosen,
         portrait: Portrait {
             steps: Vec::new(),

@@ -34,7 +34,7 @@ impl Feature {
     pub fn name(self) -> &'static str {
         match self {
             Self::Shap => "SHAP values",
-            Self::State => "GRU state",
+            Self::State => "actor state",
             Self::Action => "actions",
             Self::Gradient => "gradients",
         }

@@ -1,7 +1,7 @@
 //! Gathering flights and keeping them in files.
 
 use crate::detector_training::error::{DetectError, access};
-use crate::detector_training::recorded_flight::{Ending, Frame, Record, Step, fly};
+use crate::detector_training::recorded_flight::{Ending, Frame, Record, Step, fly, held_frames};
 use crate::detector_training::scenario::Scenario;
 use rayon::prelude::*;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
@@ -12,8 +12,7 @@ use std::path::Path;
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
-use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, PositionalInputs};
-use vigil_world::Family;
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, PositionalInputs};
 
 /// Flights of one actor.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,7 +64,7 @@ pub enum Class {
     Attacked,
     /// Its frame was attacked, but to little effect: nothing is learned from it. Judged apart.
     Weak,
-    /// Its frame was delivered as taken, but one of the four before it, which the actor's state holds too, was attacked.
+    /// Its frame was delivered as taken, but an older one, which the actor's state holds too, was attacked.
     /// Nothing is learned from it. Judged apart.
     Lingering,
     /// No attacked frame is in the actor's state.
@@ -96,12 +95,12 @@ pub const BLOCK: u64 = 12;
 ///
 /// # Errors
 /// Parameters of another architecture.
-pub fn fly_block(isa: Isa, pilot: &FrozenPilot, family: Family, first_seed: u64) -> Result<Vec<Record>, DetectError> {
+pub fn fly_block(isa: Isa, pilot: &FrozenPilot, first_seed: u64) -> Result<Vec<Record>, DetectError> {
     (0..BLOCK)
         .into_par_iter()
         .map(|i| {
             let seed = first_seed.wrapping_add(i);
-            let scenario = Scenario::drawn(family, seed, !seed.is_multiple_of(3));
+            let scenario = Scenario::drawn(seed, !seed.is_multiple_of(3));
             fly(isa, pilot, &scenario, &mut ())
         })
         .collect()
@@ -117,7 +116,7 @@ pub fn fly_block(isa: Isa, pilot: &FrozenPilot, family: Family, first_seed: u64)
 pub fn collect(
     isa: Isa,
     pilot: &FrozenPilot,
-    (family, first_seed): (Family, u64),
+    first_seed: u64,
     want: Counts,
     begun: Vec<Record>,
     progress: &mut dyn FnMut(Counts, usize) -> ControlFlow<()>,
@@ -125,7 +124,7 @@ pub fn collect(
     let mut records = begun;
     let mut counts = Counts::of(&records);
     while !counts.reach(want) {
-        let block = fly_block(isa, pilot, family, first_seed.wrapping_add(records.len() as u64))?;
+        let block = fly_block(isa, pilot, first_seed.wrapping_add(records.len() as u64))?;
         block.iter().for_each(|record| counts.add(record));
         records.extend(block);
         if progress(counts, records.len()).is_break() {
@@ -156,7 +155,7 @@ pub struct Recorded {
     pub state: usize,
     /// Its positional inputs.
     pub position: usize,
-    /// How many decisions ago each frame of a decision was taken, oldest first.
+    /// How many steps ago each frame was taken that a decision holds, oldest first.
     pub frame_ages: Vec<usize>,
 }
 
@@ -166,14 +165,15 @@ impl Recorded {
     /// # Errors
     /// A policy without a split point.
     pub fn by(pilot: &FrozenPilot) -> Result<Self, DetectError> {
+        let (state, position) = match pilot {
+            FrozenPilot::Actor(_) => (ACTOR_HIDDEN, LOW_DIM),
+            FrozenPilot::Imported(policy) => (policy.head()?.width, GOAL_INPUTS),
+        };
         Ok(Self {
             actor_sha256: pilot.sha256(),
-            state: match pilot {
-                FrozenPilot::Actor(_) => ACTOR_HIDDEN,
-                FrozenPilot::Imported(policy) => policy.head()?.width,
-            },
-            position: pilot.inputs().spec().positional().inputs,
-            frame_ages: pilot.frame_ages(),
+            state,
+            position,
+            frame_ages: held_frames(pilot),
         })
     }
 }

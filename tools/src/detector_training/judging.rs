@@ -456,7 +456,7 @@ mod tests {
     fn record(frames: &str) -> Record {
         let step = |c| Step {
             state: vec![0.0; 48],
-            position: [0.0; 2].into(),
+            position: [0.0; 8].into(),
             output: [0.0; 2],
             frame: match c {
                 'a' | 'w' => Frame::Attacked,
@@ -466,7 +466,7 @@ mod tests {
             yaw_change: if c == 'a' { -1.5 } else { 0.0 },
         };
         Record {
-            frame_ages: vigil_policy::actor::FRAMES_IN_A_ROW.to_vec(),
+            frame_ages: vec![4, 3, 2, 1, 0],
             scenario: Scenario::unattacked(Family::Validation, 1, Plan::Actor),
             outcome: Some(Ending::Goal),
             steps: frames.chars().map(step).collect(),

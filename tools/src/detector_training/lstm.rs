@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use vigil_detector::{Background, FrozenDetector, LstmAd, Of, ROW, WINDOW};
 use vigil_nnet::{Activation, Isa};
 use vigil_policy::FrozenPilot;
+use vigil_types::parameters;
 
 /// How LSTM-AD is trained. Kept in the frozen file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,11 +31,11 @@ pub struct LstmConfig {
 impl Default for LstmConfig {
     fn default() -> Self {
         Self {
-            windows: 15_000,
+            windows: 30_000,
             unattacked: 4,
             backgrounds: 30,
             fit: FitConfig {
-                epochs: 5,
+                epochs: 2,
                 batch: 64,
                 rate: 1e-3,
                 gradient_norm: 5.0,
@@ -146,7 +147,7 @@ pub struct Judge {
 }
 
 /// Highest threshold: an attack's score still passes it.
-const HIGHEST_THRESHOLD: f32 = 0.99;
+const HIGHEST_THRESHOLD: f32 = 0.999;
 
 /// Trains.
 ///
@@ -224,7 +225,7 @@ impl Judge {
             scale: row(&self.scale),
             threshold,
             threshold_choice: format!(
-                "passed by no unattacked window of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
+                "raises no alarm in the unattacked windows of the flights that choose; 0.5 to {HIGHEST_THRESHOLD}"
             ),
             params: self.fitted.params.clone(),
             training_config: config.to_toml(),
@@ -233,23 +234,36 @@ impl Judge {
         }
     }
 
-    /// The threshold for flight: none of the unattacked windows of the flights that choose passes it. An hour of flight has 72 000 windows, and
-    /// few false alarms count for more there than a few attacked windows missed, since an attack that matters lasts.
+    /// The threshold for flight: the unattacked windows of the flights that choose raise no alarm, which takes
+    /// [`RAISE_COUNT`](parameters::RAISE_COUNT) of [`RAISE_WINDOW`](parameters::RAISE_WINDOW) verdicts in a row. An hour of flight has 72 000
+    /// windows, and few false alarms count for more there than a few attacked windows missed, since an attack that matters lasts.
     ///
     /// # Errors
     /// Parameters of another architecture.
     pub fn threshold(&self, isa: Isa, pilot: &FrozenPilot, choose: &[Record]) -> Result<f32, DetectError> {
+        let (count, window) = (
+            parameters::RAISE_COUNT.number() as usize,
+            parameters::RAISE_WINDOW.number() as usize,
+        );
         let scores = self.scores(isa, pilot, choose)?;
-        let windows = choose.iter().zip(&scores).flat_map(|(record, scores)| {
-            let scored = scores
+        let mut highest = 0.5_f32;
+        for (record, scores) in choose.iter().zip(&scores) {
+            let unattacked = |step: &usize| {
+                Class::of(record, *step) == Class::Unattacked && record.altered_of_last(*step, WINDOW) == 0
+            };
+            let scored: Vec<Option<f32>> = scores
                 .iter()
                 .enumerate()
-                .filter_map(|(step, score)| Some((step, (*score)?)));
-            scored.filter(|(step, _)| {
-                Class::of(record, *step) == Class::Unattacked && record.altered_of_last(*step, WINDOW) == 0
-            })
-        });
-        let highest = windows.map(|(_, score)| score).fold(0.5, f32::max);
+                .map(|(step, score)| score.filter(|_| unattacked(&step)))
+                .collect();
+            for verdicts in scored.windows(window) {
+                let Some(mut verdicts) = verdicts.iter().copied().collect::<Option<Vec<f32>>>() else {
+                    continue;
+                };
+                verdicts.sort_by(f32::total_cmp);
+                highest = highest.max(verdicts[window - count]);
+            }
+        }
         Ok(highest.min(HIGHEST_THRESHOLD))
     }
 

@@ -25,8 +25,7 @@ pub use judging::{
 };
 pub use lstm::{Judge, LstmConfig, train, train_steps};
 pub use metrics::{Proportion, Separation, auc, corners, roc, true_positives_at};
-pub(crate) use pixels::Memory;
 pub use pixels::{PixelExplainer, State, States, gather_states};
-pub use recorded_flight::{Ending, Frame, Onlooker, Record, Step, fly};
+pub use recorded_flight::{Ending, Frame, Onlooker, Record, Shown, Step, fly, held_frames};
 pub use scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 pub use times::{Times, time};

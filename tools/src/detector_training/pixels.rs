@@ -1,21 +1,22 @@
-//! States with the SHAP images of their five frames, for the detectors that look at images.
+//! States with the SHAP image of their newest frame, for the detectors that look at images.
 
 use crate::detector_training::error::{DetectError, access};
 use crate::detector_training::features::YAW;
 use crate::detector_training::flight_files::Flights;
-use crate::detector_training::recorded_flight::{Frame, Onlooker, Step, fly};
+use crate::detector_training::recorded_flight::{Frame, Onlooker, Shown, Step, fly};
 use crate::detector_training::scenario::{Adversary, MAX_STEPS, Plan, Scenario};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_adversary::{AttackConfig, Towards};
-use vigil_detector::{DeepShap, IMAGES, WINDOW, images};
+use vigil_detector::{DeepShap, IMAGE, WINDOW, image};
 use vigil_nnet::{Isa, Purpose};
-use vigil_policy::actor::{ACTOR_FRAMES, PositionalInputs};
+use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_types::{DEPTH_PIXELS, DepthFrame};
 use vigil_world::Family;
@@ -29,19 +30,21 @@ const BACKGROUND_SEED: u64 = 2900;
 const BACKGROUND_FLIGHTS: u64 = 6;
 /// Steps between states of one class in one flight, and how many at most.
 const STRIDE: usize = 7;
+/// An unattacked state's last steps, in which no frame was altered: the window's, and those whose scans the actor holds.
+const HELD_STEPS: usize = 1 + SCAN_AGES[0];
 const PER_FLIGHT: usize = 12;
 
-/// A state of which all five frames were attacked, or none.
+/// A state whose newest frame was attacked, or that holds no altered one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct State {
     /// Number of its flight.
     pub flight: usize,
     /// Its newest step.
     pub step: usize,
-    /// Whether its frames were attacked.
+    /// Whether its newest frame was attacked.
     pub attacked: bool,
-    /// Its images, [`vigil_detector::images`].
-    pub images: Vec<u8>,
+    /// Its image, [`vigil_detector::image`].
+    pub image: Vec<u8>,
 }
 
 /// States with their flights.
@@ -53,67 +56,29 @@ pub struct States {
     pub states: Vec<State>,
 }
 
-/// As many delivered frames as the actor remembers, newest first.
-pub(crate) struct Memory {
-    frames: VecDeque<Vec<f32>>,
-    ages: [usize; ACTOR_FRAMES],
-}
-
-impl Memory {
-    pub(crate) fn new(ages: [usize; ACTOR_FRAMES]) -> Self {
-        Self {
-            frames: VecDeque::new(),
-            ages,
-        }
-    }
-
-    /// Steps that a decision looks back over, its own included.
-    fn span(&self) -> usize {
-        1 + self.ages[0]
-    }
-
-    pub(crate) fn push(&mut self, frame: &DepthFrame) {
-        self.frames.truncate(self.span() - 1);
-        self.frames.push_front(frame.depth.to_vec());
-    }
-
-    /// The five frames of a decision, oldest first, then the positional values; `None` before there are as many as it looks back over.
-    pub(crate) fn inputs<'a>(&'a self, position: &'a PositionalInputs) -> Option<Vec<&'a [f32]>> {
-        let frames = self
-            .ages
-            .iter()
-            .filter_map(|age| self.frames.get(*age))
-            .map(Vec::as_slice);
-        (self.frames.len() == self.span()).then(|| frames.chain([&**position]).collect())
-    }
-}
-
 /// Collects states for the background sample.
 struct Backgrounds {
-    memory: Memory,
     steps: usize,
     inputs: Vec<Vec<Vec<f32>>>,
 }
 
 impl Onlooker for Backgrounds {
-    fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
-        self.memory.push(delivered);
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
         self.steps += 1;
         if self.steps.is_multiple_of(2 * STRIDE)
-            && let Some(inputs) = self.memory.inputs(&step.position)
+            && let Some(inputs) = shown.inputs(step)
         {
-            self.inputs.push(inputs.into_iter().map(<[f32]>::to_vec).collect());
+            self.inputs.push(inputs.map(<[f32]>::to_vec).into());
         }
         Ok(())
     }
 }
 
-/// The explainer of all pixels of five frames, with backgrounds of unattacked training flights.
+/// The explainer of the newest frame's pixels and of what the actor holds beside them, with backgrounds of unattacked training flights.
 pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<DeepShap, DetectError> {
     let (pilot, mut inputs) = (FrozenPilot::from(actor), Vec::new());
     for seed in BACKGROUND_SEED..BACKGROUND_SEED + BACKGROUND_FLIGHTS {
         let mut onlooker = Backgrounds {
-            memory: Memory::new(actor.inputs.frame_ages),
             steps: 0,
             inputs: Vec::new(),
         };
@@ -128,7 +93,7 @@ pub(crate) fn explainer(isa: Isa, actor: &FrozenActor, count: usize) -> Result<D
     inputs.shuffle(&mut ChaCha8Rng::seed_from_u64(BACKGROUND_SEED));
     inputs.truncate(count);
     let backgrounds: Vec<Vec<&[f32]>> = inputs.iter().map(|i| i.iter().map(Vec::as_slice).collect()).collect();
-    let graph = actor.inputs.spec().graph(Purpose::Multipliers, true)?;
+    let graph = ActorSpec::FULL.graph(Purpose::Multipliers)?;
     Ok(DeepShap::new(isa, graph, &actor.params, &backgrounds)?)
 }
 
@@ -149,17 +114,19 @@ impl PixelExplainer {
         Ok(Self { shap, phi })
     }
 
-    /// SHAP values of the newest frame's pixels for one of the actor's outputs. `inputs` are the five frames, oldest first, and
-    /// the positional values.
+    /// SHAP values `[128][256]` of a frame's pixels for one of the actor's outputs; the actor has just decided on it.
     ///
     /// # Errors
-    /// Inputs of another size.
-    pub fn newest_frame(&mut self, inputs: &[&[f32]], output: usize) -> Result<Vec<f32>, DetectError> {
+    /// An explanation that is not finite.
+    pub fn newest_frame(&mut self, actor: &Actor, frame: &DepthFrame, output: usize) -> Result<&[f32], DetectError> {
+        self.of_inputs(&[&frame.depth, actor.context(), &actor.low_dim()], output)
+    }
+
+    /// The same of the network's inputs.
+    pub(crate) fn of_inputs(&mut self, inputs: &[&[f32]; 3], output: usize) -> Result<&[f32], DetectError> {
         self.shap.evaluate(inputs)?;
         self.shap.attribute(output, &mut self.phi)?;
-        let positional = inputs.last().map_or(0, |values| values.len());
-        let newest = self.phi.len() - positional - DEPTH_PIXELS;
-        Ok(self.phi[newest..newest + DEPTH_PIXELS].to_vec())
+        Ok(&self.phi[..DEPTH_PIXELS])
     }
 }
 
@@ -167,11 +134,9 @@ impl PixelExplainer {
 struct Explaining<'a> {
     shap: &'a mut DeepShap,
     phi: Vec<f32>,
-    memory: Memory,
-    /// Frames of the last window, altered or not.
-    frames: VecDeque<Frame>,
+    /// The flight's frames, altered or not.
+    frames: Vec<Frame>,
     flight: usize,
-    steps: usize,
     /// Steps since the last state of each class, and how many there are.
     since: [usize; 2],
     taken: [usize; 2],
@@ -179,39 +144,33 @@ struct Explaining<'a> {
 }
 
 impl Onlooker for Explaining<'_> {
-    fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
-        self.memory.push(delivered);
-        if self.frames.len() == WINDOW.max(self.memory.span()) {
-            self.frames.pop_front();
-        }
-        self.frames.push_back(step.frame);
-        let number = self.steps;
-        self.steps += 1;
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+        let number = self.frames.len();
+        self.frames.push(step.frame);
         self.since = self.since.map(|s| s + 1);
-        let recent = |count: usize, frame: Frame| self.frames.iter().rev().take(count).all(|f| *f == frame);
-        let attacked = recent(self.memory.span(), Frame::Attacked);
+        let attacked = step.frame == Frame::Attacked;
+        let mut held = self.frames.iter().rev().take(HELD_STEPS);
         let class = usize::from(attacked);
         if number + 1 < WINDOW
-            || !(attacked || recent(WINDOW, Frame::Unaltered))
+            || !(attacked || held.all(|frame| *frame == Frame::Unaltered))
             || self.since[class] < STRIDE
             || self.taken[class] >= PER_FLIGHT
         {
             return Ok(());
         }
-        let Some(inputs) = self.memory.inputs(&step.position) else {
+        let Some(inputs) = shown.inputs(step) else {
             return Ok(());
         };
         self.shap.evaluate(&inputs)?;
         self.shap.attribute_on_threads(YAW, SHAP_THREADS, &mut self.phi)?;
-        let pixels = &self.phi[..self.phi.len() - step.position.len()];
-        let images = images(pixels).unwrap_or_else(|| unreachable!("{} finite pixels", pixels.len()));
+        let image = image(&self.phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
         self.since[class] = 0;
         self.taken[class] += 1;
         self.states.push(State {
             flight: self.flight,
             step: number,
             attacked,
-            images,
+            image,
         });
         Ok(())
     }
@@ -267,10 +226,8 @@ pub fn gather_states(
         let mut onlooker = Explaining {
             phi: vec![0.0; shap.phi_len()],
             shap: &mut shap,
-            memory: Memory::new(actor.inputs.frame_ages),
-            frames: VecDeque::new(),
+            frames: Vec::new(),
             flight: records.len(),
-            steps: 0,
             since: [STRIDE; 2],
             taken: [0; 2],
             states: &mut states,
@@ -295,10 +252,10 @@ pub fn gather_states(
     Ok((States { flights, states }, complete))
 }
 
-/// Value of the metadata entry `format`.
-/// A state has five frames of 32 kB.
+/// A state has 16 kB.
 const SIZE_LIMIT: u64 = 16 << 30;
-const FORMAT: &str = "vigil detector images 1";
+/// Value of the metadata entry `format`.
+const FORMAT: &str = "vigil detector images 2";
 
 impl States {
     /// Writes the images to `path` and the flights beside, `.flights`.
@@ -311,7 +268,7 @@ impl States {
             path: path.to_owned(),
             message,
         };
-        let images: Vec<u8> = self.states.iter().flat_map(|s| s.images.iter().copied()).collect();
+        let images: Vec<u8> = self.states.iter().flat_map(|s| s.image.iter().copied()).collect();
         let places: Vec<u8> = self
             .states
             .iter()
@@ -321,7 +278,7 @@ impl States {
         let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
         let count = self.states.len();
         let tensors = [
-            ("images", view(Dtype::U8, vec![count, IMAGES], &images)?),
+            ("images", view(Dtype::U8, vec![count, IMAGE], &images)?),
             ("places", view(Dtype::U32, vec![count, 3], &places)?),
         ];
         let metadata = HashMap::from([("format".to_owned(), FORMAT.to_owned())]);
@@ -360,17 +317,17 @@ impl States {
             let record = flights.records.get(*flight);
             record.is_some_and(|r| (WINDOW - 1..r.steps.len()).contains(step))
         };
-        if images.data().len() != places.len() * IMAGES || !places.iter().all(known) {
+        if images.data().len() != places.len() * IMAGE || !places.iter().all(known) {
             return Err(data("its images and its flights do not belong together"));
         }
-        let states = images.data().chunks_exact(IMAGES).zip(places);
+        let states = images.data().chunks_exact(IMAGE).zip(places);
         Ok(Self {
             states: states
-                .map(|(images, [flight, step, attacked])| State {
+                .map(|(image, [flight, step, attacked])| State {
                     flight: *flight,
                     step: *step,
                     attacked: *attacked == 1,
-                    images: images.to_vec(),
+                    image: image.to_vec(),
                 })
                 .collect(),
             flights,

@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 use vigil_adversary::{FrameAttack, Method};
 use vigil_learn::flight::Flight;
 use vigil_nnet::Isa;
-use vigil_policy::actor::{ACTOR_OUTPUTS, Lead, PositionalInputs};
-use vigil_policy::{FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
 use vigil_types::{Action, DepthFrame};
 use vigil_world::{LidarConfig, Outcome, generate};
 
@@ -25,9 +26,9 @@ pub enum Frame {
 /// One step: the actor's decision, whichever pilot steered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Step {
-    /// Values at the split point: our actor's GRU state.
+    /// Values at the split point: our actor's 48.
     pub state: Vec<f32>,
-    /// Positional inputs.
+    /// What it decided from beside them: the low-dimensional observation, or an imported policy's goal.
     pub position: PositionalInputs,
     /// The actor's outputs, without field.
     pub output: [f32; ACTOR_OUTPUTS],
@@ -42,7 +43,7 @@ pub struct Step {
 pub struct Record {
     /// What was flown.
     pub scenario: Scenario,
-    /// How many steps ago each frame of a decision was taken, oldest first.
+    /// How many steps ago each frame was taken that a decision holds ([`held_frames`]), oldest first.
     pub frame_ages: Vec<usize>,
     /// How it ended; `None` when it was cut off.
     pub outcome: Option<Ending>,
@@ -69,19 +70,48 @@ impl Record {
     }
 }
 
-/// What looks on while flying: each step with the frame that was delivered and the one that was taken.
+/// What an onlooker is shown of a step.
+pub struct Shown<'a> {
+    /// What was decided on, with the frame as it was delivered.
+    pub input: PilotInput<'a>,
+    /// The frame as it was taken.
+    pub taken: &'a DepthFrame,
+    /// The pilot as of its decision.
+    pub pilot: &'a Decider,
+}
+
+impl Shown<'_> {
+    /// The actor's inputs in this step, as [`vigil_policy::actor::ActorSpec::graph`] takes them; `None` of an imported policy.
+    pub fn inputs<'a>(&'a self, step: &'a Step) -> Option<[&'a [f32]; 3]> {
+        match self.pilot {
+            Decider::Actor(actor) => Some([&self.input.depth.depth, actor.context(), &step.position]),
+            Decider::Imported(_) => None,
+        }
+    }
+}
+
+/// What looks on while flying.
 pub trait Onlooker {
     /// Called once a step, in order.
     ///
     /// # Errors
     /// Ends the flight.
-    fn step(&mut self, step: &Step, delivered: &DepthFrame, taken: &DepthFrame) -> Result<(), DetectError>;
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError>;
 }
 
 /// No onlooker.
 impl Onlooker for () {
-    fn step(&mut self, _: &Step, _: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
+    fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<(), DetectError> {
         Ok(())
+    }
+}
+
+/// How many steps ago each frame was taken that a decision holds, oldest first: our actor's newest and older scans, an imported policy's
+/// channels. What our actor remembers of surfaces out of view is made of many frames and not counted.
+pub fn held_frames(pilot: &FrozenPilot) -> Vec<usize> {
+    match pilot {
+        FrozenPilot::Actor(_) => SCAN_AGES.into_iter().chain([0]).collect(),
+        FrozenPilot::Imported(_) => pilot.frame_ages(),
     }
 }
 
@@ -95,7 +125,6 @@ pub fn fly(
     scenario: &Scenario,
     onlooker: &mut impl Onlooker,
 ) -> Result<Record, DetectError> {
-    let inputs = frozen.inputs();
     let mut course = generate(scenario.family, scenario.seed);
     course.time_limit_s = 90.0;
     let usual = LidarConfig::default();
@@ -106,8 +135,6 @@ pub fn fly(
     };
     let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
     let mut actor = frozen.decider(isa)?;
-    // What leads the actor sees what was delivered; the adversary sees what was taken.
-    let (mut lead, mut seen_through) = (Lead::new(inputs), Lead::new(inputs));
     let mut attack = match &scenario.adversary {
         Some(adversary) => Some((adversary, FrameAttack::on(frozen, isa, &adversary.config)?)),
         None => None,
@@ -120,7 +147,7 @@ pub fn fly(
     let mut field = FlightField::default();
     let mut delivered = Box::new(flight.frame().clone());
     let mut record = Record {
-        frame_ages: frozen.frame_ages(),
+        frame_ages: held_frames(frozen),
         scenario: scenario.clone(),
         outcome: None,
         steps: Vec::new(),
@@ -130,45 +157,53 @@ pub fn fly(
         (*delivered).clone_from(flight.frame());
         let (mut frame, mut yaw_change) = (Frame::Unaltered, 0.0);
         if let Some((adversary, attack)) = &mut attack {
-            let (_, position) = seen_through.inputs(&flight.input());
+            let taken = flight.input();
             if adversary.attacks(number) {
-                yaw_change = attack
-                    .attack_while(&mut delivered.depth, position, || true)?
-                    .yaw_change();
+                yaw_change = attack.attack_while(&taken, &mut delivered, || true)?.yaw_change();
                 frame = match adversary.config.method {
                     Method::Noise => Frame::Noisy,
                     _ => Frame::Attacked,
                 };
                 altered += 1;
             } else {
-                attack.pass(&mut delivered.depth, position)?;
+                attack.pass(&taken)?;
             }
         }
         let input = PilotInput {
             depth: &delivered,
             ..flight.input()
         };
-        let (goal, position) = lead.inputs(&input);
-        let output = actor.decide(&delivered.depth, position)?;
+        let output = actor.decide(&input)?;
         let [forward_m_s, yaw] = output;
         let own = Action { forward_m_s, yaw };
         let geometric = geometric.as_mut().map(|pilot| pilot.decide(&input));
-        let action = match helmsman.take(number, frame != Frame::Unaltered) {
+        let helm = helmsman.take(number, frame != Frame::Unaltered);
+        let action = match helm {
             Helm::Actor { field: false } => own,
-            Helm::Actor { field: true } => {
-                field.add_to(own, &PilotInput { goal, ..input }, surroundings.observe(&input))
-            }
+            Helm::Actor { field: true } => field.add_to(own, &input, surroundings.observe(&input)),
             Helm::Geometric => geometric.unwrap_or(Action::HOVER),
             Helm::Hover => Action::HOVER,
         };
         let step = Step {
             state: actor.state().to_vec(),
-            position,
+            // There is one behind a decision.
+            position: actor
+                .position()
+                .unwrap_or_else(|| PositionalInputs::of_goal(input.goal)),
             output,
             frame,
             yaw_change,
         };
-        onlooker.step(&step, &delivered, flight.frame())?;
+        let shown = Shown {
+            input,
+            taken: flight.frame(),
+            pilot: &actor,
+        };
+        onlooker.step(&step, &shown)?;
+        // As in flight, it knows of what was added to its action, not of what others did.
+        if let (Helm::Actor { field: true }, Decider::Actor(actor)) = (helm, &mut actor) {
+            actor.note_action(action);
+        }
         record.steps.push(step);
         if altered >= scenario.altered {
             break;

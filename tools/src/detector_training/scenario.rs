@@ -126,8 +126,13 @@ impl Scenario {
     }
 
     /// Draws a flight for training, attacked or not. Everything follows from the seed.
-    pub fn drawn(family: Family, seed: u64, attacked: bool) -> Self {
+    pub fn drawn(seed: u64, attacked: bool) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        // What the actor remembers before a dead end is as much its everyday as what it remembers in the open.
+        let family = match rng.random_bool(0.5) {
+            true => Family::Hard,
+            false => Family::Training,
+        };
         let plan = match rng.random_range(0..100) {
             0..30 => Plan::Actor,
             30..45 => Plan::ActorWithField,
@@ -157,11 +162,13 @@ impl Scenario {
             // Noise is no attack: a share of the other flights has it, so that what is only unusual is not taken for one.
             (false, 0..30) => Some((Method::Noise, share * [0.25, 0.5, 1.0, 1.0][rng.random_range(0..4)])),
             (false, _) => None,
-            (true, 0..75) => Some((
+            (true, 0..60) => Some((
                 Method::BimAccumulating,
                 share * [0.25, 0.5, 1.0, 1.0, 1.0, 2.0][rng.random_range(0..6)],
             )),
-            (true, _) => Some((Method::BimClipped, [1.0, 2.0, 5.0, 10.0][rng.random_range(0..4)])),
+            (true, 60..75) => Some((Method::BimClipped, [1.0, 2.0, 5.0, 10.0][rng.random_range(0..4)])),
+            (true, 75..90) => Some((Method::Fgsm, [2.0, 5.0, 10.0, 20.0][rng.random_range(0..4)])),
+            (true, _) => Some((Method::Patch, [2.0, 5.0, 5.0, 10.0][rng.random_range(0..4)])),
         };
         scenario.adversary = method.map(|(method, epsilon_255)| {
             let config = AttackConfig {

@@ -3,17 +3,17 @@
 use crate::detector_training::comparison::ImageNetwork;
 use crate::detector_training::error::DetectError;
 use crate::detector_training::features::YAW;
-use crate::detector_training::pixels::{BACKGROUNDS, Memory, explainer};
-use crate::detector_training::recorded_flight::{Onlooker, Record, Step, fly};
+use crate::detector_training::pixels::{BACKGROUNDS, explainer};
+use crate::detector_training::recorded_flight::{Onlooker, Record, Shown, Step, fly};
 use crate::detector_training::scenario::{Plan, Scenario};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Instant;
-use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, images, normalise};
+use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, image, normalise};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
-use vigil_policy::actor::{Actor, WITH_MOVERS};
+use vigil_policy::actor::{Actor, LOW_DIM};
 use vigil_policy::{FrozenActor, FrozenPilot};
-use vigil_types::DepthFrame;
+use vigil_types::DEPTH_PIXELS;
 use vigil_world::Family;
 
 /// Seconds of one thread, one value a measurement.
@@ -25,7 +25,7 @@ pub struct Times {
     pub explanation_s: Vec<f64>,
     /// LSTM-AD's verdict on the last ten explanations, each step.
     pub verdict_s: Vec<f64>,
-    /// Exact explanation of all pixels of five frames, some steps.
+    /// Exact explanation of all pixels of the newest frame, some steps.
     pub pixels_s: Vec<f64>,
     /// CNN-AD's verdict on the images of these.
     pub cnn_s: Vec<f64>,
@@ -68,7 +68,6 @@ struct Timing {
     phi: Vec<f32>,
     cnn: ImageDetector,
     fcn: ImageDetector,
-    memory: Memory,
     /// Steps between two explanations of all pixels, and how many there shall be.
     stride: usize,
     pictures: usize,
@@ -84,31 +83,26 @@ fn timed<T>(times: &mut Vec<f64>, work: impl FnOnce() -> T) -> T {
 }
 
 impl Onlooker for Timing {
-    fn step(&mut self, step: &Step, delivered: &DepthFrame, _: &DepthFrame) -> Result<(), DetectError> {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
         let Self { times, .. } = self;
-        timed(&mut times.action_s, || {
-            self.actor.decide(&delivered.depth[..], step.position)
-        })?;
-        let mut phi = [0.0; ROW + WITH_MOVERS];
-        let phi = &mut phi[..ROW + step.position.len()];
+        timed(&mut times.action_s, || self.actor.decide(&shown.input))?;
+        let mut phi = [0.0; ROW + LOW_DIM];
         timed(&mut times.explanation_s, || {
             self.shap.evaluate(&[&step.state, &step.position])?;
-            self.shap.attribute(YAW, phi)
+            self.shap.attribute(YAW, &mut phi)
         })?;
         self.rows.rotate_left(1);
         self.rows[WINDOW - 1].copy_from_slice(&phi[..ROW]);
         self.rows[WINDOW - 1] = normalise(&self.rows[WINDOW - 1], &self.detector.centre, &self.detector.scale);
         timed(&mut times.verdict_s, || self.lstm.score(&self.rows))?;
 
-        self.memory.push(delivered);
         let due = times.action_s.len().is_multiple_of(self.stride) && times.pixels_s.len() < self.pictures;
-        if due && let Some(inputs) = self.memory.inputs(&step.position) {
+        if due && let Some(inputs) = shown.inputs(step) {
             timed(&mut times.pixels_s, || {
                 self.pixels.evaluate(&inputs)?;
                 self.pixels.attribute(YAW, &mut self.phi)
             })?;
-            let pixels = &self.phi[..self.phi.len() - step.position.len()];
-            let bytes = images(pixels).unwrap_or_else(|| unreachable!("{} finite pixels", pixels.len()));
+            let bytes = image(&self.phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
             let values: Vec<f32> = bytes.iter().map(|byte| f32::from(*byte) / 255.0).collect();
             timed(&mut times.cnn_s, || self.cnn.judge(self.isa, &[&values]))?;
             timed(&mut times.fcn_s, || self.fcn.judge(self.isa, &[&values]))?;
@@ -140,7 +134,6 @@ pub fn time(
         pixels,
         cnn: ImageDetector::new(ImageNetwork::Cnn)?,
         fcn: ImageDetector::new(ImageNetwork::Fcn)?,
-        memory: Memory::new(actor.inputs.frame_ages),
         stride: 10,
         pictures,
         times: Times::default(),

@@ -5,8 +5,7 @@ mod encode;
 mod picture;
 mod third_person;
 
-use crate::detector_training::{Memory, PixelExplainer, YAW};
-use crate::flight_derived::squares;
+use crate::flight_derived::ExplainedReplay;
 use crate::flight_report::{LogSeen, ReportError, StepSeen, WHO};
 pub use encode::Video;
 use encode::{Gif, Pictures};
@@ -15,7 +14,6 @@ use std::io::Write;
 use std::path::Path;
 use third_person::{Seen, Stage};
 use vigil_log::{Reader, SHAP_COLS, SceneSolid, TickRecord};
-use vigil_policy::actor::PositionalInputs;
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, GuidanceState, Judgement, NedVector};
 
 /// Size of the film, pixels; even, as an mp4 needs it.
@@ -105,13 +103,13 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
         .round()
         .max(1.0) as usize;
     let stride = stride.max((last - first).div_ceil(MOST_PICTURES));
-    let mut explaining = Explaining::of(&log, options.explained, (last - first).div_ceil(stride));
 
     let scene = Scene::of(&log, first, last);
     let background = scene.background(&log);
     let goal = log.steps.iter().rev().find_map(|s| s.report.goal);
     let mut stage = Stage::new(&log.story.solids, goal.map(|g| g.position_ned_m));
     let mut reader = Reader::open(path).map_err(ReportError::from)?;
+    let mut explaining = Explaining::of(&reader, options.explained, (last - first).div_ceil(stride));
     let mut record = Box::<TickRecord>::default();
     let mut depth = None;
     let mut pictures = 0;
@@ -142,7 +140,7 @@ fn shoot(path: &Path, options: &FilmOptions, to: &mut impl Pictures) -> Result<u
 
 /// Explains what the actor was shown, now and then.
 struct Explaining {
-    with: Option<(PixelExplainer, Memory)>,
+    with: Option<ExplainedReplay>,
     /// Why nothing is explained.
     none: &'static str,
     /// Every so many pictures.
@@ -153,10 +151,10 @@ struct Explaining {
 }
 
 impl Explaining {
-    fn of(log: &LogSeen, most: usize, pictures: usize) -> Self {
+    fn of(log: &Reader, most: usize, pictures: usize) -> Self {
         let (with, none) = match most {
             0 => (None, "not explained"),
-            _ => match crate::flight_report::explainer(log) {
+            _ => match ExplainedReplay::of(log) {
                 Ok(with) => (Some(with), ""),
                 Err(_) => (None, "no actor of this program flew"),
             },
@@ -171,10 +169,8 @@ impl Explaining {
     }
 
     fn see(&mut self, record: &TickRecord, due: bool) {
-        let (Some((explainer, memory)), Some(frame)) = (&mut self.with, record.frame()) else {
-            return;
-        };
-        memory.push(frame);
+        let Some(replay) = &mut self.with else { return };
+        replay.step(record);
         if !due {
             return;
         }
@@ -182,12 +178,7 @@ impl Explaining {
         if !(self.pictures - 1).is_multiple_of(self.every) {
             return;
         }
-        let position = record.report.goal_relative.map(PositionalInputs::of_goal);
-        if let Some(inputs) = position.as_ref().and_then(|position| memory.inputs(position))
-            // Inputs of the actor's own sizes are not refused.
-            && let Ok(phi) = explainer.newest_frame(&inputs, YAW)
-        {
-            let sums = squares(&phi);
+        if let Ok(Some(sums)) = replay.squares() {
             let sizes: Vec<f64> = sums.iter().map(|v| f64::from(v.abs())).collect();
             let full = crate::statistics::quantile(&sizes, 0.99).unwrap_or(1.0).max(1e-9) as f32;
             self.shares = Some(sums.iter().map(|v| v / full).collect());
@@ -518,7 +509,7 @@ impl Scene {
     }
 }
 
-/// How much picture, bearing, distance and what the actor is told of movers moved the actor's yaw output: a bar each, to the
+/// How much picture, bearing, distance and own motion moved the actor's yaw output: a bar each, to the
 /// right where they turned it right.
 fn causes(canvas: &mut Canvas, (left, top): (usize, usize), judgement: &Judgement) {
     let parts = [

@@ -1,7 +1,6 @@
 //! The frames that a report shows, and what their pixels did to the actor's decision.
 
-use crate::detector_training::{Memory, PixelExplainer, YAW};
-use crate::flight_derived::squares;
+use crate::flight_derived::ExplainedReplay;
 use crate::flight_report::flight_data::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -9,8 +8,6 @@ use serde::Serialize;
 use std::collections::HashMap;
 use std::path::Path;
 use vigil_log::{Reader, TickRecord};
-use vigil_nnet::Isa;
-use vigil_policy::actor::PositionalInputs;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 /// Steps before and after the moment of interest that are shown one by one.
@@ -98,12 +95,13 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         .take(if moment.is_some() { reach } else { 0 })
         .collect();
     let mut note = None;
+    let mut reader = Reader::open(path)?;
     let mut explainer = match explained.is_empty() {
         true => None,
-        false => match explainer(log) {
+        false => match ExplainedReplay::of(&reader) {
             Ok(explainer) => Some(explainer),
             Err(why) => {
-                note = Some(format!("The pixels of the frames are not explained: {why}."));
+                note = Some(format!("The pixels of the frames are not explained: {why:#}."));
                 None
             }
         },
@@ -112,7 +110,6 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
     let mut pictures = Vec::with_capacity(steps.len());
     let mut explanations: Vec<(usize, Vec<f32>)> = Vec::new();
-    let mut reader = Reader::open(path)?;
     let mut record = Box::<TickRecord>::default();
     let last = *steps.last().unwrap_or(&0);
     let mut wanted = steps.iter().copied().peekable();
@@ -121,10 +118,10 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         if !reader.read_next(&mut record)? {
             break;
         }
-        let Some(frame) = record.frame() else { continue };
-        if let Some((_, memory)) = &mut explainer {
-            memory.push(frame);
+        if let Some(replay) = &mut explainer {
+            replay.step(&record);
         }
+        let Some(frame) = record.frame() else { continue };
         if wanted.peek() != Some(&number) {
             continue;
         }
@@ -132,13 +129,9 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         let step = &log.steps[number];
         let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
         let before = clean.get(&(frame.header.sequence as u32));
-        let position = step.report.goal_relative.map(PositionalInputs::of_goal);
-        if let (Some((explainer, memory)), Some(position), true) =
-            (&mut explainer, &position, explained.contains(&number))
-            && let Some(inputs) = memory.inputs(position)
-        {
-            match explainer.newest_frame(&inputs, YAW) {
-                Ok(phi) => explanations.push((pictures.len(), squares(&phi))),
+        if let (Some(replay), true) = (&mut explainer, explained.contains(&number)) {
+            match replay.squares() {
+                Ok(phi) => explanations.extend(phi.map(|phi| (pictures.len(), phi))),
                 Err(error) => note = Some(format!("The pixels of the frames are not explained: {error}.")),
             }
         }
@@ -178,26 +171,6 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         none: String::new(),
         note,
     })
-}
-
-/// The explainer of the actor that flew, and the frames that it looks back on.
-pub(crate) fn explainer(log: &LogSeen) -> Result<(PixelExplainer, Memory), String> {
-    let config = log
-        .config
-        .as_ref()
-        .ok_or("the configuration in the log is not understood")?;
-    let actor = config.frozen_actor().map_err(|e| e.to_string())?;
-    let actor = actor.ok_or("no actor flew")?;
-    match &log.info.actor_sha256 {
-        Some(flew) if *flew != actor.sha256() => Err(format!(
-            "the actor that flew has SHA-256 {flew}, and this program has another"
-        )),
-        _ => {
-            let memory = Memory::new(actor.inputs.frame_ages);
-            let explainer = PixelExplainer::new(Isa::detect(), &actor).map_err(|e| e.to_string())?;
-            Ok((explainer, memory))
-        }
-    }
 }
 
 fn caption(log: &LogSeen, step: &StepSeen, change: Option<f32>) -> String {

@@ -5,7 +5,6 @@ mod flight_data;
 mod page;
 mod words;
 
-pub(crate) use film::explainer;
 pub use flight_data::{Flight, LogSeen, ReportError, ReportOptions, StepSeen, WHO, outline_of, read};
 pub use page::{DATA_LIMIT, html};
 

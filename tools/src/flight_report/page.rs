@@ -47,7 +47,7 @@ const PANELS: [Panel; 9] = [
             ("contribution_image", "picture", 3, false),
             ("contribution_bearing", "bearing", 3, false),
             ("contribution_distance", "distance", 3, false),
-            ("contribution_told", "told of movers", 3, false),
+            ("contribution_told", "own motion", 3, false),
         ],
         "No explanations: no detector watched an actor in this flight.",
     ),

@@ -1,21 +1,17 @@
-//! The learned pilot: the actor's network, its file, and the pilot that flies it with or without the potential field.
+//! The learned pilot: the actor's network, what it remembers, its file, and the pilot that flies it with or without the potential field.
 
 #[cfg(feature = "actor-file")]
 mod file;
-mod lead;
+pub mod memory;
 mod network;
 mod pilot;
 mod positional;
 
 #[cfg(feature = "actor-file")]
 pub use file::FrozenActor;
-pub use lead::Lead;
-pub use network::{
-    ACTOR_FRAMES, ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorParams, ActorSpec, FRAMES_IN_A_ROW,
-    FRAMES_SPREAD,
-};
-pub use pilot::{ActorInputs, ActorPilot, FlightPilot, LedBy};
+pub use memory::{CONTEXT, LOW_DIM, SCAN};
+pub use network::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorParams, ActorSpec, HEAD, LOW_UNITS, TRUNK};
+pub use pilot::{ActorPilot, FlightPilot};
 pub use positional::{
-    BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, GOAL_INPUTS, PositionalInputs, PositionalSense, WITH_MOVERS,
-    goal_inputs,
+    BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, GOAL_INPUTS, PositionalInputs, goal_inputs,
 };

@@ -1,40 +1,41 @@
-//! The actor's network: five depth frames and positional values in, two outputs in ±1.5.
+//! The actor's network: a depth frame, what is remembered, and what the vehicle knows of itself in, two outputs in ±1.5.
 //!
-//! Encoder per frame: convolution 5×5 of 16 filters, then four of 3×3 and 32 filters, all with stride 2 and ELU; GRU of
-//! 48 over the five frames' features; then, behind the split point of the paper, `tanh` of the state beside a positional
-//! branch (2 → 6, tanh), 32 ELU, and `1.5 · tanh` of two outputs: x-velocity, yaw.
+//! Encoder: convolution 5×5 of 16 filters, 3×3 of 16, then three of 3×3 and 32, all with stride 2 and ELU; a dense layer gives the
+//! collision scan, [`SCAN`] proximities. First half: scan and memory ([`CONTEXT`]) → 256 → 128, each with layer norm and ELU → 48 values,
+//! the paper's split point. Second half: `tanh` of the 48 beside a branch of the low-dimensional observation ([`LOW_DIM`] → 24, tanh) →
+//! 64 → 32, ELU → `1.5 · tanh` of two outputs: x-velocity, yaw.
 
 extern crate alloc;
 
-use crate::actor::positional::{GOAL_INPUTS, PositionalInputs, WITH_MOVERS};
+use crate::PilotInput;
+use crate::actor::memory::{ActorMemory, CONTEXT, LOW_DIM, OLDER_SCANS, Odometry, SCAN, low_dim, yaw_rate_rad_s};
+use crate::actor::positional::PositionalInputs;
+use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
-use vigil_nnet::shape::{expect, part, part_mut};
+use vigil_nnet::shape::expect;
 use vigil_nnet::{
-    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Gru, Isa, NodeId, Params, Purpose, ShapeError,
+    Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Params, Purpose, ShapeError,
 };
+use vigil_types::{Ablation, Action, DepthFrame, Nanos};
 
-/// Frames in one state (docs/paper.md, "State").
-pub const ACTOR_FRAMES: usize = 5;
 /// Length of the split point (docs/paper.md, "Actor").
 pub const ACTOR_HIDDEN: usize = vigil_types::EXPLAINED_STATE;
 /// Outputs: x-velocity and yaw in ±[`ACTOR_LIMIT`].
 pub const ACTOR_OUTPUTS: usize = 2;
-/// How many decisions ago each of the five frames was taken, oldest first: five in a row.
-pub const FRAMES_IN_A_ROW: [usize; ACTOR_FRAMES] = [4, 3, 2, 1, 0];
-/// Five frames over 1.6 s at 20 Hz: motion shows, and kept features cost nothing.
-pub const FRAMES_SPREAD: [usize; ACTOR_FRAMES] = [32, 16, 8, 4, 0];
-/// No frame may be older.
-const OLDEST_FRAME: usize = 64;
 /// Limit of both outputs.
 pub const ACTOR_LIMIT: f32 = vigil_types::ACTION_LIMIT;
 
 /// Kernel, filters of each convolution; all have stride 2 and half the kernel as padding.
-const ENCODER: [(usize, usize); 5] = [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)];
-const POSITIONAL_UNITS: usize = 6;
-/// Units of the positional branch of an actor that is told of movers.
-const POSITIONAL_UNITS_WITH_MOVERS: usize = 24;
-const DENSE_UNITS: usize = 32;
+const ENCODER: [(usize, usize); 5] = [(5, 16), (3, 16), (3, 32), (3, 32), (3, 32)];
+/// Units of the two layers between scan and memory and the split point.
+pub const TRUNK: [usize; 2] = [256, 128];
+/// Added to the variance of a layer norm.
+pub const EPSILON: f32 = 1e-5;
+/// Units of the low-dimensional branch, and of the two layers behind the split point.
+pub const LOW_UNITS: usize = 24;
+/// Units of the two layers behind the split point.
+pub const HEAD: [usize; 2] = [64, 32];
 
 /// The actor's dimensions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -43,10 +44,6 @@ pub struct ActorSpec {
     pub rows: usize,
     /// Columns of a frame.
     pub cols: usize,
-    /// Whether the first layer turns normalised range into `1 / (1 + range / 3 m)` ([`Activation::NEAR_CONTRAST`]).
-    pub near_contrast: bool,
-    /// Whether it is told, beside the goal, what moves near it ([`PositionalInputs`]).
-    pub told_of_movers: bool,
 }
 
 /// Where the actor's layers keep their parameters; all graphs of one actor share one parameter slice.
@@ -54,30 +51,23 @@ pub struct ActorSpec {
 pub struct ActorParams {
     /// The five convolutions.
     pub convolutions: [Params; 5],
-    /// The GRU.
-    pub gru: Params,
-    /// The positional branch.
-    pub positional: Params,
-    /// State and positional branch to 32.
-    pub dense: Params,
+    /// Features to the scan.
+    pub scan: Params,
+    /// Of the two layers of the trunk the dense layer and the norm.
+    pub trunk: [(Params, Params); 2],
+    /// Trunk to the 48 values.
+    pub state: Params,
+    /// The low-dimensional branch.
+    pub low: Params,
+    /// The two layers behind the split point.
+    pub head: [Params; 2],
     /// 32 → 2.
     pub output: Params,
 }
 
 impl ActorSpec {
     /// The actor for the depth frames of this project, 128 × 256.
-    pub const FULL: Self = Self {
-        rows: 128,
-        cols: 256,
-        near_contrast: true,
-        told_of_movers: false,
-    };
-
-    /// The same, told of movers.
-    pub const FULL_WITH_MOVERS: Self = Self {
-        told_of_movers: true,
-        ..Self::FULL
-    };
+    pub const FULL: Self = Self { rows: 128, cols: 256 };
 
     /// The five convolutions.
     pub fn convolutions(&self) -> [Conv2d; 5] {
@@ -102,42 +92,75 @@ impl ActorSpec {
         self.rows * self.cols
     }
 
-    /// Values that the encoder makes of a frame, `[row][column][channel]`.
-    pub fn features(&self) -> usize {
+    /// From the convolutions' features, `[row][column][channel]`, to the scan.
+    pub fn scan(&self) -> Dense {
         let [.., last] = self.convolutions();
-        last.output_len()
-    }
-
-    /// The recurrent layer.
-    pub fn gru(&self) -> Gru {
-        Gru {
-            inputs: self.features(),
-            hidden: ACTOR_HIDDEN,
-        }
-    }
-
-    /// The positional branch.
-    pub fn positional(&self) -> Dense {
-        let (inputs, outputs) = if self.told_of_movers {
-            (WITH_MOVERS, POSITIONAL_UNITS_WITH_MOVERS)
-        } else {
-            (GOAL_INPUTS, POSITIONAL_UNITS)
-        };
-        Dense { inputs, outputs }
-    }
-
-    /// The layer behind the split point, of the state beside the positional branch.
-    pub fn dense(&self) -> Dense {
         Dense {
-            inputs: ACTOR_HIDDEN + self.positional().outputs,
-            outputs: DENSE_UNITS,
+            inputs: last.output_len(),
+            outputs: SCAN,
         }
+    }
+
+    /// The trunk's dense layers.
+    pub fn trunk(&self) -> [Dense; 2] {
+        let [first, second] = TRUNK;
+        [
+            Dense {
+                inputs: SCAN + CONTEXT,
+                outputs: first,
+            },
+            Dense {
+                inputs: first,
+                outputs: second,
+            },
+        ]
+    }
+
+    /// The norm behind a dense layer.
+    pub fn norm(layer: Dense) -> LayerNorm {
+        LayerNorm {
+            width: layer.outputs,
+            epsilon: EPSILON,
+        }
+    }
+
+    /// From the trunk to the split point.
+    pub fn state(&self) -> Dense {
+        let [.., last] = TRUNK;
+        Dense {
+            inputs: last,
+            outputs: ACTOR_HIDDEN,
+        }
+    }
+
+    /// The low-dimensional branch.
+    pub fn low(&self) -> Dense {
+        Dense {
+            inputs: LOW_DIM,
+            outputs: LOW_UNITS,
+        }
+    }
+
+    /// The layers behind the split point, of the 48 values beside the low-dimensional branch.
+    pub fn head(&self) -> [Dense; 2] {
+        let [first, second] = HEAD;
+        [
+            Dense {
+                inputs: ACTOR_HIDDEN + LOW_UNITS,
+                outputs: first,
+            },
+            Dense {
+                inputs: first,
+                outputs: second,
+            },
+        ]
     }
 
     /// The last layer.
     pub fn output(&self) -> Dense {
+        let [.., last] = HEAD;
         Dense {
-            inputs: DENSE_UNITS,
+            inputs: last,
             outputs: ACTOR_OUTPUTS,
         }
     }
@@ -146,14 +169,27 @@ impl ActorSpec {
     pub fn reserve(&self, builder: &mut GraphBuilder) -> ActorParams {
         ActorParams {
             convolutions: self.convolutions().map(|layer| builder.params(layer.param_len())),
-            gru: builder.params(self.gru().param_len()),
-            positional: builder.params(self.positional().param_len()),
-            dense: builder.params(self.dense().param_len()),
+            scan: builder.params(self.scan().param_len()),
+            trunk: self.trunk().map(|layer| {
+                (
+                    builder.params(layer.param_len()),
+                    builder.params(Self::norm(layer).param_len()),
+                )
+            }),
+            state: builder.params(self.state().param_len()),
+            low: builder.params(self.low().param_len()),
+            head: self.head().map(|layer| builder.params(layer.param_len())),
             output: builder.params(self.output().param_len()),
         }
     }
 
-    /// Adds the encoder of one frame; returns its features.
+    /// Number of parameters of the encoder: convolutions and scan.
+    pub fn encoder_len(&self) -> usize {
+        let convolutions: usize = self.convolutions().iter().map(Conv2d::param_len).sum();
+        convolutions + self.scan().param_len()
+    }
+
+    /// Adds the encoder of one frame; returns its scan.
     ///
     /// # Errors
     /// A frame of another size.
@@ -163,121 +199,72 @@ impl ActorSpec {
         params: &ActorParams,
         frame: NodeId,
     ) -> Result<NodeId, ShapeError> {
-        let mut x = frame;
-        if self.near_contrast {
-            x = builder.activation(x, Activation::NEAR_CONTRAST)?;
-        }
+        let mut x = builder.activation(frame, Activation::NEAR_CONTRAST)?;
         for (layer, params) in self.convolutions().into_iter().zip(params.convolutions) {
             x = builder.conv2d(x, layer, Activation::Elu, params)?;
         }
-        Ok(x)
+        builder.dense(x, self.scan(), Activation::Sigmoid, params.scan)
     }
 
-    /// Adds the GRU over several frames' features, oldest first, from a zero state; returns its last state.
+    /// Adds the rest of the first half: scan and memory to the 48 values.
     ///
     /// # Errors
-    /// Features of another length.
-    pub fn recur(
+    /// Nodes of other lengths.
+    pub fn trunk_to_state(
         &self,
         builder: &mut GraphBuilder,
         params: &ActorParams,
-        features: &[NodeId],
+        scan: NodeId,
+        context: NodeId,
     ) -> Result<NodeId, ShapeError> {
-        let mut h = builder.zeros(ACTOR_HIDDEN)?;
-        for x in features {
-            h = builder.gru(*x, h, self.gru(), params.gru)?;
+        let mut x = builder.concat(&[scan, context])?;
+        for (layer, (dense, norm)) in self.trunk().into_iter().zip(params.trunk) {
+            x = builder.dense(x, layer, Activation::Identity, dense)?;
+            x = builder.layer_norm(x, Self::norm(layer), norm)?;
+            x = builder.activation(x, Activation::Elu)?;
         }
-        Ok(h)
+        builder.dense(x, self.state(), Activation::Identity, params.state)
     }
 
-    /// Adds the second half model: GRU state and positional values to the outputs.
+    /// Adds the second half: the 48 values and the low-dimensional observation to the outputs; `last` is [`Activation::Identity`] for the
+    /// outputs before their saturation.
     ///
     /// # Errors
     /// Nodes of other lengths.
-    pub fn head(
+    pub fn decide(
         &self,
         builder: &mut GraphBuilder,
         params: &ActorParams,
         state: NodeId,
-        position: NodeId,
-    ) -> Result<NodeId, ShapeError> {
-        self.head_with(
-            builder,
-            params,
-            state,
-            position,
-            Activation::Tanh { scale: ACTOR_LIMIT },
-        )
-    }
-
-    /// The same without the saturation: the outputs are `1.5 · tanh` of what this node gives.
-    ///
-    /// # Errors
-    /// Nodes of other lengths.
-    pub fn head_before_saturation(
-        &self,
-        builder: &mut GraphBuilder,
-        params: &ActorParams,
-        state: NodeId,
-        position: NodeId,
-    ) -> Result<NodeId, ShapeError> {
-        self.head_with(builder, params, state, position, Activation::Identity)
-    }
-
-    fn head_with(
-        &self,
-        builder: &mut GraphBuilder,
-        params: &ActorParams,
-        state: NodeId,
-        position: NodeId,
+        low: NodeId,
         last: Activation,
     ) -> Result<NodeId, ShapeError> {
         let state = builder.activation(state, Activation::TANH)?;
-        let position = builder.dense(position, self.positional(), Activation::TANH, params.positional)?;
-        let joined = builder.concat(&[state, position])?;
-        let hidden = builder.dense(joined, self.dense(), Activation::Elu, params.dense)?;
-        builder.dense(hidden, self.output(), last, params.output)
+        let low = builder.dense(low, self.low(), Activation::TANH, params.low)?;
+        let mut x = builder.concat(&[state, low])?;
+        for (layer, params) in self.head().into_iter().zip(params.head) {
+            x = builder.dense(x, layer, Activation::Elu, params)?;
+        }
+        builder.dense(x, self.output(), last, params.output)
     }
 
-    /// The whole actor: inputs are the frames, oldest first, then the positional values.
+    /// The whole actor: inputs are the frame, the memory's values and the low-dimensional observation.
     ///
     /// # Errors
     /// A frame too small for the encoder.
-    pub fn graph(&self, purpose: Purpose, explained: bool) -> Result<Graph, ShapeError> {
+    pub fn graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
         let mut b = GraphBuilder::new();
         let params = self.reserve(&mut b);
-        let mut features = Vec::with_capacity(ACTOR_FRAMES);
-        for _ in 0..ACTOR_FRAMES {
-            let frame = b.input(self.frame_len(), explained)?;
-            features.push(self.encode(&mut b, &params, frame)?);
-        }
-        let position = b.input(self.positional().inputs, explained)?;
-        let state = self.recur(&mut b, &params, &features)?;
-        let output = self.head(&mut b, &params, state, position)?;
-        b.finish(output, purpose)
-    }
-
-    /// The actor from the features of the four older frames, oldest first, the newest frame, and the positional values:
-    /// what is new in a step, at a fifth of the whole actor's cost. All inputs are explained.
-    ///
-    /// # Errors
-    /// A frame too small for the encoder.
-    pub fn newest_frame_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
-        let mut b = GraphBuilder::new();
-        let params = self.reserve(&mut b);
-        let mut features = Vec::with_capacity(ACTOR_FRAMES);
-        for _ in 1..ACTOR_FRAMES {
-            features.push(b.input(self.features(), true)?);
-        }
         let frame = b.input(self.frame_len(), true)?;
-        features.push(self.encode(&mut b, &params, frame)?);
-        let position = b.input(self.positional().inputs, true)?;
-        let state = self.recur(&mut b, &params, &features)?;
-        let output = self.head(&mut b, &params, state, position)?;
+        let context = b.input(CONTEXT, true)?;
+        let low = b.input(LOW_DIM, true)?;
+        let scan = self.encode(&mut b, &params, frame)?;
+        let state = self.trunk_to_state(&mut b, &params, scan, context)?;
+        let output = self.decide(&mut b, &params, state, low, Activation::Tanh { scale: ACTOR_LIMIT })?;
         b.finish(output, purpose)
     }
 
-    /// The encoder alone: one frame to its features.
+    /// The encoder alone: one frame to its scan.
     ///
     /// # Errors
     /// A frame too small for the encoder.
@@ -285,11 +272,24 @@ impl ActorSpec {
         let mut b = GraphBuilder::new();
         let params = self.reserve(&mut b);
         let frame = b.input(self.frame_len(), explained)?;
-        let features = self.encode(&mut b, &params, frame)?;
-        b.finish(features, purpose)
+        let scan = self.encode(&mut b, &params, frame)?;
+        b.finish(scan, purpose)
     }
 
-    /// The second half model: inputs are the GRU's state and the positional values.
+    /// The first half behind the encoder: inputs are the scan and the memory's values, output the 48 values.
+    ///
+    /// # Errors
+    /// None for a valid description.
+    pub fn trunk_graph(&self, purpose: Purpose) -> Result<Graph, ShapeError> {
+        let mut b = GraphBuilder::new();
+        let params = self.reserve(&mut b);
+        let scan = b.input(SCAN, true)?;
+        let context = b.input(CONTEXT, true)?;
+        let state = self.trunk_to_state(&mut b, &params, scan, context)?;
+        b.finish(state, purpose)
+    }
+
+    /// The second half: inputs are the 48 values and the low-dimensional observation.
     ///
     /// # Errors
     /// None for a valid description.
@@ -297,172 +297,173 @@ impl ActorSpec {
         let mut b = GraphBuilder::new();
         let params = self.reserve(&mut b);
         let state = b.input(ACTOR_HIDDEN, true)?;
-        let position = b.input(self.positional().inputs, true)?;
-        let output = self.head(&mut b, &params, state, position)?;
+        let low = b.input(LOW_DIM, true)?;
+        let output = self.decide(&mut b, &params, state, low, Activation::Tanh { scale: ACTOR_LIMIT })?;
         b.finish(output, purpose)
     }
 }
 
-/// A frozen actor in flight: encodes only the new frame and remembers what the four older ones gave the GRU.
+/// A frozen actor in flight: encodes the new frame, remembers what the frames before it showed, and decides. Allocates when it is made;
+/// nothing after it does.
 #[derive(Debug, Clone)]
 pub struct Actor {
     spec: ActorSpec,
     isa: Isa,
     params: Aligned,
-    layout: ActorParams,
     encoder: Graph,
     encoder_tape: Aligned,
+    trunk: Graph,
+    trunk_tape: Vec<f32>,
     head: Graph,
     head_tape: Vec<f32>,
-    /// How many decisions ago each frame was taken, oldest first.
-    ages: [usize; ACTOR_FRAMES],
-    /// Frames remembered.
-    kept: usize,
-    /// Features of each remembered frame; a ring of `kept`.
-    features: Vec<f32>,
-    /// What each remembered frame contributes to the GRU's gates, in the same ring.
-    projections: Vec<f32>,
-    /// A frame was seen since the last reset.
-    started: bool,
-    /// Slot of the oldest frame.
-    oldest: usize,
-    gates: Vec<f32>,
+    memory: Box<ActorMemory>,
+    scan: [f32; SCAN],
+    context: [f32; CONTEXT],
     state: [f32; ACTOR_HIDDEN],
+    low: [f32; LOW_DIM],
+    /// Heading of the step before.
+    yaw_before: Option<(Nanos, f32)>,
+    last: Action,
+    ablation: Ablation,
 }
 
+/// Takes something from what is remembered and from the low-dimensional observation; frames are replaced before they are encoded.
+fn take(what: Ablation, context: &mut [f32; CONTEXT], low: &mut [f32; LOW_DIM]) {
+    let (older, remembered) = context.split_at_mut(OLDER_SCANS);
+    match what {
+        Ablation::Nothing | Ablation::Frames => {}
+        Ablation::Memory => remembered.fill(0.0),
+        Ablation::Motion => {
+            older.fill(0.0);
+            let [_, _, _, own @ ..] = low;
+            own.fill(0.0);
+        }
+        Ablation::Goal => {
+            let [distance, sine, cosine, ..] = low;
+            (*distance, *sine, *cosine) = (1.0, 0.0, 1.0);
+        }
+    }
+}
+
+/// A frame that shows nothing.
+static BLANK: DepthFrame = DepthFrame::EMPTY;
+
 impl Actor {
-    /// Takes the parameters (in the order of [`ActorSpec::reserve`]). Allocates; nothing after it does.
+    /// Takes the parameters (in the order of [`ActorSpec::reserve`]).
     ///
     /// # Errors
     /// A parameter slice of another length.
     pub fn new(spec: ActorSpec, isa: Isa, params: &[f32]) -> Result<Self, ShapeError> {
-        Self::with_frame_ages(spec, isa, params, FRAMES_IN_A_ROW)
-    }
-
-    /// The same for an actor whose five frames are not in a row: how many decisions ago each was taken, oldest first, the last 0.
-    ///
-    /// # Errors
-    /// A parameter slice of another length; ages that do not fall to 0, or begin above 64.
-    pub fn with_frame_ages(
-        spec: ActorSpec,
-        isa: Isa,
-        params: &[f32],
-        ages: [usize; ACTOR_FRAMES],
-    ) -> Result<Self, ShapeError> {
-        let falls = ages.windows(2).all(|pair| pair.first() > pair.last());
-        let (first, last) = (ages.first().copied(), ages.last().copied());
-        let kept = first.filter(|age| *age <= OLDEST_FRAME && falls && last == Some(0));
-        let Some(kept) = kept.map(|age| age + 1) else {
-            return Err(ShapeError::Description {
-                what: "the frames' ages",
-                why: "they have to fall from at most 64 to 0",
-            });
-        };
         let encoder = spec.encoder_graph(Purpose::Gradients, false)?;
-        let head = spec.head_graph(Purpose::Gradients)?;
+        let (trunk, head) = (
+            spec.trunk_graph(Purpose::Gradients)?,
+            spec.head_graph(Purpose::Gradients)?,
+        );
         expect("actor parameters", params, head.param_len())?;
-        let layout = spec.reserve(&mut GraphBuilder::new());
         Ok(Self {
+            spec,
             isa,
             params: Aligned::from(params),
-            layout,
             encoder_tape: Aligned::zeros(encoder.tape_len()),
             encoder,
+            trunk_tape: vec![0.0; trunk.tape_len()],
+            trunk,
             head_tape: vec![0.0; head.tape_len()],
             head,
-            features: vec![0.0; kept * spec.features()],
-            projections: vec![0.0; kept * spec.gru().projection_len()],
-            ages,
-            kept,
-            started: false,
-            oldest: 0,
-            gates: vec![0.0; spec.gru().gates_len()],
+            memory: Box::default(),
+            scan: [0.0; SCAN],
+            context: [0.0; CONTEXT],
             state: [0.0; ACTOR_HIDDEN],
-            spec,
+            low: [0.0; LOW_DIM],
+            yaw_before: None,
+            last: Action::HOVER,
+            ablation: Ablation::Nothing,
         })
     }
 
-    /// Forgets the frames.
-    pub fn reset(&mut self) {
-        self.started = false;
-        self.oldest = 0;
+    /// The same actor without something.
+    #[must_use]
+    pub fn without(mut self, ablation: Ablation) -> Self {
+        self.ablation = ablation;
+        self
     }
 
-    /// One decision: x-velocity and yaw in ±[`ACTOR_LIMIT`]. The first frame after a reset stands for the missing older
-    /// ones as well.
+    /// Forgets everything that it has seen.
+    pub fn reset(&mut self) {
+        self.memory.reset();
+        self.pause();
+    }
+
+    /// Goes on after a gap: of its own motion it knows nothing, what it remembers of places has aged.
+    pub fn pause(&mut self) {
+        self.yaw_before = None;
+        self.last = Action::HOVER;
+    }
+
+    /// How often a jump of the odometry made it forget everything.
+    pub fn forgotten(&self) -> u32 {
+        self.memory.forgotten()
+    }
+
+    /// One decision: x-velocity and yaw in ±[`ACTOR_LIMIT`].
     ///
     /// # Errors
-    /// A frame of another size: nothing is remembered of it. Positional inputs that are not this actor's.
-    pub fn decide(
-        &mut self,
-        frame: &[f32],
-        position: impl Into<PositionalInputs>,
-    ) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
-        let gru = self.spec.gru();
-        let len = gru.projection_len();
+    /// A frame of another size: nothing is remembered of it.
+    pub fn decide(&mut self, input: &PilotInput<'_>) -> Result<[f32; ACTOR_OUTPUTS], ShapeError> {
+        let depth = match self.ablation {
+            Ablation::Frames => &BLANK.depth,
+            _ => &input.depth.depth,
+        };
         self.encoder
-            .forward(self.isa, &self.params, &[frame], &mut self.encoder_tape)?;
-        let features = self.encoder.output(&self.encoder_tape)?;
-        let gru_params = part(
-            "actor parameters",
-            &self.params,
-            self.layout.gru.at,
-            self.layout.gru.len,
-        )?;
-        let slot = part_mut("actor memory", &mut self.projections, self.oldest * len, len)?;
-        gru.project(self.isa, gru_params, features, slot)?;
-        let width = features.len();
-        part_mut("actor memory", &mut self.features, self.oldest * width, width)?.copy_from_slice(features);
-        if !self.started {
-            for (memory, len) in [(&mut self.features, width), (&mut self.projections, len)] {
-                for slot in 0..self.kept {
-                    memory.copy_within(self.oldest * len..(self.oldest + 1) * len, slot * len);
-                }
-            }
-            self.started = true;
-        }
-        self.oldest = (self.oldest + 1) % self.kept;
-        self.state.fill(0.0);
-        for age in self.ages {
-            let slot = (self.oldest + self.kept - 1 - age) % self.kept;
-            let projection = part("actor memory", &self.projections, slot * len, len)?;
-            let previous = self.state;
-            gru.step(
-                self.isa,
-                gru_params,
-                projection,
-                &previous,
-                &mut self.gates,
-                &mut self.state,
-            )?;
-        }
-        self.head.forward(
+            .forward(self.isa, &self.params, &[depth], &mut self.encoder_tape)?;
+        self.scan.copy_from_slice(self.encoder.output(&self.encoder_tape)?);
+        let odometry = Odometry::of(input);
+        self.memory.observe(&self.scan, odometry);
+        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, odometry.at_ns, odometry.yaw_rad);
+        self.yaw_before = Some((odometry.at_ns, odometry.yaw_rad));
+        self.low = low_dim(input.goal, input.velocity_m_s, rate_rad_s, self.last);
+        self.context = *self.memory.context();
+        take(self.ablation, &mut self.context, &mut self.low);
+        self.trunk.forward(
             self.isa,
             &self.params,
-            &[&self.state, &position.into()],
-            &mut self.head_tape,
+            &[&self.scan, &self.context],
+            &mut self.trunk_tape,
         )?;
+        self.state.copy_from_slice(self.trunk.output(&self.trunk_tape)?);
+        self.head
+            .forward(self.isa, &self.params, &[&self.state, &self.low], &mut self.head_tape)?;
         let mut action = [0.0; ACTOR_OUTPUTS];
         action.copy_from_slice(self.head.output(&self.head_tape)?);
+        let [forward_m_s, yaw] = action;
+        self.note_action(Action { forward_m_s, yaw });
         Ok(action)
     }
 
-    /// The GRU's state of the last decision: the split point, input of the second half model.
+    /// The 48 values of the last decision: the split point, input of the second half.
     pub fn state(&self) -> &[f32; ACTOR_HIDDEN] {
         &self.state
     }
 
-    /// Features of the frame of `age` decisions ago: 0 is the newest. `None` for one older than the oldest that counts.
-    pub fn features(&self, age: usize) -> Option<&[f32]> {
-        let slot = (self.oldest + self.kept).checked_sub(age + 1)? % self.kept;
-        let width = self.spec.features();
-        let memory = self.features.get(slot * width..(slot + 1) * width);
-        memory.filter(|_| age < self.kept)
+    /// The collision scan of the last decision, proximities from left to right.
+    pub fn scan(&self) -> &[f32; SCAN] {
+        &self.scan
     }
 
-    /// How many decisions ago each of the five frames was taken, oldest first.
-    pub fn frame_ages(&self) -> [usize; ACTOR_FRAMES] {
-        self.ages
+    /// What was remembered in the last decision.
+    pub fn context(&self) -> &[f32; CONTEXT] {
+        &self.context
+    }
+
+    /// The low-dimensional observation of the last decision.
+    pub fn low_dim(&self) -> PositionalInputs {
+        PositionalInputs::from(self.low)
+    }
+
+    /// Takes note of the action that is flown after the last decision, if it is not the actor's own. One that is not finite is not flown:
+    /// the vehicle holds.
+    pub fn note_action(&mut self, flown: Action) {
+        self.last = if flown.is_finite() { flown } else { Action::HOVER };
     }
 
     /// The parameters.

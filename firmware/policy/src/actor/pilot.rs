@@ -1,82 +1,48 @@
 //! The learned pilot: a frozen actor, alone or with the potential field added (docs/paper.md, Algorithm 1).
 
-use crate::actor::positional::{PositionalInputs, PositionalSense};
-use crate::actor::{ACTOR_FRAMES, ACTOR_HIDDEN, Actor, ActorSpec, FRAMES_IN_A_ROW};
+use crate::actor::{ACTOR_HIDDEN, Actor, PositionalInputs};
 use crate::field::FlightField;
 use crate::geometric::range_scan::RangeScan;
-use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput, SeeingPilot};
-use vigil_types::Action;
+use crate::{GeometricPilot, ImportedPilot, Pilot, PilotInput};
+use vigil_types::{Ablation, Action};
 
-/// What an actor's second positional input is the bearing of.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum LedBy {
-    /// The goal.
-    #[default]
-    Goal,
-    /// The path planned to the goal over the occupancy grid of what the frames have shown: an actor that sees 1.6 s of frames has
-    /// no other memory of a hall (docs/architecture.md).
-    Path,
-}
-
-/// What an actor decides from, beside its weights.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct ActorInputs {
-    /// How many decisions ago each of its five frames was taken, oldest first.
-    pub frame_ages: [usize; ACTOR_FRAMES],
-    /// What its second positional input is the bearing of.
-    pub led_by: LedBy,
-    /// Whether it is told what moves near it ([`PositionalInputs`]).
-    pub told_of_movers: bool,
-}
-
-impl ActorInputs {
-    /// The network that decides from them.
-    pub fn spec(&self) -> ActorSpec {
-        if self.told_of_movers {
-            ActorSpec::FULL_WITH_MOVERS
-        } else {
-            ActorSpec::FULL
-        }
-    }
-}
-
-impl Default for ActorInputs {
-    fn default() -> Self {
-        Self {
-            frame_ages: FRAMES_IN_A_ROW,
-            led_by: LedBy::Goal,
-            told_of_movers: false,
-        }
-    }
-}
-
-/// Flies what a frozen actor decides. The goal of its input is what leads it: the goal, or for [`LedBy::Path`] what
-/// [`RecoveryPilot::lead`](crate::RecoveryPilot::lead) gives. Each step encodes the new frame only; the actor remembers what the frames before it
-/// gave. No allocation after it was made.
+/// Flies what a frozen actor decides. Each step encodes the new frame only; the actor remembers what the frames before it showed. No
+/// allocation after it was made.
 #[derive(Debug, Clone)]
 pub struct ActorPilot {
     actor: Actor,
     surroundings: RangeScan,
     field: Option<FlightField>,
-    sense: PositionalSense,
-    position: Option<PositionalInputs>,
+    /// The observation of the last decision; `None` before the first.
+    low_dim: Option<PositionalInputs>,
 }
 
 impl ActorPilot {
     /// A pilot that has seen nothing. `field` adds the potential field to the actor's action.
     pub fn new(actor: Actor, field: bool) -> Self {
         Self {
-            sense: PositionalSense::new(actor.spec().told_of_movers),
             actor,
             surroundings: RangeScan::new(),
             field: field.then(FlightField::default),
-            position: None,
+            low_dim: None,
         }
     }
 
-    /// The positional inputs of the last decision; `None` before the first.
+    /// The same pilot, something taken from its actor.
+    #[must_use]
+    pub fn without(mut self, what: Ablation) -> Self {
+        self.actor = self.actor.without(what);
+        self
+    }
+
+    /// The low-dimensional observation of the last decision; `None` before the first.
     pub fn position(&self) -> Option<PositionalInputs> {
-        self.position
+        self.low_dim
+    }
+
+    /// The network with what it remembers, as of the last decision.
+    pub fn actor(&self) -> &Actor {
+        &self.actor
     }
 
     /// What the last frame showed.
@@ -93,25 +59,34 @@ impl ActorPilot {
 impl Pilot for ActorPilot {
     fn decide(&mut self, input: &PilotInput<'_>) -> Action {
         let scan = self.surroundings.observe(input);
-        let position = self.sense.inputs(input, scan, input.goal);
-        self.position = Some(position);
-        let Ok([forward_m_s, yaw]) = self.actor.decide(&input.depth.depth, position) else {
+        let Ok([forward_m_s, yaw]) = self.actor.decide(input) else {
             // Only an actor of other dimensions refuses a frame. An action that is not finite makes the caller hold.
             return Action {
                 forward_m_s: f32::NAN,
                 yaw: f32::NAN,
             };
         };
+        self.low_dim = Some(self.actor.low_dim());
         let own = Action { forward_m_s, yaw };
         match &mut self.field {
-            Some(field) if own.is_finite() => field.add_to(own, input, scan),
+            Some(field) if own.is_finite() => {
+                let flown = field.add_to(own, input, scan);
+                self.actor.note_action(flown);
+                flown
+            }
             _ => own,
         }
     }
 
     fn reset(&mut self) {
         self.actor.reset();
-        self.sense.reset();
+        self.low_dim = None;
+        self.field = self.field.as_ref().map(|_| FlightField::default());
+    }
+
+    fn pause(&mut self) {
+        self.actor.pause();
+        self.low_dim = None;
         self.field = self.field.as_ref().map(|_| FlightField::default());
     }
 }
@@ -125,10 +100,8 @@ impl Pilot for ActorPilot {
 pub enum FlightPilot {
     /// Goal seeking, potential field and memory.
     Geometric(GeometricPilot),
-    /// A frozen actor that a planner leads.
+    /// A frozen actor.
     Actor(ActorPilot),
-    /// A frozen actor that looks and remembers.
-    Seeing(SeeingPilot),
     /// A policy of others.
     Imported(ImportedPilot),
 }
@@ -139,7 +112,6 @@ impl FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.surroundings(),
             Self::Actor(pilot) => pilot.surroundings(),
-            Self::Seeing(pilot) => pilot.surroundings(),
             Self::Imported(pilot) => pilot.surroundings(),
         }
     }
@@ -149,8 +121,15 @@ impl FlightPilot {
         match self {
             Self::Geometric(_) => None,
             Self::Actor(pilot) => pilot.position(),
-            Self::Seeing(pilot) => pilot.position(),
             Self::Imported(pilot) => pilot.position(),
+        }
+    }
+
+    /// How often a jump of the odometry made the actor forget everything.
+    pub fn forgotten(&self) -> u32 {
+        match self {
+            Self::Actor(pilot) => pilot.actor.forgotten(),
+            Self::Geometric(_) | Self::Imported(_) => 0,
         }
     }
 
@@ -159,7 +138,6 @@ impl FlightPilot {
         match self {
             Self::Geometric(_) => None,
             Self::Actor(pilot) => Some(pilot.state()),
-            Self::Seeing(pilot) => Some(pilot.state()),
             Self::Imported(pilot) => pilot.state(),
         }
     }
@@ -170,7 +148,6 @@ impl Pilot for FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.decide(input),
             Self::Actor(pilot) => pilot.decide(input),
-            Self::Seeing(pilot) => pilot.decide(input),
             Self::Imported(pilot) => pilot.decide(input),
         }
     }
@@ -179,8 +156,15 @@ impl Pilot for FlightPilot {
         match self {
             Self::Geometric(pilot) => pilot.reset(),
             Self::Actor(pilot) => pilot.reset(),
-            Self::Seeing(pilot) => pilot.reset(),
             Self::Imported(pilot) => pilot.reset(),
+        }
+    }
+
+    fn pause(&mut self) {
+        match self {
+            Self::Geometric(pilot) => pilot.pause(),
+            Self::Actor(pilot) => pilot.pause(),
+            Self::Imported(pilot) => pilot.pause(),
         }
     }
 }

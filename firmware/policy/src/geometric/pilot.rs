@@ -127,18 +127,6 @@ impl GeometricPilot {
         }
     }
 
-    /// Looks and plans on as it would to fly, and says where an actor is led: bearing of the planned path, distance of the goal; without a
-    /// path the goal as it is. To be asked once in every step.
-    pub fn lead(&mut self, input: &PilotInput<'_>) -> GoalRelative {
-        self.waypoint = self.plan(input);
-        led_to(input, self.waypoint)
-    }
-
-    /// What it would do itself along that path. After [`Self::lead`], with the same input.
-    pub fn along_lead(&self, input: &PilotInput<'_>) -> Action {
-        self.steer(input, self.waypoint)
-    }
-
     /// What it remembers of obstacles.
     pub fn grid(&self) -> &OccupancyGrid {
         &self.grid

@@ -3,15 +3,106 @@
 
 use safetensors::{Dtype, SafeTensors};
 use std::path::Path;
-use vigil_policy::actor::ActorSpec;
+use vigil_nnet::{Activation, Conv2d, Dense, Graph, GraphBuilder, Gru, NodeId, Params, Purpose};
 
-/// The actor of the reference vectors: raw range, no contrast layer.
-pub const SPEC: ActorSpec = ActorSpec {
-    rows: 128,
-    cols: 256,
-    near_contrast: false,
-    told_of_movers: false,
-};
+/// The network of the reference vectors, the paper's as we read it: five frames of 128 × 256, each through convolutions of 5×5 (16) and four
+/// of 3×3 (32), stride 2, ELU; GRU of 48; `tanh` of its state beside two positional values (6, tanh); 32, ELU; 1.5 · tanh of two outputs.
+pub struct Reference {
+    builder: GraphBuilder,
+    convolutions: Vec<(Conv2d, Params)>,
+    gru: (Gru, Params),
+    dense: [(Dense, Params); 3],
+}
+
+impl Reference {
+    pub fn new() -> Self {
+        let mut b = GraphBuilder::new();
+        let (mut rows, mut cols, mut channels) = (128_usize, 256_usize, 1);
+        let mut convolutions = Vec::new();
+        for (kernel, filters) in [(5, 16), (3, 32), (3, 32), (3, 32), (3, 32)] {
+            let layer = Conv2d {
+                rows,
+                cols,
+                channels,
+                filters,
+                kernel,
+                stride: 2,
+                padding: kernel / 2,
+            };
+            convolutions.push((layer, b.params(layer.param_len())));
+            (rows, cols, channels) = (rows.div_ceil(2), cols.div_ceil(2), filters);
+        }
+        let gru = Gru {
+            inputs: rows * cols * channels,
+            hidden: 48,
+        };
+        let gru = (gru, b.params(gru.param_len()));
+        let dense = [(2, 6), (54, 32), (32, 2)].map(|(inputs, outputs)| {
+            let layer = Dense { inputs, outputs };
+            (layer, b.params(layer.param_len()))
+        });
+        Self {
+            builder: b,
+            convolutions,
+            gru,
+            dense,
+        }
+    }
+
+    fn head(&mut self, state: NodeId, position: NodeId) -> NodeId {
+        let b = &mut self.builder;
+        let [(positional, p), (dense, d), (output, o)] = self.dense;
+        let state = b.activation(state, Activation::TANH).unwrap();
+        let position = b.dense(position, positional, Activation::TANH, p).unwrap();
+        let joined = b.concat(&[state, position]).unwrap();
+        let hidden = b.dense(joined, dense, Activation::Elu, d).unwrap();
+        b.dense(hidden, output, Activation::Tanh { scale: 1.5 }, o).unwrap()
+    }
+
+    fn recur(&mut self, features: &[NodeId]) -> NodeId {
+        let mut state = self.builder.zeros(48).unwrap();
+        for x in features {
+            state = self.builder.gru(*x, state, self.gru.0, self.gru.1).unwrap();
+        }
+        state
+    }
+
+    /// Inputs are the GRU's state and the positional values.
+    pub fn head_graph(mut self, purpose: Purpose) -> Graph {
+        let state = self.builder.input(48, true).unwrap();
+        let position = self.builder.input(2, true).unwrap();
+        let output = self.head(state, position);
+        self.builder.finish(output, purpose).unwrap()
+    }
+
+    /// Inputs are five frames' features, oldest first, and the positional values.
+    pub fn features_graph(mut self, purpose: Purpose) -> Graph {
+        let features: Vec<NodeId> = (0..5)
+            .map(|_| self.builder.input(self.gru.0.inputs, true).unwrap())
+            .collect();
+        let position = self.builder.input(2, true).unwrap();
+        let state = self.recur(&features);
+        let output = self.head(state, position);
+        self.builder.finish(output, purpose).unwrap()
+    }
+
+    /// Inputs are five frames, oldest first, and the positional values.
+    pub fn graph(mut self, purpose: Purpose, explained: bool) -> Graph {
+        let features: Vec<NodeId> = (0..5)
+            .map(|_| {
+                let mut x = self.builder.input(128 * 256, explained).unwrap();
+                for (layer, params) in self.convolutions.clone() {
+                    x = self.builder.conv2d(x, layer, Activation::Elu, params).unwrap();
+                }
+                x
+            })
+            .collect();
+        let position = self.builder.input(2, explained).unwrap();
+        let state = self.recur(&features);
+        let output = self.head(state, position);
+        self.builder.finish(output, purpose).unwrap()
+    }
+}
 
 /// One file of reference tensors.
 pub struct Tensors(Vec<u8>);
@@ -84,7 +175,7 @@ pub fn features(torch: &[f32]) -> Vec<f32> {
     transposed(torch, 32)
 }
 
-/// All parameters of the reference actor in the order of `ActorParams`.
+/// All parameters of the reference network in its order.
 pub fn actor_params() -> Vec<f32> {
     let t = Tensors::load("actor_weights");
     let mut all: Vec<f32> = [0, 2, 4, 6, 8]

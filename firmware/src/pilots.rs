@@ -4,7 +4,7 @@ use alloc::boxed::Box;
 use vigil_detector::Monitor;
 use vigil_nnet::Isa;
 use vigil_nnet::network_file::FileError;
-use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricConfig, GeometricPilot, LedBy, RecoveryPilot};
+use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricPilot, RecoveryPilot};
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig,
@@ -12,29 +12,25 @@ use {
     std::path::Path,
     vigil_detector::FrozenDetector,
     vigil_nnet::Purpose,
-    vigil_policy::{FrozenActor, FrozenSeeing, SeeingPilot},
+    vigil_policy::FrozenActor,
     vigil_types::{Ablation, PilotKind},
 };
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
-pub struct Crew {
+pub struct Pilots {
     /// Who flies.
     pub pilot: FlightPilot,
     /// The detector: judges each of the actor's decisions. Boxed at start: it is large, and many flights have none.
     pub monitor: Option<Box<Monitor>>,
-    /// Plans in every step, so that it remembers what it saw before an alarm. In a watched crew it takes the actor's place while an
-    /// alarm is raised, and tells the guard what lies ahead; its path leads an actor that is led by one and has no [`Self::leader`],
-    /// and any actor to a far goal where the line to it leads nowhere.
+    /// Plans in every step, so that it remembers what it saw before an alarm. Where something watches, it takes the actor's place while an
+    /// alarm is raised, and tells the guard what lies ahead; its path leads an imported policy to a far goal where the line to it leads
+    /// nowhere.
     pub recovery: Option<Box<RecoveryPilot>>,
     /// Whether anything watches: without it the recovery pilot leads, but neither flies nor warns.
     pub watched: bool,
-    /// What leads the actor.
-    pub led_by: LedBy,
-    /// Plans the path of an actor that is told of movers: around what stands, through where something moves.
-    pub leader: Option<Box<GeometricPilot>>,
 }
 
-impl Crew {
+impl Pilots {
     /// A pilot that nothing watches.
     pub fn unwatched(pilot: FlightPilot) -> Self {
         Self {
@@ -42,8 +38,6 @@ impl Crew {
             monitor: None,
             recovery: None,
             watched: false,
-            led_by: LedBy::Goal,
-            leader: None,
         }
     }
 
@@ -58,8 +52,6 @@ impl Crew {
         monitor: Option<Box<Monitor>>,
         watched: bool,
     ) -> Result<Self, FileError> {
-        let inputs = frozen.inputs();
-        let leads = inputs.led_by == LedBy::Path && inputs.told_of_movers;
         Ok(Self {
             pilot: match frozen {
                 FrozenPilot::Actor(actor) => FlightPilot::Actor(ActorPilot::new(actor.actor(isa)?, field)),
@@ -68,12 +60,10 @@ impl Crew {
             monitor,
             recovery: Some(Box::default()),
             watched,
-            led_by: inputs.led_by,
-            leader: leads.then(|| Box::new(GeometricPilot::new(GeometricConfig::default()))),
         })
     }
 
-    /// The crew of a configuration.
+    /// The pilots of a configuration.
     ///
     /// # Errors
     /// An actor or a detector that is truncated, altered or of another architecture, a detector for another actor: by name. A
@@ -97,21 +87,10 @@ impl Crew {
                 return Err(StackError::NothingToWatch(what));
             }
         }
-        if let Some(seeing) = config.frozen_seeing()? {
-            if config.has_detector() {
-                return Err(StackError::NoDetectorOfSeeing);
-            }
-            let pilot = SeeingPilot::new(seeing.actor(isa)?, config.pilot.apf).without(config.pilot.ablate);
-            return Ok(Self {
-                recovery: Some(Box::default()),
-                watched: config.is_watched(),
-                ..Self::unwatched(FlightPilot::Seeing(pilot))
-            });
-        }
-        if config.pilot.ablate != Ablation::Nothing {
-            return Err(StackError::AblatedElse);
-        }
         let Some(frozen) = config.frozen_pilot()? else {
+            if config.pilot.ablate != Ablation::Nothing {
+                return Err(StackError::AblatedElse);
+            }
             let pilot = GeometricPilot::new(config.stack().pilot);
             return Ok(Self::unwatched(FlightPilot::Geometric(pilot)));
         };
@@ -132,7 +111,14 @@ impl Crew {
             }
         };
         let watched = config.is_watched();
-        Ok(Self::learned(isa, &frozen, config.pilot.apf, monitor, watched)?)
+        let mut pilots = Self::learned(isa, &frozen, config.pilot.apf, monitor, watched)?;
+        if config.pilot.ablate != Ablation::Nothing {
+            let FlightPilot::Actor(pilot) = pilots.pilot else {
+                return Err(StackError::AblatedElse);
+            };
+            pilots.pilot = FlightPilot::Actor(pilot.without(config.pilot.ablate));
+        }
+        Ok(pilots)
     }
 }
 
@@ -146,25 +132,11 @@ fn named(file: Option<&Path>) -> String {
 
 #[cfg(feature = "std")]
 impl FirmwareConfig {
-    /// The actor that looks and remembers, if one is to fly.
-    ///
-    /// # Errors
-    /// [`FileError`]: what is truncated, altered or of another architecture, by name.
-    pub fn frozen_seeing(&self) -> Result<Option<FrozenSeeing>, FileError> {
-        match (self.pilot.kind, &self.pilot.actor_file) {
-            (PilotKind::Actor, Some(file)) => FrozenSeeing::load_if_seeing(file),
-            _ => Ok(None),
-        }
-    }
-
-    /// The actor that is led, or the imported policy, that is to fly; `None` when another pilot is.
+    /// The actor or imported policy that is to fly; `None` when another pilot is.
     ///
     /// # Errors
     /// [`FileError`]: what is truncated, altered or of another architecture, by name.
     pub fn frozen_pilot(&self) -> Result<Option<FrozenPilot>, FileError> {
-        if self.frozen_seeing()?.is_some() {
-            return Ok(None);
-        }
         match (self.pilot.kind, &self.pilot.actor_file) {
             (PilotKind::Geometric, _) => Ok(None),
             (PilotKind::Actor, file) => FrozenPilot::load_or_built_in(file.as_deref()).map(Some),
