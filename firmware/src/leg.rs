@@ -1,6 +1,6 @@
-//! Intermediate goals: what the actor flies to when the goal is farther away than any that it has learned.
+//! Intermediate goals: what an imported policy flies to when the goal is farther away than any that it has learned.
 //!
-//! Seen from 200 m, a goal lies straight ahead however far off the line the vehicle is: an actor that knows nothing but its
+//! Seen from 200 m, a goal lies straight ahead however far off the line the vehicle is: a policy that knows nothing but its
 //! bearing is led past everything, and out of the course. So it follows the line on which the goal was taken up. Where that brings
 //! the vehicle no nearer, or past the goal, it is led by the path that the recovery pilot plans, until it has come nearer.
 
@@ -19,11 +19,11 @@ const ASIDE_RAD: f32 = 1.2;
 /// The path is left when it has brought the vehicle nearer by this, or has not in this time.
 const PATH_NEARER_M: f32 = 3.0;
 const PATH_NS: Nanos = 30_000_000_000;
-/// A path that leads this far aside is turned to on the spot, radians: no flight that the actor learned from begins with that.
+/// A path that leads this far aside is turned to on the spot, radians: no flight that a policy learned from begins with that.
 const TURN_RAD: f32 = 1.0;
 const TURN_YAW: f32 = 1.0;
 
-/// What leads the actor.
+/// What leads the policy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum LedTo {
     /// A point: the goal or an intermediate one.
