@@ -276,3 +276,20 @@ fn after_a_gap_in_flight_what_is_remembered_of_places_is_still_there_and_nothing
     assert_ne!(actor.context(), fresh.context(), "older scans and surfaces");
     assert_eq!(actor.forgotten(), 0);
 }
+
+#[test]
+fn an_actor_that_remembers_as_another_decides_as_it_does() {
+    let params = params();
+    let mut actor = Actor::new(ActorSpec::FULL, Isa::detect(), &params).unwrap();
+    let mut twin = actor.clone();
+    let frames = frames();
+    for (step, frame) in frames[..20].iter().enumerate() {
+        actor.decide(&input(frame, step as u64)).unwrap();
+    }
+    twin.remember_as(&actor);
+    for (step, frame) in frames.iter().enumerate().skip(20) {
+        let seen = input(frame, step as u64);
+        assert_eq!(twin.decide(&seen), actor.decide(&seen), "step {step}");
+        assert_eq!(twin.context(), actor.context());
+    }
+}

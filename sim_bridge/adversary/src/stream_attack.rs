@@ -19,6 +19,8 @@ pub struct StreamAttack {
     perturber: Perturber,
     delivered: Actor,
     clean: Actor,
+    /// What the first would decide on the frame that is about to be altered.
+    foreseen: Actor,
     /// Where the burst under way aims, so that it does not turn back half-way.
     direction: Option<f32>,
     /// Least and greatest yaw output that the next attack may aim at.
@@ -39,6 +41,7 @@ impl StreamAttack {
             surrogate: SurrogateActor::new(isa, &actor.params)?,
             perturber: Perturber::new(*config)?,
             clean: delivered.clone(),
+            foreseen: delivered.clone(),
             delivered,
             direction: None,
             yaw_bounds: None,
@@ -102,9 +105,9 @@ impl StreamAttack {
         let clean = self.clean.decide(taken)?;
         // What the actor will hold beside this frame: what it would hold beside it unaltered. (But for a flight's first frame, which stands
         // for the missing older ones.)
-        let mut foreseen = self.delivered.clone();
-        foreseen.decide(taken)?;
-        self.surrogate.hold(Beside::of(&foreseen));
+        self.foreseen.remember_as(&self.delivered);
+        self.foreseen.decide(taken)?;
+        self.surrogate.hold(Beside::of(&self.foreseen));
         let before = self.surrogate.look(&delivered.depth)?;
         let towards = self.perturber.config().towards;
         let direction = *self.direction.get_or_insert_with(|| towards.sign(clean[1]));
@@ -113,7 +116,7 @@ impl StreamAttack {
             Some((low, high)) => before_saturation((direction * ACTOR_LIMIT).clamp(low, high)),
         };
         if let Some(evasion) = &mut self.evasion {
-            evasion.begin_step(foreseen.low_dim());
+            evasion.begin_step(self.foreseen.low_dim());
         }
         self.perturber.run(
             &mut self.surrogate,

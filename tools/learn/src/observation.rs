@@ -2,11 +2,9 @@
 
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::ActorSpec;
-use vigil_policy::actor::memory::{
-    ActorMemory, CONTEXT, LOW_DIM, MOVED, Odometry, RING, SCAN, SCAN_AGES, TRAIL, low_dim, yaw_rate_rad_s,
-};
+use vigil_policy::actor::memory::{CONTEXT, LOW_DIM, MOVED, Odometry, RING, SCAN, SCAN_AGES, Senses, TRAIL};
 use vigil_policy::{PilotInput, RangeScan};
-use vigil_types::{Action, Attitude, DepthFrame, Nanos, wrap_pi};
+use vigil_types::{Action, Attitude, DepthFrame, wrap_pi};
 
 /// Values of the first half's input: the scan, then what is remembered.
 pub const FIRST_HALF: usize = SCAN + CONTEXT;
@@ -51,9 +49,8 @@ impl Encoder {
 
 /// Observes step by step, as the actor in flight does.
 pub struct Observer {
-    memory: Box<ActorMemory>,
+    senses: Senses,
     tape: Aligned,
-    yaw_before: Option<(Nanos, f32)>,
     drifting: Drifting,
     /// The newest observation.
     pub now: [f32; OBSERVATION],
@@ -131,9 +128,8 @@ impl Observer {
     /// One that has seen nothing.
     pub fn new(encoder: &Encoder, drift: Drift) -> Self {
         Self {
-            memory: Box::default(),
+            senses: Senses::default(),
             tape: Aligned::zeros(encoder.graph.tape_len()),
-            yaw_before: None,
             drifting: Drifting::new(drift),
             now: [0.0; OBSERVATION],
         }
@@ -150,13 +146,10 @@ impl Observer {
             .forward(encoder.isa, &encoder.params, &[depth], &mut self.tape)?;
         let mut scan = [0.0; SCAN];
         scan.copy_from_slice(encoder.graph.output(&self.tape)?);
-        let yaw_rad = input.attitude.yaw_rad();
-        self.memory.observe(&scan, self.drifting.of(Odometry::of(input)));
-        let rate = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
-        self.yaw_before = Some((input.now_ns, yaw_rad));
+        let odometry = self.drifting.of(Odometry::of(input));
+        let low = self.senses.observe(&scan, odometry, input, last);
         self.now[..SCAN].copy_from_slice(&scan);
-        let low = low_dim(input.goal, input.velocity_m_s, rate, last);
-        self.now[SCAN..FIRST_HALF].copy_from_slice(self.memory.context());
+        self.now[SCAN..FIRST_HALF].copy_from_slice(self.senses.context());
         self.now[FIRST_HALF..].copy_from_slice(&low);
         Ok(())
     }

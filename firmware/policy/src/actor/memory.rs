@@ -8,6 +8,7 @@ extern crate alloc;
 
 use crate::PilotInput;
 use crate::geometric::position_ned_m;
+use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
@@ -231,6 +232,34 @@ impl ActorMemory {
         self.index.fill(0);
         self.trail.clear();
         self.context = [0.0; CONTEXT];
+    }
+
+    /// Takes over what another remembers, without allocating.
+    fn copy_from(&mut self, other: &Self) {
+        let Self {
+            columns,
+            history,
+            newest,
+            last,
+            cells,
+            index,
+            next_overwritten,
+            trail,
+            trail_since_ns,
+            forgotten,
+            context,
+        } = other;
+        self.columns = *columns;
+        self.history.clone_from(history);
+        self.newest = *newest;
+        self.last = *last;
+        self.cells.clone_from(cells);
+        self.index.clone_from(index);
+        self.next_overwritten = *next_overwritten;
+        self.trail.clone_from(trail);
+        self.trail_since_ns = *trail_since_ns;
+        self.forgotten = *forgotten;
+        self.context = *context;
     }
 
     /// The memory's values ([`CONTEXT`]), as of the last scan.
@@ -493,8 +522,61 @@ fn raise(told: &mut [f32], bin: i32, near: f32) {
 /// | 6, 7 | the last action / 1.5 |
 pub const LOW_DIM: usize = 8;
 
+/// What an actor observes from step to step beside its scan: what it remembers, and what it knows of its own motion. In flight and in
+/// training alike.
+#[derive(Debug, Clone, Default)]
+pub struct Senses {
+    memory: Box<ActorMemory>,
+    /// Heading of the step before.
+    yaw_before: Option<(Nanos, f32)>,
+}
+
+impl Senses {
+    /// Takes a step's scan; `odometry` is what the memory goes by, `last` the action before. Returns the low-dimensional observation.
+    pub fn observe(
+        &mut self,
+        scan: &[f32; SCAN],
+        odometry: Odometry,
+        input: &PilotInput<'_>,
+        last: Action,
+    ) -> [f32; LOW_DIM] {
+        self.memory.observe(scan, odometry);
+        let yaw_rad = input.attitude.yaw_rad();
+        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, input.now_ns, yaw_rad);
+        self.yaw_before = Some((input.now_ns, yaw_rad));
+        low_dim(input.goal, input.velocity_m_s, rate_rad_s, last)
+    }
+
+    /// The memory's values, as of the last scan.
+    pub fn context(&self) -> &[f32; CONTEXT] {
+        self.memory.context()
+    }
+
+    /// How often everything was forgotten because the odometry jumped.
+    pub fn forgotten(&self) -> u32 {
+        self.memory.forgotten()
+    }
+
+    /// Forgets everything.
+    pub fn reset(&mut self) {
+        self.memory.reset();
+        self.pause();
+    }
+
+    /// Forgets its own motion; what is remembered of places ages.
+    pub fn pause(&mut self) {
+        self.yaw_before = None;
+    }
+
+    /// Takes over what another has observed, without allocating.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.memory.copy_from(&other.memory);
+        self.yaw_before = other.yaw_before;
+    }
+}
+
 /// The yaw rate between two attitudes, radians per second; 0 without a time between them.
-pub fn yaw_rate_rad_s(before: Option<(Nanos, f32)>, now_ns: Nanos, yaw_rad: f32) -> f32 {
+fn yaw_rate_rad_s(before: Option<(Nanos, f32)>, now_ns: Nanos, yaw_rad: f32) -> f32 {
     before.map_or(0.0, |(before_ns, before_rad)| {
         let waited_s = now_ns.saturating_sub(before_ns) as f32 * 1e-9;
         if waited_s > 1e-3 {
@@ -511,7 +593,7 @@ const SPEED_M_S: f32 = 1.5;
 const TURN_RAD_S: f32 = PI / 4.0;
 
 /// The low-dimensional observation ([`LOW_DIM`]).
-pub fn low_dim(goal: GoalRelative, velocity_m_s: HeadingVector, yaw_rate_rad_s: f32, last: Action) -> [f32; LOW_DIM] {
+fn low_dim(goal: GoalRelative, velocity_m_s: HeadingVector, yaw_rate_rad_s: f32, last: Action) -> [f32; LOW_DIM] {
     let distance_m = if goal.distance_m < FARTHEST_GOAL_M {
         goal.distance_m
     } else {

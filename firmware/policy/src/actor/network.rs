@@ -8,16 +8,15 @@
 extern crate alloc;
 
 use crate::PilotInput;
-use crate::actor::memory::{ActorMemory, CONTEXT, LOW_DIM, OLDER_SCANS, Odometry, SCAN, low_dim, yaw_rate_rad_s};
+use crate::actor::memory::{CONTEXT, LOW_DIM, OLDER_SCANS, Odometry, SCAN, Senses};
 use crate::actor::positional::PositionalInputs;
-use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::shape::expect;
 use vigil_nnet::{
     Activation, Aligned, Conv2d, Dense, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Params, Purpose, ShapeError,
 };
-use vigil_types::{Ablation, Action, DepthFrame, Nanos};
+use vigil_types::{Ablation, Action, DepthFrame};
 
 /// Length of the split point (docs/paper.md, "Actor").
 pub const ACTOR_HIDDEN: usize = vigil_types::EXPLAINED_STATE;
@@ -316,13 +315,11 @@ pub struct Actor {
     trunk_tape: Vec<f32>,
     head: Graph,
     head_tape: Vec<f32>,
-    memory: Box<ActorMemory>,
+    senses: Senses,
     scan: [f32; SCAN],
     context: [f32; CONTEXT],
     state: [f32; ACTOR_HIDDEN],
     low: [f32; LOW_DIM],
-    /// Heading of the step before.
-    yaw_before: Option<(Nanos, f32)>,
     last: Action,
     ablation: Ablation,
 }
@@ -370,12 +367,11 @@ impl Actor {
             trunk,
             head_tape: vec![0.0; head.tape_len()],
             head,
-            memory: Box::default(),
+            senses: Senses::default(),
             scan: [0.0; SCAN],
             context: [0.0; CONTEXT],
             state: [0.0; ACTOR_HIDDEN],
             low: [0.0; LOW_DIM],
-            yaw_before: None,
             last: Action::HOVER,
             ablation: Ablation::Nothing,
         })
@@ -390,19 +386,25 @@ impl Actor {
 
     /// Forgets everything that it has seen.
     pub fn reset(&mut self) {
-        self.memory.reset();
+        self.senses.reset();
         self.pause();
     }
 
     /// Goes on after a gap: of its own motion it knows nothing, what it remembers of places has aged.
     pub fn pause(&mut self) {
-        self.yaw_before = None;
+        self.senses.pause();
         self.last = Action::HOVER;
+    }
+
+    /// Takes over what another actor has observed, without allocating; the next decision is then the one that the other would make.
+    pub fn remember_as(&mut self, other: &Self) {
+        self.senses.copy_from(&other.senses);
+        self.last = other.last;
     }
 
     /// How often a jump of the odometry made it forget everything.
     pub fn forgotten(&self) -> u32 {
-        self.memory.forgotten()
+        self.senses.forgotten()
     }
 
     /// One decision: x-velocity and yaw in ±[`ACTOR_LIMIT`].
@@ -417,12 +419,8 @@ impl Actor {
         self.encoder
             .forward(self.isa, &self.params, &[depth], &mut self.encoder_tape)?;
         self.scan.copy_from_slice(self.encoder.output(&self.encoder_tape)?);
-        let odometry = Odometry::of(input);
-        self.memory.observe(&self.scan, odometry);
-        let rate_rad_s = yaw_rate_rad_s(self.yaw_before, odometry.at_ns, odometry.yaw_rad);
-        self.yaw_before = Some((odometry.at_ns, odometry.yaw_rad));
-        self.low = low_dim(input.goal, input.velocity_m_s, rate_rad_s, self.last);
-        self.context = *self.memory.context();
+        self.low = self.senses.observe(&self.scan, Odometry::of(input), input, self.last);
+        self.context = *self.senses.context();
         take(self.ablation, &mut self.context, &mut self.low);
         self.trunk.forward(
             self.isa,
