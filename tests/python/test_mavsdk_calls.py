@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import re
+import textwrap
 
 import pytest
 
@@ -71,20 +72,25 @@ def share(report):
 
 
 def table(reports):
-    """The table in Markdown, and the shares above it."""
+    """The shares, what works in both versions by plugin, and the rest as a table, in Markdown."""
     outcomes = {version: report["outcomes"] for version, (report, _) in reports.items()}
     lines = []
     for version, number in sorted(VERSIONS.items(), reverse=True):
         works, count = share(reports[version][0])
         lines.append(f"MAVSDK {number}: {works} of the {count} calls that PX4's simulation answers work ({works / count:.1%}).")
-    lines += ["", "| Call | 4.1 | 3.17 | Note |", "| --- | --- | --- | --- |"]
-    for name in sorted(outcomes[3].keys() | outcomes[4].keys()):
-        device = WITHOUT_DEVICE.get(name.split(".")[0])
-        if device:
+    names = [name for name in sorted(outcomes[3].keys() | outcomes[4].keys()) if name.split(".")[0] not in WITHOUT_DEVICE]
+    both = [name for name in names if all(outcomes[version].get(name) == "works" for version in VERSIONS)]
+    lines += ["", "These work with both:", ""]
+    for plugin in sorted({name.split(".")[0] for name in both}):
+        calls = ", ".join("`" + name.split(".")[1] + "`" for name in both if name.split(".")[0] == plugin)
+        lines += textwrap.wrap(f"- `{plugin}`: {calls}", 118, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    lines += ["", "| Other calls | 4.1 | 3.17 | Note |", "| --- | --- | --- | --- |"]
+    for name in names:
+        if name in both:
             continue
         cells = [outcomes[version].get(name, "not in it") for version in (4, 3)]
         note = "PX4 neither: " + PX4_REFUSES[name] if name in PX4_REFUSES else NOTES.get(name, "")
-        lines.append(f"| `{name}` | {cells[0]} | {cells[1]} | {note if cells != ['works', 'works'] else ''} |")
+        lines.append(f"| `{name}` | {cells[0]} | {cells[1]} | {note} |")
     for plugin, why in WITHOUT_DEVICE.items():
         counts = [sum(name.startswith(f"{plugin}.") for name in outcomes[version]) for version in (4, 3)]
         lines.append(f"| `{plugin}.*` | {counts[0]} calls | {counts[1]} calls | PX4 neither: {why} |")
