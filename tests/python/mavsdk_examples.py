@@ -21,8 +21,8 @@ from stack import TOP, Simulator
 
 PAGE = TOP / "docs" / "mavsdk.md"
 NOTES = {
-    "calibration": "the gyroscope's works; nobody turns a simulated vehicle by hand for the accelerometer's",
-    "logfile_download": "after `takeoff_and_land`: before the first flight there is no log, and MAVSDK says NO_LOGFILES",
+    "calibration": "the gyroscope's works, the accelerometer's wants the vehicle turned by hand",
+    "logfile_download": "after `takeoff_and_land`, else MAVSDK says NO_LOGFILES",
     "offboard_from_csv/offboard_from_csv": "with `anyio` installed beside MAVSDK",
 }
 
@@ -156,12 +156,12 @@ def write_rows(outcomes):
     begin, end = "<!-- examples: generated -->\n", "<!-- examples: end -->"
     before, rest = text.split(begin)
     written, after = rest.split(end, 1)
-    rows = {line.split("`")[1]: line for line in written.splitlines() if line.startswith("| `")}
+    rows = {line.split("`")[1]: line for line in written.splitlines() if line.startswith("- `")}
     for name, (outcome, modes, height) in outcomes.items():
-        flight = f"{', '.join(modes[1:])}; {height:.1f} m at most" if len(modes) > 1 else ""
-        rows[name] = f"| `{name}` | {outcome} | {flight} | {NOTES.get(name, '')} |"
-    head = ["| Example | 3.17 | Modes flown after hold, height | Note |", "| --- | --- | --- | --- |"]
-    PAGE.write_text(before + begin + "\n".join(head + [rows[name] for name in sorted(rows)]) + "\n" + end + after, encoding="utf-8")
+        flight = [f"{', '.join(modes[1:])}, {height:.1f} m at most"] if len(modes) > 1 else []
+        said = [outcome] * (outcome != "works") + flight + [NOTES[name]] * (name in NOTES)
+        rows[name] = f"- `{name}`" + ": " * bool(said) + "; ".join(said)
+    PAGE.write_text(before + begin + "\n".join(rows[name] for name in sorted(rows)) + "\n" + end + after, encoding="utf-8")
 
 
 def main(folder, names):

@@ -12,13 +12,18 @@ fn streams() -> String {
     let mut produced: Vec<_> = services.iter().flat_map(|s| s.messages()).collect();
     produced.sort_by_key(|p| p.id);
     let mut table = String::from("| Message | Number | Onboard | API | GCS |\n| --- | --- | --- | --- | --- |\n");
+    let mut asked = Vec::new();
     for p in produced {
         let message = MavMessage::default_message_from_id(p.id).expect("the dialect has it");
         let [onboard, api, gcs] = p.rate_hz;
         let name = message.message_name();
-        writeln!(table, "| {name} | {} | {onboard} | {api} | {gcs} |", p.id).expect("a string grows");
+        if p.rate_hz.iter().all(|hz| *hz <= 0.0) {
+            asked.push(format!("{name} ({})", p.id));
+        } else {
+            writeln!(table, "| {name} | {} | {onboard} | {api} | {gcs} |", p.id).expect("a string grows");
+        }
     }
-    table
+    table + &format!("\nOn request only:\n{}.\n", asked.join(",\n"))
 }
 
 /// Those that act; the others describe the vehicle, and its metadata say what each does.
