@@ -15,8 +15,7 @@ fn streams() -> String {
     let mut asked = Vec::new();
     for p in produced {
         let message = MavMessage::default_message_from_id(p.id).expect("the dialect has it");
-        let [onboard, api, gcs] = p.rate_hz;
-        let name = message.message_name();
+        let ([onboard, api, gcs], name) = (p.rate_hz, message.message_name());
         if p.rate_hz.iter().all(|hz| *hz <= 0.0) {
             asked.push(format!("{name} ({})", p.id));
         } else {
@@ -26,14 +25,13 @@ fn streams() -> String {
     table + &format!("\nOn request only:\n{}.\n", asked.join(",\n"))
 }
 
-/// Those that act; the others describe the vehicle, and its metadata say what each does.
 fn parameters() -> String {
     let mut table = String::from("| Parameter | Default | Limits | Unit | |\n| --- | --- | --- | --- | --- |\n");
     for info in parameter_table().iter().filter(|info| info.role == ParameterRole::Acts) {
         let default = info.default.as_f32();
         let (name, unit, text) = (info.name, info.unit, info.description);
-        let (min, max) = (info.min, info.max);
-        writeln!(table, "| {name} | {default} | {min} to {max} | {unit} | {text} |").expect("a string grows");
+        let limits = format!("{} to {}", info.min, info.max);
+        writeln!(table, "| {name} | {default} | {limits} | {unit} | {text} |").expect("a string grows");
     }
     table
 }
