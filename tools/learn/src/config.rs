@@ -17,7 +17,7 @@ pub struct LearnConfig {
     pub threads: usize,
     /// Each training flight's course is of one of these, in turn by chance.
     pub families: Vec<Family>,
-    /// Decisions after which training ends.
+    /// Decisions after which training ends; rates and noise fall by them.
     pub decisions: u64,
     /// Decisions of noise that fill the replay memory before the first update (the paper: 5 000).
     pub warm_up: u64,
@@ -35,6 +35,8 @@ pub struct LearnConfig {
     pub drift_scale: f32,
     /// Most turning that does not happen, degrees per second.
     pub drift_yaw_deg_s: f32,
+    /// Share of the training flights whose vehicle is one drawn between the models of other autopilots.
+    pub drawn_vehicle_share: f64,
     /// Exploration.
     pub noise: NoiseConfig,
     /// Share of the training flights in which the potential field is added to the action (the paper: 1).
@@ -185,6 +187,7 @@ impl Default for LearnConfig {
             drift_share: 0.25,
             drift_scale: 0.02,
             drift_yaw_deg_s: 0.5,
+            drawn_vehicle_share: 0.25,
             noise: NoiseConfig::default(),
             apf_share: 0.25,
             reward: RewardConfig::default(),
@@ -349,7 +352,7 @@ impl LearnConfig {
         let (l, e, n) = (&self.learning, &self.evaluation, &self.noise);
         let least = (self.environments * (l.n_steps + 40)) as f64;
         const NO_END: f64 = f64::INFINITY;
-        let rows: [(&'static str, f64, RangeInclusive<f64>); 26] = [
+        let rows: [(&'static str, f64, RangeInclusive<f64>); 27] = [
             ("families", self.families.len() as f64, 1.0..=NO_END),
             ("threads", self.threads as f64, 1.0..=256.0),
             ("environments", self.environments as f64, 1.0..=256.0),
@@ -361,6 +364,7 @@ impl LearnConfig {
             ("drift_share", self.drift_share, 0.0..=1.0),
             ("drift_scale", self.drift_scale.into(), 0.0..=0.5),
             ("drift_yaw_deg_s", self.drift_yaw_deg_s.into(), 0.0..=10.0),
+            ("drawn_vehicle_share", self.drawn_vehicle_share, 0.0..=1.0),
             ("apf_share", self.apf_share, 0.0..=1.0),
             ("noise.theta", n.theta.into(), 0.001..=1.0),
             ("noise.sigma_first", n.sigma_first.into(), 0.0..=10.0),

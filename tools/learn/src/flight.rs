@@ -4,7 +4,7 @@ use vigil_guidance::{GuidanceConfig, guided_setpoint};
 use vigil_policy::{PilotInput, RangeScan, apf};
 use vigil_sim::environment::Environment;
 use vigil_types::{Action, DepthFrame, GoalRelative};
-use vigil_vehicle::{ParamsError, Truth, Wind};
+use vigil_vehicle::{ParamsError, Truth, VehicleParams, Wind};
 use vigil_world::{Course, LidarConfig, Outcome};
 
 /// One flight over one course, stepped at 20 Hz by actions.
@@ -23,6 +23,19 @@ impl Flight {
         Self::with_lidar(course, wind, LidarConfig::default(), seed)
     }
 
+    /// The same with another vehicle.
+    ///
+    /// # Errors
+    /// A vehicle out of its range.
+    pub fn with_vehicle(course: &Course, vehicle: VehicleParams, seed: u64) -> Result<Self, ParamsError> {
+        Ok(Self::around(Environment::with_vehicle(
+            course,
+            vehicle,
+            Wind::default(),
+            seed,
+        )?))
+    }
+
     /// The same with another LiDAR.
     ///
     /// # Errors
@@ -31,11 +44,15 @@ impl Flight {
     /// # Panics
     /// A LiDAR out of its range.
     pub fn with_lidar(course: &Course, wind: Wind, lidar: LidarConfig, seed: u64) -> Result<Self, ParamsError> {
-        Ok(Self {
-            environment: Environment::with_lidar(course, wind, lidar, seed)?,
+        Ok(Self::around(Environment::with_lidar(course, wind, lidar, seed)?))
+    }
+
+    fn around(environment: Environment) -> Self {
+        Self {
+            environment,
             guidance: GuidanceConfig::default(),
             surroundings: Box::new(RangeScan::new()),
-        })
+        }
     }
 
     /// Takes the next frame, where the vehicle is now.

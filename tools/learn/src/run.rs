@@ -287,8 +287,24 @@ impl<'a> Run<'a> {
         };
         let same = state.format == FORMAT
             && toml::from_str(&state.config).is_ok_and(|saved: LearnConfig| {
-                let threads = self.config.threads;
-                LearnConfig { threads, ..saved } == *self.config
+                let LearnConfig {
+                    threads,
+                    families,
+                    decisions,
+                    drawn_vehicle_share,
+                    evaluation,
+                    ..
+                } = self.config.clone();
+                // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
+                let saved = LearnConfig {
+                    threads,
+                    families,
+                    decisions,
+                    drawn_vehicle_share,
+                    evaluation,
+                    ..saved
+                };
+                saved == *self.config
             });
         let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
         if !same || counts.iter().any(|n| *n != counts[0]) || state.adam_steps.len() != 3 {

@@ -65,7 +65,7 @@ pub enum CheckpointError {
     },
     /// The run had another configuration.
     #[error(
-        "checkpoint {path} is of a run with another configuration; resume with the same one, or train in another folder"
+        "checkpoint {path} is of a run with another configuration: only `threads`, `families`, `decisions`, `drawn_vehicle_share` and `evaluation` may change; resume with the same one, or train in another folder"
     )]
     Configuration {
         /// The file.

@@ -16,7 +16,7 @@ use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
-use vigil_vehicle::{ParamsError, Wind};
+use vigil_vehicle::{ParamsError, VehicleParams};
 use vigil_world::{Family, Outcome, generate};
 
 /// Seeds of the training courses begin here; those that evaluate an actor are below 10 000 or above 7 000 000 000.
@@ -47,17 +47,18 @@ impl ObservedFlight {
     /// Hovers at the start of a course, the first frame taken.
     ///
     /// # Errors
-    /// None with the default vehicle.
+    /// A vehicle out of its range.
     pub fn new(
         encoder: Arc<Encoder>,
         (family, seed): (Family, u64),
+        vehicle: VehicleParams,
         time_limit_s: f32,
         drift: Drift,
     ) -> Result<Self, FlyError> {
         let mut course = generate(family, seed);
         course.time_limit_s = time_limit_s;
         let mut flight = Self {
-            flight: Flight::new(&course, Wind::default(), seed)?,
+            flight: Flight::with_vehicle(&course, vehicle, seed)?,
             observer: Observer::new(&encoder, drift),
             encoder,
             last: Action::HOVER,
@@ -95,6 +96,9 @@ struct Episode {
     seed: u64,
     family: Family,
     drift: Drift,
+    /// The vehicle is one drawn by the course's seed.
+    #[serde(default)]
+    drawn_vehicle: bool,
     /// The actions flown, one for each decision: they make the flight again, bit for bit.
     actions: Vec<[f32; 2]>,
     report: FlightReport,
@@ -141,8 +145,12 @@ impl Current {
     fn begin(config: &LearnConfig, encoder: Arc<Encoder>, episode: Episode) -> Result<Self, FlyError> {
         let course = generate(episode.family, episode.seed);
         let at = (episode.family, episode.seed);
+        let vehicle = match episode.drawn_vehicle {
+            true => VehicleParams::drawn(episode.seed),
+            false => VehicleParams::default(),
+        };
         let mut current = Self {
-            flight: ObservedFlight::new(encoder, at, config.time_limit_s, episode.drift)?,
+            flight: ObservedFlight::new(encoder, at, vehicle, config.time_limit_s, episode.drift)?,
             goal: course.goal_ned_m(),
             course: TrueCourse::new(&course),
             to_go_m: 0.0,
@@ -272,6 +280,8 @@ impl EnvWorker {
                 } else {
                     Drift::default()
                 },
+                // No number is drawn at 0, so that runs of before are trained again bit for bit.
+                drawn_vehicle: config.drawn_vehicle_share > 0.0 && rng.random_bool(config.drawn_vehicle_share),
                 actions: Vec::new(),
                 report: FlightReport {
                     family,

@@ -17,6 +17,7 @@ fn small() -> LearnConfig {
         time_limit_s: 6.0,
         apf_share: 0.5,
         drift_share: 0.5,
+        drawn_vehicle_share: 0.5,
         ..LearnConfig::default()
     };
     config.learning.batch = 4;
@@ -97,6 +98,15 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
         assert_eq!(lines(&whole), lines(&parts), "{file}");
     }
 
+    // It goes on for longer, over other courses.
+    let longer = LearnConfig {
+        decisions: 1_280,
+        families: vec![Family::Hard],
+        ..small()
+    };
+    let end = learn(&longer, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
+    assert!(complete(end.unwrap()) != expected);
+
     // Another configuration cannot go on with it, and no run begins where one is.
     let other = LearnConfig { seed: 2, ..small() };
     let refused = learn(&other, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
@@ -108,6 +118,6 @@ fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(&checkpoint, &bytes).unwrap();
-    let refused = learn(&small(), &options(&parts, true), &AtomicBool::new(false), &mut |_| {}).unwrap_err();
+    let refused = learn(&longer, &options(&parts, true), &AtomicBool::new(false), &mut |_| {}).unwrap_err();
     assert!(refused.to_string().contains("was altered"), "{refused}");
 }
