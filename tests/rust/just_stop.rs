@@ -108,6 +108,18 @@ fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
 }
 
 fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
+    fly_as(vehicle, course, seed, speed_m_s, duty, |_| mission::start())
+}
+
+/// The same as a ground station's `command` has it.
+fn fly_as(
+    vehicle: VehicleParams,
+    course: Course,
+    seed: u64,
+    speed_m_s: f32,
+    duty: Duty,
+    command: fn(&SimConfig) -> Vec<u8>,
+) -> Flown {
     let columns = course.columns.clone();
     let mut simulation = SimConfig::new(course, seed);
     simulation.start = Start::Airborne;
@@ -127,7 +139,7 @@ fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, d
     let mut stop: Option<Stop> = None;
     for step in 0..2400 {
         if step == 40 {
-            pair.simulator.receive(0, &mission::start());
+            pair.simulator.receive(0, &command(&simulation));
         }
         pair.simulate();
         // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode: so is one without an origin.
@@ -198,6 +210,30 @@ fn a_mission_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
         assert_eq!(end, End::Stopped, "course {seed}, nearest {nearest_m} m");
         assert_eq!(
             fly(emptied(course), seed, 3.0, Duty::JustStop).0,
+            End::Arrived,
+            "course {seed}"
+        );
+    }
+}
+
+/// DO_REPOSITION leaves the vehicle in hold, which is not standing still.
+#[test]
+fn a_go_to_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
+    let go_to = |course: Course, seed: u64, duty| {
+        let flown = fly_as(VehicleParams::default(), course, seed, 3.0, duty, mission::go_to);
+        (flown.end, flown.nearest_m)
+    };
+    let blocked: Vec<u64> = (1..20)
+        .filter(|seed| go_to(generate(Family::Training, *seed), *seed, Duty::Fly).0 == End::Collision)
+        .take(3)
+        .collect();
+    assert_eq!(blocked.len(), 3, "{blocked:?}");
+    for seed in blocked {
+        let course = generate(Family::Training, seed);
+        let (end, nearest_m) = go_to(course.clone(), seed, Duty::JustStop);
+        assert_eq!(end, End::Stopped, "course {seed}, nearest {nearest_m} m");
+        assert_eq!(
+            go_to(emptied(course), seed, Duty::JustStop).0,
             End::Arrived,
             "course {seed}"
         );

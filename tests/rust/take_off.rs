@@ -2,10 +2,13 @@
 
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
-use vigil_sim::SimConfig;
-use vigil_tests::fly_watched;
-use vigil_types::{AlarmResponse, GuidanceState, PilotKind, StepReport};
-use vigil_world::{Course, Outcome};
+use vigil_mavlink::MavMessage;
+use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_sim::{SimConfig, Start};
+use vigil_tests::ground::{Request, STATION, packet};
+use vigil_tests::{Pair, fly_watched};
+use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reason, StepReport};
+use vigil_world::{Course, Family, Outcome, generate};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
 const FIELD: &str = r#"
@@ -93,4 +96,117 @@ fn no_pilot_is_asked_and_nothing_is_judged_before_the_vehicle_is_handed_over() {
             .all(|r| r.action.is_none() && r.judgement.is_none())
     );
     assert!(reports[begun..].iter().all(|r| r.action.is_some()));
+}
+
+/// How a flight of 50 s to the course's goal at 2 m ends that begins with a hover at `height_m`: its outcome, how far from the goal
+/// it ends, and the greatest height at which it flew ahead.
+fn from_a_hover(seed: u64, height_m: f32, kind: PilotKind) -> (Option<Outcome>, f32, f32) {
+    let mut simulation = SimConfig::new(generate(Family::Validation, seed), seed);
+    simulation.start = Start::Airborne;
+    // A hover at 6 m is above the ceilings that some courses have.
+    (simulation.course.bounds.top_m, simulation.course.ceiling_height_m) = (20.0, None);
+    simulation.course.time_limit_s = 50.0;
+    // The course's own goal is as high as the hover: its judgement of arrivals does not count here.
+    simulation.course.flight_height_m = height_m;
+    let above = simulation.course.goal_ned_m();
+    let goal = NedVector::new(above.x, above.y, -2.0);
+    let (outcome, reports) = fly_watched(&simulation, |config| {
+        *config = FirmwareConfig::to_goal(goal);
+        config.pilot.kind = kind;
+    });
+    let mut highest_ahead_m = 0.0_f32;
+    for report in &reports {
+        if let (Some(k), Some(setpoint)) = (report.telemetry.kinematics, report.setpoint)
+            && setpoint.velocity_m_s.x.abs() > 0.1
+        {
+            highest_ahead_m = highest_ahead_m.max(-k.position_ned_m.z);
+        }
+    }
+    let last = reports.last().and_then(|report| report.telemetry.kinematics);
+    let left_m = last.map_or(f32::INFINITY, |k| (k.position_ned_m - goal).norm());
+    // The course ends flights by its own goal, as high as the hover; here they end by time.
+    (outcome, left_m, highest_ahead_m)
+}
+
+/// Hovering above what stands there, a pilot sees nothing at its own height. On its way down it would fly into it from above.
+#[test]
+fn a_goal_far_below_or_above_is_flown_to_at_its_own_height() {
+    for seed in [1, 2, 3] {
+        for kind in [PilotKind::Actor, PilotKind::Geometric] {
+            let (outcome, left_m, highest_ahead_m) = from_a_hover(seed, 6.0, kind);
+            assert!(highest_ahead_m < 3.1, "{seed} {kind:?}: ahead at {highest_ahead_m} m");
+            if std::env::var_os("DBG").is_some() {
+                continue;
+            }
+            assert!(
+                outcome == Some(Outcome::TimeOut) && left_m < 1.0,
+                "{seed} {kind:?}: {outcome:?} {left_m} m before the goal"
+            );
+        }
+    }
+    let (outcome, left_m, _) = from_a_hover(4, 0.7, PilotKind::Actor);
+    assert!(
+        outcome == Some(Outcome::TimeOut) && left_m < 1.0,
+        "{outcome:?} {left_m} m before the goal"
+    );
+}
+
+/// A script arms and takes off to `height_m` itself, and engages guidance once it hovers; how long guidance flew and held in the 25 s
+/// thereafter, steps, and for what.
+fn handed_over(seed: u64, height_m: f32) -> (usize, usize, Vec<Reason>) {
+    let simulation = SimConfig::new(generate(Family::Validation, seed), seed);
+    let config = FirmwareConfig {
+        engage: EngagePolicy::Command,
+        ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
+    };
+    let mut pair = Pair::of(&simulation, &config);
+    let command = |command, param1, param7| {
+        MavMessage::COMMAND_LONG(COMMAND_LONG_DATA {
+            param1,
+            param7,
+            command,
+            target_system: 1,
+            target_component: 1,
+            ..COMMAND_LONG_DATA::DEFAULT
+        })
+    };
+    let above_sea_m = simulation.endpoint.home.altitude_m as f32 + height_m;
+    let arm = packet(STATION, 0, &command(MavCmd::MAV_CMD_COMPONENT_ARM_DISARM, 1.0, 0.0));
+    let take_off = packet(STATION, 1, &command(MavCmd::MAV_CMD_NAV_TAKEOFF, 0.0, above_sea_m));
+    let engage = packet(STATION, 2, &Request::Engage.message(1));
+    let (mut guided, mut held, mut reasons) = (0, 0, Vec::new());
+    for step in 0..800 {
+        match step {
+            60 => pair.simulator.receive(0, &arm),
+            64 => pair.simulator.receive(0, &take_off),
+            _ => {}
+        }
+        pair.simulate();
+        if step == 300 {
+            assert!(pair.to_firmware.push(0, &engage));
+        }
+        let report = pair.decide(true);
+        if step >= 300 && pair.simulator.ending().is_none() {
+            guided += usize::from(report.state == GuidanceState::Guided);
+            if report.state == GuidanceState::Hold && !report.reasons.contains(Reason::GoalReached) {
+                held += 1;
+                reasons.extend(
+                    report
+                        .reasons
+                        .iter()
+                        .filter(|reason| !reasons.contains(reason))
+                        .collect::<Vec<_>>(),
+                );
+            }
+        }
+    }
+    (guided, held, reasons)
+}
+
+#[test]
+fn a_script_takes_off_by_itself_and_hands_over() {
+    for seed in [7, 8] {
+        let (guided, held, reasons) = handed_over(seed, 2.0);
+        assert!(guided > 200, "{seed}: guided {guided}, held {held} {reasons:?}");
+    }
 }

@@ -1,7 +1,7 @@
 //! A mission of the vehicle's own, for flights that Vigil only guards.
 
 use vigil_autopilot::Saved;
-use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_mavlink::common::{COMMAND_INT_DATA, COMMAND_LONG_DATA, MavCmd, MavFrame};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_mavlink::{MavHeader, MavMessage, globe};
 use vigil_sim::SimConfig;
@@ -34,6 +34,35 @@ pub fn start() -> Vec<u8> {
         target_system: 1,
         target_component: 1,
         ..COMMAND_LONG_DATA::DEFAULT
+    });
+    let header = MavHeader {
+        system_id: 255,
+        component_id: 190,
+        sequence: 0,
+    };
+    bytes_of(header, &message)
+}
+
+/// A command of a ground station: go to the course's goal, which leaves the vehicle in hold.
+///
+/// # Panics
+/// Never with a course whose goal is on the globe.
+pub fn go_to(config: &SimConfig) -> Vec<u8> {
+    let goal = config.course.goal_ned_m();
+    let home = config.endpoint.home;
+    let (latitude, longitude) = globe::to_global((home.latitude_deg, home.longitude_deg), goal.x, goal.y);
+    let message = MavMessage::COMMAND_INT(COMMAND_INT_DATA {
+        command: MavCmd::MAV_CMD_DO_REPOSITION,
+        frame: MavFrame::MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        param1: -1.0,
+        param2: 1.0,
+        param4: f32::NAN,
+        x: (latitude * 1e7).round() as i32,
+        y: (longitude * 1e7).round() as i32,
+        z: -goal.z,
+        target_system: 1,
+        target_component: 1,
+        ..COMMAND_INT_DATA::DEFAULT
     });
     let header = MavHeader {
         system_id: 255,
