@@ -3,7 +3,7 @@
 use clap::Parser;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::prelude::*;
 
 /// Fly a vehicle by its depth frames: the fixed-rate loop between shared-memory frames and MAVLink.
 #[derive(Parser)]
@@ -15,14 +15,15 @@ struct Cli {
 
 fn main() -> ExitCode {
     let cli: Cli = vigil_firmware::removed::parse();
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let diagnostics = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
-        .log_internal_errors(false)
+        .log_internal_errors(false);
+    tracing_subscriber::registry()
+        .with(diagnostics)
+        .with(vigil_firmware::program::diagnostics("info"))
         .init();
     match vigil_firmware::program::run(cli.args) {
         Ok(code) => code,

@@ -14,6 +14,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
+use tracing_subscriber::filter::Targets;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain};
 use vigil_log::{Recorder, RecorderConfig, WhenFull};
 use vigil_types::parameters;
@@ -181,6 +182,13 @@ impl FirmwareArgs {
         config.log.scene = self.scene.clone().or(config.log.scene);
         Ok(config)
     }
+}
+
+/// Which diagnostics are shown: `RUST_LOG` (a level, or `target=level` with commas between), or else `default`, a level.
+pub fn diagnostics(default: &str) -> Targets {
+    let wanted = std::env::var("RUST_LOG").ok().filter(|wanted| !wanted.is_empty());
+    let parsed = wanted.and_then(|wanted| wanted.parse().ok());
+    parsed.unwrap_or_else(|| default.parse().unwrap_or_default())
 }
 
 /// An error and its causes in one line, each thing told once: a message that holds its cause tells it already, and so does a

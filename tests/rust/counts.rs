@@ -21,12 +21,12 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// Files below a folder with one of these endings, without what is built or hidden.
+/// Files below a folder with one of these endings, without what is built, generated or hidden.
 fn files(folder: &Path, endings: &[&str], found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if path.is_dir() && !["target", "runs"].contains(&&*name) && !name.starts_with('.') {
+        if path.is_dir() && !["target", "runs", "generated"].contains(&&*name) && !name.starts_with('.') {
             files(&path, endings, found);
         } else if endings.iter().any(|ending| name.ends_with(ending)) {
             found.push(path);

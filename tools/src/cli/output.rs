@@ -10,7 +10,7 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::prelude::*;
 
 /// The command could not do its work (bad arguments, missing file, port in use, full disk).
 pub const EXIT_ERROR: u8 = 1;
@@ -285,14 +285,15 @@ pub fn or_dash(value: f64, decimals: usize, unit: &str) -> String {
 /// Starts diagnostics on standard error; `RUST_LOG` overrides `verbosity`.
 pub fn start_tracing(verbosity: u8) {
     let default = ["warn", "info", "debug"][usize::from(verbosity.min(2))];
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
+    let diagnostics = tracing_subscriber::fmt::layer()
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         // Told on standard error, which is what could not be written.
-        .log_internal_errors(false)
+        .log_internal_errors(false);
+    tracing_subscriber::registry()
+        .with(diagnostics)
+        .with(vigil_firmware::program::diagnostics(default))
         .init();
 }
 
