@@ -448,7 +448,7 @@ impl FirmwareConfig {
     /// # Errors
     /// [`ConfigError`]: an unknown key or a bad value with file, line and field.
     pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
+        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;

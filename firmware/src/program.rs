@@ -217,7 +217,7 @@ pub fn told(error: &anyhow::Error) -> String {
 /// Whatever keeps the flight from beginning, each telling what to do; in lockstep also a simulator that fell silent.
 pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
     if args.print_config {
-        vigil_files::print_line(reference::configuration().trim_end())?;
+        vigil_types::files::print_line(reference::configuration().trim_end())?;
         return Ok(ExitCode::SUCCESS);
     }
     let config = args.resolve()?;
@@ -235,7 +235,7 @@ pub fn run(args: FirmwareArgs) -> Result<ExitCode> {
             announce(&format!("{}\nscheduling {granted}", Start(&config)));
             announce("end        Ctrl-C or SIGTERM: it brakes, has the vehicle hold by itself and closes the log");
         })?;
-        vigil_files::print_line(&summary.to_string())?;
+        vigil_types::files::print_line(&summary.to_string())?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -272,7 +272,7 @@ fn run_lockstep(config: &FirmwareConfig, timeout: Duration, stop: &AtomicBool) -
             .iter()
             .for_each(|failure| text += &format!("\nlog       {failure}"));
     }
-    Ok(vigil_files::print_line(&text)?)
+    Ok(vigil_types::files::print_line(&text)?)
 }
 
 /// Tells a person something at once.

@@ -132,7 +132,7 @@ pub enum ConfigError {
 }
 
 fn read(path: &Path) -> Result<String, ConfigError> {
-    vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
+    vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
         path: path.to_owned(),
         source,
     })

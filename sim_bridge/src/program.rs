@@ -340,7 +340,7 @@ fn run_lockstep(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Atom
         }
     };
     port.client.finish(record.steps)?;
-    vigil_files::print_line(&serde_json::to_string(&record)?)?;
+    vigil_types::files::print_line(&serde_json::to_string(&record)?)?;
     Ok(ExitCode::from(ending_code(simulator.ending().map(|e| e.outcome))))
 }
 

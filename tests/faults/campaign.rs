@@ -31,7 +31,7 @@ impl Folder {
     /// It cannot be written.
     pub fn write(&self, name: &str, content: &str) -> Result<PathBuf> {
         let path = self.0.join(name);
-        vigil_files::replace(&path, content.as_bytes(), vigil_files::Access::Shared)
+        vigil_types::files::replace(&path, content.as_bytes(), vigil_types::files::Access::Shared)
             .with_context(|| format!("cannot write {}", path.display()))?;
         Ok(path)
     }

@@ -7,7 +7,7 @@ top="$(cd "$here/../.." && pwd)"
 export top
 "$here/setup.sh"
 # All of it at once, as `tests/run` has built it: a part of it would be compiled anew with other features of the libraries.
-cargo build --quiet --release --manifest-path "$top/Cargo.toml" --workspace --lib --bins --locked
+cargo build --quiet --release --manifest-path "$top/Cargo.toml" --workspace --lib --bins --example sample_log --example vigil_depth --locked
 cd "$here"
 
 test_files() { "$top/target/venv-log/bin/python" -m pytest -p no:cacheprovider --ignore=package "$@"; }

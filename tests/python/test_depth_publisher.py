@@ -142,7 +142,7 @@ def stamped(library):
 
 
 def c_library(instance=INSTANCE - 1):
-    library = depth_bridge.DepthLibrary(str(Path(VIGIL).with_name("libvigil_depth.so")))
+    library = depth_bridge.DepthLibrary(str(Path(VIGIL).with_name("examples") / "libvigil_depth.so"))
     library.open(instance)
     return library
 
@@ -323,7 +323,7 @@ def test_the_ros_node_publishes_what_it_can_read_and_says_why_where_it_publishes
         (cloud_of(wall_of_points(scale=1000.0), fields_of(usual)), "divide by 1000"),
     ]
     published, said = [], []
-    parameters = {"library": str(Path(VIGIL).with_name("libvigil_depth.so")), "instance": INSTANCE, "restamp": True}
+    parameters = {"library": str(Path(VIGIL).with_name("examples") / "libvigil_depth.so"), "instance": INSTANCE, "restamp": True}
 
     class Node:
         def __init__(self, name):

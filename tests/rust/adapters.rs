@@ -1,9 +1,9 @@
 //! Depth frames from outside: a scanner's packets over UDP, a camera's raw stream and drivers in C and Rust, each by the program or the
 //! library that carries it, against the checking command; and a flight by a scanner's packets.
 
-#[path = "../../tools/adapters/tests/common/device.rs"]
+#[path = "../../tools/sensors/tests/common/device.rs"]
 mod device;
-#[path = "../../tools/projection/tests/common/rays.rs"]
+#[path = "../../tools/sensors/tests/common/rays.rs"]
 mod rays;
 
 use device::{COLUMN_NS, Device, PER_PACKET};
@@ -16,10 +16,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::JoinHandle;
-use vigil_adapters::{OusterAdapter, OusterDevice};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_io::clock::{monotonic_ns, sleep_until};
-use vigil_projection::Mount;
+use vigil_sensors::Mount;
+use vigil_sensors::adapters::{OusterAdapter, OusterDevice};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tests::{PATIENCE, run, said, vigil};
 use vigil_types::{Attitude, Datagrams, DepthFrame, FrdVector, NedVector, STEP_NS};
@@ -354,10 +354,10 @@ fn c_driver(folder: &Path) -> Option<PathBuf> {
         .ok()
         .filter(|out| out.status.success())?;
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let library = vigil().parent().expect("a folder").to_owned();
+    let library = vigil().with_file_name("examples");
     assert!(
         library.join("libvigil_depth.so").is_file(),
-        "run `cargo build --release -p vigil-depth`"
+        "run `cargo build --release -p vigil-sensors --example vigil_depth`"
     );
     let program = folder.join("publish_wall");
     let sources = root.join("tools/publishers/c");

@@ -11,7 +11,7 @@ if ! cmp -s "$requirements" "$venv/installed.txt"; then
     "$venv/bin/pip" install --quiet --disable-pip-version-check -r "$requirements"
     cp "$requirements" "$venv/installed.txt"
 fi
-cargo build --release --locked --manifest-path "$repository/Cargo.toml" -p vigil-peers
-# Outside the workspace: its 115 crates take minutes, and nothing else needs them.
+# Both outside the workspace: nothing else needs them, and the crates of tract alone, 115, take minutes.
+cargo build --release --locked --manifest-path "$repository/tools/peers/Cargo.toml" --target-dir "$repository/target"
 cargo build --release --locked --manifest-path "$repository/tools/peers/tract/Cargo.toml" --target-dir "$repository/target/tract"
 exec "$venv/bin/python" "$repository/tools/peers/compare.py" --tract "$repository/target/tract/release/vigil-peers-tract" "$@"

@@ -5,6 +5,7 @@ mod attack_campaigns;
 mod campaign;
 pub mod cli;
 pub mod detector_training;
+pub mod doctor;
 pub mod flight_derived;
 pub mod flight_film;
 pub mod flight_report;

@@ -26,7 +26,7 @@ const MIDDLE: usize = 4;
 /// How far a wall may be from where it is: the LiDAR model's noise is 2 cm.
 const WALL_TOLERANCE_M: f32 = 0.1;
 
-pub use vigil_doctor::Severity;
+pub use crate::doctor::Severity;
 
 /// One line of the report.
 #[derive(Debug, Clone, PartialEq, Serialize)]

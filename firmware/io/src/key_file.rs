@@ -81,7 +81,7 @@ pub fn read_secret(path: &Path, what: &'static str) -> Result<[u8; 32], KeyFileE
         path: path.to_owned(),
         source,
     };
-    let mut file = vigil_files::open(path).map_err(read)?;
+    let mut file = vigil_types::files::open(path).map_err(read)?;
     // Of the open file, so that nobody can exchange it in between.
     let metadata = file.metadata().map_err(read)?;
     let mode = metadata.permissions().mode() & 0o7777;
@@ -100,7 +100,7 @@ pub fn read_secret(path: &Path, what: &'static str) -> Result<[u8; 32], KeyFileE
             owner,
         });
     }
-    let bytes = vigil_files::read_from(&mut file, SIZE_LIMIT).map_err(read)?;
+    let bytes = vigil_types::files::read_from(&mut file, SIZE_LIMIT).map_err(read)?;
     let secret = secret_of(&bytes).ok_or_else(|| KeyFileError::Content {
         what,
         path: path.to_owned(),

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
-use vigil_files::Access;
+use vigil_types::files::Access;
 
 /// Parameters and plans take some kilobytes.
 const SIZE_LIMIT: u64 = 16 << 20;
@@ -60,7 +60,7 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
     /// # Errors
     /// [`StateError`]: the file cannot be read, is damaged or holds wrong types; the message names file, line and field.
     pub fn load(&self) -> Result<T, StateError> {
-        match vigil_files::read_text(&self.path, SIZE_LIMIT) {
+        match vigil_types::files::read_text(&self.path, SIZE_LIMIT) {
             Ok(text) => toml::from_str(&text).map_err(|e| self.refused(e.to_string().trim_end())),
             Err(e) if e.kind() == std::io::ErrorKind::InvalidData => Err(self.refused(&e.to_string())),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
@@ -81,7 +81,7 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
 
     /// The error that names the file and the line on which `key` is set; without the line where there is none.
     pub fn refused_at(&self, key: &str, message: &str) -> StateError {
-        let text = vigil_files::read_text(&self.path, SIZE_LIMIT).unwrap_or_default();
+        let text = vigil_types::files::read_text(&self.path, SIZE_LIMIT).unwrap_or_default();
         let sets = |line: &str| {
             let name = line.split_once('=').map(|(name, _)| name.trim().trim_matches('"'));
             name == Some(key)
@@ -116,7 +116,7 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
         if let Some(folder) = self.path.parent() {
             std::fs::create_dir_all(folder)?;
         }
-        vigil_files::replace(&self.path, text.as_bytes(), Access::Shared)
+        vigil_types::files::replace(&self.path, text.as_bytes(), Access::Shared)
     }
 }
 

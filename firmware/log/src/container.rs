@@ -72,7 +72,7 @@ pub(crate) struct Container {
 impl Container {
     pub(crate) fn open(path: &Path) -> io::Result<Self> {
         Ok(Self {
-            file: BufReader::new(vigil_files::open(path)?),
+            file: BufReader::new(vigil_types::files::open(path)?),
             reader: linear_reader(LinearReaderOptions::default()),
         })
     }

@@ -252,7 +252,7 @@ impl Reader {
             Ok(Next::Cut) => return Err(ReadError::Empty { path }),
             Err(Damage::Container(McapError::BadMagic)) => {
                 let mut first = [0; 16];
-                let _ = vigil_files::open(&path).and_then(|mut file| io::Read::read(&mut file, &mut first));
+                let _ = vigil_types::files::open(&path).and_then(|mut file| io::Read::read(&mut file, &mut first));
                 let known = FOREIGN.iter().find(|(mark, _)| first.starts_with(mark));
                 let looks_like = known.map(|(_, kind)| *kind);
                 return Err(ReadError::NotMcap { path, looks_like });

@@ -85,7 +85,7 @@ pub(crate) fn pieces(
 
 /// What is whole goes to `take`; what is not is described.
 fn walk(path: &Path, take: &mut dyn FnMut(Record<'static>) -> Result<(), McapError>) -> Result<Description, McapError> {
-    let file = vigil_files::open(path)?;
+    let file = vigil_types::files::open(path)?;
     let size = file.metadata()?.len();
     let mut walked = Description::default();
     // Packed messages may lie in a damaged chunk as they are, or nearly: only a file without chunks has them by their form.

@@ -96,7 +96,7 @@ impl Scene {
     /// # Errors
     /// [`SceneError`] when the file is missing, unreadable or not a scene.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
-        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| SceneError::Io {
+        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| SceneError::Io {
             path: path.to_owned(),
             source,
         })?;
@@ -127,12 +127,12 @@ impl Scene {
             path: path.to_owned(),
             source,
         })?;
-        vigil_files::replace(path, (text + "\n").as_bytes(), vigil_files::Access::Shared).map_err(|source| {
-            SceneError::Io {
+        vigil_types::files::replace(path, (text + "\n").as_bytes(), vigil_types::files::Access::Shared).map_err(
+            |source| SceneError::Io {
                 path: path.to_owned(),
                 source,
-            }
-        })
+            },
+        )
     }
 
     /// The solids as one entity of a 3D view, in the z-up `map` frame.

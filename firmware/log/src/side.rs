@@ -16,7 +16,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
-use vigil_files::Access;
+use vigil_types::files::Access;
 use vigil_types::{Attitude, DepthFrame, Nanos, NedVector};
 
 /// Why a side log cannot be written, or not be put into the log.
@@ -244,7 +244,7 @@ fn replace_merged(
     without: &'static [&'static str],
     epoch_offset_ns: u64,
 ) -> Result<(), SideError> {
-    let merged = vigil_files::replace_with(log, Access::Shared, |file| {
+    let merged = vigil_types::files::replace_with(log, Access::Shared, |file| {
         merge(log, sides, about, without, epoch_offset_ns, file).map_err(io::Error::other)
     });
     merged.map_err(|source| match source.downcast::<SideError>() {

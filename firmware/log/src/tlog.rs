@@ -57,7 +57,7 @@ impl<W: Write> Tlog<W> {
 
 /// The newest stamp of a tlog as nanoseconds since the UNIX epoch, as far as the file is whole; `None` where there is none.
 pub(crate) fn last_stamp_ns(path: &Path) -> Option<u64> {
-    let mut file = BufReader::new(vigil_files::open(path).ok()?);
+    let mut file = BufReader::new(vigil_types::files::open(path).ok()?);
     let mut last = None;
     loop {
         let mut entry = [0; 11];

@@ -12,7 +12,7 @@ use core::str::FromStr;
 use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 #[cfg(feature = "std")]
-use {safetensors::tensor::TensorView, std::collections::HashMap, std::path::Path, vigil_files::Access};
+use {safetensors::tensor::TensorView, std::collections::HashMap, std::path::Path, vigil_types::files::Access};
 
 const DIGEST: &str = "sha256";
 /// The networks that fly have 0.2 to 2 MB.
@@ -157,16 +157,16 @@ impl Kind {
     /// [`FileError::Access`].
     #[cfg(feature = "std")]
     pub fn load(&self, path: &Path) -> Result<Vec<u8>, FileError> {
-        vigil_files::read(path, SIZE_LIMIT).map_err(|source| self.access_error(path, source))
+        vigil_types::files::read(path, SIZE_LIMIT).map_err(|source| self.access_error(path, source))
     }
 
-    /// Replaces a file ([`vigil_files::replace`]).
+    /// Replaces a file ([`vigil_types::files::replace`]).
     ///
     /// # Errors
     /// [`FileError::Access`].
     #[cfg(feature = "std")]
     pub fn save(&self, path: &Path, bytes: &[u8]) -> Result<(), FileError> {
-        vigil_files::replace(path, bytes, Access::Shared).map_err(|source| self.access_error(path, source))
+        vigil_types::files::replace(path, bytes, Access::Shared).map_err(|source| self.access_error(path, source))
     }
 
     #[cfg(feature = "std")]

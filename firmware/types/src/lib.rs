@@ -1,6 +1,6 @@
 //! Data that flows through the loop, in one direction: depth frame → pilot → guidance → setpoint → link.
 //!
-//! Everything here is plain data: `no_std`, no allocation, no clock. Field names carry their unit; vectors carry their
+//! Everything here but `files`, a feature, is plain data: `no_std`, no allocation, no clock. Field names carry their unit; vectors carry their
 //! frame as a type, so that NED, FRD and heading-frame values cannot be mixed.
 //!
 //! ```
@@ -21,9 +21,15 @@
 #![forbid(unsafe_code)]
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing))]
 
+#[cfg(feature = "files")]
+#[macro_use]
+extern crate std;
+
 mod action;
 mod choice;
 mod depth;
+#[cfg(feature = "files")]
+pub mod files;
 mod frame_key;
 mod guidance;
 mod judgement;

@@ -172,6 +172,6 @@ pub fn run(args: &AdversaryArgs) -> Result<ExitCode> {
         latency_p99_ms: ms(latency_us.value_at_quantile(0.99)),
         latency_max_ms: ms(latency_us.max()),
     };
-    vigil_files::print_line(&serde_json::to_string(&summary)?)?;
+    vigil_types::files::print_line(&serde_json::to_string(&summary)?)?;
     Ok(ExitCode::SUCCESS)
 }

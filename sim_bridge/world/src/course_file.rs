@@ -74,7 +74,7 @@ impl Course {
     /// # Errors
     /// [`CourseError::Read`] or [`CourseError::Invalid`].
     pub fn load(path: &Path) -> Result<Self, CourseError> {
-        let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| CourseError::Read {
+        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| CourseError::Read {
             path: path.to_owned(),
             source,
         })?;
@@ -95,9 +95,11 @@ impl Course {
     /// [`CourseError::Unwritable`] or [`CourseError::Write`].
     pub fn save(&self, path: &Path) -> Result<(), CourseError> {
         let text = self.to_toml_string()?;
-        vigil_files::replace(path, text.as_bytes(), vigil_files::Access::Shared).map_err(|source| CourseError::Write {
-            path: path.to_owned(),
-            source,
+        vigil_types::files::replace(path, text.as_bytes(), vigil_types::files::Access::Shared).map_err(|source| {
+            CourseError::Write {
+                path: path.to_owned(),
+                source,
+            }
         })
     }
 }

@@ -312,7 +312,7 @@ pub enum ConfigError {
 const SIZE_LIMIT: u64 = 1 << 20;
 
 fn load<C: DeserializeOwned>(path: &Path) -> Result<C, ConfigError> {
-    let text = vigil_files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
+    let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
         path: path.to_owned(),
         source,
     })?;

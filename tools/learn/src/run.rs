@@ -19,9 +19,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
-use vigil_files::Access;
 use vigil_nnet::{Isa, ShapeError};
 use vigil_types::Ablation;
+use vigil_types::files::Access;
 use vigil_world::{Family, Outcome};
 
 /// Updates that a row of the curve sums up.
@@ -220,7 +220,7 @@ struct Run<'a> {
 }
 
 fn write(path: &Path, content: &[u8]) -> Result<(), LearnError> {
-    vigil_files::replace(path, content, Access::Shared).map_err(|source| LearnError::Write {
+    vigil_types::files::replace(path, content, Access::Shared).map_err(|source| LearnError::Write {
         path: path.to_owned(),
         source,
     })

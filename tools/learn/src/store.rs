@@ -124,9 +124,11 @@ pub fn save<S: Serialize>(path: &Path, state: &S, tensors: &[(String, Values<'_>
             safetensors::serialize(views, Some(seal.into()))
         })
         .map_err(|e| container(e.to_string()))?;
-    vigil_files::replace(path, &file, vigil_files::Access::Shared).map_err(|source| CheckpointError::Write {
-        path: path.to_owned(),
-        source,
+    vigil_types::files::replace(path, &file, vigil_types::files::Access::Shared).map_err(|source| {
+        CheckpointError::Write {
+            path: path.to_owned(),
+            source,
+        }
     })
 }
 
@@ -143,7 +145,7 @@ impl Stored {
     /// [`CheckpointError::Read`], truncated or altered.
     pub fn read(path: &Path) -> Result<Self, CheckpointError> {
         let path = path.to_owned();
-        let bytes = match vigil_files::read(&path, SIZE_LIMIT) {
+        let bytes = match vigil_types::files::read(&path, SIZE_LIMIT) {
             Ok(bytes) => bytes,
             Err(source) => return Err(CheckpointError::Read { path, source }),
         };

@@ -38,7 +38,7 @@ impl Record {
             .map(|(name, shape, dtype, bytes)| Ok((name, TensorView::new(*dtype, shape.clone(), bytes)?)))
             .collect::<Result<Vec<_>>>()?;
         let bytes = safetensors::serialize(views, Some(self.metadata))?;
-        vigil_files::replace(path, &bytes, vigil_files::Access::Shared)
+        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared)
             .with_context(|| format!("cannot write {}", path.display()))
     }
 }

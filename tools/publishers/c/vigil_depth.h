@@ -1,7 +1,7 @@
 /* Publishes depth frames to Vigil: docs/sensor-interface.md is the interface.
  *
- *     cargo build --release -p vigil-depth
- *     cc publish_wall.c -I tools/publishers/c -L target/release -lvigil_depth
+ *     cargo build --release -p vigil-sensors --example vigil_depth
+ *     cc publish_wall.c -I tools/publishers/c -L target/release/examples -lvigil_depth
  *
  * A publisher belongs to the thread that opened it. Functions neither print nor exit. */
 

@@ -1,7 +1,7 @@
 """Publishes a ROS 2 point cloud as Vigil's depth frames: docs/sensor-interface.md, "ROS 2".
 
-    cargo build --release -p vigil-depth
-    python3 depth_bridge.py --ros-args -p library:=target/release/libvigil_depth.so \
+    cargo build --release -p vigil-sensors --example vigil_depth
+    python3 depth_bridge.py --ros-args -p library:=target/release/examples/libvigil_depth.so \
         -r points:=/ouster/points -r odometry:=/mavros/local_position/odom
 
 Subscribes to `points` (sensor_msgs/PointCloud2, x, y, z of either float; axes forward, left, up, or a camera's optical ones) and

@@ -336,7 +336,8 @@ impl Log {
             resume,
             "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another folder with --output"
         );
-        let text = vigil_files::read_text(&log.path, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
+        let text =
+            vigil_types::files::read_text(&log.path, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
         let Some(lines) = text.strip_prefix(&log.heading) else {
             bail!("{name} is of another campaign (its first line tells which); name another folder with --output");
         };

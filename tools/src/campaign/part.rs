@@ -338,7 +338,7 @@ pub fn fly_units<U: Send>(
 }
 
 fn read(path: &Path) -> Result<Vec<u8>> {
-    vigil_files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
+    vigil_types::files::read(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
 }
 
 /// The command of which a file is a part.

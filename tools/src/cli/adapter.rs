@@ -11,7 +11,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::time::Duration;
-use vigil_adapters::{DepthStream, Fault, OusterAdapter, OusterDevice, PoseTrack, Tally};
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
@@ -19,7 +18,8 @@ use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{Domain, FramePublisher};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{FramingCounters, packets};
-use vigil_projection::{Mount, Pinhole, View};
+use vigil_sensors::adapters::{DepthStream, Fault, OusterAdapter, OusterDevice, PoseTrack, Tally};
+use vigil_sensors::{Mount, Pinhole, View};
 use vigil_sim::foreign::PoseLink;
 use vigil_types::{Attitude, DepthFrame, FrameKey, FrdVector, Nanos, NedVector};
 
@@ -337,8 +337,8 @@ impl Output {
 /// A metadata file that cannot be used, an address or a frame service in use.
 pub fn ouster(args: &OusterArgs) -> Result<ExitCode> {
     let path = &args.metadata;
-    let text =
-        vigil_files::read_text(path, METADATA_LIMIT).with_context(|| format!("--metadata {}", path.display()))?;
+    let text = vigil_types::files::read_text(path, METADATA_LIMIT)
+        .with_context(|| format!("--metadata {}", path.display()))?;
     let device = OusterDevice::from_metadata(&text).with_context(|| format!("--metadata {}", path.display()))?;
     let mut adapter = OusterAdapter::new(device, args.common.mount)?;
     let socket = UdpSocket::bind(args.listen).with_context(|| format!("--listen {}", args.listen))?;

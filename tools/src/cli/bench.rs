@@ -153,13 +153,14 @@ pub fn run(args: &BenchArgs) -> Result<ExitCode> {
 }
 
 fn read(file: &Path) -> Result<RealtimeReport> {
-    let text = vigil_files::read_text(file, SIZE_LIMIT).with_context(|| format!("cannot read {}", file.display()))?;
+    let text =
+        vigil_types::files::read_text(file, SIZE_LIMIT).with_context(|| format!("cannot read {}", file.display()))?;
     serde_json::from_str(&text)
         .with_context(|| format!("{} is no report of `vigil bench realtime --json`", file.display()))
 }
 
 fn measure(args: &RealtimeArgs, interrupt: &Interrupt) -> Result<RealtimeReport> {
-    let folder = vigil_files::make_new_folder(&args.log, "bench")
+    let folder = vigil_types::files::make_new_folder(&args.log, "bench")
         .with_context(|| format!("cannot make a folder in {}", args.log.display()))?;
     let seed = args.course.seed_or_random();
     let length = Duration::from_secs_f64(args.minutes * 60.0);
@@ -234,7 +235,7 @@ impl RealtimeBench<'_> {
     fn fly(&mut self, seed: u64, mut load: Option<&mut Load>) -> Result<String> {
         let (args, interrupt, ends) = (self.args, self.interrupt, self.ends);
         let course = args.course.load(seed)?;
-        let folder = vigil_files::make_new_folder(&self.folder, &seed.to_string())?;
+        let folder = vigil_types::files::make_new_folder(&self.folder, &seed.to_string())?;
         let course_file = folder.join("course.toml");
         course.save(&course_file)?;
         let mut config = FirmwareConfig::to_goal(course.goal_ned_m());

@@ -1,12 +1,12 @@
 //! `vigil doctor`: what a vehicle and its depth sensor lack before a flight.
 
 use crate::cli::output::{self, EXIT_DIFFERS, Interrupt, Paint, say, tell};
+use crate::doctor::{Examination, ExaminationConfig, Finding, Severity};
 use crate::sensor_check::{Expected, SensorCheck};
 use anyhow::Result;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use vigil_doctor::{Examination, ExaminationConfig, Finding, Severity};
 use vigil_firmware::arguments::choice;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::gate::{AllowUnsigned, SigningGate};

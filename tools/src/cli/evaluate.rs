@@ -288,9 +288,9 @@ impl Plan {
         let (actor, detector) = (firmware.frozen_pilot()?, firmware.frozen_detector()?);
         (firmware.pilot.actor_file, firmware.detector.file) = (None, None);
         let attacked = attack.map(|attack| attack.pilot.sha256());
-        let simulation = config
-            .as_ref()
-            .map(|file| vigil_files::read(file, 1 << 20).with_context(|| format!("cannot read {}", file.display())));
+        let simulation = config.as_ref().map(|file| {
+            vigil_types::files::read(file, 1 << 20).with_context(|| format!("cannot read {}", file.display()))
+        });
         Ok(Self {
             first_seed: *seed,
             flights: *flights,
@@ -575,7 +575,7 @@ impl Shown {
                     .parent()
                     .filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(json));
                 let parent = parent.unwrap_or(Path::new("runs"));
-                vigil_files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
+                vigil_types::files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
                     .with_context(|| format!("cannot make a folder in {}", parent.display()))?
             }
         };

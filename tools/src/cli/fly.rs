@@ -390,7 +390,7 @@ fn command_again(args: &FlyArgs, seed: u64) -> String {
 
 fn make_folder(parent: &Path, seed: u64) -> Result<PathBuf> {
     let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-    vigil_files::make_new_folder(parent, &format!("fly-{stamp}-{seed}"))
+    vigil_types::files::make_new_folder(parent, &format!("fly-{stamp}-{seed}"))
         .with_context(|| format!("cannot make a folder in {}", parent.display()))
 }
 
@@ -475,7 +475,7 @@ impl Process {
     }
 
     fn said(&self) -> String {
-        vigil_files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default()
+        vigil_types::files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default()
     }
 
     /// Ends the child and returns what it reported.

@@ -104,7 +104,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         );
     }
     let name = args.model.display().to_string();
-    let bytes = vigil_files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
+    let bytes = vigil_types::files::read(&args.model, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
     let adapter = Adapter {
         order: match args.channels {
             ChannelsChoice::Stack => Channels::Stack,
@@ -121,7 +121,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         split: args.split.clone(),
     };
     let folder = args.model.parent().unwrap_or(Path::new(""));
-    let beside = |name: &str| vigil_files::read(&folder.join(name), SIZE_LIMIT).map_err(|e| e.to_string());
+    let beside = |name: &str| vigil_types::files::read(&folder.join(name), SIZE_LIMIT).map_err(|e| e.to_string());
     let policy = vigil_onnx::import(&name, &bytes, &beside, &adapter)?;
     let graph = policy.network.graph(Purpose::Gradients)?;
     let output = args
@@ -190,7 +190,7 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
 /// A file that cannot be read, or that is none.
 pub fn read_inputs(file: &Path) -> Result<Vec<Vec<f32>>> {
     let name = file.display();
-    let text = vigil_files::read_text(file, INPUTS_LIMIT).with_context(|| format!("cannot read {name}"))?;
+    let text = vigil_types::files::read_text(file, INPUTS_LIMIT).with_context(|| format!("cannot read {name}"))?;
     serde_json::from_str(&text).with_context(|| format!("{name} is no list of lists of numbers"))
 }
 

@@ -115,7 +115,7 @@ pub fn prepare(path: &Path) -> Result<()> {
     }
 }
 
-/// Replaces a file ([`vigil_files::replace`]); `-` is standard output.
+/// Replaces a file ([`vigil_types::files::replace`]); `-` is standard output.
 ///
 /// # Errors
 /// Whatever keeps it from being written whole, with the file's name. An earlier file is then kept.
@@ -128,7 +128,7 @@ pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
             _ => Ok(()),
         };
     }
-    vigil_files::replace(path, content, vigil_files::Access::Shared)
+    vigil_types::files::replace(path, content, vigil_types::files::Access::Shared)
         .with_context(|| format!("cannot write {}", path.display()))
 }
 

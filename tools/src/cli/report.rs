@@ -181,7 +181,7 @@ fn folders(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
 fn read(folder: &Path) -> Result<Run> {
     let text = |name: &str| {
         let path = folder.join(name);
-        vigil_files::read_text(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
+        vigil_types::files::read_text(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
     };
     let bad = |name: &str| format!("{} is not what `vigil learn` writes", folder.join(name).display());
     let json = text("result.json")?;

@@ -203,7 +203,7 @@ impl Flights {
         if let Some(folder) = path.parent() {
             std::fs::create_dir_all(folder).map_err(access(folder))?;
         }
-        vigil_files::replace(path, &bytes, vigil_files::Access::Shared).map_err(access(path))
+        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared).map_err(access(path))
     }
 
     /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
@@ -256,7 +256,7 @@ impl Flights {
     /// # Errors
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self, DetectError> {
-        let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
+        let bytes = vigil_types::files::read(path, SIZE_LIMIT).map_err(access(path))?;
         Self::from_bytes(path, &bytes, &Recorded::by(pilot)?)
     }
 

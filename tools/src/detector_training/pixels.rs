@@ -283,7 +283,7 @@ impl States {
         ];
         let metadata = HashMap::from([("format".to_owned(), FORMAT.to_owned())]);
         let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
-        vigil_files::replace(path, &bytes, vigil_files::Access::Shared).map_err(access(path))
+        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared).map_err(access(path))
     }
 
     /// Reads them.
@@ -292,7 +292,7 @@ impl States {
     /// A file that cannot be read, holds something else, or was gathered with another actor.
     pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
         let flights = Flights::load(&path.with_extension("flights"), &FrozenPilot::from(actor))?;
-        let bytes = vigil_files::read(path, SIZE_LIMIT).map_err(access(path))?;
+        let bytes = vigil_types::files::read(path, SIZE_LIMIT).map_err(access(path))?;
         let data = |message: &str| DetectError::Data {
             path: path.to_owned(),
             message: message.to_owned(),

@@ -5,8 +5,8 @@ use rtrb::{Producer, RingBuffer};
 use std::path::{Path, PathBuf};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use vigil_files::Access;
 use vigil_mavlink::signing::{SigningKey, SigningMemory, StreamTime};
+use vigil_types::files::Access;
 
 /// A line for each stream, of which there are a few dozen at most.
 const STATE_SIZE_LIMIT: u64 = 64 << 10;
@@ -161,17 +161,17 @@ fn write_state(path: &Path, memory: &SigningMemory) -> std::io::Result<()> {
     for s in &memory.streams {
         text += &format!("{} {} {} {}\n", s.link_id, s.system_id, s.component_id, s.timestamp);
     }
-    vigil_files::replace(path, text.as_bytes(), Access::Private)
+    vigil_types::files::replace(path, text.as_bytes(), Access::Private)
 }
 
 /// 64 hexadecimal digits, for nobody else to read.
 fn write_key(path: &Path, key: &SigningKey) -> std::io::Result<()> {
     let digits: String = key.0.iter().map(|byte| format!("{byte:02x}")).collect();
-    vigil_files::replace(path, digits.as_bytes(), Access::Private)
+    vigil_types::files::replace(path, digits.as_bytes(), Access::Private)
 }
 
 fn read_state(path: &Path) -> Result<SigningMemory, SigningFileError> {
-    let text = match vigil_files::read_text(path, STATE_SIZE_LIMIT) {
+    let text = match vigil_types::files::read_text(path, STATE_SIZE_LIMIT) {
         Ok(text) => text,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(SigningMemory::default()),
         Err(source) => {

@@ -89,7 +89,11 @@ impl Image {
         check_png_name(path)?;
         let write = || {
             let bytes = self.to_png()?;
-            Ok(vigil_files::replace(path, &bytes, vigil_files::Access::Shared)?)
+            Ok(vigil_types::files::replace(
+                path,
+                &bytes,
+                vigil_types::files::Access::Shared,
+            )?)
         };
         write().map_err(|source| ImageError::Write {
             path: path.to_owned(),

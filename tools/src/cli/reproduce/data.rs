@@ -83,7 +83,7 @@ impl Data {
         let index = match path.exists() {
             false => Index::default(),
             true => {
-                let text = vigil_files::read_text(&path, SIZE_LIMIT)
+                let text = vigil_types::files::read_text(&path, SIZE_LIMIT)
                     .with_context(|| format!("cannot read {}", path.display()))?;
                 toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))?
             }
@@ -130,8 +130,8 @@ impl Data {
         for file in files {
             let file = format!("{name}/{file}");
             let path = self.folder.join(&file);
-            let content =
-                vigil_files::read(&path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))?;
+            let content = vigil_types::files::read(&path, SIZE_LIMIT)
+                .with_context(|| format!("cannot read {}", path.display()))?;
             unit.files.insert(file, sha256(&content));
         }
         self.enter_whole(name, unit)
@@ -179,8 +179,8 @@ impl Data {
             true => "start again in another folder".to_owned(),
             false => format!("restore it with git, or measure anew: {}", unit.command),
         };
-        let content =
-            vigil_files::read(&path, SIZE_LIMIT).map_err(|e| anyhow!("cannot read {}: {e}; {mend}", path.display()))?;
+        let content = vigil_types::files::read(&path, SIZE_LIMIT)
+            .map_err(|e| anyhow!("cannot read {}: {e}; {mend}", path.display()))?;
         let expected = unit.files.get(file).map_or("", String::as_str);
         ensure!(
             sha256(&content) == expected,

@@ -121,8 +121,8 @@ impl MadeBy {
 
     fn load(folder: &Path) -> Result<Self> {
         let path = folder.join(MADE_BY);
-        let text =
-            vigil_files::read_text(&path, SMALL_FILE).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = vigil_types::files::read_text(&path, SMALL_FILE)
+            .with_context(|| format!("cannot read {}", path.display()))?;
         toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))
     }
 

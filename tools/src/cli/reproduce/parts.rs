@@ -134,8 +134,8 @@ impl PartOf {
             "{} is no part: it was not measured with `vigil reproduce --shard`",
             folder.display()
         );
-        let text =
-            vigil_files::read_text(&path, SMALL_FILE).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = vigil_types::files::read_text(&path, SMALL_FILE)
+            .with_context(|| format!("cannot read {}", path.display()))?;
         toml::from_str(&text).with_context(|| format!("{} is damaged", path.display()))
     }
 

@@ -4,7 +4,7 @@
 #[path = "common/rays.rs"]
 mod rays;
 
-use vigil_projection::{Mount, Pinhole, ProjectionError, Projector, Resolution, View};
+use vigil_sensors::{Mount, Pinhole, ProjectionError, Projector, Resolution, View};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrdVector, NedVector, column_bearing_rad,
     row_elevation_rad,

@@ -1,7 +1,7 @@
 //! A depth camera's raw stream: images of 16-bit units one behind the other, nothing between (V4L2's `Z16 `, RealSense's Z16).
 
-use crate::Fault;
-use vigil_projection::{Mount, Pinhole, ProjectionError, Projector, View, check_unit};
+use super::Fault;
+use crate::{Mount, Pinhole, ProjectionError, Projector, View, check_unit};
 use vigil_types::DEPTH_PIXELS;
 
 /// Images of a raw stream become depth images.

@@ -7,22 +7,20 @@
 //! ```
 //! let folder = tempfile::tempdir()?;
 //! let path = folder.path().join("course.toml");
-//! vigil_files::replace(&path, b"name = 'two columns'", vigil_files::Access::Shared)?;
-//! assert_eq!(vigil_files::read_text(&path, 1 << 20)?, "name = 'two columns'");
-//! assert!(vigil_files::read(&path, 10).is_err(), "longer than 10 bytes");
+//! vigil_types::files::replace(&path, b"name = 'two columns'", vigil_types::files::Access::Shared)?;
+//! assert_eq!(vigil_types::files::read_text(&path, 1 << 20)?, "name = 'two columns'");
+//! assert!(vigil_types::files::read(&path, 10).is_err(), "longer than 10 bytes");
 //! # Ok::<(), std::io::Error>(())
 //! ```
-#![forbid(unsafe_code)]
-#![cfg_attr(
-    not(test),
-    deny(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)
-)]
 
+use std::borrow::ToOwned;
 use std::ffi::OsString;
 use std::fs::{File, Metadata, OpenOptions, Permissions};
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::string::String;
+use std::vec::Vec;
 
 /// Who may read a file that is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -229,6 +227,7 @@ pub fn make_new_folder(parent: &Path, name: &str) -> io::Result<PathBuf> {
 mod tests {
     use super::*;
     use std::os::unix::fs::MetadataExt;
+    use std::string::ToString;
 
     fn names(folder: &Path) -> Vec<OsString> {
         let mut names: Vec<_> = std::fs::read_dir(folder)

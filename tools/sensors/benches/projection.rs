@@ -1,7 +1,7 @@
-//! What a picture costs. `cargo bench --profile release -p vigil-projection`
+//! What a picture costs. `cargo bench --profile release -p vigil-sensors`
 
 use divan::Bencher;
-use vigil_projection::{Mount, Pinhole, Projector, Resolution};
+use vigil_sensors::{Mount, Pinhole, Projector, Resolution};
 use vigil_types::{DEPTH_PIXELS, FrdVector};
 
 fn main() {

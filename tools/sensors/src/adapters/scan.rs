@@ -4,8 +4,8 @@
 //! of header (u64 stamp in nanoseconds, u16 column, u16 turn, u32 encoder), 12 bytes a beam (u32 of which the lower 20 bits are the
 //! range in millimetres, 0 for no return; the rest is of the signal), and u32 of status, all ones where the column is good.
 
-use crate::{DeviceClock, Fault, OusterDevice};
-use vigil_projection::{Mount, ProjectionError, Projector, Resolution, View};
+use super::{DeviceClock, Fault, OusterDevice};
+use crate::{Mount, ProjectionError, Projector, Resolution, View};
 use vigil_types::{DEPTH_PIXELS, Nanos};
 
 const COLUMN_HEADER: usize = 16;

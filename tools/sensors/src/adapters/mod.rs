@@ -1,8 +1,6 @@
 //! What devices send as depth images: packets and bytes in, images and named faults out. No socket, no clock
 //! (docs/sensor-interface.md, "Adapters").
 
-#![forbid(unsafe_code)]
-
 mod clock;
 mod depth_stream;
 mod fault;

@@ -1,6 +1,6 @@
 //! The stamps of a device's clock on the machine's.
 
-use crate::Fault;
+use super::Fault;
 use vigil_types::Nanos;
 
 /// The least delay is looked for in this time, and kept for another such: clocks drift by some ten microseconds in a second.

@@ -1,10 +1,10 @@
 //! Vehicles that are well and vehicles that are not, and what is said of them.
 
 use std::collections::BTreeMap;
-use vigil_doctor::{Examination, ExaminationConfig, Finding, Severity, ground_tilt};
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
 use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_tools::doctor::{Examination, ExaminationConfig, Finding, Severity, ground_tilt};
 use vigil_types::{Attitude, Datagrams, DepthFrame, NedVector};
 use vigil_world::{Family, Lidar, LidarConfig, Shot, World, generate};
 

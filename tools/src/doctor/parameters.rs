@@ -3,7 +3,7 @@
 //! PX4: <https://docs.px4.io/main/en/advanced_config/parameter_reference>;
 //! ArduPilot: <https://ardupilot.org/copter/docs/parameters.html>.
 
-use crate::finding::Severity::{self, Failure, Good, Warning};
+use super::finding::Severity::{self, Failure, Good, Warning};
 use vigil_mavlink::Flavour;
 
 /// A parameter, and how its value is judged.

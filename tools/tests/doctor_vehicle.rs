@@ -1,7 +1,7 @@
 //! The simulated vehicle as the doctor finds it.
 
-use vigil_doctor::{Examination, ExaminationConfig, Severity};
 use vigil_sim::{SimConfig, Simulator, Start};
+use vigil_tools::doctor::{Examination, ExaminationConfig, Severity};
 use vigil_types::{Datagrams, DepthFrame};
 use vigil_world::{Family, generate};
 

@@ -2,7 +2,7 @@
 //! (docs/sensor-interface.md, "The image").
 //!
 //! ```
-//! use vigil_projection::{Mount, Projector, Resolution};
+//! use vigil_sensors::{Mount, Projector, Resolution};
 //! use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, FrdVector};
 //!
 //! // Beams 1° apart; the sensor sits 10 cm before the vehicle's middle.
@@ -12,16 +12,18 @@
 //! let mut depth = [1.0; DEPTH_PIXELS];
 //! projector.finish(&mut depth);
 //! assert_eq!(depth[64 * DEPTH_COLS + 128], 0.05); // 5 m of 100 m
-//! # Ok::<(), vigil_projection::ProjectionError>(())
+//! # Ok::<(), vigil_sensors::ProjectionError>(())
 //! ```
 //!
-//! Without the standard library (`alloc` at construction only): a picture allocates nothing, does not panic and reads no clock.
+//! Without the feature `std` it is the projection alone (`alloc` at construction only): a picture allocates nothing, does not panic and reads no clock.
 
-#![no_std]
+#![cfg_attr(not(feature = "std"), no_std)]
 #![forbid(unsafe_code)]
 
 extern crate alloc;
 
+#[cfg(feature = "std")]
+pub mod adapters;
 mod line;
 mod mount;
 mod pinhole;

@@ -1,7 +1,7 @@
 //! A depth camera's raw bytes become the part of the image that it sees.
 
-use vigil_adapters::{DepthStream, Fault};
-use vigil_projection::{Mount, Pinhole};
+use vigil_sensors::adapters::{DepthStream, Fault};
+use vigil_sensors::{Mount, Pinhole};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS};
 
 fn stream() -> DepthStream {

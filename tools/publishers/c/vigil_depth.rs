@@ -9,7 +9,7 @@ use std::ptr;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::key_file::frame_key;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
-use vigil_projection::{Counts, Mount, Pinhole, Projector, Resolution};
+use vigil_sensors::{Counts, Mount, Pinhole, Projector, Resolution};
 use vigil_types::{Attitude, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, FrameKey, FrdVector, Nanos, NedVector, STEP_NS};
 
 /// The highest instance.

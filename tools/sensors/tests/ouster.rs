@@ -3,12 +3,12 @@
 
 #[path = "common/device.rs"]
 mod device;
-#[path = "../../projection/tests/common/rays.rs"]
+#[path = "common/rays.rs"]
 mod rays;
 
 use device::{COLUMNS, Device, PER_PACKET};
-use vigil_adapters::{Fault, MetadataError, OusterAdapter, OusterDevice, SetupError};
-use vigil_projection::Mount;
+use vigil_sensors::Mount;
+use vigil_sensors::adapters::{Fault, MetadataError, OusterAdapter, OusterDevice, SetupError};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, FrdVector, Nanos, NedVector};
 use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 

@@ -1,8 +1,8 @@
 //! Asks a vehicle, watches what it sends, and judges.
 
-use crate::finding::{Finding, Severity};
-use crate::ground::ground_tilt;
-use crate::parameters::{self, Row, STICKS_BY_SPEED, Versions};
+use super::finding::{Finding, Severity};
+use super::ground::ground_tilt;
+use super::parameters::{self, Row, STICKS_BY_SPEED, Versions};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use vigil_mavlink::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, GLOBAL_POSITION_INT_DATA,
