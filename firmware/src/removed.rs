@@ -6,7 +6,7 @@ const CONSTANT: &str =
 const ONE_RECIPE: &str = "`vigil learn` has one recipe, from nothing: leave it out";
 
 /// Name as it was written, and what to do instead. Kept for one version.
-const REMOVED: [(&str, &str); 20] = [
+const REMOVED: [(&str, &str); 21] = [
     (
         "train",
         "training by imitation is gone: `vigil learn` trains an actor from nothing",
@@ -36,6 +36,10 @@ const REMOVED: [(&str, &str); 20] = [
     ),
     ("--encoder", "the actor calculates in float32: leave it out"),
     ("encoder", "the actor calculates in float32: leave it out"),
+    (
+        "--shard",
+        "seeds are the shards: fly others on each machine (`--seed`, `--flights`), and `vigil merge` what they leave (docs/cluster.md)",
+    ),
     ("--astray", CONSTANT),
     ("--disagreement", CONSTANT),
     ("--smooth-share", CONSTANT),

@@ -11,20 +11,20 @@ import pytest
 import ray
 from ray.cluster_utils import Cluster
 
+from vigil_cluster import CampaignError, fly
 from vigil_cluster.__main__ import main
-from vigil_cluster.campaign import Campaign, CampaignError
 
 TOP = Path(__file__).resolve().parents[2]
 VIGIL = TOP / "target" / "release" / "vigil"
 ACTOR = TOP / "firmware" / "policy" / "actor" / "actor.safetensors"
 DETECTOR = TOP / "detector" / "frozen" / "lstm_ad.safetensors"
-FLIGHTS = ["--pilot", "geometric", "--family", "training", "--seed", "40", "--flights", "24"]
+FLIGHTS = ["evaluate", "--pilot", "geometric", "--family", "training", "--seed", "40", "--flights", "24"]
 
 
-def whole(folder, arguments):
+def one_machine(folder, words):
     """What one machine writes."""
     out = folder / "whole.json"
-    subprocess.run([VIGIL, "evaluate", *arguments, "-o", out], check=True, capture_output=True)
+    subprocess.run([VIGIL, *words, "-o", out], check=True, capture_output=True)
     return out.read_bytes()
 
 
@@ -41,87 +41,80 @@ def two_nodes():
 
 def test_a_node_killed_in_the_middle_changes_no_byte(two_nodes, tmp_path):
     cluster, nodes = two_nodes
-    campaign = Campaign(["evaluate"], FLIGHTS, tmp_path / "flown.json", VIGIL, shards=12)
     failure = []
 
-    def fly():
+    def flown():
         try:
-            campaign.fly()
-        except Exception as error:  # told by the test's own thread
+            fly(FLIGHTS, tmp_path / "flown.json", VIGIL, at_a_time=2)
+        except Exception as error:  # raised again by the test's own thread
             failure.append(error)
 
-    flying = threading.Thread(target=fly)
+    def parts():
+        return len(list((tmp_path / "flown.parts").glob("*.jsonl")))
+
+    flying = threading.Thread(target=flown)
     flying.start()
     begun = time.monotonic()
-    while len(list(campaign.parts.glob("*.part.json"))) < 3:
+    while parts() < 3:
         assert time.monotonic() - begun < 120 and flying.is_alive(), failure
         time.sleep(0.01)
     cluster.remove_node(nodes[0], allow_graceful=False)
-    left = 12 - len(list(campaign.parts.glob("*.part.json")))
+    left = 12 - parts()
     flying.join(timeout=300)
     assert not flying.is_alive() and not failure, failure
     assert left > 0, "the node was killed while there was work left"
-    assert (tmp_path / "flown.json").read_bytes() == whole(tmp_path, FLIGHTS)
+    assert (tmp_path / "flown.json").read_bytes() == one_machine(tmp_path, FLIGHTS)
 
 
 def test_an_interrupted_campaign_goes_on_with_its_parts_on_a_ray_of_its_own(tmp_path):
-    out = tmp_path / "flown.json"
-    arguments = [*FLIGHTS[:-1], "6", "--wind", "2"]
-    campaign = Campaign(["evaluate"], arguments, out, VIGIL, shards=3)
-    campaign.parts.mkdir()
-    subprocess.run(
-        [VIGIL, "evaluate", *arguments, "--shard", "2/3", "-o", campaign.parts / out.name],
-        check=True,
-        capture_output=True,
-    )
-    before = os.stat(campaign._part(2)).st_mtime_ns
-    line = ["evaluate", *arguments, "--vigil", str(VIGIL), "--shards", "3", "-o", str(out)]
+    out, parts = tmp_path / "flown.json", tmp_path / "flown.parts"
+    words = [*FLIGHTS[:-1], "6", "--wind", "2"]
+    line = [*words, "--vigil", str(VIGIL), "--at-a-time", "2", "-o", str(out)]
     assert main(line) == 0
-    assert out.read_bytes() == whole(tmp_path, arguments)
-    assert os.stat(campaign._part(2)).st_mtime_ns >= before
+    assert out.read_bytes() == one_machine(tmp_path, words)
+    # One part of three was lost.
+    kept, lost = parts / "40-2.jsonl", parts / "42-2.jsonl"
+    before, content = os.stat(kept).st_mtime_ns, lost.read_bytes()
+    lost.unlink()
+    out.unlink()
+    assert main(line) == 0
+    assert out.read_bytes() == one_machine(tmp_path, words)
+    assert os.stat(kept).st_mtime_ns == before and lost.read_bytes() == content
 
     # Parts of another campaign are neither taken nor overwritten.
-    calm = [argument if argument != "2" else "0" for argument in arguments]
-    with pytest.raises(CampaignError, match="of another campaign: wind_m_s was 2.0, and is 0.0"):
-        Campaign(["evaluate"], calm, out, VIGIL, shards=3).fly()
-    assert out.read_bytes() == whole(tmp_path, arguments)
+    lost.unlink()
+    with pytest.raises(CampaignError, match="of another campaign or program"):
+        fly([*words[:-1], "0"], out, VIGIL, at_a_time=2)
+    assert out.read_bytes() == one_machine(tmp_path, words)
 
 
-def test_files_are_sent_along_and_what_fails_is_told(tmp_path, capfd):
+def test_files_are_sent_along_and_what_fails_is_said(tmp_path, capfd):
     ray.init(num_cpus=2, log_to_driver=False)
     try:
-        actor = ["--seed", "7", "--flights", "1", "--actor", str(ACTOR), "--detector=off"]
-        Campaign(["evaluate"], actor, tmp_path / "actor.json", VIGIL).fly()
+        actor = ["evaluate", "--seed", "7", "--flights=1", "--actor", str(ACTOR), "--detector=off"]
+        fly(actor, tmp_path / "actor.json", VIGIL)
         assert json.loads((tmp_path / "actor.json").read_bytes())["flights_asked_for"] == 1
-        attack = ["--seed", "5003", "--flights", "1", "--iterations", "1", "--burst", "20", "--arms", "none,recover"]
-        attack += ["--detector", str(DETECTOR)]
-        Campaign(["attack", "defended"], attack, tmp_path / "defended.json", VIGIL, shards=2).fly()
-        one = ["attack", "defended", *attack, "-o", tmp_path / "one"]
-        subprocess.run([VIGIL, *one], check=True, capture_output=True)
-        for name in ["defended.json", "defended.csv"]:
+        attack = ["attack", "defended", "--seed", "5003", "--flights", "2", "--iterations", "1", "--burst", "20"]
+        attack += ["--arms", "none,recover", "--detector", str(DETECTOR)]
+        fly(attack, tmp_path / "defended.json", VIGIL, at_a_time=1)
+        subprocess.run([VIGIL, *attack, "-o", tmp_path / "one"], check=True, capture_output=True)
+        for name in ["defended.json", "defended.csv", "defended.jsonl"]:
             assert (tmp_path / name).read_bytes() == (tmp_path / "one" / name).read_bytes(), name
-        for arguments, program, told in [
+        for words, program, why in [
             (["--flights", "2", "--wind", "99"], {}, "--wind must be between 0 and 20"),
             (["--flights", "2", "--actor", "no-such-file"], {}, "cannot read no-such-file"),
             (["--logs", "x"], {}, "--logs is not for a cluster"),
             (["--threads=3"], {}, "--threads is not for a cluster"),
             (["--flights", "2"], {"vigil": TOP / "no-vigil"}, "no-vigil is no program"),
         ]:
-            with pytest.raises(CampaignError, match=told):
-                Campaign(["evaluate"], arguments, tmp_path / "no.json", **{"vigil": VIGIL} | program).fly()
-        # A node without the program: it was there for the driver only.
-        program = tmp_path / "vigil"
-        program.symlink_to(VIGIL)
-        campaign = Campaign(["evaluate"], ["--flights", "2"], tmp_path / "no.json", program, installed=True)
-        campaign.vigil = Path("/no/such/vigil")
-        with pytest.raises(CampaignError, match="has no program /no/such/vigil"):
-            campaign._fly([1])
+            with pytest.raises(CampaignError, match=why):
+                fly(["evaluate", *words], tmp_path / "no.json", **{"vigil": VIGIL} | program)
         # A program that is none.
-        program.unlink()
+        program = tmp_path / "vigil"
         program.write_bytes(b"\x7fELF no program")
         program.chmod(0o755)
         with pytest.raises(CampaignError, match="cannot run the program"):
-            Campaign(["evaluate"], ["--flights", "2"], tmp_path / "no.json", program).fly()
+            fly(["evaluate", "--flights", "2"], tmp_path / "no.json", program)
         assert not (tmp_path / "no.json").exists()
     finally:
         ray.shutdown()

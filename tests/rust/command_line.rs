@@ -565,6 +565,7 @@ fn what_an_earlier_version_had_is_refused_with_what_replaces_it() {
         (&["attack", "certify"], 2, "`vigil attack table`"),
         (&["evaluate", "--encoder", "int8"], 2, "float32"),
         (&["evaluate", "--astray", "3"], 2, "constants"),
+        (&["evaluate", "--shard", "1/3"], 2, "vigil merge"),
         (&["firmware", "--config", text(&config)], 1, "float32"),
     ] {
         let refused = run(arguments);

@@ -37,10 +37,11 @@ fn text(path: &Path) -> &str {
 
 /// Runs `vigil reproduce` into a folder over the repository's data.
 fn reproduce(output: &Path, more: &[&str]) -> std::process::Output {
-    let data = root().join("docs/measured");
-    let mut arguments = vec!["reproduce", "-o", text(output), "--data", text(&data)];
-    arguments.extend(more);
-    run(&arguments)
+    reproduce_of(&root().join("docs/measured"), output, more)
+}
+
+fn reproduce_of(data: &Path, output: &Path, more: &[&str]) -> std::process::Output {
+    run(&[&["reproduce", "-o", text(output), "--data", text(data)], more].concat())
 }
 
 fn manifest(folder: &Path) -> Value {
@@ -211,18 +212,7 @@ fn data_that_are_missing_or_damaged_are_named_and_nothing_is_drawn_from_them() {
         fs::copy(root().join("docs/measured").join(name), data.join(name)).expect("a copy");
     }
     let out = folder.path().join("out");
-    let only = |item: &str| {
-        run(&[
-            "reproduce",
-            "--committed",
-            "--only",
-            item,
-            "--data",
-            text(&data),
-            "-o",
-            text(&out),
-        ])
-    };
+    let only = |item: &str| reproduce_of(&data, &out, &["--committed", "--only", item]);
     let made = only("figure-11,table-2");
     assert_eq!(made.status.code(), Some(0), "{}", said(&made));
     assert_eq!(items(&manifest(&out)).len(), 2);
@@ -252,14 +242,7 @@ fn data_that_are_missing_or_damaged_are_named_and_nothing_is_drawn_from_them() {
     assert_eq!(index.status.code(), Some(1));
     assert!(said(&index).contains("index.toml is damaged"), "{}", said(&index));
 
-    let elsewhere = run(&[
-        "reproduce",
-        "--committed",
-        "--data",
-        text(folder.path()),
-        "-o",
-        text(&out),
-    ]);
+    let elsewhere = reproduce_of(folder.path(), &out, &["--committed"]);
     assert_eq!(elsewhere.status.code(), Some(1));
     assert!(said(&elsewhere).contains("--data"), "{}", said(&elsewhere));
 }
@@ -305,16 +288,9 @@ fn an_interrupted_run_keeps_what_is_whole_and_goes_on() {
     let folder = tempfile::tempdir().expect("a folder");
     let out = folder.path().join("out");
     let data = root().join("docs/measured");
-    let arguments = [
-        "reproduce",
-        "--quick",
-        "--only",
-        "figure-14,roc",
-        "-o",
-        text(&out),
-        "--data",
-        text(&data),
-    ];
+    let (to, from) = (text(&out), text(&data));
+    let line = format!("reproduce --quick --only figure-14,roc -o {to} --data {from}");
+    let arguments: Vec<&str> = line.split(' ').collect();
     let mut running = Running::start(&arguments);
     // The flight is explained first; the detector's evaluation takes minutes.
     running.wait_for("the second unit", |line| line.starts_with("[2/2]").then_some(()));
@@ -376,70 +352,47 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 #[test]
 fn two_machines_measure_a_part_each_and_the_page_of_both_is_the_page_of_one() {
     let folder = tempfile::tempdir().expect("a folder");
-    let [one_folder, first, second, whole] = ["one", "first", "second", "whole"].map(|name| folder.path().join(name));
+    let [one, first, second, whole] = ["one", "first", "second", "whole"].map(|name| folder.path().join(name));
     // The quickest units of which none is a time.
-    let quick = ["--quick", "--only", "figure-12,figure-14"];
-    let measured = |output: &Path, more: &[&str]| {
-        let made = reproduce(output, &[&quick[..], more].concat());
+    let quick =
+        |output: &Path, only: &str, more: &[&str]| reproduce(output, &[&["--quick", "--only", only], more].concat());
+    let measured = |output: &Path, only: &str, more: &[&str]| {
+        let made = quick(output, only, more);
         assert_eq!(made.status.code(), Some(0), "{}", said(&made));
         said(&made)
     };
-    measured(&one_folder, &[]);
-    measured(&first, &["--shard", "1/2"]);
-    assert!(!first.join("index.html").exists(), "a part has no page");
-    let data = root().join("docs/measured");
-    let merge = |parts: &[&Path]| {
-        let parts: Vec<&str> = parts.iter().map(|part| text(part)).collect();
-        run(&[&["merge", "--data", text(&data), "-o", text(&whole)], &parts[..]].concat())
-    };
-    let missing = merge(&[&first]);
-    assert_eq!(missing.status.code(), Some(1), "{}", said(&missing));
-    assert!(said(&missing).contains("measure --shard 2/2"), "{}", said(&missing));
-    assert!(!whole.exists(), "nothing was written");
-
-    measured(&second, &["--shard", "2/2"]);
-    let merged = merge(&[&second, &first]);
-    assert_eq!(merged.status.code(), Some(0), "{}", said(&merged));
-    let (one, made) = (files(&one_folder), files(&whole));
+    measured(&one, "figure-12,figure-14", &[]);
+    measured(&first, "figure-12", &[]);
+    measured(&second, "figure-14", &[]);
+    let both = format!("{},{}", text(&first), text(&second));
+    let words = measured(&whole, "figure-12,figure-14", &["--from", &both]);
+    assert_eq!(words.matches("is there").count(), 2, "{words}");
+    let (one, made) = (files(&one), files(&whole));
     let differing: Vec<&PathBuf> = made.keys().filter(|name| made.get(*name) != one.get(*name)).collect();
     assert!(differing.is_empty(), "{differing:?}");
     // Not taken along are pictures beside the data, which the index does not name and the page does not show.
     let index = String::from_utf8_lossy(&made[Path::new("data/index.toml")]).into_owned();
-    let left_out = one.keys().filter(|name| !made.contains_key(*name));
-    for name in left_out {
+    for name in one.keys().filter(|name| !made.contains_key(*name)) {
         let unit_file = name.strip_prefix("data").expect("only data are left out");
         assert!(!index.contains(text(unit_file)), "{}", name.display());
     }
-    // The whole is a folder as any other.
-    assert!(measured(&whole, &[]).contains("is there"));
+    // The same again changes nothing.
+    measured(&whole, "figure-12,figure-14", &["--from", text(&second)]);
     assert!(files(&whole) == made);
 
-    for (output, more, why) in [
-        (
-            &first,
-            &["--quick", "--only", "figure-12,figure-14"][..],
-            "give its --shard",
-        ),
-        (
-            &first,
-            &["--quick", "--only", "figure-12,figure-14", "--shard", "2/2"],
-            "it is shard 1/2",
-        ),
-        (
-            &one_folder,
-            &["--quick", "--only", "figure-12,figure-14", "--shard", "2/2"],
-            "without --shard",
-        ),
-        (
-            &folder.path().join("third"),
-            &["--only", "figure-12", "--shard", "1/2"],
-            "1 units are measured",
-        ),
-    ] {
-        let refused = reproduce(output, more);
-        assert_eq!(refused.status.code(), Some(1), "{}", said(&refused));
-        assert!(said(&refused).contains(why), "{}", said(&refused));
-    }
-    let mixed = merge(&[&first, &data.join("index.toml")]);
-    assert!(said(&mixed).contains("index.toml is no folder of"), "{}", said(&mixed));
+    let refused = |made: std::process::Output, why: &str| {
+        assert_eq!(made.status.code(), Some(1), "{}", said(&made));
+        assert!(said(&made).contains(why), "not {why}: {}", said(&made));
+    };
+    let third = folder.path().join("third");
+    let full = reproduce(&third, &["--only", "figure-12", "--from", text(&first)]);
+    refused(full, "its mode is quick, this one's full");
+    let merged = run(&["merge", text(&first), text(&second), "-o", text(&third)]);
+    refused(merged, "`vigil reproduce --from DIR`");
+    fs::write(first.join("data/explained/pixels.json"), "{}").expect("written");
+    let fourth = folder.path().join("fourth");
+    refused(
+        quick(&fourth, "figure-12", &["--from", text(&first)]),
+        "is not what was measured",
+    );
 }

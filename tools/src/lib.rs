@@ -14,4 +14,5 @@ pub mod report;
 mod sensor_check;
 pub mod threads;
 
+pub use campaign::{Flight, fly};
 pub use vigil_learn::statistics;

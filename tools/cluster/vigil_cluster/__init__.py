@@ -1,5 +1,5 @@
 """Fly Vigil's campaigns on a Ray cluster (docs/cluster.md)."""
 
-from vigil_cluster.campaign import Campaign, CampaignError
+from vigil_cluster.driver import CampaignError, fly
 
-__all__ = ["Campaign", "CampaignError"]
+__all__ = ["CampaignError", "fly"]

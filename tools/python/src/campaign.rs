@@ -3,13 +3,11 @@
 use crate::given::{failed, refused};
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use std::convert::Infallible;
 use std::path::PathBuf;
-use vigil_adversary::{Attack, AttackArgs, Method, PassedStep};
-use vigil_firmware::{FirmwareConfig, LockstepFirmware};
-use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep_through};
-use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_types::{Datagrams, DepthFrame, Nanos, PilotKind};
+use vigil_adversary::{Attack, AttackArgs, Method};
+use vigil_firmware::FirmwareConfig;
+use vigil_sim::{SimConfig, Start};
+use vigil_types::PilotKind;
 use vigil_vehicle::Wind;
 use vigil_world::{Family, generate};
 
@@ -25,30 +23,6 @@ struct Plan {
 
 /// Seed, outcome, seconds, metres flown, closest goal, altered frames, step of the first alarm.
 type FlightRow = (u64, String, f64, f64, f32, u64, Option<u64>);
-
-struct Port {
-    firmware: LockstepFirmware,
-    first_alarm: Option<u64>,
-}
-
-impl FirmwarePort for Port {
-    type Error = Infallible;
-
-    fn step(
-        &mut self,
-        step: u64,
-        now_ns: Nanos,
-        frame: &DepthFrame,
-        received: &Datagrams,
-        sent: &mut Datagrams,
-    ) -> Result<(), Infallible> {
-        let report = self.firmware.step(now_ns, Some(frame), received, sent);
-        if report.alarm.is_some() {
-            self.first_alarm.get_or_insert(step);
-        }
-        Ok(())
-    }
-}
 
 impl Plan {
     fn fly(&self, seed: u64) -> Result<FlightRow, String> {
@@ -67,22 +41,8 @@ impl Plan {
         let mut firmware = FirmwareConfig::to_goal(goal);
         firmware.pilot = self.firmware.pilot.clone();
         firmware.detector = self.firmware.detector.clone();
-        let mut simulator = Simulator::new(&config, 0).map_err(|e| e.to_string())?;
-        let mut port = Port {
-            firmware: LockstepFirmware::new(&firmware).map_err(|e| e.to_string())?,
-            first_alarm: None,
-        };
-        let adversary = self.attack.as_ref().map(|attack| attack.interceptor(seed, goal));
-        let mut adversary = adversary.transpose().map_err(|e| e.to_string())?;
-        let mut altered = 0;
-        let mut between = |step: u64, frame: &mut DepthFrame| {
-            // Only a frame of another size is refused, and the simulator makes none.
-            if let Some(Ok(PassedStep::Attacked(_))) = adversary.as_mut().map(|a| a.pass(step, frame)) {
-                altered += 1;
-            }
-        };
-        let limit_s = f64::from(config.course.time_limit_s);
-        let Ok(record) = fly_lockstep_through(&mut simulator, &mut between, &mut port, limit_s, 0.0);
+        let flight = vigil_tools::fly(&config, &firmware, self.attack.as_ref()).map_err(|e| format!("{e:#}"))?;
+        let record = flight.record;
         let outcome = record
             .outcome
             .map_or_else(|| "never took off".to_owned(), |o| o.to_string());
@@ -92,8 +52,8 @@ impl Plan {
             record.flight_time_s,
             record.path_length_m,
             record.closest_goal_m,
-            altered,
-            port.first_alarm,
+            flight.attack.map_or(0, |attack| attack.attacked_steps),
+            flight.watch.and_then(|watch| watch.first_alarm_step),
         ))
     }
 }

@@ -1,9 +1,9 @@
 //! Completion under attack: the four cells of the paper's claim, and the streaming attack that hurts most.
 
-use super::{Common, write_json};
-use crate::campaign::part::{self, Part, Shard, Unit};
-use crate::campaign::{self, Tally};
-use crate::cli::output::{Interrupt, Progress, say};
+use super::{Common, Seeds, write_json};
+use crate::campaign::flights::{Campaign, Existing, Jobs};
+use crate::campaign::{self, Flight, Tally};
+use crate::cli::output::say;
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
@@ -12,8 +12,6 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::Attack;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
-use vigil_policy::FrozenPilot;
-use vigil_sim::lockstep_flight::FlightRecord;
 
 /// Arguments of `vigil attack completion`.
 #[derive(Debug, Clone, clap::Args)]
@@ -21,10 +19,6 @@ pub struct CompletionArgs {
     /// Flights of each cell, on the same courses in all cells.
     #[arg(long, default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..))]
     flights: u64,
-
-    /// Seed of the first validation course.
-    #[arg(long, default_value_t = 5000)]
-    seed: u64,
 
     /// The attack.
     #[arg(long, value_enum, value_name = "METHOD", default_value_t = Method::BimAccumulating)]
@@ -38,10 +32,8 @@ pub struct CompletionArgs {
     #[arg(long, default_value_t = 20)]
     iterations: u32,
 
-    /// Fly part K of N only and leave it in the folder as NAME.K-of-N.part.json; `vigil merge` makes the whole of all parts.
-    /// A part that is there already is gone on with.
-    #[arg(long, value_name = "K/N")]
-    shard: Option<Shard>,
+    #[command(flatten)]
+    seeds: Seeds,
 
     #[command(flatten)]
     common: Common,
@@ -53,10 +45,6 @@ pub struct SearchArgs {
     /// Flights of each attack, on the same courses.
     #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
     flights: u64,
-
-    /// Seed of the first validation course.
-    #[arg(long, default_value_t = 5000)]
-    seed: u64,
 
     /// Attacks to try.
     #[arg(
@@ -93,10 +81,8 @@ pub struct SearchArgs {
     #[arg(long)]
     apf: bool,
 
-    /// Fly part K of N only and leave it in the folder as NAME.K-of-N.part.json; `vigil merge` makes the whole of all parts.
-    /// A part that is there already is gone on with.
-    #[arg(long, value_name = "K/N")]
-    shard: Option<Shard>,
+    #[command(flatten)]
+    seeds: Seeds,
 
     #[command(flatten)]
     common: Common,
@@ -135,53 +121,12 @@ pub struct Report {
     pub rows: Vec<Row>,
 }
 
-/// Everything that decides what the flights are, wherever they are flown.
+/// Everything that decides what a flight of a seed is.
 #[derive(Debug, Clone, Serialize, Deserialize)]
-struct Plan {
-    first_seed: u64,
-    /// With each setting.
-    flights: u64,
+struct Settings {
     actor_sha256: String,
-    /// Whether the potential field is on, and the attack; a row each.
-    settings: Vec<(bool, Option<Setting>)>,
-}
-
-impl Plan {
-    /// Of an actor whose digest is not known yet.
-    fn new(first_seed: u64, flights: u64, settings: Vec<(bool, Option<Setting>)>) -> Self {
-        Self {
-            first_seed,
-            flights,
-            actor_sha256: String::new(),
-            settings,
-        }
-    }
-
-    fn units(&self) -> u64 {
-        self.flights.saturating_mul(self.settings.len() as u64)
-    }
-
-    /// The number of a unit's row, and its seed.
-    fn place(&self, unit: u64) -> (usize, u64) {
-        let row = (unit / self.flights) as usize;
-        (row, self.first_seed.wrapping_add(unit % self.flights))
-    }
-}
-
-/// A flight as its row needs it.
-#[derive(Debug, Serialize, Deserialize)]
-struct RowFlight {
-    row: usize,
-    seed: u64,
-    record: FlightRecord,
-    attacked_steps: u64,
-    effective_steps: u64,
-}
-
-impl Unit for RowFlight {
-    fn name(&self) -> String {
-        format!("the flight of seed {} in row {}", self.seed, self.row + 1)
-    }
+    /// Whether the potential field is on, and the attack; an arm and a row each.
+    arms: Vec<(bool, Option<Setting>)>,
 }
 
 impl Row {
@@ -206,14 +151,15 @@ impl Row {
 }
 
 impl Row {
-    fn of((apf, attack): (bool, Option<Setting>), flights: &[&RowFlight]) -> Self {
+    fn of((apf, attack): (bool, Option<Setting>), flights: &[&Flight]) -> Self {
         let outcomes: Vec<_> = flights.iter().map(|flight| flight.record.outcome).collect();
+        let attacks = || flights.iter().filter_map(|flight| flight.attack);
         Self {
             apf,
             attack,
             tally: Tally::of(&outcomes),
-            attacked_steps: flights.iter().map(|flight| flight.attacked_steps).sum(),
-            effective_steps: flights.iter().map(|flight| flight.effective_steps).sum(),
+            attacked_steps: attacks().map(|attack| attack.attacked_steps).sum(),
+            effective_steps: attacks().map(|attack| attack.effective_steps).sum(),
             failed_seeds: flights
                 .iter()
                 .filter(|flight| !flight.record.is_success())
@@ -223,107 +169,104 @@ impl Row {
     }
 }
 
-/// Flies one unit.
-fn fly(plan: &Plan, (actor, victim): (Option<&Path>, &FrozenPilot), unit: u64) -> Result<RowFlight> {
-    let (row, seed) = plan.place(unit);
-    let (apf, setting) = plan.settings.get(row).copied().context("a row for each flight")?;
-    let attack = setting.map(|s| Attack {
-        pilot: victim.clone(),
-        config: s.config,
-        burst: s.burst,
-        evade: None,
-        evades_guard: false,
-    });
-    // Undefended; with a detector: `vigil attack defended`.
-    let (config, firmware) = campaign::actor_flight(actor, apf, seed);
-    let flown = campaign::fly(&config, &firmware, attack.as_ref())?;
-    let done = flown.attack.unwrap_or_default();
-    Ok(RowFlight {
-        row,
-        seed,
-        record: flown.record,
-        attacked_steps: done.attacked_steps,
-        effective_steps: done.effective_steps,
-    })
-}
-
-/// Flies every setting over the same courses, prints and writes the table; or a shard of it.
-fn fly_all(common: &Common, mut plan: Plan, shard: Option<Shard>, command: &str) -> Result<ExitCode> {
+/// Flies every arm over the same courses, prints and writes the table.
+fn fly_all(
+    common: &Common,
+    (seeds, flights): (&Seeds, u64),
+    arms: Vec<(bool, Option<Setting>)>,
+    command: &str,
+) -> Result<ExitCode> {
     let victim = common.pilot()?;
-    plan.actor_sha256 = victim.sha256();
-    // The file is called as the last word of the command.
+    // The files are called as the last word of the command.
     let name = command.rsplit(' ').next().unwrap_or(command);
-    let path = common.folder()?.join(format!("{name}.json"));
-    let units = plan.units();
-    let (pool, bar, interrupt) = (
-        common.pool()?,
-        Progress::new(units, "flights")?,
-        Interrupt::on_ctrl_c()?,
-    );
-    let with = (common.actor.as_deref(), &victim);
+    let lines = common.folder()?.join(format!("{name}.jsonl"));
+    let jobs = Jobs {
+        first_seed: seeds.seed,
+        flights,
+        arms: arms.iter().map(|arm| arm_name(*arm)).collect(),
+    };
+    let settings = Settings {
+        actor_sha256: victim.sha256(),
+        arms,
+    };
+    let existing = Existing::replaced_unless(seeds.resume);
+    let mut campaign = Campaign::new(command, settings.clone(), jobs.clone())?.keep_in(&lines, existing)?;
     say!(
         "{} validation courses from seed {}, the same for every row",
-        plan.flights,
-        plan.first_seed
+        jobs.flights,
+        jobs.first_seed
     );
-    if let Some(shard) = shard {
-        let path = shard.file(&path);
-        let part = Part::begin(command, plan.clone(), (shard, units), &path)?;
-        bar.set_length(part.missing().len() as u64);
-        part.fly(&path, (&pool, &bar, &interrupt), |unit| fly(&plan, with, unit))?;
-        return Ok(interrupt.exit_code());
-    }
     let begun = Instant::now();
-    let flown = part::fly_units((0..units).collect(), (&pool, &bar, &interrupt), |unit| {
-        fly(&plan, with, unit)
+    let interrupt = campaign.fly(&jobs, &common.pool()?, |seed, arm, _| {
+        let arm = settings.arms.iter().find(|known| arm_name(**known) == arm);
+        let (apf, setting) = *arm.context("an arm of this campaign")?;
+        let attack = setting.map(|s| Attack {
+            pilot: victim.clone(),
+            config: s.config,
+            burst: s.burst,
+            evade: None,
+            evades_guard: false,
+        });
+        // Undefended; with a detector: `vigil attack defended`.
+        let (config, firmware) = campaign::actor_flight(common.actor.as_deref(), apf, seed);
+        campaign::fly(&config, &firmware, attack.as_ref())
     })?;
-    bar.finish();
-    let flights: Vec<RowFlight> = flown.into_iter().map(|(_, flight)| flight).collect();
-    report(&plan, &flights, &path)?;
+    report(&campaign, &lines.with_extension("json"))?;
     say!("{:.0} s", begun.elapsed().as_secs_f64());
     Ok(interrupt.exit_code())
 }
 
+fn arm_name((apf, attack): (bool, Option<Setting>)) -> String {
+    let field = if apf { "field on" } else { "field off" };
+    attack.map_or_else(
+        || format!("{field}, no attack"),
+        |s| {
+            format!(
+                "{field}, {} {} {}",
+                s.config.method.name(),
+                s.burst,
+                s.config.towards.name()
+            )
+        },
+    )
+}
+
 /// Prints and writes the table.
-fn report(plan: &Plan, flights: &[RowFlight], path: &Path) -> Result<()> {
-    let rows: Vec<Row> = plan
-        .settings
-        .iter()
-        .enumerate()
-        .map(|(row, setting)| {
-            let of_it: Vec<&RowFlight> = flights.iter().filter(|flight| flight.row == row).collect();
-            (setting, of_it)
-        })
-        .filter(|(_, of_it)| !of_it.is_empty())
-        .map(|(setting, of_it)| Row::of(*setting, &of_it))
+fn report(campaign: &Campaign<Settings, Flight>, path: &Path) -> Result<()> {
+    let settings = campaign.settings();
+    let of_arm = |name: String| {
+        campaign
+            .flights()
+            .filter(move |(arm, _)| *arm == name)
+            .map(|(_, flight)| flight)
+    };
+    let rows = settings.arms.iter().map(|arm| (arm, of_arm(arm_name(*arm)).collect()));
+    let rows: Vec<Row> = rows
+        .filter(|(_, flights): &(_, Vec<&Flight>)| !flights.is_empty())
+        .map(|(setting, flights)| Row::of(*setting, &flights))
         .collect();
     say!("{}", Row::table(&rows));
-    let interrupted = (flights.len() as u64) < plan.units();
-    if interrupted {
-        say!("interrupted: {} of {} flights were flown", flights.len(), plan.units());
-    }
     write_json(
         path,
         &Report {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            actor_sha256: plan.actor_sha256.clone(),
-            first_seed: plan.first_seed,
-            interrupted,
+            actor_sha256: settings.actor_sha256.clone(),
+            first_seed: campaign.jobs().first_seed,
+            interrupted: campaign.is_interrupted(),
             rows,
         },
     )
 }
 
-/// What parts call these commands.
+/// What lines call these commands.
 pub const COMMANDS: [&str; 2] = ["attack completion", "attack search"];
 
-/// Makes the whole of its parts: the table, and the JSON as one machine would have written it.
+/// Makes one table of the flights in several files.
 ///
 /// # Errors
-/// Parts that contradict each other or are not all; a file that cannot be written.
-pub fn merge(parts: &[PathBuf], json: &Path) -> Result<ExitCode> {
-    let (plan, flights) = part::join::<Plan, RowFlight>(parts)?;
-    report(&plan, &flights, json)?;
+/// Flights that contradict each other or are not all; a file that cannot be written.
+pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    report(&Campaign::load(files, json)?, json)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -348,8 +291,7 @@ pub fn run_completion(args: &CompletionArgs) -> Result<ExitCode> {
         .into_iter()
         .flat_map(|apf| bursts.map(|setting| (apf, setting)))
         .collect();
-    let plan = Plan::new(args.seed, args.flights, settings);
-    fly_all(&args.common, plan, args.shard, COMMANDS[0])
+    fly_all(&args.common, (&args.seeds, args.flights), settings, COMMANDS[0])
 }
 
 /// Every method, burst and direction asked for, after a row without an attack.
@@ -372,6 +314,5 @@ pub fn run_search(args: &SearchArgs) -> Result<ExitCode> {
             }
         }
     }
-    let plan = Plan::new(args.seed, args.flights, settings);
-    fly_all(&args.common, plan, args.shard, COMMANDS[1])
+    fly_all(&args.common, (&args.seeds, args.flights), settings, COMMANDS[1])
 }

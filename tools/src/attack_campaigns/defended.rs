@@ -1,21 +1,18 @@
 //! What the detector is worth: the same flights attacked and not, undefended, with the stop alone, with recovery.
 //!
-//! Each flight is a line of `defended.csv` as soon as it has ended, so a campaign of hours loses at most the flights in the air, and
+//! Each flight is a line of `defended.jsonl` as soon as it has ended, so a campaign of hours loses at most the flights in the air, and
 //! `--resume` flies what is missing.
 
-use super::{Common, write_json};
-use crate::campaign::part::{self, Part, Shard, Unit};
-use crate::campaign::{self, Flown, Tally};
-use crate::cli::output::{self, Interrupt, Progress, say};
-use crate::report::{TextTable, csv_line, decimals, from_csv, numbers, words};
-use anyhow::{Context, Result, bail, ensure};
-use rayon::prelude::*;
+use super::{Common, Seeds, write_json};
+use crate::campaign::flights::{Campaign, Existing, Jobs};
+use crate::campaign::{self, Flight, Tally};
+use crate::cli::output::{self, say};
+use crate::report::{TextTable, decimals, numbers, to_csv, words};
+use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Mutex;
 use vigil_adversary::{Attack, AttackArgs};
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
@@ -32,9 +29,8 @@ pub struct DefendedArgs {
     #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
     flights: u64,
 
-    /// Seed of the first validation course.
-    #[arg(long, default_value_t = 5000)]
-    seed: u64,
+    #[command(flatten)]
+    seeds: Seeds,
 
     /// Arms to fly.
     #[arg(
@@ -93,15 +89,6 @@ pub struct DefendedArgs {
     #[arg(long, value_name = "on|off", value_parser = parse_switch, default_value = "on", action = clap::ArgAction::Set)]
     guard: bool,
 
-    /// Fly only what the folder's defended.csv does not have yet, once Ctrl-C or a kill ended an earlier run.
-    #[arg(long, conflicts_with = "shard")]
-    resume: bool,
-
-    /// Fly part K of N only and leave it in the folder as defended.K-of-N.part.json; `vigil merge` makes the whole of all parts.
-    /// A part that is there already is gone on with.
-    #[arg(long, value_name = "K/N")]
-    shard: Option<Shard>,
-
     /// So many small sensors of 45° each, side by side, must see nothing nearer than the frames show (docs/second-sensor.md).
     #[arg(long, value_name = "COUNT", default_value_t = 0, value_parser = clap::value_parser!(u8).range(0..=5))]
     second_sensor_heads: u8,
@@ -145,6 +132,11 @@ impl Arm {
         }
     }
 
+    fn named(name: &str) -> Result<Self> {
+        let arm = Self::ALL.into_iter().find(|arm| arm.name() == name);
+        arm.with_context(|| format!("there is no arm {name}"))
+    }
+
     fn attacked(self) -> bool {
         !matches!(self, Self::None | Self::NoneWatched)
     }
@@ -158,7 +150,7 @@ impl Arm {
     }
 }
 
-/// What every flight of a campaign has in common; the first line of `defended.csv`.
+/// What every flight of a campaign has in common.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct Settings {
     version: String,
@@ -169,7 +161,6 @@ struct Settings {
     guard: bool,
     #[serde(default, skip_serializing_if = "is_none")]
     second_sensor_heads: u8,
-    first_seed: u64,
     apf: bool,
     attack: AttackConfig,
     burst: Burst,
@@ -186,56 +177,12 @@ fn is_none(heads: &u8) -> bool {
     *heads == 0
 }
 
-/// Everything that decides what the flights are, wherever they are flown.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-struct Plan {
-    settings: Settings,
-    flights: u64,
-    /// In their order, each once.
-    arms: Vec<Arm>,
-}
-
-impl Plan {
-    fn units(&self) -> u64 {
-        self.flights.saturating_mul(self.arms.len() as u64)
-    }
-
-    /// All arms of a course before the next course: an interrupted campaign is one of fewer courses.
-    fn place(&self, unit: u64) -> Result<(u64, Arm)> {
-        let arms = self.arms.len().max(1) as u64;
-        let arm = self
-            .arms
-            .get((unit % arms) as usize)
-            .context("an arm for each flight")?;
-        Ok((self.settings.first_seed.wrapping_add(unit / arms), *arm))
-    }
-}
-
-/// A flight of a part: its line of `defended.csv`, to the letter.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(transparent)]
-struct Written(String);
-
-impl Written {
-    fn line(&self) -> Result<Line> {
-        let lines = from_csv::<Line>(&format!("{COLUMNS}\n{}", self.0));
-        let line = lines.ok().and_then(|mut lines| lines.pop());
-        line.with_context(|| format!("not a flight: {:?}", self.0))
-    }
-}
-
-impl Unit for Written {
-    fn name(&self) -> String {
-        format!("the flight {}", self.0.trim_end())
-    }
-}
-
 /// A flight: a line of `defended.csv`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize)]
 struct Line {
     arm: Arm,
     seed: u64,
-    #[serde(with = "outcome_or_none")]
+    #[serde(serialize_with = "outcome_or_none")]
     outcome: Option<Outcome>,
     #[serde(serialize_with = "decimals::<2, _, _>")]
     flight_time_s: f64,
@@ -258,38 +205,22 @@ struct Line {
     recovery_steps: u64,
 }
 
-/// A flight has a line of 100 bytes.
-const SIZE_LIMIT: u64 = 1 << 30;
-const COLUMNS: &str = "arm,seed,outcome,flight_time_s,closest_obstacle_m,attacked_steps,effective_steps,judged_steps,alarms,guard_alarms,astray_alarms,disagreement_alarms,first_alarm_step,stop_steps,recovery_steps";
-
 /// An outcome by its name, and `none` for a vehicle that never took off.
-mod outcome_or_none {
-    use serde::{Deserialize, Deserializer, Serializer};
-    use vigil_world::Outcome;
-
-    const NO_FLIGHT: &str = "none";
-
-    pub fn serialize<S: Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_str(outcome.map_or(NO_FLIGHT, Outcome::name))
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<Outcome>, D::Error> {
-        match String::deserialize(d)?.as_str() {
-            NO_FLIGHT => Ok(None),
-            name => name.parse().map(Some).map_err(serde::de::Error::custom),
-        }
-    }
+#[allow(clippy::ref_option, reason = "what serde calls it with")]
+fn outcome_or_none<S: serde::Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
+    s.serialize_str(outcome.map_or("none", Outcome::name))
 }
+
 impl Line {
-    fn of(arm: Arm, seed: u64, flown: &Flown) -> Self {
-        let attack = flown.attack.unwrap_or_default();
-        let watch = flown.watch.clone().unwrap_or_default();
+    fn of(arm: Arm, flight: &Flight) -> Self {
+        let attack = flight.attack.unwrap_or_default();
+        let watch = flight.watch.clone().unwrap_or_default();
         Self {
             arm,
-            seed,
-            outcome: flown.record.outcome,
-            flight_time_s: flown.record.flight_time_s,
-            closest_obstacle_m: flown.record.closest_obstacle_m,
+            seed: flight.seed,
+            outcome: flight.record.outcome,
+            flight_time_s: flight.record.flight_time_s,
+            closest_obstacle_m: flight.record.closest_obstacle_m,
             attacked_steps: attack.attacked_steps,
             effective_steps: attack.effective_steps,
             judged_steps: watch.judged_steps,
@@ -305,63 +236,6 @@ impl Line {
 
     fn is_success(&self) -> bool {
         self.outcome == Some(Outcome::Success)
-    }
-}
-
-/// The flights of a campaign, on disk and in memory.
-struct Log {
-    path: PathBuf,
-    heading: String,
-    lines: BTreeMap<(u64, Arm), Line>,
-}
-
-impl Log {
-    /// Without flights.
-    fn new(path: PathBuf, settings: &Settings) -> Result<Self> {
-        Ok(Self {
-            path,
-            heading: format!("# {}\n{COLUMNS}\n", serde_json::to_string(settings)?),
-            lines: BTreeMap::new(),
-        })
-    }
-
-    /// Reads what there is, when it is to be gone on with. A line that a killed process left half written is flown again.
-    fn open(path: PathBuf, settings: &Settings, resume: bool) -> Result<Self> {
-        let mut log = Self::new(path, settings)?;
-        let name = log.path.display().to_string();
-        if !log.path.exists() {
-            return Ok(log);
-        }
-        ensure!(
-            resume,
-            "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another folder with --output"
-        );
-        let text =
-            vigil_types::files::read_text(&log.path, SIZE_LIMIT).with_context(|| format!("cannot read {name}"))?;
-        let Some(lines) = text.strip_prefix(&log.heading) else {
-            bail!("{name} is of another campaign (its first line tells which); name another folder with --output");
-        };
-        let whole = lines.rfind('\n').map_or("", |end| &lines[..end]);
-        for (number, text) in whole.lines().enumerate() {
-            let line = Written(text.to_owned())
-                .line()
-                .with_context(|| format!("{name}, line {}", number + 3))?;
-            log.lines.insert((line.seed, line.arm), line);
-        }
-        Ok(log)
-    }
-
-    /// Writes all flights in their order: what a finished campaign leaves does not depend on threads or interruptions.
-    fn write(&self) -> Result<std::fs::File> {
-        let mut text = self.heading.clone();
-        for line in self.lines.values() {
-            text += &csv_line(line);
-        }
-        output::write(&self.path, text)?;
-        std::fs::OpenOptions::new()
-            .append(true)
-            .open(&self.path)
-            .with_context(|| format!("cannot write {}", self.path.display()))
     }
 }
 
@@ -477,6 +351,7 @@ fn pair(lines: &BTreeMap<(u64, Arm), Line>, without: Arm, with: Arm) -> Option<P
 #[derive(Serialize)]
 struct Report<'a> {
     settings: &'a Settings,
+    first_seed: u64,
     rows: Vec<Row>,
     pairs: Vec<Pair>,
 }
@@ -513,95 +388,58 @@ pub fn run(args: &DefendedArgs) -> Result<ExitCode> {
         raise: (detector.raise_count, detector.raise_window),
         guard: args.guard,
         second_sensor_heads: args.second_sensor_heads,
-        first_seed: args.seed,
         apf: args.apf,
         attack: attack.config,
         burst: attack.burst,
         evades_sha256: attack.evade.as_ref().map(FrozenDetector::sha256),
         evades_guard: args.evade_guard,
     };
-    let arms = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm));
-    let plan = Plan {
-        settings,
+    let arms: Vec<Arm> = Arm::ALL.into_iter().filter(|arm| args.arms.contains(arm)).collect();
+    let jobs = Jobs {
+        first_seed: args.seeds.seed,
         flights: args.flights,
-        arms: arms.collect(),
+        arms: arms.iter().map(|arm| arm.name().to_owned()).collect(),
     };
-    if let Some(shard) = args.shard {
-        return fly_shard(args, &attack, plan, shard, folder);
-    }
-    let log = Log::open(folder.join(CSV), &plan.settings, args.resume)?;
-    fly_missing(args, &attack, log, &plan, folder)
-}
-
-/// What parts call this command.
-pub const COMMAND: &str = "attack defended";
-const CSV: &str = "defended.csv";
-
-fn fly_shard(args: &DefendedArgs, attack: &Attack, plan: Plan, shard: Shard, folder: &Path) -> Result<ExitCode> {
-    let path = shard.file(&folder.join("defended.json"));
-    let part = Part::begin(COMMAND, plan.clone(), (shard, plan.units()), &path)?;
-    let (pool, interrupt) = (args.common.pool()?, Interrupt::on_ctrl_c()?);
-    let bar = Progress::new(part.missing().len() as u64, "flights")?;
-    part.fly(&path, (&pool, &bar, &interrupt), |unit| {
-        let (seed, arm) = plan.place(unit)?;
-        Ok(Written(csv_line(Line::of(arm, seed, &fly(args, arm, attack, seed)?))))
+    let lines = folder.join("defended.jsonl");
+    let table = lines.with_extension("csv");
+    ensure!(
+        lines.exists() || !table.exists(),
+        "{} holds a campaign of an earlier version; name another folder with --output",
+        table.display()
+    );
+    let existing = if args.seeds.resume {
+        Existing::Resume
+    } else {
+        Existing::Refuse
+    };
+    let mut campaign = Campaign::new(COMMAND, settings, jobs.clone())?.keep_in(&lines, existing)?;
+    let interrupt = campaign.fly(&jobs, &args.common.pool()?, |seed, arm, _| {
+        fly(args, Arm::named(arm)?, &attack, seed)
     })?;
+    report(&campaign, &lines.with_extension("json"))?;
     Ok(interrupt.exit_code())
 }
 
-/// Makes the whole of its parts: the table, the JSON, and the flights beside it, as one machine would have written them.
+/// What lines call this command.
+pub const COMMAND: &str = "attack defended";
+
+/// Makes one table of the flights in several files.
 ///
 /// # Errors
-/// Parts that contradict each other or are not all; a file that cannot be written.
-pub fn merge(parts: &[PathBuf], json: &Path) -> Result<ExitCode> {
-    let (plan, flights) = part::join::<Plan, Written>(parts)?;
-    let lines: Vec<Line> = flights.iter().map(Written::line).collect::<Result<_>>()?;
-    let path = match output::is_stdout(json) {
-        true => PathBuf::from(CSV),
-        false => json.with_extension("csv"),
-    };
-    let mut log = Log::new(path, &plan.settings)?;
-    log.lines = lines.into_iter().map(|line| ((line.seed, line.arm), line)).collect();
-    log.write()?;
-    report(&plan.settings, &log, json)?;
+/// Flights that contradict each other or are not all; a file that cannot be written.
+pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    report(&Campaign::load(files, json)?, json)?;
     Ok(ExitCode::SUCCESS)
 }
 
-fn fly_missing(args: &DefendedArgs, attack: &Attack, mut log: Log, plan: &Plan, folder: &Path) -> Result<ExitCode> {
-    let missing: Vec<(u64, Arm)> = (0..plan.units())
-        .map(|unit| plan.place(unit))
-        .filter(|key| !key.as_ref().is_ok_and(|key| log.lines.contains_key(key)))
-        .collect::<Result<_>>()?;
-    let interrupt = Interrupt::on_ctrl_c()?;
-    let bar = Progress::new(missing.len() as u64, "flights")?;
-    let file = Mutex::new(log.write()?);
-    let flown: Vec<Line> = args.common.pool()?.install(|| {
-        missing
-            .into_iter()
-            .take_while(|_| !interrupt.came())
-            .par_bridge()
-            .map(|(seed, arm)| {
-                let line = Line::of(arm, seed, &fly(args, arm, attack, seed)?);
-                let mut file = file.lock().map_err(|_| anyhow::anyhow!("another flight failed"))?;
-                write!(file, "{}", csv_line(&line)).with_context(|| format!("cannot write {}", log.path.display()))?;
-                bar.inc(1);
-                Ok(line)
-            })
-            .collect::<Result<_>>()
-    })?;
-    bar.finish();
-    log.lines
-        .extend(flown.into_iter().map(|line| ((line.seed, line.arm), line)));
-    log.write()?;
-    if interrupt.came() {
-        say!("interrupted: the same command with --resume goes on");
-    }
-    report(&plan.settings, &log, &folder.join("defended.json"))?;
-    Ok(interrupt.exit_code())
-}
-
 /// Prints and writes the tables.
-fn report(settings: &Settings, log: &Log, json: &Path) -> Result<()> {
+fn report(campaign: &Campaign<Settings, Flight>, json: &Path) -> Result<()> {
+    let (settings, first_seed) = (campaign.settings(), campaign.jobs().first_seed);
+    let lines = campaign.flights().map(|(arm, flight)| {
+        let arm = Arm::named(arm)?;
+        Ok(((flight.seed, arm), Line::of(arm, flight)))
+    });
+    let lines: BTreeMap<(u64, Arm), Line> = lines.collect::<Result<_>>()?;
     say!(
         "{}, ε = {}/255, {} iterations, {}, burst {}, field {}; validation courses from seed {}, the same in every arm",
         settings.attack.method.name(),
@@ -610,11 +448,11 @@ fn report(settings: &Settings, log: &Log, json: &Path) -> Result<()> {
         settings.attack.towards.name(),
         settings.burst,
         if settings.apf { "on" } else { "off" },
-        settings.first_seed
+        first_seed
     );
     let rows: Vec<Row> = Arm::ALL
         .into_iter()
-        .filter_map(|arm| Row::of(arm, log.lines.values()))
+        .filter_map(|arm| Row::of(arm, lines.values()))
         .collect();
     say!("{}", Row::table(&rows));
     let pairs: Vec<Pair> = [
@@ -623,7 +461,7 @@ fn report(settings: &Settings, log: &Log, json: &Path) -> Result<()> {
         (Arm::Undefended, Arm::Recover),
     ]
     .into_iter()
-    .filter_map(|(without, with)| pair(&log.lines, without, with))
+    .filter_map(|(without, with)| pair(&lines, without, with))
     .inspect(|p| {
         say!(
             "{} against {}: of {} courses {} completed only with, {} only without",
@@ -635,11 +473,29 @@ fn report(settings: &Settings, log: &Log, json: &Path) -> Result<()> {
         );
     })
     .collect();
-    say!("flights   {}", log.path.display());
-    write_json(json, &Report { settings, rows, pairs })
+    campaign.is_interrupted();
+    let table = if output::is_file(json) {
+        json.with_extension("csv")
+    } else {
+        PathBuf::from("defended.csv")
+    };
+    output::write(
+        &table,
+        format!("# {}\n{}", serde_json::to_string(settings)?, to_csv(lines.values())),
+    )?;
+    say!("flights   {}", table.display());
+    write_json(
+        json,
+        &Report {
+            settings,
+            first_seed,
+            rows,
+            pairs,
+        },
+    )
 }
 
-fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flown> {
+fn fly(args: &DefendedArgs, arm: Arm, attack: &Attack, seed: u64) -> Result<Flight> {
     let (mut config, mut firmware) = campaign::actor_flight(args.common.actor.as_deref(), args.apf, seed);
     firmware.detector.enabled = Some(arm.alarm().is_some());
     firmware.detector.file.clone_from(&args.detector);
@@ -673,60 +529,6 @@ mod tests {
             stop_steps: 14,
             recovery_steps: 120,
         }
-    }
-
-    fn settings(burst: u64) -> Settings {
-        Settings {
-            version: "0".to_owned(),
-            actor_sha256: "a".to_owned(),
-            detector_sha256: "d".to_owned(),
-            raise: (2, 3),
-            guard: true,
-            second_sensor_heads: 0,
-            first_seed: 7,
-            apf: false,
-            attack: AttackConfig::PAPER,
-            burst: Burst::Steps(burst),
-            evades_sha256: None,
-            evades_guard: false,
-        }
-    }
-
-    #[test]
-    fn a_killed_campaign_goes_on_with_every_flight_that_had_ended() {
-        let folder = std::env::temp_dir().join(format!("vigil-defended-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let path = folder.join("defended.csv");
-        let _ = std::fs::remove_file(&path);
-
-        let mut log = Log::open(path.clone(), &settings(100), false).unwrap();
-        let flown = [
-            line(Arm::Recover, 7, Outcome::Success),
-            line(Arm::Stop, 7, Outcome::TimeOut),
-        ];
-        let mut file = log.write().unwrap();
-        for line in &flown {
-            write!(file, "{}", csv_line(line)).unwrap();
-        }
-        // The third was being written when the process was killed.
-        write!(file, "undefended,7,coll").unwrap();
-
-        let again = Log::open(path.clone(), &settings(100), true).unwrap();
-        assert_eq!(
-            again.lines.values().cloned().collect::<Vec<_>>(),
-            [flown[1].clone(), flown[0].clone()]
-        );
-        // Rewritten, it is whole and in order.
-        again.write().unwrap();
-        log.lines.clone_from(&again.lines);
-        assert_eq!(Log::open(path.clone(), &settings(100), true).unwrap().lines, log.lines);
-
-        let refused = |settings, resume| format!("{:#}", Log::open(path.clone(), &settings, resume).err().unwrap());
-        assert!(refused(settings(100), false).contains("--resume"));
-        assert!(refused(settings(50), true).contains("another campaign"));
-        std::fs::write(&path, format!("{}stop,x,\n", again.heading)).unwrap();
-        assert!(refused(settings(100), true).contains("line 3"));
-        std::fs::remove_dir_all(&folder).unwrap();
     }
 
     #[test]

@@ -28,8 +28,8 @@ Examples:
   vigil attack table --states 1000       the same on more states
   vigil attack deflection                yaw deflection in front of a wall (the paper's table II)
   vigil attack completion --flights 200       completion: potential field on and off, attacked and not, bursts of 5 and 50
-  vigil attack completion --flights 200 --shard 2/9
-                                         the second of nine parts, for `vigil merge` (docs/cluster.md)
+  vigil attack completion --seed 5200 --flights 200
+                                         other courses, on another machine, for `vigil merge` (docs/cluster.md)
   vigil attack search                     which streaming attack hurts most
   vigil attack defended --flights 500 --burst continuous
                                          completion undefended, with the stop alone, with recovery, and not attacked
@@ -76,6 +76,18 @@ struct Common {
     /// Folder for JSON, CSV and pictures.
     #[arg(short, long, value_name = "DIR", default_value = "runs/attack")]
     output: PathBuf,
+}
+
+/// Which courses a campaign flies over.
+#[derive(Debug, Clone, clap::Args)]
+struct Seeds {
+    /// Seed of the first validation course.
+    #[arg(long, default_value_t = 5000)]
+    seed: u64,
+
+    /// Fly only what the folder's NAME.jsonl does not have yet, once Ctrl-C or a kill ended an earlier run.
+    #[arg(long)]
+    resume: bool,
 }
 
 /// The actor under attack, named in every report.
@@ -128,14 +140,14 @@ pub fn run(args: &AttackCommands) -> Result<ExitCode> {
     }
 }
 
-/// Makes the whole of the parts of one of these commands, if it is one.
+/// Makes one table of the flights of one of these commands, if it is one.
 ///
 /// # Errors
-/// Parts that contradict each other or are not all; a file that cannot be written.
-pub fn merge(command: &str, parts: &[PathBuf], json: &Path) -> Option<Result<ExitCode>> {
+/// Flights that contradict each other or are not all; a file that cannot be written.
+pub fn merge(command: &str, files: &[PathBuf], json: &Path) -> Option<Result<ExitCode>> {
     match command {
-        defended::COMMAND => Some(defended::merge(parts, json)),
-        command if completion::COMMANDS.contains(&command) => Some(completion::merge(parts, json)),
+        defended::COMMAND => Some(defended::merge(files, json)),
+        command if completion::COMMANDS.contains(&command) => Some(completion::merge(files, json)),
         _ => None,
     }
 }

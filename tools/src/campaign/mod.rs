@@ -1,6 +1,6 @@
 //! One flight of the whole stack in lockstep, attacked or not: what every campaign repeats.
 
-pub mod part;
+pub mod flights;
 mod recording;
 mod sensor_record;
 mod watch;
@@ -25,17 +25,29 @@ use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, PilotKind};
 use vigil_world::{Family, Outcome, generate};
 
 /// What a flight came to.
-pub struct Flown {
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Flight {
+    /// Of course, sensor noise and attack.
+    pub seed: u64,
+    /// Began on the ground.
+    pub from_ground: bool,
+    /// What was wrong with the sensor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor_fault: Option<String>,
     /// How it ended.
+    #[serde(flatten)]
     pub record: FlightRecord,
     /// What the attack did, if there was one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub attack: Option<AttackRecord>,
     /// What the detector did, if there was one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub watch: Option<WatchRecord>,
     /// What was found wrong with the sensor.
     pub sensor: SensorRecord,
-    /// Frames that were altered on their way and shown to a pilot all the same.
-    pub altered_frames_used: u64,
+    /// Altered frames that a pilot was shown; absent without an attack.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub altered_frames_used: Option<u64>,
 }
 
 /// How a row of flights ended.
@@ -116,7 +128,7 @@ pub fn actor_flight(actor: Option<&Path>, apf: bool, seed: u64) -> (SimConfig, F
 ///
 /// # Errors
 /// A configuration that must not fly, an actor that is refused, an attack out of range.
-pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack>) -> Result<Flown> {
+pub fn fly(config: &SimConfig, firmware: &FirmwareConfig, attack: Option<&Attack>) -> Result<Flight> {
     fly_recorded(config, firmware, attack, None)
 }
 
@@ -129,7 +141,7 @@ pub fn fly_recorded(
     firmware: &FirmwareConfig,
     attack: Option<&Attack>,
     recording: Option<Recording>,
-) -> Result<Flown> {
+) -> Result<Flight> {
     let mut recording = recording.map(|r| r.begin(config, firmware)).transpose()?;
     let mut simulator = Simulator::new(config, 0)?;
     let mut firmware = SameProcess {
@@ -169,12 +181,15 @@ pub fn fly_recorded(
         firmware.firmware.finish();
         recording.end(config, &record)?;
     }
-    Ok(Flown {
+    Ok(Flight {
+        seed: config.seed,
+        from_ground: config.start == Start::Ground,
+        sensor_fault: config.sensor_fault.map(|fault| fault.to_string()),
         record,
         attack: done,
         watch: firmware.watch.was_watched().then_some(firmware.watch),
         sensor: firmware.sensor,
-        altered_frames_used: firmware.altered_frames_used,
+        altered_frames_used: done.map(|_| firmware.altered_frames_used),
     })
 }
 

@@ -1,11 +1,10 @@
 //! `vigil detector`: data for the detectors, their training, and how well they detect.
 
-use crate::campaign::part::Shard;
-use crate::cli::collected_parts::{self, GatheredSet};
+use crate::cli::collect::{CollectArgs, Gathering};
 use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    Counts, DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Record,
-    Report, Role, Separation, Set, SetReport, States, auc, fly_sets, sets,
+    DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Record, Report,
+    Role, Separation, Set, SetReport, States, auc, fly_sets, sets,
 };
 use crate::report::{Figure, Panel, Picture, Scale, TextTable, decimals, numbers, to_csv, words};
 use crate::statistics::quantile;
@@ -21,10 +20,7 @@ use vigil_nnet::Isa;
 use vigil_policy::{FrozenActor, FrozenPilot};
 use vigil_world::Family;
 
-/// First seeds of the flights to learn from and of those that choose; all below 10 000, on training courses.
-const LEARN_SEED: u64 = 3000;
-const CHOOSE_SEED: u64 = 4500;
-/// The same of the states with images; those to judge are on validation courses.
+/// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
 const IMAGES_LEARN_SEED: u64 = 5000;
 const IMAGES_CHOOSE_SEED: u64 = 5700;
 const IMAGES_JUDGE_SEED: u64 = 7000;
@@ -42,7 +38,8 @@ Examples:
   vigil detector figures --seed 7           how the decisions of a flight are explained, as pictures
   vigil detector times                      how long deciding, explaining and judging take
   vigil detector collect --actor my.safetensors -o runs/mine
-  vigil detector collect -o runs/a --shard 2/4      a quarter of the flights, on another machine; then vigil merge
+  vigil detector collect --set learn --seed 3300 --flights 300 -o runs/a
+                                            some of the flights, on another machine (docs/cluster.md)
 
 But for figures and times, each needs the one before. Flights that are there already are not flown again. docs/detectors.md explains the method.")]
 pub struct DetectorArgs {
@@ -65,18 +62,7 @@ pub struct DetectorArgs {
 #[derive(Debug, Clone, clap::Subcommand)]
 enum DetectorCommand {
     /// Fly the data to learn from.
-    Collect {
-        /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
-        #[arg(long, default_value_t = 30_000, value_parser = clap::value_parser!(u64).range(100..))]
-        windows: u64,
-        /// Fly part K of N only and leave it in the folder as collect.K-of-N.part.json; `vigil merge` makes the files of all parts.
-        #[arg(long, value_name = "K/N")]
-        shard: Option<Shard>,
-        /// With --shard: flights to learn from that all parts together fly; those that are not needed are left out of the whole
-        /// [default: one for 30 windows].
-        #[arg(long, requires = "shard", value_parser = clap::value_parser!(u64).range(1..))]
-        flights: Option<u64>,
-    },
+    Collect(CollectArgs),
     /// Train LSTM-AD and freeze it.
     Train {
         /// Epochs.
@@ -205,22 +191,6 @@ pub(crate) struct TimeRow {
 /// The sets of an evaluation, and the flights of each.
 type JudgedFlights = (Vec<Set>, Vec<Vec<Record>>);
 
-/// Attacked windows of a flight, fewer than any actor had so far (45): the parts are to be enough.
-const WINDOWS_PER_FLIGHT: u64 = 30;
-
-/// The flights that are learned from, and those that choose the epoch.
-fn gathered_sets(windows: usize) -> [GatheredSet; 2] {
-    let set = |file: &str, first_seed, windows| GatheredSet {
-        file: file.to_owned(),
-        first_seed,
-        windows,
-    };
-    [
-        set("learn.safetensors", LEARN_SEED, windows),
-        set("choose.safetensors", CHOOSE_SEED, windows / 5),
-    ]
-}
-
 /// What every stage needs.
 struct Stage<'a> {
     isa: Isa,
@@ -242,17 +212,11 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
     let pool = thread_pool_of(args.threads)?;
     // What can be interrupted tells by its exit code whether it was.
     match &args.command {
-        DetectorCommand::Collect {
-            windows,
-            shard: Some(shard),
-            flights,
-        } => {
-            let flights = flights.unwrap_or(windows.div_ceil(WINDOWS_PER_FLIGHT));
-            let pilot = (stage.isa, &stage.pilot);
-            let sets = gathered_sets(*windows as usize).into();
-            return collected_parts::fly_shard(pilot, sets, (*shard, flights), stage.folder, &pool);
+        DetectorCommand::Collect(collect) => {
+            let (pilot, folder) = (&stage.pilot, stage.folder);
+            let pool = &pool;
+            return Gathering { pilot, folder, pool }.run(collect);
         }
-        DetectorCommand::Collect { windows, .. } => return pool.install(|| stage.collect(*windows as usize)),
         DetectorCommand::Images {
             states,
             judged,
@@ -261,7 +225,7 @@ pub fn run(args: &DetectorArgs) -> Result<ExitCode> {
         _ => {}
     }
     pool.install(|| match &args.command {
-        DetectorCommand::Collect { .. } | DetectorCommand::Images { .. } => Ok(()),
+        DetectorCommand::Collect(_) | DetectorCommand::Images { .. } => Ok(()),
         DetectorCommand::Train { epochs, seed } => stage.train(*epochs, *seed),
         DetectorCommand::Evaluate { size, detector } => stage.evaluate(&size.into(), detector.as_deref()),
         DetectorCommand::Ablate { size } => stage.ablate(&size.into()),
@@ -315,64 +279,6 @@ impl Stage<'_> {
             return Ok(None);
         }
         Ok(Some(Flights::load(&path, &self.pilot)?))
-    }
-
-    fn collect(&self, windows: usize) -> Result<ExitCode> {
-        let interrupt = Interrupt::on_ctrl_c()?;
-        for set in gathered_sets(windows) {
-            let (name, seed) = (set.file.as_str(), set.first_seed);
-            let want = Counts {
-                attacked: set.windows,
-                unattacked: set.windows,
-            };
-            let flights = match self.kept(name)? {
-                Some(flights) => flights,
-                None => {
-                    let bar = Progress::new(want.attacked as u64, "attacked windows")?;
-                    let part = format!("{name}.part");
-                    let begun = self.kept(&part)?.map_or_else(Vec::new, |flights| flights.records);
-                    let (flights, complete) = crate::detector_training::collect(
-                        self.isa,
-                        &self.pilot,
-                        seed,
-                        want,
-                        begun,
-                        &mut |counts, flights| {
-                            bar.set_message(format!("{} unattacked, {flights} flights", counts.unattacked));
-                            bar.set_position(counts.attacked as u64);
-                            match interrupt.came() {
-                                true => ControlFlow::Break(()),
-                                false => ControlFlow::Continue(()),
-                            }
-                        },
-                    )?;
-                    bar.finish();
-                    if !complete {
-                        flights.save(&self.path(&part))?;
-                        say!(
-                            "interrupted: {} flights are kept in {}; the same command goes on with them",
-                            flights.records.len(),
-                            self.path(&part).display()
-                        );
-                        return Ok(ExitCode::from(EXIT_INTERRUPTED));
-                    }
-                    flights.save(&self.path(name))?;
-                    // What it held is in the file just written.
-                    let _ = std::fs::remove_file(self.path(&part));
-                    flights
-                }
-            };
-            let counts = Counts::of(&flights.records);
-            let (weak, lingering) = crate::detector_training::left_out(&flights.records);
-            say!(
-                "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {weak} weak, {lingering} lingering",
-                name,
-                flights.records.len(),
-                counts.attacked,
-                counts.unattacked
-            );
-        }
-        Ok(ExitCode::SUCCESS)
     }
 
     fn training_flights(&self) -> Result<[Flights; 2]> {

@@ -1,8 +1,8 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
-use crate::campaign::part::{self, Part, Shard, Unit};
-use crate::campaign::{self, FaultChoice, FaultTally, Flown, Recording, SensorRecord, WatchRecord};
-use crate::cli::output::{self, Interrupt, Paint, Progress, say, tell};
+use crate::campaign::flights::{Campaign, Existing, Jobs, sha256};
+use crate::campaign::{self, FaultChoice, FaultTally, Flight, Recording, SensorRecord, WatchRecord};
+use crate::cli::output::{self, Interrupt, Paint, say, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_report;
@@ -16,8 +16,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ExitCode};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
-use vigil_adversary::{Attack, AttackArgs, AttackRecord};
-use vigil_adversary::{AttackConfig, Burst};
+use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep_flight::FlightRecord;
@@ -55,14 +54,16 @@ Examples:
   vigil evaluate --flights 100 --draw-failures runs/f   a picture of every flight that failed
   vigil evaluate --flights 3 --logs runs/logs           each flight's log and its report
   vigil evaluate --flights 20 --view 4                  the first four in the Rerun viewer, while they fly
-  vigil evaluate --flights 9000 -o runs/big.json --shard 2/9
-                                                        the second of nine parts, for `vigil merge` (docs/cluster.md)
+  vigil evaluate --flights 9000 -o runs/big.json --resume
+                                                        go on after an interruption, flying what is missing
 
 Three of four flights begin hovering at the start, the others, whose seeds divide by --ground-every, on the ground: they
 arm and take off first. Each ends as success, collision, out of bounds or time-out (docs/courses.md).
-The same seeds give the same flights, bit for bit, and the same JSON, byte for byte, on any number of threads or machines.
+The same seeds give the same flights, bit for bit, and the same JSON, byte for byte, on any number of threads or machines:
+other machines fly other seeds, and `vigil merge` makes one report of all (docs/cluster.md).
 
-Ctrl-C ends it with the flights that had ended: the report then says how many were asked for, and that it was interrupted.
+Each flight is a line beside the JSON, NAME.jsonl, as soon as it has ended. Ctrl-C ends the campaign with the flights that had
+ended: the report then says how many were asked for, and that it was interrupted.
 Exit code: 0 all flights were flown (however they ended), 1 error, 130 interrupted.")]
 pub struct EvaluateArgs {
     /// Number of flights; flight i uses seed SEED + i.
@@ -132,10 +133,9 @@ pub struct EvaluateArgs {
     #[arg(short = 'o', long, value_name = "FILE", default_value = "runs/evaluate.json")]
     json: PathBuf,
 
-    /// Fly part K of N only and leave it beside the JSON as NAME.K-of-N.part.json; `vigil merge` makes the whole of all parts.
-    /// A part that is there already is gone on with.
-    #[arg(long, value_name = "K/N")]
-    shard: Option<Shard>,
+    /// Keep the flights in NAME.jsonl beside the JSON, and fly only what it does not have yet.
+    #[arg(long)]
+    resume: bool,
 
     /// Draw the course and path of every flight that failed into this folder.
     #[arg(long, value_name = "DIR")]
@@ -147,7 +147,7 @@ pub struct EvaluateArgs {
 
     /// Show the first N flights in one Rerun viewer while they fly: side by side, and each in a tab with all of its plots
     /// (docs/view.md). Their logs are kept, in the folder of --logs or in one of their own beside the JSON.
-    #[arg(long, value_name = "N", conflicts_with = "shard", value_parser = clap::value_parser!(u64).range(1..=MOST_SHOWN))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=MOST_SHOWN))]
     view: Option<u64>,
 
     #[command(flatten)]
@@ -190,34 +190,6 @@ fn spread(seed: u64) -> f64 {
     (seed as f64 * 0.618_033_988_749_895) % 1.0
 }
 
-#[derive(Serialize, Deserialize)]
-struct Flight {
-    seed: u64,
-    /// Began on the ground.
-    from_ground: bool,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    sensor_fault: Option<String>,
-    #[serde(flatten)]
-    record: FlightRecord,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    attack: Option<AttackRecord>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    watch: Option<WatchRecord>,
-    sensor: SensorRecord,
-    /// Altered frames that a pilot was shown; absent without an attack.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    altered_frames_used: Option<u64>,
-}
-
-impl Unit for Flight {
-    fn name(&self) -> String {
-        match &self.sensor_fault {
-            Some(fault) => format!("the flight of seed {} with the fault {fault}", self.seed),
-            None => format!("the flight of seed {}", self.seed),
-        }
-    }
-}
-
 /// The attack as the report names it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct AttackReport {
@@ -230,38 +202,42 @@ struct AttackReport {
 
 /// Everything that decides what the flights are, wherever they are flown: files by their content.
 #[derive(Serialize, Deserialize)]
-struct Plan {
-    first_seed: u64,
-    /// With each fault of the sensor.
-    flights: u64,
+struct Settings {
     family: Family,
     /// Where it is not the default one.
+    #[serde(skip_serializing_if = "Option::is_none")]
     vehicle_model: Option<String>,
     wind_m_s: f64,
     noise_factor: f32,
     still: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
     goal_distance: Option<GoalDistance>,
     ground_every: u64,
-    sensor_faults: Vec<String>,
     second_sensor_heads: u8,
     authenticated_frames: bool,
+    #[serde(skip_serializing_if = "Option::is_none")]
     simulation_sha256: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     actor_sha256: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     detector_sha256: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     attack: Option<AttackReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     attacked_actor_sha256: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     evaded_detector_sha256: Option<String>,
     /// The configuration of the firmware without its files.
     firmware: Value,
 }
 
-impl Plan {
+impl Settings {
     /// What the arguments ask for.
     fn of(args: &EvaluateArgs, attack: Option<&Attack>) -> Result<Self> {
         // A new argument has to be thought of here: does it decide what a flight is?
         let EvaluateArgs {
-            flights,
-            seed,
+            flights: _,
+            seed: _,
             family,
             threads: _,
             config,
@@ -273,11 +249,11 @@ impl Plan {
             ground_every,
             pilot,
             attack: _,
-            sensor_fault,
+            sensor_fault: _,
             second_sensor,
             authenticate_frames,
             json: _,
-            shard: _,
+            resume: _,
             draw_failures: _,
             logs: _,
             view: _,
@@ -292,8 +268,6 @@ impl Plan {
             vigil_types::files::read(file, 1 << 20).with_context(|| format!("cannot read {}", file.display()))
         });
         Ok(Self {
-            first_seed: *seed,
-            flights: *flights,
             family: *family,
             vehicle_model: vehicle.name(),
             wind_m_s: *wind,
@@ -301,10 +275,9 @@ impl Plan {
             still: *still,
             goal_distance: *goal_distance,
             ground_every: *ground_every,
-            sensor_faults: faults(*sensor_fault).iter().flatten().map(|f| f.to_string()).collect(),
             second_sensor_heads: second_sensor.heads,
             authenticated_frames: *authenticate_frames,
-            simulation_sha256: simulation.transpose()?.map(|text| part::sha256(&text)),
+            simulation_sha256: simulation.transpose()?.map(|text| sha256(&text)),
             actor_sha256: actor.map(|actor| actor.sha256()),
             detector_sha256: detector.as_ref().map(FrozenDetector::sha256),
             attack: attack.map(|attack| AttackReport {
@@ -316,11 +289,6 @@ impl Plan {
             evaded_detector_sha256: attack.and_then(|a| a.evade.as_ref()).map(FrozenDetector::sha256),
             firmware: serde_json::to_value(&firmware)?,
         })
-    }
-
-    /// All flights: with several faults, all with one before the next.
-    fn units(&self) -> u64 {
-        self.flights * self.sensor_faults.len().max(1) as u64
     }
 }
 
@@ -339,29 +307,14 @@ struct Report<'a> {
     /// Ctrl-C came before all flights that were asked for had been flown.
     interrupted: bool,
     flights_asked_for: u64,
-    family: Family,
     first_seed: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    vehicle_model: Option<&'a str>,
-    wind_m_s: f64,
-    noise_factor: f32,
-    still: bool,
-    second_sensor_heads: u8,
-    authenticated_frames: bool,
-    ground_every: u64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    goal_distance: Option<GoalDistance>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    actor_sha256: Option<&'a str>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    detector_sha256: Option<&'a str>,
+    #[serde(flatten)]
+    settings: &'a Settings,
     simulated_s: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    attack: Option<&'a AttackReport>,
     rates: &'a [Rate],
     #[serde(skip_serializing_if = "<[_]>::is_empty")]
     sensor_faults: &'a [FaultTally],
-    flights: &'a [Flight],
+    flights: &'a [&'a Flight],
 }
 
 /// Longest flight with a fault of the sensor, seconds: one that is held stays where it is.
@@ -396,11 +349,7 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         args.noise
     );
     let models = args.vehicle.models(args.config.as_deref())?;
-    let path = match args.shard {
-        Some(shard) => shard.file(&args.json),
-        None => args.json.clone(),
-    };
-    output::prepare(&path)?;
+    output::prepare(&args.json)?;
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
@@ -412,66 +361,79 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
     let attack = args.attack.attack(args.pilot.actor_file())?;
-    let plan = Plan::of(args, attack.as_ref())?;
     let faults = faults(args.sensor_fault);
-    let pool = thread_pool_of(args.threads)?;
-    let mut shown = args
-        .view
-        .map(|count| Shown::begin(args, &path, count, &faults))
-        .transpose()?;
-    let interrupt = Interrupt::on_ctrl_c()?;
-    let bar = Progress::new(plan.units(), "flights")?;
-    let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
-    let keep = |unit: u64| {
-        let of_shown = live.as_ref().filter(|(count, _)| unit < *count);
-        args.logs.as_deref().or(of_shown.map(|(_, folder)| folder.as_path()))
+    let jobs = Jobs {
+        first_seed: args.seed,
+        flights: args.flights,
+        arms: faults.iter().map(|fault| arm_name(*fault)).collect(),
     };
-    let fly_unit = |unit: u64| {
-        let fault = faults.get((unit / args.flights) as usize).copied().flatten();
-        let seed = args.seed.wrapping_add(unit % args.flights);
-        let flight = fly(args, &models, attack.as_ref(), fault, seed, keep(unit))?;
+    let lines = args.json.with_extension("jsonl");
+    ensure!(
+        lines != args.json,
+        "-o names the JSON report, and the flights go beside it to {}: give it another ending",
+        lines.display()
+    );
+    let lines = if output::is_file(&args.json) {
+        &lines
+    } else {
+        &args.json
+    };
+    let mut campaign = Campaign::new(COMMAND, Settings::of(args, attack.as_ref())?, jobs.clone())?
+        .keep_in(lines, Existing::replaced_unless(args.resume))?;
+    let pool = thread_pool_of(args.threads)?;
+    let mut shown = args.view.map(|count| Shown::begin(args, count, &faults)).transpose()?;
+    let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
+    let begun = Instant::now();
+    let interrupt = campaign.fly(&jobs, &pool, |seed, arm, bar| {
+        let arm = jobs
+            .arms
+            .iter()
+            .position(|known| known == arm)
+            .context("an arm of this campaign")?;
+        let number = (seed - args.seed) * faults.len() as u64 + arm as u64;
+        let of_shown = live.as_ref().filter(|(count, _)| number < *count);
+        let logs = args.logs.as_deref().or(of_shown.map(|(_, folder)| folder.as_path()));
+        let flight = fly(
+            args,
+            &models,
+            attack.as_ref(),
+            faults.get(arm).copied().flatten(),
+            seed,
+            logs,
+        )?;
         if !flight.record.is_success() {
-            bar.set_message(format!(
-                "last failure: seed {} ({})",
-                flight.seed,
-                name(flight.record.outcome)
-            ));
+            bar.set_message(format!("last failure: seed {seed} ({})", name(flight.record.outcome)));
         }
         Ok(flight)
-    };
-    if let Some(shard) = args.shard {
-        let units = plan.units();
-        let part = Part::begin(COMMAND, plan, (shard, units), &path)?;
-        bar.set_length(part.missing().len() as u64);
-        part.fly(&path, (&pool, &bar, &interrupt), fly_unit)?;
-        return Ok(interrupt.exit_code());
-    }
-    let begun = Instant::now();
-    let flown = part::fly_units((0..plan.units()).collect(), (&pool, &bar, &interrupt), fly_unit)?;
-    bar.finish();
-    let flights: Vec<Flight> = flown.into_iter().map(|(_, flight)| flight).collect();
+    })?;
     let took = Took {
         wall_s: begun.elapsed().as_secs_f64(),
         threads: pool.current_num_threads(),
     };
-    report(&plan, &flights, &path, Some(&took))?;
+    report(&campaign, &args.json, Some(&took))?;
     if let Some(shown) = &mut shown {
         shown.end(&interrupt)?;
     }
     Ok(interrupt.exit_code())
 }
 
-/// What parts of it call this command.
+/// What lines of it call this command.
 pub const COMMAND: &str = "evaluate";
 
-/// Makes the whole of its parts: the table, and the JSON as one machine would have written it.
+/// Makes one report of the flights in several files.
 ///
 /// # Errors
-/// Parts that contradict each other or are not all; a file that cannot be written.
-pub fn merge(parts: &[PathBuf], json: &Path) -> Result<ExitCode> {
-    let (plan, flights) = part::join::<Plan, Flight>(parts)?;
-    report(&plan, &flights, json, None)?;
+/// Flights that contradict each other or are not all; a file that cannot be written.
+pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
+    report(&Campaign::load(files, json)?, json, None)?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// The arm of flights whose sensor works.
+const NO_FAULT: &str = "no fault";
+
+fn arm_name(fault: Option<SensorFault>) -> String {
+    fault.map_or_else(|| NO_FAULT.to_owned(), |fault| fault.to_string())
 }
 
 /// What each flight is flown with.
@@ -523,36 +485,17 @@ fn fly(
     config.second_sensor_heads = args.second_sensor.heads.into();
     firmware.second_sensor = args.second_sensor.heads > 0;
     args.pilot.apply(&mut firmware);
-    let Flown {
-        record,
-        attack,
-        watch,
-        sensor,
-        altered_frames_used,
-    } = campaign::fly_recorded(
+    let flight = campaign::fly_recorded(
         &config,
         &firmware,
         attack,
         logs.map(|folder| recording(args, folder, fault, seed)),
     )?;
-    let is_attacked = attack.is_some();
-    if let Some(folder) = args.draw_failures.as_ref().filter(|_| !record.is_success()) {
-        draw(
-            &config.course,
-            &record,
-            &folder.join(format!("{seed}-{}.png", name(record.outcome).replace(' ', "-"))),
-        )?;
+    if let Some(folder) = args.draw_failures.as_ref().filter(|_| !flight.record.is_success()) {
+        let file = format!("{seed}-{}.png", name(flight.record.outcome).replace(' ', "-"));
+        draw(&config.course, &flight.record, &folder.join(file))?;
     }
-    Ok(Flight {
-        seed,
-        from_ground,
-        sensor_fault: fault.map(|fault| fault.to_string()),
-        record,
-        attack,
-        watch,
-        sensor,
-        altered_frames_used: is_attacked.then_some(altered_frames_used),
-    })
+    Ok(flight)
 }
 
 /// Flights in the viewer while they fly.
@@ -564,25 +507,24 @@ struct Shown {
 
 impl Shown {
     /// Opens the viewer for the first `count` flights.
-    fn begin(args: &EvaluateArgs, json: &Path, count: u64, faults: &[Option<SensorFault>]) -> Result<Self> {
+    fn begin(args: &EvaluateArgs, count: u64, faults: &[Option<SensorFault>]) -> Result<Self> {
         args.viewer.check_with_port()?;
         let count = count.min(args.flights * faults.len() as u64);
         let folder = match &args.logs {
             Some(folder) => folder.clone(),
             None => {
                 let stamp = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs());
-                let parent = json
-                    .parent()
-                    .filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(json));
+                let parent = args.json.parent();
+                let parent = parent.filter(|p| !p.as_os_str().is_empty() && !output::is_stdout(&args.json));
                 let parent = parent.unwrap_or(Path::new("runs"));
                 vigil_types::files::make_new_folder(parent, &format!("evaluate-{stamp}-{}", args.seed))
                     .with_context(|| format!("cannot make a folder in {}", parent.display()))?
             }
         };
         let names: Vec<String> = (0..count)
-            .map(|unit| {
-                let fault = faults.get((unit / args.flights) as usize).copied().flatten();
-                log_name(args, fault, args.seed.wrapping_add(unit % args.flights))
+            .map(|number| {
+                let (seed, arm) = (number / faults.len() as u64, number % faults.len() as u64);
+                log_name(args, faults.get(arm as usize).copied().flatten(), args.seed + seed)
             })
             .collect();
         let script = args.viewer.follow_all(&folder, &names)?;
@@ -636,12 +578,11 @@ fn log_name(args: &EvaluateArgs, fault: Option<SensorFault>, seed: u64) -> Strin
 fn recording(args: &EvaluateArgs, folder: &Path, fault: Option<SensorFault>, seed: u64) -> Recording {
     let name = format!("{}.mcap", log_name(args, fault, seed));
     let command = flight_report::command_again(
-        std::env::args(),
+        std::env::args().filter(|word| word != "--resume"),
         "evaluate",
         &[
             "--flights",
             "--seed",
-            "--shard",
             "--logs",
             "--threads",
             "-o",
@@ -693,20 +634,24 @@ struct Took {
     threads: usize,
 }
 
-fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> Result<()> {
-    let tallies: Vec<FaultTally> = plan
-        .sensor_faults
-        .iter()
+fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: Option<&Took>) -> Result<()> {
+    let (settings, jobs) = (campaign.settings(), campaign.jobs());
+    // All with one fault before the next.
+    let of_arm = |name| {
+        campaign
+            .flights()
+            .filter(move |(arm, _)| *arm == name)
+            .map(|(_, flight)| flight)
+    };
+    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(of_arm).collect();
+    let faults = jobs.arms.iter().filter(|arm| *arm != NO_FAULT);
+    let tallies: Vec<FaultTally> = faults
         .map(|fault| {
             let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(fault));
             FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
         })
         .collect();
-    let asked_for = plan.units();
-    let interrupted = (flights.len() as u64) < asked_for;
-    if interrupted {
-        say!("interrupted      {} of {asked_for} flights were flown", flights.len());
-    }
+    let interrupted = campaign.is_interrupted();
     let rates: Vec<Rate> = OUTCOMES
         .into_iter()
         .map(|outcome| {
@@ -741,7 +686,7 @@ fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> 
     let good: Vec<bool> = told().map(|r| r.outcome == "success").collect();
     paint.table(&table, &good);
     let from_ground = flights.iter().filter(|f| f.from_ground).count();
-    if let Some(model) = &plan.vehicle_model {
+    if let Some(model) = &settings.vehicle_model {
         say!("vehicle          {model}");
     }
     say!("from the ground  {from_ground} of {} flights", flights.len());
@@ -753,7 +698,7 @@ fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> 
     if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
         say!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
     }
-    if plan.attack.is_some() {
+    if settings.attack.is_some() {
         let each = || flights.iter().filter_map(|f| f.attack.as_ref());
         let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
         say!(
@@ -800,24 +745,13 @@ fn report(plan: &Plan, flights: &[Flight], json: &Path, took: Option<&Took>) -> 
     let content = serde_json::to_vec_pretty(&Report {
         version: env!("CARGO_PKG_VERSION"),
         interrupted,
-        flights_asked_for: asked_for,
-        family: plan.family,
-        first_seed: plan.first_seed,
-        vehicle_model: plan.vehicle_model.as_deref(),
-        wind_m_s: plan.wind_m_s,
-        noise_factor: plan.noise_factor,
-        still: plan.still,
-        second_sensor_heads: plan.second_sensor_heads,
-        authenticated_frames: plan.authenticated_frames,
-        ground_every: plan.ground_every,
-        goal_distance: plan.goal_distance,
-        actor_sha256: plan.actor_sha256.as_deref(),
-        detector_sha256: plan.detector_sha256.as_deref(),
+        flights_asked_for: jobs.count(),
+        first_seed: jobs.first_seed,
+        settings,
         simulated_s,
-        attack: plan.attack.as_ref(),
         rates: &rates,
         sensor_faults: &tallies,
-        flights,
+        flights: &flights,
     })?;
     output::write(json, content)?;
     if !output::is_stdout(json) {

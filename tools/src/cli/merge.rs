@@ -1,9 +1,9 @@
-//! `vigil merge`: the whole of the parts of a campaign, or of `vigil reproduce`.
+//! `vigil merge`: one report of the flights that several machines flew.
 
 use crate::attack_campaigns;
-use crate::campaign::part;
-use crate::cli::{collected_parts, evaluate, output, reproduce};
-use anyhow::{Context, Result, bail, ensure};
+use crate::campaign::flights;
+use crate::cli::{collect, evaluate, output};
+use anyhow::{Context, Result, anyhow, ensure};
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -11,85 +11,72 @@ use std::process::ExitCode;
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
 Examples:
-  vigil evaluate --flights 500 -o runs/a.json --shard 1/2   on one machine
-  vigil evaluate --flights 500 -o runs/a.json --shard 2/2   on another
-  vigil merge runs/a.*.part.json -o runs/a.json             what one machine would have written, byte for byte
-  vigil merge runs/mine -o runs/mine/learn.safetensors      what `vigil detector collect` gathers, choose.safetensors beside it
-  vigil merge runs/1 runs/2 runs/3 -o runs/all              the data and the page of the folders of `vigil reproduce --shard`
+  vigil evaluate --seed 1 --flights 500 -o runs/a.json      on one machine
+  vigil evaluate --seed 501 --flights 500 -o runs/b.json    on another
+  vigil merge runs/a.jsonl runs/b.jsonl -o runs/all.json    what one machine would have written, byte for byte
+  vigil merge runs/*/learn.jsonl -o runs/mine/learn.jsonl   flights of `vigil detector collect`, which goes on with them
 
-Parts of `vigil evaluate`, `vigil attack completion`, `search` and `defended`, and `vigil detector collect`, in any order; the same part twice does no
-harm; a folder stands for all *.part.json in it. Refused are parts of another campaign, actor or program, parts that
-contradict each other, and too few of them: the message says which are missing. The parts are kept. docs/cluster.md has lines for SLURM, GNU parallel and Ray.
+Flights of `vigil evaluate`, `vigil attack completion`, `search` and `defended`, and `vigil detector collect`, in any order; the
+same flight twice does no harm; a folder stands for all *.jsonl in it. Refused are flights of another campaign, actor or program,
+flights that contradict each other, and too few of them: the message says which are missing. docs/cluster.md has lines for SLURM,
+GNU parallel and Ray.
 
 Exit code: 0 the whole was written, 1 error; then nothing was.")]
 pub struct MergeArgs {
-    /// The parts, or folders of them.
-    #[arg(required = true, value_name = "PART")]
-    parts: Vec<PathBuf>,
+    /// Files of flights, or folders of them.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
 
-    /// Where the whole goes: a file, and a folder for that of `vigil reproduce`; `-` is standard output, the table then goes to standard
-    /// error.
+    /// Where the report goes, and the flights beside it; `-` is standard output, the table then goes to standard error.
     #[arg(short = 'o', long, value_name = "FILE")]
     json: PathBuf,
-
-    /// The committed data that the page of `vigil reproduce` needs besides.
-    #[arg(long, value_name = "DIR", default_value = "docs/measured")]
-    data: PathBuf,
 }
 
-/// Joins the parts, prints the table and writes the whole.
+/// Puts the flights together, prints the table and writes the report.
 ///
 /// # Errors
-/// Parts that contradict each other or are not all; a file that cannot be written.
+/// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn run(args: &MergeArgs) -> Result<ExitCode> {
-    if args.parts.iter().any(|path| reproduce::is_folder_of_results(path)) {
-        ensure!(
-            !output::is_stdout(&args.json),
-            "the parts of `vigil reproduce` make a folder: name it with -o"
-        );
-        for path in &args.parts {
-            ensure!(
-                reproduce::is_folder_of_results(path),
-                "{} is no folder of `vigil reproduce`, as others are that were named with it",
-                path.display()
-            );
-        }
-        return reproduce::merge(&args.parts, &args.json, &args.data);
-    }
     output::prepare(&args.json)?;
-    let parts = all_parts(&args.parts)?;
-    let first = parts.first().context("name the parts")?;
-    match part::command_of(first)?.as_str() {
-        evaluate::COMMAND => evaluate::merge(&parts, &args.json),
-        collected_parts::COMMAND => collected_parts::merge(&parts, &args.json),
-        other => match attack_campaigns::merge(other, &parts, &args.json) {
-            Some(merged) => merged,
-            None => bail!(
-                "{} is a part of `{other}`, which this program does not know",
-                first.display()
-            ),
-        },
+    let files = all_files(&args.files)?;
+    let first = files.first().context("name the files")?;
+    match flights::command_of(first)?.as_str() {
+        evaluate::COMMAND => evaluate::merge(&files, &args.json),
+        collect::COMMAND => collect::merge(&files, &args.json),
+        other => attack_campaigns::merge(other, &files, &args.json).unwrap_or_else(|| {
+            let first = first.display();
+            Err(anyhow!(
+                "{first} is of `vigil {other}`, which this program does not know"
+            ))
+        }),
     }
 }
 
-/// The parts that files and folders stand for, those of a folder by name.
-fn all_parts(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
-    let mut parts = Vec::new();
+/// The files that files and folders stand for, those of a folder by name.
+fn all_files(given: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut files = Vec::new();
     for path in given {
+        ensure!(
+            !path.join("made-by.toml").exists(),
+            "{} is a folder of `vigil reproduce`: `vigil reproduce --from DIR` takes what it measured",
+            path.display()
+        );
+        ensure!(
+            !path.to_string_lossy().ends_with(".part.json"),
+            "{} is of an earlier version, whose program puts it together",
+            path.display()
+        );
         if !path.is_dir() {
-            parts.push(path.clone());
+            files.push(path.clone());
             continue;
         }
         let entries = std::fs::read_dir(path).and_then(|entries| entries.collect::<std::io::Result<Vec<_>>>());
-        let mut found: Vec<PathBuf> = entries
-            .with_context(|| format!("cannot read {}", path.display()))?
-            .into_iter()
-            .map(|entry| entry.path())
-            .filter(|file| file.to_string_lossy().ends_with(".part.json"))
-            .collect();
-        ensure!(!found.is_empty(), "{} holds no file *.part.json", path.display());
+        let entries = entries.with_context(|| format!("cannot read {}", path.display()))?;
+        let mut found: Vec<PathBuf> = entries.into_iter().map(|entry| entry.path()).collect();
+        found.retain(|file| file.extension().is_some_and(|ending| ending == "jsonl"));
+        ensure!(!found.is_empty(), "{} holds no file *.jsonl", path.display());
         found.sort();
-        parts.extend(found);
+        files.extend(found);
     }
-    Ok(parts)
+    Ok(files)
 }

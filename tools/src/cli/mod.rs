@@ -2,7 +2,7 @@
 
 mod adapter;
 mod bench;
-mod collected_parts;
+mod collect;
 mod courses;
 mod detector;
 mod doctor;
@@ -77,7 +77,7 @@ enum Command {
     Firmware(vigil_firmware::program::FirmwareArgs),
     /// Fly many seeded courses in lockstep, faster than real time, and tabulate the outcomes.
     Evaluate(evaluate::EvaluateArgs),
-    /// Make the whole of the parts of a campaign that was flown with --shard.
+    /// Make one report of flights over several machines' seeds.
     Merge(merge::MergeArgs),
     /// Attack the actor: on states, on scenes, in campaigns of flights.
     Attack(attack::AttackCommands),

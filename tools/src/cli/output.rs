@@ -99,6 +99,11 @@ pub fn is_stdout(path: &Path) -> bool {
     path == Path::new("-")
 }
 
+/// Whether a path is or will be a file, neither standard output nor a device.
+pub fn is_file(path: &Path) -> bool {
+    !is_stdout(path) && (path.is_file() || !path.exists())
+}
+
 /// Reserves standard output for the report that goes to `path`, if that is standard output, and otherwise makes the
 /// folder of `path` before the work, so that the work is not lost.
 ///
@@ -213,11 +218,6 @@ impl Progress {
     pub fn set_position(&self, done: u64) {
         self.bar.set_position(done);
         self.tick();
-    }
-
-    /// So many are to be done.
-    pub fn set_length(&self, length: u64) {
-        self.bar.set_length(length);
     }
 
     /// What stands behind the numbers.

@@ -12,11 +12,6 @@ use vigil_world::{Family, Outcome};
 
 /// A run of a million flights has 40 MB.
 const SIZE_LIMIT: u64 = 256 << 20;
-/// Training flights over which the reward's mean rolls in figure 9.
-const ROLLING_REWARDS: usize = 20;
-/// Training flights over which figure 10 counts successes (the paper's ten).
-const ROLLING_SUCCESSES: usize = 10;
-
 /// Arguments of `vigil report`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
@@ -93,21 +88,6 @@ impl Arm {
         let shares: Vec<f64> = self.tests().map(|test| test.completion).collect();
         mean_and_interval(&shares)
     }
-
-    /// Mean reward of the last flights of each run.
-    pub fn last_rewards(&self) -> Vec<f64> {
-        self.last(rewards)
-    }
-
-    /// Share of the last flights of each run that reached the goal.
-    pub fn last_shares(&self) -> Vec<f64> {
-        self.last(shares)
-    }
-
-    fn last(&self, curve: fn(&Run) -> Vec<(f64, f64)>) -> Vec<f64> {
-        let ends = self.runs.iter().filter_map(|run| Some(curve(run).last()?.1));
-        ends.collect()
-    }
 }
 
 /// The runs in these folders, those with the field first.
@@ -147,10 +127,10 @@ pub fn run(args: &ReportArgs) -> Result<ExitCode> {
     std::fs::create_dir_all(&args.output).with_context(|| format!("cannot make {}", args.output.display()))?;
     for (name, content) in [
         ("table-1.md", table.into_bytes()),
-        ("figure-9.png", figure_9(&arms).png()),
-        ("figure-9.svg", figure_9(&arms).svg().into_bytes()),
-        ("figure-10.png", figure_10(&arms).png()),
-        ("figure-10.svg", figure_10(&arms).svg().into_bytes()),
+        ("figure-9.png", REWARDS.figure(&arms).png()),
+        ("figure-9.svg", REWARDS.figure(&arms).svg().into_bytes()),
+        ("figure-10.png", SUCCESSES.figure(&arms).png()),
+        ("figure-10.svg", SUCCESSES.figure(&arms).svg().into_bytes()),
     ] {
         let path = args.output.join(name);
         output::write(&path, content)?;
@@ -305,55 +285,59 @@ fn over_seeds(label: &str, runs: &[Vec<(f64, f64)>]) -> Series {
     }
 }
 
-fn over_flights(arms: &[Arm], panels: Vec<Panel>) -> Figure {
-    Figure::over(
-        "training flight (those of the warm-up are left out)",
-        longest(arms),
-        panels,
-    )
+/// A rolling mean over each run's training flights.
+pub(crate) struct Curve {
+    /// Flights that it is the mean of.
+    count: usize,
+    of: fn(&Flight) -> f64,
+    title: &'static str,
+    y_label: &'static str,
 }
 
-/// Rolling mean of a run's rewards.
-fn rewards(run: &Run) -> Vec<(f64, f64)> {
-    rolling(&own(run, |f| f.reward), ROLLING_REWARDS)
-}
+/// Figure 9.
+pub(crate) const REWARDS: Curve = Curve {
+    count: 20,
+    of: |flight| flight.reward,
+    title: "Reward, mean of the last 20 flights (band: all seeds)",
+    y_label: "reward (m and bonuses)",
+};
+/// Figure 10; the paper's ten flights.
+pub(crate) const SUCCESSES: Curve = Curve {
+    count: 10,
+    of: |flight| if flight.success { 1.0 } else { 0.0 },
+    title: "Share of the last 10 flights that reached the goal (band: all seeds)",
+    y_label: "share of flights",
+};
 
-/// Rolling share of a run's flights that reached the goal.
-fn shares(run: &Run) -> Vec<(f64, f64)> {
-    let reached = |f: &Flight| f64::from(u8::from(f.success));
-    rolling(&own(run, reached), ROLLING_SUCCESSES)
-}
+impl Curve {
+    fn runs<'a>(&'a self, arm: &'a Arm) -> impl Iterator<Item = Vec<(f64, f64)>> + 'a {
+        arm.runs.iter().map(|run| rolling(&own(run, self.of), self.count))
+    }
 
-/// Rolling mean of the training flights' reward: mean over the seeds and their range.
-pub(crate) fn figure_9(arms: &[Arm]) -> Figure {
-    let series = arms.iter().map(|arm| {
-        let means: Vec<_> = arm.runs.iter().map(rewards).collect();
-        over_seeds(&format!("{}, {} seeds", arm.name, means.len()), &means)
-    });
-    let panel = Panel {
-        title: format!("Reward, mean of the last {ROLLING_REWARDS} flights (band: all seeds)"),
-        y_label: "reward (m and bonuses)".to_owned(),
-        series: series.collect(),
-        thresholds: Vec::new(),
-        top: None,
-    };
-    over_flights(arms, vec![panel])
-}
+    /// Its last value of each run.
+    pub fn last(&self, arm: &Arm) -> Vec<f64> {
+        self.runs(arm).filter_map(|curve| Some(curve.last()?.1)).collect()
+    }
 
-/// Share of the last ten training flights that reached the goal: mean over the seeds and their range.
-pub(crate) fn figure_10(arms: &[Arm]) -> Figure {
-    let series = arms.iter().map(|arm| {
-        let shares: Vec<_> = arm.runs.iter().map(shares).collect();
-        over_seeds(&format!("{}, {} seeds", arm.name, shares.len()), &shares)
-    });
-    let panel = Panel {
-        title: format!("Share of the last {ROLLING_SUCCESSES} flights that reached the goal (band: all seeds)"),
-        y_label: "share of flights".to_owned(),
-        series: series.collect(),
-        thresholds: Vec::new(),
-        top: None,
-    };
-    over_flights(arms, vec![panel])
+    /// Mean over the seeds, and their range.
+    pub fn figure(&self, arms: &[Arm]) -> Figure {
+        let series = arms.iter().map(|arm| {
+            let runs: Vec<_> = self.runs(arm).collect();
+            over_seeds(&format!("{}, {} seeds", arm.name, runs.len()), &runs)
+        });
+        let panel = Panel {
+            title: self.title.to_owned(),
+            y_label: self.y_label.to_owned(),
+            series: series.collect(),
+            thresholds: Vec::new(),
+            top: None,
+        };
+        Figure::over(
+            "training flight (those of the warm-up are left out)",
+            longest(arms),
+            vec![panel],
+        )
+    }
 }
 
 #[cfg(test)]

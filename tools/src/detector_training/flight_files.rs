@@ -1,16 +1,13 @@
 //! Gathering flights and keeping them in files.
 
 use crate::detector_training::error::{DetectError, access};
-use crate::detector_training::recorded_flight::{Ending, Frame, Record, Step, fly, held_frames};
+use crate::detector_training::recorded_flight::{Ending, Frame, Record, Step, held_frames};
 use crate::detector_training::scenario::Scenario;
-use rayon::prelude::*;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::ops::ControlFlow;
 use std::path::Path;
 use vigil_detector::WINDOW;
-use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
 use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, PositionalInputs};
 
@@ -90,53 +87,6 @@ impl Class {
 
 /// Flights flown at once; fixed, so that what is gathered does not depend on the number of threads.
 pub const BLOCK: u64 = 12;
-
-/// Draws and flies the [`BLOCK`] scenarios from a seed on.
-///
-/// # Errors
-/// Parameters of another architecture.
-pub fn fly_block(isa: Isa, pilot: &FrozenPilot, first_seed: u64) -> Result<Vec<Record>, DetectError> {
-    (0..BLOCK)
-        .into_par_iter()
-        .map(|i| {
-            let seed = first_seed.wrapping_add(i);
-            let scenario = Scenario::drawn(seed, !seed.is_multiple_of(3));
-            fly(isa, pilot, &scenario, &mut ())
-        })
-        .collect()
-}
-
-/// Draws and flies scenarios, two attacked for each unattacked, until there are so many windows of each class. `begun` are
-/// the flights of an earlier call that `progress` broke off; what is gathered is then the same as in one go.
-///
-/// Returns the flights, and whether they are as many as wanted: `progress` may break it off after each dozen.
-///
-/// # Errors
-/// Parameters of another architecture.
-pub fn collect(
-    isa: Isa,
-    pilot: &FrozenPilot,
-    first_seed: u64,
-    want: Counts,
-    begun: Vec<Record>,
-    progress: &mut dyn FnMut(Counts, usize) -> ControlFlow<()>,
-) -> Result<(Flights, bool), DetectError> {
-    let mut records = begun;
-    let mut counts = Counts::of(&records);
-    while !counts.reach(want) {
-        let block = fly_block(isa, pilot, first_seed.wrapping_add(records.len() as u64))?;
-        block.iter().for_each(|record| counts.add(record));
-        records.extend(block);
-        if progress(counts, records.len()).is_break() {
-            break;
-        }
-    }
-    let flights = Flights {
-        actor_sha256: pilot.sha256(),
-        records,
-    };
-    Ok((flights, counts.reach(want)))
-}
 
 /// An hour of flight has 15 MB.
 const SIZE_LIMIT: u64 = 4 << 30;

@@ -19,7 +19,7 @@ pub use error::DetectError;
 pub use explained_flight::{ExplainedFrame, ExplainedStep, Portrait, portray};
 pub use features::{Extractor, Feature, Rows, YAW};
 pub use fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
-pub use flight_files::{BLOCK, Class, Counts, Flights, Recorded, WEAK_YAW, collect, fly_block};
+pub use flight_files::{BLOCK, Class, Counts, Flights, Recorded, WEAK_YAW};
 pub use judging::{
     AfterReport, EvaluationSize, Report, Role, RowsReport, Set, SetReport, evaluate, fly_sets, left_out, sets,
 };

@@ -1,11 +1,11 @@
 //! What was measured: units of data in a folder, each with the command it came from, in an index that also tells whether a file
 //! is still what was measured. `docs/measured` is such a folder, and `vigil reproduce` makes one of the same kind.
 
+use crate::campaign::flights::sha256;
 use crate::cli::output;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -46,13 +46,6 @@ pub struct Data {
     index: Index,
     /// Measured by this command, not read from the repository.
     pub is_fresh: bool,
-}
-
-fn sha256(content: &[u8]) -> String {
-    Sha256::digest(content)
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
 }
 
 impl Data {
@@ -110,11 +103,6 @@ impl Data {
         self.index.units.get(name)
     }
 
-    /// The units that were measured.
-    pub fn names(&self) -> impl Iterator<Item = &str> {
-        self.index.units.keys().map(String::as_str)
-    }
-
     /// Whether a unit was measured by this command and is whole.
     pub fn has(&self, name: &str, command: &str) -> bool {
         let whole = |unit: &Unit| unit.files.keys().all(|file| self.content(unit, file).is_ok());
@@ -126,7 +114,7 @@ impl Data {
     ///
     /// # Errors
     /// A file that is missing, a folder that cannot be written.
-    pub fn enter(&mut self, name: &str, mut unit: Unit, files: &[&str]) -> Result<()> {
+    pub fn enter(&mut self, name: &str, mut unit: Unit, files: &[String]) -> Result<()> {
         for file in files {
             let file = format!("{name}/{file}");
             let path = self.folder.join(&file);
@@ -150,7 +138,7 @@ impl Data {
     ///
     /// # Errors
     /// What is not.
-    pub fn check(&self, name: &str, expected: &Unit, files: &[&str]) -> Result<()> {
+    pub fn check(&self, name: &str, expected: &Unit, files: &[String]) -> Result<()> {
         let unit = self.known(name)?;
         let of_command = Unit {
             files: BTreeMap::new(),
@@ -289,11 +277,13 @@ mod tests {
         let file = data.folder_of("wall").join("table.json");
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         assert!(
-            data.enter("wall", unit("vigil wall"), &["table.json"]).is_err(),
+            data.enter("wall", unit("vigil wall"), &["table.json".to_owned()])
+                .is_err(),
             "no file yet"
         );
         std::fs::write(&file, "[1, 2]").unwrap();
-        data.enter("wall", unit("vigil wall"), &["table.json"]).unwrap();
+        data.enter("wall", unit("vigil wall"), &["table.json".to_owned()])
+            .unwrap();
 
         let again = Data::fresh(folder.path()).unwrap();
         assert!(again.has("wall", "vigil wall") && !again.has("wall", "vigil wall --states 2"));

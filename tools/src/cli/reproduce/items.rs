@@ -2,12 +2,13 @@
 
 use super::data::Sources;
 use crate::attack_campaigns::{self as attack, Arm};
+use crate::campaign::Tally;
 use crate::cli::detector::{TimesReport, roc};
 use crate::cli::figures::{ExplanationLine, Pixels, figure_12, figure_13, figure_14};
 use crate::cli::report as training;
 use crate::detector_training::{Proportion, Report, Role, TableRow, auc, true_positives_at};
 use crate::report::{Bar, BarRow, Bars, Figure, Panel, Picture, Scale, Series, from_csv};
-use crate::statistics::{quantile, wilson_95};
+use crate::statistics::quantile;
 use anyhow::{Context, Result};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -15,17 +16,9 @@ use vigil_adversary::Method;
 use vigil_types::YAW_RATE_PER_UNIT_RAD_S;
 use vigil_world::Outcome;
 
-/// Whether an item is a table or a figure.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kind {
-    Table,
-    Figure,
-}
-
 /// A table or a figure.
 pub struct Item {
     pub id: &'static str,
-    pub kind: Kind,
     pub title: &'static str,
     /// The units of data that it needs.
     pub units: &'static [&'static str],
@@ -38,15 +31,6 @@ pub struct Drawn {
     pub png: Vec<u8>,
 }
 
-impl Drawn {
-    fn of(picture: &impl Picture) -> Self {
-        Self {
-            svg: picture.svg(),
-            png: picture.png(),
-        }
-    }
-}
-
 /// A table: headings, and rows as wide.
 pub struct Grid {
     pub columns: Vec<String>,
@@ -54,16 +38,18 @@ pub struct Grid {
 }
 
 impl Grid {
-    fn new<const N: usize>(columns: [&str; N]) -> Self {
+    /// Without rows; a bar between two headings.
+    fn new(columns: &str) -> Self {
         Self {
-            columns: columns.map(str::to_owned).into(),
+            columns: columns.split(" | ").map(str::to_owned).collect(),
             rows: Vec::new(),
         }
     }
 
-    fn row<const N: usize>(&mut self, cells: [String; N]) {
-        debug_assert_eq!(N, self.columns.len());
-        self.rows.push(cells.into());
+    fn row(&mut self, cells: impl IntoIterator<Item = String>) {
+        let row: Vec<String> = cells.into_iter().collect();
+        debug_assert_eq!(row.len(), self.columns.len());
+        self.rows.push(row);
     }
 }
 
@@ -73,6 +59,22 @@ pub struct Made {
     /// Ours beside the paper's.
     pub table: Grid,
     pub caption: String,
+}
+
+/// A table without a figure, or the figure and the table of a picture.
+fn made(figure: Option<Drawn>, table: Grid, caption: impl Into<String>) -> Result<Made> {
+    Ok(Made {
+        figure,
+        table,
+        caption: caption.into(),
+    })
+}
+
+fn drawn(picture: &impl Picture) -> Option<Drawn> {
+    Some(Drawn {
+        svg: picture.svg(),
+        png: picture.png(),
+    })
 }
 
 impl Item {
@@ -85,125 +87,113 @@ impl Item {
     }
 }
 
+const fn item(
+    id: &'static str,
+    make: fn(&Sources) -> Result<Made>,
+    units: &'static [&'static str],
+    title: &'static str,
+) -> Item {
+    Item { id, title, units, make }
+}
+
 /// In the order of the page: the paper's, then ours.
 pub const ITEMS: [Item; 16] = [
-    Item {
-        id: "table-1",
-        kind: Kind::Table,
-        title: "Table I: training with and without the potential field, completion of validation courses",
-        units: &["training-runs", "attack-completion"],
-        make: table_1,
-    },
-    Item {
-        id: "table-2",
-        kind: Kind::Table,
-        title: "Table II: yaw deflection in front of a wall",
-        units: &["attack-deflection"],
-        make: table_2,
-    },
-    Item {
-        id: "table-3",
-        kind: Kind::Table,
-        title: "Table III: detection by four detectors on the same states",
-        units: &["detector-table"],
-        make: table_3,
-    },
-    Item {
-        id: "table-4",
-        kind: Kind::Table,
-        title: "Table IV: time of deciding, explaining and judging",
-        units: &["detector-times"],
-        make: table_4,
-    },
-    Item {
-        id: "figure-9",
-        kind: Kind::Figure,
-        title: "Figure 9: reward of the training flights",
-        units: &["training-runs"],
-        make: figure_9,
-    },
-    Item {
-        id: "figure-10",
-        kind: Kind::Figure,
-        title: "Figure 10: share of the last ten training flights that reached the goal",
-        units: &["training-runs"],
-        make: figure_10,
-    },
-    Item {
-        id: "figure-11",
-        kind: Kind::Figure,
-        title: "Figure 11: states deceived, and deflection of the yaw, over the strength of the attack",
-        units: &["attack-table"],
-        make: figure_11,
-    },
-    Item {
-        id: "figure-12",
-        kind: Kind::Figure,
-        title: "Figure 12: depth frames and the SHAP values of their pixels",
-        units: &["explained"],
-        make: pixels_of_a_flight,
-    },
-    Item {
-        id: "figure-13",
-        kind: Kind::Figure,
-        title: "Figure 13: SHAP values of image, bearing and distance over an attacked flight",
-        units: &["explained-attacked"],
-        make: contributions,
-    },
-    Item {
-        id: "figure-14",
-        kind: Kind::Figure,
-        title: "Figure 14: the sum of the SHAP values against the action",
-        units: &["explained-attacked"],
-        make: sum_and_action,
-    },
-    Item {
-        id: "attacked-completion",
-        kind: Kind::Figure,
-        title: "Completion under short attacks, with and without the potential field",
-        units: &["attack-completion"],
-        make: attacked_completion,
-    },
-    Item {
-        id: "roc",
-        kind: Kind::Figure,
-        title: "Receiver operating characteristic of LSTM-AD, by attack",
-        units: &["detector-evaluate"],
-        make: detection,
-    },
-    Item {
-        id: "alarm-delay",
-        kind: Kind::Figure,
-        title: "How soon LSTM-AD notices an attack, and forgets it",
-        units: &["detector-evaluate"],
-        make: alarm_delay,
-    },
-    Item {
-        id: "defences",
-        kind: Kind::Figure,
-        title: "Attackers against defences",
-        units: &[
+    item(
+        "table-1",
+        table_1,
+        &["training-runs", "attack-completion"],
+        "Table I: training with and without the potential field, completion of validation courses",
+    ),
+    item(
+        "table-2",
+        table_2,
+        &["attack-deflection"],
+        "Table II: yaw deflection in front of a wall",
+    ),
+    item(
+        "table-3",
+        table_3,
+        &["detector-table"],
+        "Table III: detection by four detectors on the same states",
+    ),
+    item(
+        "table-4",
+        table_4,
+        &["detector-times"],
+        "Table IV: time of deciding, explaining and judging",
+    ),
+    item(
+        "figure-9",
+        figure_9,
+        &["training-runs"],
+        "Figure 9: reward of the training flights",
+    ),
+    item(
+        "figure-10",
+        figure_10,
+        &["training-runs"],
+        "Figure 10: share of the last ten training flights that reached the goal",
+    ),
+    item(
+        "figure-11",
+        figure_11,
+        &["attack-table"],
+        "Figure 11: states deceived, and deflection of the yaw, over the strength of the attack",
+    ),
+    item(
+        "figure-12",
+        pixels_of_a_flight,
+        &["explained"],
+        "Figure 12: depth frames and the SHAP values of their pixels",
+    ),
+    item(
+        "figure-13",
+        contributions,
+        &["explained-attacked"],
+        "Figure 13: SHAP values of image, bearing and distance over an attacked flight",
+    ),
+    item(
+        "figure-14",
+        sum_and_action,
+        &["explained-attacked"],
+        "Figure 14: the sum of the SHAP values against the action",
+    ),
+    item(
+        "attacked-completion",
+        attacked_completion,
+        &["attack-completion"],
+        "Completion under short attacks, with and without the potential field",
+    ),
+    item(
+        "roc",
+        detection,
+        &["detector-evaluate"],
+        "Receiver operating characteristic of LSTM-AD, by attack",
+    ),
+    item(
+        "alarm-delay",
+        alarm_delay,
+        &["detector-evaluate"],
+        "How soon LSTM-AD notices an attack, and forgets it",
+    ),
+    item(
+        "defences",
+        defences,
+        &[
             "defended-100",
             "defended-continuous",
             "defended-adaptive",
             "defended-adaptive-unguarded",
         ],
-        make: defences,
-    },
-    Item {
-        id: "families",
-        kind: Kind::Figure,
-        title: "Completion by course family, whole stack",
-        units: &["family-training", "family-validation", "family-dense", "family-hard"],
-        make: families,
-    },
-    Item {
-        id: "peers",
-        kind: Kind::Figure,
-        title: "Time of other programs for the same work",
-        units: &["peers"],
-        make: peers,
-    },
+        "Attackers against defences",
+    ),
+    item(
+        "families",
+        families,
+        &["family-training", "family-validation", "family-dense", "family-hard"],
+        "Completion by course family, whole stack",
+    ),
+    item("peers", peers, &["peers"], "Time of other programs for the same work"),
 ];
 
 /// No number of the paper's.
@@ -211,6 +201,23 @@ const NONE: &str = "—";
 
 fn percent(share: f64) -> String {
     format!("{:.1} %", 100.0 * share)
+}
+
+/// How many of some flights came there, with the interval, the paper's share and how the others ended.
+fn outcomes(tally: &Tally, paper: &str) -> [String; 6] {
+    [
+        format!(
+            "{} of {} ({})",
+            tally.completed,
+            tally.flights,
+            percent(tally.completion)
+        ),
+        between(tally.wilson_95),
+        paper.to_owned(),
+        tally.collisions.to_string(),
+        tally.out_of_bounds.to_string(),
+        tally.time_outs.to_string(),
+    ]
 }
 
 fn between((low, high): (f64, f64)) -> String {
@@ -236,14 +243,8 @@ fn arms(sources: &Sources) -> Result<Vec<training::Arm>> {
 }
 
 fn table_1(sources: &Sources) -> Result<Made> {
-    let mut table = Grid::new([
-        "training",
-        "completed without the field",
-        "95 % interval",
-        "the paper",
-        "decisions",
-        "the paper's steps",
-    ]);
+    let mut table =
+        Grid::new("training | completed without the field | 95 % interval | the paper | decisions | the paper's steps");
     for arm in arms(sources)? {
         let (paper, steps) = match arm.name {
             "DDPG" => ("80 %", "27 456"),
@@ -271,32 +272,18 @@ fn table_1(sources: &Sources) -> Result<Made> {
     }
     let completion: attack::CompletionReport = sources.of("attack-completion").json("attack-completion")?;
     for row in completion.rows.iter().filter(|row| row.attack.is_none()) {
-        let tally = &row.tally;
-        table.row([
-            format!(
-                "the actor that is built in, field {}",
-                if row.apf { "on" } else { "off" }
-            ),
-            format!(
-                "{} of {} ({})",
-                tally.completed,
-                tally.flights,
-                percent(tally.completion)
-            ),
-            between(tally.wilson_95),
-            if row.apf { "97 %" } else { NONE }.to_owned(),
-            NONE.to_owned(),
-            NONE.to_owned(),
-        ]);
+        let (field, paper) = if row.apf { ("on", "97 %") } else { ("off", NONE) };
+        let cells = outcomes(&row.tally, paper).into_iter().take(3);
+        let name = format!("the actor that is built in, field {field}");
+        table.row([name].into_iter().chain(cells).chain([NONE, NONE].map(str::to_owned)));
     }
-    Ok(Made {
-        figure: None,
+    made(
+        None,
         table,
-        caption: "Ten training runs from nothing, each tested on 200 validation courses that nothing was chosen by, flown without the \
+        "Ten training runs from nothing, each tested on 200 validation courses that nothing was chosen by, flown without the \
                   field; intervals of single runs are Wilson's, of means Student's over the seeds. A decision is 0.2 s of flight, a \
-                  step of the paper's about 0.5 s. The actor that is built in was tested on the courses of the attacks."
-            .to_owned(),
-    })
+                  step of the paper's about 0.5 s. The actor that is built in was tested on the courses of the attacks.",
+    )
 }
 
 fn table_2(sources: &Sources) -> Result<Made> {
@@ -332,16 +319,16 @@ fn table_2(sources: &Sources) -> Result<Made> {
         });
         table.rows.push(row);
     }
-    Ok(Made {
-        figure: None,
+    made(
+        None,
         table,
-        caption: format!(
+        format!(
             "Mean absolute change of the yaw decision, °/s, hovering before a wall {} m wide, goal {} m away; ε = {}/255, {} \
              iterations, {} states a cell. The interval is Student's over the bearings, taken as independent. The paper's attack \
              is the accumulating one.",
             report.wall_width_m, report.goal_distance_m, report.epsilon_255, report.iterations, report.states_per_cell
         ),
-    })
+    )
 }
 
 #[derive(Deserialize)]
@@ -352,15 +339,8 @@ struct DetectorTable {
 
 fn table_3(sources: &Sources) -> Result<Made> {
     let report: DetectorTable = sources.of("detector-table").json("detector-table")?;
-    let mut table = Grid::new([
-        "detector",
-        "accuracy",
-        "95 % interval",
-        "the paper",
-        "attacked states found",
-        "false alarms",
-        "AUC",
-    ]);
+    let mut table =
+        Grid::new("detector | accuracy | 95 % interval | the paper | attacked states found | false alarms | AUC");
     for row in &report.rows {
         let s = &row.separation;
         let [accuracy, interval] = share_of(&s.accuracy);
@@ -374,26 +354,20 @@ fn table_3(sources: &Sources) -> Result<Made> {
             format!("{:.4}", s.auc),
         ]);
     }
-    Ok(Made {
-        figure: None,
+    made(
+        None,
         table,
-        caption: format!(
+        format!(
             "Right verdicts on unaltered and attacked states met on validation courses, half of each. The image detectors learned from \
              {} states; LSTM-AD is the one that flies, at the threshold that it flies with. Wilson's intervals.",
             report.learned_from
         ),
-    })
+    )
 }
 
 fn table_4(sources: &Sources) -> Result<Made> {
     let report: TimesReport = sources.of("detector-times").json("detector-times")?;
-    let mut table = Grid::new([
-        "part of the step",
-        "median",
-        "99 % of the times below",
-        "the paper",
-        "measured",
-    ]);
+    let mut table = Grid::new("part of the step | median | 99 % of the times below | the paper | measured");
     for row in &report.rows {
         let ms = |seconds: f64| format!("{:.3} ms", 1e3 * seconds);
         table.row([
@@ -404,63 +378,52 @@ fn table_4(sources: &Sources) -> Result<Made> {
             row.measured.to_string(),
         ]);
     }
-    Ok(Made {
-        figure: None,
+    made(
+        None,
         table,
-        caption: format!(
+        format!(
             "One thread, {} instructions, on the states of one flight over validation course {}. Times move with the machine and its \
              other work; the step has 50 ms.",
             report.isa, report.seed
         ),
-    })
+    )
 }
 
-/// Mean and range over an arm's runs of the last value of their rolling means.
-fn last_values(arm: &training::Arm, values: impl Fn(&training::Arm) -> Vec<f64>) -> [String; 3] {
-    let last = values(arm);
-    let (mean, half) = training::mean_and_interval(&last);
-    [
-        format!("{}, {} seeds", arm.name, last.len()),
-        format!("{mean:.2}"),
-        optional(half, |half| format!("{:.2} to {:.2}", mean - half, mean + half)),
-    ]
+/// A rolling mean of the training flights over the seeds, and where it ended.
+fn training_curve(sources: &Sources, curve: &training::Curve, heading: &str, caption: &str) -> Result<Made> {
+    let arms = arms(sources)?;
+    let mut table = Grid::new(&format!("training | {heading} | 95 % interval | the paper"));
+    for arm in &arms {
+        let last = curve.last(arm);
+        let (mean, half) = training::mean_and_interval(&last);
+        table.row([
+            format!("{}, {} seeds", arm.name, last.len()),
+            format!("{mean:.2}"),
+            optional(half, |half| format!("{:.2} to {:.2}", mean - half, mean + half)),
+            "a figure without numbers".to_owned(),
+        ]);
+    }
+    made(drawn(&curve.figure(&arms)), table, caption)
 }
 
 fn figure_9(sources: &Sources) -> Result<Made> {
-    let arms = arms(sources)?;
-    let mut table = Grid::new([
-        "training",
+    training_curve(
+        sources,
+        &training::REWARDS,
         "reward of the last 20 flights",
-        "95 % interval",
-        "the paper",
-    ]);
-    for arm in &arms {
-        let [name, mean, interval] = last_values(arm, training::Arm::last_rewards);
-        table.row([name, mean, interval, "a figure without numbers".to_owned()]);
-    }
-    Ok(Made {
-        figure: Some(Drawn::of(&training::figure_9(&arms))),
-        table,
-        caption: "Rolling mean of the training flights' reward; lines are means over the seeds, bands reach from the least to the \
-                  greatest of them. Flights of the warm-up, which noise flies, are left out. Interval: Student's over the seeds."
-            .to_owned(),
-    })
+        "Rolling mean of the training flights' reward; lines are means over the seeds, bands reach from the least to the \
+         greatest of them. Flights of the warm-up, which noise flies, are left out. Interval: Student's over the seeds.",
+    )
 }
 
 fn figure_10(sources: &Sources) -> Result<Made> {
-    let arms = arms(sources)?;
-    let mut table = Grid::new(["training", "share of the last 10 flights", "95 % interval", "the paper"]);
-    for arm in &arms {
-        let [name, mean, interval] = last_values(arm, training::Arm::last_shares);
-        table.row([name, mean, interval, "a figure without numbers".to_owned()]);
-    }
-    Ok(Made {
-        figure: Some(Drawn::of(&training::figure_10(&arms))),
-        table,
-        caption: "Training flights have noise, and a quarter of those of DDPG-APF the field; bands reach from the least to the greatest \
-                  of the seeds. Interval: Student's over the seeds, of which an end may lie beyond 1."
-            .to_owned(),
-    })
+    training_curve(
+        sources,
+        &training::SUCCESSES,
+        "share of the last 10 flights",
+        "Training flights have noise, and a quarter of those of DDPG-APF the field; bands reach from the least to the greatest \
+         of the seeds. Interval: Student's over the seeds, of which an end may lie beyond 1.",
+    )
 }
 
 fn figure_11(sources: &Sources) -> Result<Made> {
@@ -529,15 +492,9 @@ fn figure_11(sources: &Sources) -> Result<Made> {
         panels,
     );
     figure.x_scale = Scale::Logarithmic(sizes);
-    let mut table = Grid::new([
-        "attack",
-        "ε · 255",
-        "iterations",
-        "states deceived",
-        "95 % interval",
-        "mean change of yaw",
-        "the paper's limit",
-    ]);
+    let mut table = Grid::new(
+        "attack | ε · 255 | iterations | states deceived | 95 % interval | mean change of yaw | the paper's limit",
+    );
     for line in &lines {
         table.row([
             line.method.clone(),
@@ -553,13 +510,12 @@ fn figure_11(sources: &Sources) -> Result<Made> {
             .to_owned(),
         ]);
     }
-    Ok(Made {
-        figure: Some(Drawn::of(&figure)),
+    made(
+        drawn(&figure),
         table,
-        caption: "A state counts as deceived when its yaw output moves by 1.0 (30 °/s) or more. One iteration is FGSM. Bands: Wilson's \
-                  95 % intervals. The paper reads ε as that of one iteration and its figure levels off at 61 to 68 %."
-            .to_owned(),
-    })
+        "A state counts as deceived when its yaw output moves by 1.0 (30 °/s) or more. One iteration is FGSM. Bands: Wilson's \
+                  95 % intervals. The paper reads ε as that of one iteration and its figure levels off at 61 to 68 %.",
+    )
 }
 
 /// A flight explained: its pixels and its steps.
@@ -571,39 +527,26 @@ fn explained(sources: &Sources, unit: &str) -> Result<(Pixels, Vec<ExplanationLi
 
 fn pixels_of_a_flight(sources: &Sources) -> Result<Made> {
     let (pixels, lines) = explained(sources, "explained")?;
-    let mut table = Grid::new([
-        "time",
-        "yaw output",
-        "image",
-        "bearing",
-        "distance",
-        "told",
-        "score",
-        "the paper",
-    ]);
+    let mut table = Grid::new("time | yaw output | image | bearing | distance | told | score | the paper");
     for frame in &pixels.frames {
         if let Some(line) = lines.get(frame.step) {
-            table.row([
-                format!("{:.1} s", line.time_s),
-                format!("{:.3}", line.yaw),
-                format!("{:.3}", line.image),
-                format!("{:.3}", line.bearing),
-                format!("{:.3}", line.distance),
-                format!("{:.3}", line.told),
+            let parts = [line.yaw, line.image, line.bearing, line.distance, line.told];
+            let parts = parts.map(|value| format!("{value:.3}")).into_iter();
+            table.row([format!("{:.1} s", line.time_s)].into_iter().chain(parts).chain([
                 optional(line.score.map(f64::from), |score| format!("{score:.4}")),
                 "a picture".to_owned(),
-            ]);
+            ]));
         }
     }
-    Ok(Made {
-        figure: Some(Drawn::of(&figure_12(&pixels)?)),
+    made(
+        drawn(&figure_12(&pixels)?),
         table,
-        caption: format!(
+        format!(
             "{} moments of an unattacked flight: the newest frame, near is bright, and what each of its pixels adds to the yaw output \
              (30 °/s each unit), one scale for all. Of one flight there are no intervals.",
             pixels.frames.len()
         ),
-    })
+    )
 }
 
 fn mean_of(lines: &[&ExplanationLine], value: impl Fn(&ExplanationLine) -> f32) -> String {
@@ -616,72 +559,50 @@ fn mean_of(lines: &[&ExplanationLine], value: impl Fn(&ExplanationLine) -> f32) 
 
 fn contributions(sources: &Sources) -> Result<Made> {
     let (pixels, lines) = explained(sources, "explained-attacked")?;
-    let mut table = Grid::new([
-        "steps",
-        "image",
-        "bearing",
-        "distance",
-        "told",
-        "score",
-        "verdict attack",
-        "the paper",
-    ]);
+    let mut table = Grid::new("steps | image | bearing | distance | told | score | verdict attack | the paper");
     for (name, altered) in [("as taken", 0), ("attacked", 1)] {
         let those: Vec<_> = lines.iter().filter(|line| line.altered == altered).collect();
         let found = those.iter().filter(|line| line.verdict == "attack").count();
         let scored: Vec<_> = those.iter().filter(|line| line.score.is_some()).copied().collect();
-        table.row([
-            format!("{} {name}", those.len()),
-            mean_of(&those, |line| line.image),
-            mean_of(&those, |line| line.bearing),
-            mean_of(&those, |line| line.distance),
-            mean_of(&those, |line| line.told),
+        let parts: [fn(&ExplanationLine) -> f32; 4] = [|l| l.image, |l| l.bearing, |l| l.distance, |l| l.told];
+        let parts = parts.map(|value| mean_of(&those, value)).into_iter();
+        table.row([format!("{} {name}", those.len())].into_iter().chain(parts).chain([
             mean_of(&scored, |line| line.score.unwrap_or(f32::NAN)),
             format!("{found} of {}", scored.len()),
             "a picture".to_owned(),
-        ]);
+        ]));
     }
-    Ok(Made {
-        figure: Some(Drawn::of(&figure_13(&pixels, &lines))),
+    made(
+        drawn(&figure_13(&pixels, &lines)),
         table,
-        caption: "Means over the steps. Above, what image (48 values together), bearing, distance and what the actor is told beside them add to the yaw output; below, the \
+        "Means over the steps. Above, what image (48 values together), bearing, distance and what the actor is told beside them add to the yaw output; below, the \
                   detector's score of the last ten explanations and the threshold that it flies with. The actor flies alone, nobody \
-                  acts on the verdict. Of one flight there are no intervals."
-            .to_owned(),
-    })
+                  acts on the verdict. Of one flight there are no intervals.",
+    )
 }
 
 fn sum_and_action(sources: &Sources) -> Result<Made> {
     let (pixels, lines) = explained(sources, "explained-attacked")?;
     let difference = |line: &ExplanationLine| (line.sum() - line.yaw).abs();
     let greatest = lines.iter().map(difference).fold(0.0, f32::max);
-    let mut table = Grid::new(["steps", "greatest difference of sum and action", "the paper"]);
+    let mut table = Grid::new("steps | greatest difference of sum and action | the paper");
     table.row([
         lines.len().to_string(),
         format!("{greatest:.1e} (units of 30 °/s)"),
         "a picture: a constant apart".to_owned(),
     ]);
-    Ok(Made {
-        figure: Some(Drawn::of(&figure_14(&pixels, &lines))),
+    made(
+        drawn(&figure_14(&pixels, &lines)),
         table,
-        caption: "The constant is the mean of the yaw output over the background sample; DeepSHAP's values add up to the rest, attacked \
-                  or not. What is left below is rounding."
-            .to_owned(),
-    })
+        "The constant is the mean of the yaw output over the background sample; DeepSHAP's values add up to the rest, attacked \
+                  or not. What is left below is rounding.",
+    )
 }
 
 fn attacked_completion(sources: &Sources) -> Result<Made> {
     let report: attack::CompletionReport = sources.of("attack-completion").json("attack-completion")?;
-    let mut table = Grid::new([
-        "attack",
-        "field",
-        "completed",
-        "95 % interval",
-        "the paper",
-        "collisions",
-        "out of bounds",
-        "time-outs",
-    ]);
+    let mut table =
+        Grid::new("attack | field | completed | 95 % interval | the paper | collisions | out of bounds | time-outs");
     let mut rows: Vec<BarRow> = Vec::new();
     for row in &report.rows {
         let (label, steps) = row.attack.map_or(("not attacked".to_owned(), None), |setting| {
@@ -695,23 +616,10 @@ fn attacked_completion(sources: &Sources) -> Result<Made> {
             (Some("5"), false) => Some(35.0),
             _ => None,
         };
-        let tally = &row.tally;
-        table.row([
-            label.clone(),
-            if row.apf { "on" } else { "off" }.to_owned(),
-            format!(
-                "{} of {} ({})",
-                tally.completed,
-                tally.flights,
-                percent(tally.completion)
-            ),
-            between(tally.wilson_95),
-            optional(paper, |value| format!("{value:.0} %")),
-            tally.collisions.to_string(),
-            tally.out_of_bounds.to_string(),
-            tally.time_outs.to_string(),
-        ]);
-        let bar = completion_bar(usize::from(!row.apf), tally.completed, tally.flights);
+        let field = if row.apf { "on" } else { "off" };
+        let cells = outcomes(&row.tally, &optional(paper, |value| format!("{value:.0} %")));
+        table.row([label.clone(), field.to_owned()].into_iter().chain(cells));
+        let bar = completion_bar(usize::from(!row.apf), &row.tally);
         match rows.iter_mut().find(|r| r.label == label) {
             Some(known) => {
                 known.bars.push(bar);
@@ -729,22 +637,21 @@ fn attacked_completion(sources: &Sources) -> Result<Made> {
         &["field on", "field off"],
         rows,
     );
-    Ok(Made {
-        figure: Some(Drawn::of(&chart)),
+    made(
+        drawn(&chart),
         table,
-        caption: "The paper compares 97 % (field on, not attacked) with 35 % (field off, five of its steps attacked, about 2.5 s: our 50 \
-                  steps). Here all six cells are flown over the same courses. Wilson's intervals."
-            .to_owned(),
-    })
+        "The paper compares 97 % (field on, not attacked) with 35 % (field off, five of its steps attacked, about 2.5 s: our 50 \
+                  steps). Here all six cells are flown over the same courses. Wilson's intervals.",
+    )
 }
 
-fn completion_bar(series: usize, completed: usize, flights: usize) -> Bar {
-    let (low, high) = wilson_95(completed, flights);
+fn completion_bar(series: usize, tally: &Tally) -> Bar {
+    let (low, high) = tally.wilson_95;
     Bar {
         series,
-        value: 100.0 * completed as f64 / flights.max(1) as f64,
+        value: 100.0 * tally.completion,
         interval: Some((100.0 * low, 100.0 * high)),
-        note: format!("{completed} of {flights}"),
+        note: format!("{} of {}", tally.completed, tally.flights),
     }
 }
 
@@ -770,16 +677,9 @@ fn detection(sources: &Sources) -> Result<Made> {
     let Evaluation {
         at_one_half: report, ..
     } = sources.of("detector-evaluate").json("detector-evaluate")?;
-    let mut table = Grid::new([
-        "attack",
-        "learned from",
-        "found at 0.5",
-        "95 % interval",
-        "AUC",
-        "found at 1 % false alarms",
-        "at 0.1 %",
-        "the paper (accuracy)",
-    ]);
+    let mut table = Grid::new(
+        "attack | learned from | found at 0.5 | 95 % interval | AUC | found at 1 % false alarms | at 0.1 % | the paper (accuracy)",
+    );
     for set in report.sets.iter().filter(|set| !set.roc.is_empty()) {
         let is_paper = set.role == Role::Paper;
         let [found, interval] = share_of(&set.detected);
@@ -795,16 +695,16 @@ fn detection(sources: &Sources) -> Result<Made> {
         ]);
     }
     let [accuracy, interval] = share_of(&report.separation.accuracy);
-    Ok(Made {
-        figure: Some(Drawn::of(&roc(&report))),
+    made(
+        drawn(&roc(&report)),
         table,
-        caption: format!(
+        format!(
             "Windows of ten explanations, judged one by one, against those of unattacked flights: accuracy under the paper's attack at \
              0.5 is {accuracy}, 95 % interval {interval} (the paper: 91 %). The names are method, ε · 255 x iterations; of each method \
              the hardest is drawn, if it does not lie on the paper's line. Intervals take windows for independent, which those \
              of one flight are not."
         ),
-    })
+    )
 }
 
 fn alarm_delay(sources: &Sources) -> Result<Made> {
@@ -851,14 +751,9 @@ fn alarm_delay(sources: &Sources) -> Result<Made> {
             ),
         ],
     );
-    let mut table = Grid::new([
-        "attack",
-        "bursts noticed before they ended",
-        "95 % interval",
-        "delay of those, median",
-        "90 % within",
-        "the paper",
-    ]);
+    let mut table = Grid::new(
+        "attack | bursts noticed before they ended | 95 % interval | delay of those, median | 90 % within | the paper",
+    );
     for set in report.sets.iter().filter(|set| set.bursts_noticed.of > 0) {
         let [noticed, interval] = share_of(&set.bursts_noticed);
         let steps = |steps: Option<f64>| optional(steps, |n| format!("{n:.0} steps"));
@@ -871,15 +766,15 @@ fn alarm_delay(sources: &Sources) -> Result<Made> {
             NONE.to_owned(),
         ]);
     }
-    Ok(Made {
-        figure: Some(Drawn::of(&figure)),
+    made(
+        drawn(&figure),
         table,
-        caption: format!(
+        format!(
             "At the threshold that flies ({:.3}), the paper's attack. A delay of 1 step is at once: the first attacked frame itself. The \
              alarm in flight needs several verdicts of the last few (docs/guidance.md). Bands: Wilson's intervals.",
             report.threshold
         ),
-    })
+    )
 }
 
 /// A flight of a campaign, as far as it is counted here.
@@ -892,49 +787,27 @@ struct Flight {
 }
 
 fn defences(sources: &Sources) -> Result<Made> {
-    let mut table = Grid::new([
-        "attacker",
-        "defence",
-        "completed",
-        "95 % interval",
-        "the paper",
-        "collisions",
-        "out of bounds",
-        "time-outs",
-        "flights with an alarm",
-        "median time to the goal",
-    ]);
+    let mut table = Grid::new(
+        "attacker | defence | completed | 95 % interval | the paper | collisions | out of bounds | time-outs | flights with an alarm | median time to the goal",
+    );
     let mut rows: BTreeMap<usize, BarRow> = BTreeMap::new();
     let mut count = |attacker: (usize, &str), defence: (usize, &str), paper: &str, flights: &[&Flight]| {
-        let ended = |outcome: Outcome| flights.iter().filter(|f| f.outcome == outcome.name()).count();
-        let completed = ended(Outcome::Success);
-        let (share, interval) = (
-            completed as f64 / flights.len().max(1) as f64,
-            wilson_95(completed, flights.len()),
-        );
-        let times: Vec<f64> = flights
-            .iter()
-            .filter(|f| f.outcome == Outcome::Success.name())
-            .map(|f| f.flight_time_s)
-            .collect();
-        table.row([
-            attacker.1.to_owned(),
-            defence.1.to_owned(),
-            format!("{completed} of {} ({})", flights.len(), percent(share)),
-            between(interval),
-            paper.to_owned(),
-            ended(Outcome::Collision).to_string(),
-            ended(Outcome::OutOfBounds).to_string(),
-            ended(Outcome::TimeOut).to_string(),
-            flights.iter().filter(|f| f.alarms > 0).count().to_string(),
+        let ends: Vec<Option<Outcome>> = flights.iter().map(|f| f.outcome.parse().ok()).collect();
+        let tally = Tally::of(&ends);
+        let arrived = flights.iter().filter(|f| f.outcome == Outcome::Success.name());
+        let times: Vec<f64> = arrived.map(|f| f.flight_time_s).collect();
+        let alarmed = flights.iter().filter(|f| f.alarms > 0).count();
+        let cells = [attacker.1, defence.1].map(str::to_owned).into_iter();
+        table.row(cells.chain(outcomes(&tally, paper)).chain([
+            alarmed.to_string(),
             optional(quantile(&times, 0.5), |s| format!("{s:.1} s")),
-        ]);
+        ]));
         let row = rows.entry(attacker.0).or_insert_with(|| BarRow {
             label: attacker.1.to_owned(),
             bars: Vec::new(),
             paper: None,
         });
-        row.bars.push(completion_bar(defence.0, completed, flights.len()));
+        row.bars.push(completion_bar(defence.0, &tally));
     };
     const DEFENCES: [&str; 4] = [
         "undefended",
@@ -976,13 +849,12 @@ fn defences(sources: &Sources) -> Result<Made> {
         &DEFENCES,
         rows.into_values().collect(),
     );
-    Ok(Made {
-        figure: Some(Drawn::of(&chart)),
+    made(
+        drawn(&chart),
         table,
-        caption: "Accumulating BIM, ε = 1/255, 20 iterations on each frame as it passes, actor without the field; every defence over the \
-                  same courses of an attacker. Wilson's intervals. An attacker who knows the detector lowers its score as well."
-            .to_owned(),
-    })
+        "Accumulating BIM, ε = 1/255, 20 iterations on each frame as it passes, actor without the field; every defence over the \
+                  same courses of an attacker. Wilson's intervals. An attacker who knows the detector lowers its score as well.",
+    )
 }
 
 #[derive(Deserialize)]
@@ -997,15 +869,8 @@ struct FamilyReport {
 }
 
 fn families(sources: &Sources) -> Result<Made> {
-    let mut table = Grid::new([
-        "courses",
-        "completed",
-        "95 % interval",
-        "the paper",
-        "collisions",
-        "out of bounds",
-        "time-outs",
-    ]);
+    let mut table =
+        Grid::new("courses | completed | 95 % interval | the paper | collisions | out of bounds | time-outs");
     let mut rows = Vec::new();
     for (unit, name) in [
         ("family-training", "training"),
@@ -1014,39 +879,24 @@ fn families(sources: &Sources) -> Result<Made> {
         ("family-hard", "hard, things that move"),
     ] {
         let report: FamilyReport = sources.of(unit).json(unit)?;
-        let ended = |outcome: Outcome| {
-            let of_it = report.rates.iter().filter(|rate| rate.outcome == outcome.to_string());
-            of_it.map(|rate| rate.flights).sum::<usize>()
-        };
-        let flights: usize = report.rates.iter().map(|rate| rate.flights).sum();
-        let completed = ended(Outcome::Success);
+        let ends = (report.rates.iter()).flat_map(|rate| vec![rate.outcome.parse().ok(); rate.flights]);
+        let tally = Tally::of(&ends.collect::<Vec<Option<Outcome>>>());
         let paper = (unit == "family-validation").then_some(97.0);
-        table.row([
-            name.to_owned(),
-            format!(
-                "{completed} of {flights} ({})",
-                percent(completed as f64 / flights.max(1) as f64)
-            ),
-            between(wilson_95(completed, flights)),
-            optional(paper, |value| format!("{value:.0} %")),
-            ended(Outcome::Collision).to_string(),
-            ended(Outcome::OutOfBounds).to_string(),
-            ended(Outcome::TimeOut).to_string(),
-        ]);
+        let cells = outcomes(&tally, &optional(paper, |value| format!("{value:.0} %")));
+        table.row([name.to_owned()].into_iter().chain(cells));
         rows.push(BarRow {
             label: name.to_owned(),
-            bars: vec![completion_bar(0, completed, flights)],
+            bars: vec![completion_bar(0, &tally)],
             paper,
         });
     }
     let chart = completion_chart("Courses completed, by family", &["whole stack"], rows);
-    Ok(Made {
-        figure: Some(Drawn::of(&chart)),
+    made(
+        drawn(&chart),
         table,
-        caption: "Actor with field, detector, guard and recovery as they fly by default, nobody attacks; a quarter of the flights begins \
-                  on the ground. The paper has one validation course, we draw one for each flight. Wilson's intervals."
-            .to_owned(),
-    })
+        "Actor with field, detector, guard and recovery as they fly by default, nobody attacks; a quarter of the flights begins \
+                  on the ground. The paper has one validation course, we draw one for each flight. Wilson's intervals.",
+    )
 }
 
 #[derive(Deserialize)]
@@ -1073,15 +923,8 @@ struct Peer {
 
 fn peers(sources: &Sources) -> Result<Made> {
     let report: Peers = sources.of("peers").json("peers")?;
-    let mut table = Grid::new([
-        "work",
-        "ours",
-        "other program",
-        "its time",
-        "its time over ours",
-        "lowest to highest",
-        "the paper",
-    ]);
+    let mut table =
+        Grid::new("work | ours | other program | its time | its time over ours | lowest to highest | the paper");
     let mut rows = Vec::new();
     let time = |us: f64| match us >= 1000.0 {
         true => format!("{:.1} ms", us / 1000.0),
@@ -1128,15 +971,15 @@ fn peers(sources: &Sources) -> Result<Made> {
         series: vec!["other program".to_owned()],
         rows,
     };
-    Ok(Made {
-        figure: Some(Drawn::of(&chart)),
+    made(
+        drawn(&chart),
         table,
-        caption: format!(
+        format!(
             "{}, {} instructions, one core and one thread a side, in turns; medians of the rounds, and the lowest and highest in place \
              of an interval. Both sides compute the same (docs/peers.md).",
             report.processor, report.isa
         ),
-    })
+    )
 }
 
 /// A name that fits beside the bars.

@@ -3,20 +3,16 @@
 mod data;
 mod items;
 mod page;
-mod parts;
 mod units;
 
-use crate::campaign::part::Shard;
+use crate::campaign::flights::{program_sha256, sha256};
 use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result, ensure};
 use data::{Data, Sources, Unit};
-use items::{ITEMS, Item, Kind, Made};
-use parts::PartOf;
+use items::{ITEMS, Item, Made};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use units::{COMMITTED_ONLY, Setting, Size};
@@ -29,8 +25,8 @@ Examples:
   vigil reproduce --quick                      flown anew with few flights: some 15 minutes on two cores
   vigil reproduce                              flown anew with as many flights as the figures need: hours
   vigil reproduce --committed --only table-1,figure-9
-  vigil reproduce --shard 1/3 -o runs/1        a third of it, on one of three machines; no page
-  vigil merge runs/1 runs/2 runs/3 -o runs/all the page of all three
+  vigil reproduce --only table-3 -o runs/1     on another machine
+  vigil reproduce --from runs/1 -o runs/all    the page of all, of which runs/1 has some measured already
   vigil reproduce --list                       what there is
 
 The folder then holds index.html (one file, which needs no network), figures/*.svg and *.png (300 dpi), tables/*.csv,
@@ -71,9 +67,9 @@ pub struct ReproduceArgs {
     #[arg(long, value_name = "FILE")]
     detector: Option<PathBuf>,
 
-    /// Measure only part K of N of what is to be measured, and make no page; `vigil merge` makes the whole of all parts' folders.
-    #[arg(long, value_name = "K/N", conflicts_with_all = ["committed", "list"])]
-    shard: Option<Shard>,
+    /// Take what was measured in the folders of other runs, on other machines, instead of measuring it again.
+    #[arg(long, value_name = "DIR,…", value_delimiter = ',', conflicts_with_all = ["committed", "list"])]
+    from: Vec<PathBuf>,
 
     /// Threads; all cores when absent.
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -84,6 +80,9 @@ pub struct ReproduceArgs {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct MadeBy {
     version: String,
+    /// SHA-256 of the program's file.
+    #[serde(default)]
+    program: String,
     commit: String,
     mode: String,
     actor_sha256: String,
@@ -130,6 +129,7 @@ impl MadeBy {
     fn differences(&self, other: &Self, others_name: &str) -> Vec<String> {
         [
             ("version", &self.version, &other.version),
+            ("program", &self.program, &other.program),
             ("commit", &self.commit, &other.commit),
             ("mode", &self.mode, &other.mode),
             ("actor", &self.actor_sha256, &other.actor_sha256),
@@ -193,6 +193,7 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
     let committed = Data::committed(&args.data)?;
     let made_by = MadeBy {
         version: env!("CARGO_PKG_VERSION").to_owned(),
+        program: program_sha256()?,
         commit: setting.commit.clone(),
         mode: match (args.committed, args.quick) {
             (true, _) => "committed",
@@ -203,27 +204,23 @@ pub fn run(args: &ReproduceArgs) -> Result<ExitCode> {
         actor_sha256: setting.actor_sha256.clone(),
         detector_sha256: setting.detector_sha256.clone(),
     };
-    let shard = match args.shard {
-        Some(shard) => Some(PartOf::new(shard, &items, &setting)?),
-        None => None,
-    };
-    if shard.is_none() {
-        ensure!(
-            !PartOf::is_in(&args.output),
-            "{} holds a part of a run: give its --shard, or name another folder with --output",
-            args.output.display()
-        );
-    }
     made_by.claim(&args.output)?;
-    if let Some(part) = &shard {
-        return measure_part(part, &args.output, &setting, &super::run_words);
-    }
     let mut whole = true;
     let fresh = match args.committed {
         true => None,
         false => {
             let mut fresh = measured_in(&args.output)?;
             let names: Vec<&str> = items.iter().flat_map(|item| item.units.iter().copied()).collect();
+            for folder in &args.from {
+                let differences = MadeBy::load(folder)?.differences(&made_by, "this one's");
+                ensure!(
+                    differences.is_empty(),
+                    "{} holds results of something else: {}",
+                    folder.display(),
+                    differences.join("; ")
+                );
+                units::take(&names, &setting, &Data::fresh(&folder.join("data"))?, &mut fresh)?;
+            }
             whole = units::measure(&names, &setting, &mut fresh, &super::run_words)?;
             Some(fresh)
         }
@@ -248,55 +245,6 @@ fn measured_in(output: &Path) -> Result<Data> {
     let folder = output.join("data");
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     Data::fresh(&folder)
-}
-
-/// Measures a shard's share.
-fn measure_part(
-    part: &PartOf,
-    output: &Path,
-    setting: &Setting,
-    run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
-) -> Result<ExitCode> {
-    part.claim(output)?;
-    let names = part.units(setting.size)?;
-    let whole = units::measure(&names, setting, &mut measured_in(output)?, run)?;
-    if !whole {
-        say!("interrupted: what is whole is kept; the same command goes on");
-        return Ok(ExitCode::from(EXIT_INTERRUPTED));
-    }
-    say!(
-        "shard {}: {} units in {}; `vigil merge` makes the page of all shards' folders",
-        part.shard(),
-        names.len(),
-        output.display()
-    );
-    Ok(ExitCode::SUCCESS)
-}
-
-/// Whether a folder is one of `vigil reproduce`.
-pub fn is_folder_of_results(folder: &Path) -> bool {
-    folder.join(MADE_BY).exists()
-}
-
-/// Joins the folders of shards and makes the tables, figures and page of the whole; `committed` is the committed data's folder.
-///
-/// # Errors
-/// Folders that are no parts, that contradict each other or are not all; a folder of something else at `output`.
-pub fn merge(parts: &[PathBuf], output: &Path, committed: &Path) -> Result<ExitCode> {
-    let committed = Data::committed(committed)?;
-    let joined = parts::join(parts)?;
-    // What only the repository has, before anything is written.
-    for item in &joined.items {
-        for unit in item.units.iter().filter(|unit| COMMITTED_ONLY.contains(unit)) {
-            committed.folders(unit)?;
-        }
-    }
-    let sources = Sources {
-        fresh: Some(joined.copy_to(output)?),
-        committed,
-    };
-    make(&joined.items, &sources, output, &joined.made_by)?;
-    Ok(ExitCode::SUCCESS)
 }
 
 /// Makes the items and the page.
@@ -354,11 +302,7 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
         let mut files = BTreeMap::new();
         let mut keep = |name: String, content: &[u8]| {
             output::write(&folder.join(&name), content)?;
-            let digest: String = Sha256::digest(content)
-                .iter()
-                .map(|byte| format!("{byte:02x}"))
-                .collect();
-            files.insert(name, digest);
+            files.insert(name, sha256(content));
             Ok::<_, anyhow::Error>(())
         };
         if let Some(figure) = &made.figure {
@@ -368,10 +312,7 @@ fn write(folder: &Path, made_by: &MadeBy, all: &[Shown]) -> Result<()> {
         keep(format!("tables/{}.csv", item.id), made.table.csv()?.as_bytes())?;
         entries.push(Entry {
             id: item.id,
-            kind: match item.kind {
-                Kind::Table => "table",
-                Kind::Figure => "figure",
-            },
+            kind: if made.figure.is_some() { "figure" } else { "table" },
             title: item.title,
             caption: &made.caption,
             files,
@@ -404,7 +345,7 @@ mod tests {
 
     #[test]
     fn every_item_is_made_of_units_that_there_are_and_every_unit_is_used() {
-        let known: Vec<&str> = SPECS.iter().map(|s| s.name).chain(COMMITTED_ONLY).collect();
+        let known: Vec<&str> = SPECS.iter().map(|s| s.name.as_str()).chain(COMMITTED_ONLY).collect();
         let used: Vec<&str> = ITEMS.iter().flat_map(|item| item.units.iter().copied()).collect();
         assert!(used.iter().all(|unit| known.contains(unit)), "{used:?}");
         assert!(known.iter().all(|unit| used.contains(unit)), "{known:?}");
@@ -418,7 +359,7 @@ mod tests {
         use clap::CommandFactory as _;
         for size in [Size::Quick, Size::Full] {
             let setting = Setting::new(None, None, None, size).unwrap();
-            for spec in &SPECS {
+            for spec in SPECS.iter() {
                 for line in spec.command(&setting).split(" && ") {
                     let parsed = crate::cli::Cli::command().try_get_matches_from(line.split(' '));
                     assert!(parsed.is_ok(), "{line}: {}", parsed.unwrap_err());
@@ -431,6 +372,7 @@ mod tests {
     fn a_folder_of_another_commit_is_refused_by_name_and_of_other_files_too() {
         let folder = tempfile::tempdir().unwrap();
         let made_by = |commit: &str, mode: &str| MadeBy {
+            program: "p".to_owned(),
             version: "1".to_owned(),
             commit: commit.to_owned(),
             mode: mode.to_owned(),

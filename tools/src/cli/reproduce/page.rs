@@ -1,6 +1,6 @@
 //! The page: one file with all figures and tables in it, without scripts.
 
-use super::items::{Grid, Kind};
+use super::items::Grid;
 use super::{MadeBy, Shown};
 use anyhow::Result;
 use std::fmt::Write as _;
@@ -120,7 +120,7 @@ fn section(out: &mut String, shown: &Shown, is_quick: bool) {
         let _ = writeln!(out, "<p class=\"caption\">{}</p>", escaped(&made.caption));
     }
     let rows = made.table.rows.len();
-    let folded = item.kind == Kind::Figure && rows > LONG;
+    let folded = shown.made.figure.is_some() && rows > LONG;
     if folded {
         let _ = writeln!(out, "<details><summary>Numbers: {rows} rows</summary>");
     }

@@ -3,10 +3,12 @@
 use super::data::{Data, Unit};
 use crate::cli::output::{self, Interrupt, say};
 use anyhow::{Context, Result};
+use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::LazyLock;
 use vigil_detector::FrozenDetector;
 use vigil_policy::FrozenActor;
 
@@ -17,203 +19,29 @@ pub enum Size {
     Full,
 }
 
-/// A unit of data and how it is measured.
+/// A unit of data and how it is measured; `units.toml` says how to read it.
+#[derive(Deserialize)]
 pub struct Spec {
-    pub name: &'static str,
+    pub name: String,
     /// For the line that says what is going on.
-    pub what: &'static str,
-    pub seeds: &'static str,
-    /// Commands in their order, but for folder, threads, actor and detector.
-    quick: &'static [&'static str],
-    full: &'static [&'static str],
-    /// Seconds of one core, quick and full, by which shards are balanced (docs/reproduce.md says how they were measured).
-    cost_s: (u32, u32),
+    what: String,
+    seeds: String,
+    commands: Vec<String>,
     /// What is kept.
-    pub files: &'static [&'static str],
-    /// What the last command needed and is large.
-    scratch: &'static [&'static str],
+    pub files: Vec<String>,
 }
 
-/// In the order in which they are measured: what is done soon comes first.
-pub const SPECS: [Spec; 16] = [
-    Spec {
-        name: "attack-deflection",
-        what: "yaw bent in front of a wall",
-        seeds: "sensor noise of seeds from 5000",
-        quick: &["attack deflection --states 2 --seed 5000"],
-        full: &["attack deflection --states 5 --seed 5000"],
-        cost_s: (10, 24),
-        files: &["table-2.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "detector-times",
-        what: "time of decision, explanation and verdict",
-        seeds: "validation course 7",
-        quick: &["detector times --seed 7 --pictures 10"],
-        full: &["detector times --seed 7 --pictures 20"],
-        cost_s: (5, 10),
-        files: &["times.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "explained",
-        what: "a flight explained",
-        seeds: "validation course 7",
-        quick: &["detector figures --seed 7"],
-        full: &["detector figures --seed 7"],
-        cost_s: (2, 2),
-        files: &["pixels.json", "explanations.csv"],
-        scratch: &[],
-    },
-    Spec {
-        name: "explained-attacked",
-        what: "the same flight attacked and explained",
-        seeds: "validation course 7",
-        quick: &["detector figures --seed 7 --attacked --pictures 1"],
-        full: &["detector figures --seed 7 --attacked --pictures 1"],
-        cost_s: (3, 3),
-        files: &["pixels.json", "explanations.csv"],
-        scratch: &[],
-    },
-    Spec {
-        name: "family-training",
-        what: "training courses",
-        seeds: "from 29000000",
-        quick: &["evaluate --family training --flights 30 --seed 29000000"],
-        full: &["evaluate --family training --flights 500 --seed 29000000"],
-        cost_s: (9, 150),
-        files: &["evaluate.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "family-validation",
-        what: "validation courses",
-        seeds: "from 29000000",
-        quick: &["evaluate --family validation --flights 30 --seed 29000000"],
-        full: &["evaluate --family validation --flights 500 --seed 29000000"],
-        cost_s: (9, 150),
-        files: &["evaluate.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "family-dense",
-        what: "dense courses",
-        seeds: "from 29000000",
-        quick: &["evaluate --family dense --flights 30 --seed 29000000"],
-        full: &["evaluate --family dense --flights 500 --seed 29000000"],
-        cost_s: (9, 150),
-        files: &["evaluate.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "family-hard",
-        what: "hard courses",
-        seeds: "from 29000000",
-        quick: &["evaluate --family hard --flights 30 --seed 29000000"],
-        full: &["evaluate --family hard --flights 500 --seed 29000000"],
-        cost_s: (9, 150),
-        files: &["evaluate.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "attack-completion",
-        what: "completion, field on and off, attacked and not",
-        seeds: "validation courses from 9000000",
-        quick: &["attack completion --flights 20 --seed 9000000"],
-        full: &["attack completion --flights 200 --seed 9000000"],
-        cost_s: (48, 480),
-        files: &["completion.json"],
-        scratch: &[],
-    },
-    Spec {
-        name: "attack-table",
-        what: "states attacked at every strength",
-        seeds: "states of validation courses from 5000",
-        quick: &["attack table --states 60 --seed 5000"],
-        full: &["attack table --states 1000 --seed 5000"],
-        cost_s: (120, 2_000),
-        files: &["figure-11.csv"],
-        scratch: &["frames.png"],
-    },
-    Spec {
-        name: "defended-100",
-        what: "bursts of 100 steps, undefended and defended",
-        seeds: "validation courses from 8300000",
-        quick: &["attack defended --burst 100 --flights 10 --seed 8300000 --arms undefended,stop,recover --resume"],
-        full: &["attack defended --burst 100 --flights 100 --seed 8300000 --arms undefended,stop,recover --resume"],
-        cost_s: (44, 440),
-        files: &["defended.csv"],
-        scratch: &[],
-    },
-    Spec {
-        name: "defended-continuous",
-        what: "attacked all the time, undefended and defended",
-        seeds: "validation courses from 8000000",
-        quick: &["attack defended --burst continuous --flights 8 --seed 8000000 --resume"],
-        full: &["attack defended --burst continuous --flights 200 --seed 8000000 --resume"],
-        cost_s: (300, 7_400),
-        files: &["defended.csv"],
-        scratch: &[],
-    },
-    Spec {
-        name: "defended-adaptive",
-        what: "attacked by one who knows the detector",
-        seeds: "validation courses from 8200000",
-        quick: &[
-            "attack defended --burst continuous --flights 4 --seed 8200000 --arms undefended,recover --evade DETECTOR --resume",
-        ],
-        full: &[
-            "attack defended --burst continuous --flights 50 --seed 8200000 --arms undefended,recover --evade DETECTOR --resume",
-        ],
-        cost_s: (90, 1_130),
-        files: &["defended.csv"],
-        scratch: &[],
-    },
-    Spec {
-        name: "defended-adaptive-unguarded",
-        what: "the same without the guard",
-        seeds: "validation courses from 8200000",
-        quick: &[
-            "attack defended --burst continuous --flights 3 --seed 8200000 --arms recover --evade DETECTOR --guard off --resume",
-        ],
-        full: &[
-            "attack defended --burst continuous --flights 20 --seed 8200000 --arms recover --evade DETECTOR --guard off --resume",
-        ],
-        cost_s: (25, 166),
-        files: &["defended.csv"],
-        scratch: &[],
-    },
-    Spec {
-        name: "detector-evaluate",
-        what: "verdicts on attacks and controls",
-        seeds: "validation courses from 6000",
-        quick: &["detector evaluate --unattacked 40 --attacked 12 --other 4"],
-        full: &["detector evaluate"],
-        cost_s: (60, 220),
-        files: &["evaluate.json"],
-        scratch: &["evaluate.safetensors", "roc.png", "roc.svg"],
-    },
-    Spec {
-        name: "detector-table",
-        what: "four detectors on the same states",
-        seeds: "states of training courses from 5000 and 5700, and of validation courses from 7000",
-        quick: &["detector images --states 300 --judged 200", "detector table"],
-        full: &["detector images --states 2000 --judged 2000", "detector table"],
-        cost_s: (140, 1_000),
-        files: &["table.json"],
-        scratch: &[
-            "images-learn.safetensors",
-            "images-choose.safetensors",
-            "images-judge.safetensors",
-            "images-learn.flights",
-            "images-choose.flights",
-            "images-judge.flights",
-            "fcn_ad.png",
-            "cnn_ad.png",
-        ],
-    },
-];
+#[derive(Deserialize)]
+struct Units {
+    unit: Vec<Spec>,
+}
+
+/// In the order in which they are measured.
+pub static SPECS: LazyLock<Vec<Spec>> = LazyLock::new(|| {
+    let units: Result<Units, _> = toml::from_str(include_str!("../../../assets/reproduce/units.toml"));
+    // A test reads it.
+    units.map(|units| units.unit).unwrap_or_default()
+});
 
 /// Units that only the repository has: training takes hours, and the peers need 5 GB of Python.
 pub const COMMITTED_ONLY: [&str; 2] = ["training-runs", "peers"];
@@ -271,11 +99,14 @@ fn load_detector(file: Option<&Path>) -> Result<FrozenDetector> {
 }
 
 impl Spec {
-    fn lines(&self, size: Size) -> &'static [&'static str] {
-        match size {
-            Size::Quick => self.quick,
-            Size::Full => self.full,
-        }
+    fn lines(&self, size: Size) -> impl Iterator<Item = String> {
+        let of_size = move |word: &str| match (word.split_once('/'), size) {
+            (Some((quick, _)), Size::Quick) => quick.to_owned(),
+            (Some((_, full)), Size::Full) => full.to_owned(),
+            (None, _) => word.to_owned(),
+        };
+        let line = move |command: &String| command.split(' ').map(of_size).collect::<Vec<_>>().join(" ");
+        self.commands.iter().map(line)
     }
 
     /// The command as a user would type it in the repository.
@@ -288,8 +119,8 @@ impl Spec {
             });
         let mut told = Vec::new();
         for line in self.lines(setting.size) {
-            let mut words = format!("vigil {}", line.replace("DETECTOR", &detector).replace(" --resume", ""));
-            for (name, file) in extra(line, setting) {
+            let mut words = format!("vigil {}", line.replace("DETECTOR", &detector));
+            for (name, file) in extra(&line, setting) {
                 words += &format!(" {name} {}", file.display());
             }
             told.push(words);
@@ -308,7 +139,7 @@ impl Spec {
         interrupt: &Interrupt,
         run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
     ) -> Result<bool> {
-        let folder = data.folder_of(self.name);
+        let folder = data.folder_of(&self.name);
         std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
         // The attacker's copy: a campaign that is gone on with must name the same file.
         let copy = folder.join("known-detector.safetensors");
@@ -322,14 +153,20 @@ impl Spec {
                 word => word.into(),
             }));
             let place = match line.starts_with("evaluate") {
-                true => folder.join(self.files[0]),
+                true => folder.join(&self.files[0]),
                 false => folder.clone(),
             };
             words.extend(["-o".into(), place.into_os_string()]);
+            if ["evaluate", "attack completion", "attack defended"]
+                .iter()
+                .any(|command| line.starts_with(command))
+            {
+                words.push("--resume".into());
+            }
             if let Some(threads) = setting.threads {
                 words.extend(["--threads".into(), threads.to_string().into()]);
             }
-            for (name, file) in extra(line, setting) {
+            for (name, file) in extra(&line, setting) {
                 words.extend([name.into(), file.as_os_str().to_owned()]);
             }
             output::quietly(|| run(words)).with_context(|| format!("vigil {line}"))?;
@@ -337,11 +174,15 @@ impl Spec {
                 return Ok(false);
             }
         }
-        for file in self.scratch.iter().chain(&["known-detector.safetensors"]) {
-            // Not every size leaves each of them.
-            let _ = std::fs::remove_file(folder.join(file));
+        let entries = std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
+        for entry in entries
+            .flatten()
+            .filter(|entry| !self.files.iter().any(|file| entry.file_name() == **file))
+        {
+            // What stays takes room, no more.
+            let _ = std::fs::remove_file(entry.path());
         }
-        data.enter(self.name, self.unit(setting), self.files)?;
+        data.enter(&self.name, self.unit(setting), &self.files)?;
         Ok(true)
     }
 
@@ -349,19 +190,11 @@ impl Spec {
     pub fn unit(&self, setting: &Setting) -> Unit {
         Unit {
             command: self.command(setting),
-            seeds: self.seeds.to_owned(),
+            seeds: self.seeds.clone(),
             commit: setting.commit.clone(),
             version: env!("CARGO_PKG_VERSION").to_owned(),
             note: String::new(),
             files: BTreeMap::new(),
-        }
-    }
-
-    /// What it costs, seconds of one core; only the proportions count.
-    pub fn cost_s(&self, size: Size) -> u32 {
-        match size {
-            Size::Quick => self.cost_s.0,
-            Size::Full => self.cost_s.1,
         }
     }
 }
@@ -383,6 +216,33 @@ fn extra<'a>(line: &str, setting: &'a Setting) -> Vec<(&'static str, &'a PathBuf
     words
 }
 
+/// Takes units that were measured elsewhere; those that are there already must be the same.
+///
+/// # Errors
+/// Units that are damaged, of another command or contradict those that are there; a folder that cannot be written.
+pub fn take(names: &[&str], setting: &Setting, from: &Data, data: &mut Data) -> Result<()> {
+    for spec in SPECS.iter().filter(|spec| names.contains(&&*spec.name)) {
+        let Some(unit) = from.unit(&spec.name) else { continue };
+        from.check(&spec.name, &spec.unit(setting), &spec.files)?;
+        anyhow::ensure!(
+            data.unit(&spec.name).is_none_or(|there| there == unit),
+            "{} and {} contradict each other: {} came out differently. Flights come out the same on every machine, times do not: \
+             leave one of the two out",
+            from.folder().display(),
+            data.folder().display(),
+            spec.name
+        );
+        for file in unit.files.keys() {
+            let to = data.folder().join(file);
+            output::prepare(&to)?;
+            output::write(&to, from.content(unit, file)?)?;
+        }
+        data.enter_whole(&spec.name, unit.clone())?;
+        say!("{}: taken from {}", spec.what, from.folder().display());
+    }
+    Ok(())
+}
+
 /// Measures what is missing of some units. False when Ctrl-C came first.
 ///
 /// # Errors
@@ -394,11 +254,11 @@ pub fn measure(
     run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
 ) -> Result<bool> {
     let interrupt = Interrupt::on_ctrl_c()?;
-    let wanted: Vec<&Spec> = SPECS.iter().filter(|spec| names.contains(&spec.name)).collect();
+    let wanted: Vec<&Spec> = SPECS.iter().filter(|spec| names.contains(&&*spec.name)).collect();
     for (number, spec) in wanted.iter().enumerate() {
         let place = format!("[{}/{}] {}", number + 1, wanted.len(), spec.what);
         let command = spec.command(setting);
-        if data.has(spec.name, &command) {
+        if data.has(&spec.name, &command) {
             say!("{place}: is there");
             continue;
         }

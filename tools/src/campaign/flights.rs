@@ -1,0 +1,494 @@
+//! A campaign: every seed flown in every arm, one line of JSON for each flight as soon as it has ended, and the campaign that files of
+//! such lines make together (docs/cluster.md).
+
+use crate::cli::output::{self, Interrupt, Progress, say};
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use vigil_nnet::Isa;
+
+/// Ten million flights have some 8 GB.
+const SIZE_LIMIT: u64 = 16 << 30;
+/// Value of a heading's entry `format`.
+const FORMAT: &str = "vigil campaign 1";
+/// Hexadecimal digits that a line names its heading by.
+const DIGITS: usize = 16;
+
+/// What is flown: each of the seeds in each of the arms.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Jobs {
+    /// Seed of the first flight of an arm.
+    pub first_seed: u64,
+    /// Flights of an arm.
+    pub flights: u64,
+    /// Names of the arms, each once.
+    pub arms: Vec<String>,
+}
+
+impl Jobs {
+    /// How many flights there are.
+    pub fn count(&self) -> u64 {
+        self.flights.saturating_mul(self.arms.len() as u64)
+    }
+
+    fn end(&self) -> u64 {
+        self.first_seed.saturating_add(self.flights)
+    }
+
+    /// The seeds from the first to the last of both, in the arms of both.
+    fn extend(&mut self, other: &Self) {
+        let end = self.end().max(other.end());
+        self.first_seed = self.first_seed.min(other.first_seed);
+        self.flights = end - self.first_seed;
+        for arm in &other.arms {
+            if !self.arms.contains(arm) {
+                self.arms.push(arm.clone());
+            }
+        }
+    }
+}
+
+/// Everything that decides what a flight of a seed is: flights of two such are not mixed.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Origin<S> {
+    command: String,
+    version: String,
+    /// Of the program's file.
+    program_sha256: String,
+    /// Kernels with and without fused multiply-add round differently.
+    arithmetic: String,
+    /// Settings of the command, actor and detector by their digests.
+    settings: S,
+}
+
+/// The first line of a file, and of each file that was appended to it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct Heading<S> {
+    format: String,
+    #[serde(flatten)]
+    jobs: Jobs,
+    #[serde(flatten)]
+    origin: Origin<S>,
+    /// Of the working tree in which it ran, if there was one: for the reader, not compared.
+    git_commit: Option<String>,
+}
+
+/// A flight.
+#[derive(Serialize, Deserialize)]
+struct Line<F> {
+    seed: u64,
+    arm: String,
+    /// Digest of its origin.
+    of: String,
+    flight: F,
+}
+
+/// What to do with flights that are there already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    /// They make room.
+    Replace,
+    /// They are kept, and not flown again.
+    Resume,
+    /// They are an error.
+    Refuse,
+}
+
+impl Existing {
+    /// What a command does whose flights are soon flown again.
+    pub fn replaced_unless(resume: bool) -> Self {
+        if resume { Self::Resume } else { Self::Replace }
+    }
+}
+
+/// Flights of one origin, in a file and in memory.
+pub struct Campaign<S, F> {
+    heading: Heading<S>,
+    of: String,
+    /// By seed and the arm's number.
+    flown: BTreeMap<(u64, usize), F>,
+    file: Option<(PathBuf, Mutex<File>)>,
+}
+
+impl<S, F> Campaign<S, F>
+where
+    S: Serialize + DeserializeOwned + Sync,
+    F: Serialize + DeserializeOwned + Send + Sync,
+{
+    /// A campaign of this program without flights.
+    ///
+    /// # Errors
+    /// The program's file cannot be read; seeds beyond the last.
+    pub fn new(command: &str, settings: S, jobs: Jobs) -> Result<Self> {
+        ensure!(
+            jobs.first_seed.checked_add(jobs.flights).is_some(),
+            "--seed: there are no {} seeds from {} on",
+            jobs.flights,
+            jobs.first_seed
+        );
+        let is_portable = Isa::detect() == Isa::PORTABLE;
+        Self::of_heading(Heading {
+            format: FORMAT.to_owned(),
+            jobs,
+            origin: Origin {
+                command: command.to_owned(),
+                version: env!("CARGO_PKG_VERSION").to_owned(),
+                program_sha256: program_sha256()?,
+                arithmetic: if is_portable { "portable" } else { "fused" }.to_owned(),
+                settings,
+            },
+            git_commit: output::git_commit(),
+        })
+    }
+
+    fn of_heading(heading: Heading<S>) -> Result<Self> {
+        let mut of = sha256(&serde_json::to_vec(&heading.origin)?);
+        of.truncate(DIGITS);
+        Ok(Self {
+            heading,
+            of,
+            flown: BTreeMap::new(),
+            file: None,
+        })
+    }
+
+    /// What its flights have in common.
+    pub fn settings(&self) -> &S {
+        &self.heading.origin.settings
+    }
+
+    /// What was to be flown.
+    pub fn jobs(&self) -> &Jobs {
+        &self.heading.jobs
+    }
+
+    /// The flights that there are and the name of each one's arm, by seed.
+    pub fn flights(&self) -> impl Iterator<Item = (&str, &F)> {
+        let arms = &self.jobs().arms;
+        self.flown
+            .iter()
+            .map(|((_, arm), flight)| (arms[*arm].as_str(), flight))
+    }
+
+    /// A flight, if it was flown.
+    pub fn flight(&self, seed: u64, arm: usize) -> Option<&F> {
+        self.flown.get(&(seed, arm))
+    }
+
+    /// Whether flights are missing; then it is said how many.
+    pub fn is_interrupted(&self) -> bool {
+        let (flown, asked_for) = (self.flown.len() as u64, self.jobs().count());
+        if flown < asked_for {
+            let hint = if self.file.is_some() {
+                "; the same command with --resume goes on"
+            } else {
+                ""
+            };
+            say!("interrupted      {flown} of {asked_for} flights were flown{hint}");
+        }
+        flown < asked_for
+    }
+
+    /// Keeps its flights in a file from now on, each as soon as it has ended; not where `path` is standard output or a device.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is of another campaign, flights that are not to be there.
+    pub fn keep_in(mut self, path: &Path, existing: Existing) -> Result<Self> {
+        if !output::is_file(path) {
+            return Ok(self);
+        }
+        let name = path.display();
+        if path.exists() && existing != Existing::Replace {
+            ensure!(
+                existing == Existing::Resume,
+                "{name} holds a campaign's flights; add --resume to fly what it lacks, or name another place with --output"
+            );
+            self.read(path)
+                .context("name another place with --output, or leave --resume out")?;
+        }
+        self.write(path)?;
+        let file = OpenOptions::new().append(true).open(path);
+        self.file = Some((path.to_owned(), Mutex::new(file.with_context(|| cannot_write(path))?)));
+        Ok(self)
+    }
+
+    /// Flies what `wanted` has and the file has not, and leaves the file in the order of the seeds.
+    ///
+    /// # Errors
+    /// Whatever a flight fails with, or the file; the flights that had ended are kept.
+    pub fn fly(
+        &mut self,
+        wanted: &Jobs,
+        pool: &ThreadPool,
+        fly: impl Fn(u64, &str, &Progress) -> Result<F> + Sync,
+    ) -> Result<Interrupt> {
+        let (missing, interrupt) = (self.missing(wanted).len() as u64, Interrupt::on_ctrl_c()?);
+        if missing < wanted.count() {
+            let there = wanted.count() - missing;
+            say!(
+                "resumed          {there} of {} flights are there already",
+                wanted.count()
+            );
+        }
+        let bar = Progress::new(missing, "flights")?;
+        let flown = self.fly_some(wanted, pool, &interrupt, |seed, arm| {
+            let flight = fly(seed, arm, &bar);
+            bar.inc(1);
+            flight
+        });
+        bar.finish();
+        flown?;
+        if let Some((path, _)) = &self.file {
+            self.write(path)?;
+        }
+        Ok(interrupt)
+    }
+
+    /// All arms of a seed before the next: an interrupted campaign is one of fewer seeds.
+    fn missing(&self, wanted: &Jobs) -> Vec<(u64, usize)> {
+        let arm_of = |name: &String| self.jobs().arms.iter().position(|arm| arm == name);
+        let arms: Vec<usize> = wanted.arms.iter().filter_map(arm_of).collect();
+        let all = (wanted.first_seed..wanted.end()).flat_map(|seed| arms.iter().map(move |arm| (seed, *arm)));
+        all.filter(|job| !self.flown.contains_key(job)).collect()
+    }
+
+    /// Flies what `wanted` has and the file has not, until the interrupt comes.
+    ///
+    /// # Errors
+    /// As [`Self::fly`].
+    pub fn fly_some(
+        &mut self,
+        wanted: &Jobs,
+        pool: &ThreadPool,
+        interrupt: &Interrupt,
+        fly: impl Fn(u64, &str) -> Result<F> + Sync,
+    ) -> Result<()> {
+        let missing = self.missing(wanted);
+        let flown: Result<Vec<_>> = pool.install(|| {
+            let missing = missing.into_iter().take_while(|_| !interrupt.came()).par_bridge();
+            let flown = missing.map(|(seed, arm)| {
+                let flight = fly(seed, &self.jobs().arms[arm])?;
+                if let Some((path, file)) = &self.file {
+                    let line = self.line(seed, arm, &flight)?;
+                    let mut file = file.lock().map_err(|_| anyhow!("another flight failed"))?;
+                    file.write_all(line.as_bytes()).with_context(|| cannot_write(path))?;
+                }
+                Ok(((seed, arm), flight))
+            });
+            flown.collect()
+        });
+        self.flown.extend(flown?);
+        Ok(())
+    }
+
+    fn line(&self, seed: u64, arm: usize, flight: &F) -> Result<String> {
+        let line = Line {
+            seed,
+            arm: self.jobs().arms[arm].clone(),
+            of: self.of.clone(),
+            flight,
+        };
+        Ok(serde_json::to_string(&line)? + "\n")
+    }
+
+    /// Writes all flights by seed: what a finished campaign leaves does not depend on threads, machines or interruptions.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let mut text = serde_json::to_string(&self.heading)? + "\n";
+        for ((seed, arm), flight) in &self.flown {
+            text += &self.line(*seed, *arm, flight)?;
+        }
+        output::write(path, text)
+    }
+
+    /// The campaign that files of its flights make, in any order; a flight may be there more than once. The flights are written beside
+    /// the report at `json`.
+    ///
+    /// # Errors
+    /// Files of different campaigns, programs or actors, flights that contradict each other, and flights that are missing: which.
+    pub fn load(files: &[PathBuf], json: &Path) -> Result<Self> {
+        let first = files.first().context("name the files")?;
+        let text = read(first)?;
+        let heading = text.lines().next().unwrap_or_default();
+        let mut whole = Self::of_heading(heading_of(first, heading)?)?;
+        files.iter().try_for_each(|file| whole.read(file))?;
+        let missing = whole.missing_in_words();
+        ensure!(missing.is_empty(), "{missing}");
+        if output::is_file(json) {
+            whole.write(&json.with_extension("jsonl"))?;
+        }
+        Ok(whole)
+    }
+
+    /// Takes the flights of a file.
+    fn read(&mut self, path: &Path) -> Result<()> {
+        let (text, name) = (read(path)?, path.display());
+        // A process that was killed leaves half a line at the end.
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        let headings = whole.lines().filter(|line| line.starts_with("{\"format\""));
+        ensure!(
+            whole.starts_with("{\"format\""),
+            "{name} has no heading: it is no campaign's"
+        );
+        for line in headings {
+            let other: Heading<Value> = heading_of(path, line)?;
+            if let Some(difference) = self.difference(&other.origin)? {
+                bail!("{name} is of another campaign: {difference}");
+            }
+            self.heading.jobs.extend(&other.jobs);
+        }
+        for (number, line) in (1..)
+            .zip(whole.lines())
+            .filter(|(_, line)| !line.starts_with("{\"format\""))
+        {
+            let line: Line<F> =
+                serde_json::from_str(line).with_context(|| format!("{name}, line {number} is damaged"))?;
+            let arm = self.jobs().arms.iter().position(|arm| *arm == line.arm);
+            let arm =
+                arm.filter(|_| line.of == self.of && (self.jobs().first_seed..self.jobs().end()).contains(&line.seed));
+            let arm = arm.with_context(|| format!("{name}, line {number} is of another campaign than the headings"))?;
+            if let Some(other) = self.flown.get(&(line.seed, arm)) {
+                ensure!(
+                    serde_json::to_value(other)? == serde_json::to_value(&line.flight)?,
+                    "{name}, line {number} contradicts an earlier flight of seed {}",
+                    line.seed
+                );
+                continue;
+            }
+            self.flown.insert((line.seed, arm), line.flight);
+        }
+        Ok(())
+    }
+
+    /// How another origin differs from this one's, if it does.
+    fn difference(&self, other: &Origin<Value>) -> Result<Option<String>> {
+        let own = &self.heading.origin;
+        if own.command != other.command {
+            return Ok(Some(format!("it is of `{}`, not of `{}`", other.command, own.command)));
+        }
+        // As they are read, since a float32 has fewer digits there than as a number of JSON's.
+        let own: Origin<Value> = serde_json::from_str(&serde_json::to_string(own)?)?;
+        // The settings first: their names say more.
+        let settings = difference(&own.settings, &other.settings, "");
+        let all = || {
+            Ok::<_, anyhow::Error>(difference(
+                &serde_json::to_value(&own)?,
+                &serde_json::to_value(other)?,
+                "",
+            ))
+        };
+        settings.map_or_else(all, |difference| Ok(Some(difference)))
+    }
+
+    /// The flights that are missing, as arguments that fly them; empty if none is.
+    fn missing_in_words(&self) -> String {
+        const MOST: usize = 12;
+        let jobs = self.jobs();
+        let mut runs: Vec<(u64, u64)> = Vec::new();
+        let is_missing = |seed: &u64| (0..jobs.arms.len()).any(|arm| !self.flown.contains_key(&(*seed, arm)));
+        for seed in (jobs.first_seed..jobs.end()).filter(is_missing) {
+            match runs.last_mut() {
+                Some((first, count)) if *first + *count == seed => *count += 1,
+                _ => runs.push((seed, 1)),
+            }
+        }
+        if runs.is_empty() {
+            return String::new();
+        }
+        let words = |(seed, count): &(u64, u64)| format!("--seed {seed} --flights {count}");
+        format!(
+            "{} of {} flights are missing: fly {}{}",
+            jobs.count() - self.flown.len() as u64,
+            jobs.count(),
+            runs.iter().take(MOST).map(words).collect::<Vec<_>>().join(", "),
+            if runs.len() > MOST { ", …" } else { "" }
+        )
+    }
+}
+
+/// The command whose flights a file has.
+///
+/// # Errors
+/// A file that is none of a campaign.
+pub fn command_of(path: &Path) -> Result<String> {
+    let text = read(path)?;
+    let heading: Heading<Value> = heading_of(path, text.lines().next().unwrap_or_default())?;
+    Ok(heading.origin.command)
+}
+
+fn heading_of<S: DeserializeOwned>(path: &Path, line: &str) -> Result<Heading<S>> {
+    let what = || {
+        format!(
+            "{} does not begin with the heading of a campaign's flights",
+            path.display()
+        )
+    };
+    let heading: Heading<S> = serde_json::from_str(line).with_context(what)?;
+    ensure!(
+        heading.format == FORMAT,
+        "{} has the format \"{}\", this program reads \"{FORMAT}\"",
+        path.display(),
+        heading.format
+    );
+    Ok(heading)
+}
+
+fn read(path: &Path) -> Result<String> {
+    vigil_types::files::read_text(path, SIZE_LIMIT).with_context(|| format!("cannot read {}", path.display()))
+}
+
+fn cannot_write(path: &Path) -> String {
+    format!("cannot write {}", path.display())
+}
+
+/// SHA-256 of the file of the program that runs.
+///
+/// # Errors
+/// It cannot be read.
+pub fn program_sha256() -> Result<String> {
+    let file = std::env::current_exe().context("cannot find this program's file")?;
+    let program = std::fs::read(&file).with_context(|| format!("cannot read {}", file.display()))?;
+    Ok(sha256(&program))
+}
+
+/// SHA-256 in hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+/// The first place where two origins differ, with both values.
+fn difference(a: &Value, b: &Value, place: &str) -> Option<String> {
+    if a == b {
+        return None;
+    }
+    if let (Value::Object(a), Value::Object(b)) = (a, b) {
+        let names = a.keys().chain(b.keys().filter(|name| !a.contains_key(*name)));
+        return names
+            .filter_map(|name| {
+                let place = if place.is_empty() {
+                    name.clone()
+                } else {
+                    format!("{place}.{name}")
+                };
+                let of = |map: &serde_json::Map<String, Value>| map.get(name).cloned().unwrap_or(Value::Null);
+                difference(&of(a), &of(b), &place)
+            })
+            .next();
+    }
+    let value = |value: &Value| match value {
+        Value::Null => "absent".to_owned(),
+        _ => value.to_string(),
+    };
+    Some(format!("{place} was {}, and is {}", value(b), value(a)))
+}

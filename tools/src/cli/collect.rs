@@ -1,0 +1,200 @@
+//! `vigil detector collect`: the flights that a detector learns from and those that choose the epoch, each set a campaign.
+
+use crate::campaign::flights::{Campaign, Existing, Jobs};
+use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Progress, say};
+use crate::detector_training::{BLOCK, Counts, Flights, Record, Recorded, Scenario, fly, left_out};
+use anyhow::{Context, Result};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use rayon::ThreadPool;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenPilot;
+
+/// What lines call this command.
+pub const COMMAND: &str = "detector collect";
+/// The only arm.
+const ARM: &str = "flights";
+/// First seeds of the flights to learn from and of those that choose; all below 10 000, on training courses.
+const LEARN_SEED: u64 = 3000;
+const CHOOSE_SEED: u64 = 4500;
+
+/// Arguments of `vigil detector collect`.
+#[derive(Debug, Clone, clap::Args)]
+pub struct CollectArgs {
+    /// Attacked windows to learn from, and at least as many others; a fifth as many choose the epoch.
+    #[arg(long, default_value_t = 30_000, value_parser = clap::value_parser!(u64).range(100..))]
+    windows: u64,
+
+    /// Fly only some flights of this set and leave them in the folder as learn.jsonl or choose.jsonl, for another machine
+    /// (docs/cluster.md).
+    #[arg(long, value_enum, requires_all = ["seed", "flights"])]
+    set: Option<SetName>,
+
+    /// With --set: the first flight; the usual ones begin at 3000 to learn, and at 4500 to choose.
+    #[arg(long, requires = "set")]
+    seed: Option<u64>,
+
+    /// With --set: how many flights.
+    #[arg(long, requires = "set", value_parser = clap::value_parser!(u64).range(1..))]
+    flights: Option<u64>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum SetName {
+    Learn,
+    Choose,
+}
+
+impl SetName {
+    fn file(self) -> &'static str {
+        match self {
+            Self::Learn => "learn",
+            Self::Choose => "choose",
+        }
+    }
+}
+
+/// A flight in its line: the content of a file of it, as Base64.
+type Packed = String;
+
+/// Whose flights they are, and where they go.
+pub struct Gathering<'a> {
+    pub pilot: &'a FrozenPilot,
+    pub folder: &'a Path,
+    pub pool: &'a ThreadPool,
+}
+
+impl Gathering<'_> {
+    /// Flies what the folder does not have yet.
+    ///
+    /// # Errors
+    /// Flights of another actor in the folder, a file that cannot be written.
+    pub fn run(&self, args: &CollectArgs) -> Result<ExitCode> {
+        if let (Some(set), Some(first_seed), Some(flights)) = (args.set, args.seed, args.flights) {
+            let (mut campaign, jobs) = self.campaign(set, first_seed, flights)?;
+            let interrupt = campaign.fly(&jobs, self.pool, |seed, _, _| self.fly(seed))?;
+            let hint = if interrupt.came() {
+                "; the same command goes on"
+            } else {
+                ""
+            };
+            say!("flights          {}{hint}", self.lines(set).display());
+            return Ok(interrupt.exit_code());
+        }
+        for (set, seed, windows) in [
+            (SetName::Learn, LEARN_SEED, args.windows),
+            (SetName::Choose, CHOOSE_SEED, args.windows / 5),
+        ] {
+            let path = self.lines(set).with_extension("safetensors");
+            let flights = match path.exists() {
+                true => Flights::load(&path, self.pilot)?,
+                false => match self.gather(set, seed, windows)? {
+                    Some(flights) => {
+                        flights.save(&path)?;
+                        // What it held is in the file just written.
+                        let _ = std::fs::remove_file(self.lines(set));
+                        flights
+                    }
+                    None => {
+                        let lines = self.lines(set);
+                        say!(
+                            "interrupted: what was flown is kept in {}; the same command goes on",
+                            lines.display()
+                        );
+                        return Ok(ExitCode::from(EXIT_INTERRUPTED));
+                    }
+                },
+            };
+            let counts = Counts::of(&flights.records);
+            let (weak, lingering) = left_out(&flights.records);
+            say!(
+                "{:<20} {} flights from seed {seed}: {} attacked windows, {} unattacked, {weak} weak, {lingering} lingering",
+                format!("{}.safetensors", set.file()),
+                flights.records.len(),
+                counts.attacked,
+                counts.unattacked
+            );
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+
+    fn lines(&self, set: SetName) -> PathBuf {
+        self.folder.join(format!("{}.jsonl", set.file()))
+    }
+
+    fn campaign(&self, set: SetName, first_seed: u64, flights: u64) -> Result<(Campaign<Recorded, Packed>, Jobs)> {
+        let folder = self.folder;
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        let jobs = Jobs {
+            first_seed,
+            flights,
+            arms: vec![ARM.to_owned()],
+        };
+        let campaign = Campaign::new(COMMAND, Recorded::by(self.pilot)?, jobs.clone())?;
+        Ok((campaign.keep_in(&self.lines(set), Existing::Resume)?, jobs))
+    }
+
+    /// A dozen after the other until there are as many windows of each class; none when Ctrl-C came first.
+    fn gather(&self, set: SetName, first_seed: u64, windows: u64) -> Result<Option<Flights>> {
+        let want = Counts {
+            attacked: windows as usize,
+            unattacked: windows as usize,
+        };
+        // Each flight has a window or more.
+        let (mut campaign, mut jobs) = self.campaign(set, first_seed, windows)?;
+        let (bar, interrupt) = (Progress::new(windows, "attacked windows")?, Interrupt::on_ctrl_c()?);
+        let (mut counts, mut records) = (Counts::default(), Vec::new());
+        jobs.flights = BLOCK;
+        while !counts.reach(want) {
+            campaign.fly_some(&jobs, self.pool, &interrupt, |seed, _| self.fly(seed))?;
+            if interrupt.came() {
+                bar.finish();
+                return Ok(None);
+            }
+            for seed in jobs.first_seed..jobs.first_seed + BLOCK {
+                let record = unpacked(
+                    campaign.settings(),
+                    seed,
+                    campaign.flight(seed, 0).context("it was flown")?,
+                )?;
+                counts.add(&record);
+                records.push(record);
+            }
+            jobs.first_seed += BLOCK;
+            bar.set_message(format!("{} unattacked, {} flights", counts.unattacked, records.len()));
+            bar.set_position(counts.attacked as u64);
+        }
+        bar.finish();
+        let actor_sha256 = self.pilot.sha256();
+        Ok(Some(Flights { actor_sha256, records }))
+    }
+
+    /// Two of three flights are attacked.
+    fn fly(&self, seed: u64) -> Result<Packed> {
+        let scenario = Scenario::drawn(seed, !seed.is_multiple_of(3));
+        let flown = Flights {
+            actor_sha256: self.pilot.sha256(),
+            records: vec![fly(Isa::detect(), self.pilot, &scenario, &mut ())?],
+        };
+        Ok(BASE64.encode(flown.to_bytes(self.folder)?))
+    }
+}
+
+fn unpacked(recorded: &Recorded, seed: u64, packed: &Packed) -> Result<Record> {
+    let name = || format!("the flight of seed {seed}");
+    let bytes = BASE64.decode(packed).with_context(name)?;
+    let mut flights = Flights::from_bytes(Path::new(&name()), &bytes, recorded)?;
+    flights.records.pop().with_context(name)
+}
+
+/// Puts the lines of several files into one, which `vigil detector collect` takes its flights from.
+///
+/// # Errors
+/// Flights that contradict each other or are not all; a file that cannot be written.
+pub fn merge(files: &[PathBuf], lines: &Path) -> Result<ExitCode> {
+    Campaign::<Recorded, Packed>::load(files, lines)?;
+    say!("flights          {}", lines.with_extension("jsonl").display());
+    Ok(ExitCode::SUCCESS)
+}
