@@ -3,11 +3,11 @@
 //! `cargo run --release -p vigil-sim --example own_pilot -- 7`
 
 use vigil_sim::environment::Environment;
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::{Family, generate};
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame, GoalRelative, HeadingVector, VelocitySetpoint,
 };
-use vigil_vehicle::Wind;
-use vigil_world::{Family, generate};
 
 /// Nearest range in each of the frame's columns, over the rows about the horizon, metres.
 fn nearest_m(frame: &DepthFrame) -> Vec<f32> {

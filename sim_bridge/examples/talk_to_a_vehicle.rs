@@ -7,9 +7,9 @@ use vigil_mavlink::common::{
 };
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
 use vigil_mavlink::{MavHeader, MavMessage};
+use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame};
-use vigil_world::{Family, generate};
 
 /// 1 m/s forward, level.
 fn setpoint() -> MavMessage {

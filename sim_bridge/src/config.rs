@@ -1,13 +1,13 @@
 //! What one simulated flight is made of, and the file that changes the defaults.
 
 use crate::SensorFault;
+use crate::vehicle::{ParamsError, VehicleModel, VehicleParams, Wind};
+use crate::world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use vigil_autopilot::{EndpointConfig, Saved};
 use vigil_types::FrameKey;
-use vigil_vehicle::{ParamsError, VehicleModel, VehicleParams, Wind};
-use vigil_world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
 
 /// A simulation file has a page or two.
 const SIZE_LIMIT: u64 = 1 << 20;
@@ -57,7 +57,7 @@ pub enum SimError {
     Vehicle(#[from] ParamsError),
     /// A LiDAR parameter.
     #[error(transparent)]
-    Lidar(#[from] vigil_world::LidarConfigError),
+    Lidar(#[from] crate::world::LidarConfigError),
     /// A MAVLink setting.
     #[error(transparent)]
     Endpoint(#[from] vigil_autopilot::ConfigError),

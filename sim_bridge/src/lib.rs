@@ -6,7 +6,7 @@
 //! ```
 //! use vigil_sim::{SimConfig, Simulator, Start};
 //! use vigil_types::{Datagrams, DepthFrame};
-//! use vigil_world::{Family, generate};
+//! use vigil_sim::world::{Family, generate};
 //!
 //! let mut config = SimConfig::new(generate(Family::Validation, 7), 7);
 //! config.start = Start::Airborne;
@@ -32,8 +32,10 @@ mod sensor_fault;
 mod simulator;
 mod udp;
 pub mod vehicle_links;
+pub mod world;
 
 pub use companion_view::CompanionView;
 pub use config::{ConfigError, CourseChoice, Models, SimConfig, Start, VehicleChoice, family_parser};
 pub use sensor_fault::{Onset, SensorFault, SensorFaultMode};
 pub use simulator::{Ending, LIDAR_SENSOR_ID, STEP_MS, Simulator};
+pub use vigil_autopilot::vehicle;

@@ -1,9 +1,9 @@
 //! A whole flight in lockstep: simulator and firmware take turns, faster than real time, the same bits for the same seed.
 
 use crate::Simulator;
+use crate::world::Outcome;
 use serde::{Deserialize, Deserializer, Serialize};
 use vigil_types::{Datagrams, DepthFrame, Nanos, NedVector, STEP_NS, STEP_S};
-use vigil_world::Outcome;
 
 /// The firmware's side of a step, in the same process or in another.
 pub trait FirmwarePort {

@@ -5,6 +5,7 @@ use crate::lockstep_flight::{FirmwarePort, fly_lockstep};
 use crate::saved_state::state_file;
 use crate::udp::ports_in_words;
 use crate::vehicle_links::{LinksConfig, VehicleLinks};
+use crate::world::Outcome;
 use crate::{
     CompanionView, CourseChoice, LIDAR_SENSOR_ID, STEP_MS, SensorFault, SimConfig, Simulator, Start, VehicleChoice,
 };
@@ -24,7 +25,6 @@ use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher, LockstepClien
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Nanos, Reasons, STEP_NS,
 };
-use vigil_world::Outcome;
 
 /// Later than this, the simulation has stood still (a suspended machine, a debugger, a stopped process); what is less is caught up with.
 const STANDSTILL_NS: Nanos = 250_000_000;

@@ -12,8 +12,8 @@ pub(crate) fn state_file(folder: &Path, instance: u32) -> StateFile<Saved> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::world::{Family, generate};
     use crate::{SimConfig, Simulator};
-    use vigil_world::{Family, generate};
 
     fn load(text: &str) -> anyhow::Result<Saved> {
         let folder = tempfile::tempdir()?;

@@ -1,12 +1,12 @@
 //! Faults of the depth sensor: what a frame becomes before it is published (docs/sensor-faults.md).
 
+use crate::vehicle::normal_of;
+use crate::world::split_mix;
 use std::ops::RangeBounds;
 use std::str::FromStr;
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, NedVector, PIXEL_PITCH_RAD, STEP_NS,
 };
-use vigil_vehicle::normal_of;
-use vigil_world::split_mix;
 
 /// Steps by which a delayed frame comes late: 0.3 s.
 const DELAY_STEPS: usize = 6;

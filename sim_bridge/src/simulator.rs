@@ -2,13 +2,13 @@
 
 use crate::config::{SimConfig, SimError, Start};
 use crate::sensor_fault::FailingSensor;
+use crate::vehicle::{ControlCommand, Truth, Vehicle};
+use crate::world::{
+    Lidar, Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
+};
 use twox_hash::XxHash3_64;
 use vigil_autopilot::{Endpoint, EndpointStatus, LinkId, Saved, SigningSetup, ZoneRanges};
 use vigil_types::{Datagrams, DepthFrame, FrameKey, Nanos, NedVector, RANGE_SECTORS, STEP_NS};
-use vigil_vehicle::{ControlCommand, Truth, Vehicle};
-use vigil_world::{
-    Lidar, Outcome, Referee, Shot, World, ZONE_COLUMNS, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, ZONE_MOST_HEADS, ZoneSensor,
-};
 
 const MILLISECOND_NS: Nanos = 1_000_000;
 
@@ -322,8 +322,8 @@ impl Simulator {
 mod tests {
     use super::*;
     use crate::config::Start;
+    use crate::world::{Column, Family, generate};
     use vigil_types::DEPTH_FULL_SCALE_M;
-    use vigil_world::{Column, Family, generate};
 
     /// The digest of three seconds of hovering at a course's start.
     fn hover(config: &SimConfig, epoch_ns: Nanos) -> (u64, Box<DepthFrame>) {

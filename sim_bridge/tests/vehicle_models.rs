@@ -5,9 +5,9 @@ use vigil_autopilot::Saved;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_mavlink::{MavHeader, MavMessage, globe};
+use vigil_sim::vehicle::{VehicleModel, Wind};
+use vigil_sim::world::{Course, Family, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
-use vigil_vehicle::{VehicleModel, Wind};
-use vigil_world::{Course, Family, generate};
 
 /// A ground station's change of mode: PX4's AUTO with this sub mode.
 fn change_to(sub_mode: f32) -> Vec<u8> {

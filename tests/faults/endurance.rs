@@ -13,11 +13,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::program::Status;
+use vigil_sim::world::{Course, World};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tests::Running;
 use vigil_tests::ground::{Request, STATION, packet};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_S};
-use vigil_world::{Course, World};
 
 /// The ring's course.
 pub const ORBIT: &str = include_str!("orbit.toml");

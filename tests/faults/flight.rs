@@ -9,10 +9,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::program::Status;
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tests::Running;
 use vigil_types::{Datagrams, DepthFrame, NedVector, STEP_NS};
-use vigil_world::{Family, Outcome, generate};
 
 /// A program that says nothing for so long is not coming.
 const SILENCE: Duration = Duration::from_secs(20);

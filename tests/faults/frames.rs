@@ -4,12 +4,12 @@ use crate::campaign::{Draw, Ending, Folder, Row, Trial, in_lockstep, spread, tel
 use crate::flight::{Site, collided_anyway};
 use anyhow::Result;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_PIXELS, Datagrams, DepthFrame, GuidanceState, NedVector, Reason, Reasons, STEP_NS,
     STEP_S,
 };
-use vigil_world::{Family, Outcome, generate};
 
 /// Steps of hostile frames.
 const HOSTILE_STEPS: u64 = 60;

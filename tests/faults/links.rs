@@ -15,10 +15,10 @@ use vigil_mavlink::framing::MAX_PACKET_LEN;
 use vigil_mavlink::signing::{
     SIGNATURE_LEN, Signing, SigningKey, SigningMemory, UNITS_PER_SECOND, timestamp_of_unix_ns,
 };
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tests::ground::packet;
 use vigil_types::{Datagrams, DepthFrame, NedVector};
-use vigil_world::{Family, Outcome, generate};
 
 /// A flight that has not ended after this has not arrived: two minutes.
 const FLIGHT_STEPS: u64 = 2400;

@@ -20,10 +20,10 @@ use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_sensors::Mount;
 use vigil_sensors::adapters::{OusterAdapter, OusterDevice};
+use vigil_sim::world::{Course, Family, Outcome, World, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tests::{PATIENCE, run, said, vigil};
 use vigil_types::{Attitude, Datagrams, DepthFrame, FrdVector, NedVector, STEP_NS};
-use vigil_world::{Course, Family, Outcome, World, generate};
 
 /// A wall across the way, 4 m ahead of the start.
 fn walled(folder: &Path) -> Course {

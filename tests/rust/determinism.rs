@@ -75,7 +75,7 @@ fn two_processes_in_lockstep_fly_the_same_flight_as_one() {
 
     let course = run(&["courses", "write", "--seed", "42"]);
     let course = String::from_utf8(course.stdout).expect("TOML");
-    let course = vigil_world::Course::from_toml_str(&course, "written course").expect("a course");
+    let course = vigil_sim::world::Course::from_toml_str(&course, "written course").expect("a course");
     let goal = course.goal_ned_m();
     let (goal, height) = (
         format!("--goal={},{}", goal.x, goal.y),

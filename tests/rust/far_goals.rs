@@ -1,10 +1,10 @@
 //! Goals farther away than any that the actor has learned.
 
 use vigil_firmware::FirmwareConfig;
+use vigil_sim::world::{Course, Outcome};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::{fly_watched, run, said};
 use vigil_types::{GuidanceState, PilotKind, Reason, StepReport};
-use vigil_world::{Course, Outcome};
 
 /// Columns in the way, and a screen that has to be passed at its side.
 const COURSE: &str = r#"

@@ -9,10 +9,10 @@ use std::path::Path;
 use vigil_adversary::{AttackArgs, Burst, Method};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, WhenFull};
+use vigil_sim::world::{Course, Family, generate, generate_long};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::{Pair, mission};
 use vigil_types::{AlarmResponse, Duty, EngagePolicy, GuidanceState, PilotKind, Reasons};
-use vigil_world::{Course, Family, generate, generate_long};
 
 /// The longest that a flight is followed: 25 s.
 const MOST_STEPS: u64 = 500;

@@ -16,14 +16,14 @@ use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::common::MavResult;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_mavlink::{Flavour, MavMessage};
+use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams};
+use vigil_sim::world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
 use vigil_tests::mission::bytes_of;
 use vigil_tests::{Pair, mission};
 use vigil_types::{
     Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
 };
-use vigil_vehicle::{HoldLaw, VehicleModel, VehicleParams};
-use vigil_world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
 
 const LOCAL_POSITION_NED: u32 = 32;
 const GPS_GLOBAL_ORIGIN: u32 = 49;

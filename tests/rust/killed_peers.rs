@@ -9,12 +9,12 @@ use vigil_firmware::FirmwareConfig;
 use vigil_log::{Reader, TickRecord};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_sim::vehicle::VehicleModel;
+use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet};
 use vigil_tests::{Pair, Running};
 use vigil_types::{EngagePolicy, GuidanceState, Nanos, Reason, StepReport};
-use vigil_vehicle::VehicleModel;
-use vigil_world::{Family, generate};
 
 const HALF_A_SECOND_NS: Nanos = 500_000_000;
 

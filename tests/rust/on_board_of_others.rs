@@ -5,10 +5,10 @@
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};
 use vigil_mavlink::framing::{self, FramingCounters, MAX_PACKET_LEN, serialize};
+use vigil_sim::world::Family;
 use vigil_tests::Pair;
 use vigil_tests::ground::{Request, STATION, packet};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, STEP_NS, StepReport};
-use vigil_world::Family;
 
 const SEED: u64 = 4203;
 /// The fault begins after so many steps of guided flight: 4 s.

@@ -3,12 +3,12 @@
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{self, FramingCounters};
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::Pair;
 use vigil_types::{
     DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, DepthFrame, GuidanceState, Reason, Reasons, row_elevation_rad,
 };
-use vigil_world::{Family, Outcome, generate};
 
 const SEED: u64 = 4203;
 /// Steps of a story: 25 s, enough to arrive.

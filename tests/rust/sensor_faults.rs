@@ -1,10 +1,10 @@
 //! Every fault of the depth sensor holds the vehicle, by the name of what is wrong, before it touches anything.
 
 use vigil_firmware::FirmwareConfig;
+use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::Pair;
 use vigil_types::{GuidanceState, Reason, Reasons};
-use vigil_world::{Family, generate};
 
 const SEED: u64 = 4203;
 /// Steps of a story: 12 s.

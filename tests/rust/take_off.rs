@@ -4,11 +4,11 @@ use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd};
+use vigil_sim::world::{Course, Family, Outcome, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_tests::ground::{Request, STATION, packet};
 use vigil_tests::{Pair, fly_watched};
 use vigil_types::{AlarmResponse, EngagePolicy, GuidanceState, NedVector, PilotKind, Reason, StepReport};
-use vigil_world::{Course, Family, Outcome, generate};
 
 /// Nothing but ground; the vehicle stands with its nose to the goal.
 const FIELD: &str = r#"

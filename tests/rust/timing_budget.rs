@@ -3,9 +3,9 @@
 use rustix::time::{ClockId, Timespec, clock_gettime};
 use std::time::Duration;
 use vigil_firmware::FirmwareConfig;
+use vigil_sim::world::Family;
 use vigil_tests::Pair;
 use vigil_types::{GuidanceState, NedVector, PilotKind, STEP_NS, Verdict};
-use vigil_world::Family;
 
 /// Time that this thread has had of a processor: what others run on the machine does not count.
 fn processor_time() -> Duration {

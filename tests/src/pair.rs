@@ -3,9 +3,9 @@
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::framing::{FramingCounters, packets};
+use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame, GuidanceState, StepReport};
-use vigil_world::{Family, generate};
 
 /// A longer hand-over than this, in steps, is a failure.
 const MOST_STEPS_TO_GUIDED: usize = 1200;

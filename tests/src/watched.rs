@@ -3,9 +3,9 @@
 use core::convert::Infallible;
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep_flight::{FirmwarePort, fly_lockstep};
+use vigil_sim::world::Outcome;
 use vigil_sim::{SimConfig, Simulator};
 use vigil_types::{Datagrams, DepthFrame, Nanos, StepReport};
-use vigil_world::Outcome;
 
 struct Watched {
     firmware: LockstepFirmware,

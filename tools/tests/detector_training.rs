@@ -4,12 +4,12 @@ use std::path::Path;
 use vigil_adversary::{AttackConfig, Method};
 use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
 use vigil_policy::{FrozenActor, FrozenPilot};
+use vigil_sim::world::Family;
 use vigil_tools::detector_training::{
     Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Scenario,
     Shown, Step, YAW, fit, fly,
 };
 use vigil_tools::threads::thread_pool;
-use vigil_world::Family;
 
 fn actor() -> FrozenPilot {
     FrozenPilot::load_or_built_in(None).unwrap()

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, packets, serialize};
 use vigil_mavlink::{Flavour, MavHeader, MavMessage};
+use vigil_sim::world::{Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_tools::doctor::{Examination, ExaminationConfig, Finding, Severity, ground_tilt};
 use vigil_types::{Attitude, Datagrams, DepthFrame, NedVector};
-use vigil_world::{Family, Lidar, LidarConfig, Shot, World, generate};
 
 const MS: u64 = 1_000_000;
 

@@ -1,9 +1,9 @@
 //! The simulated vehicle as the doctor finds it.
 
+use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_tools::doctor::{Examination, ExaminationConfig, Severity};
 use vigil_types::{Datagrams, DepthFrame};
-use vigil_world::{Family, generate};
 
 #[test]
 fn our_own_vehicle_is_fit_to_fly_and_so_is_its_sensor() {

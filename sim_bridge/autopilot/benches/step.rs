@@ -2,8 +2,8 @@
 #![allow(missing_docs)]
 
 use divan::{Bencher, black_box};
+use vigil_autopilot::vehicle::{Vehicle, VehicleParams, VehicleView, Wind};
 use vigil_autopilot::{Endpoint, EndpointConfig, LinkId};
-use vigil_vehicle::{Vehicle, VehicleParams, VehicleView, Wind};
 
 fn main() {
     divan::main();

@@ -7,6 +7,7 @@ use crate::flight::setpoints::Setpoints;
 use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
 use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;
+use crate::vehicle::{Estimate, HoldLaw, Sensors, Truth, VehicleView};
 use crate::vehicle_parameters::{ParamId, ParameterValue, Parameters};
 use crate::{ConfigError, EndpointConfig, HomePosition, LinkId, LinkRole};
 use vigil_mavlink::MavMessage;
@@ -14,7 +15,6 @@ use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::FramingCounters;
 pub use vigil_mavlink::routing::ComponentId;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector, RANGE_SECTORS};
-use vigil_vehicle::{Estimate, HoldLaw, Sensors, Truth, VehicleView};
 
 /// What was refused since start, besides what the framing refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

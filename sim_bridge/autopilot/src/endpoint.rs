@@ -3,13 +3,13 @@
 use crate::core::{ComponentId, Core, EndpointStatus, SigningSetup, ZoneRanges};
 use crate::service::{Answer, Service, Source};
 use crate::streams::Streams;
+use crate::vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 use crate::{ConfigError, EndpointConfig, LinkId, Saved, services, used_parameters};
 use vigil_mavlink::common::{MavResult, MavSeverity};
 use vigil_mavlink::framing::{self, Command, CommandAck, Packet};
 use vigil_mavlink::routing::{LinkSet, MAX_LINKS, Routing};
 use vigil_mavlink::signing::carries_key;
 use vigil_types::{Nanos, STEP_NS};
-use vigil_vehicle::{ControlCommand, HoldLaw, Truth, VehicleView};
 
 /// A PX4-flavoured MAVLink vehicle, sans IO.
 ///

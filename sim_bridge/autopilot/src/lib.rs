@@ -7,7 +7,7 @@
 //!
 //! ```
 //! use vigil_autopilot::{Endpoint, EndpointConfig};
-//! use vigil_vehicle::{Vehicle, VehicleParams, Wind};
+//! use vigil_autopilot::vehicle::{Vehicle, VehicleParams, Wind};
 //!
 //! let mut vehicle = Vehicle::new(VehicleParams::default(), Wind::default(), 1)?;
 //! let mut endpoint = Endpoint::new(EndpointConfig::companion_only())?;
@@ -44,6 +44,7 @@ mod streams;
 mod told_parameters;
 mod ulog;
 mod used_parameters;
+pub mod vehicle;
 mod vehicle_parameters;
 
 #[cfg(test)]

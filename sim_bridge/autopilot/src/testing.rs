@@ -1,6 +1,7 @@
 //! A bench for tests: the endpoint, the vehicle, and clients that read what comes back.
 
 use crate::core::{ComponentId, EndpointStatus};
+use crate::vehicle::{ControlCommand, Vehicle, VehicleParams, VehicleView, Wind};
 use crate::{Endpoint, EndpointConfig, FlightMode, LandedState, LinkId, ParameterValue};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
@@ -10,7 +11,6 @@ use vigil_mavlink::common::{
 use vigil_mavlink::framing::{self, CommandAck, FramingCounters, MAX_PACKET_LEN};
 use vigil_mavlink::mavlink::{MavHeader, Message};
 use vigil_types::{Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, Vehicle, VehicleParams, VehicleView, Wind};
 
 pub const ONBOARD: LinkId = LinkId::ONBOARD;
 pub const API: LinkId = LinkId::API;

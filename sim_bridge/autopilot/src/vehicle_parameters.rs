@@ -141,7 +141,7 @@ macro_rules! parameters {
 }
 
 // In alphabetical order of their names. Limits are PX4's where scripts set more than this airframe can
-// (`vigil_vehicle::ControlParams`): the description then says where its own limit lies.
+// (`crate::vehicle::ControlParams`): the description then says where its own limit lies.
 parameters! {
     DisarmLandS = "COM_DISARM_LAND", Real32(2.0), -1.0, 20.0, "s",
         "Time on the ground after a landing until the vehicle disarms itself; 0 or less: never";

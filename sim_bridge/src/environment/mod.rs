@@ -5,8 +5,8 @@
 //! ```
 //! use vigil_sim::environment::Environment;
 //! use vigil_types::{HeadingVector, VelocitySetpoint};
-//! use vigil_vehicle::Wind;
-//! use vigil_world::{Family, generate};
+//! use vigil_sim::vehicle::Wind;
+//! use vigil_sim::world::{Family, generate};
 //!
 //! let mut environment = Environment::new(&generate(Family::Validation, 7), Wind::default(), 7)?;
 //! let ahead = VelocitySetpoint { velocity_m_s: HeadingVector::new(1.0, 0.0, 0.0), yaw_rate_rad_s: 0.0 };
@@ -15,7 +15,7 @@
 //!     assert_eq!(environment.advance(ahead), None, "two seconds are no flight");
 //! }
 //! assert!(environment.goal_distance_m() < before_m && environment.frame().header.sequence == 40);
-//! # Ok::<(), vigil_vehicle::ParamsError>(())
+//! # Ok::<(), vigil_sim::vehicle::ParamsError>(())
 //! ```
 
 mod shortest_way;
@@ -23,12 +23,12 @@ pub mod true_state;
 
 pub use shortest_way::ShortestWay;
 
+use crate::vehicle::{ControlCommand, Estimate, ParamsError, Truth, Vehicle, VehicleParams, Wind, YawCommand};
+use crate::world::{Course, Lidar, LidarConfig, Outcome, Referee, Shot, World};
 use vigil_types::{AttitudeSample, DepthFrame, Goal, GoalRelative, Kinematics, NedVector, STEP_NS, VelocitySetpoint};
-use vigil_vehicle::{ControlCommand, Estimate, ParamsError, Truth, Vehicle, VehicleParams, Wind, YawCommand};
-use vigil_world::{Course, Lidar, LidarConfig, Outcome, Referee, Shot, World};
 
 /// Physics steps in one step of the loop.
-const PHYSICS_STEPS: u64 = STEP_NS / vigil_vehicle::STEP_NS;
+const PHYSICS_STEPS: u64 = STEP_NS / crate::vehicle::STEP_NS;
 
 /// Vehicle, LiDAR and referee of one flight, with the newest depth frame. It advances in steps of 50 ms; the same setpoints give
 /// the same bits.
@@ -52,7 +52,7 @@ impl Environment {
         Self::with_lidar(course, wind, LidarConfig::default(), seed)
     }
 
-    /// The same with another vehicle: a model's ([`vigil_vehicle::VehicleModel::params`]) or one drawn between the models
+    /// The same with another vehicle: a model's ([`vigil_sim::vehicle::VehicleModel::params`]) or one drawn between the models
     /// ([`VehicleParams::drawn`]).
     ///
     /// # Errors

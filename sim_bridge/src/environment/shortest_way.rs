@@ -1,9 +1,9 @@
 //! The length of the shortest free way to the goal from everywhere on a course: what the training reward goes by, and what a
 //! critic may know. Progress along the straight line punishes the only way out of a dead end; progress along this way does not.
 
+use crate::world::{Course, Solid, VEHICLE};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
-use vigil_world::{Course, Solid, VEHICLE};
 
 /// Grid spacing, metres.
 const CELL_M: f32 = 0.2;

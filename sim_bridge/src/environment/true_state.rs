@@ -1,10 +1,10 @@
 //! The true state: what an expert and a critic know of a flight while training, and no pilot in flight.
 
 use super::shortest_way::{ShortestWay, in_the_way};
+use crate::vehicle::Truth;
+use crate::world::{Course, Mover, Solid, VEHICLE};
 use core::f32::consts::{PI, TAU};
 use vigil_types::{GoalRelative, NedVector};
-use vigil_vehicle::Truth;
-use vigil_world::{Course, Mover, Solid, VEHICLE};
 
 /// Ranges all around, the first ahead, then clockwise.
 pub const RAYS: usize = 48;

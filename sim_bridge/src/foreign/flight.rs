@@ -2,11 +2,11 @@
 
 use crate::sensor_fault::{FailingSensor, SensorFault};
 use crate::simulator::{Ending, LIDAR_SENSOR_ID};
+use crate::world::{Course, Lidar, LidarConfig, LidarConfigError, Referee, Shot, World};
 use mavlink::dialects::common::{HIL_STATE_QUATERNION_DATA, MavMessage};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{self, FramingCounters, Packet};
 use vigil_types::{Attitude, DepthFrame, FrameKey, Nanos, NedVector, VehicleMode, VehicleTelemetry};
-use vigil_world::{Course, Lidar, LidarConfig, LidarConfigError, Referee, Shot, World};
 
 /// A report older than this is no pose; the firmware's own limit of telemetry.
 const REPORT_AGE_NS: Nanos = 300_000_000;

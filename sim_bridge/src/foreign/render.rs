@@ -3,6 +3,7 @@
 use super::flight::{ForeignConfig, ForeignFlight, PoseState};
 use super::pose_link::PoseLink;
 use crate::program::{STATUS_STEPS, Status, announce, ending_code, nearness, print_status};
+use crate::world::Course;
 use crate::{CompanionView, CourseChoice, LIDAR_SENSOR_ID, Models, SensorFault};
 use anyhow::{Context, Result, bail};
 use std::path::PathBuf;
@@ -14,7 +15,6 @@ use vigil_io::gate::AllowUnsigned;
 use vigil_io::link_spec::LinkSpec;
 use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_types::{GuidanceState, Nanos, Reasons, STEP_NS};
-use vigil_world::Course;
 
 /// Time between two looks at the links.
 const SLICE_NS: Nanos = 2_000_000;

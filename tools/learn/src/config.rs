@@ -4,7 +4,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
-use vigil_world::Family;
+use vigil_sim::world::Family;
 
 /// A run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

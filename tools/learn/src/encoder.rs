@@ -13,8 +13,8 @@ use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::ActorSpec;
 use vigil_policy::actor::memory::{SCAN, proximity, range_m, scan_bearing_rad};
 use vigil_sim::environment::true_state::TruePlan;
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{Attitude, DEPTH_COLS, DepthFrame, NedVector};
-use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 
 /// Parts of a batch; fixed, so that the sums do not depend on the threads.
 const SHARDS: usize = 4;

@@ -11,9 +11,9 @@ use serde::{Deserialize, Serialize};
 use vigil_nnet::Isa;
 use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, RangeScan};
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice};
-use vigil_vehicle::Wind;
-use vigil_world::{Family, Outcome, generate};
 
 /// Who decides.
 #[derive(Debug, Clone, Copy)]

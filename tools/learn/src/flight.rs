@@ -3,9 +3,9 @@
 use vigil_guidance::{GuidanceConfig, guided_setpoint};
 use vigil_policy::{PilotInput, RangeScan, apf};
 use vigil_sim::environment::Environment;
+use vigil_sim::vehicle::{ParamsError, Truth, VehicleParams, Wind};
+use vigil_sim::world::{Course, LidarConfig, Outcome};
 use vigil_types::{Action, DepthFrame, GoalRelative};
-use vigil_vehicle::{ParamsError, Truth, VehicleParams, Wind};
-use vigil_world::{Course, LidarConfig, Outcome};
 
 /// One flight over one course, stepped at 20 Hz by actions.
 pub struct Flight {

@@ -4,7 +4,7 @@
 //! docs/training.md, which a test asks for.
 
 use crate::config::RewardConfig;
-use vigil_world::Outcome;
+use vigil_sim::world::Outcome;
 
 /// What [`RewardConfig::near`](crate::config::RewardConfig) counts begins at this distance of the vehicle's middle from an obstacle and is whole at 0, metres.
 pub const NEAR_M: f32 = 1.0;

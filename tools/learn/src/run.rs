@@ -20,9 +20,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 use vigil_nnet::{Isa, ShapeError};
+use vigil_sim::world::{Family, Outcome};
 use vigil_types::Ablation;
 use vigil_types::files::Access;
-use vigil_world::{Family, Outcome};
 
 /// Updates that a row of the curve sums up.
 const UPDATES_PER_ROW: u64 = 1_000;

@@ -15,9 +15,9 @@ use std::sync::Arc;
 use vigil_nnet::ShapeError;
 use vigil_policy::{NearestObstacle, apf};
 use vigil_sim::environment::true_state::{RAYS, TRUE_STATE, TrueCourse, range_m};
+use vigil_sim::vehicle::{ParamsError, VehicleParams};
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_types::{Action, GoalRelative, NedVector, wrap_pi};
-use vigil_vehicle::{ParamsError, VehicleParams};
-use vigil_world::{Family, Outcome, generate};
 
 /// Seeds of the training courses begin here; those that evaluate an actor are below 10 000 or above 7 000 000 000.
 const FIRST_TRAINING_SEED: u64 = 1_000_000;
@@ -373,7 +373,7 @@ fn nearest(truth: &[f32; TRUE_STATE]) -> Option<NearestObstacle> {
 /// Outcomes by their name, since the simulator's type has no serial form.
 mod outcome_name {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
-    use vigil_world::Outcome;
+    use vigil_sim::world::Outcome;
 
     pub fn serialize<S: Serializer>(outcome: &Option<Outcome>, s: S) -> Result<S::Ok, S::Error> {
         outcome.map(|o| o.to_string()).serialize(s)

@@ -4,8 +4,8 @@ use vigil_learn::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, evalu
 use vigil_learn::observation::Drift;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
+use vigil_sim::world::Family;
 use vigil_types::Ablation;
-use vigil_world::Family;
 
 #[test]
 fn the_actor_completes_courses_that_it_does_not_complete_blind() {

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use vigil_learn::config::LearnConfig;
 use vigil_learn::run::{LearnEnd, LearnError, LearnOptions, Progress, learn};
 use vigil_policy::actor::ActorSpec;
-use vigil_world::Family;
+use vigil_sim::world::Family;
 
 /// Flights end, are cut off and push old ones out of the memory; 1 000 updates make a row of the curve and an evaluation.
 fn small() -> LearnConfig {

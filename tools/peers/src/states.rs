@@ -6,7 +6,7 @@ use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, Actor, PositionalInputs};
 use vigil_types::{
     ACTION_LIMIT, Attitude, AttitudeSample, DepthFrame, FrdVector, Goal, HeadingVector, Kinematics, NedVector, STEP_NS,
 };
-use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 
 /// Steps between two states of a flight.
 const EVERY_STEPS: u64 = 12;

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 use std::path::PathBuf;
 use vigil_adversary::{Attack, AttackArgs, Method};
 use vigil_firmware::FirmwareConfig;
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::{Family, generate};
 use vigil_sim::{SimConfig, Start};
 use vigil_types::PilotKind;
-use vigil_vehicle::Wind;
-use vigil_world::{Family, generate};
 
 /// What all flights have in common.
 struct Plan {

@@ -9,12 +9,12 @@ use vigil_learn::config::{Along, RewardConfig};
 use vigil_learn::flight::Flight;
 use vigil_learn::reward::{DecisionResult, reward};
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
+use vigil_sim::vehicle::{Truth, Wind};
+use vigil_sim::world::{Course, Family, FlightPath, LidarConfig, Outcome, generate};
 use vigil_types::{
     Action, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, Goal, GoalRelative, Kinematics,
     NedVector,
 };
-use vigil_vehicle::{Truth, Wind};
-use vigil_world::{Course, Family, FlightPath, LidarConfig, Outcome, generate};
 
 /// Steps between two points of a drawn path.
 const PATH_STRIDE: usize = 4;
@@ -418,7 +418,7 @@ impl Flights {
             points_ned_m: begun.path_ned_m.clone(),
             outcome: begun.outcome,
         };
-        let image = py.detach(|| vigil_world::draw(&begun.course, &[path]));
+        let image = py.detach(|| vigil_sim::world::draw(&begun.course, &[path]));
         PyArray1::from_slice(py, image.rgb()).reshape([image.height(), image.width(), 3])
     }
 

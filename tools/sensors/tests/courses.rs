@@ -5,11 +5,11 @@
 mod rays;
 
 use vigil_sensors::{Mount, Pinhole, ProjectionError, Projector, Resolution, View};
+use vigil_sim::world::{Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{
     Attitude, DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, FrdVector, NedVector, column_bearing_rad,
     row_elevation_rad,
 };
-use vigil_world::{Family, Lidar, LidarConfig, Shot, World, generate};
 
 const REACH_M: f64 = 60.0;
 

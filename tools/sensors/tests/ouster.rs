@@ -9,8 +9,8 @@ mod rays;
 use device::{COLUMNS, Device, PER_PACKET};
 use vigil_sensors::Mount;
 use vigil_sensors::adapters::{Fault, MetadataError, OusterAdapter, OusterDevice, SetupError};
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 use vigil_types::{Attitude, DEPTH_COLS, DEPTH_PIXELS, DepthFrame, FrdVector, Nanos, NedVector};
-use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
 
 const STEP_NS: Nanos = 50_000_000;
 const START_NS: Nanos = 200_000_000_000;

@@ -18,9 +18,9 @@ use vigil_adversary::{AttackConfig, Burst, Method, Towards};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::parse_switch;
+use vigil_sim::world::Outcome;
 use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
-use vigil_world::Outcome;
 
 /// Arguments of `vigil attack defended`.
 #[derive(Debug, Clone, clap::Args)]

@@ -11,10 +11,10 @@ use vigil_adversary::{AttackConfig, Beside, Method, StateAttack};
 use vigil_nnet::Isa;
 use vigil_policy::PilotInput;
 use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 use vigil_types::{
     Action, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector, STEP_NS, YAW_RATE_PER_UNIT_RAD_S,
 };
-use vigil_world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
 
 /// Gap to the wall, metres (the paper's rows), and the paper's deflection there, °/s.
 pub const GAPS: [(f32, f32); 5] = [(1.0, 0.0), (1.5, 62.0), (2.0, 53.0), (2.5, 30.0), (3.0, 25.0)];

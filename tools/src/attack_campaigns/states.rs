@@ -8,9 +8,9 @@ use vigil_adversary::Beside;
 use vigil_learn::flight::Flight;
 use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::{Family, generate};
 use vigil_types::Action;
-use vigil_vehicle::Wind;
-use vigil_world::{Family, generate};
 
 /// States taken from one flight: few, since neighbours resemble each other.
 pub const STATES_PER_FLIGHT: usize = 5;

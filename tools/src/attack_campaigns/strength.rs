@@ -12,8 +12,8 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
 use vigil_nnet::Isa;
+use vigil_sim::world::Image;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
-use vigil_world::Image;
 
 const EPSILONS_255: [f32; 6] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0];
 const ITERATIONS: [u32; 5] = [1, 2, 5, 10, 20];

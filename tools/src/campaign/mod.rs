@@ -20,9 +20,9 @@ use std::rc::Rc;
 use vigil_adversary::{Attack, AttackRecord, PassedStep};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};
 use vigil_sim::lockstep_flight::{FirmwarePort, FlightRecord, fly_lockstep_through};
+use vigil_sim::world::{Family, Outcome, generate};
 use vigil_sim::{SimConfig, Simulator, Start};
 use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, PilotKind};
-use vigil_world::{Family, Outcome, generate};
 
 /// What a flight came to.
 #[derive(Debug, Clone, Serialize, Deserialize)]

@@ -3,9 +3,9 @@
 use crate::report::{TextTable, numbers, words};
 use serde::{Deserialize, Serialize};
 use vigil_sim::lockstep_flight::FlightRecord;
+use vigil_sim::world::Outcome;
 use vigil_sim::{SensorFault, SensorFaultMode};
 use vigil_types::{GuidanceState, Reason, Reasons, STEP_S, StepReport};
-use vigil_world::Outcome;
 
 /// Conditions that say that frames cannot be used.
 const SENSOR_REASONS: [Reason; 9] = [

@@ -6,9 +6,9 @@ use anyhow::{Result, ensure};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_log::Scene;
+use vigil_sim::world::{Course, Image};
 use vigil_sim::{CourseChoice, Models, SimConfig, Simulator, Start};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_ROWS, DepthFrame};
-use vigil_world::{Course, Image};
 
 /// Arguments of `vigil courses`.
 #[derive(Debug, Clone, clap::Args)]
@@ -83,10 +83,10 @@ pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
             );
             let course = course.load(course.seed_or_random())?;
             if is_svg {
-                output::write(output, vigil_world::draw_svg(&course, &[]))?;
+                output::write(output, vigil_sim::world::draw_svg(&course, &[]))?;
                 say!("{}", output.display());
             } else {
-                write_png(&vigil_world::draw(&course, &[]), output)?;
+                write_png(&vigil_sim::world::draw(&course, &[]), output)?;
             }
         }
         CoursesCommand::View {
@@ -96,7 +96,7 @@ pub fn run(args: &CoursesArgs) -> Result<ExitCode> {
             viewer,
         } => {
             if let Some(output) = output {
-                vigil_world::check_png_name(output)?;
+                vigil_sim::world::check_png_name(output)?;
             }
             let seed = course.seed_or_random();
             let course = course.load(seed)?;

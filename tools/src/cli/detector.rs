@@ -18,7 +18,7 @@ use std::process::ExitCode;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::{FrozenActor, FrozenPilot};
-use vigil_world::Family;
+use vigil_sim::world::Family;
 
 /// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
 const IMAGES_LEARN_SEED: u64 = 5000;

@@ -20,10 +20,10 @@ use vigil_adversary::{Attack, AttackArgs, AttackConfig, Burst};
 use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep_flight::FlightRecord;
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, VehicleChoice, family_parser};
 use vigil_types::{FrameKey, NedVector, STEP_S};
-use vigil_vehicle::Wind;
-use vigil_world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
 
 /// Beyond it the report would not fit the memory.
 const MOST_FLIGHTS: u64 = 10_000_000;
@@ -625,7 +625,7 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
         points_ned_m: record.path_ned_m.clone(),
         outcome: record.outcome,
     };
-    Ok(vigil_world::draw(course, &[flight]).write_png(path)?)
+    Ok(vigil_sim::world::draw(course, &[flight]).write_png(path)?)
 }
 
 /// What a run cost on this machine.

@@ -13,8 +13,8 @@ use vigil_adversary::AttackConfig;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
+use vigil_sim::world::Family;
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS, STEP_S, Verdict};
-use vigil_world::Family;
 
 /// Steps that `--attacked` alters.
 const BURST: core::ops::Range<u64> = 100..150;

@@ -26,9 +26,9 @@ use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::choice;
 use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
+use vigil_sim::world::{Course, FlightPath};
 use vigil_sim::{CourseChoice, SensorFault, VehicleChoice};
 use vigil_types::{Attitude, Choice, LogContent, Nanos, NedVector};
-use vigil_world::{Course, FlightPath};
 
 /// What simulator and adversary know besides the firmware's log, until it is put into it.
 const SIMULATOR_NOTES: &str = "simulator.part";
@@ -270,7 +270,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         points_ned_m: path,
         outcome,
     };
-    vigil_world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
+    vigil_sim::world::draw(&course, &[drawn]).write_png(&folder.join("flight.png"))?;
     let about = about(args, &course, seed, last.as_ref(), ended_ns);
     if let Err(error) = complete_log(&folder, &truth, &about, args.log_content) {
         // The flight is over and its log is as the firmware left it.

@@ -2,8 +2,8 @@
 
 use std::fmt::Write;
 use vigil_sim::program::{NEARNESS_COLS, NEARNESS_ROWS, Status};
+use vigil_sim::world::{Course, Solid};
 use vigil_types::NedVector;
-use vigil_world::{Course, Solid};
 
 /// Widest and tallest map, in characters of 2 × 4 dots.
 const MOST_COLS: usize = 76;
@@ -212,7 +212,7 @@ fn covers(solid: &Solid, north: f32, east: f32, slack_m: f32) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use vigil_world::{Family, generate};
+    use vigil_sim::world::{Family, generate};
 
     fn status(score: Option<f32>, position_ned_m: [f32; 3]) -> Status {
         let json = serde_json::json!({

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_learn::evaluation::FamilyCount;
 use vigil_learn::run::LearnResult;
-use vigil_world::{Family, Outcome};
+use vigil_sim::world::{Family, Outcome};
 
 /// A run of a million flights has 40 MB.
 const SIZE_LIMIT: u64 = 256 << 20;

@@ -13,8 +13,8 @@ use vigil_learn::observation::Drift;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenActor;
 use vigil_sim::family_parser;
+use vigil_sim::world::{Family, Outcome};
 use vigil_types::Ablation;
-use vigil_world::{Family, Outcome};
 
 /// Arguments of `vigil rollout`.
 #[derive(Debug, Clone, clap::Args)]

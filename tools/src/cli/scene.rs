@@ -1,7 +1,7 @@
 //! A course's obstacles in the form that the flight log shows.
 
 use vigil_log::{Scene, SceneSolid};
-use vigil_world::{Course, Solid};
+use vigil_sim::world::{Course, Solid};
 
 /// The obstacles for display in the log; movers stand where they are at time zero.
 pub fn of(course: &Course) -> Scene {

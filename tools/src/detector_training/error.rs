@@ -5,7 +5,7 @@ use vigil_adversary::AttackError;
 use vigil_detector::{MonitorError, ShapError};
 use vigil_nnet::ShapeError;
 use vigil_nnet::network_file::FileError;
-use vigil_vehicle::ParamsError;
+use vigil_sim::vehicle::ParamsError;
 
 /// Why nothing could be gathered, trained or measured.
 #[derive(Debug, thiserror::Error)]

@@ -16,8 +16,8 @@ use vigil_adversary::{AttackConfig, EFFECTIVE_YAW, Method, Towards};
 use vigil_detector::WINDOW;
 use vigil_nnet::Isa;
 use vigil_policy::FrozenPilot;
+use vigil_sim::world::Family;
 use vigil_types::STEP_NS;
-use vigil_world::Family;
 
 /// Flights of one kind, judged together.
 #[derive(Debug, Clone, PartialEq)]

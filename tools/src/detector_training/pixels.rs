@@ -18,8 +18,8 @@ use vigil_nnet::{Isa, Purpose};
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_policy::actor::{Actor, ActorSpec};
 use vigil_policy::{FrozenActor, FrozenPilot};
+use vigil_sim::world::Family;
 use vigil_types::{DEPTH_PIXELS, DepthFrame};
-use vigil_world::Family;
 
 /// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
 const SHAP_THREADS: usize = 2;

@@ -9,8 +9,8 @@ use vigil_nnet::Isa;
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
 use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_sim::world::{LidarConfig, Outcome, generate};
 use vigil_types::{Action, DepthFrame};
-use vigil_world::{LidarConfig, Outcome, generate};
 
 /// Whether a step's frame was altered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,8 +5,8 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use vigil_adversary::{AttackConfig, Method, Towards};
-use vigil_vehicle::Wind;
-use vigil_world::Family;
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::Family;
 
 /// Who steers. The actor decides in each step, whichever pilot steers, since its decision is what is explained.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

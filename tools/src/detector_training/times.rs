@@ -13,8 +13,8 @@ use vigil_detector::{DeepShap, FrozenDetector, LstmAd, ROW, WINDOW, image, norma
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::actor::{Actor, LOW_DIM};
 use vigil_policy::{FrozenActor, FrozenPilot};
+use vigil_sim::world::Family;
 use vigil_types::DEPTH_PIXELS;
-use vigil_world::Family;
 
 /// Seconds of one thread, one value a measurement.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -10,11 +10,11 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
 use vigil_log::{FlightInfo, LogEnd, ReadError, Reader, SceneSolid, Story, TickRecord};
+use vigil_sim::world::Solid;
 use vigil_types::{
     AlarmResponse, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, EXPLAINED_STATE, GuidanceState, Landed, Nanos, NedVector,
     PilotKind, Reason, StepReport,
 };
-use vigil_world::Solid;
 
 /// What to put into a report besides what the log holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

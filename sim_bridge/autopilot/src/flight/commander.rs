@@ -6,10 +6,10 @@ use crate::flight::setpoints::{Claim, Setpoints};
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
 use crate::message_ids;
 use crate::source::Source;
+use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Nanos, NedVector};
-use vigil_vehicle::YawCommand;
 
 /// MAV_COMP_ID_ONBOARD_COMPUTER, which the guidance computer has.
 const GUIDANCE_COMPONENT: u8 = 191;

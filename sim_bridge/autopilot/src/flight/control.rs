@@ -3,12 +3,12 @@
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Climb, Maneuver};
+use crate::vehicle::{ControlCommand, HoldLaw, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::{
     ATTITUDE_TARGET_DATA, AttitudeTargetTypemask, MavFrame, POSITION_TARGET_LOCAL_NED_DATA, PositionTargetTypemask,
 };
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, HoldLaw, YawCommand};
 
 /// Nearer than this the direction of a region of interest is the estimate's noise.
 const INTEREST_RADIUS_M: f32 = 1.0;

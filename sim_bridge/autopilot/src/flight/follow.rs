@@ -2,9 +2,9 @@
 
 use crate::core::Core;
 use crate::flight::state::{FollowTarget, Maneuver, Report};
+use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_types::{Nanos, NedVector, wrap_pi};
-use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// A target that was silent for longer is lost: reports come once a second.
 const LOST_AFTER_NS: Nanos = 3_000_000_000;

@@ -5,9 +5,9 @@ use crate::flight::control::HOVER_THRUST;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Deflections, Denial, Maneuver};
 use crate::source::Source;
+use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos};
-use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// Deflections below this are the centre.
 const DEAD_ZONE: f32 = 0.05;

@@ -5,10 +5,10 @@ use crate::flight::mode::FlightMode;
 use crate::flight::state::{Denial, Maneuver};
 use crate::message_ids;
 use crate::plan::{Leg, MissionItem, Purpose, Stage};
+use crate::vehicle::YawCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::common::MavSeverity;
 use vigil_types::{Nanos, NedVector, wrap_pi};
-use vigil_vehicle::YawCommand;
 
 /// Smallest distance at which a place counts as reached: the estimate wanders by about as much.
 const MIN_ACCEPTANCE_M: f32 = 0.2;

@@ -3,10 +3,10 @@
 use crate::core::Core;
 use crate::flight::mode::FlightMode;
 use crate::flight::state::{Denial, Facing, Maneuver, Orbit};
+use crate::vehicle::{ControlCommand, YawCommand};
 use crate::vehicle_parameters::ParamId;
 use core::f32::consts::TAU;
 use vigil_types::{NedVector, wrap_pi};
-use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// Largest acceleration towards the centre; a smaller circle is flown more slowly.
 const CENTRIPETAL_MAX_M_S2: f32 = 2.0;

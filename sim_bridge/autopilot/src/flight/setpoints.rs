@@ -6,13 +6,13 @@
 //! OFFBOARD is left.
 
 use crate::source::Source;
+use crate::vehicle::{ControlCommand, YawCommand};
 use crate::{HomePosition, geo};
 use vigil_mavlink::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
     SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
 use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
-use vigil_vehicle::{ControlCommand, YawCommand};
 
 /// Sources remembered; the oldest gives way. So many that a flood of made-up ones does not come between a setpoint and the
 /// mode command behind it.

@@ -5,8 +5,8 @@ use crate::flight::mode::FlightMode;
 use crate::flight::setpoints::SetpointDefect;
 use crate::plan::Breach;
 use crate::source::Source;
+use crate::vehicle::{Estimate, YawCommand};
 use vigil_types::{FrdVector, Nanos, NedVector};
-use vigil_vehicle::{Estimate, YawCommand};
 
 /// Deceleration that the end of a climb is planned with; below what the vehicle's position control brakes with.
 const CLIMB_BRAKING_M_S2: f32 = 0.4;

@@ -6,11 +6,11 @@ use crate::flight::{FlightMode, Requested};
 use crate::geo;
 use crate::service::{Answer, Service, Source};
 use crate::services::arming::answer;
+use crate::vehicle::YawCommand;
 use vigil_mavlink::common::{MavSeverity, SET_MODE_DATA};
 use vigil_mavlink::framing::{Command, CommandForm, Packet};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::NedVector;
-use vigil_vehicle::YawCommand;
 
 const NAV_LOITER_UNLIM: u16 = 17;
 const NAV_RETURN_TO_LAUNCH: u16 = 20;

@@ -4,6 +4,7 @@ use crate::core::Core;
 use crate::flight::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
 use crate::service::{Service, Source};
 use crate::services::BELOW_HOME_M;
+use crate::vehicle::ControlCommand;
 use crate::vehicle_parameters::ParamId;
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{
@@ -12,7 +13,6 @@ use vigil_mavlink::common::{
 use vigil_mavlink::framing::Packet;
 use vigil_mavlink::mavlink::MessageData;
 use vigil_types::Nanos;
-use vigil_vehicle::ControlCommand;
 
 /// Claimants and new reasons of refusals are told of this often at most: there may be any number of made-up ones.
 const TOLD_NS: Nanos = 1_000_000_000;

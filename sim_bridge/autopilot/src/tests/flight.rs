@@ -1,11 +1,11 @@
 //! Arm, fly, land: what a script does.
 
 use crate::testing::*;
+use crate::vehicle::ControlCommand;
 use crate::{FlightMode, HomePosition, LandedState, ParameterValue};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::*;
 use vigil_types::NedVector;
-use vigil_vehicle::ControlCommand;
 
 #[test]
 fn a_script_arms_takes_off_hovers_lands_and_finds_it_disarmed() {

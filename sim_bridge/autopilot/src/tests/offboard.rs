@@ -208,7 +208,7 @@ fn a_lost_stream_ends_as_com_obl_rc_act_says() {
             (b.status().terminated, b.status().armed),
             (is_terminated, is_terminated)
         );
-        assert_eq!(b.command, vigil_vehicle::ControlCommand::MotorsOff);
+        assert_eq!(b.command, crate::vehicle::ControlCommand::MotorsOff);
     }
 }
 

@@ -2,10 +2,10 @@
 
 use crate::core::ComponentId;
 use crate::testing::*;
+use crate::vehicle::ControlCommand;
 use crate::{Failsafe, FlightMode};
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{MavState, NAMED_VALUE_FLOAT_DATA};
-use vigil_vehicle::ControlCommand;
 
 fn owner_in_telemetry(b: &Bench) -> f32 {
     b.messages(GCS)

@@ -1,11 +1,11 @@
 use super::*;
 use crate::config::{SimConfig, Start};
 use crate::simulator::Simulator;
+use crate::world::{Column, Family, Outcome, generate};
 use vigil_mavlink::common::*;
 use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize};
 use vigil_mavlink::{MavHeader, MavMessage};
 use vigil_types::{DEPTH_COLS, DEPTH_FULL_SCALE_M, Datagrams, STEP_NS};
-use vigil_world::{Column, Family, Outcome, generate};
 
 /// Pixels in the middle of the image.
 const AHEAD: usize = 64 * DEPTH_COLS + 128;

@@ -1,7 +1,7 @@
 //! A scanner as it would send: written from the manufacturer's description of packets and angles, without the adapter's code.
 
+use vigil_sim::world::World;
 use vigil_types::{Attitude, FrdVector, NedVector};
-use vigil_world::World;
 
 use super::rays;
 

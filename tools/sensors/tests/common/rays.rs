@@ -1,7 +1,7 @@
 //! A ray caster of its own, written without the LiDAR model's code: what any sensor would measure on a course.
 
+use vigil_sim::world::{Solid, World};
 use vigil_types::{Attitude, FrdVector, NedVector};
-use vigil_world::{Solid, World};
 
 /// What a ray meets first: its range in metres and which solid (the ground and the ceiling count as solids too).
 pub fn cast(world: &World, from: NedVector, direction: NedVector) -> Option<(f64, usize)> {

@@ -13,8 +13,8 @@ use anyhow::{Context, Result};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use vigil_adversary::Method;
+use vigil_sim::world::Outcome;
 use vigil_types::YAW_RATE_PER_UNIT_RAD_S;
-use vigil_world::Outcome;
 
 /// A table or a figure.
 pub struct Item {

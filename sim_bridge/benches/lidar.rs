@@ -1,0 +1,110 @@
+//! What a frame costs, stage by stage, and the two ways of casting side by side. One thread.
+
+use divan::Bencher;
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Method, Shot, World, generate};
+use vigil_types::{Attitude, DepthFrame, NedVector};
+
+fn main() {
+    divan::main();
+}
+
+/// Validation courses of low, middle and high numbers of obstacles.
+const SEEDS: [u64; 3] = [1, 2, 3];
+
+fn course(seed: u64) -> Course {
+    generate(Family::Validation, seed)
+}
+
+/// A pose on the way, moving and turning with the count, so that no cache or branch learns one picture.
+fn shot(count: u64) -> Shot {
+    let f = (count % 200) as f32 / 200.0;
+    let attitude = Attitude::from_euler_rad(0.1 * libm::sinf(9.0 * f), -0.05, 0.4 * libm::sinf(20.0 * f));
+    let position_ned_m = NedVector::new(18.0 * f, 2.0 * libm::sinf(6.0 * f), -1.5);
+    Shot {
+        position_ned_m,
+        attitude,
+        estimated_position_ned_m: position_ned_m,
+        estimated_attitude: attitude,
+        stamp_ns: count * 50_000_000,
+        sequence: count,
+        sensor_id: 0,
+    }
+}
+
+fn lidar(method: Method) -> Lidar {
+    Lidar::new(LidarConfig::default(), 1)
+        .expect("valid")
+        .with_method(method)
+}
+
+fn bench_cast(bencher: Bencher, seed: u64, method: Method) {
+    let world = World::new(&course(seed));
+    let mut lidar = lidar(method);
+    let mut count = 0;
+    bencher.bench_local(|| {
+        count += 1;
+        let s = shot(count);
+        divan::black_box(lidar.cast(&world, s.position_ned_m, s.attitude)[0])
+    });
+}
+
+#[divan::bench(args = SEEDS)]
+fn cast_fast(bencher: Bencher, seed: u64) {
+    bench_cast(bencher, seed, Method::Fast);
+}
+
+#[divan::bench(args = SEEDS)]
+fn cast_reference(bencher: Bencher, seed: u64) {
+    bench_cast(bencher, seed, Method::Reference);
+}
+
+#[divan::bench]
+fn measure(bencher: Bencher) {
+    let world = World::new(&course(1));
+    let mut lidar = lidar(Method::Fast);
+    let s = shot(1);
+    lidar.cast(&world, s.position_ned_m, s.attitude);
+    let mut count = 0;
+    bencher.bench_local(|| {
+        count += 1;
+        lidar.measure(count);
+    });
+}
+
+#[divan::bench]
+fn project(bencher: Bencher) {
+    let world = World::new(&course(1));
+    let mut lidar = lidar(Method::Fast);
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    lidar.capture(&world, &shot(1), &mut frame);
+    bencher.bench_local(|| lidar.project(&mut frame));
+}
+
+#[divan::bench]
+fn seal(bencher: Bencher) {
+    let world = World::new(&course(1));
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    lidar(Method::Fast).capture(&world, &shot(1), &mut frame);
+    bencher.bench_local(|| frame.seal());
+}
+
+#[divan::bench(args = SEEDS)]
+fn capture(bencher: Bencher, seed: u64) {
+    let world = World::new(&course(seed));
+    let mut lidar = lidar(Method::Fast);
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    let mut count = 0;
+    bencher.bench_local(|| {
+        count += 1;
+        lidar.capture(&world, &shot(count), &mut frame);
+    });
+}
+
+#[divan::bench]
+fn generate_validation_course(bencher: Bencher) {
+    let mut seed = 0;
+    bencher.bench_local(|| {
+        seed += 1;
+        course(seed)
+    });
+}

@@ -1,0 +1,270 @@
+//! What makes a course usable, beyond its syntax.
+
+use crate::world::course::Course;
+use crate::world::mover::{MAX_MOVER_SPEED_M_S, Mover, MoverShape};
+use crate::world::solid::Solid;
+use crate::world::vehicle::VEHICLE;
+
+/// More obstacles than this is a mistake in the file.
+pub const MAX_OBSTACLES: usize = 1000;
+/// No coordinate or size may exceed this; single precision keeps 0.1 mm up to there.
+pub const MAX_COORDINATE_M: f32 = 1000.0;
+
+/// What is wrong with one field of a course.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{field}`: {problem}")]
+pub struct FieldProblem {
+    /// Dotted path, as in the file.
+    pub field: String,
+    /// What is wrong and what would be right.
+    pub problem: String,
+}
+
+fn problem<T>(field: impl Into<String>, problem: impl Into<String>) -> Result<T, FieldProblem> {
+    Err(FieldProblem {
+        field: field.into(),
+        problem: problem.into(),
+    })
+}
+
+fn coordinate(field: &str, value: f32) -> Result<(), FieldProblem> {
+    if value.is_finite() && value.abs() <= MAX_COORDINATE_M {
+        return Ok(());
+    }
+    problem(
+        field,
+        format!("is {value}, must be a number within ±{MAX_COORDINATE_M} m"),
+    )
+}
+
+fn angle(field: &str, value: f32) -> Result<(), FieldProblem> {
+    if value.is_finite() && value.abs() <= 360.0 {
+        return Ok(());
+    }
+    problem(field, format!("is {value}, must be within ±360 degrees"))
+}
+
+fn size(field: &str, value: f32) -> Result<(), FieldProblem> {
+    if (0.01..=MAX_COORDINATE_M).contains(&value) {
+        return Ok(());
+    }
+    problem(
+        field,
+        format!("is {value}, must be a size from 0.01 to {MAX_COORDINATE_M} m"),
+    )
+}
+
+impl Course {
+    /// Checks every value, and that start and goal are free and within bounds. Flyability is [`Course::corridor`]'s matter.
+    ///
+    /// # Errors
+    /// The first field that is wrong.
+    pub fn check(&self) -> Result<(), FieldProblem> {
+        self.check_frame()?;
+        self.check_obstacles()?;
+        self.check_places()
+    }
+
+    fn check_frame(&self) -> Result<(), FieldProblem> {
+        if !(self.flight_height_m >= 0.5 && self.flight_height_m <= 100.0) {
+            return problem(
+                "flight_height_m",
+                format!("is {}, must be from 0.5 to 100 m", self.flight_height_m),
+            );
+        }
+        if !(self.goal_radius_m >= 0.1 && self.goal_radius_m <= 100.0) {
+            return problem(
+                "goal_radius_m",
+                format!("is {}, must be from 0.1 to 100 m", self.goal_radius_m),
+            );
+        }
+        if !(self.time_limit_s >= 1.0 && self.time_limit_s <= 3600.0) {
+            return problem(
+                "time_limit_s",
+                format!("is {}, must be from 1 to 3600 s", self.time_limit_s),
+            );
+        }
+        let b = &self.bounds;
+        for (name, range) in [("north_m", b.north_m), ("east_m", b.east_m)] {
+            for (i, value) in range.into_iter().enumerate() {
+                coordinate(&format!("bounds.{name}[{i}]"), value)?;
+            }
+            if range[0] >= range[1] {
+                return problem(
+                    format!("bounds.{name}"),
+                    format!("is {range:?}, must be [lowest, highest]"),
+                );
+            }
+        }
+        coordinate("bounds.top_m", b.top_m)?;
+        if b.top_m < self.flight_height_m + VEHICLE.height_m {
+            return problem(
+                "bounds.top_m",
+                format!(
+                    "is {}, must be above the flight height of {} m",
+                    b.top_m, self.flight_height_m
+                ),
+            );
+        }
+        if let Some(ceiling) = self.ceiling_height_m {
+            coordinate("ceiling_height_m", ceiling)?;
+            if ceiling < self.flight_height_m + VEHICLE.height_m {
+                return problem(
+                    "ceiling_height_m",
+                    format!(
+                        "is {ceiling}, must be above the flight height of {} m",
+                        self.flight_height_m
+                    ),
+                );
+            }
+        }
+        Ok(())
+    }
+
+    fn check_obstacles(&self) -> Result<(), FieldProblem> {
+        let lists = [
+            ("column", self.columns.len()),
+            ("box", self.boxes.len()),
+            ("wall", self.walls.len()),
+            ("overhang", self.overhangs.len()),
+            ("mover", self.movers.len()),
+        ];
+        let count: usize = lists.iter().map(|(_, n)| n).sum();
+        if count > MAX_OBSTACLES {
+            let (most, _) = lists.iter().max_by_key(|(_, n)| n).unwrap_or(&lists[0]);
+            return problem(
+                *most,
+                format!("there are {count} obstacles, at most {MAX_OBSTACLES} are allowed"),
+            );
+        }
+        for (i, c) in self.columns.iter().enumerate() {
+            coordinate(&format!("column[{i}].north_m"), c.north_m)?;
+            coordinate(&format!("column[{i}].east_m"), c.east_m)?;
+            size(&format!("column[{i}].radius_m"), c.radius_m)?;
+            size(&format!("column[{i}].height_m"), c.height_m)?;
+        }
+        for (i, b) in self.boxes.iter().enumerate() {
+            coordinate(&format!("box[{i}].north_m"), b.north_m)?;
+            coordinate(&format!("box[{i}].east_m"), b.east_m)?;
+            size(&format!("box[{i}].length_m"), b.length_m)?;
+            size(&format!("box[{i}].width_m"), b.width_m)?;
+            size(&format!("box[{i}].height_m"), b.height_m)?;
+            angle(&format!("box[{i}].yaw_deg"), b.yaw_deg)?;
+        }
+        for (i, w) in self.walls.iter().enumerate() {
+            for k in 0..2 {
+                coordinate(&format!("wall[{i}].from_m[{k}]"), w.from_m[k])?;
+                coordinate(&format!("wall[{i}].to_m[{k}]"), w.to_m[k])?;
+            }
+            size(&format!("wall[{i}].thickness_m"), w.thickness_m)?;
+            size(&format!("wall[{i}].height_m"), w.height_m)?;
+            if libm::hypotf(w.to_m[0] - w.from_m[0], w.to_m[1] - w.from_m[1]) < 0.01 {
+                return problem(
+                    format!("wall[{i}].to_m"),
+                    "is the same point as from_m, must be another",
+                );
+            }
+        }
+        for (i, o) in self.overhangs.iter().enumerate() {
+            coordinate(&format!("overhang[{i}].north_m"), o.north_m)?;
+            coordinate(&format!("overhang[{i}].east_m"), o.east_m)?;
+            size(&format!("overhang[{i}].length_m"), o.length_m)?;
+            size(&format!("overhang[{i}].width_m"), o.width_m)?;
+            size(&format!("overhang[{i}].bottom_m"), o.bottom_m)?;
+            angle(&format!("overhang[{i}].yaw_deg"), o.yaw_deg)?;
+            size(&format!("overhang[{i}].top_m"), o.top_m)?;
+            if o.top_m < o.bottom_m + 0.01 {
+                return problem(
+                    format!("overhang[{i}].top_m"),
+                    format!("is {}, must be above bottom_m of {}", o.top_m, o.bottom_m),
+                );
+            }
+        }
+        self.movers.iter().enumerate().try_for_each(|(i, m)| m.check(i))
+    }
+
+    fn check_places(&self) -> Result<(), FieldProblem> {
+        coordinate("start.north_m", self.start.north_m)?;
+        coordinate("start.east_m", self.start.east_m)?;
+        angle("start.heading_deg", self.start.heading_deg)?;
+        coordinate("goal.north_m", self.goal.north_m)?;
+        coordinate("goal.east_m", self.goal.east_m)?;
+        for (i, c) in self.checkpoints.iter().enumerate() {
+            coordinate(&format!("checkpoint[{i}].north_m"), c.north_m)?;
+            coordinate(&format!("checkpoint[{i}].east_m"), c.east_m)?;
+            angle(&format!("checkpoint[{i}].heading_deg"), c.heading_deg)?;
+        }
+        let places = [
+            ("start", self.start.north_m, self.start.east_m),
+            ("goal", self.goal.north_m, self.goal.east_m),
+        ];
+        for (name, north_m, east_m) in places {
+            if !self.bounds.contains_plan(north_m, east_m) {
+                return problem(name, format!("[{north_m}, {east_m}] is outside of `bounds`"));
+            }
+        }
+        // The column of air from the ground to above flight height must be free where the vehicle takes off and lands.
+        let top_m = self.flight_height_m + VEHICLE.height_m;
+        let lists: [(&str, Vec<Solid>); 5] = [
+            ("column", self.columns.iter().map(|o| o.solid()).collect()),
+            ("box", self.boxes.iter().map(|o| o.solid()).collect()),
+            ("wall", self.walls.iter().map(|o| o.solid()).collect()),
+            ("overhang", self.overhangs.iter().map(|o| o.solid()).collect()),
+            ("mover", self.movers.iter().map(Mover::track).collect()),
+        ];
+        for (kind, solids) in &lists {
+            for (i, solid) in solids.iter().enumerate().filter(|(_, s)| s.bottom_m() < top_m) {
+                for (name, north_m, east_m) in places {
+                    let gap_m = solid.plan_distance_m(north_m, east_m) - VEHICLE.radius_m;
+                    if gap_m <= 0.0 {
+                        return problem(
+                            format!("{kind}[{i}]"),
+                            format!("covers the {name} at [{north_m}, {east_m}]; move one of them"),
+                        );
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Mover {
+    fn check(&self, i: usize) -> Result<(), FieldProblem> {
+        for k in 0..2 {
+            coordinate(&format!("mover[{i}].from_m[{k}]"), self.from_m[k])?;
+            coordinate(&format!("mover[{i}].to_m[{k}]"), self.to_m[k])?;
+        }
+        if self.length_m() < 0.01 {
+            return problem(
+                format!("mover[{i}].to_m"),
+                "is the same point as from_m, must be another; what stands still is a column or a box",
+            );
+        }
+        if !(0.01..=MAX_MOVER_SPEED_M_S).contains(&self.speed_m_s) {
+            return problem(
+                format!("mover[{i}].speed_m_s"),
+                format!("is {}, must be from 0.01 to {MAX_MOVER_SPEED_M_S} m/s", self.speed_m_s),
+            );
+        }
+        if !(0.0..=1.0).contains(&self.phase) {
+            return problem(
+                format!("mover[{i}].phase"),
+                format!("is {}, must be a share of the way to and fro, from 0 to 1", self.phase),
+            );
+        }
+        size(&format!("mover[{i}].height_m"), self.height_m)?;
+        match self.shape {
+            MoverShape::Column { radius_m } => size(&format!("mover[{i}].shape.column.radius_m"), radius_m),
+            MoverShape::Box {
+                length_m,
+                width_m,
+                yaw_deg,
+            } => {
+                size(&format!("mover[{i}].shape.box.length_m"), length_m)?;
+                size(&format!("mover[{i}].shape.box.width_m"), width_m)?;
+                angle(&format!("mover[{i}].shape.box.yaw_deg"), yaw_deg)
+            }
+        }
+    }
+}

@@ -1,0 +1,347 @@
+//! Is there a way? A search on a grid at flight height.
+
+use crate::world::course::{Course, Family};
+use crate::world::solid::Solid;
+use crate::world::vehicle::VEHICLE;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// Free space that a corridor keeps around the vehicle's solid, to the sides, above and below.
+pub const CORRIDOR_MARGIN_M: f32 = 0.6;
+/// The same for courses of [`Family::Hard`], whose narrowest door is 1.6 m wide.
+pub const HARD_CORRIDOR_MARGIN_M: f32 = 0.3;
+/// Grid spacing of the search; wider where the bounds would need more than [`MAX_CELLS`].
+const CELL_M: f32 = 0.2;
+/// The same for courses of [`Family::Hard`]: what is left of a door of 1.6 m without the margins is 0.4 m wide.
+const HARD_CELL_M: f32 = 0.1;
+/// Bounds the memory of a search to 10 MB.
+const MAX_CELLS: f32 = 1e6;
+
+/// Free cells of a course's plan view.
+pub(crate) struct Grid {
+    pub(crate) cell_m: f32,
+    pub(crate) north_cells: usize,
+    pub(crate) east_cells: usize,
+    origin_m: [f32; 2],
+    /// What a cell's centre keeps from every solid.
+    pub(crate) clearance_m: f32,
+    free: Vec<bool>,
+}
+
+impl Grid {
+    /// Marks as free what keeps the vehicle's radius and the margin from every solid that reaches into the band of heights the
+    /// vehicle needs, and from the bounds.
+    pub(crate) fn new(course: &Course, solids: &[Solid]) -> Self {
+        let b = &course.bounds;
+        let area_m2 = (b.north_m[1] - b.north_m[0]) * (b.east_m[1] - b.east_m[0]);
+        let finest_m = match course.family {
+            Some(Family::Hard) => HARD_CELL_M,
+            _ => CELL_M,
+        };
+        let cell_m = finest_m.max((area_m2 / MAX_CELLS).sqrt());
+        // Half a cell's diagonal more, so that the way between two neighbouring cells keeps the margin too.
+        let clearance_m = VEHICLE.radius_m + course.corridor_margin_m() + 0.5 * core::f32::consts::SQRT_2 * cell_m;
+        let cells = |range: [f32; 2]| ((range[1] - range[0]) / cell_m) as usize + 1;
+        let (north_cells, east_cells) = (cells(b.north_m), cells(b.east_m));
+        let edge = (clearance_m / cell_m).ceil() as usize;
+        let mut free = vec![false; north_cells * east_cells];
+        for (n, cell) in free.iter_mut().enumerate() {
+            let inside = |k: usize, count: usize| k >= edge && k + edge < count;
+            *cell = inside(n / east_cells, north_cells) && inside(n % east_cells, east_cells);
+        }
+        let mut grid = Self {
+            cell_m,
+            north_cells,
+            east_cells,
+            origin_m: [b.north_m[0], b.east_m[0]],
+            clearance_m,
+            free,
+        };
+        for solid in solids.iter().filter(|s| in_the_way(course, s)) {
+            let mut blocked = Vec::new();
+            grid.near(solid, clearance_m, |cell| blocked.push(cell));
+            for (i, j) in blocked {
+                grid.free[i * grid.east_cells + j] = false;
+            }
+        }
+        grid
+    }
+
+    /// Calls `cell` for each cell whose centre is nearer to a solid than `clearance_m`.
+    pub(crate) fn near(&self, solid: &Solid, clearance_m: f32, mut cell: impl FnMut((usize, usize))) {
+        let centre = solid.centre_ned_m();
+        let (half_north_m, half_east_m) = solid.plan_half_extents_m();
+        let rows = self.span(0, centre.x, half_north_m + clearance_m);
+        let cols = self.span(1, centre.y, half_east_m + clearance_m);
+        let distance_m = solid.plan_distances_m();
+        for i in rows {
+            for j in cols.clone() {
+                let [north_m, east_m] = self.point(i, j);
+                if distance_m(north_m, east_m) < clearance_m {
+                    cell((i, j));
+                }
+            }
+        }
+    }
+
+    /// Cells along an axis within `reach_m` of `centre_m`.
+    fn span(&self, axis: usize, centre_m: f32, reach_m: f32) -> core::ops::Range<usize> {
+        let count = [self.north_cells, self.east_cells][axis];
+        let low = ((centre_m - reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize;
+        let high = ((centre_m + reach_m - self.origin_m[axis]) / self.cell_m).max(0.0) as usize + 2;
+        low.min(count)..high.min(count)
+    }
+
+    fn point(&self, i: usize, j: usize) -> [f32; 2] {
+        [
+            self.origin_m[0] + i as f32 * self.cell_m,
+            self.origin_m[1] + j as f32 * self.cell_m,
+        ]
+    }
+
+    pub(crate) fn nearest(&self, point: [f32; 2]) -> (usize, usize) {
+        let index = |axis: usize, count: usize| {
+            let cell = ((point[axis] - self.origin_m[axis]) / self.cell_m).round().max(0.0) as usize;
+            cell.min(count - 1)
+        };
+        (index(0, self.north_cells), index(1, self.east_cells))
+    }
+
+    pub(crate) fn is_free(&self, (i, j): (usize, usize)) -> bool {
+        self.free[i * self.east_cells + j]
+    }
+
+    /// Free neighbours with the step's cost in tenths of a cell; diagonals only between two free orthogonal neighbours.
+    fn neighbours(&self, (i, j): (usize, usize)) -> impl Iterator<Item = ((usize, usize), u32)> + '_ {
+        const STEPS: [(isize, isize); 8] = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)];
+        let at = move |di: isize, dj: isize| {
+            let (i, j) = (i.checked_add_signed(di)?, j.checked_add_signed(dj)?);
+            (i < self.north_cells && j < self.east_cells && self.is_free((i, j))).then_some((i, j))
+        };
+        STEPS.into_iter().filter_map(move |(di, dj)| {
+            let to = at(di, dj)?;
+            if di != 0 && dj != 0 {
+                at(di, 0)?;
+                at(0, dj)?;
+                return Some((to, 14));
+            }
+            Some((to, 10))
+        })
+    }
+
+    /// A* with the octile distance. Ties are broken by cell number, so the path is the same everywhere.
+    fn search(&self, start: (usize, usize), goal: (usize, usize)) -> Option<Vec<(usize, usize)>> {
+        if !self.is_free(start) || !self.is_free(goal) {
+            return None;
+        }
+        let number = |(i, j): (usize, usize)| i * self.east_cells + j;
+        let estimate = |(i, j): (usize, usize)| {
+            let (di, dj) = (i.abs_diff(goal.0) as u32, j.abs_diff(goal.1) as u32);
+            10 * di.max(dj) + 4 * di.min(dj)
+        };
+        let mut cost = vec![u32::MAX; self.free.len()];
+        let mut from = vec![u32::MAX; self.free.len()];
+        let mut open = BinaryHeap::new();
+        cost[number(start)] = 0;
+        open.push(Reverse((estimate(start), number(start) as u32)));
+        while let Some(Reverse((total, n))) = open.pop() {
+            let cell = (n as usize / self.east_cells, n as usize % self.east_cells);
+            let so_far = cost[n as usize];
+            if total > so_far + estimate(cell) {
+                continue;
+            }
+            if cell == goal {
+                let mut path = vec![cell];
+                let mut at = n;
+                while from[at as usize] != u32::MAX {
+                    at = from[at as usize];
+                    path.push((at as usize / self.east_cells, at as usize % self.east_cells));
+                }
+                path.reverse();
+                return Some(path);
+            }
+            for (next, step) in self.neighbours(cell) {
+                let k = number(next);
+                if so_far + step < cost[k] {
+                    cost[k] = so_far + step;
+                    from[k] = n;
+                    open.push(Reverse((so_far + step + estimate(next), k as u32)));
+                }
+            }
+        }
+        None
+    }
+}
+
+/// Whether a solid reaches into the band of heights that a vehicle at flight height needs.
+pub(crate) fn in_the_way(course: &Course, solid: &Solid) -> bool {
+    let reach_m = 0.5 * VEHICLE.height_m + course.corridor_margin_m();
+    solid.bottom_m() < course.flight_height_m + reach_m && solid.top_m() > course.flight_height_m - reach_m
+}
+
+/// Smallest plan distance from a straight line to a solid in the way, by sampling every 5 cm; infinite where there is none.
+fn line_clearance_m(course: &Course, solids: &[Solid], from: [f32; 2], to: [f32; 2]) -> f32 {
+    let length_m = libm::hypotf(to[0] - from[0], to[1] - from[1]);
+    let steps = (length_m / 0.05).ceil().max(1.0) as usize;
+    let mut clearance_m = f32::INFINITY;
+    for k in 0..=steps {
+        let f = k as f32 / steps as f32;
+        let (north_m, east_m) = (from[0] + f * (to[0] - from[0]), from[1] + f * (to[1] - from[1]));
+        for solid in solids.iter().filter(|s| in_the_way(course, s)) {
+            clearance_m = clearance_m.min(solid.plan_distance_m(north_m, east_m));
+        }
+    }
+    clearance_m
+}
+
+impl Course {
+    /// Free space that this course's corridor keeps: [`HARD_CORRIDOR_MARGIN_M`] in the hard family, [`CORRIDOR_MARGIN_M`] in
+    /// all others.
+    pub fn corridor_margin_m(&self) -> f32 {
+        match self.family {
+            Some(Family::Hard) => HARD_CORRIDOR_MARGIN_M,
+            _ => CORRIDOR_MARGIN_M,
+        }
+    }
+
+    /// A way from start to goal at flight height as `[north, east]` points, along which the vehicle's solid keeps
+    /// [`Course::corridor_margin_m`] from every obstacle that stands still (and from the ceiling); `None` if the search finds
+    /// none. Movers are the matter of [`Course::earliest_arrival_s`].
+    pub fn corridor(&self) -> Option<Vec<[f32; 2]>> {
+        let reach_m = 0.5 * VEHICLE.height_m + self.corridor_margin_m();
+        let top_m = self
+            .ceiling_height_m
+            .map_or(self.bounds.top_m, |c| c.min(self.bounds.top_m));
+        if self.flight_height_m + reach_m > top_m {
+            return None;
+        }
+        let solids = self.solids();
+        let grid = Grid::new(self, &solids);
+        let (start, goal) = (
+            [self.start.north_m, self.start.east_m],
+            [self.goal.north_m, self.goal.east_m],
+        );
+        let cells = grid.search(grid.nearest(start), grid.nearest(goal))?;
+        let mut points = vec![start];
+        points.extend(cells.iter().map(|&(i, j)| grid.point(i, j)));
+        points.push(goal);
+        Some(self.shortened(&solids, &points))
+    }
+
+    /// Replaces stretches of a path by straight lines where these keep the margin.
+    fn shortened(&self, solids: &[Solid], points: &[[f32; 2]]) -> Vec<[f32; 2]> {
+        let enough_m = VEHICLE.radius_m + self.corridor_margin_m();
+        let mut kept = vec![points[0]];
+        let mut at = 0;
+        while at + 1 < points.len() {
+            // Doubling, then halving back: the furthest reachable point is found in few line checks.
+            let mut reach = at + 1;
+            let mut step = 1;
+            while step > 0 {
+                let next = (reach + step).min(points.len() - 1);
+                if next > reach && line_clearance_m(self, solids, points[at], points[next]) >= enough_m {
+                    reach = next;
+                    step *= 2;
+                } else {
+                    step /= 2;
+                }
+            }
+            kept.push(points[reach]);
+            at = reach;
+        }
+        kept
+    }
+
+    /// Whether the vehicle, flying straight from start to goal at flight height, would touch an obstacle.
+    pub fn straight_line_is_blocked(&self) -> bool {
+        let height_m = self.flight_height_m;
+        let half_m = 0.5 * VEHICLE.height_m;
+        let hit: Vec<Solid> = self
+            .solids()
+            .into_iter()
+            .filter(|s| s.bottom_m() < height_m + half_m && s.top_m() > height_m - half_m)
+            .collect();
+        let from = [self.start.north_m, self.start.east_m];
+        let to = [self.goal.north_m, self.goal.east_m];
+        line_clearance_m(self, &hit, from, to) < VEHICLE.radius_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn course(obstacles: &str) -> Course {
+        let text = format!(
+            r#"
+name = "test"
+goal = {{ north_m = 20.0, east_m = 5.0 }}
+bounds = {{ north_m = [-4.0, 26.0], east_m = [-10.0, 10.0], top_m = 6.0 }}
+{obstacles}
+"#
+        );
+        Course::from_toml_str(&text, "test").expect("valid")
+    }
+
+    fn wall(from: [f32; 2], to: [f32; 2], height_m: f32) -> String {
+        format!("[[wall]]\nfrom_m = {from:?}\nto_m = {to:?}\nthickness_m = 0.2\nheight_m = {height_m:?}\n")
+    }
+
+    #[test]
+    fn an_open_field_is_flown_straight() {
+        let c = course("");
+        let way = c.corridor().expect("open");
+        assert_eq!(way, vec![[0.0, 0.0], [20.0, 5.0]]);
+        assert!(!c.straight_line_is_blocked());
+    }
+
+    #[test]
+    fn a_wall_right_across_leaves_no_way_and_a_low_one_does() {
+        assert!(course(&wall([10.0, -10.0], [10.0, 10.0], 3.0)).corridor().is_none());
+        assert!(course(&wall([10.0, -10.0], [10.0, 10.0], 0.7)).corridor().is_some());
+    }
+
+    #[test]
+    fn a_gap_counts_only_when_vehicle_and_margins_fit() {
+        let gap = |width: f32| {
+            course(&(wall([10.0, -10.0], [10.0, -width / 2.0], 3.0) + &wall([10.0, width / 2.0], [10.0, 10.0], 3.0)))
+        };
+        assert!(gap(1.7).corridor().is_none());
+        let c = gap(2.5);
+        assert!(c.straight_line_is_blocked());
+        let way = c.corridor().expect("wide enough");
+        for leg in way.windows(2) {
+            assert!(
+                line_clearance_m(&c, &c.solids(), leg[0], leg[1]) >= 0.9 - 1e-3,
+                "{leg:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_high_beam_is_flown_under_and_a_low_one_is_not() {
+        let beam = |bottom: f32| {
+            course(&format!(
+                "[[overhang]]\nnorth_m = 10.0\neast_m = 0.0\nlength_m = 0.5\nwidth_m = 20.0\nbottom_m = {bottom:?}\ntop_m = 4.0\n"
+            ))
+        };
+        assert!(beam(2.4).corridor().is_some());
+        assert!(beam(1.8).corridor().is_none());
+        assert!(beam(1.2).straight_line_is_blocked());
+        assert!(!beam(1.8).straight_line_is_blocked());
+    }
+
+    #[test]
+    fn the_largest_bounds_are_searched_too() {
+        let mut c = course("");
+        c.bounds.north_m = [-1000.0, 1000.0];
+        c.bounds.east_m = [-1000.0, 1000.0];
+        (c.goal.north_m, c.goal.east_m) = (900.0, -900.0);
+        assert!(c.corridor().is_some());
+    }
+
+    #[test]
+    fn a_ceiling_too_low_leaves_no_way() {
+        assert!(course("ceiling_height_m = 1.9").corridor().is_none());
+    }
+}

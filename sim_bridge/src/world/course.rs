@@ -1,0 +1,339 @@
+//! A course: what stands where, where to start, where to go, and what counts.
+
+use crate::world::mover::Mover;
+use crate::world::solid::Solid;
+use core::f32::consts::PI;
+use serde::{Deserialize, Serialize};
+use vigil_types::NedVector;
+
+/// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in
+/// degrees clockwise from north. `docs/courses.md` describes the file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Course {
+    /// Name for tables and pictures.
+    pub name: String,
+    /// The generator's family; absent in a course made by hand.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub family: Option<Family>,
+    /// The generator's seed; 0 in a course made by hand.
+    #[serde(default)]
+    pub seed: u64,
+    /// Height above ground to fly at.
+    #[serde(default = "default_flight_height_m")]
+    pub flight_height_m: f32,
+    /// A flight succeeds within this distance of the goal.
+    #[serde(default = "default_goal_radius_m")]
+    pub goal_radius_m: f32,
+    /// A flight that takes longer has failed.
+    #[serde(default = "default_time_limit_s")]
+    pub time_limit_s: f32,
+    /// Height of a flat ceiling over everything, if there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ceiling_height_m: Option<f32>,
+    /// Where the vehicle stands at first.
+    #[serde(default)]
+    pub start: Start,
+    /// Where to go.
+    pub goal: GoalPoint,
+    /// What must not be left.
+    pub bounds: Bounds,
+    /// Lines on the way that training rewards, in order.
+    #[serde(default, rename = "checkpoint", skip_serializing_if = "Vec::is_empty")]
+    pub checkpoints: Vec<Checkpoint>,
+    /// Upright cylinders.
+    #[serde(default, rename = "column", skip_serializing_if = "Vec::is_empty")]
+    pub columns: Vec<Column>,
+    /// Boxes on the ground.
+    #[serde(default, rename = "box", skip_serializing_if = "Vec::is_empty")]
+    pub boxes: Vec<BoxObstacle>,
+    /// Walls.
+    #[serde(default, rename = "wall", skip_serializing_if = "Vec::is_empty")]
+    pub walls: Vec<Wall>,
+    /// Boxes whose lower face is above the ground: beams, lintels, low roofs.
+    #[serde(default, rename = "overhang", skip_serializing_if = "Vec::is_empty")]
+    pub overhangs: Vec<Overhang>,
+    /// Columns and boxes that go to and fro.
+    #[serde(default, rename = "mover", skip_serializing_if = "Vec::is_empty")]
+    pub movers: Vec<Mover>,
+}
+
+/// Families of generated courses.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Family {
+    /// What policies are trained on.
+    Training,
+    /// Other layouts and densities, for judging.
+    Validation,
+    /// Doors, pockets, gaps near 2 m and moving obstacles: where pilots fail.
+    Hard,
+    /// Validation's layouts filled up, with gaps from 1.8 m.
+    Dense,
+}
+
+impl Family {
+    /// All families.
+    pub const ALL: [Self; 4] = [Self::Training, Self::Validation, Self::Hard, Self::Dense];
+
+    /// The name used in files and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Training => "training",
+            Self::Validation => "validation",
+            Self::Hard => "hard",
+            Self::Dense => "dense",
+        }
+    }
+}
+
+/// A family name that does not exist.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no course family is called `{0}`; there are: {names}", names = Family::ALL.map(Family::name).join(", "))]
+pub struct UnknownFamily(pub String);
+
+impl core::str::FromStr for Family {
+    type Err = UnknownFamily;
+    fn from_str(name: &str) -> Result<Self, UnknownFamily> {
+        Self::ALL
+            .into_iter()
+            .find(|f| f.name() == name)
+            .ok_or_else(|| UnknownFamily(name.to_owned()))
+    }
+}
+
+impl core::fmt::Display for Family {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// The start: on the ground at home, with this heading.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Start {
+    /// North of home.
+    #[serde(default)]
+    pub north_m: f32,
+    /// East of home.
+    #[serde(default)]
+    pub east_m: f32,
+    /// Heading, clockwise from north.
+    #[serde(default)]
+    pub heading_deg: f32,
+}
+
+/// The goal's place; its height is the flight height.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GoalPoint {
+    /// North of home.
+    pub north_m: f32,
+    /// East of home.
+    pub east_m: f32,
+}
+
+/// A box in which the flight must stay, each as `[lowest, highest]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Bounds {
+    /// North of home.
+    pub north_m: [f32; 2],
+    /// East of home.
+    pub east_m: [f32; 2],
+    /// Height above which the flight is out of bounds.
+    pub top_m: f32,
+}
+
+impl Bounds {
+    /// Whether a point is inside. There is no lower bound: the ground is one.
+    pub fn contains(&self, p: NedVector) -> bool {
+        self.contains_plan(p.x, p.y) && -p.z <= self.top_m
+    }
+
+    /// Whether a point is inside in the plan view.
+    pub fn contains_plan(&self, north_m: f32, east_m: f32) -> bool {
+        (self.north_m[0]..=self.north_m[1]).contains(&north_m) && (self.east_m[0]..=self.east_m[1]).contains(&east_m)
+    }
+}
+
+/// A line across the way; it is passed where the vehicle gets beyond it, anywhere along it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Checkpoint {
+    /// A point of the line, north of home.
+    pub north_m: f32,
+    /// A point of the line, east of home.
+    pub east_m: f32,
+    /// The direction in which the line is passed, square to it.
+    pub heading_deg: f32,
+}
+
+/// An upright cylinder on the ground.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Column {
+    /// North of home.
+    pub north_m: f32,
+    /// East of home.
+    pub east_m: f32,
+    /// Radius.
+    pub radius_m: f32,
+    /// Height.
+    pub height_m: f32,
+}
+
+/// A box on the ground.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BoxObstacle {
+    /// Centre, north of home.
+    pub north_m: f32,
+    /// Centre, east of home.
+    pub east_m: f32,
+    /// Size along the box's own heading.
+    pub length_m: f32,
+    /// Size across it.
+    pub width_m: f32,
+    /// Height.
+    pub height_m: f32,
+    /// Heading of the length axis.
+    #[serde(default)]
+    pub yaw_deg: f32,
+}
+
+/// A wall between two points.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wall {
+    /// One end, `[north, east]`.
+    pub from_m: [f32; 2],
+    /// Other end, `[north, east]`.
+    pub to_m: [f32; 2],
+    /// Thickness.
+    pub thickness_m: f32,
+    /// Height.
+    pub height_m: f32,
+}
+
+/// A box above the ground.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Overhang {
+    /// Centre, north of home.
+    pub north_m: f32,
+    /// Centre, east of home.
+    pub east_m: f32,
+    /// Size along the overhang's own heading.
+    pub length_m: f32,
+    /// Size across it.
+    pub width_m: f32,
+    /// Height of the lower face above ground.
+    pub bottom_m: f32,
+    /// Height of the upper face above ground.
+    pub top_m: f32,
+    /// Heading of the length axis.
+    #[serde(default)]
+    pub yaw_deg: f32,
+}
+
+pub(crate) fn default_flight_height_m() -> f32 {
+    1.5
+}
+
+pub(crate) fn default_goal_radius_m() -> f32 {
+    1.0
+}
+
+pub(crate) fn default_time_limit_s() -> f32 {
+    90.0
+}
+
+/// Degrees to radians.
+pub(crate) fn radians(degrees: f32) -> f32 {
+    degrees * (PI / 180.0)
+}
+
+impl Column {
+    /// Its geometry.
+    pub fn solid(&self) -> Solid {
+        Solid::Cylinder {
+            centre_ned_m: NedVector::new(self.north_m, self.east_m, -0.5 * self.height_m),
+            radius_m: self.radius_m,
+            half_height_m: 0.5 * self.height_m,
+        }
+    }
+}
+
+impl BoxObstacle {
+    /// Its geometry.
+    pub fn solid(&self) -> Solid {
+        Solid::cuboid(
+            (self.north_m, self.east_m),
+            self.length_m,
+            self.width_m,
+            0.0,
+            self.height_m,
+            radians(self.yaw_deg),
+        )
+    }
+}
+
+impl Wall {
+    /// Its geometry: a box whose length runs from end to end.
+    pub fn solid(&self) -> Solid {
+        let (north, east) = (self.to_m[0] - self.from_m[0], self.to_m[1] - self.from_m[1]);
+        Solid::cuboid(
+            (
+                0.5 * (self.from_m[0] + self.to_m[0]),
+                0.5 * (self.from_m[1] + self.to_m[1]),
+            ),
+            libm::hypotf(north, east),
+            self.thickness_m,
+            0.0,
+            self.height_m,
+            libm::atan2f(east, north),
+        )
+    }
+}
+
+impl Overhang {
+    /// Its geometry.
+    pub fn solid(&self) -> Solid {
+        Solid::cuboid(
+            (self.north_m, self.east_m),
+            self.length_m,
+            self.width_m,
+            self.bottom_m,
+            self.top_m,
+            radians(self.yaw_deg),
+        )
+    }
+}
+
+impl Course {
+    /// All obstacles that stand still as geometry, in the order columns, boxes, walls, overhangs. Ground and ceiling are not
+    /// among them; movers are in [`Course::movers`].
+    pub fn solids(&self) -> Vec<Solid> {
+        let columns = self.columns.iter().map(Column::solid);
+        let boxes = self.boxes.iter().map(BoxObstacle::solid);
+        let walls = self.walls.iter().map(Wall::solid);
+        let overhangs = self.overhangs.iter().map(Overhang::solid);
+        columns.chain(boxes).chain(walls).chain(overhangs).collect()
+    }
+
+    /// The start on the ground.
+    pub fn start_ned_m(&self) -> NedVector {
+        NedVector::new(self.start.north_m, self.start.east_m, 0.0)
+    }
+
+    /// Heading at the start, clockwise from north.
+    pub fn start_heading_rad(&self) -> f32 {
+        radians(self.start.heading_deg)
+    }
+
+    /// The goal at flight height.
+    pub fn goal_ned_m(&self) -> NedVector {
+        NedVector::new(self.goal.north_m, self.goal.east_m, -self.flight_height_m)
+    }
+}

@@ -1,0 +1,319 @@
+//! Course files: TOML in and out, and errors that name file, line and field.
+
+use crate::world::check::FieldProblem;
+use crate::world::course::Course;
+use std::path::{Path, PathBuf};
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// A course of a thousand obstacles has 100 kB.
+const SIZE_LIMIT: u64 = 4 << 20;
+
+/// Why a course could not be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum CourseError {
+    /// The file cannot be read.
+    #[error("cannot read course {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The file cannot be written.
+    #[error("cannot write course {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The text is not a course.
+    #[error("{file}:{line}: {}{problem}", if field.is_empty() { String::new() } else { format!("`{field}`: ") })]
+    Invalid {
+        /// Name of the file.
+        file: String,
+        /// Line, counted from 1.
+        line: usize,
+        /// Dotted path of the field, as `column[2].radius_m`, counted from 0; empty where the text is not TOML at all.
+        field: String,
+        /// What is wrong and what would be right.
+        problem: String,
+    },
+    /// A value cannot be written as TOML.
+    #[error("course cannot be written as TOML: {0}")]
+    Unwritable(#[from] toml::ser::Error),
+}
+
+impl Course {
+    /// Reads a course from TOML text and checks it; `file_name` is for messages.
+    ///
+    /// # Errors
+    /// [`CourseError::Invalid`] with line and field.
+    pub fn from_toml_str(text: &str, file_name: &str) -> Result<Self, CourseError> {
+        let invalid = |at: usize, field: String, problem: &str| CourseError::Invalid {
+            file: file_name.to_owned(),
+            line: line_of(text, at),
+            field,
+            problem: problem.to_owned(),
+        };
+        let root = DeTable::parse(text)
+            .map_err(|e| invalid(e.span().map_or(0, |s| s.start), String::new(), e.message().trim()))?;
+        let course: Self = toml::from_str(text).map_err(|e| {
+            let at = e.span().map_or(0, |s| s.start);
+            invalid(at, field_at(root.get_ref(), at), e.message().trim())
+        })?;
+        course
+            .check()
+            .map_err(|FieldProblem { field, problem }| invalid(offset_of(root.get_ref(), &field), field, &problem))?;
+        Ok(course)
+    }
+
+    /// Reads and checks a course file.
+    ///
+    /// # Errors
+    /// [`CourseError::Read`] or [`CourseError::Invalid`].
+    pub fn load(path: &Path) -> Result<Self, CourseError> {
+        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| CourseError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_toml_str(&text, &path.display().to_string())
+    }
+
+    /// The course as TOML text.
+    ///
+    /// # Errors
+    /// [`CourseError::Unwritable`] for a seed of 2⁶³ or more, which TOML's integers cannot hold.
+    pub fn to_toml_string(&self) -> Result<String, CourseError> {
+        Ok(toml::to_string(self)?)
+    }
+
+    /// Writes the course to a file.
+    ///
+    /// # Errors
+    /// [`CourseError::Unwritable`] or [`CourseError::Write`].
+    pub fn save(&self, path: &Path) -> Result<(), CourseError> {
+        let text = self.to_toml_string()?;
+        vigil_types::files::replace(path, text.as_bytes(), vigil_types::files::Access::Shared).map_err(|source| {
+            CourseError::Write {
+                path: path.to_owned(),
+                source,
+            }
+        })
+    }
+}
+
+fn line_of(text: &str, offset: usize) -> usize {
+    1 + text.bytes().take(offset).filter(|b| *b == b'\n').count()
+}
+
+/// Path of the innermost key or value that holds byte `at`; empty at the top.
+fn field_at(root: &DeTable<'_>, at: usize) -> String {
+    let mut path = String::new();
+    descend_at(root, at, &mut path);
+    path
+}
+
+fn descend_at(table: &DeTable<'_>, at: usize, path: &mut String) {
+    for (key, value) in table.iter() {
+        let before = path.len();
+        if !path.is_empty() {
+            path.push('.');
+        }
+        path.push_str(key.get_ref());
+        if key.span().contains(&at) || enter_at(value, at, path) {
+            return;
+        }
+        path.truncate(before);
+    }
+}
+
+/// Extends `path` to what in `value` holds byte `at`; whether anything does.
+fn enter_at(value: &Spanned<DeValue<'_>>, at: usize, path: &mut String) -> bool {
+    match value.get_ref() {
+        DeValue::Array(items) => {
+            for (i, item) in items.iter().enumerate() {
+                let before = path.len();
+                path.push_str(&format!("[{i}]"));
+                if enter_at(item, at, path) {
+                    return true;
+                }
+                path.truncate(before);
+            }
+            value.span().contains(&at)
+        }
+        DeValue::Table(table) => {
+            // A `[header]` table's span is its header, so its entries are looked at whatever the span says.
+            let before = path.len();
+            descend_at(table, at, path);
+            path.len() > before || value.span().contains(&at)
+        }
+        _ => value.span().contains(&at),
+    }
+}
+
+/// Byte offset of the innermost existing part of a dotted path; 0 if none of it is in the text.
+fn offset_of(root: &DeTable<'_>, field: &str) -> usize {
+    let mut offset = 0;
+    let mut table = Some(root);
+    for part in field.split('.') {
+        let (key, index) = match part.split_once('[') {
+            Some((key, rest)) => (key, rest.trim_end_matches(']').parse::<usize>().ok()),
+            None => (part, None),
+        };
+        let Some((name, value)) = table.and_then(|t| t.iter().find(|(k, _)| k.get_ref() == key)) else {
+            break;
+        };
+        offset = name.span().start;
+        let mut value = value.get_ref();
+        if let (Some(i), DeValue::Array(items)) = (index, value)
+            && let Some(item) = items.get(i)
+        {
+            offset = item.span().start;
+            value = item.get_ref();
+        }
+        table = match value {
+            DeValue::Table(t) => Some(t),
+            _ => None,
+        };
+    }
+    offset
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = r#"name = "two columns"
+goal = { north_m = 20.0, east_m = 5.0 }
+
+[bounds]
+north_m = [-4.0, 26.0]
+east_m = [-12.0, 12.0]
+top_m = 6.0
+
+[[column]]
+north_m = 8.0
+east_m = 1.0
+radius_m = 0.4
+height_m = 3.0
+
+[[column]]
+north_m = 12.0
+east_m = 4.0
+radius_m = 0.3
+height_m = 3.0
+
+[[wall]]
+from_m = [5.0, -6.0]
+to_m = [5.0, -2.0]
+thickness_m = 0.2
+height_m = 2.5
+
+[[mover]]
+from_m = [16.0, 0.0]
+to_m = [16.0, 4.0]
+speed_m_s = 0.5
+height_m = 2.0
+shape = { column = { radius_m = 0.35 } }
+"#;
+
+    fn error_of(text: &str) -> String {
+        Course::from_toml_str(text, "bad.toml")
+            .expect_err("must be refused")
+            .to_string()
+    }
+
+    #[test]
+    fn a_course_written_and_read_is_the_same_course() {
+        let course = Course::from_toml_str(GOOD, "good.toml").expect("good");
+        assert_eq!(course.columns.len(), 2);
+        assert_eq!(course.flight_height_m, 1.5);
+        let again = Course::from_toml_str(&course.to_toml_string().expect("writable"), "again").expect("again");
+        assert_eq!(course, again);
+    }
+
+    #[test]
+    fn each_mistake_is_named_by_file_line_and_field() {
+        let cases: [(&str, &str, &str); 18] = [
+            ("radius_m = 0.3", "radius_m = -0.3", "bad.toml:18: `column[1].radius_m`"),
+            ("radius_m = 0.3", "radius_m = nan", "bad.toml:18: `column[1].radius_m`"),
+            (
+                "radius_m = 0.3",
+                "radius_m = \"wide\"",
+                "bad.toml:18: `column[1].radius_m`",
+            ),
+            ("radius_m = 0.3", "raduis_m = 0.3", "bad.toml:18: `column[1].raduis_m`"),
+            (
+                "radius_m = 0.3",
+                "",
+                "bad.toml:15: `column[1]`: missing field `radius_m`",
+            ),
+            ("to_m = [5.0, -2.0]", "to_m = [5.0]", "bad.toml:23: `wall[0].to_m`"),
+            (
+                "to_m = [5.0, -2.0]",
+                "to_m = [5.0, inf]",
+                "bad.toml:23: `wall[0].to_m[1]`",
+            ),
+            (
+                "to_m = [5.0, -2.0]",
+                "to_m = [5.0, -6.0]",
+                "bad.toml:23: `wall[0].to_m`",
+            ),
+            ("east_m = 5.0 }", "east_m = 50.0 }", "bad.toml:2: `goal`"),
+            ("top_m = 6.0", "top_m = 1.0", "bad.toml:7: `bounds.top_m`"),
+            (
+                "north_m = [-4.0, 26.0]",
+                "north_m = [26.0, -4.0]",
+                "bad.toml:5: `bounds.north_m`",
+            ),
+            (
+                "north_m = 8.0\neast_m = 1.0",
+                "north_m = 0.2\neast_m = 0.1",
+                "bad.toml:9: `column[0]`",
+            ),
+            ("name = \"two columns\"", "name = \"two columns", "bad.toml:1: "),
+            (
+                "[bounds]",
+                "flight_height_m = -1\n[bounds]",
+                "bad.toml:4: `flight_height_m`",
+            ),
+            (
+                "speed_m_s = 0.5",
+                "speed_m_s = 1.5",
+                "bad.toml:30: `mover[0].speed_m_s`",
+            ),
+            (
+                "to_m = [16.0, 4.0]",
+                "to_m = [16.0, 0.0]",
+                "bad.toml:29: `mover[0].to_m`",
+            ),
+            (
+                "to_m = [16.0, 4.0]",
+                "to_m = [22.0, 7.5]",
+                "bad.toml:27: `mover[0]`: covers the goal",
+            ),
+            (
+                "column = { radius_m = 0.35 }",
+                "column = { radius_m = 0.0 }",
+                "bad.toml:32: `mover[0].shape.column.radius_m`",
+            ),
+        ];
+        for (from, to, expected) in cases {
+            let text = GOOD.replacen(from, to, 1);
+            assert_ne!(text, GOOD, "{from} is not in the text");
+            let message = error_of(&text);
+            assert!(
+                message.starts_with(expected),
+                "{to}: got `{message}`, expected `{expected}`"
+            );
+        }
+    }
+
+    #[test]
+    fn a_file_that_is_not_there_is_named() {
+        let e = Course::load(Path::new("no/such/course.toml")).expect_err("absent");
+        assert!(e.to_string().starts_with("cannot read course no/such/course.toml: "));
+    }
+}

@@ -1,0 +1,169 @@
+//! Small time-of-flight sensors of 8 × 8 zones that look ahead, as they are sold for a few euros: 45° × 45° each, 4 m, 15 Hz. One, or several side
+//! by side.
+//!
+//! Each zone measures its nearest surface. Its driver knows the vehicle's attitude and keeps what is at the vehicle's own height, so that neither
+//! the ground nor a ceiling counts: one horizontal distance a column, as OBSTACLE_DISTANCE tells them.
+
+use super::cast::{Scene, cast_ray};
+use super::noise::NoiseKeys;
+use crate::world::World;
+use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
+
+/// Columns of one sensor's zones, and rows.
+pub const ZONE_COLUMNS: usize = 8;
+/// Most sensors side by side.
+pub const ZONE_MOST_HEADS: usize = 5;
+/// Field of view of one, each way, radians.
+pub const ZONE_FOV_RAD: f32 = core::f32::consts::FRAC_PI_4;
+/// Nothing farther away is measured.
+pub const ZONE_MAX_RANGE_M: f32 = 4.0;
+/// Between two measurements: 15 Hz.
+pub const ZONE_INTERVAL_NS: Nanos = 66_666_667;
+/// Rays across a zone, each way: it measures the nearest of what they meet.
+const RAYS: usize = 3;
+/// Standard deviation of a range: 2 cm and 1 % of it.
+const SIGMA_M: f32 = 0.02;
+const SIGMA_SHARE: f32 = 0.01;
+/// One zone in a hundred has no return.
+const DROPOUT: u32 = u32::MAX / 100;
+/// What is higher or lower than the vehicle by more than this is in nobody's way, metres: as the pilots have it
+/// (`vigil_policy::geometric`'s band of height).
+const BAND_HALF_HEIGHT_M: f32 = 0.35;
+
+/// The sensor.
+pub struct ZoneSensor {
+    seed: u64,
+    heads: usize,
+    sequence: u64,
+    scene: Scene,
+}
+
+impl ZoneSensor {
+    /// So many side by side, at most [`ZONE_MOST_HEADS`], the middle of all straight ahead; the seed fixes their noise.
+    pub fn new(seed: u64, heads: usize) -> Self {
+        Self {
+            heads: heads.min(ZONE_MOST_HEADS),
+            // Not the LiDAR's noise again.
+            seed: seed ^ 0x5A4F_4E45,
+            sequence: 0,
+            scene: Scene::new(),
+        }
+    }
+
+    /// Field of view of all of them, radians.
+    pub fn fov_rad(&self) -> f32 {
+        self.heads as f32 * ZONE_FOV_RAD
+    }
+
+    /// Measures: the horizontal distance of the nearest surface at the vehicle's height in each column of all sensors, left to right, infinite where
+    /// none is within reach.
+    pub fn measure<'a>(
+        &mut self,
+        world: &World,
+        position_ned_m: NedVector,
+        attitude: Attitude,
+        nearest_m: &'a mut [f32; ZONE_MOST_HEADS * ZONE_COLUMNS],
+    ) -> &'a [f32] {
+        self.scene.place(world, position_ned_m, attitude);
+        self.sequence += 1;
+        let keys = NoiseKeys::new(self.seed, self.sequence);
+        let yaw_rad = attitude.yaw_rad();
+        let (columns, fov_rad) = (self.heads * ZONE_COLUMNS, self.fov_rad());
+        let nearest_m = &mut nearest_m[..columns];
+        nearest_m.fill(f32::INFINITY);
+        for zone in 0..ZONE_COLUMNS * columns {
+            let (row, column) = (zone / columns, zone % columns);
+            // The nearest of its rays that meets something at the vehicle's height, as range and direction.
+            let mut nearest: Option<(f32, NedVector)> = None;
+            for ray in 0..RAYS * RAYS {
+                let angle_rad = |zone: usize, ray: usize, zones: usize, fov_rad: f32| {
+                    let place = (zone * RAYS + ray) as f32 + 0.5;
+                    (place / (zones * RAYS) as f32 - 0.5) * fov_rad
+                };
+                let bearing_rad = angle_rad(column, ray % RAYS, columns, fov_rad);
+                let depression_rad = angle_rad(row, ray / RAYS, ZONE_COLUMNS, ZONE_FOV_RAD);
+                let direction = attitude.to_ned(FrdVector::new(
+                    depression_rad.cos() * bearing_rad.cos(),
+                    depression_rad.cos() * bearing_rad.sin(),
+                    depression_rad.sin(),
+                ));
+                let range_m = cast_ray(
+                    world,
+                    position_ned_m,
+                    &self.scene,
+                    (direction.x, direction.y, direction.z),
+                );
+                let counts = (direction.z * range_m).abs() <= BAND_HALF_HEIGHT_M && range_m <= ZONE_MAX_RANGE_M;
+                if counts && nearest.is_none_or(|(other_m, _)| range_m < other_m) {
+                    nearest = Some((range_m, direction));
+                }
+            }
+            let Some((range_m, direction)) = nearest.filter(|_| keys.uniform(zone as u32) >= DROPOUT) else {
+                continue;
+            };
+            let measured_m = (range_m + keys.normal(zone as u32) * (SIGMA_M + SIGMA_SHARE * range_m)).max(0.0);
+            let level = direction.to_heading(yaw_rad);
+            // In the column that its bearing belongs to, which is another where the vehicle banks.
+            let place = (level.y.atan2(level.x) / fov_rad + 0.5) * columns as f32;
+            if let Some(column_m) = nearest_m.get_mut(place.max(0.0) as usize) {
+                *column_m = column_m.min(measured_m * level.x.hypot(level.y));
+            }
+        }
+        nearest_m
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::world::course::{Course, Family};
+    use crate::world::generate;
+
+    fn empty() -> Course {
+        let mut course = generate(Family::Validation, 7);
+        course.boxes.clear();
+        course.columns.clear();
+        course.walls.clear();
+        course.overhangs.clear();
+        course.movers.clear();
+        course
+    }
+
+    #[test]
+    fn a_wall_ahead_is_measured_where_it_is_and_the_ground_is_not() {
+        let mut course = empty();
+        let place = NedVector::new(0.0, 0.0, -1.5);
+        let (mut one, mut three) = (ZoneSensor::new(3, 1), ZoneSensor::new(3, 3));
+        let mut room = [0.0; ZONE_MOST_HEADS * ZONE_COLUMNS];
+        let nothing = three.measure(&World::new(&course), place, Attitude::LEVEL_NORTH, &mut room);
+        assert_eq!(nothing.len(), 24);
+        assert!(nothing.iter().all(|m| m.is_infinite()), "{nothing:?}");
+        course.columns.push(crate::world::Column {
+            north_m: 3.0,
+            east_m: 0.0,
+            radius_m: 0.5,
+            height_m: 4.0,
+        });
+        let world = World::new(&course);
+        for _ in 0..20 {
+            let seen = one.measure(&world, place, Attitude::LEVEL_NORTH, &mut room);
+            let ahead = seen[3].min(seen[4]);
+            assert!((2.3..2.7).contains(&ahead), "{seen:?}");
+            assert!(seen[0].is_infinite() && seen[7].is_infinite(), "{seen:?}");
+            // It stands 45° to the right of a vehicle that is turned to the left by as much.
+            let turned = Attitude::from_euler_rad(0.0, 0.0, -ZONE_FOV_RAD);
+            assert!(
+                one.measure(&world, place, turned, &mut room)
+                    .iter()
+                    .all(|m| m.is_infinite())
+            );
+            let seen = three.measure(&world, place, turned, &mut room);
+            assert!((2.3..2.7).contains(&seen[19].min(seen[20])), "{seen:?}");
+        }
+        // Nose down the ground comes into view, and is none of what is in the way.
+        course.columns.clear();
+        let nose_down = Attitude::from_euler_rad(0.0, -0.4, 0.0);
+        let seen = one.measure(&World::new(&course), place, nose_down, &mut room);
+        assert!(seen.iter().all(|m| m.is_infinite()), "{seen:?}");
+    }
+}

@@ -1,0 +1,220 @@
+//! When a flight ends, and how.
+
+use crate::world::World;
+use crate::world::course::{Checkpoint, Course, radians};
+use crate::world::vehicle::VEHICLE;
+use vigil_types::{Attitude, Nanos, NedVector};
+
+/// Touching the ground faster than this, downwards, is a crash. A quadcopter's landing descends at 0.3 to 0.7 m/s.
+pub const GROUND_CRASH_SPEED_M_S: f32 = 1.5;
+/// Touching the ground tilted more than this (60°) is a crash: the propellers hit it. This is the cosine.
+const GROUND_CRASH_COS_TILT: f32 = 0.5;
+/// The way between two truths is tested at least this often. The vehicle is 0.6 m wide, so no wall can slip through.
+const SWEEP_STEP_M: f32 = 0.1;
+/// A way longer than this many sweep steps between two truths is not a flight.
+const MAX_SWEEP_STEPS: usize = 1000;
+
+/// How a flight ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Outcome {
+    /// The vehicle came within the goal's radius.
+    Success,
+    /// The vehicle touched an obstacle or the ceiling, or hit the ground.
+    Collision,
+    /// The vehicle left the bounds, or its position was not a number.
+    OutOfBounds,
+    /// The time limit passed.
+    TimeOut,
+}
+
+impl Outcome {
+    /// All outcomes.
+    pub const ALL: [Self; 4] = [Self::Success, Self::Collision, Self::OutOfBounds, Self::TimeOut];
+
+    /// Name in tables and files; [`core::str::FromStr`] reads it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Success => "success",
+            Self::Collision => "collision",
+            Self::OutOfBounds => "out of bounds",
+            Self::TimeOut => "time-out",
+        }
+    }
+}
+
+/// A name that is no outcome's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("not an outcome: success, collision, out of bounds or time-out")]
+pub struct UnknownOutcome;
+
+impl core::str::FromStr for Outcome {
+    type Err = UnknownOutcome;
+
+    fn from_str(name: &str) -> Result<Self, UnknownOutcome> {
+        let known = Self::ALL.into_iter().find(|outcome| outcome.name() == name);
+        known.ok_or(UnknownOutcome)
+    }
+}
+
+impl core::fmt::Display for Outcome {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Watches the true motion and says when the flight is over. The first end counts; later motion changes nothing.
+#[derive(Debug, Clone)]
+pub struct Referee {
+    goal_ned_m: NedVector,
+    goal_radius_m: f32,
+    time_limit_ns: Nanos,
+    bounds: crate::world::course::Bounds,
+    checkpoints: Vec<Checkpoint>,
+    passed: usize,
+    started_ns: Option<Nanos>,
+    last_ned_m: Option<NedVector>,
+    /// The world's time at the last truth.
+    last_world_ns: Option<Nanos>,
+    /// As long as the vehicle stays within `free_radius_m` of `free_centre_ned_m`, no obstacle can be touched: its way from there
+    /// and the fastest mover's way since `free_since_ns` together have to be longer than that.
+    free_centre_ned_m: NedVector,
+    free_since_ns: Nanos,
+    free_radius_m: f32,
+    outcome: Option<Outcome>,
+    ended_ns: Nanos,
+}
+
+impl Referee {
+    /// A referee for one flight over a course. The clock starts with the first truth it is shown.
+    pub fn new(course: &Course) -> Self {
+        Self {
+            goal_ned_m: course.goal_ned_m(),
+            goal_radius_m: course.goal_radius_m,
+            // Checked to be at most an hour, so the product fits.
+            time_limit_ns: (f64::from(course.time_limit_s) * 1e9) as Nanos,
+            bounds: course.bounds,
+            checkpoints: course.checkpoints.clone(),
+            passed: 0,
+            started_ns: None,
+            last_ned_m: None,
+            last_world_ns: None,
+            free_centre_ned_m: NedVector::ZERO,
+            free_since_ns: 0,
+            free_radius_m: -1.0,
+            outcome: None,
+            ended_ns: 0,
+        }
+    }
+
+    /// Shows the referee the truth at `at_ns`, with the world at the same moment ([`World::set_time_ns`], whose clock may have
+    /// another zero); returns the outcome once there is one. Of several ends in one step, collision
+    /// comes before out of bounds, success and time-out.
+    pub fn observe(
+        &mut self,
+        world: &World,
+        at_ns: Nanos,
+        position_ned_m: NedVector,
+        attitude: Attitude,
+        velocity_ned_m_s: NedVector,
+    ) -> Option<Outcome> {
+        if self.outcome.is_some() {
+            return self.outcome;
+        }
+        let started_ns = *self.started_ns.get_or_insert(at_ns);
+        let from = self.last_ned_m.replace(position_ned_m).unwrap_or(position_ned_m);
+        let finite = position_ned_m.is_finite() && attitude.is_valid() && velocity_ned_m_s.is_finite();
+        self.outcome = if !finite {
+            Some(Outcome::OutOfBounds)
+        } else if self.touches(world, from, position_ned_m, attitude)
+            || crashed_into_ground(position_ned_m, attitude, velocity_ned_m_s)
+        {
+            Some(Outcome::Collision)
+        } else if !self.bounds.contains(position_ned_m) {
+            Some(Outcome::OutOfBounds)
+        } else if (position_ned_m - self.goal_ned_m).norm() <= self.goal_radius_m {
+            Some(Outcome::Success)
+        } else if at_ns.saturating_sub(started_ns) >= self.time_limit_ns {
+            Some(Outcome::TimeOut)
+        } else {
+            None
+        };
+        if self.outcome.is_some() {
+            self.ended_ns = at_ns;
+        }
+        self.count_checkpoints(position_ned_m);
+        self.outcome
+    }
+
+    /// How the flight ended, if it has.
+    pub fn outcome(&self) -> Option<Outcome> {
+        self.outcome
+    }
+
+    /// From the first truth to the end, in seconds; `None` while the flight lasts.
+    pub fn duration_s(&self) -> Option<f64> {
+        let started_ns = self.started_ns?;
+        self.outcome?;
+        Some((self.ended_ns - started_ns) as f64 * 1e-9)
+    }
+
+    /// Checkpoints passed so far; they count in order.
+    pub fn checkpoints_passed(&self) -> usize {
+        self.passed
+    }
+
+    /// Whether the vehicle touches anything on the way between two positions, while the movers go theirs.
+    fn touches(&mut self, world: &World, from: NedVector, to: NedVector, attitude: Attitude) -> bool {
+        let now_ns = world.time_ns();
+        let since_ns = self.last_world_ns.replace(now_ns).unwrap_or(now_ns);
+        let between_ns = now_ns.saturating_sub(since_ns);
+        let way = to - from;
+        let both_m = way.norm() + world.fastest_mover_m_s() * seconds(between_ns);
+        let steps = ((both_m / SWEEP_STEP_M).ceil() as usize).clamp(1, MAX_SWEEP_STEPS);
+        (1..=steps).any(|k| {
+            let before_ns = between_ns / steps as Nanos * (steps - k) as Nanos;
+            self.touches_at(
+                world,
+                now_ns - before_ns,
+                from + way * (k as f32 / steps as f32),
+                attitude,
+            )
+        })
+    }
+
+    fn touches_at(&mut self, world: &World, at_ns: Nanos, position_ned_m: NedVector, attitude: Attitude) -> bool {
+        let nearer_m = (position_ned_m - self.free_centre_ned_m).norm()
+            + world.fastest_mover_m_s() * seconds(at_ns.abs_diff(self.free_since_ns));
+        if nearer_m < self.free_radius_m {
+            return false;
+        }
+        self.free_centre_ned_m = position_ned_m;
+        self.free_since_ns = at_ns;
+        // 1 mm for rounding.
+        self.free_radius_m = world.clearance_at_m(at_ns, position_ned_m) - VEHICLE.bounding_radius_m() - 1e-3;
+        self.free_radius_m <= 0.0 && world.collides_at(at_ns, &VEHICLE, position_ned_m, attitude)
+    }
+
+    fn count_checkpoints(&mut self, position_ned_m: NedVector) {
+        while let Some(c) = self.checkpoints.get(self.passed) {
+            let heading = radians(c.heading_deg);
+            let beyond_m = (position_ned_m.x - c.north_m) * libm::cosf(heading)
+                + (position_ned_m.y - c.east_m) * libm::sinf(heading);
+            if beyond_m < 0.0 {
+                break;
+            }
+            self.passed += 1;
+        }
+    }
+}
+
+fn seconds(ns: Nanos) -> f32 {
+    ns as f32 * 1e-9
+}
+
+/// Whether the vehicle touches the ground faster or more tilted than a landing does. It touches when its lowest point is at
+/// or below the ground.
+fn crashed_into_ground(position_ned_m: NedVector, attitude: Attitude, velocity_ned_m_s: NedVector) -> bool {
+    let lowest_m = -position_ned_m.z - VEHICLE.vertical_reach_m(attitude);
+    let cos_tilt = 1.0 - 2.0 * (attitude.x * attitude.x + attitude.y * attitude.y);
+    lowest_m <= 0.0 && (velocity_ned_m_s.z > GROUND_CRASH_SPEED_M_S || cos_tilt < GROUND_CRASH_COS_TILT)
+}

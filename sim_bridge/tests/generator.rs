@@ -1,0 +1,321 @@
+//! What every generated course promises.
+
+use std::sync::LazyLock;
+use vigil_sim::world::{Course, Family, HARD_CORRIDOR_MARGIN_M, Solid, VEHICLE, World, generate, generate_long};
+
+const SEEDS: u64 = 150;
+
+/// The courses of a family, made once for all tests.
+fn courses(family: Family) -> impl Iterator<Item = &'static Course> {
+    static ALL: [LazyLock<Vec<Course>>; 4] = [
+        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Training, seed)).collect()),
+        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Validation, seed)).collect()),
+        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Hard, seed)).collect()),
+        LazyLock::new(|| (0..SEEDS).map(|seed| generate(Family::Dense, seed)).collect()),
+    ];
+    ALL[family as usize].iter()
+}
+
+/// Plan distance from a point to the nearest obstacle that reaches into the band of heights around the flight height.
+fn plan_clearance_m(course: &Course, north_m: f32, east_m: f32) -> f32 {
+    let half_m = 0.5 * VEHICLE.height_m + course.corridor_margin_m();
+    let band = (course.flight_height_m - half_m)..(course.flight_height_m + half_m);
+    let solids = course.solids();
+    let in_band = solids
+        .iter()
+        .filter(|s| s.bottom_m() < band.end && s.top_m() > band.start);
+    in_band
+        .map(|s| s.plan_distance_m(north_m, east_m))
+        .fold(f32::INFINITY, f32::min)
+}
+
+#[test]
+fn every_course_has_a_corridor_that_keeps_its_margin() {
+    for family in Family::ALL {
+        for course in courses(family) {
+            let way = course
+                .corridor()
+                .unwrap_or_else(|| panic!("{} has no way", course.name));
+            assert_eq!(way.first(), Some(&[course.start.north_m, course.start.east_m]));
+            assert_eq!(way.last(), Some(&[course.goal.north_m, course.goal.east_m]));
+            for leg in way.windows(2) {
+                let steps = 40;
+                for k in 0..=steps {
+                    let f = k as f32 / steps as f32;
+                    let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
+                    assert!(course.bounds.contains_plan(at[0], at[1]));
+                    let clearance_m = plan_clearance_m(course, at[0], at[1]);
+                    assert!(
+                        clearance_m >= VEHICLE.radius_m + course.corridor_margin_m() - 0.01,
+                        "{}: {clearance_m} m at {at:?}",
+                        course.name
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn every_course_is_valid_and_survives_its_file() {
+    for family in Family::ALL {
+        for course in courses(family) {
+            course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
+            let text = course.to_toml_string().expect("writable");
+            assert_eq!(&Course::from_toml_str(&text, "again").expect("readable"), course);
+        }
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_course_and_others_differ() {
+    for family in Family::ALL {
+        assert_eq!(generate(family, 5), generate(family, 5));
+        assert_ne!(generate(family, 5).solids(), generate(family, 6).solids());
+    }
+    assert_ne!(
+        generate(Family::Training, 5).solids(),
+        generate(Family::Validation, 5).solids()
+    );
+}
+
+#[test]
+fn the_goal_is_the_papers_on_either_side() {
+    let right = courses(Family::Validation).filter(|c| c.goal.east_m > 0.0).count() as f64 / SEEDS as f64;
+    assert!((0.35..0.65).contains(&right), "{right}");
+    assert!(courses(Family::Training).all(|c| c.goal.north_m == 20.0 && c.goal.east_m.abs() == 5.0));
+}
+
+#[test]
+fn a_validation_course_has_every_kind_of_obstacle_and_blocks_the_straight_way() {
+    let mut blocked = 0;
+    let mut complete = 0;
+    for course in courses(Family::Validation) {
+        blocked += usize::from(course.straight_line_is_blocked());
+        let kinds = [
+            course.columns.len(),
+            course.boxes.len(),
+            course.walls.len(),
+            course.overhangs.len(),
+        ];
+        complete += usize::from(kinds.iter().all(|n| *n > 0));
+        assert!(kinds.iter().sum::<usize>() >= 8, "{}: {kinds:?}", course.name);
+    }
+    assert!(
+        blocked as f64 >= 0.9 * SEEDS as f64,
+        "{blocked} of {SEEDS} straight lines are blocked"
+    );
+    assert!(
+        complete as f64 >= 0.9 * SEEDS as f64,
+        "{complete} of {SEEDS} have all kinds"
+    );
+}
+
+/// Doors: gaps between two walls in one line, by the walls' ends that face each other.
+fn doors(course: &Course) -> Vec<([f32; 2], f32)> {
+    let across: Vec<_> = course
+        .walls
+        .iter()
+        .filter(|w| w.from_m[1] == -9.0 || w.to_m[1] == 9.0)
+        .filter(|w| w.from_m[1] != w.to_m[1] && (w.to_m[1] - w.from_m[1]).abs() < 17.0)
+        .collect();
+    across
+        .chunks(2)
+        .map(|pair| {
+            let (a, b) = (pair[0].to_m, pair[1].from_m);
+            let middle = [0, 1].map(|k| 0.5 * (a[k] + b[k]));
+            (middle, (a[0] - b[0]).hypot(a[1] - b[1]))
+        })
+        .collect()
+}
+
+#[test]
+fn a_hard_course_leads_through_narrow_doors_that_lie_aside_of_each_other() {
+    let (mut two_or_more, mut lintels) = (0, 0);
+    for course in courses(Family::Hard) {
+        let doors = doors(course);
+        assert!((1..=3).contains(&doors.len()), "{}: {doors:?}", course.name);
+        two_or_more += usize::from(doors.len() >= 2);
+        let mut before_m = 0.0;
+        for (middle, width_m) in &doors {
+            assert!(
+                (1.58..=2.22).contains(width_m),
+                "{}: a door of {width_m} m",
+                course.name
+            );
+            assert!((middle[1] - before_m).abs() > 1.0, "{}: {doors:?}", course.name);
+            before_m = middle[1];
+            // A lintel is flown under: it hangs above the height that the corridor needs.
+            lintels += course
+                .overhangs
+                .iter()
+                .filter(|o| o.bottom_m >= 1.9 && o.solid().plan_distance_m(middle[0], middle[1]) < 0.0)
+                .count();
+        }
+        // No way around: with the doors walled up there is none.
+        let mut closed = course.clone();
+        closed
+            .walls
+            .extend(doors.iter().map(|(middle, _)| vigil_sim::world::Wall {
+                from_m: [middle[0], middle[1] - 1.2],
+                to_m: [middle[0], middle[1] + 1.2],
+                thickness_m: 0.3,
+                height_m: 3.0,
+            }));
+        assert!(
+            closed.corridor().is_none(),
+            "{} has a way around its doors",
+            course.name
+        );
+        assert!(course.straight_line_is_blocked());
+    }
+    assert!(two_or_more > 60 && lintels > 60, "{two_or_more} {lintels}");
+}
+
+#[test]
+fn a_hard_course_can_be_flown_whenever_one_leaves() {
+    for course in courses(Family::Hard).take(25) {
+        for depart_s in [0.0, 4.7, 21.3, 60.0] {
+            let arrival_s = course
+                .earliest_arrival_s(depart_s)
+                .unwrap_or_else(|| panic!("{}: no way from {depart_s} s on", course.name));
+            assert!(arrival_s > depart_s + 14.0, "{}: {arrival_s} s", course.name);
+        }
+    }
+}
+
+#[test]
+fn no_mover_keeps_any_point_of_the_way_for_good() {
+    let mut blocked_at_times = 0;
+    for course in courses(Family::Hard) {
+        let way = course.corridor().expect("a way");
+        let needed_m = VEHICLE.radius_m + HARD_CORRIDOR_MARGIN_M;
+        for mover in &course.movers {
+            // A whole period in 64 steps.
+            let solids: Vec<Solid> = (0..64)
+                .map(|k| mover.solid_at((mover.period_s() * 1e9 / 64.0) as u64 * k))
+                .collect();
+            for leg in way.windows(2) {
+                for f in (0..=20).map(|k| k as f32 / 20.0) {
+                    let at = [0, 1].map(|i| leg[0][i] + f * (leg[1][i] - leg[0][i]));
+                    let clear = solids
+                        .iter()
+                        .filter(|s| s.plan_distance_m(at[0], at[1]) >= needed_m)
+                        .count();
+                    blocked_at_times += usize::from(clear < 64);
+                    assert!(
+                        clear >= 16,
+                        "{}: {at:?} is free for {clear}/64 of the time",
+                        course.name
+                    );
+                }
+            }
+        }
+    }
+    // The movers do get in the way.
+    assert!(blocked_at_times > 1000, "{blocked_at_times}");
+}
+
+#[test]
+fn movers_run_into_nothing_and_keep_away_from_start_and_goal() {
+    let mut count = 0;
+    for course in courses(Family::Hard) {
+        count += course.movers.len();
+        let solids = course.solids();
+        for mover in &course.movers {
+            assert!(mover.speed_m_s <= vigil_sim::world::MAX_MOVER_SPEED_M_S);
+            for k in 0..64 {
+                let solid = mover.solid_at((mover.period_s() * 1e9 / 64.0) as u64 * k);
+                let gap_m = solids.iter().map(|s| s.plan_gap_m(&solid)).fold(9.0, f32::min);
+                assert!(gap_m > 0.2, "{}: {gap_m} m", course.name);
+                assert!(solid.plan_distance_m(0.0, 0.0) > 2.4);
+                assert!(solid.plan_distance_m(course.goal.north_m, course.goal.east_m) > 1.9);
+            }
+        }
+    }
+    assert!(count as u64 >= SEEDS, "{count}");
+}
+
+#[test]
+fn the_start_is_free_and_the_vehicle_can_stand_there() {
+    for family in Family::ALL {
+        for course in courses(family) {
+            let world = World::new(course);
+            assert!(world.clearance_m(course.start_ned_m()) > 1.0);
+            assert!(world.clearance_m(course.goal_ned_m()) > VEHICLE.radius_m);
+        }
+    }
+}
+
+#[test]
+fn a_dense_course_has_a_third_more_obstacles_than_a_validation_course() {
+    let mean = |family| courses(family).map(|c| c.solids().len()).sum::<usize>() as f64 / SEEDS as f64;
+    let (dense, validation) = (mean(Family::Dense), mean(Family::Validation));
+    assert!(dense > 1.33 * validation, "{dense} against {validation}");
+}
+
+/// Reported by the note on courses (docs/courses.md).
+#[test]
+fn figures_of_the_families() {
+    for family in Family::ALL {
+        let (mut blocked, mut obstacles, mut detour) = (0, 0, 0.0);
+        for course in courses(family) {
+            blocked += usize::from(course.straight_line_is_blocked());
+            obstacles += course.solids().len() + course.movers.len();
+            let way = course.corridor().expect("a way");
+            let length: f32 = way
+                .windows(2)
+                .map(|l| (l[1][0] - l[0][0]).hypot(l[1][1] - l[0][1]))
+                .sum();
+            detour += f64::from(length) / 425f64.sqrt();
+        }
+        let n = SEEDS as f64;
+        println!(
+            "{family}: {:.0} % of straight lines blocked, {:.1} obstacles, way {:.3} x the straight line",
+            100.0 * blocked as f64 / n,
+            obstacles as f64 / n,
+            detour / n
+        );
+        assert!(detour / n >= 1.0);
+    }
+}
+
+#[test]
+fn a_long_course_is_its_arenas_in_a_row_with_a_way_through_and_limits_that_grow_with_it() {
+    for (seed, goal_m) in [(1, 30.0), (2, 60.0), (3, 61.5), (4, 150.0), (5, 222.22), (6, 300.0)] {
+        let course = generate_long(Family::Validation, seed, goal_m).expect("not hard");
+        course.check().unwrap_or_else(|e| panic!("{}: {e}", course.name));
+        let text = course.to_toml_string().expect("writable");
+        assert_eq!(Course::from_toml_str(&text, "again").expect("readable"), course);
+        assert_eq!(course, generate_long(Family::Validation, seed, goal_m).expect("again"));
+        assert_eq!(course.goal.north_m, goal_m);
+        assert!(course.goal.east_m.abs() <= 5.0);
+        assert!(course.bounds.contains_plan(goal_m + 4.0, course.goal.east_m));
+        assert!(course.corridor().is_some() && course.straight_line_is_blocked());
+        assert!((course.time_limit_s - 90.0 * goal_m / 20.0).abs() < 0.1);
+        let in_order = course.checkpoints.windows(2).all(|c| c[0].north_m < c[1].north_m);
+        let spacing_m = goal_m / (course.checkpoints.len() as f32 + 1.0);
+        assert!(in_order && (4.0..8.0).contains(&spacing_m), "{spacing_m}");
+
+        // As dense as the family, along all of its length.
+        let obstacles_in = |course: &Course, from_m: f32, to_m: f32| {
+            let centres = course.solids().into_iter().map(|s| s.centre_ned_m().x);
+            centres.filter(|north_m| (from_m..to_m).contains(north_m)).count() as f32
+        };
+        let usual = courses(Family::Validation)
+            .map(|c| obstacles_in(c, 0.0, 20.0))
+            .sum::<f32>()
+            / SEEDS as f32;
+        let here = obstacles_in(&course, 0.0, goal_m) * 20.0 / goal_m;
+        assert!(
+            (0.5 * usual..1.7 * usual).contains(&here),
+            "{}: {here} of {usual}",
+            course.name
+        );
+    }
+    assert_eq!(generate_long(Family::Hard, 1, 100.0), None);
+    assert_ne!(
+        generate_long(Family::Validation, 1, 100.0).expect("a course").solids(),
+        generate_long(Family::Validation, 2, 100.0).expect("a course").solids()
+    );
+}

@@ -1,0 +1,335 @@
+//! What the depth image shows, judged by marching through the course's distance field, which shares nothing with the caster.
+
+use vigil_sim::world::{
+    Course, Family, LIDAR_FIRINGS, Lidar, LidarConfig, Shot, Solid, World, generate, pixel_of, ring_row,
+};
+use vigil_types::{
+    Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FrdVector, NedVector, column_bearing_rad, row_elevation_rad,
+};
+
+/// Range along a pixel's ray by sphere tracing; `None` beyond `max_m`.
+fn march_m(course: &Course, solids: &[Solid], from: NedVector, direction: NedVector, max_m: f32) -> Option<f32> {
+    let mut t = 0.0;
+    for _ in 0..20_000 {
+        let distance_m = surface_distance_m(course, solids, from + direction * t);
+        if distance_m < 2e-4 {
+            return Some(t);
+        }
+        t += distance_m;
+        if t > max_m {
+            return None;
+        }
+    }
+    Some(t)
+}
+
+/// Distance from a point to the nearest surface: obstacle, ground or ceiling.
+fn surface_distance_m(course: &Course, solids: &[Solid], at: NedVector) -> f32 {
+    let ceiling_m = course.ceiling_height_m.map_or(f32::INFINITY, |c| (c + at.z).max(0.0));
+    let planes_m = (-at.z).max(0.0).min(ceiling_m);
+    solids.iter().map(|s| s.distance_m(at)).fold(planes_m, f32::min)
+}
+
+fn pixel_direction_frd(row: usize, col: usize) -> FrdVector {
+    let (e, b) = (row_elevation_rad(row as f32), column_bearing_rad(col as f32));
+    FrdVector::new(e.cos() * b.cos(), e.cos() * b.sin(), -e.sin())
+}
+
+fn shot(position_ned_m: NedVector, attitude: Attitude, sequence: u64) -> Shot {
+    Shot {
+        position_ned_m,
+        attitude,
+        estimated_position_ned_m: position_ned_m,
+        estimated_attitude: attitude,
+        stamp_ns: sequence * 50_000_000,
+        sequence,
+        sensor_id: 3,
+    }
+}
+
+fn poses() -> [(NedVector, Attitude); 3] {
+    [
+        (NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH),
+        (
+            NedVector::new(2.0, 0.5, -1.4),
+            Attitude::from_euler_rad(0.15, -0.2, 0.5),
+        ),
+        (
+            NedVector::new(1.0, -1.0, -1.7),
+            Attitude::from_euler_rad(-0.3, 0.1, -0.7),
+        ),
+    ]
+}
+
+fn capture(config: LidarConfig, seed: u64, course: &Course, shot: &Shot) -> Box<DepthFrame> {
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    Lidar::new(config, seed)
+        .expect("valid")
+        .capture(&World::new(course), shot, &mut frame);
+    frame
+}
+
+fn range_m(frame: &DepthFrame, row: usize, col: usize) -> f32 {
+    frame.range_m(row, col).expect("in the image")
+}
+
+fn open_field() -> Course {
+    let mut course = generate(Family::Training, 0);
+    course.columns.clear();
+    course.boxes.clear();
+    course.walls.clear();
+    course.overhangs.clear();
+    course.ceiling_height_m = None;
+    course
+}
+
+#[test]
+fn an_ideal_sensors_measured_rows_show_the_true_ranges() {
+    let (mut compared, mut silhouettes) = (0, 0);
+    for seed in 0..4 {
+        let course = generate(Family::Validation, seed);
+        let solids = course.solids();
+        for (position, attitude) in poses() {
+            let frame = capture(LidarConfig::ideal(), 0, &course, &shot(position, attitude, 0));
+            assert_eq!(frame.check(3), Ok(()));
+            for row in (0..DEPTH_ROWS).step_by(10) {
+                for col in (0..DEPTH_COLS).step_by(5) {
+                    let direction = attitude.to_ned(pixel_direction_frd(row, col));
+                    let truth = march_m(&course, &solids, position, direction, 60.0).unwrap_or(100.0);
+                    let seen = range_m(&frame, row, col);
+                    compared += 1;
+                    if (truth - seen).abs() > 0.01 + 1e-3 * truth {
+                        silhouettes += 1;
+                    }
+                }
+            }
+        }
+    }
+    // A ray along a silhouette may count as a hit for one and as a miss for the other; the gap filler also acts at single pixels.
+    assert!(
+        compared > 7000 && silhouettes * 500 < compared,
+        "{silhouettes} of {compared}"
+    );
+}
+
+#[test]
+fn no_range_appears_in_mid_air() {
+    let (mut between, mut on_surface, mut phantoms) = (0, 0, 0);
+    for seed in 0..6 {
+        let course = generate(Family::Validation, seed);
+        let solids = course.solids();
+        for (position, attitude) in poses() {
+            let frame = capture(LidarConfig::ideal(), 0, &course, &shot(position, attitude, 0));
+            for row in (1..DEPTH_ROWS - 1).step_by(2) {
+                for col in (0..DEPTH_COLS).step_by(3) {
+                    let seen = range_m(&frame, row, col);
+                    if seen >= 100.0 {
+                        continue;
+                    }
+                    between += 1;
+                    let point = position + attitude.to_ned(pixel_direction_frd(row, col)) * seen;
+                    // A pixel's own size is allowed: half a pitch up or down may be where the surface ends.
+                    let allowed_m = 0.02 + 0.0082 * seen;
+                    if surface_distance_m(&course, &solids, point) <= allowed_m {
+                        on_surface += 1;
+                    } else if seen < range_m(&frame, row - 1, col).min(range_m(&frame, row + 1, col)) - 1e-3
+                        || seen > range_m(&frame, row - 1, col).max(range_m(&frame, row + 1, col)) + 1e-3
+                        || (seen - range_m(&frame, row - 1, col))
+                            .abs()
+                            .min((seen - range_m(&frame, row + 1, col)).abs())
+                            > 0.11
+                    {
+                        phantoms += 1;
+                    }
+                }
+            }
+        }
+    }
+    assert!(between > 30_000, "{between}");
+    assert!(on_surface * 1000 > between * 990, "{on_surface} of {between}");
+    assert!(phantoms * 10_000 < between, "{phantoms} phantoms of {between}");
+}
+
+#[test]
+fn the_ground_between_two_rings_is_interpolated_onto_the_ground() {
+    let course = open_field();
+    let frame = capture(
+        LidarConfig::ideal(),
+        0,
+        &course,
+        &shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 0),
+    );
+    for row in 70..DEPTH_ROWS - 1 {
+        let expected = 1.5 / -row_elevation_rad(row as f32).sin();
+        let seen = range_m(&frame, row, 128);
+        assert!(
+            (seen - expected).abs() < 2e-3 * expected,
+            "row {row}: {seen} instead of {expected}"
+        );
+    }
+    assert_eq!(range_m(&frame, 10, 128), 100.0, "the sky returns nothing");
+}
+
+#[test]
+fn nothing_beyond_the_maximum_range_returns() {
+    let config = LidarConfig {
+        max_range_m: 12.0,
+        ..LidarConfig::ideal()
+    };
+    let course = open_field();
+    let frame = capture(
+        config,
+        0,
+        &course,
+        &shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 0),
+    );
+    assert!(frame.depth.iter().all(|d| *d <= 0.1201 || *d == 1.0));
+    assert!(frame.depth.iter().any(|d| *d > 0.1 && *d < 0.12));
+}
+
+#[test]
+fn a_surface_nearer_than_the_minimum_range_is_shown_at_it() {
+    let config = LidarConfig {
+        min_range_m: 1.0,
+        ..LidarConfig::ideal()
+    };
+    let course = open_field();
+    let frame = capture(
+        config,
+        0,
+        &course,
+        &shot(NedVector::new(0.0, 0.0, -0.4), Attitude::LEVEL_NORTH, 0),
+    );
+    assert_eq!(range_m(&frame, 126, 128), 1.0);
+}
+
+#[test]
+fn noise_has_the_configured_size_and_no_bias() {
+    let course = open_field();
+    let pose = shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 0);
+    let ideal = capture(LidarConfig::ideal(), 0, &course, &pose);
+    for sigma_m in [0.02, 0.04] {
+        let config = LidarConfig {
+            range_noise_sigma_m: sigma_m,
+            dropout_probability: 0.0,
+            ..LidarConfig::default()
+        };
+        let noisy = capture(config, 9, &course, &pose);
+        let errors: Vec<f64> = (ring_row(45)..DEPTH_ROWS)
+            .step_by(2)
+            .flat_map(|row| (0..DEPTH_COLS).map(move |col| (row, col)))
+            .map(|(row, col)| f64::from(range_m(&noisy, row, col) - range_m(&ideal, row, col)))
+            .collect();
+        let n = errors.len() as f64;
+        let mean = errors.iter().sum::<f64>() / n;
+        let sigma = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt();
+        assert!(mean.abs() < 5.0 * f64::from(sigma_m) / n.sqrt(), "{mean}");
+        assert!((sigma / f64::from(sigma_m) - 1.0).abs() < 0.05, "{sigma}");
+    }
+}
+
+#[test]
+fn dropouts_are_filled_and_leave_no_holes() {
+    let course = generate(Family::Validation, 3);
+    let world = World::new(&course);
+    let config = LidarConfig {
+        range_noise_sigma_m: 0.0,
+        ..LidarConfig::default()
+    };
+    let mut sensor = Lidar::new(config, 4).expect("valid");
+    let mut ideal_sensor = Lidar::new(LidarConfig::ideal(), 4).expect("valid");
+    let (mut lost, mut holes, mut returns) = (0, 0, 0);
+    let (mut frame, mut ideal) = (Box::new(DepthFrame::EMPTY), Box::new(DepthFrame::EMPTY));
+    for k in 0..20 {
+        let pose = shot(NedVector::new(0.2 * k as f32, 0.0, -1.5), Attitude::LEVEL_NORTH, k);
+        sensor.capture(&world, &pose, &mut frame);
+        ideal_sensor.capture(&world, &pose, &mut ideal);
+        returns += ideal_sensor.points_frd_m().count();
+        lost += ideal_sensor.points_frd_m().count() - sensor.points_frd_m().count();
+        holes += frame
+            .depth
+            .iter()
+            .zip(&ideal.depth)
+            .filter(|(f, i)| **f == 1.0 && **i < 1.0)
+            .count();
+    }
+    let share = lost as f64 / returns as f64;
+    assert!((share - 0.01).abs() < 0.001, "{share}");
+    assert!(holes < lost / 20, "{holes} holes left by {lost} lost beams");
+}
+
+#[test]
+fn every_measured_point_projects_to_the_pixel_that_shows_it() {
+    let course = generate(Family::Validation, 2);
+    let mut sensor = Lidar::new(LidarConfig::default(), 11).expect("valid");
+    let mut frame = Box::new(DepthFrame::EMPTY);
+    sensor.capture(
+        &World::new(&course),
+        &shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, 5),
+        &mut frame,
+    );
+    let mut count = 0;
+    for point in sensor.points_frd_m() {
+        let (row, col, range) = pixel_of(point).expect("in view");
+        assert!(row % 2 == 0 && col < LIDAR_FIRINGS);
+        assert!((range_m(&frame, row, col) - range).abs() < 1e-3, "{row} {col}");
+        count += 1;
+    }
+    assert!(count > 6000, "{count}");
+}
+
+#[test]
+fn the_seed_and_the_frames_number_fix_every_bit() {
+    let course = generate(Family::Training, 2);
+    let pose = |sequence| shot(NedVector::new(0.0, 0.0, -1.5), Attitude::LEVEL_NORTH, sequence);
+    let config = LidarConfig::default();
+    let frame = capture(config, 1, &course, &pose(7));
+    assert_eq!(frame, capture(config, 1, &course, &pose(7)));
+    assert_ne!(frame.depth, capture(config, 1, &course, &pose(8)).depth);
+    assert_ne!(frame.depth, capture(config, 2, &course, &pose(7)).depth);
+    // Order does not matter: the seventh frame of a flight is the seventh frame taken alone.
+    let mut sensor = Lidar::new(config, 1).expect("valid");
+    let world = World::new(&course);
+    let mut last = Box::new(DepthFrame::EMPTY);
+    for sequence in 0..8 {
+        sensor.capture(&world, &pose(sequence), &mut last);
+    }
+    assert_eq!(frame, last);
+}
+
+#[test]
+fn a_config_that_makes_no_sense_is_refused_by_field() {
+    for (config, expected) in [
+        (
+            LidarConfig {
+                range_noise_sigma_m: f32::NAN,
+                ..LidarConfig::default()
+            },
+            "lidar: `range_noise_sigma_m` is NaN",
+        ),
+        (
+            LidarConfig {
+                dropout_probability: 1.5,
+                ..LidarConfig::default()
+            },
+            "lidar: `dropout_probability` is 1.5",
+        ),
+        (
+            LidarConfig {
+                max_range_m: 400.0,
+                ..LidarConfig::default()
+            },
+            "lidar: `max_range_m` is 400",
+        ),
+        (
+            LidarConfig {
+                min_range_m: 0.0,
+                ..LidarConfig::default()
+            },
+            "lidar: `min_range_m` is 0",
+        ),
+    ] {
+        let error = Lidar::new(config, 0).err().expect("must be refused").to_string();
+        assert!(error.starts_with(expected), "{error}");
+    }
+}
