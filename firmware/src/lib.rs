@@ -18,6 +18,7 @@ pub mod arguments;
 pub mod config;
 #[cfg(feature = "std")]
 mod console;
+mod deciding;
 mod frame_keeper;
 mod guarding;
 mod leg;

@@ -9,9 +9,9 @@
     clippy::alloc_instead_of_core
 )]
 
+use crate::deciding::{Deciding, Decision, View};
 use crate::frame_keeper::{FrameKeeper, FrameRefusals, Refusal};
 use crate::guarding::{Guarded, Guarding, GuardingInput};
-use crate::leg::{LedTo, Leg, along_path, turned_to_path};
 use crate::motion::Motion;
 use crate::pilots::Pilots;
 use crate::tunables::Tunables;
@@ -21,11 +21,10 @@ use vigil_guidance::{
 use vigil_mavlink::common::{COMMAND_LONG_DATA, MavCmd, MavMessage};
 use vigil_mavlink::{Companion, CompanionConfig, LET_GO, LinkCounters, MavHeader, Parameters, StatusText, framing};
 use vigil_policy::actor::Actor;
-use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, PlausibilityJudge, SecondSensor};
+use vigil_policy::{FlightPilot, GeometricConfig, GeometricPilot, PilotInput, PlausibilityJudge, SecondSensor};
 use vigil_types::{
-    Action, AlarmResponse, Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GoalRelative, GuardNotice,
-    GuidanceState, Judgement, Nanos, NedVector, OperatorRequest, Reason, Reasons, RequestOutcome, StepReport,
-    StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
+    Datagrams, DepthFrame, Duty, FrameDefect, FrameKeys, Goal, GuardNotice, GuidanceState, Nanos, OperatorRequest,
+    Reason, Reasons, RequestOutcome, StepReport, StepTiming, VehicleRequest, VehicleTelemetry, Verdict,
 };
 
 /// MAVLink's usual identity of a ground station.
@@ -97,19 +96,9 @@ pub struct FlightStack {
     guidance: Guidance,
     /// Guards somebody else's flight; `None` when that is not its duty.
     guarding: Option<Guarding>,
-    pilots: Pilots,
-    /// The vehicle was flown by the recovery pilot, or by an imported policy along its path, in the step before.
-    along_path: bool,
-    /// The recovery pilot flew since the alarm was raised; while the vehicle stops for its own course too.
-    recovery_flew: bool,
-    /// The pilot was asked in the step before.
-    pilot_asked: bool,
-    /// Jumps of the odometry that were told of.
+    deciding: Deciding,
+    /// Jumps of the odometry that people were told of.
     forgotten: u32,
-    /// What an imported policy follows to a far goal.
-    leg: Leg,
-    /// The recovery pilot has seen nothing since its last reset.
-    recovery_is_new: bool,
     tunables: Tunables,
     component_id: u8,
     link: u8,
@@ -160,30 +149,32 @@ impl FlightStack {
             tunables,
             guidance,
             guarding: (config.duty != Duty::Fly).then(|| Guarding::new(config.just_stop)),
-            pilots,
-            along_path: false,
-            recovery_flew: false,
-            pilot_asked: false,
+            deciding: Deciding::new(pilots),
             forgotten: 0,
-            leg: Leg::default(),
-            recovery_is_new: true,
             component_id: config.companion.component_id,
             link: config.companion.link,
         })
     }
 
-    /// One step: what came in, what is known of the vehicle, what the pilot wants, what guidance permits, what goes out.
+    /// One step: what came in, what is known of the vehicle, what the pilots want, what guidance permits, what goes out.
     pub fn tick(&mut self, input: &TickInput<'_>, output: &mut TickOutput) {
         let now_ns = input.now_ns;
-
-        // Acquire.
-        let outcome = input
+        let taken = input
             .frame
             .map(|frame| self.frames.take(frame, input.frame_known_altered, now_ns));
-        let taken = outcome.map(|outcome| outcome.is_ok());
-        let refused = taken == Some(false);
-        let unauthenticated = outcome == Some(Err(Refusal::Defect(FrameDefect::BadTag)));
-        for (link, datagram) in input.received.iter() {
+        self.receive(now_ns, input.received);
+        let seen = self.observe(now_ns, taken);
+        let decided = self.decide(&seen);
+        let guided = self.guidance.step(&self.guidance_input(input.timing, &seen, &decided));
+        let guarded = self.guard(&seen, &guided);
+        self.deciding.note(guided.alarm);
+        output.report = self.report(input.timing, &seen, &decided, &guided, &guarded);
+        self.emit(&decided, &guided, &guarded, output);
+    }
+
+    /// Takes what the links received; answers what operators ask.
+    fn receive(&mut self, now_ns: Nanos, received: &Datagrams) {
+        for (link, datagram) in received.iter() {
             self.companion.receive(now_ns, link, datagram);
         }
         // As many as were queued: the companion's queue is bounded.
@@ -194,111 +185,131 @@ impl FlightStack {
         if self.companion.parameters().take_changed() {
             self.tune();
         }
-        let telemetry = *self.companion.telemetry();
-        let frame_age_ns = self.frames.newest().map(|f| now_ns.saturating_sub(f.header.stamp_ns));
+    }
 
-        // Judge the frame.
+    /// What is known now of the vehicle, its surroundings and its goal, and what is doubtful about it.
+    fn observe(&mut self, now_ns: Nanos, taken: Option<Result<(), Refusal>>) -> Observation {
+        let telemetry = *self.companion.telemetry();
+        let limits = *self.guidance.config();
+        let motion = Motion::of(&telemetry, now_ns, limits.telemetry_age_limit_ns);
+        let is_new = taken == Some(Ok(()));
         let doubts = match (&mut self.plausibility, self.frames.newest()) {
-            (Some(judge), Some(frame)) if taken == Some(true) => judge.judge(frame, &telemetry),
+            (Some(judge), Some(frame)) if is_new => judge.judge(frame, &telemetry),
             (Some(judge), _) => judge.doubts(),
             (None, _) => Reasons::NONE,
         };
-        let doubts = doubts.union(self.second_opinion(now_ns, &telemetry));
-
-        // Pilot.
+        let doubts = doubts.union(self.second_opinion(now_ns, &telemetry, motion));
         let goal = self.guidance.goal();
-        let view = if doubts.is_empty() {
-            self.view(now_ns, &telemetry, goal.as_ref())
-        } else {
-            None
-        };
-        // Frames taken on the ground show the ground at the vehicle's own height: nobody looks before the vehicle is handed over.
-        let flying = self.guidance.expects_action(self.companion.handover());
-        let Decision {
-            action,
-            recovery,
-            judgement,
-            collision_course,
-            recovery_course,
-            speed_along_way_m_s,
-        } = self.decide(now_ns, view.filter(|_| flying));
-        // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
-        let verdict = judgement.map_or(Verdict::Unknown, |judgement| judgement.verdict);
-
-        // Guide.
-        let guidance = self.guidance.step(&GuidanceInput {
+        let is_fresh = self.frames.fresh(now_ns, limits.frame_age_limit_ns).is_some() && doubts.is_empty();
+        Observation {
             now_ns,
-            telemetry: &telemetry,
-            frame: FrameStatus {
-                age_ns: frame_age_ns,
-                refused,
-                unauthenticated,
-                doubts,
-            },
-            action,
-            recovery,
-            verdict: self.pilots.monitor.as_ref().map(|_| verdict),
-            collision_course,
-            recovery_course,
-            speed_along_way_m_s,
-            smooth_share: match (&self.plausibility, taken) {
-                (Some(judge), Some(true)) => judge.smooth_share(),
+            telemetry,
+            motion,
+            goal,
+            view: motion.zip(goal).filter(|_| is_fresh).map(|(motion, goal)| View {
+                goal: goal.relative_to(&motion.kinematics, &motion.sample),
+                goal_ned_m: goal.position_ned_m,
+                motion,
+            }),
+            smooth_share: match &self.plausibility {
+                Some(judge) if is_new => judge.smooth_share(),
                 _ => None,
             },
-            timing: input.timing,
-            handover: self.companion.handover(),
-            vehicle_restarts: self.companion.vehicle_restarts(),
-            vehicle_up_ns: self.companion.vehicle_up_ns(),
-            home_ned_m: self.companion.home_ned_m(),
-            telemetry_interval_ns: self.companion.telemetry_interval_ns(),
+            frame: FrameStatus {
+                age_ns: self.frames.newest().map(|f| now_ns.saturating_sub(f.header.stamp_ns)),
+                refused: matches!(taken, Some(Err(_))),
+                unauthenticated: taken == Some(Err(Refusal::Defect(FrameDefect::BadTag))),
+                doubts,
+            },
+            is_fresh,
+        }
+    }
+
+    /// Asks the pilots. Frames taken on the ground show the ground at the vehicle's own height: nobody looks before the vehicle is handed
+    /// over.
+    fn decide(&mut self, seen: &Observation) -> Decision {
+        let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
+        let flying = self.guidance.expects_action(self.companion.handover());
+        let asked = seen.view.filter(|_| flying).zip(self.frames.newest());
+        // Home is on the ground, wherever the estimator began.
+        let home_ned_m = self.guidance.home_ned_m();
+        let asked = asked.map(|(view, depth)| {
+            let input = PilotInput {
+                goal: view.goal,
+                ..view.motion.pilot_input(seen.now_ns, depth, home_ned_m)
+            };
+            (view, input)
         });
+        self.deciding
+            .decide(before_flight, asked, self.tunables.speed_limit_m_s)
+    }
 
-        let guards = self.guard(now_ns, &telemetry, doubts, &guidance);
+    fn guidance_input<'a>(&self, timing: StepTiming, seen: &'a Observation, decided: &Decision) -> GuidanceInput<'a> {
+        // A watched pilot that was not asked has no verdict, and no verdict is not a clean one.
+        let verdict = decided
+            .judgement
+            .map_or(Verdict::Unknown, |judgement| judgement.verdict);
+        GuidanceInput {
+            now_ns: seen.now_ns,
+            telemetry: &seen.telemetry,
+            frame: seen.frame,
+            action: decided.action,
+            recovery: decided.recovery,
+            verdict: self.deciding.pilots.monitor.as_ref().map(|_| verdict),
+            risk: decided.risk,
+            smooth_share: seen.smooth_share,
+            timing,
+            vehicle: self.companion.vehicle_status(),
+        }
+    }
 
-        self.recovery_flew = guidance.alarm.is_some_and(|alarm| match alarm.response {
-            AlarmResponse::Recovery => true,
-            AlarmResponse::Stop => self.recovery_flew,
-            AlarmResponse::Ignored => false,
-        });
-        self.along_path = match guidance.alarm {
-            Some(_) => self.recovery_flew,
-            None => self.pilot_asked && self.leg.is_by_path(),
-        };
-
-        // Emit.
-        output.report = StepReport {
-            now_ns,
-            timing: input.timing,
-            state: guidance.state,
-            reasons: guidance.reasons.union(guards.reasons),
-            telemetry,
-            goal,
-            goal_relative: view.map(|view| view.goal),
-            action: guidance.action,
-            judgement,
-            alarm: guidance.alarm,
-            setpoint: guidance.setpoint,
+    fn report(
+        &self,
+        timing: StepTiming,
+        seen: &Observation,
+        decided: &Decision,
+        guided: &GuidanceOutput,
+        guarded: &Guarded,
+    ) -> StepReport {
+        StepReport {
+            now_ns: seen.now_ns,
+            timing,
+            state: guided.state,
+            reasons: guided.reasons.union(guarded.reasons),
+            telemetry: seen.telemetry,
+            goal: seen.goal,
+            goal_relative: seen.view.map(|view| view.goal),
+            action: guided.action,
+            judgement: decided.judgement,
+            alarm: guided.alarm,
+            setpoint: guided.setpoint,
             frame_sequence: self.frames.newest().map(|frame| frame.header.sequence),
-            frame_age_ns,
+            frame_age_ns: seen.frame.age_ns,
             frames_refused: self.frames.refused(),
-        };
-        output.sent.clear();
-        let request = match guidance.request {
-            VehicleRequest::None => guards.request,
+        }
+    }
+
+    /// What goes out: setpoint, request, texts, what stands around the vehicle.
+    fn emit(&mut self, decided: &Decision, guided: &GuidanceOutput, guarded: &Guarded, output: &mut TickOutput) {
+        let TickOutput { report, sent } = output;
+        sent.clear();
+        let request = match guided.request {
+            VehicleRequest::None => guarded.request,
             own => own,
         };
-        self.companion.emit(&output.report, request, &mut output.sent);
-        if let Some(notice) = guards.notice {
-            self.companion.tell_of_guard(notice, &mut output.sent);
+        self.companion.emit(report, request, sent);
+        if let Some(notice) = guarded.notice {
+            self.companion.tell_of_guard(notice, sent);
         }
-        let forgotten = self.pilots.pilot.forgotten();
+        let pilot = &self.deciding.pilots.pilot;
+        let forgotten = pilot.forgotten();
         if self.forgotten != forgotten {
             self.forgotten = forgotten;
-            self.companion.tell_of_guard(GuardNotice::Jumped, &mut output.sent);
+            self.companion.tell_of_guard(GuardNotice::Jumped, sent);
         }
-        let looked = match (&self.guarding, action) {
-            (_, Some(_)) => Some(self.pilots.pilot.surroundings().scan()),
-            (Some(guarding), None) if guards.looked => Some(guarding.scan()),
+        let looked = match (&self.guarding, decided.action) {
+            (_, Some(_)) => Some(pilot.surroundings().scan()),
+            (Some(guarding), None) if guarded.looked => Some(guarding.scan()),
             _ => None,
         };
         let sectors = looked.map(|scan| {
@@ -307,17 +318,16 @@ impl FlightStack {
                 .zip(&scan.range_m)
                 .map(|((right, forward), range_m)| (libm::atan2f(*right, *forward), *range_m))
         });
-        self.companion.emit_obstacles(now_ns, sectors, &mut output.sent);
+        self.companion.emit_obstacles(report.now_ns, sectors, sent);
     }
 
     /// What the second sensor has against the frames.
-    fn second_opinion(&mut self, now_ns: Nanos, telemetry: &VehicleTelemetry) -> Reasons {
+    fn second_opinion(&mut self, now_ns: Nanos, telemetry: &VehicleTelemetry, motion: Option<Motion>) -> Reasons {
         let Some(second) = &mut self.second_sensor else {
             return Reasons::NONE;
         };
-        let limits = self.guidance.config();
-        let input = Motion::of(telemetry, now_ns, limits.telemetry_age_limit_ns)
-            .zip(self.frames.fresh(now_ns, limits.frame_age_limit_ns))
+        let input = motion
+            .zip(self.frames.fresh(now_ns, self.guidance.config().frame_age_limit_ns))
             .map(|(motion, depth)| motion.pilot_input(now_ns, depth, self.guidance.home_ned_m()));
         second.judge(
             now_ns,
@@ -328,26 +338,16 @@ impl FlightStack {
     }
 
     /// Guards somebody else's flight, and takes a mission around what stopped it.
-    fn guard(
-        &mut self,
-        now_ns: Nanos,
-        telemetry: &VehicleTelemetry,
-        doubts: Reasons,
-        guidance: &GuidanceOutput,
-    ) -> Guarded {
-        let limits = *self.guidance.config();
+    fn guard(&mut self, seen: &Observation, guidance: &GuidanceOutput) -> Guarded {
         let duty = self.tunables.duty();
         let Some(guarding) = self.guarding.as_mut().filter(|_| duty != Duty::Fly) else {
             return Guarded::default();
         };
         let input = GuardingInput {
-            now_ns,
-            telemetry,
-            motion: Motion::of(telemetry, now_ns, limits.telemetry_age_limit_ns),
-            frame: self
-                .frames
-                .fresh(now_ns, limits.frame_age_limit_ns)
-                .filter(|_| doubts.is_empty()),
+            now_ns: seen.now_ns,
+            telemetry: &seen.telemetry,
+            motion: seen.motion,
+            frame: self.frames.newest().filter(|_| seen.is_fresh),
             flies_around: duty == Duty::FlyAround,
             mission_place_m: self.companion.mission_place_m(),
         };
@@ -390,10 +390,10 @@ impl FlightStack {
         let _ = self
             .guidance
             .reconfigure(self.tunables.guidance(self.guidance.config()));
-        if let (Some(monitor), Some(threshold)) = (&mut self.pilots.monitor, self.tunables.threshold) {
+        if let (Some(monitor), Some(threshold)) = (&mut self.deciding.pilots.monitor, self.tunables.threshold) {
             monitor.set_threshold(threshold);
         }
-        if let FlightPilot::Geometric(pilot) = &mut self.pilots.pilot
+        if let FlightPilot::Geometric(pilot) = &mut self.deciding.pilots.pilot
             && self.tunables.pilot != before.pilot
         {
             // Set on the ground only, where the pilot remembers nothing of use.
@@ -424,19 +424,12 @@ impl FlightStack {
     /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked. For
     /// looking at a flight afterwards ([`crate::replay()`]).
     pub fn mapping(&self) -> Option<&GeometricPilot> {
-        match (&self.pilots.recovery, &self.pilots.pilot) {
-            (Some(recovery), _) if !self.recovery_is_new => Some(recovery.mapping()),
-            (None, FlightPilot::Geometric(pilot)) => Some(pilot),
-            _ => None,
-        }
+        self.deciding.mapping()
     }
 
     /// The actor and the frame that it decided on in the last step; `None` if none did. For looking at a flight afterwards.
     pub fn actor(&self) -> Option<(&Actor, &DepthFrame)> {
-        match &self.pilots.pilot {
-            FlightPilot::Actor(pilot) if self.pilot_asked => Some((pilot.actor(), self.frames.newest()?)),
-            _ => None,
-        }
+        self.deciding.actor().zip(self.frames.newest())
     }
 
     /// The texts that the last step told people.
@@ -472,126 +465,21 @@ impl FlightStack {
         sent.clear();
         self.companion.shutdown(now_ns, sent);
     }
-
-    /// What the pilot needs besides the frame, when everything is there, fresh and finite: then, and only then, guidance
-    /// expects an action of it.
-    fn view(&self, now_ns: Nanos, telemetry: &VehicleTelemetry, goal: Option<&Goal>) -> Option<View> {
-        let limits = self.guidance.config();
-        self.frames.fresh(now_ns, limits.frame_age_limit_ns)?;
-        let motion = Motion::of(telemetry, now_ns, limits.telemetry_age_limit_ns)?;
-        let goal = goal?;
-        Some(View {
-            goal: goal.relative_to(&motion.kinematics, &motion.sample),
-            goal_ned_m: goal.position_ned_m,
-            motion,
-        })
-    }
-
-    /// Asks the pilots, or tells them once that what they remember is out of date.
-    fn decide(&mut self, now_ns: Nanos, view: Option<View>) -> Decision {
-        let Pilots {
-            pilot,
-            monitor,
-            recovery,
-            watched,
-        } = &mut self.pilots;
-        let before_flight = matches!(self.guidance.state(), GuidanceState::Standby | GuidanceState::Ready);
-        if before_flight {
-            self.leg.reset();
-        }
-        if let (true, Some(recovery)) = (before_flight && !self.recovery_is_new, &mut *recovery) {
-            recovery.reset();
-            self.recovery_is_new = true;
-        }
-        let (Some(view), Some(depth)) = (view, self.frames.newest()) else {
-            if before_flight {
-                pilot.reset();
-            }
-            if self.pilot_asked {
-                // Actor and recovery pilot keep what they remember of places through the whole flight: whoever can hold back frames must not
-                // be able to erase it.
-                pilot.pause();
-                if let Some(monitor) = monitor {
-                    monitor.reset();
-                }
-                self.pilot_asked = false;
-            }
-            return Decision::default();
-        };
-        self.pilot_asked = true;
-        let input = PilotInput {
-            goal: view.goal,
-            // Home is on the ground, wherever the estimator began.
-            ..view.motion.pilot_input(now_ns, depth, self.guidance.home_ned_m())
-        };
-        // An imported policy knows near goals only. The actor and the geometric pilot fly to the goal as it is.
-        let mut detour = None;
-        let mut towards = input;
-        if let FlightPilot::Imported(_) = pilot {
-            let Motion { kinematics, sample } = view.motion;
-            let here = kinematics.position_ned_m;
-            self.leg.take_up(now_ns, here, view.goal_ned_m);
-            match self.leg.next(now_ns, here, view.goal.bearing_rad) {
-                LedTo::Point(position_ned_m) => {
-                    towards.goal = Goal { position_ned_m }.relative_to(&kinematics, &sample);
-                }
-                LedTo::Path => detour = Some(input.goal),
-            }
-        }
-        // Nobody asks for a path to a near goal that nothing watches.
-        let is_asked = *watched || self.leg.is_far();
-        let mut recovery = recovery.as_deref_mut().filter(|_| is_asked);
-        if let Some(recovery) = recovery.as_deref_mut() {
-            self.recovery_is_new = false;
-            recovery.observe(&input, self.along_path);
-            detour = detour.map(|_| along_path(recovery.lead(&input)));
-        }
-        if let Some(along) = detour {
-            towards.goal = along;
-        }
-        let limit_m_s = self.tunables.speed_limit_m_s;
-        let limited = |action: Action| Action {
-            forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
-            ..action
-        };
-        let decided = pilot.decide(&towards);
-        let action = limited(detour.map_or(decided, |way| turned_to_path(way, decided)));
-        let mut decision = Decision {
-            action: Some(action),
-            ..Decision::default()
-        };
-        if let (Some(monitor), Some(state), Some(position)) = (monitor, pilot.state(), pilot.position()) {
-            decision.judgement = Some(monitor.judge(state, position));
-        }
-        if let (true, Some(recovery)) = (*watched, recovery) {
-            let own = limited(recovery.decide(&input));
-            decision.recovery = Some(own);
-            decision.collision_course = Some(recovery.foresees_collision(&input, action));
-            decision.speed_along_way_m_s = Some(recovery.speed_along_way_m_s(&input).unwrap_or(0.0));
-            decision.recovery_course = Some(recovery.foresees_own_collision(&input, own));
-        }
-        decision
-    }
 }
 
-/// What the pilots decided in a step; empty when they were not asked.
-#[derive(Debug, Clone, Copy, Default)]
-struct Decision {
-    action: Option<Action>,
-    recovery: Option<Action>,
-    judgement: Option<Judgement>,
-    /// Whether the recovery pilot sees the action lead into something; `None` when it was not asked.
-    collision_course: Option<bool>,
-    /// Whether it sees its own action lead into something that stopping avoids.
-    recovery_course: Option<bool>,
-    /// How fast the vehicle flies along the way that it plans; 0 where it has none.
-    speed_along_way_m_s: Option<f32>,
-}
-
-/// What the pilot may see of the vehicle and the goal.
-#[derive(Debug, Clone, Copy)]
-struct View {
-    goal: GoalRelative,
-    goal_ned_m: NedVector,
-    motion: Motion,
+/// What is known in a step.
+struct Observation {
+    now_ns: Nanos,
+    telemetry: VehicleTelemetry,
+    /// Position, velocity and attitude, when they are fresh and finite.
+    motion: Option<Motion>,
+    goal: Option<Goal>,
+    /// What the pilots need besides the frame, when everything is there, fresh, finite and plausible: then, and only then, guidance
+    /// expects an action of them.
+    view: Option<View>,
+    /// Share of one surface among the cells of this step's new frame; `None` without one.
+    smooth_share: Option<f32>,
+    frame: FrameStatus,
+    /// The newest frame is fresh, and nothing is implausible about it.
+    is_fresh: bool,
 }

@@ -7,6 +7,7 @@
 //! supplying them.
 
 use crate::config::own;
+use crate::machine::Risk;
 use vigil_types::parameters::{self, OutOfRange, Range};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
@@ -98,6 +99,12 @@ impl AlarmConfig {
         }
     }
 
+    /// Whether so many of the last verdicts or pictures are set that the alarm is raised.
+    fn are_enough(&self, last: u32) -> bool {
+        let looked_back_on = u32::MAX >> (32 - u32::from(self.raise_window.clamp(1, 32)));
+        (last & looked_back_on).count_ones() >= u32::from(self.raise_count)
+    }
+
     /// Whether guidance may fly with these thresholds.
     pub(crate) fn check(&self) -> Result<(), OutOfRange> {
         for (parameter, value) in [
@@ -139,12 +146,8 @@ pub(crate) struct AlarmInput {
     pub now_ns: Nanos,
     /// `None` without a detector.
     pub verdict: Option<Verdict>,
-    /// Whether the actor's action leads into something; `None` when the guard did not look.
-    pub collision_course: Option<bool>,
-    /// Whether the recovery pilot's action leads into something that stopping avoids; `None` when the guard did not look.
-    pub recovery_course: Option<bool>,
-    /// How fast the vehicle flies along the way that the guard plans; 0 where there is none, `None` when the guard did not look.
-    pub speed_along_way_m_s: Option<f32>,
+    /// `None` when the guard did not look.
+    pub risk: Option<Risk>,
     /// Share of one surface among the new frame's cells in which something is seen; `None` without a new frame.
     pub smooth_share: Option<f32>,
     /// How far the yaw outputs of actor and recovery pilot are apart; `None` when one of them did not decide.
@@ -175,10 +178,9 @@ impl Raised {
     }
 }
 
-/// The alarm's state.
+/// What the steps of a flight speak for.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub(crate) struct AlarmLogic {
-    raised: Option<Raised>,
+struct Evidence {
     /// The last verdicts, newest in the lowest bit; set where it was attack.
     attacks: u32,
     /// The last frames, newest in the lowest bit; set where the picture was rough.
@@ -186,13 +188,86 @@ pub(crate) struct AlarmLogic {
     /// Consecutive steps without a verdict, and clean ones.
     unknown_steps: u16,
     clean_steps: u16,
-    /// Consecutive steps on a collision course, by the actor's action and by the recovery pilot's while that one flies.
+    /// Consecutive steps in which the actor's action was on a collision course.
     course_steps: u16,
-    recovery_course_steps: u16,
     /// How far the actor has fallen behind a vehicle that flies along the guard's way, metres.
     behind_m: f32,
     /// Steps in which they turned apart, less those in which they did not, since that was last 0.
     apart_steps: u16,
+}
+
+/// Counts a step in which something holds, or begins anew.
+fn count(steps: &mut u16, holds: bool) {
+    *steps = if holds { steps.saturating_add(1) } else { 0 };
+}
+
+impl Evidence {
+    fn note(&mut self, config: &AlarmConfig, input: &AlarmInput, is_raised: bool) {
+        let on_collision_course = input.risk.is_some_and(|risk| risk.collision_course);
+        // Without a detector a step is clean when the guard looked and saw nothing; when nobody looked it is not.
+        let looks_clean = match input.verdict {
+            Some(verdict) => verdict == Verdict::Clean,
+            None => input.risk.is_some(),
+        };
+        self.attacks = self.attacks << 1 | u32::from(input.verdict == Some(Verdict::Attack));
+        count(&mut self.unknown_steps, input.verdict == Some(Verdict::Unknown));
+        count(&mut self.clean_steps, looks_clean && !on_collision_course);
+        count(&mut self.course_steps, on_collision_course);
+        if let Some(smooth_share) = input.smooth_share {
+            self.rough = self.rough << 1 | u32::from(smooth_share < config.smooth_share);
+        }
+        match (is_raised, input.guided) {
+            (true, _) => {}
+            // What is judged while the vehicle holds moves nothing.
+            (false, false) => (self.attacks, self.rough, self.unknown_steps, self.course_steps) = (0, 0, 0, 0),
+            (false, true) => self.note_flight(config, input),
+        }
+    }
+
+    fn note_flight(&mut self, config: &AlarmConfig, input: &AlarmInput) {
+        // Of two vehicles, one along the way at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which tells a
+        // lasting change soonest and forgets what went well before.
+        if let Some(speed_m_s) = input.risk.map(|risk| risk.speed_along_way_m_s)
+            && speed_m_s.is_finite()
+        {
+            self.behind_m = (self.behind_m + (config.way_speed_m_s - speed_m_s) * STEP_S).max(0.0);
+        }
+        if let Some(apart) = input.yaw_apart {
+            self.apart_steps = if apart > config.apart_yaw {
+                self.apart_steps.saturating_add(1)
+            } else {
+                self.apart_steps.saturating_sub(1)
+            };
+        }
+    }
+}
+
+/// A cause, and when there is evidence enough for it.
+type Trigger = (AlarmCause, fn(&Evidence, &AlarmConfig) -> bool);
+
+/// What raises the alarm, in order of precedence.
+const TRIGGERS: [Trigger; 6] = [
+    (AlarmCause::Attack, |e, c| c.are_enough(e.attacks)),
+    (AlarmCause::NoVerdict, |e, c| e.unknown_steps > c.unknown_limit),
+    (AlarmCause::CollisionCourse, |e, c| {
+        c.guard_steps > 0 && e.course_steps >= c.guard_steps
+    }),
+    (AlarmCause::LedAstray, |e, c| {
+        c.astray_limit_m > 0.0 && e.behind_m > c.astray_limit_m
+    }),
+    (AlarmCause::Disagreement, |e, c| {
+        c.disagreement_limit_s > 0.0 && f32::from(e.apart_steps) * STEP_S > c.disagreement_limit_s
+    }),
+    (AlarmCause::RoughPicture, |e, c| c.are_enough(e.rough)),
+];
+
+/// The alarm's state.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct AlarmLogic {
+    raised: Option<Raised>,
+    evidence: Evidence,
+    /// Consecutive steps in which the recovery pilot, flying, was on a collision course.
+    recovery_course_steps: u16,
     /// Alarms of this flight that have ended.
     ended: u8,
 }
@@ -226,59 +301,13 @@ impl AlarmLogic {
             *self = Self::default();
             return None;
         }
-        let count = |steps: &mut u16, holds: bool| *steps = if holds { steps.saturating_add(1) } else { 0 };
-        let on_collision_course = input.collision_course == Some(true);
-        // Without a detector a step is clean when the guard looked and saw nothing; when nobody looked it is not.
-        let looks_clean = match input.verdict {
-            Some(verdict) => verdict == Verdict::Clean,
-            None => input.collision_course.is_some(),
-        };
-        self.attacks = self.attacks << 1 | u32::from(input.verdict == Some(Verdict::Attack));
-        count(&mut self.unknown_steps, input.verdict == Some(Verdict::Unknown));
-        count(&mut self.clean_steps, looks_clean && !on_collision_course);
-        count(&mut self.course_steps, on_collision_course);
-        // Of two vehicles, one along the way at a constant speed, the other flown by the actor: Page's cumulative sum (1954), which tells a
-        // lasting change soonest and forgets what went well before.
-        if let (None, true, Some(speed_m_s)) = (self.raised, input.guided, input.speed_along_way_m_s)
-            && speed_m_s.is_finite()
-        {
-            self.behind_m = (self.behind_m + (config.way_speed_m_s - speed_m_s) * STEP_S).max(0.0);
-        }
-        if let (None, true, Some(apart)) = (self.raised, input.guided, input.yaw_apart) {
-            self.apart_steps = if apart > config.apart_yaw {
-                self.apart_steps.saturating_add(1)
-            } else {
-                self.apart_steps.saturating_sub(1)
-            };
-        }
-        if let Some(smooth_share) = input.smooth_share {
-            self.rough = self.rough << 1 | u32::from(smooth_share < config.smooth_share);
-        }
-        if self.raised.is_none() && !input.guided {
-            // What is judged while the vehicle holds moves nothing.
-            (self.attacks, self.rough, self.unknown_steps, self.course_steps) = (0, 0, 0, 0);
-        }
-
-        let looked_back_on = u32::MAX >> (32 - u32::from(config.raise_window.clamp(1, 32)));
-        let enough = |of: u32| (of & looked_back_on).count_ones() >= u32::from(config.raise_count);
-        let cause = if enough(self.attacks) {
-            Some(AlarmCause::Attack)
-        } else if self.unknown_steps > config.unknown_limit {
-            Some(AlarmCause::NoVerdict)
-        } else if config.guard_steps > 0 && self.course_steps >= config.guard_steps {
-            Some(AlarmCause::CollisionCourse)
-        } else if config.astray_limit_m > 0.0 && self.behind_m > config.astray_limit_m {
-            Some(AlarmCause::LedAstray)
-        } else if config.disagreement_limit_s > 0.0
-            && f32::from(self.apart_steps) * STEP_S > config.disagreement_limit_s
-        {
-            Some(AlarmCause::Disagreement)
-        } else if enough(self.rough) {
-            Some(AlarmCause::RoughPicture)
-        } else {
-            None
-        };
-        let clean = u32::from(self.clean_steps) >= self.clear_steps(config);
+        self.evidence.note(config, input, self.raised.is_some());
+        let evidence = &self.evidence;
+        let cause = TRIGGERS
+            .iter()
+            .find(|(_, fires)| fires(evidence, config))
+            .map(|(cause, _)| *cause);
+        let clean = u32::from(evidence.clean_steps) >= self.clear_steps(config);
         match (&mut self.raised, cause) {
             (None, Some(cause)) => {
                 self.raised = Some(Raised {
@@ -298,7 +327,7 @@ impl AlarmLogic {
         let recovers = raised.stopped && input.guided && config.policy == AlarmPolicy::Recover;
         count(
             &mut self.recovery_course_steps,
-            recovers && input.recovery_course == Some(true),
+            recovers && input.risk.is_some_and(|risk| risk.recovery_course),
         );
         if config.recovery_guard_steps > 0 && self.recovery_course_steps >= config.recovery_guard_steps {
             // It begins anew from where the vehicle then stands.
@@ -331,12 +360,15 @@ mod tests {
     use super::*;
     use Verdict::{Attack, Clean, Unknown};
 
+    const QUIET: Risk = Risk {
+        collision_course: false,
+        recovery_course: false,
+        speed_along_way_m_s: 1.2,
+    };
     const FLYING: AlarmInput = AlarmInput {
         now_ns: 0,
         verdict: Some(Clean),
-        collision_course: Some(false),
-        recovery_course: Some(false),
-        speed_along_way_m_s: Some(1.2),
+        risk: Some(QUIET),
         yaw_apart: Some(0.2),
         smooth_share: Some(0.8),
         in_flight: true,
@@ -396,14 +428,18 @@ mod tests {
     fn nothing_is_counted_on_the_ground_or_while_the_vehicle_holds_or_when_nothing_watches() {
         let mut logic = AlarmLogic::default();
         let config = AlarmConfig::default();
-        for (verdict, collision_course, in_flight, guided) in [
-            (Some(Attack), Some(true), false, false),
+        let course = Risk {
+            collision_course: true,
+            ..QUIET
+        };
+        for (verdict, risk, in_flight, guided) in [
+            (Some(Attack), Some(course), false, false),
             (None, None, true, true),
-            (Some(Attack), Some(true), true, false),
+            (Some(Attack), Some(course), true, false),
         ] {
             let input = AlarmInput {
                 verdict,
-                collision_course,
+                risk,
                 in_flight,
                 guided,
                 ..FLYING
@@ -419,25 +455,28 @@ mod tests {
         let mut logic = AlarmLogic::default();
         let config = AlarmConfig::default();
         let mut now_ns = 0;
-        let mut step = |logic: &mut AlarmLogic, collision_course: Option<bool>| {
+        let mut step = |logic: &mut AlarmLogic, collision_course: bool| {
             now_ns += 50_000_000;
             let input = AlarmInput {
                 now_ns,
                 verdict: None,
-                collision_course,
+                risk: Some(Risk {
+                    collision_course,
+                    ..QUIET
+                }),
                 ..FLYING
             };
             logic.step(&config, &input).map(|alarm| alarm.cause)
         };
         for _ in 0..3 {
-            assert_eq!(step(&mut logic, Some(true)), None, "a few steps raise nothing");
+            assert_eq!(step(&mut logic, true), None, "a few steps raise nothing");
         }
-        assert_eq!(step(&mut logic, Some(true)), Some(AlarmCause::CollisionCourse));
+        assert_eq!(step(&mut logic, true), Some(AlarmCause::CollisionCourse));
         for _ in 0..5000 {
-            assert!(step(&mut logic, Some(false)).is_some());
+            assert!(step(&mut logic, false).is_some());
         }
         logic.trust_again();
-        assert_eq!(step(&mut logic, Some(false)), None);
+        assert_eq!(step(&mut logic, false), None);
     }
 
     #[test]
@@ -478,7 +517,10 @@ mod tests {
         (0..2400).find(|&i| {
             let input = AlarmInput {
                 now_ns: i as u64 * 50_000_000,
-                speed_along_way_m_s: speeds_m_s.get(i % speeds_m_s.len()).copied(),
+                risk: Some(Risk {
+                    speed_along_way_m_s: speeds_m_s[i % speeds_m_s.len()],
+                    ..QUIET
+                }),
                 ..FLYING
             };
             logic.step(&config, &input).map(|alarm| alarm.cause) == Some(AlarmCause::LedAstray)

@@ -8,7 +8,7 @@
 //!
 //! ```
 //! use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput};
-//! use vigil_types::{Action, GuidanceState, HandoverProgress, StepTiming, VehicleTelemetry};
+//! use vigil_types::{Action, GuidanceState, StepTiming, VehicleStatus, VehicleTelemetry};
 //!
 //! let mut guidance = Guidance::new(GuidanceConfig::default())?;
 //! let decided = guidance.step(&GuidanceInput {
@@ -18,16 +18,10 @@
 //!     action: Some(Action { forward_m_s: 1.5, yaw: 0.0 }),
 //!     recovery: None,
 //!     verdict: None,
-//!     collision_course: None,
-//!     recovery_course: None,
-//!     speed_along_way_m_s: None,
+//!     risk: None,
 //!     smooth_share: None,
 //!     timing: StepTiming::default(),
-//!     handover: HandoverProgress::default(),
-//!     vehicle_restarts: 0,
-//!     vehicle_up_ns: None,
-//!     home_ned_m: None,
-//!     telemetry_interval_ns: None,
+//!     vehicle: VehicleStatus::default(),
 //! });
 //! assert_eq!(decided.state, GuidanceState::Standby);
 //! assert_eq!(decided.setpoint, None, "whatever the pilot wants, nothing is sent");
@@ -48,7 +42,7 @@ pub mod table;
 pub use alarm::{AlarmConfig, ROUGH_BELOW};
 pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
 pub use just_stop::{JustStop, JustStopConfig, JustStopInput, JustStopState};
-pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput};
+pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput, Risk};
 pub use setpoint::guided_setpoint;
 // The policies that its configuration is made of.
 pub use vigil_types::{AlarmPolicy, AtGoal, EngagePolicy, OnNoProgress};

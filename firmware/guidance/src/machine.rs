@@ -8,7 +8,7 @@ use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
     Action, Alarm, AlarmCause, AlarmResponse, AtGoal, EngagePolicy, Goal, GuidanceState, HandoverProgress, Kinematics,
     Nanos, NedVector, OnNoProgress, OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode,
-    VehicleRequest, VehicleTelemetry, VelocitySetpoint, Verdict,
+    VehicleRequest, VehicleStatus, VehicleTelemetry, VelocitySetpoint, Verdict,
 };
 
 /// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
@@ -37,6 +37,17 @@ pub struct FrameStatus {
     pub doubts: Reasons,
 }
 
+/// What the recovery pilot foresees.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Risk {
+    /// The pilot's action leads into something.
+    pub collision_course: bool,
+    /// The recovery pilot's own action leads into something that stopping avoids.
+    pub recovery_course: bool,
+    /// How fast the vehicle flies along the way that the recovery pilot plans, metres per second; 0 where it has none.
+    pub speed_along_way_m_s: f32,
+}
+
 /// Everything guidance looks at in one step.
 #[derive(Debug, Clone, Copy)]
 pub struct GuidanceInput<'a> {
@@ -53,26 +64,14 @@ pub struct GuidanceInput<'a> {
     pub recovery: Option<Action>,
     /// What the detector says of the pilot's action; `None` without a detector.
     pub verdict: Option<Verdict>,
-    /// Whether the recovery pilot sees the pilot's action lead into something; `None` when it did not look, or there is none.
-    pub collision_course: Option<bool>,
-    /// Whether it sees its own action lead into something that stopping avoids; `None` as above.
-    pub recovery_course: Option<bool>,
-    /// How fast the vehicle flies along the way that it plans, metres per second; 0 where it has none, `None` as above.
-    pub speed_along_way_m_s: Option<f32>,
+    /// What the recovery pilot foresees; `None` when it did not look, or there is none.
+    pub risk: Option<Risk>,
     /// Share of one surface among the cells of this step's new frame in which something is seen; `None` without one.
     pub smooth_share: Option<f32>,
     /// Steps missed.
     pub timing: StepTiming,
-    /// How far the vehicle is with the hand-over.
-    pub handover: HandoverProgress,
-    /// How often the autopilot was seen to start anew.
-    pub vehicle_restarts: u32,
-    /// How long ago the autopilot started; `None` when it has not told.
-    pub vehicle_up_ns: Option<Nanos>,
-    /// Home in the local frame; `None` when the vehicle has not told, and then the local origin stands for it.
-    pub home_ned_m: Option<NedVector>,
-    /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.
-    pub telemetry_interval_ns: Option<Nanos>,
+    /// How it stands with the vehicle.
+    pub vehicle: VehicleStatus,
 }
 
 /// What a goal is relative to.
@@ -348,7 +347,7 @@ impl Guidance {
             // Another start, another origin.
             self.home_known = false;
         }
-        let told = input.home_ned_m.filter(|home_ned_m| home_ned_m.is_finite());
+        let told = input.vehicle.home_ned_m.filter(|home_ned_m| home_ned_m.is_finite());
         let may_move = !self.home_known || !self.in_flight();
         let home_ned_m = match (told, restarted) {
             (Some(home_ned_m), _) if may_move => home_ned_m,
@@ -388,7 +387,7 @@ impl Guidance {
     /// One step of the loop.
     pub fn step(&mut self, input: &GuidanceInput<'_>) -> GuidanceOutput {
         let restarted =
-            self.restarts.replace(input.vehicle_restarts) != Some(input.vehicle_restarts) && input.vehicle_restarts > 0;
+            self.restarts.replace(input.vehicle.restarts) != Some(input.vehicle.restarts) && input.vehicle.restarts > 0;
         self.note_home(input, restarted);
         self.note_return(input.now_ns);
         self.note_slips(input);
@@ -461,7 +460,7 @@ impl Guidance {
             VehicleMode::External | VehicleMode::Unknown => true,
             VehicleMode::Hold if !heartbeat.armed || heartbeat.failsafe => true,
             VehicleMode::Hold => {
-                let born_airborne = input.vehicle_up_ns.is_some_and(|up_ns| up_ns < BORN_AIRBORNE_NS);
+                let born_airborne = input.vehicle.up_ns.is_some_and(|up_ns| up_ns < BORN_AIRBORNE_NS);
                 self.begun || born_airborne && telemetry.is_airborne()
             }
             VehicleMode::Takeoff => self.begun,
@@ -486,7 +485,7 @@ impl Guidance {
     fn note_hand_over(&mut self, input: &GuidanceInput<'_>) {
         if self.state == GuidanceState::Engaging {
             let too_long = input.now_ns.saturating_sub(self.since_ns) > self.config.handover_limit_ns;
-            if input.handover == HandoverProgress::Failed || too_long {
+            if input.vehicle.handover == HandoverProgress::Failed || too_long {
                 self.handover_failed_ns = Some(input.now_ns);
             }
         } else if let Some(failed_ns) = self.handover_failed_ns
@@ -506,7 +505,7 @@ impl Guidance {
         let link_lost = older(heartbeat_age_ns, self.config.heartbeat_age_limit_ns);
         let received = telemetry.kinematics.is_some() && telemetry.attitude.is_some();
         let bad_telemetry = received && !telemetry.is_finite();
-        let pilot_could = self.expects_action(input.handover)
+        let pilot_could = self.expects_action(input.vehicle.handover)
             && !stale_frame
             && !input.frame.refused
             && input.frame.doubts.is_empty()
@@ -538,6 +537,7 @@ impl Guidance {
             _ => false,
         };
         let slow_telemetry = input
+            .vehicle
             .telemetry_interval_ns
             .is_some_and(|interval_ns| interval_ns > self.config.telemetry_age_limit_ns / 2);
         let recent_slips = self
@@ -597,9 +597,7 @@ impl Guidance {
             &AlarmInput {
                 now_ns: input.now_ns,
                 verdict: input.verdict,
-                collision_course: input.collision_course,
-                recovery_course: input.recovery_course,
-                speed_along_way_m_s: input.speed_along_way_m_s,
+                risk: input.risk,
                 smooth_share: input.smooth_share,
                 yaw_apart: match (input.action, input.recovery) {
                     (Some(actor), Some(own)) => Some((actor.clipped().yaw - own.clipped().yaw).abs()),
@@ -706,7 +704,7 @@ impl Guidance {
     fn holds(&self, guard: Guard, input: &GuidanceInput<'_>, reasons: Reasons, restarted: bool) -> bool {
         let heartbeat = input.telemetry.heartbeat;
         let unclear = reasons.intersects(self.hold_conditions);
-        let done = input.handover == HandoverProgress::Done && self.obeys(input) && !self.disarmed(input);
+        let done = input.vehicle.handover == HandoverProgress::Done && self.obeys(input) && !self.disarmed(input);
         let failsafe_hold =
             self.config.engage == EngagePolicy::Auto && self.intent && self.setpoints_lost == Some(true);
         match guard {
@@ -788,7 +786,7 @@ impl Guidance {
         match self.state {
             GuidanceState::Standby | GuidanceState::Ready => None,
             GuidanceState::Engaging => matches!(
-                input.handover,
+                input.vehicle.handover,
                 HandoverProgress::Done | HandoverProgress::InProgress { stream_setpoints: true }
             )
             .then_some(VelocitySetpoint::HOLD),

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::Story;
+use common::{QUIET, Story};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 use vigil_guidance::{
@@ -151,9 +151,7 @@ fn good(s: &mut Story) {
     });
     s.recovery = Some(RECOVERY);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = Some(false);
-    s.recovery_course = Some(false);
-    s.speed_along_way_m_s = Some(1.0);
+    s.risk = QUIET;
     s.velocity_ned_m_s = NedVector::ZERO;
 }
 
@@ -181,9 +179,9 @@ fn apply(s: &mut Story, event: &Event) -> usize {
             s.recovery = action.map(|[forward_m_s, yaw]| Action { forward_m_s, yaw });
         }
         Event::Verdict(verdict) => s.verdict = verdict,
-        Event::CollisionCourse(course) => s.collision_course = Some(course),
-        Event::RecoveryCourse(course) => s.recovery_course = Some(course),
-        Event::SpeedAlongWay(speed) => s.speed_along_way_m_s = Some(speed),
+        Event::CollisionCourse(course) => s.risk.collision_course = course,
+        Event::RecoveryCourse(course) => s.risk.recovery_course = course,
+        Event::SpeedAlongWay(speed) => s.risk.speed_along_way_m_s = speed,
         Event::Velocity([x, y, z]) => s.velocity_ned_m_s = NedVector::new(x, y, z),
         Event::Handover(handover) => s.handover = handover,
         Event::Slips(slips) => s.slips += slips,

@@ -1117,7 +1117,7 @@ fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
 fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_clean() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = Some(true);
+    s.risk.collision_course = true;
     assert_eq!(s.run(3).alarm, None, "a few steps may be noise");
     let alarm = s.step();
     assert_eq!(
@@ -1129,7 +1129,7 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
     assert_eq!(s.last.unwrap().action, Some(RECOVERY));
 
     // Clean verdicts and a way that looks free are what led it here.
-    s.collision_course = Some(false);
+    s.risk.collision_course = false;
     let flying = s.run(seconds(60.0));
     assert_eq!(
         (flying.reasons, flying.setpoint.unwrap().velocity_m_s.x),
@@ -1143,7 +1143,7 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
     let trusted = s.step();
     assert_eq!((trusted.alarm, trusted.setpoint.unwrap().velocity_m_s.x), (None, 1.0));
 
-    s.collision_course = Some(true);
+    s.risk.collision_course = true;
     assert_eq!(s.run(4).alarm.unwrap().cause, AlarmCause::CollisionCourse);
 }
 
@@ -1151,9 +1151,9 @@ fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_cle
 fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator() {
     let mut s = watched(AlarmPolicy::Stop);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = Some(true);
+    s.risk.collision_course = true;
     s.run(4);
-    s.collision_course = Some(false);
+    s.risk.collision_course = false;
     let standing = s.run(seconds(300.0));
     assert_eq!(
         (standing.state, standing.reasons),
@@ -1168,10 +1168,10 @@ fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator()
 fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean_and_does_not_come_back() {
     let mut s = watched_for_leading_astray();
     s.verdict = Some(Verdict::Clean);
-    s.speed_along_way_m_s = Some(0.8);
+    s.risk.speed_along_way_m_s = 0.8;
     assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
     // Astray, away from the way.
-    s.speed_along_way_m_s = Some(-1.0);
+    s.risk.speed_along_way_m_s = -1.0;
     s.velocity_ned_m_s.x = 1.0;
     let flown = s.until(Hold);
     assert!((80..90).contains(&flown), "6 m at 1.5 m/s, found after {flown} steps");
@@ -1186,7 +1186,7 @@ fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verd
     );
     s.velocity_ned_m_s.x = 0.0;
     s.until(Guided);
-    s.speed_along_way_m_s = Some(0.6);
+    s.risk.speed_along_way_m_s = 0.6;
     let flying = s.run(seconds(60.0));
     assert_eq!(
         (flying.reasons, flying.action),
@@ -1201,11 +1201,11 @@ fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_
     let mut s = watched_for_leading_astray();
     s.verdict = Some(Verdict::Clean);
     for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
-        s.speed_along_way_m_s = Some(speed_m_s);
+        s.risk.speed_along_way_m_s = speed_m_s;
         assert_eq!(s.run(seconds(3.0)).alarm, None, "{speed_m_s}");
     }
     // A hold is not the actor's doing.
-    s.speed_along_way_m_s = Some(0.0);
+    s.risk.speed_along_way_m_s = 0.0;
     s.frame.age_ns = Some(1_000_000_000);
     assert_eq!(s.run(seconds(30.0)).alarm, None);
 }
@@ -1243,7 +1243,7 @@ fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
     config.alarm.astray_limit_m = 0.0;
     s.guidance.reconfigure(config).unwrap();
     s.verdict = Some(Verdict::Clean);
-    s.speed_along_way_m_s = Some(-1.0);
+    s.risk.speed_along_way_m_s = -1.0;
     assert_eq!(s.run(seconds(60.0)).alarm, None);
 }
 
@@ -1251,9 +1251,9 @@ fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
 fn a_new_flight_begins_with_the_actor() {
     let mut s = watched(AlarmPolicy::Recover);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = Some(true);
+    s.risk.collision_course = true;
     assert!(s.run(4).alarm.is_some());
-    s.collision_course = Some(false);
+    s.risk.collision_course = false;
     s.armed = false;
     s.until(Standby);
     assert_eq!(s.step().alarm, None);
@@ -1267,7 +1267,7 @@ fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_f
     s.velocity_ned_m_s.x = 0.0;
     s.until(Guided);
     s.velocity_ned_m_s.x = 0.6;
-    s.recovery_course = Some(true);
+    s.risk.recovery_course = true;
     assert_eq!(s.step().state, Guided, "one step may be noise");
     let stop = s.step();
     assert_eq!(
@@ -1275,7 +1275,7 @@ fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_f
         (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
     );
     s.velocity_ned_m_s.x = 0.0;
-    s.recovery_course = Some(false);
+    s.risk.recovery_course = false;
     s.until(Guided);
     let again = s.last.unwrap();
     assert_eq!(
@@ -1295,7 +1295,7 @@ fn without_the_guard_a_collision_course_raises_nothing() {
     config.alarm.guard_steps = 0;
     let mut s = Story::guided(config);
     s.verdict = Some(Verdict::Clean);
-    s.collision_course = Some(true);
+    s.risk.collision_course = true;
     assert_eq!(s.run(seconds(5.0)).alarm, None);
 }
 

@@ -12,8 +12,8 @@ use crate::status_text::StatusText;
 use mavlink::MessageData;
 use mavlink::dialects::common::{MavState, OBSTACLE_DISTANCE_DATA};
 use vigil_types::{
-    Datagrams, GuardNotice, GuidanceState, HandoverProgress, Nanos, NedVector, ObstacleReports, RequestOutcome,
-    SectorRanges, StepReport, VehicleRequest, VehicleTelemetry, parameters,
+    Datagrams, GuardNotice, GuidanceState, HandoverProgress, Nanos, ObstacleReports, RequestOutcome, SectorRanges,
+    StepReport, VehicleRequest, VehicleStatus, VehicleTelemetry, parameters,
 };
 
 /// The autopilot's component.
@@ -125,29 +125,21 @@ impl Companion {
         self.services.handover.progress()
     }
 
-    /// How often the autopilot was seen to start anew.
-    pub fn vehicle_restarts(&self) -> u32 {
-        self.core.vehicle.restarts
-    }
-
-    /// How long ago the autopilot started, by its own clock; `None` when it has not told.
-    pub fn vehicle_up_ns(&self) -> Option<Nanos> {
-        self.core.vehicle.up_ns()
-    }
-
-    /// Home in the local frame; `None` when the vehicle has not told.
-    pub fn home_ned_m(&self) -> Option<NedVector> {
-        self.core.vehicle.home_ned_m()
+    /// How it stands with the vehicle.
+    pub fn vehicle_status(&self) -> VehicleStatus {
+        let vehicle = &self.core.vehicle;
+        VehicleStatus {
+            handover: self.handover(),
+            restarts: vehicle.restarts,
+            up_ns: vehicle.up_ns(),
+            home_ned_m: vehicle.home_ned_m(),
+            telemetry_interval_ns: self.core.telemetry_interval_ns,
+        }
     }
 
     /// Metres north and east, in the local frame, of the place to which the vehicle's mission leads; `None` when it has not told.
     pub fn mission_place_m(&self) -> Option<(f32, f32)> {
         self.core.vehicle.mission_place_m()
-    }
-
-    /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.
-    pub fn telemetry_interval_ns(&self) -> Option<Nanos> {
-        self.core.telemetry_interval_ns
     }
 
     /// The vehicle's autopilot: as configured or recognised, PX4 before that.

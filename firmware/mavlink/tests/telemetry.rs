@@ -203,7 +203,7 @@ fn packets_out_of_order_are_dropped_and_counted() {
     );
     b.hear(vehicle(1), &position(5010, 3.0));
     assert_eq!(north_m(&b), Some(3.0));
-    assert_eq!(b.companion.vehicle_restarts(), 0);
+    assert_eq!(b.companion.vehicle_status().restarts, 0);
 }
 
 #[test]
@@ -218,7 +218,7 @@ fn a_clock_that_starts_anew_is_a_restart_and_what_was_known_is_forgotten() {
     );
     b.hear(vehicle(1), &position(60_000, 1.0));
     b.hear(vehicle(1), &position(100, 2.0));
-    assert_eq!((b.companion.vehicle_restarts(), north_m(&b)), (1, Some(2.0)));
+    assert_eq!((b.companion.vehicle_status().restarts, north_m(&b)), (1, Some(2.0)));
     assert!(b.companion.telemetry().attitude.is_none());
     b.hear(
         vehicle(1),
@@ -227,7 +227,7 @@ fn a_clock_that_starts_anew_is_a_restart_and_what_was_known_is_forgotten() {
             ..Default::default()
         }),
     );
-    assert_eq!(b.companion.vehicle_restarts(), 1, "one restart is counted once");
+    assert_eq!(b.companion.vehicle_status().restarts, 1, "one restart is counted once");
 }
 
 #[test]
@@ -235,7 +235,7 @@ fn the_end_of_the_clocks_32_bits_is_no_restart() {
     let mut b = acquainted();
     b.hear(vehicle(1), &position(u32::MAX - 10, 3.0));
     b.hear(vehicle(1), &position(20, 4.0));
-    assert_eq!((b.companion.vehicle_restarts(), north_m(&b)), (0, Some(4.0)));
+    assert_eq!((b.companion.vehicle_status().restarts, north_m(&b)), (0, Some(4.0)));
 }
 
 #[test]

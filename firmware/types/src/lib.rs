@@ -57,7 +57,9 @@ pub use ranges::{RANGE_SECTORS, SectorRanges};
 pub use step_report::{Datagrams, StepReport, StepTiming};
 pub use telemetry::{AttitudeSample, Heartbeat, Kinematics, Landed, VehicleMode, VehicleTelemetry};
 pub use vector::{Attitude, Frame, Frd, FrdVector, Heading, HeadingVector, Ned, NedVector, Vector, wrap_pi};
-pub use vehicle_requests::{GuardNotice, HandoverProgress, OperatorRequest, RequestOutcome, StopCause, VehicleRequest};
+pub use vehicle_requests::{
+    GuardNotice, HandoverProgress, OperatorRequest, RequestOutcome, StopCause, VehicleRequest, VehicleStatus,
+};
 
 /// Nanoseconds since an arbitrary epoch that all processes of one flight share (the machine's monotonic clock when
 /// live, simulated time in lockstep and replay).

@@ -1,6 +1,8 @@
 //! What guidance asks of the vehicle, what an operator asks of guidance, and the answers: the seam between guidance and
 //! the link, whatever protocol or autopilot is behind it.
 
+use crate::{Nanos, NedVector};
+
 /// What an operator asks of guidance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum OperatorRequest {
@@ -101,6 +103,21 @@ pub enum GuardNotice {
     HandedBack,
     /// Guidance could not take it, or the mission's next place is not known: it stays where it was stopped.
     StaysStopped,
+}
+
+/// How it stands with the vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct VehicleStatus {
+    /// How far it is with the hand-over.
+    pub handover: HandoverProgress,
+    /// How often the autopilot was seen to start anew.
+    pub restarts: u32,
+    /// How long ago the autopilot started, by its own clock; `None` when it has not told.
+    pub up_ns: Option<Nanos>,
+    /// Home in the local frame; `None` when the vehicle has not told, and then the local origin stands for it.
+    pub home_ned_m: Option<NedVector>,
+    /// Mean time between the last positions or attitudes, whichever is longer; `None` before there were enough.
+    pub telemetry_interval_ns: Option<Nanos>,
 }
 
 /// How far the vehicle is with [`VehicleRequest::FlyExternal`].

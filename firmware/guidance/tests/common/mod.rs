@@ -1,10 +1,18 @@
 //! A loop around guidance with inputs that a story can spoil.
 #![allow(dead_code)] // each test program uses a part of it
 
-use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput};
+use vigil_guidance::{FrameStatus, Guidance, GuidanceConfig, GuidanceInput, GuidanceOutput, Risk};
 use vigil_types::{
     Action, Attitude, AttitudeSample, FrdVector, GuidanceState, HandoverProgress, Heartbeat, Kinematics, Landed, Nanos,
-    NedVector, OperatorRequest, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleTelemetry, Verdict,
+    NedVector, OperatorRequest, RequestOutcome, STEP_NS, StepTiming, VehicleMode, VehicleStatus, VehicleTelemetry,
+    Verdict,
+};
+
+/// The recovery pilot foresees nothing.
+pub const QUIET: Risk = Risk {
+    collision_course: false,
+    recovery_course: false,
+    speed_along_way_m_s: 1.0,
 };
 
 /// Inputs as they are in a good flight; change a field to spoil one.
@@ -22,9 +30,7 @@ pub struct Story {
     pub action: Option<Action>,
     pub recovery: Option<Action>,
     pub verdict: Option<Verdict>,
-    pub collision_course: Option<bool>,
-    pub recovery_course: Option<bool>,
-    pub speed_along_way_m_s: Option<f32>,
+    pub risk: Risk,
     pub smooth_share: Option<f32>,
     pub velocity_ned_m_s: NedVector,
     pub handover: HandoverProgress,
@@ -68,9 +74,7 @@ impl Story {
             }),
             recovery: None,
             verdict: None,
-            collision_course: Some(false),
-            recovery_course: Some(false),
-            speed_along_way_m_s: Some(1.0),
+            risk: QUIET,
             smooth_share: Some(0.9),
             velocity_ned_m_s: NedVector::ZERO,
             handover: HandoverProgress::Idle,
@@ -143,19 +147,19 @@ impl Story {
             action: self.action,
             recovery: self.recovery,
             verdict: self.verdict,
-            collision_course: self.collision_course,
-            recovery_course: self.recovery_course,
-            speed_along_way_m_s: self.speed_along_way_m_s,
+            risk: Some(self.risk),
             smooth_share: self.smooth_share,
             timing: StepTiming {
                 slips: self.slips,
                 ..Default::default()
             },
-            handover: self.handover,
-            vehicle_restarts: self.restarts,
-            vehicle_up_ns: self.up_ns,
-            home_ned_m: self.home_ned_m,
-            telemetry_interval_ns: self.interval_ns,
+            vehicle: VehicleStatus {
+                handover: self.handover,
+                restarts: self.restarts,
+                up_ns: self.up_ns,
+                home_ned_m: self.home_ned_m,
+                telemetry_interval_ns: self.interval_ns,
+            },
         });
         self.last = Some(output);
         output

@@ -199,16 +199,10 @@ impl Flight {
             action,
             recovery: None,
             verdict: None,
-            collision_course: Some(false),
-            recovery_course: Some(false),
-            speed_along_way_m_s: None,
+            risk: None,
             smooth_share: None,
             timing: StepTiming::default(),
-            handover: self.companion.handover(),
-            vehicle_restarts: self.companion.vehicle_restarts(),
-            vehicle_up_ns: self.companion.vehicle_up_ns(),
-            home_ned_m: self.companion.home_ned_m(),
-            telemetry_interval_ns: self.companion.telemetry_interval_ns(),
+            vehicle: self.companion.vehicle_status(),
         });
         let report = StepReport {
             now_ns: self.now_ns,

@@ -1,0 +1,188 @@
+//! The pilots of a flight: asked once a step, and who of them flew the step before.
+#![deny(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::std_instead_of_core,
+    clippy::alloc_instead_of_core
+)]
+
+use crate::leg::{LedTo, Leg, along_path, turned_to_path};
+use crate::motion::Motion;
+use crate::pilots::Pilots;
+use vigil_guidance::Risk;
+use vigil_policy::actor::Actor;
+use vigil_policy::{FlightPilot, GeometricPilot, Pilot, PilotInput};
+use vigil_types::{Action, Alarm, AlarmResponse, Goal, GoalRelative, Judgement, NedVector};
+
+/// What the pilots may see of the vehicle and the goal.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct View {
+    pub goal: GoalRelative,
+    pub goal_ned_m: NedVector,
+    pub motion: Motion,
+}
+
+/// What the pilots decided in a step; empty when they were not asked.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Decision {
+    pub action: Option<Action>,
+    pub recovery: Option<Action>,
+    pub judgement: Option<Judgement>,
+    /// What the recovery pilot foresees; `None` when nothing watches.
+    pub risk: Option<Risk>,
+}
+
+/// The pilots, and what they did in the step before.
+pub(crate) struct Deciding {
+    pub pilots: Pilots,
+    /// What an imported policy follows to a far goal.
+    leg: Leg,
+    /// The vehicle was flown by the recovery pilot, or by an imported policy along its path, in the step before.
+    along_path: bool,
+    /// The recovery pilot flew since the alarm was raised; while the vehicle stops for its own course too.
+    recovery_flew: bool,
+    /// The pilot was asked in the step before.
+    asked: bool,
+    /// They have seen nothing since their last reset.
+    are_new: bool,
+}
+
+impl Deciding {
+    /// Pilots that have seen nothing yet.
+    pub fn new(pilots: Pilots) -> Self {
+        Self {
+            pilots,
+            leg: Leg::default(),
+            along_path: false,
+            recovery_flew: false,
+            asked: false,
+            are_new: true,
+        }
+    }
+
+    /// Asks the pilots, or lets them know once that what they remember is out of date. No action is faster than `limit_m_s`.
+    pub fn decide(&mut self, before_flight: bool, seen: Option<(View, PilotInput<'_>)>, limit_m_s: f32) -> Decision {
+        let Some((view, input)) = seen else {
+            self.pause();
+            if before_flight {
+                self.forget();
+            }
+            return Decision::default();
+        };
+        (self.asked, self.are_new) = (true, false);
+        let (goal, mut detour) = self.target(&view, &input);
+        let asks_recovery = self.asks_recovery();
+        let Pilots {
+            pilot,
+            monitor,
+            recovery,
+            watched,
+        } = &mut self.pilots;
+        let mut recovery = recovery.as_deref_mut().filter(|_| asks_recovery);
+        if let Some(recovery) = recovery.as_deref_mut() {
+            recovery.observe(&input, self.along_path);
+            detour = detour.map(|_| along_path(recovery.lead(&input)));
+        }
+        let limited = |action: Action| Action {
+            forward_m_s: action.forward_m_s.clamp(-limit_m_s, limit_m_s),
+            ..action
+        };
+        let decided = pilot.decide(&PilotInput {
+            goal: detour.unwrap_or(goal),
+            ..input
+        });
+        let action = limited(detour.map_or(decided, |path| turned_to_path(path, decided)));
+        let mut decision = Decision {
+            action: Some(action),
+            ..Decision::default()
+        };
+        if let (Some(monitor), Some(state), Some(position)) = (monitor, pilot.state(), pilot.position()) {
+            decision.judgement = Some(monitor.judge(state, position));
+        }
+        if let (true, Some(recovery)) = (*watched, recovery) {
+            let own = limited(recovery.decide(&input));
+            decision.recovery = Some(own);
+            decision.risk = Some(Risk {
+                collision_course: recovery.foresees_collision(&input, action),
+                speed_along_way_m_s: recovery.speed_along_way_m_s(&input).unwrap_or(0.0),
+                recovery_course: recovery.foresees_own_collision(&input, own),
+            });
+        }
+        decision
+    }
+
+    /// Nobody asks for a path to a near goal that nothing watches.
+    fn asks_recovery(&self) -> bool {
+        self.pilots.watched || self.leg.is_far()
+    }
+
+    /// Where the pilot is to fly, and whether along a path. An imported policy knows near goals only; the actor and the geometric pilot fly
+    /// to the goal as it is.
+    fn target(&mut self, view: &View, input: &PilotInput<'_>) -> (GoalRelative, Option<GoalRelative>) {
+        if !matches!(self.pilots.pilot, FlightPilot::Imported(_)) {
+            return (view.goal, None);
+        }
+        let Motion { kinematics, sample } = view.motion;
+        let here = kinematics.position_ned_m;
+        self.leg.take_up(input.now_ns, here, view.goal_ned_m);
+        match self.leg.next(input.now_ns, here, view.goal.bearing_rad) {
+            LedTo::Point(position_ned_m) => (Goal { position_ned_m }.relative_to(&kinematics, &sample), None),
+            LedTo::Path => (view.goal, Some(view.goal)),
+        }
+    }
+
+    /// Before a flight nobody remembers another one.
+    fn forget(&mut self) {
+        if core::mem::replace(&mut self.are_new, true) {
+            return;
+        }
+        self.leg.reset();
+        self.pilots.pilot.reset();
+        if let Some(recovery) = &mut self.pilots.recovery {
+            recovery.reset();
+        }
+    }
+
+    /// Nothing to decide on. Actor and recovery pilot keep what they remember of places through the whole flight: whoever can hold back
+    /// frames must not be able to erase it.
+    fn pause(&mut self) {
+        if core::mem::take(&mut self.asked) {
+            self.pilots.pilot.pause();
+            if let Some(monitor) = &mut self.pilots.monitor {
+                monitor.reset();
+            }
+        }
+    }
+
+    /// Notes who flies after this step.
+    pub fn note(&mut self, alarm: Option<Alarm>) {
+        self.recovery_flew = alarm.is_some_and(|alarm| match alarm.response {
+            AlarmResponse::Recovery => true,
+            AlarmResponse::Stop => self.recovery_flew,
+            AlarmResponse::Ignored => false,
+        });
+        self.along_path = match alarm {
+            Some(_) => self.recovery_flew,
+            None => self.asked && self.leg.is_by_path(),
+        };
+    }
+
+    /// The pilot that keeps a map and plans a way: the recovery pilot, else the geometric one; `None` where neither has been asked.
+    pub fn mapping(&self) -> Option<&GeometricPilot> {
+        match (&self.pilots.recovery, &self.pilots.pilot) {
+            (Some(recovery), _) if self.asks_recovery() && !self.are_new => Some(recovery.mapping()),
+            (None, FlightPilot::Geometric(pilot)) => Some(pilot),
+            _ => None,
+        }
+    }
+
+    /// The actor, if it decided in the last step.
+    pub fn actor(&self) -> Option<&Actor> {
+        match &self.pilots.pilot {
+            FlightPilot::Actor(pilot) if self.asked => Some(pilot.actor()),
+            _ => None,
+        }
+    }
+}
