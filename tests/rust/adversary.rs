@@ -4,7 +4,7 @@
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
-use vigil_tests::{Running, run, said};
+use vigil_tests::{Running, run, run_in, said};
 
 /// Seeds and flights of a small campaign of the actor.
 fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
@@ -105,7 +105,8 @@ fn who_deceives_the_detector_too_still_does_not_fly_the_vehicle_into_an_obstacle
 }
 
 #[test]
-fn an_attack_that_cannot_be_is_refused_by_name() {
+fn an_attack_that_cannot_be_is_refused_by_name_and_leaves_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
     for (arguments, wanted) in [
         (
             vec!["evaluate", "--attack", "bim-clipped", "--epsilon", "0"],
@@ -122,10 +123,11 @@ fn an_attack_that_cannot_be_is_refused_by_name() {
         ),
         (vec!["adversary", "--goal", "20,5"], "--attack METHOD"),
     ] {
-        let output = run(&arguments);
+        let output = run_in(folder.path(), &arguments);
         assert!(!output.status.success());
         assert!(said(&output).contains(wanted), "{arguments:?}: {}", said(&output));
     }
+    assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), 0);
 }
 
 #[test]

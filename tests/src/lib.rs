@@ -9,7 +9,7 @@ pub use pair::Pair;
 pub use watched::fly_watched;
 
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
@@ -39,8 +39,14 @@ pub fn vigil() -> PathBuf {
 
 /// Runs `vigil` to its end.
 pub fn run(arguments: &[&str]) -> Output {
+    run_in(Path::new("."), arguments)
+}
+
+/// The same, in a folder.
+pub fn run_in(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(vigil())
         .args(arguments)
+        .current_dir(folder)
         .stdin(Stdio::null())
         .output()
         .expect("vigil starts")

@@ -81,9 +81,19 @@ impl AttackArgs {
     /// The attack, if one is asked for. `flown` is the file of the actor that flies, if it is not the built-in one.
     ///
     /// # Errors
-    /// A file that is no actor or no detector, a detector of another actor.
+    /// A file that is no actor or no detector, a detector of another actor; a number out of range.
     pub fn attack(&self, flown: Option<&Path>) -> Result<Option<Attack>> {
         let Some(method) = self.attack else { return Ok(None) };
+        let config = AttackConfig {
+            method,
+            epsilon_255: self.epsilon,
+            iterations: self.iterations,
+            towards: self.towards,
+            seed: 0,
+            region_pixels: self.region,
+            truthful_ahead_deg: self.truthful_ahead,
+        };
+        config.check()?;
         let pilot = FrozenPilot::load_or_built_in(self.attack_actor.as_deref().or(flown))?;
         let evade = self.evade.as_deref().map(FrozenDetector::load).transpose()?;
         if let Some(detector) = &evade {
@@ -95,15 +105,7 @@ impl AttackArgs {
         }
         Ok(Some(Attack {
             pilot,
-            config: AttackConfig {
-                method,
-                epsilon_255: self.epsilon,
-                iterations: self.iterations,
-                towards: self.towards,
-                seed: 0,
-                region_pixels: self.region,
-                truthful_ahead_deg: self.truthful_ahead,
-            },
+            config,
             burst: self.burst,
             evade,
             evades_guard: self.evade_guard,

@@ -349,6 +349,10 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         args.noise
     );
     let models = args.vehicle.models(args.config.as_deref())?;
+    let attack = args.attack.attack(args.pilot.actor_file())?;
+    if args.view.is_some() {
+        args.viewer.check_with_port()?;
+    }
     output::prepare(&args.json)?;
     if let Some(folder) = &args.draw_failures {
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -360,7 +364,6 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         );
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
-    let attack = args.attack.attack(args.pilot.actor_file())?;
     let faults = faults(args.sensor_fault);
     let jobs = Jobs {
         first_seed: args.seed,
@@ -508,7 +511,6 @@ struct Shown {
 impl Shown {
     /// Opens the viewer for the first `count` flights.
     fn begin(args: &EvaluateArgs, count: u64, faults: &[Option<SensorFault>]) -> Result<Self> {
-        args.viewer.check_with_port()?;
         let count = count.min(args.flights * faults.len() as u64);
         let folder = match &args.logs {
             Some(folder) => folder.clone(),
