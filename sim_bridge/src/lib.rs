@@ -30,6 +30,7 @@ pub mod program;
 mod saved_state;
 mod sensor_fault;
 mod simulator;
+pub mod statistics;
 mod udp;
 pub mod vehicle_links;
 pub mod world;

@@ -1,6 +1,6 @@
 //! What a flight log does not hold and a replay of it gives: the pilot's map and planned way, and the pixels' SHAP values.
 
-use crate::detector_training::{PixelExplainer, YAW};
+use crate::explained::{PixelExplainer, YAW};
 use anyhow::{Context, Result};
 use std::path::Path;
 use vigil_firmware::FirmwareConfig;
@@ -147,7 +147,7 @@ fn explainer(reader: &Reader) -> Result<Option<PixelExplainer>> {
 }
 
 /// Replays a log beside whoever reads it and explains its frames: what the actor remembered is not in the log.
-pub(crate) struct ExplainedReplay {
+pub struct ExplainedReplay {
     /// `None` behind a gap in the log.
     firmware: Option<Firmware>,
     explainer: PixelExplainer,

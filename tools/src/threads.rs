@@ -38,6 +38,6 @@ pub fn thread_pool(threads: usize) -> Result<ThreadPool, ThreadsError> {
 ///
 /// # Errors
 /// [`ThreadsError`].
-pub(crate) fn thread_pool_of(option: Option<u16>) -> Result<ThreadPool, ThreadsError> {
+pub fn thread_pool_of(option: Option<u16>) -> Result<ThreadPool, ThreadsError> {
     thread_pool(option.map_or(0, usize::from))
 }

@@ -52,7 +52,7 @@ impl Environment {
         Self::with_lidar(course, wind, LidarConfig::default(), seed)
     }
 
-    /// The same with another vehicle: a model's ([`vigil_sim::vehicle::VehicleModel::params`]) or one drawn between the models
+    /// The same with another vehicle: a model's ([`crate::vehicle::VehicleModel::params`]) or one drawn between the models
     /// ([`VehicleParams::drawn`]).
     ///
     /// # Errors

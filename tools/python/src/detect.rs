@@ -8,10 +8,10 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::path::PathBuf;
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW};
+use vigil_lab::detector_training::{Examples, FitConfig, fit};
 use vigil_nnet::{Activation, Graph, Isa, Purpose};
 use vigil_policy::FrozenPilot;
 use vigil_policy::actor::PositionalInputs;
-use vigil_tools::detector_training::{Examples, FitConfig, fit};
 use vigil_types::Verdict;
 
 /// A frozen detector.

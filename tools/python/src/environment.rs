@@ -5,12 +5,12 @@ use crate::given::{POSITION, array, failed, refused};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray4, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use rayon::prelude::*;
-use vigil_learn::config::{Along, RewardConfig};
-use vigil_learn::flight::Flight;
-use vigil_learn::reward::{DecisionResult, reward};
+use vigil_lab::trainer::config::{Along, RewardConfig};
+use vigil_lab::trainer::reward::{DecisionResult, reward};
 use vigil_sim::environment::true_state::{TRUE_STATE, TrueCourse};
 use vigil_sim::vehicle::{Truth, Wind};
 use vigil_sim::world::{Course, Family, FlightPath, LidarConfig, Outcome, generate};
+use vigil_tools::explained::Flight;
 use vigil_types::{
     Action, AttitudeSample, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, Goal, GoalRelative, Kinematics,
     NedVector,

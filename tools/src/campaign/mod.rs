@@ -53,12 +53,19 @@ pub struct Flight {
 /// How a row of flights ended.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Tally {
+    /// How many.
     pub flights: usize,
+    /// Of these, how many reached the goal.
     pub completed: usize,
+    /// Their share, 0 to 1.
     pub completion: f64,
+    /// Wilson's 95 % interval of it.
     pub wilson_95: (f64, f64),
+    /// Flights that ended at an obstacle or the ground.
     pub collisions: usize,
+    /// Flights that left the course.
     pub out_of_bounds: usize,
+    /// Flights that took too long.
     pub time_outs: usize,
 }
 

@@ -2,13 +2,13 @@
 
 use crate::cli::family;
 use crate::cli::foreign::{ForeignArgs, PilotWatch, PoseWatch, start_sensor};
+use crate::cli::lab;
 use crate::cli::live::Live;
-use crate::cli::log::{FILM_EXPLAINED, FILM_SPEED, check_film, film_name, write_film};
+use crate::cli::log::film_name;
 use crate::cli::output::{self, EXIT_ERROR, EXIT_INTERRUPTED, Interrupt, Paint, say, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_derived::{Wanted, derive};
-use crate::flight_film::FilmOptions;
 use crate::flight_report::{self, EXPLAINED};
 use anyhow::{Context, Result, bail, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -169,7 +169,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         args.viewer.check_with_port()?;
     }
     if let Some(film) = &args.record {
-        check_film(film)?;
+        lab::check_film(film)?;
         output::prepare(film)?;
     }
     let interrupt = Interrupt::on_ctrl_c()?;
@@ -276,7 +276,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         // The flight is over and its log is as the firmware left it.
         tell!("vigil: {}", vigil_firmware::program::told(&error));
     }
-    let film = args.record.as_deref().map(|to| record(&folder, to, &course));
+    let film = args.record.as_deref().map(|to| lab::film(&folder, to, &course.name));
     if let Some(script) = &mut viewer {
         end_viewer(script, &folder)?;
     }
@@ -289,22 +289,11 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     )?;
     match film {
         None => {}
-        Some(Ok(told)) => say!("film      {told}"),
+        Some(Ok(told)) => say!("film      {}", told.trim_end()),
         // The flight has its own end; the film can be made of its log again.
         Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::told(&error)),
     }
     Ok(code)
-}
-
-/// Films the flight that lies in `folder`; what came of it in words.
-fn record(folder: &Path, to: &Path, course: &Course) -> Result<String> {
-    let log = crate::cli::replay::find_log(folder)?;
-    let options = FilmOptions {
-        speed: FILM_SPEED,
-        title: course.name.clone(),
-        explained: FILM_EXPLAINED,
-    };
-    write_film(&log, to, &options)
 }
 
 /// Puts what only the simulation knows into the flight's log, and makes the report beside it.
@@ -423,7 +412,7 @@ fn adversary_in_words(said: &str) -> String {
 }
 
 /// A child that is asked to end, and killed if it does not, however this program ends.
-pub(super) struct Process {
+pub struct Process {
     name: &'static str,
     child: Child,
     /// Its diagnostics.
@@ -433,7 +422,11 @@ pub(super) struct Process {
 }
 
 impl Process {
-    pub(super) fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
+    /// Starts this program again as `name`, arranged; what it says on standard error goes to a file in the folder.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
         let program = std::env::current_exe().context("cannot find this program's own file")?;
         let stderr_file = folder.join(format!("{name}.log"));
         let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
@@ -463,8 +456,11 @@ impl Process {
         self
     }
 
-    /// Fails when the child has ended, with the last of what it said.
-    pub(super) fn check(&mut self) -> Result<()> {
+    /// Looks whether the child still runs.
+    ///
+    /// # Errors
+    /// It has ended, with the last of what it said.
+    pub fn check(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
             let said = self.said();
             let lines: Vec<&str> = said.lines().collect();
@@ -479,7 +475,10 @@ impl Process {
     }
 
     /// Ends the child and returns what it reported.
-    pub(super) fn end(&mut self) -> Result<String> {
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn end(&mut self) -> Result<String> {
         if self.child.try_wait()?.is_none() {
             let pid = rustix::process::Pid::from_child(&self.child);
             rustix::process::kill_process(pid, rustix::process::Signal::TERM)?;
@@ -516,7 +515,10 @@ impl Drop for Process {
 }
 
 /// The simulator's statuses, as they come.
-pub(super) fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
+///
+/// # Errors
+/// They are read already.
+pub fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
     let pipe = simulator.child.stdout.take().context("the simulator has no output")?;
     let (sender, receiver) = channel();
     std::thread::spawn(move || {

@@ -3,12 +3,10 @@
 use crate::cli::output::{self, is_stdout, say};
 use crate::cli::replay::find_log;
 use crate::flight_derived::{Wanted, derive};
-use crate::flight_film::{FilmOptions, Video, film, film_video};
 use crate::flight_report::{self, EXPLAINED, ReportOptions};
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use vigil_log::Story;
 
 /// Arguments of `vigil log`.
 #[derive(Debug, Clone, clap::Args)]
@@ -23,7 +21,7 @@ enum LogCommand {
     Report(ReportArgs),
     /// An animated picture (GIF) or a video (mp4) of the flight: from behind, from above, what the sensor saw and what in it moved the
     /// actor, score, who flies.
-    Film(FilmArgs),
+    Film(crate::cli::lab::Words),
     /// Replay the flight and put into its log what follows from it: the pilot's map, its planned way, SHAP of the pixels.
     Derive(DeriveArgs),
     /// The flight as ULog (.ulg), which PX4's Flight Review, pyulog and PlotJuggler open.
@@ -70,42 +68,6 @@ pub struct ReportArgs {
     shap: usize,
 }
 
-/// Arguments of `vigil log film`.
-#[derive(Debug, Clone, clap::Args)]
-#[command(after_help = "\
-Examples:
-  vigil log film runs/fly-1760000000-7                    flight-0001.gif beside the log
-  vigil log film flight-0001.mcap -o attacked.gif --speed 3 --title \"detector off\"
-  vigil log film flight-0001.mcap -o attacked.mp4         a video; the program ffmpeg makes it
-
-`vigil fly --record FILE` does it after a flight. The frames' pixels are explained anew for at most --shap pictures, which takes most of
-the time. Moving obstacles stand where they began.")]
-pub struct FilmArgs {
-    /// A flight log (MCAP), or a folder that holds one.
-    log: PathBuf,
-
-    /// Where the film goes; its ending, .gif or .mp4, says which [default: beside the log, as .gif]; `-` is a GIF on standard output.
-    #[arg(short = 'o', long, value_name = "FILE", value_parser = film_name)]
-    output: Option<PathBuf>,
-
-    /// Seconds of flight in a second of film, 0.5 to 20; a long flight is shown faster, so that the film stays small.
-    #[arg(long, value_name = "FACTOR", default_value_t = FILM_SPEED, value_parser = speed)]
-    speed: f64,
-
-    /// What stands in the banner [default: the course].
-    #[arg(long, value_name = "TEXT")]
-    title: Option<String>,
-
-    /// Pictures whose pixels are explained by DeepSHAP, evenly over the film, at most 200; 0 leaves it out.
-    #[arg(long, value_name = "PICTURES", default_value_t = FILM_EXPLAINED, value_parser = film_frames)]
-    shap: usize,
-}
-
-/// Pictures of a film whose pixels are explained, unless told otherwise.
-pub const FILM_EXPLAINED: usize = 40;
-/// Seconds of flight in a second of film, unless told otherwise.
-pub const FILM_SPEED: f64 = 2.0;
-
 /// Arguments of `vigil log derive`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "\
@@ -131,20 +93,6 @@ enum Derivable {
     Shap,
 }
 
-fn speed(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(speed) if (0.5..=20.0).contains(&speed) => Ok(speed),
-        _ => Err("give a number from 0.5 to 20".to_owned()),
-    }
-}
-
-fn film_frames(text: &str) -> Result<usize, String> {
-    match text.parse() {
-        Ok(count @ 0..=200) => Ok(count),
-        _ => Err("give a number of pictures from 0 to 200".to_owned()),
-    }
-}
-
 /// Takes the name of a film.
 ///
 /// # Errors
@@ -161,7 +109,8 @@ fn has_ending(path: &Path, ending: &str) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case(ending))
 }
 
-fn is_video(path: &Path) -> bool {
+/// Whether a film of this name is a video.
+pub fn is_video(path: &Path) -> bool {
     has_ending(path, "mp4")
 }
 
@@ -219,21 +168,7 @@ pub fn run(args: &LogArgs) -> Result<ExitCode> {
                 say!("records are missing before step {step}: what follows cannot be replayed");
             }
         }
-        LogCommand::Film(args) => {
-            let log = find_log(&args.log)?;
-            let to = args.output.clone().unwrap_or_else(|| log.with_extension("gif"));
-            output::prepare(&to)?;
-            let course = Story::read(&log)?.about.get("course").cloned();
-            let options = FilmOptions {
-                speed: args.speed,
-                title: args.title.clone().or(course).unwrap_or_default(),
-                explained: args.shap,
-            };
-            let told = write_film(&log, &to, &options)?;
-            if !is_stdout(&to) {
-                say!("{told}");
-            }
-        }
+        LogCommand::Film(_) => return crate::cli::lab::film_log(),
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -247,41 +182,4 @@ pub fn write_report(log: &Path, to: &Path, explained_frames: usize) -> Result<us
     let page = flight_report::html(&flight)?;
     output::write(to, &page)?;
     Ok(page.len())
-}
-
-/// Whether a film of this name can be made.
-///
-/// # Errors
-/// An mp4 without the program that makes it.
-pub fn check_film(to: &Path) -> Result<()> {
-    if is_video(to) {
-        Video::check()?;
-    }
-    Ok(())
-}
-
-/// Films `log` into `to`; what came of it in words.
-///
-/// # Errors
-/// A log that cannot be read, a flight that never took off, a film that cannot be written.
-pub fn write_film(log: &Path, to: &Path, options: &FilmOptions) -> Result<String> {
-    check_film(to)?;
-    let none = || format!("no film of {}", log.display());
-    let (pictures, bytes) = if is_video(to) {
-        let pictures = film_video(log, options, to).with_context(none)?;
-        let Ok(file) = std::fs::metadata(to) else {
-            bail!("ffmpeg left no film {}", to.display());
-        };
-        (pictures, file.len())
-    } else {
-        let mut bytes = Vec::new();
-        let pictures = film(log, options, &mut bytes).with_context(none)?;
-        output::write(to, &bytes)?;
-        (pictures, bytes.len() as u64)
-    };
-    Ok(format!(
-        "{} ({pictures} pictures, {:.1} MB)",
-        to.display(),
-        bytes as f64 / 1e6
-    ))
 }

@@ -28,23 +28,26 @@ static QUIET: AtomicBool = AtomicBool::new(false);
 
 /// Writes a line to standard output, as `println!` does, but survives a reader that has gone (`… | head`). Any other
 /// failure is told when the program ends ([`finish`]).
+#[macro_export]
 macro_rules! say {
     () => { $crate::cli::output::put_line(format_args!("")) };
     ($($text:tt)*) => { $crate::cli::output::put_line(format_args!($($text)*)) };
 }
-pub(crate) use say;
+pub use say;
 
 /// [`say`] without the end of the line.
+#[macro_export]
 macro_rules! put {
     ($($text:tt)*) => { $crate::cli::output::put_text(format_args!($($text)*)) };
 }
-pub(crate) use put;
+pub use put;
 
 /// Writes a line to standard error, if anybody listens there.
+#[macro_export]
 macro_rules! tell {
     ($($text:tt)*) => { $crate::cli::output::tell_line(format_args!($($text)*)) };
 }
-pub(crate) use tell;
+pub use tell;
 
 #[doc(hidden)]
 pub fn put_line(text: Arguments<'_>) {

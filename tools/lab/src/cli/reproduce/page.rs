@@ -1,0 +1,161 @@
+//! The page: one file with all figures and tables in it, without scripts.
+
+use super::items::Grid;
+use super::{MadeBy, Shown};
+use anyhow::Result;
+use std::fmt::Write as _;
+
+const STYLE: &str = include_str!("../../../../assets/reproduce/style.css");
+
+impl Grid {
+    /// As comma-separated values.
+    ///
+    /// # Errors
+    /// None: memory takes every row.
+    pub fn csv(&self) -> Result<String> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.write_record(&self.columns)?;
+        for row in &self.rows {
+            writer.write_record(row)?;
+        }
+        Ok(String::from_utf8(writer.into_inner()?)?)
+    }
+
+    fn html(&self, out: &mut String) {
+        let heading = self
+            .columns
+            .iter()
+            .map(|name| format!("<th scope=\"col\">{}</th>", escaped(name)));
+        *out += "<div class=\"scroll\"><table><thead><tr>";
+        out.extend(heading);
+        *out += "</tr></thead><tbody>\n";
+        for row in &self.rows {
+            *out += "<tr>";
+            for (column, cell) in self.columns.iter().zip(row) {
+                let class = if column.starts_with("the paper") {
+                    " class=\"paper\""
+                } else {
+                    ""
+                };
+                let _ = write!(out, "<td{class}>{}</td>", escaped(cell));
+            }
+            *out += "</tr>\n";
+        }
+        *out += "</tbody></table></div>\n";
+    }
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+/// Rows above which a table is folded.
+const LONG: usize = 14;
+
+/// The page.
+pub fn html(made_by: &MadeBy, all: &[Shown]) -> String {
+    let mut out = String::from(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<meta name=\"color-scheme\" content=\"light dark\">\n\
+         <title>Vigil beside the paper</title>\n<style>\n",
+    );
+    out += STYLE;
+    out += "</style>\n</head>\n<body>\n<header>\n<h1>Vigil beside the paper</h1>\n";
+    out += "<p>Every table and figure of Hickling, Aouf, Spencer, <cite>Robust Adversarial Attacks Detection based on Explainable Deep \
+            Reinforcement Learning for UAV Guidance and Planning</cite>, measured again, and those that Vigil adds.</p>\n";
+    let mode = match made_by.mode.as_str() {
+        "quick" => {
+            "<p class=\"quick\"><strong>Quick:</strong> flown anew with few flights. The intervals are wide; do not cite these numbers.</p>\n"
+        }
+        "committed" => "<p>From the data that the repository holds; nothing was flown for this page.</p>\n",
+        _ => "<p>Flown anew with as many flights as the figures need.</p>\n",
+    };
+    out += mode;
+    let _ = writeln!(
+        out,
+        "<p class=\"soft\">vigil {} · commit {} · actor {} · detector {}</p>",
+        escaped(&made_by.version),
+        escaped(&made_by.commit),
+        short(&made_by.actor_sha256),
+        short(&made_by.detector_sha256)
+    );
+    out += "<nav aria-label=\"Tables and figures\"><ul>\n";
+    for Shown { item, .. } in all {
+        let _ = writeln!(out, "<li><a href=\"#{}\">{}</a></li>", item.id, escaped(item.title));
+    }
+    out += "</ul></nav>\n</header>\n<main>\n";
+    for shown in all {
+        section(&mut out, shown, made_by.mode == "quick");
+    }
+    out += "</main>\n<footer>Made by <code>vigil reproduce</code>; figures as SVG and PNG and tables as CSV lie beside this file, \
+            manifest.json names them all.</footer>\n</body>\n</html>\n";
+    out
+}
+
+fn short(digest: &str) -> &str {
+    digest.get(..12).unwrap_or(digest)
+}
+
+fn section(out: &mut String, shown: &Shown, is_quick: bool) {
+    let Shown { item, made, sources } = shown;
+    let any_fresh = sources.iter().any(|(.., is_fresh)| *is_fresh);
+    let _ = writeln!(out, "<section id=\"{0}\" aria-labelledby=\"h-{0}\">", item.id);
+    let _ = write!(out, "<h2 id=\"h-{}\">{}", item.id, escaped(item.title));
+    if is_quick && any_fresh {
+        *out += " <span class=\"badge\">quick: few flights</span>";
+    }
+    *out += "</h2>\n";
+    if let Some(figure) = &made.figure {
+        let _ = writeln!(
+            out,
+            "<figure><div class=\"scroll\" role=\"img\" aria-label=\"{}\" tabindex=\"0\">\n{}</div><figcaption>{}</figcaption></figure>",
+            escaped(item.title),
+            figure.svg,
+            escaped(&made.caption)
+        );
+    } else {
+        let _ = writeln!(out, "<p class=\"caption\">{}</p>", escaped(&made.caption));
+    }
+    let rows = made.table.rows.len();
+    let folded = shown.made.figure.is_some() && rows > LONG;
+    if folded {
+        let _ = writeln!(out, "<details><summary>Numbers: {rows} rows</summary>");
+    }
+    made.table.html(out);
+    if folded {
+        *out += "</details>\n";
+    }
+    *out += "<p class=\"files\">";
+    if made.figure.is_some() {
+        let _ = write!(
+            out,
+            "<a href=\"figures/{0}.svg\">SVG</a> <a href=\"figures/{0}.png\">PNG, 300 dpi</a> ",
+            item.id
+        );
+    }
+    let _ = writeln!(out, "<a href=\"tables/{}.csv\">CSV</a></p>", item.id);
+    *out += "<details class=\"sources\"><summary>Where the numbers come from</summary>\n<ul>\n";
+    for (_, unit, is_fresh) in sources {
+        let _ = write!(out, "<li><code>{}</code><br>", escaped(&unit.command));
+        let whence = if *is_fresh {
+            "measured for this page"
+        } else {
+            "committed data"
+        };
+        let _ = write!(
+            out,
+            "{whence}; seeds: {}; commit {}, version {}",
+            escaped(&unit.seeds),
+            escaped(&unit.commit),
+            escaped(&unit.version)
+        );
+        if !unit.note.is_empty() {
+            let _ = write!(out, "; {}", escaped(&unit.note));
+        }
+        *out += "</li>\n";
+    }
+    *out += "</ul></details>\n</section>\n";
+}

@@ -1,0 +1,271 @@
+//! What is flown and computed: each unit of data is one or two other `vigil` commands, run in this process.
+
+use super::data::{Data, Unit};
+use crate::cli::output::{self, Interrupt, say};
+use anyhow::{Context, Result};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::LazyLock;
+use vigil_detector::FrozenDetector;
+use vigil_policy::FrozenActor;
+
+/// How much is flown.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Size {
+    Quick,
+    Full,
+}
+
+/// A unit of data and how it is measured; `units.toml` says how to read it.
+#[derive(Deserialize)]
+pub struct Spec {
+    pub name: String,
+    /// For the line that says what is going on.
+    what: String,
+    seeds: String,
+    commands: Vec<String>,
+    /// What is kept.
+    pub files: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Units {
+    unit: Vec<Spec>,
+}
+
+/// In the order in which they are measured.
+pub static SPECS: LazyLock<Vec<Spec>> = LazyLock::new(|| {
+    let units: Result<Units, _> = toml::from_str(include_str!("../../../../assets/reproduce/units.toml"));
+    // A test reads it.
+    units.map(|units| units.unit).unwrap_or_default()
+});
+
+/// Units that only the repository has: training takes hours, and the peers need 5 GB of Python.
+pub const COMMITTED_ONLY: [&str; 2] = ["training-runs", "peers"];
+
+/// Whose decisions and verdicts are measured, by how many threads, how much.
+pub struct Setting {
+    pub actor: Option<PathBuf>,
+    pub detector: Option<PathBuf>,
+    pub actor_sha256: String,
+    pub detector_sha256: String,
+    pub threads: Option<u16>,
+    pub size: Size,
+    pub commit: String,
+}
+
+impl Setting {
+    /// Loads actor and detector, to refuse them before the work.
+    ///
+    /// # Errors
+    /// Files that are none, a detector of another actor.
+    pub fn new(actor: Option<&Path>, detector: Option<&Path>, threads: Option<u16>, size: Size) -> Result<Self> {
+        let (flying, judging) = (load_actor(actor)?, load_detector(detector)?);
+        let sha256 = flying.sha256();
+        anyhow::ensure!(
+            judging.actor_sha256 == sha256,
+            "the detector {} was trained for the actor {}, but the actor that flies is {sha256}: give --detector a detector of this \
+             actor (`vigil detector train --actor FILE`)",
+            detector.map_or("built in".to_owned(), |file| file.display().to_string()),
+            judging.actor_sha256
+        );
+        Ok(Self {
+            actor: actor.map(Path::to_owned),
+            detector: detector.map(Path::to_owned),
+            actor_sha256: sha256,
+            detector_sha256: judging.sha256(),
+            threads,
+            size,
+            commit: output::git_commit().unwrap_or_else(|| "unknown".to_owned()),
+        })
+    }
+}
+
+fn load_actor(file: Option<&Path>) -> Result<FrozenActor> {
+    Ok(match file {
+        Some(file) => FrozenActor::load(file)?,
+        None => FrozenActor::built_in()?,
+    })
+}
+
+fn load_detector(file: Option<&Path>) -> Result<FrozenDetector> {
+    Ok(match file {
+        Some(file) => FrozenDetector::load(file)?,
+        None => FrozenDetector::built_in()?,
+    })
+}
+
+impl Spec {
+    fn lines(&self, size: Size) -> impl Iterator<Item = String> {
+        let of_size = move |word: &str| match (word.split_once('/'), size) {
+            (Some((quick, _)), Size::Quick) => quick.to_owned(),
+            (Some((_, full)), Size::Full) => full.to_owned(),
+            (None, _) => word.to_owned(),
+        };
+        let line = move |command: &String| command.split(' ').map(of_size).collect::<Vec<_>>().join(" ");
+        self.commands.iter().map(line)
+    }
+
+    /// The command as a user would type it in the repository.
+    pub fn command(&self, setting: &Setting) -> String {
+        let detector = setting
+            .detector
+            .as_ref()
+            .map_or("detector/frozen/lstm_ad.safetensors".to_owned(), |file| {
+                file.display().to_string()
+            });
+        let mut told = Vec::new();
+        for line in self.lines(setting.size) {
+            let mut words = format!("vigil {}", line.replace("DETECTOR", &detector));
+            for (name, file) in extra(&line, setting) {
+                words += &format!(" {name} {}", file.display());
+            }
+            told.push(words);
+        }
+        told.join(" && ")
+    }
+
+    /// Runs the commands. False when Ctrl-C came before they were done.
+    ///
+    /// # Errors
+    /// Theirs.
+    pub fn measure(
+        &self,
+        setting: &Setting,
+        data: &mut Data,
+        interrupt: &Interrupt,
+        run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
+    ) -> Result<bool> {
+        let folder = data.folder_of(&self.name);
+        std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+        // The attacker's copy: a campaign that is gone on with must name the same file.
+        let copy = folder.join("known-detector.safetensors");
+        for line in self.lines(setting.size) {
+            if line.contains("DETECTOR") {
+                load_detector(setting.detector.as_deref())?.save(&copy)?;
+            }
+            let mut words: Vec<OsString> = vec!["vigil".into()];
+            words.extend(line.split(' ').map(|word| match word {
+                "DETECTOR" => copy.clone().into_os_string(),
+                word => word.into(),
+            }));
+            let place = match line.starts_with("evaluate") {
+                true => folder.join(&self.files[0]),
+                false => folder.clone(),
+            };
+            words.extend(["-o".into(), place.into_os_string()]);
+            if ["evaluate", "attack completion", "attack defended"]
+                .iter()
+                .any(|command| line.starts_with(command))
+            {
+                words.push("--resume".into());
+            }
+            if let Some(threads) = setting.threads {
+                words.extend(["--threads".into(), threads.to_string().into()]);
+            }
+            for (name, file) in extra(&line, setting) {
+                words.extend([name.into(), file.as_os_str().to_owned()]);
+            }
+            output::quietly(|| run(words)).with_context(|| format!("vigil {line}"))?;
+            if interrupt.came() {
+                return Ok(false);
+            }
+        }
+        let entries = std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?;
+        for entry in entries
+            .flatten()
+            .filter(|entry| !self.files.iter().any(|file| entry.file_name() == **file))
+        {
+            // What stays takes room, no more.
+            let _ = std::fs::remove_file(entry.path());
+        }
+        data.enter(&self.name, self.unit(setting), &self.files)?;
+        Ok(true)
+    }
+
+    /// What the index says of it, but for the files.
+    pub fn unit(&self, setting: &Setting) -> Unit {
+        Unit {
+            command: self.command(setting),
+            seeds: self.seeds.clone(),
+            commit: setting.commit.clone(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            note: String::new(),
+            files: BTreeMap::new(),
+        }
+    }
+}
+
+/// Actor and detector, by the names that the command has for them.
+fn extra<'a>(line: &str, setting: &'a Setting) -> Vec<(&'static str, &'a PathBuf)> {
+    let mut words = Vec::new();
+    if let Some(actor) = &setting.actor {
+        words.push(("--actor", actor));
+    }
+    let name = match line.split(' ').take(2).collect::<Vec<_>>()[..] {
+        ["evaluate", ..] => Some("--detector-file"),
+        ["attack", "defended"] | ["detector", "figures" | "times" | "evaluate" | "table"] => Some("--detector"),
+        _ => None,
+    };
+    if let (Some(name), Some(file)) = (name, &setting.detector) {
+        words.push((name, file));
+    }
+    words
+}
+
+/// Takes units that were measured elsewhere; those that are there already must be the same.
+///
+/// # Errors
+/// Units that are damaged, of another command or contradict those that are there; a folder that cannot be written.
+pub fn take(names: &[&str], setting: &Setting, from: &Data, data: &mut Data) -> Result<()> {
+    for spec in SPECS.iter().filter(|spec| names.contains(&&*spec.name)) {
+        let Some(unit) = from.unit(&spec.name) else { continue };
+        from.check(&spec.name, &spec.unit(setting), &spec.files)?;
+        anyhow::ensure!(
+            data.unit(&spec.name).is_none_or(|there| there == unit),
+            "{} and {} contradict each other: {} came out differently. Flights come out the same on every machine, times do not: \
+             leave one of the two out",
+            from.folder().display(),
+            data.folder().display(),
+            spec.name
+        );
+        for file in unit.files.keys() {
+            let to = data.folder().join(file);
+            output::prepare(&to)?;
+            output::write(&to, from.content(unit, file)?)?;
+        }
+        data.enter_whole(&spec.name, unit.clone())?;
+        say!("{}: taken from {}", spec.what, from.folder().display());
+    }
+    Ok(())
+}
+
+/// Measures what is missing of some units. False when Ctrl-C came first.
+///
+/// # Errors
+/// Those of the commands.
+pub fn measure(
+    names: &[&str],
+    setting: &Setting,
+    data: &mut Data,
+    run: &dyn Fn(Vec<OsString>) -> Result<ExitCode>,
+) -> Result<bool> {
+    let interrupt = Interrupt::on_ctrl_c()?;
+    let wanted: Vec<&Spec> = SPECS.iter().filter(|spec| names.contains(&&*spec.name)).collect();
+    for (number, spec) in wanted.iter().enumerate() {
+        let place = format!("[{}/{}] {}", number + 1, wanted.len(), spec.what);
+        let command = spec.command(setting);
+        if data.has(&spec.name, &command) {
+            say!("{place}: is there");
+            continue;
+        }
+        say!("{place}: {command}");
+        if interrupt.came() || !spec.measure(setting, data, &interrupt, run)? {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}

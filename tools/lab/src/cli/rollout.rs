@@ -1,0 +1,139 @@
+//! `vigil rollout`: how an actor flies alone, without MAVLink and guidance around it.
+
+use crate::cli::output::{or_dash, say};
+use crate::report::{TextTable, numbers, words};
+use crate::statistics::wilson_95;
+use crate::threads::thread_pool_of;
+use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, evaluate};
+use crate::trainer::observation::Drift;
+use anyhow::{Result, ensure};
+use std::path::Path;
+use std::process::ExitCode;
+use vigil_firmware::arguments::choice;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenActor;
+use vigil_sim::family_parser;
+use vigil_sim::world::{Family, Outcome};
+use vigil_types::Ablation;
+
+/// Arguments of `vigil rollout`.
+#[derive(Debug, Clone, clap::Args)]
+#[command(after_help = "\
+Examples:
+  vigil rollout --actor runs/learn/actor.safetensors    100 validation courses, the field off and on
+  vigil rollout --actor runs/learn/actor.safetensors --ablate frames
+                                                        ... blind
+  vigil rollout --actor zero                            what the field does without any actor
+  vigil rollout --actor random                          ... and with one that draws its action evenly each step
+  vigil rollout --actor geometric --family hard         the geometric pilot
+
+The actor decides every step on the simulator's own frames and estimates. `vigil evaluate` flies the whole stack.")]
+pub struct RolloutArgs {
+    /// A frozen actor, or `built-in`, `zero`, `random` or `geometric`.
+    #[arg(long, value_name = "FILE")]
+    actor: String,
+
+    /// Take something from the actor, as a control.
+    #[arg(long, value_parser = choice::<Ablation>(), default_value = "nothing")]
+    ablate: Ablation,
+
+    /// The odometry that the actor remembers by seems longer by this share of the way ...
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
+    drift_scale: f32,
+
+    /// ... and turns by so much that the vehicle does not, degrees per second.
+    #[arg(long, value_name = "DEG_S", default_value_t = 0.0, allow_negative_numbers = true)]
+    drift_yaw: f32,
+
+    /// Number of flights; flight i uses seed SEED + i.
+    #[arg(long, default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..))]
+    flights: u64,
+
+    /// First seed.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+
+    /// Family of generated courses.
+    #[arg(long, value_parser = family_parser(), default_value_t = Family::Validation)]
+    family: Family,
+
+    /// Threads; all cores when absent.
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    /// A flight that takes longer has failed, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 90.0)]
+    time_limit: f32,
+}
+
+/// Flies the courses without and with the field and prints both.
+///
+/// # Errors
+/// A file that is no actor.
+pub fn run(args: &RolloutArgs) -> Result<ExitCode> {
+    let frozen;
+    let evaluated = match args.actor.as_str() {
+        "zero" => EvaluatedActor::Zero,
+        "random" => EvaluatedActor::Random,
+        "geometric" => EvaluatedActor::Geometric,
+        "built-in" => {
+            frozen = FrozenActor::built_in()?;
+            EvaluatedActor::Actor(&frozen.params)
+        }
+        file => {
+            frozen = FrozenActor::load(Path::new(file))?;
+            EvaluatedActor::Actor(&frozen.params)
+        }
+    };
+    let controlled = args.ablate != Ablation::Nothing || args.drift_scale != 0.0 || args.drift_yaw != 0.0;
+    ensure!(
+        !controlled || matches!(evaluated, EvaluatedActor::Actor(_)),
+        "--ablate, --drift-scale and --drift-yaw are for actors, and {} is none",
+        args.actor
+    );
+    let pool = thread_pool_of(args.threads)?;
+    let mut table = TextTable::new([
+        words("field"),
+        numbers("completion"),
+        words("95 % interval"),
+        numbers("collision"),
+        numbers("out of bounds"),
+        numbers("time-out"),
+        numbers("mean time"),
+    ]);
+    // The geometric pilot has the field in it.
+    let fields: &[bool] = match evaluated {
+        EvaluatedActor::Geometric => &[false],
+        _ => &[false, true],
+    };
+    for &field in fields {
+        let what = EvaluationSpec {
+            family: args.family,
+            first_seed: args.seed,
+            flights: args.flights,
+            time_limit_s: args.time_limit,
+            field,
+            ablation: args.ablate,
+            drift: Drift {
+                scale: args.drift_scale,
+                yaw_rad_s: args.drift_yaw.to_radians(),
+            },
+        };
+        let result = pool.install(|| evaluate(evaluated, Isa::detect(), &what))?;
+        let (low, high) = wilson_95(result.count(Outcome::Success), result.flights.len());
+        table.row([
+            if field { "on" } else { "off" }.to_owned(),
+            format!(
+                "{:.1} %",
+                100.0 * result.count(Outcome::Success) as f64 / result.flights.len().max(1) as f64
+            ),
+            format!("{:.1} to {:.1} %", 100.0 * low, 100.0 * high),
+            result.count(Outcome::Collision).to_string(),
+            result.count(Outcome::OutOfBounds).to_string(),
+            result.count(Outcome::TimeOut).to_string(),
+            or_dash(result.mean_time_s().unwrap_or(f64::NAN), 1, " s"),
+        ]);
+    }
+    say!("{table}");
+    Ok(ExitCode::SUCCESS)
+}

@@ -1,0 +1,195 @@
+//! The paper's table III: four detectors on the same states.
+
+use crate::detector_training::fit::{Epoch, Examples, FitConfig, Fitted, fit, outputs};
+use crate::detector_training::lstm::Judge;
+use crate::detector_training::metrics::Separation;
+use crate::detector_training::pixels::{State, States};
+use crate::explained::DetectError;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+use vigil_detector::{IMAGE_CHANNELS, IMAGE_COLS, IMAGE_ROWS, Pca, cnn_ad, fcn_ad};
+use vigil_nnet::{Activation, Graph, Isa};
+use vigil_policy::FrozenPilot;
+
+/// A detector's row of the table.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TableRow {
+    /// The detector.
+    pub detector: String,
+    /// The paper's accuracy.
+    pub paper: f64,
+    /// Ours.
+    pub separation: Separation,
+}
+
+impl Examples for &[State] {
+    fn len(&self) -> usize {
+        (**self).len()
+    }
+
+    fn inputs<'a>(&'a self, i: usize, buffer: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
+        buffer.clear();
+        buffer.extend(self[i].image.iter().map(|b| f32::from(*b) / 255.0));
+        vec![buffer.as_slice()]
+    }
+
+    fn attacked(&self, i: usize) -> bool {
+        self[i].attacked
+    }
+}
+
+/// How CNN-AD and FCN-AD are trained.
+pub fn image_fit(epochs: usize, seed: u64) -> FitConfig {
+    FitConfig {
+        epochs,
+        batch: 32,
+        rate: 1e-3,
+        gradient_norm: 5.0,
+        weight_decay: 0.01,
+        seed,
+    }
+}
+
+/// Which image network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ImageNetwork {
+    /// Convolutions.
+    Cnn,
+    /// Dense layers only.
+    Fcn,
+}
+
+impl ImageNetwork {
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cnn => "CNN-AD",
+            Self::Fcn => "FCN-AD",
+        }
+    }
+
+    pub(crate) fn graph(self, output: Activation) -> Result<Graph, DetectError> {
+        Ok(match self {
+            Self::Cnn => cnn_ad(output)?,
+            Self::Fcn => fcn_ad(output)?,
+        })
+    }
+
+    /// Trains it.
+    ///
+    /// # Errors
+    /// A loss that is not finite.
+    pub fn train(
+        self,
+        isa: Isa,
+        (learn, choose): (&States, &States),
+        config: &FitConfig,
+        progress: &mut dyn FnMut(usize, Option<&Epoch>),
+    ) -> Result<Fitted, DetectError> {
+        let graph = self.graph(Activation::Identity)?;
+        let mut params = vec![0.0; graph.param_len()];
+        graph.initialize(&mut ChaCha8Rng::seed_from_u64(config.seed), &mut params)?;
+        if self == Self::Cnn {
+            // Batch norm is the first layer: scale, shift, mean, variance of both channels.
+            for (channel, (mean, variance)) in statistics(&learn.states).into_iter().enumerate() {
+                params[2 * IMAGE_CHANNELS + channel] = mean;
+                params[3 * IMAGE_CHANNELS + channel] = variance;
+            }
+        }
+        let (learn, choose) = (learn.states.as_slice(), choose.states.as_slice());
+        fit(&graph, isa, params, &learn, &choose, config, progress)
+    }
+
+    /// Scores of states, 0 to 1.
+    ///
+    /// # Errors
+    /// Parameters of another network.
+    pub fn scores(self, isa: Isa, params: &[f32], states: &States) -> Result<Vec<f32>, DetectError> {
+        outputs(
+            &self.graph(Activation::Sigmoid)?,
+            isa,
+            params,
+            &states.states.as_slice(),
+        )
+    }
+}
+
+/// Mean and variance of each channel.
+fn statistics(states: &[State]) -> [(f32, f32); IMAGE_CHANNELS] {
+    let mut sums = [(0.0f64, 0.0f64); IMAGE_CHANNELS];
+    let mut count = 0usize;
+    for pair in states.iter().flat_map(|s| s.image.chunks_exact(IMAGE_CHANNELS)) {
+        count += 1;
+        for (sum, byte) in sums.iter_mut().zip(pair) {
+            let x = f64::from(*byte) / 255.0;
+            sum.0 += x;
+            sum.1 += x * x;
+        }
+    }
+    let count = count.max(1) as f64;
+    sums.map(|(sum, squares)| {
+        let mean = sum / count;
+        (mean as f32, (squares / count - mean * mean).max(1e-6) as f32)
+    })
+}
+
+/// Components of the PCA detector.
+const COMPONENTS: usize = 32;
+/// Side of the blocks of image values that it sums: a state is 16 × 32 × 2 numbers.
+const BLOCK: usize = 4;
+
+/// A state's image, coarse.
+fn coarse(state: &State) -> Vec<f32> {
+    let (rows, cols) = (IMAGE_ROWS / BLOCK, IMAGE_COLS / BLOCK);
+    let mut sums = vec![0.0f32; rows * cols * IMAGE_CHANNELS];
+    for (i, byte) in state.image.iter().enumerate() {
+        let (channel, pixel) = (i % IMAGE_CHANNELS, i / IMAGE_CHANNELS);
+        let (col, row) = (pixel % IMAGE_COLS, pixel / IMAGE_COLS);
+        let block = row / BLOCK * cols + col / BLOCK;
+        sums[block * IMAGE_CHANNELS + channel] += f32::from(*byte) / 255.0;
+    }
+    sums
+}
+
+/// Scores of the PCA detector on states: how badly unattacked training states' components explain them, over the value that
+/// separates the choosing states best. Above 1 is an attack.
+pub fn pca_scores(learn: &States, choose: &States, test: &States) -> Vec<f32> {
+    let unattacked: Vec<f32> = learn.states.iter().filter(|s| !s.attacked).flat_map(coarse).collect();
+    let width = learn.states.first().map_or(1, |s| coarse(s).len());
+    let pca = Pca::fit(&unattacked, width, COMPONENTS);
+    let score = |states: &States| -> Vec<f32> { states.states.iter().map(|s| pca.score(&coarse(s))).collect() };
+    let chosen = score(choose);
+    let right = |limit: f32| {
+        let verdicts = chosen.iter().zip(&choose.states);
+        verdicts.filter(|(score, s)| (**score > limit) == s.attacked).count()
+    };
+    let limit = chosen.iter().copied().max_by_key(|limit| right(*limit)).unwrap_or(1.0);
+    score(test)
+        .into_iter()
+        .map(|s| s / limit.max(f32::MIN_POSITIVE))
+        .collect()
+}
+
+/// LSTM-AD's scores of the windows that end in the states.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn lstm_scores(isa: Isa, pilot: &FrozenPilot, judge: &Judge, states: &States) -> Result<Vec<f32>, DetectError> {
+    let scores = judge.scores(isa, pilot, &states.flights.records)?;
+    let of = |s: &State| scores.get(s.flight).and_then(|f| *f.get(s.step)?);
+    Ok(states.states.iter().map(|s| of(s).unwrap_or(f32::NAN)).collect())
+}
+
+/// A row from scores of the states, in their order.
+pub fn row(detector: &str, paper: f64, threshold: f32, states: &States, scores: &[f32]) -> TableRow {
+    let of = |attacked: bool| -> Vec<f32> {
+        let class = states.states.iter().zip(scores).filter(|(s, _)| s.attacked == attacked);
+        class.map(|(_, score)| *score).collect()
+    };
+    TableRow {
+        detector: detector.to_owned(),
+        paper,
+        separation: Separation::of(threshold, &of(true), &of(false)),
+    }
+}

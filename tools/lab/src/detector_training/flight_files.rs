@@ -1,0 +1,286 @@
+//! Gathering flights and keeping them in files.
+
+use crate::explained::Scenario;
+use crate::explained::{DetectError, access};
+use crate::explained::{Ending, Frame, Record, Step, held_frames};
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::Path;
+use vigil_detector::WINDOW;
+use vigil_policy::FrozenPilot;
+use vigil_policy::actor::{ACTOR_HIDDEN, ACTOR_OUTPUTS, GOAL_INPUTS, LOW_DIM, PositionalInputs};
+
+/// Flights of one actor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Flights {
+    /// Digest of the actor.
+    pub actor_sha256: String,
+    /// The flights.
+    pub records: Vec<Record>,
+}
+
+/// How many windows there are of each class.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// Windows whose newest frame was attacked.
+    pub attacked: usize,
+    /// Windows without an altered frame among the newest ones that make the actor's state.
+    pub unattacked: usize,
+}
+
+impl Counts {
+    /// Adds a flight's.
+    pub fn add(&mut self, record: &Record) {
+        for step in WINDOW - 1..record.steps.len() {
+            match Class::of(record, step) {
+                Class::Attacked => self.attacked += 1,
+                Class::Unattacked => self.unattacked += 1,
+                Class::Weak | Class::Lingering => {}
+            }
+        }
+    }
+
+    /// Whether there are as many of both as wanted.
+    pub fn reach(&self, want: Self) -> bool {
+        self.attacked >= want.attacked && self.unattacked >= want.unattacked
+    }
+
+    /// Of some flights.
+    pub fn of(records: &[Record]) -> Self {
+        let mut counts = Self::default();
+        records.iter().for_each(|r| counts.add(r));
+        counts
+    }
+}
+
+/// What a window is, by its newest step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Class {
+    /// Its frame was attacked, and the yaw output moved by [`WEAK_YAW`] or more.
+    Attacked,
+    /// Its frame was attacked, but to little effect: nothing is learned from it. Judged apart.
+    Weak,
+    /// Its frame was delivered as taken, but an older one, which the actor's state holds too, was attacked.
+    /// Nothing is learned from it. Judged apart.
+    Lingering,
+    /// No attacked frame is in the actor's state.
+    Unattacked,
+}
+
+/// A change of the yaw output below it is next to no attack: 3 °/s.
+pub const WEAK_YAW: f32 = 0.1;
+
+impl Class {
+    /// Of a flight's step.
+    pub fn of(record: &Record, step: usize) -> Self {
+        let taken = |age: &usize| record.steps.get(step.saturating_sub(*age));
+        let held = || record.frame_ages.iter().filter_map(taken);
+        match record.steps.get(step) {
+            Some(newest) if newest.frame == Frame::Attacked && newest.yaw_change.abs() >= WEAK_YAW => Self::Attacked,
+            Some(newest) if newest.frame == Frame::Attacked => Self::Weak,
+            _ if held().any(|s| s.frame == Frame::Attacked) => Self::Lingering,
+            _ => Self::Unattacked,
+        }
+    }
+}
+
+/// Flights flown at once; fixed, so that what is gathered does not depend on the number of threads.
+pub const BLOCK: u64 = 12;
+
+/// An hour of flight has 15 MB.
+const SIZE_LIMIT: u64 = 4 << 30;
+
+/// Key of the only metadata entry: with several the order, and so the file, would be another in each process.
+const FORMAT: &str = "vigil detector data 2";
+/// Numbers kept of a step beside the split point's values and the positional inputs.
+const BESIDE_STATE: usize = ACTOR_OUTPUTS + 1;
+
+/// What a pilot's flights have in common: whose they are, and how wide their steps.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Recorded {
+    /// Digest of the pilot.
+    pub actor_sha256: String,
+    /// Values of its split point.
+    pub state: usize,
+    /// Its positional inputs.
+    pub position: usize,
+    /// How many steps ago each frame was taken that a decision holds, oldest first.
+    pub frame_ages: Vec<usize>,
+}
+
+impl Recorded {
+    /// By a pilot.
+    ///
+    /// # Errors
+    /// A policy without a split point.
+    pub fn by(pilot: &FrozenPilot) -> Result<Self, DetectError> {
+        let (state, position) = match pilot {
+            FrozenPilot::Actor(_) => (ACTOR_HIDDEN, LOW_DIM),
+            FrozenPilot::Imported(policy) => (policy.head()?.width, GOAL_INPUTS),
+        };
+        Ok(Self {
+            actor_sha256: pilot.sha256(),
+            state,
+            position,
+            frame_ages: held_frames(pilot),
+        })
+    }
+}
+
+/// The metadata entry, JSON.
+#[derive(Serialize, Deserialize)]
+struct About {
+    actor_sha256: String,
+    flights: Vec<Entry>,
+}
+
+/// A flight's entry in the file.
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    scenario: Scenario,
+    outcome: Option<Ending>,
+    steps: usize,
+}
+
+impl Flights {
+    /// Writes them.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), DetectError> {
+        let bytes = self.to_bytes(path)?;
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(access(folder))?;
+        }
+        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared).map_err(access(path))
+    }
+
+    /// A file's content: `steps` (float32: split point's values, positional inputs, outputs, change of yaw), `frames` (0 unaltered, 1
+    /// attacked, 2 noisy), and what was flown as JSON in the metadata. `path` names it in errors.
+    ///
+    /// # Errors
+    /// Steps of different widths.
+    pub fn to_bytes(&self, path: &Path) -> Result<Vec<u8>, DetectError> {
+        let steps = || self.records.iter().flat_map(|r| &r.steps);
+        let count = steps().count();
+        let width = BESIDE_STATE + steps().next().map_or(0, |step| step.state.len() + step.position.len());
+        let mut values = Vec::with_capacity(4 * width * count);
+        let mut frames = Vec::with_capacity(count);
+        for step in steps() {
+            let numbers = step.state.iter().chain(&step.position[..]).chain(&step.output);
+            for number in numbers.chain([&step.yaw_change]) {
+                values.extend(number.to_le_bytes());
+            }
+            frames.push(step.frame as u8);
+        }
+        let flights: Vec<Entry> = self
+            .records
+            .iter()
+            .map(|r| Entry {
+                scenario: r.scenario.clone(),
+                outcome: r.outcome,
+                steps: r.steps.len(),
+            })
+            .collect();
+        let data = |message: String| DetectError::Data {
+            path: path.to_owned(),
+            message,
+        };
+        let about = About {
+            actor_sha256: self.actor_sha256.clone(),
+            flights,
+        };
+        let json = serde_json::to_string(&about).map_err(|e| data(e.to_string()))?;
+        let metadata = HashMap::from([(FORMAT.to_owned(), json)]);
+        let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
+        let tensors = [
+            ("steps", view(Dtype::F32, vec![count, width], &values)?),
+            ("frames", view(Dtype::U8, vec![count], &frames)?),
+        ];
+        safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))
+    }
+
+    /// Reads them.
+    ///
+    /// # Errors
+    /// A file that cannot be read, holds something else, or was gathered with another actor.
+    pub fn load(path: &Path, pilot: &FrozenPilot) -> Result<Self, DetectError> {
+        let bytes = vigil_types::files::read(path, SIZE_LIMIT).map_err(access(path))?;
+        Self::from_bytes(path, &bytes, &Recorded::by(pilot)?)
+    }
+
+    /// Reads a file's content. `path` names it in errors.
+    ///
+    /// # Errors
+    /// Something else, or flights of another actor.
+    pub fn from_bytes(path: &Path, bytes: &[u8], recorded: &Recorded) -> Result<Self, DetectError> {
+        let data = |message: &str| DetectError::Data {
+            path: path.to_owned(),
+            message: message.to_owned(),
+        };
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| data(&e.to_string()))?;
+        let content = SafeTensors::deserialize(bytes).map_err(|e| data(&e.to_string()))?;
+        let metadata = header.metadata().as_ref();
+        let json = metadata
+            .and_then(|entries| entries.get(FORMAT))
+            .ok_or_else(|| data("it is of another format"))?;
+        let about: About = serde_json::from_str(json).map_err(|e| data(&e.to_string()))?;
+        if about.actor_sha256 != recorded.actor_sha256 {
+            return Err(DetectError::OtherActor {
+                path: path.to_owned(),
+                found: about.actor_sha256,
+                expected: recorded.actor_sha256.clone(),
+            });
+        }
+        let entries = about.flights;
+        let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
+        let (values, frames) = (tensor("steps")?, tensor("frames")?);
+        let values: Vec<f32> = values
+            .data()
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|b| f32::from_le_bytes(*b))
+            .collect();
+        let (hidden, positional) = (recorded.state, recorded.position);
+        let width = BESIDE_STATE + hidden + positional;
+        if entries.iter().map(|e| e.steps).sum::<usize>() * width != values.len()
+            || frames.data().len() * width != values.len()
+        {
+            return Err(data("its flights and its steps do not belong together"));
+        }
+        let mut steps = values.chunks_exact(width).zip(frames.data()).map(|(values, frame)| {
+            let (state, rest) = values.split_at(hidden);
+            let (position, rest) = rest.split_at(positional);
+            let (output, yaw_change) = rest.split_at(ACTOR_OUTPUTS);
+            let mut step = Step {
+                state: state.to_vec(),
+                position: PositionalInputs::from_values(position)
+                    .unwrap_or_else(|| unreachable!("as many as an actor has")),
+                output: [0.0; ACTOR_OUTPUTS],
+                frame: match frame {
+                    1 => Frame::Attacked,
+                    2 => Frame::Noisy,
+                    _ => Frame::Unaltered,
+                },
+                yaw_change: yaw_change[0],
+            };
+            step.output.copy_from_slice(output);
+            step
+        });
+        let records = entries
+            .into_iter()
+            .map(|entry| Record {
+                frame_ages: recorded.frame_ages.clone(),
+                scenario: entry.scenario,
+                outcome: entry.outcome,
+                steps: steps.by_ref().take(entry.steps).collect(),
+            })
+            .collect();
+        Ok(Self {
+            actor_sha256: about.actor_sha256,
+            records,
+        })
+    }
+}

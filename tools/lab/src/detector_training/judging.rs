@@ -1,0 +1,566 @@
+//! Judging flights on courses that no detector was trained on, and what the verdicts were worth.
+
+use crate::detector_training::features::Feature;
+use crate::detector_training::flight_files::Class;
+use crate::detector_training::lstm::Judge;
+use crate::detector_training::metrics::{Proportion, Separation, corners, roc};
+use crate::explained::DetectError;
+use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
+use crate::explained::{Ending, Frame, Record, fly};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
+use vigil_adversary::{AttackConfig, EFFECTIVE_YAW, Method, Towards};
+use vigil_detector::WINDOW;
+use vigil_nnet::Isa;
+use vigil_policy::FrozenPilot;
+use vigil_sim::world::Family;
+use vigil_types::STEP_NS;
+
+/// Flights of one kind, judged together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Set {
+    /// Its name in reports.
+    pub name: String,
+    /// What it is for.
+    pub role: Role,
+    /// The flights.
+    pub scenarios: Vec<Scenario>,
+}
+
+/// What a set is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Role {
+    /// No altered frames: unattacked windows, false alarms.
+    Unattacked,
+    /// The paper's attack, streaming: the headline's attacked windows.
+    Paper,
+    /// An attack of a kind that is trained on, at another strength.
+    Trained,
+    /// An attack of a kind that is not trained on.
+    Untrained,
+    /// No attack: it must not alarm.
+    Control,
+}
+
+/// How much is flown for an evaluation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EvaluationSize {
+    /// Unattacked flights.
+    pub unattacked: u64,
+    /// Flights under the paper's attack.
+    pub paper: u64,
+    /// Flights under each other attack, and of each control.
+    pub other: u64,
+    /// First seed.
+    pub first_seed: u64,
+}
+
+impl Default for EvaluationSize {
+    fn default() -> Self {
+        Self {
+            unattacked: 200,
+            paper: 48,
+            other: 12,
+            first_seed: 6000,
+        }
+    }
+}
+
+/// How a recovery flies in the evaluation: it stops at the second altered frame.
+const RECOVERING: Plan = Plan::Recovering {
+    delay: 2,
+    hover: 20,
+    trust: 20,
+};
+
+/// Attacked frames after which a flight is cut off.
+const ALTERED: u64 = 100;
+
+/// The flights of an evaluation.
+pub fn sets(size: &EvaluationSize) -> Vec<Set> {
+    let validation = |i: u64, plan| Scenario::unattacked(Family::Validation, size.first_seed.wrapping_add(i), plan);
+    let attacked = |method, epsilon_255, iterations, i: u64| {
+        // Every other flight is recovered, since the verdict must hold there as well.
+        let plan = if i.is_multiple_of(2) { Plan::Actor } else { RECOVERING };
+        let mut scenario = validation(i, plan);
+        let config = AttackConfig {
+            method,
+            epsilon_255,
+            iterations,
+            towards: [Towards::Left, Towards::Right, Towards::Away][i as usize % 3],
+            seed: scenario.seed,
+            ..AttackConfig::PAPER
+        };
+        let length = [5, 50, 100, MAX_STEPS][i as usize / 2 % 4];
+        let mut rng = ChaCha8Rng::seed_from_u64(scenario.seed);
+        scenario.adversary = Some(Adversary::in_bursts(config, length, MAX_STEPS, &mut rng));
+        scenario.altered = ALTERED;
+        scenario
+    };
+    let set = |name: &str, role, count, scenario: &dyn Fn(u64) -> Scenario| Set {
+        name: name.to_owned(),
+        role,
+        scenarios: (0..count).map(scenario).collect(),
+    };
+    let mut sets = vec![
+        set("unattacked", Role::Unattacked, size.unattacked, &|i| {
+            validation(i, Plan::Actor)
+        }),
+        set("bim-accumulating 1 x 20", Role::Paper, size.paper, &|i| {
+            attacked(Method::BimAccumulating, 1.0, 20, i)
+        }),
+    ];
+    for (method, epsilon_255, iterations, role) in [
+        (Method::BimAccumulating, 0.5, 20, Role::Trained),
+        (Method::BimAccumulating, 1.0, 5, Role::Trained),
+        (Method::BimClipped, 5.0, 20, Role::Trained),
+        (Method::Fgsm, 10.0, 1, Role::Untrained),
+        (Method::Pgd, 5.0, 20, Role::Untrained),
+        (Method::Momentum, 5.0, 20, Role::Untrained),
+        (Method::L2, 5.0, 20, Role::Untrained),
+        (Method::Patch, 5.0, 20, Role::Untrained),
+        (Method::Noise, 1.0, 20, Role::Control),
+    ] {
+        let name = format!("{} {epsilon_255} x {iterations}", method.name());
+        sets.push(set(&name, role, size.other, &|i| {
+            attacked(method, epsilon_255, iterations, i)
+        }));
+    }
+    let control = |name: &str, change: &dyn Fn(&mut Scenario)| {
+        set(name, Role::Control, size.other, &|i| {
+            let mut scenario = validation(i, Plan::Actor);
+            change(&mut scenario);
+            scenario
+        })
+    };
+    sets.push(control("LiDAR noise x 2", &|s| s.range_noise = 2.0));
+    sets.push(control("LiDAR noise x 4", &|s| s.range_noise = 4.0));
+    sets.push(control("wind 3 m/s", &|s| s.wind_m_s = [2.1, -2.1, 0.6]));
+    sets.push(control("hard courses", &|s| s.family = Family::Hard));
+    sets.push(control("geometric pilot flies", &|s| s.plan = Plan::Geometric));
+    sets.push(control("pilots change", &|s| s.plan = Plan::Switching));
+    sets
+}
+
+/// Flies them all; `progress` is called after each block of flights with how many, and may end it: nothing is returned then.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn fly_sets(
+    isa: Isa,
+    pilot: &FrozenPilot,
+    sets: &[Set],
+    progress: &mut dyn FnMut(u64) -> ControlFlow<()>,
+) -> Result<Option<Vec<Vec<Record>>>, DetectError> {
+    let mut all = Vec::with_capacity(sets.len());
+    for set in sets {
+        let mut records = Vec::with_capacity(set.scenarios.len());
+        for block in set.scenarios.chunks(8) {
+            let flown = block
+                .par_iter()
+                .map(|scenario| fly(isa, pilot, scenario, &mut ()))
+                .collect::<Result<Vec<_>, _>>()?;
+            records.extend(flown);
+            if progress(block.len() as u64).is_break() {
+                return Ok(None);
+            }
+        }
+        all.push(records);
+    }
+    Ok(Some(all))
+}
+
+/// A set's result.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SetReport {
+    /// Its name.
+    pub name: String,
+    /// What it is for.
+    pub role: Role,
+    /// Flights.
+    pub flights: usize,
+    /// Flights that reached the goal; those cut off count for neither.
+    pub at_goal: Proportion,
+    /// Attacked windows judged so.
+    pub detected: Proportion,
+    /// Of those whose attack moved the yaw by 1 or more.
+    pub detected_effective: Proportion,
+    /// Of the others.
+    pub detected_ineffective: Proportion,
+    /// Windows without any altered frame in the actor's state judged attacked.
+    pub false_alarms: Proportion,
+    /// Windows altered by noise judged attacked.
+    pub alarms_on_noise: Proportion,
+    /// Altered frames until the first alarm, in bursts that were noticed: median and 90th percentile. 1 is at once.
+    pub delay_steps: Option<(f64, f64)>,
+    /// Bursts in which an alarm was raised before they ended.
+    pub bursts_noticed: Proportion,
+    /// Receiver operating characteristic of its attacked windows against those of the unattacked flights: its corners.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub roc: Vec<(f64, f64)>,
+}
+
+/// Detection over the number of altered rows in the window.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct RowsReport {
+    /// Altered rows among the ten; the newest is one.
+    pub attacked_rows: usize,
+    /// Windows judged attacked.
+    pub detected: Proportion,
+    /// Accuracy beside as many unattacked windows.
+    pub accuracy: f64,
+}
+
+/// After an attack.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AfterReport {
+    /// Steps since the last altered frame.
+    pub steps_after: usize,
+    /// Windows judged attacked.
+    pub alarmed: Proportion,
+}
+
+/// A judge's result on all sets.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// What the judge looks at.
+    pub feature: Feature,
+    /// A score above it is an attack.
+    pub threshold: f32,
+    /// The paper's attack against unattacked flights.
+    pub separation: Separation,
+    /// The same, with only those attacked windows whose yaw moved by 1 or more.
+    pub separation_effective: Separation,
+    /// Times at which the verdict turned to attack in unattacked flights, at least a second apart.
+    pub false_stops: usize,
+    /// Hours of unattacked flight.
+    pub unattacked_hours: f64,
+    /// Detection over the number of attacked rows.
+    pub rows: Vec<RowsReport>,
+    /// Alarms in the steps after an attack.
+    pub after: Vec<AfterReport>,
+    /// Each set.
+    pub sets: Vec<SetReport>,
+    /// Receiver operating characteristic of the paper's attack: its corners.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub roc: Vec<(f64, f64)>,
+}
+
+/// Steps within which alarms count as one.
+const ONE_ALARM: usize = 20;
+
+type Scores = Vec<Vec<Option<f32>>>;
+
+/// Scores with record and step.
+fn judged<'a>(records: &'a [Record], scores: &'a Scores) -> impl Iterator<Item = (&'a Record, usize, f32)> {
+    let flights = records.iter().zip(scores);
+    flights.flat_map(|(r, s)| s.iter().enumerate().filter_map(move |(step, s)| Some((r, step, (*s)?))))
+}
+
+fn attacked(record: &Record, step: usize) -> bool {
+    record.steps.get(step).is_some_and(|s| s.frame == Frame::Attacked)
+}
+
+fn effective(record: &Record, step: usize) -> bool {
+    record
+        .steps
+        .get(step)
+        .is_some_and(|s| s.yaw_change.abs() >= EFFECTIVE_YAW)
+}
+
+/// No altered frame, attacked or noisy, is in the actor's state.
+fn untouched(record: &Record, step: usize) -> bool {
+    record.altered_of_last(step, 1 + record.frame_ages.first().copied().unwrap_or(0)) == 0
+}
+
+/// Altered frames from each burst's beginning to its first alarm; `None` if it ended unnoticed. Bursts that begin before the
+/// window is full are left out.
+fn delays(record: &Record, scores: &[Option<f32>], threshold: f32) -> Vec<Option<usize>> {
+    let mut delays = Vec::new();
+    let mut step = 0;
+    while step < record.steps.len() {
+        if !attacked(record, step) {
+            step += 1;
+            continue;
+        }
+        let begin = step;
+        while step < record.steps.len() && attacked(record, step) {
+            step += 1;
+        }
+        if begin >= WINDOW {
+            let alarm = (begin..step).find(|i| scores[*i].is_some_and(|s| s > threshold));
+            delays.push(alarm.map(|i| i - begin + 1));
+        }
+    }
+    delays
+}
+
+/// Times at which the verdict turns to attack in a flight, those within a second counting once.
+fn alarms(scores: &[Option<f32>], threshold: f32) -> usize {
+    let mut last: Option<usize> = None;
+    let mut count = 0;
+    for (step, _) in scores
+        .iter()
+        .enumerate()
+        .filter(|(_, s)| s.is_some_and(|s| s > threshold))
+    {
+        if last.is_none_or(|last| step - last > ONE_ALARM) {
+            count += 1;
+        }
+        last = Some(step);
+    }
+    count
+}
+
+fn report_set(set: &Set, records: &[Record], scores: &Scores, threshold: f32) -> SetReport {
+    let above = |keep: &dyn Fn(&Record, usize) -> bool| {
+        let kept = judged(records, scores).filter(|(r, step, _)| keep(r, *step));
+        Proportion::above(threshold, kept.map(|(.., score)| score))
+    };
+    let flights = records.iter().zip(scores);
+    let delays: Vec<Option<usize>> = flights.flat_map(|(r, s)| delays(r, s, threshold)).collect();
+    let noticed: Vec<f64> = delays.iter().flatten().map(|d| *d as f64).collect();
+    let quantile = |q| crate::statistics::quantile(&noticed, q);
+    let ended = records.iter().filter_map(|r| r.outcome);
+    SetReport {
+        name: set.name.clone(),
+        role: set.role,
+        flights: records.len(),
+        at_goal: Proportion::new(ended.clone().filter(|o| *o == Ending::Goal).count(), ended.count()),
+        detected: above(&attacked),
+        detected_effective: above(&|r, step| attacked(r, step) && effective(r, step)),
+        detected_ineffective: above(&|r, step| attacked(r, step) && !effective(r, step)),
+        false_alarms: above(&untouched),
+        alarms_on_noise: above(&|r, step| r.steps.get(step).is_some_and(|s| s.frame == Frame::Noisy)),
+        delay_steps: quantile(0.5).zip(quantile(0.9)),
+        bursts_noticed: Proportion::new(noticed.len(), delays.len()),
+        roc: Vec::new(),
+    }
+}
+
+/// Judges all sets' flights.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn evaluate(
+    isa: Isa,
+    pilot: &FrozenPilot,
+    judge: &Judge,
+    threshold: f32,
+    (sets, records): (&[Set], &[Vec<Record>]),
+) -> Result<Report, DetectError> {
+    let scores = records
+        .iter()
+        .map(|records| judge.scores(isa, pilot, records))
+        .collect::<Result<Vec<Scores>, _>>()?;
+    Ok(report(judge.feature, threshold, sets, records, &scores))
+}
+
+fn report(feature: Feature, threshold: f32, sets: &[Set], records: &[Vec<Record>], scores: &[Scores]) -> Report {
+    let of_role = |role: Role| {
+        let all = sets.iter().zip(records.iter().zip(scores));
+        all.filter(move |(set, _)| set.role == role)
+            .flat_map(|(_, (r, s))| judged(r, s))
+    };
+    let unattacked: Vec<f32> = of_role(Role::Unattacked).map(|(.., score)| score).collect();
+    let paper = |keep: &dyn Fn(&Record, usize) -> bool| -> Vec<f32> {
+        let kept = of_role(Role::Paper).filter(|(r, step, _)| keep(r, *step));
+        kept.map(|(.., score)| score).collect()
+    };
+    let under_attack = paper(&attacked);
+    let separation = Separation::of(threshold, &under_attack, &unattacked);
+    let quiet = 1.0 - separation.false_alarms.share.unwrap_or(0.0);
+    let rows = (1..=WINDOW)
+        .map(|attacked_rows| {
+            let detected = Proportion::above(
+                threshold,
+                paper(&|r, step| attacked(r, step) && r.altered_of_last(step, WINDOW) == attacked_rows),
+            );
+            RowsReport {
+                attacked_rows,
+                detected,
+                accuracy: 0.5 * (detected.share.unwrap_or(f64::NAN) + quiet),
+            }
+        })
+        .collect();
+    let after = (1..=2 * WINDOW)
+        .map(|steps_after| {
+            let alarmed = paper(&|r, step| {
+                r.altered_of_last(step, steps_after) == 0 && r.altered_of_last(step, steps_after + 1) == 1
+            });
+            AfterReport {
+                steps_after,
+                alarmed: Proportion::above(threshold, alarmed),
+            }
+        })
+        .collect();
+    let unattacked_flights = || {
+        let all = sets.iter().zip(records.iter().zip(scores));
+        all.filter(|(set, _)| set.role == Role::Unattacked)
+            .flat_map(|(_, (r, s))| r.iter().zip(s))
+    };
+    let steps: usize = unattacked_flights().map(|(r, _)| r.steps.len()).sum();
+    Report {
+        feature,
+        threshold,
+        separation,
+        separation_effective: Separation::of(
+            threshold,
+            &paper(&|r, s| attacked(r, s) && effective(r, s)),
+            &unattacked,
+        ),
+        false_stops: unattacked_flights().map(|(_, s)| alarms(s, threshold)).sum(),
+        unattacked_hours: steps as f64 * STEP_NS as f64 * 1e-9 / 3600.0,
+        rows,
+        after,
+        sets: sets
+            .iter()
+            .zip(records.iter().zip(scores))
+            .map(|(set, (records, scores))| {
+                let mut report = report_set(set, records, scores, threshold);
+                let attacks = judged(records, scores).filter(|(r, step, _)| attacked(r, *step));
+                let attacks: Vec<f32> = attacks.map(|(.., score)| score).collect();
+                if !attacks.is_empty() {
+                    report.roc = corners(&roc(&attacks, &unattacked));
+                }
+                report
+            })
+            .collect(),
+        roc: corners(&roc(&under_attack, &unattacked)),
+    }
+}
+
+/// How many windows a set of flights holds in which an attack had next to no effect, or lingers.
+pub fn left_out(records: &[Record]) -> (usize, usize) {
+    let windows = || {
+        records
+            .iter()
+            .flat_map(|r| (WINDOW - 1..r.steps.len()).map(move |s| Class::of(r, s)))
+    };
+    (
+        windows().filter(|c| *c == Class::Weak).count(),
+        windows().filter(|c| *c == Class::Lingering).count(),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::explained::Step;
+
+    /// A flight in which the marked steps were altered: `a` attacked, `w` attacked to no effect, `n` noisy, `.` not.
+    fn record(frames: &str) -> Record {
+        let step = |c| Step {
+            state: vec![0.0; 48],
+            position: [0.0; 8].into(),
+            output: [0.0; 2],
+            frame: match c {
+                'a' | 'w' => Frame::Attacked,
+                'n' => Frame::Noisy,
+                _ => Frame::Unaltered,
+            },
+            yaw_change: if c == 'a' { -1.5 } else { 0.0 },
+        };
+        Record {
+            frame_ages: vec![4, 3, 2, 1, 0],
+            scenario: Scenario::unattacked(Family::Validation, 1, Plan::Actor),
+            outcome: Some(Ending::Goal),
+            steps: frames.chars().map(step).collect(),
+        }
+    }
+
+    /// Scores of 1 where marked, else 0; none until the window is full.
+    fn scores(marks: &str) -> Vec<Option<f32>> {
+        let all = marks.chars().map(|c| f32::from(u8::from(c == '!')));
+        all.enumerate().map(|(i, s)| (i + 1 >= WINDOW).then_some(s)).collect()
+    }
+
+    #[test]
+    fn a_window_belongs_to_the_class_of_what_the_actor_holds() {
+        let r = record("..........aw....nn..");
+        let class = |step| Class::of(&r, step);
+        assert_eq!(class(9), Class::Unattacked);
+        assert_eq!((class(10), class(11)), (Class::Attacked, Class::Weak));
+        assert!(
+            (12..16).all(|s| class(s) == Class::Lingering),
+            "four frames later it still holds one"
+        );
+        assert!((16..20).all(|s| class(s) == Class::Unattacked), "noise is no attack");
+        assert_eq!(r.altered_of_last(19, WINDOW), 4);
+    }
+
+    #[test]
+    fn the_delay_counts_altered_frames_until_the_alarm() {
+        let r = record("...aa......aaaaa...aaa..aa");
+        let s = scores("!............!!.....!......");
+        let want = vec![Some(3), Some(2), None];
+        assert_eq!(
+            delays(&r, &s, 0.5),
+            want,
+            "the burst before the window was full does not count"
+        );
+    }
+
+    #[test]
+    fn alarms_within_a_second_are_one() {
+        let mut marks = vec!['.'; 80];
+        for at in [12, 15, 33, 75] {
+            marks[at] = '!';
+        }
+        assert_eq!(alarms(&scores(&marks.iter().collect::<String>()), 0.5), 2);
+        assert_eq!(
+            alarms(&scores("!!!!!!!!!........."), 0.5),
+            0,
+            "before the window is full there is no verdict"
+        );
+    }
+
+    #[test]
+    fn a_report_counts_each_kind_of_window_apart() {
+        let set = |name: &str, role| Set {
+            name: name.to_owned(),
+            role,
+            scenarios: Vec::new(),
+        };
+        let sets = [
+            set("quiet", Role::Unattacked),
+            set("paper", Role::Paper),
+            set("noise", Role::Control),
+        ];
+        let records = [
+            vec![record("....................")],
+            vec![record("..........aaww......")],
+            vec![record("..........nn........")],
+        ];
+        let all = [
+            vec![scores("...............!....")],
+            vec![scores("...........!!.!!....")],
+            vec![scores("...........!........")],
+        ];
+        let r = report(Feature::Shap, 0.5, &sets, &records, &all);
+        let counts = |p: &Proportion| (p.count, p.of);
+        assert_eq!(counts(&r.separation.detected), (2, 4));
+        assert_eq!(counts(&r.separation_effective.detected), (1, 2));
+        assert_eq!(counts(&r.separation.false_alarms), (1, 11));
+        assert_eq!(r.false_stops, 1);
+        assert!((r.unattacked_hours - 1.0 / 3600.0).abs() < 1e-12);
+        assert_eq!(counts(&r.sets[1].detected_ineffective), (1, 2));
+        assert_eq!(
+            counts(&r.sets[1].false_alarms),
+            (0, 3),
+            "before the burst, and five steps after it"
+        );
+        assert_eq!(counts(&r.sets[2].alarms_on_noise), (1, 2));
+        assert_eq!(r.sets[1].delay_steps, Some((2.0, 2.0)));
+        assert_eq!(
+            (r.rows[0].detected.of, r.rows[1].detected.count, r.rows[3].detected.of),
+            (1, 1, 1)
+        );
+        assert_eq!(counts(&r.after[0].alarmed), (1, 1));
+        assert_eq!(counts(&r.after[2].alarmed), (0, 1));
+    }
+}

@@ -1,0 +1,255 @@
+//! States with the SHAP image of their newest frame, for the detectors that look at images.
+
+use crate::detector_training::flight_files::Flights;
+use crate::explained::{Adversary, MAX_STEPS, Plan, Scenario};
+use crate::explained::{DetectError, access};
+use crate::explained::{Frame, Onlooker, Shown, Step, fly};
+use crate::explained::{YAW, explainer};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use std::collections::HashMap;
+use std::ops::ControlFlow;
+use std::path::Path;
+use vigil_adversary::{AttackConfig, Towards};
+use vigil_detector::{DeepShap, IMAGE, WINDOW, image};
+use vigil_nnet::Isa;
+use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_policy::{FrozenActor, FrozenPilot};
+use vigil_sim::world::Family;
+use vigil_types::DEPTH_PIXELS;
+
+/// Threads that share an explanation's backgrounds: fixed, since the sum's last bits depend on it.
+const SHAP_THREADS: usize = 2;
+/// Steps between states of one class in one flight, and how many at most.
+const STRIDE: usize = 7;
+/// An unattacked state's last steps, in which no frame was altered: the window's, and those whose scans the actor holds.
+const HELD_STEPS: usize = 1 + SCAN_AGES[0];
+const PER_FLIGHT: usize = 12;
+
+/// A state whose newest frame was attacked, or that holds no altered one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct State {
+    /// Number of its flight.
+    pub flight: usize,
+    /// Its newest step.
+    pub step: usize,
+    /// Whether its newest frame was attacked.
+    pub attacked: bool,
+    /// Its image, [`vigil_detector::image`].
+    pub image: Vec<u8>,
+}
+
+/// States with their flights.
+#[derive(Debug, Clone, PartialEq)]
+pub struct States {
+    /// The flights.
+    pub flights: Flights,
+    /// The states, half of them attacked.
+    pub states: Vec<State>,
+}
+
+/// Explains states as they are met.
+struct Explaining<'a> {
+    shap: &'a mut DeepShap,
+    phi: Vec<f32>,
+    /// The flight's frames, altered or not.
+    frames: Vec<Frame>,
+    flight: usize,
+    /// Steps since the last state of each class, and how many there are.
+    since: [usize; 2],
+    taken: [usize; 2],
+    states: &'a mut Vec<State>,
+}
+
+impl Onlooker for Explaining<'_> {
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+        let number = self.frames.len();
+        self.frames.push(step.frame);
+        self.since = self.since.map(|s| s + 1);
+        let attacked = step.frame == Frame::Attacked;
+        let mut held = self.frames.iter().rev().take(HELD_STEPS);
+        let class = usize::from(attacked);
+        if number + 1 < WINDOW
+            || !(attacked || held.all(|frame| *frame == Frame::Unaltered))
+            || self.since[class] < STRIDE
+            || self.taken[class] >= PER_FLIGHT
+        {
+            return Ok(());
+        }
+        let Some(inputs) = shown.inputs(step) else {
+            return Ok(());
+        };
+        self.shap.evaluate(&inputs)?;
+        self.shap.attribute_on_threads(YAW, SHAP_THREADS, &mut self.phi)?;
+        let image = image(&self.phi[..DEPTH_PIXELS]).unwrap_or_else(|| unreachable!("a frame's finite pixels"));
+        self.since[class] = 0;
+        self.taken[class] += 1;
+        self.states.push(State {
+            flight: self.flight,
+            step: number,
+            attacked,
+            image,
+        });
+        Ok(())
+    }
+}
+
+/// A flight under the paper's attack, streaming, in bursts of 10 to 60 steps; the actor flies, or a recovery.
+fn scenario(family: Family, seed: u64) -> Scenario {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let plan = if seed.is_multiple_of(2) {
+        Plan::Actor
+    } else {
+        Plan::Recovering {
+            delay: 2,
+            hover: 20,
+            trust: 20,
+        }
+    };
+    let config = AttackConfig {
+        towards: [Towards::Left, Towards::Right, Towards::Away][rng.random_range(0..3)],
+        seed,
+        ..AttackConfig::PAPER
+    };
+    let length = rng.random_range(10..60);
+    Scenario {
+        adversary: Some(Adversary::in_bursts(config, length, MAX_STEPS, &mut rng)),
+        altered: (STRIDE * PER_FLIGHT) as u64,
+        ..Scenario::unattacked(family, seed, plan)
+    }
+}
+
+/// Flies and explains until there are `count` states of each class, or `progress` breaks it off after a flight; goes on with what was
+/// `begun` by an earlier call with the same arguments. Also tells whether it is complete: what is not is to be begun with.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn gather_states(
+    isa: Isa,
+    actor: &FrozenActor,
+    (family, first_seed): (Family, u64),
+    (count, backgrounds): (usize, usize),
+    begun: Option<States>,
+    progress: &mut dyn FnMut(usize) -> ControlFlow<()>,
+) -> Result<(States, bool), DetectError> {
+    let pilot = FrozenPilot::from(actor);
+    let mut shap = explainer(isa, actor, backgrounds)?;
+    let (mut records, mut states) = begun.map_or_else(Default::default, |begun| (begun.flights.records, begun.states));
+    let of_class = |states: &[State], attacked: bool| states.iter().filter(|s| s.attacked == attacked).count();
+    let fewer = |states: &[State]| of_class(states, true).min(of_class(states, false));
+    // A flight for each seed.
+    let mut seed = first_seed + records.len() as u64;
+    let mut flow = ControlFlow::Continue(());
+    while fewer(&states) < count && flow.is_continue() {
+        let mut onlooker = Explaining {
+            phi: vec![0.0; shap.phi_len()],
+            shap: &mut shap,
+            frames: Vec::new(),
+            flight: records.len(),
+            since: [STRIDE; 2],
+            taken: [0; 2],
+            states: &mut states,
+        };
+        records.push(fly(isa, &pilot, &scenario(family, seed), &mut onlooker)?);
+        seed += 1;
+        flow = progress(fewer(&states).min(count));
+    }
+    let complete = fewer(&states) >= count;
+    if complete {
+        let mut left = [count; 2];
+        states.retain(|s| {
+            let left = &mut left[usize::from(s.attacked)];
+            *left = left.wrapping_sub(1);
+            *left < count
+        });
+    }
+    let flights = Flights {
+        actor_sha256: actor.sha256(),
+        records,
+    };
+    Ok((States { flights, states }, complete))
+}
+
+/// A state has 16 kB.
+const SIZE_LIMIT: u64 = 16 << 30;
+/// Value of the metadata entry `format`.
+const FORMAT: &str = "vigil detector images 2";
+
+impl States {
+    /// Writes the images to `path` and the flights beside, `.flights`.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), DetectError> {
+        self.flights.save(&path.with_extension("flights"))?;
+        let data = |message: String| DetectError::Data {
+            path: path.to_owned(),
+            message,
+        };
+        let images: Vec<u8> = self.states.iter().flat_map(|s| s.image.iter().copied()).collect();
+        let places: Vec<u8> = self
+            .states
+            .iter()
+            .flat_map(|s| [s.flight as u32, s.step as u32, u32::from(s.attacked)])
+            .flat_map(u32::to_le_bytes)
+            .collect();
+        let view = |dtype, shape, bytes| TensorView::new(dtype, shape, bytes).map_err(|e| data(e.to_string()));
+        let count = self.states.len();
+        let tensors = [
+            ("images", view(Dtype::U8, vec![count, IMAGE], &images)?),
+            ("places", view(Dtype::U32, vec![count, 3], &places)?),
+        ];
+        let metadata = HashMap::from([("format".to_owned(), FORMAT.to_owned())]);
+        let bytes = safetensors::serialize(tensors, Some(metadata)).map_err(|e| data(e.to_string()))?;
+        vigil_types::files::replace(path, &bytes, vigil_types::files::Access::Shared).map_err(access(path))
+    }
+
+    /// Reads them.
+    ///
+    /// # Errors
+    /// A file that cannot be read, holds something else, or was gathered with another actor.
+    pub fn load(path: &Path, actor: &FrozenActor) -> Result<Self, DetectError> {
+        let flights = Flights::load(&path.with_extension("flights"), &FrozenPilot::from(actor))?;
+        let bytes = vigil_types::files::read(path, SIZE_LIMIT).map_err(access(path))?;
+        let data = |message: &str| DetectError::Data {
+            path: path.to_owned(),
+            message: message.to_owned(),
+        };
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| data(&e.to_string()))?;
+        let content = SafeTensors::deserialize(&bytes).map_err(|e| data(&e.to_string()))?;
+        let format = header.metadata().as_ref().and_then(|m| m.get("format"));
+        if format.map(String::as_str) != Some(FORMAT) {
+            return Err(data("it is of another format"));
+        }
+        let tensor = |name| content.tensor(name).map_err(|e| data(&e.to_string()));
+        let (images, places) = (tensor("images")?, tensor("places")?);
+        let numbers = places
+            .data()
+            .as_chunks::<4>()
+            .0
+            .iter()
+            .map(|b| u32::from_le_bytes(*b) as usize);
+        let numbers: Vec<usize> = numbers.collect();
+        let places = numbers.as_chunks::<3>().0;
+        let known = |[flight, step, _]: &[usize; 3]| {
+            let record = flights.records.get(*flight);
+            record.is_some_and(|r| (WINDOW - 1..r.steps.len()).contains(step))
+        };
+        if images.data().len() != places.len() * IMAGE || !places.iter().all(known) {
+            return Err(data("its images and its flights do not belong together"));
+        }
+        let states = images.data().chunks_exact(IMAGE).zip(places);
+        Ok(Self {
+            states: states
+                .map(|(image, [flight, step, attacked])| State {
+                    flight: *flight,
+                    step: *step,
+                    attacked: *attacked == 1,
+                    image: image.to_vec(),
+                })
+                .collect(),
+            flights,
+        })
+    }
+}

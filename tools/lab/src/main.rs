@@ -1,0 +1,5 @@
+//! The `vigil-lab` program.
+
+fn main() -> std::process::ExitCode {
+    vigil_lab::cli::main()
+}

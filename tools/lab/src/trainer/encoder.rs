@@ -1,0 +1,285 @@
+//! What the encoder learns before it is frozen: the collision scan, from single frames taken anywhere on courses of all families. There
+//! is no teacher but the simulator, and afterwards a frame is encoded once, not in each of the transitions that hold it.
+
+use crate::trainer::adam::{self, Adam};
+use crate::trainer::config::EncoderConfig;
+use crate::trainer::learner::UpdateError;
+use crate::trainer::noise::normal;
+use core::f32::consts::{PI, TAU};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
+use vigil_policy::actor::ActorSpec;
+use vigil_policy::actor::memory::{SCAN, proximity, range_m, scan_bearing_rad};
+use vigil_sim::environment::true_state::TruePlan;
+use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, World, generate};
+use vigil_types::{Attitude, DEPTH_COLS, DepthFrame, NedVector};
+
+/// Parts of a batch; fixed, so that the sums do not depend on the threads.
+const SHARDS: usize = 4;
+/// Seeds of the courses whose frames teach the encoder; no others use them.
+const FIRST_SEED: u64 = 900_000_000;
+/// Seeds of those that test it.
+const FIRST_TEST_SEED: u64 = 990_000_000;
+const STREAM: u64 = 1 << 40;
+const GRADIENT_NORM: f32 = 5.0;
+/// Frames taken on one course before the next.
+const FRAMES_A_COURSE: u32 = 48;
+const FAMILIES: [Family; 4] = [Family::Training, Family::Validation, Family::Dense, Family::Hard];
+/// Standard deviation of roll and pitch, and their limit, radians.
+const TILT_RAD: f32 = 0.09;
+const MOST_TILT_RAD: f32 = 0.35;
+/// Standard deviation of the height about the course's, metres.
+const HEIGHT_M: f32 = 0.12;
+/// The middle of the vehicle is at least so far from everything, metres.
+const CLEAR_M: f32 = 0.3;
+/// Movers are met within this time of a flight.
+const TIME_NS: u64 = 90_000_000_000;
+
+/// Takes frames anywhere.
+struct Photographer {
+    rng: ChaCha8Rng,
+    next_seed: u64,
+    left: u32,
+    course: Course,
+    world: World,
+    plan: TruePlan,
+    lidar: Lidar,
+    frame: Box<DepthFrame>,
+    target: [f32; SCAN],
+}
+
+impl Photographer {
+    fn new(seed: u64, stream: u64, first_seed: u64) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        rng.set_stream(STREAM + stream);
+        let course = generate(Family::Training, first_seed);
+        Self {
+            next_seed: first_seed,
+            left: 0,
+            world: World::new(&course),
+            plan: TruePlan::new(&course),
+            lidar: Lidar::new(LidarConfig::default(), rng.random()).unwrap_or_else(|e| panic!("{e}")),
+            frame: Box::new(DepthFrame::EMPTY),
+            target: [0.0; SCAN],
+            rng,
+            course,
+        }
+    }
+
+    /// Takes the next frame, and the scan that it should give.
+    fn take(&mut self) {
+        if self.left == 0 {
+            let family = FAMILIES[self.rng.random_range(0..FAMILIES.len())];
+            self.course = generate(family, self.next_seed);
+            self.next_seed += 1;
+            (self.world, self.plan) = (World::new(&self.course), TruePlan::new(&self.course));
+            self.left = FRAMES_A_COURSE;
+        }
+        self.left -= 1;
+        let at_ns = self.rng.random_range(0..TIME_NS);
+        self.world.set_time_ns(at_ns);
+        let b = &self.course.bounds;
+        let height_m = self.course.flight_height_m;
+        let position_ned_m = loop {
+            let north = self.rng.random_range(b.north_m[0]..b.north_m[1]);
+            let east = self.rng.random_range(b.east_m[0]..b.east_m[1]);
+            let here = NedVector::new(north, east, -(height_m + HEIGHT_M * normal(&mut self.rng)));
+            if self.world.clearance_m(here) > CLEAR_M {
+                break here;
+            }
+        };
+        let yaw_rad = self.rng.random_range(-PI..PI);
+        let mut tilt = || (TILT_RAD * normal(&mut self.rng)).clamp(-MOST_TILT_RAD, MOST_TILT_RAD);
+        let attitude = Attitude::from_euler_rad(tilt(), tilt(), yaw_rad);
+        let shot = Shot {
+            position_ned_m,
+            attitude,
+            estimated_position_ned_m: position_ned_m,
+            estimated_attitude: attitude,
+            stamp_ns: at_ns,
+            sequence: self.rng.random(),
+            sensor_id: 0,
+        };
+        self.lidar.capture(&self.world, &shot, &mut self.frame);
+        let yaw_rad = attitude.yaw_rad();
+        let directions = (0..SCAN).map(|k| (yaw_rad + scan_bearing_rad(k)).rem_euclid(TAU));
+        let ranges_m = self.plan.free_ranges_m(position_ned_m, at_ns, directions);
+        for (target, range_m) in self.target.iter_mut().zip(ranges_m) {
+            *target = proximity(range_m);
+        }
+    }
+
+    fn mirror(&mut self) {
+        self.target.reverse();
+        self.frame.depth.chunks_exact_mut(DEPTH_COLS).for_each(<[f32]>::reverse);
+    }
+}
+
+struct Shard {
+    photographer: Photographer,
+    tape: Aligned,
+    work: Aligned,
+    d_encoder: Aligned,
+    loss: f32,
+}
+
+/// First weights: the variance is kept, and each filter's weights sum to 0, so that what all frames have in common does not pass.
+fn initial(spec: ActorSpec, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>) {
+    let (mut params, mut shares) = (Vec::new(), Vec::new());
+    for layer in spec.convolutions() {
+        let fan_in = layer.kernel * layer.kernel * layer.channels;
+        // ELU passes on about two thirds of the variance; frames vary less than features do.
+        let limit = if layer.channels == 1 { 4.0 } else { 1.0 } * (4.5 / fan_in as f32).sqrt();
+        let mut weights: Vec<f32> = (0..layer.weight_len())
+            .map(|_| rng.random_range(-limit..limit))
+            .collect();
+        for filter in 0..layer.filters {
+            let mean = weights.iter().skip(filter).step_by(layer.filters).sum::<f32>() / fan_in as f32;
+            weights
+                .iter_mut()
+                .skip(filter)
+                .step_by(layer.filters)
+                .for_each(|w| *w -= mean);
+        }
+        params.extend(weights);
+        params.resize(params.len() + layer.filters, 0.0);
+        shares.resize(params.len(), (64.0 / fan_in as f32).min(1.0));
+    }
+    let scan = spec.scan();
+    let limit = (1.0 / scan.inputs as f32).sqrt();
+    params.extend((0..scan.weight_len()).map(|_| rng.random_range(-limit..limit)));
+    // A proximity of 0.3 at first.
+    params.resize(params.len() + scan.outputs, -0.85);
+    shares.resize(params.len(), (64.0 / scan.inputs as f32).min(1.0));
+    (params, shares)
+}
+
+/// Teaches an encoder; returns its parameters. `report` gets the mean squared error of the proximity after each hundred updates.
+///
+/// # Errors
+/// A loss that is not finite.
+pub fn teach_encoder(
+    config: &EncoderConfig,
+    seed: u64,
+    isa: Isa,
+    report: &mut (dyn FnMut(u64, f32) + Send),
+) -> Result<Vec<f32>, EncoderError> {
+    let spec = ActorSpec::FULL;
+    let graph = spec.encoder_graph(Purpose::Gradients, false)?;
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(STREAM);
+    let (encoder, shares) = initial(spec, &mut rng);
+    let mut params = vec![0.0; graph.param_len()];
+    params[..encoder.len()].copy_from_slice(&encoder);
+    let len = encoder.len();
+    let mut adam = Adam::new(len);
+    let mut packed = vec![0.0; params.len()];
+    let mut shards: Vec<Shard> = (0..SHARDS as u64)
+        .map(|i| Shard {
+            photographer: Photographer::new(seed, 1 + i, FIRST_SEED + (seed << 22) + (i << 18)),
+            tape: Aligned::zeros(graph.tape_len()),
+            work: Aligned::zeros(graph.work_len()),
+            d_encoder: Aligned::zeros(graph.param_len()),
+            loss: 0.0,
+        })
+        .collect();
+    let mut mean_loss = 0.0;
+    for update in 0..config.updates {
+        graph.pack(&params, &mut packed)?;
+        let share = config.batch.div_ceil(SHARDS);
+        let count = (share * SHARDS * SCAN) as f32;
+        shards.par_iter_mut().try_for_each(|s| -> Result<(), ShapeError> {
+            s.d_encoder.fill(0.0);
+            s.loss = 0.0;
+            for _ in 0..share {
+                s.photographer.take();
+                if s.photographer.rng.random_bool(0.5) {
+                    s.photographer.mirror();
+                }
+                graph.forward(isa, &params, &[&s.photographer.frame.depth], &mut s.tape)?;
+                let mut d = [0.0; SCAN];
+                let seen = graph.output(&s.tape)?;
+                for ((d, seen), target) in d.iter_mut().zip(seen).zip(&s.photographer.target) {
+                    let error = seen - target;
+                    s.loss += error * error / count;
+                    *d = 2.0 * error / count;
+                }
+                graph.backward(isa, &packed, &s.tape, &d, Some(&mut s.d_encoder), &mut s.work)?;
+            }
+            Ok(())
+        })?;
+        let (total, others) = shards.split_at_mut(1);
+        let total = &mut total[0];
+        for other in others {
+            total.loss += other.loss;
+            total
+                .d_encoder
+                .iter_mut()
+                .zip(&*other.d_encoder)
+                .for_each(|(to, from)| *to += from);
+        }
+        let d = &mut total.d_encoder[..len];
+        let norm = adam::norm(&[d]);
+        if !norm.is_finite() {
+            return Err(UpdateError::NotFinite {
+                update,
+                what: "gradient",
+                network: "encoder",
+            }
+            .into());
+        }
+        let scale = adam::shortening(norm, GRADIENT_NORM);
+        d.iter_mut().for_each(|d| *d *= scale);
+        let rate = config.rate * (1.0 - 0.97 * (update as f32 / config.updates as f32));
+        adam.step_by_shares(rate, &shares, &mut params[..len], d);
+        mean_loss += total.loss / 100.0;
+        if (update + 1).is_multiple_of(100) {
+            report(update + 1, mean_loss);
+            mean_loss = 0.0;
+        }
+    }
+    params.truncate(len);
+    Ok(params)
+}
+
+/// How well an encoder sees, on fresh courses: in each of these bands of the true range the share of columns and the median and 90 %
+/// quantile of the range's error, metres.
+pub const BANDS_M: [f32; 6] = [0.5, 1.0, 2.0, 4.0, 8.0, 12.0];
+
+/// Errors of the range by [`BANDS_M`], each sorted.
+///
+/// # Errors
+/// Parameters of another encoder.
+pub fn test_encoder(encoder: &[f32], isa: Isa, frames: usize) -> Result<Vec<Vec<f32>>, EncoderError> {
+    let graph: Graph = ActorSpec::FULL.encoder_graph(Purpose::Gradients, false)?;
+    let mut params = vec![0.0; graph.param_len()];
+    params[..encoder.len()].copy_from_slice(encoder);
+    let mut tape = Aligned::zeros(graph.tape_len());
+    let mut photographer = Photographer::new(7, 99, FIRST_TEST_SEED);
+    let mut errors = vec![Vec::new(); BANDS_M.len()];
+    for _ in 0..frames {
+        photographer.take();
+        graph.forward(isa, &params, &[&photographer.frame.depth], &mut tape)?;
+        for (seen, target) in graph.output(&tape)?.iter().zip(&photographer.target) {
+            let truly_m = range_m(*target);
+            if let Some(band) = BANDS_M.iter().position(|most| truly_m < *most) {
+                errors[band].push((range_m(*seen) - truly_m).abs());
+            }
+        }
+    }
+    errors.iter_mut().for_each(|e| e.sort_by(f32::total_cmp));
+    Ok(errors)
+}
+
+/// Why an encoder could not be taught.
+#[derive(Debug, thiserror::Error)]
+pub enum EncoderError {
+    /// An update.
+    #[error(transparent)]
+    Update(#[from] UpdateError),
+    /// Networks that do not fit.
+    #[error(transparent)]
+    Network(#[from] ShapeError),
+}

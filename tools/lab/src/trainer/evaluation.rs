@@ -1,0 +1,171 @@
+//! Flights that evaluate a pilot: the frozen actor's own code, deciding every step, without noise.
+
+use crate::explained::Flight;
+use crate::trainer::observation::{Drift, Drifting};
+use crate::trainer::worker::FlyError;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use vigil_nnet::Isa;
+use vigil_policy::actor::{Actor, ActorSpec};
+use vigil_policy::{FlightField, GeometricConfig, GeometricPilot, Pilot, RangeScan};
+use vigil_sim::statistics::wilson_95;
+use vigil_sim::vehicle::Wind;
+use vigil_sim::world::{Family, Outcome, generate};
+use vigil_types::{ACTION_LIMIT, Ablation, Action, Choice};
+
+/// Who decides.
+#[derive(Debug, Clone, Copy)]
+pub enum EvaluatedActor<'a> {
+    /// An actor's parameters.
+    Actor(&'a [f32]),
+    /// No motion at all: what the field does alone.
+    Zero,
+    /// Each output drawn evenly anew each step.
+    Random,
+    /// The geometric pilot.
+    Geometric,
+}
+
+/// Which flights.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EvaluationSpec {
+    /// Family of courses.
+    pub family: Family,
+    /// First seed.
+    pub first_seed: u64,
+    /// How many.
+    pub flights: u64,
+    /// A flight that takes longer has failed, seconds.
+    pub time_limit_s: f32,
+    /// The potential field is added, as in flight.
+    pub field: bool,
+    /// What is taken from the actor.
+    pub ablation: Ablation,
+    /// How its odometry drifts.
+    pub drift: Drift,
+}
+
+/// How they ended.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct EvaluationResult {
+    /// Outcome and time of each flight, in the order of the seeds.
+    pub flights: Vec<(Outcome, f64)>,
+}
+
+impl EvaluationResult {
+    /// Number of flights with an outcome.
+    pub fn count(&self, outcome: Outcome) -> usize {
+        self.flights.iter().filter(|(o, _)| *o == outcome).count()
+    }
+
+    /// Mean time of those that reached the goal, seconds.
+    pub fn mean_time_s(&self) -> Option<f64> {
+        let times = self
+            .flights
+            .iter()
+            .filter(|(o, _)| *o == Outcome::Success)
+            .map(|(_, t)| t);
+        let successes = self.count(Outcome::Success);
+        (successes > 0).then(|| times.sum::<f64>() / successes as f64)
+    }
+}
+
+/// Completion of a family.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FamilyCount {
+    /// The family.
+    pub family: Family,
+    /// Seed of the first course.
+    pub first_seed: u64,
+    /// What was taken from the actor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ablation: Option<String>,
+    /// Flights.
+    pub flights: usize,
+    /// Those at the goal.
+    pub successes: usize,
+    /// Those that hit something.
+    pub collisions: usize,
+    /// Those that took too long.
+    pub time_outs: usize,
+    /// 95 % Wilson interval of the completion.
+    pub wilson_95: (f64, f64),
+}
+
+impl FamilyCount {
+    /// Counts a result's flights.
+    pub fn new(what: &EvaluationSpec, result: &EvaluationResult) -> Self {
+        let (flights, successes) = (result.flights.len(), result.count(Outcome::Success));
+        Self {
+            family: what.family,
+            first_seed: what.first_seed,
+            ablation: (what.ablation != Ablation::Nothing).then(|| what.ablation.name().to_owned()),
+            flights,
+            successes,
+            collisions: result.count(Outcome::Collision),
+            time_outs: result.count(Outcome::TimeOut),
+            wilson_95: wilson_95(successes, flights),
+        }
+    }
+
+    /// Share of the flights at the goal.
+    pub fn completion(&self) -> f64 {
+        self.successes as f64 / self.flights.max(1) as f64
+    }
+}
+
+/// Flies all flights in the current thread pool.
+///
+/// # Errors
+/// Parameters of another architecture.
+pub fn evaluate(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec) -> Result<EvaluationResult, FlyError> {
+    let flights = (0..what.flights)
+        .into_par_iter()
+        .map(|i| fly(actor, isa, what, what.first_seed.wrapping_add(i)))
+        .collect::<Result<Vec<_>, FlyError>>()?;
+    Ok(EvaluationResult { flights })
+}
+
+fn fly(actor: EvaluatedActor<'_>, isa: Isa, what: &EvaluationSpec, seed: u64) -> Result<(Outcome, f64), FlyError> {
+    let mut course = generate(what.family, seed);
+    course.time_limit_s = what.time_limit_s;
+    let mut flight = Flight::new(&course, Wind::default(), seed)?;
+    let mut network = match actor {
+        EvaluatedActor::Actor(params) => Some(Actor::new(ActorSpec::FULL, isa, params)?.without(what.ablation)),
+        EvaluatedActor::Zero | EvaluatedActor::Random | EvaluatedActor::Geometric => None,
+    };
+    let mut geometric = matches!(actor, EvaluatedActor::Geometric).then(|| {
+        let config = GeometricConfig::default();
+        Box::new(GeometricPilot::new(config))
+    });
+    let mut drifting = Drifting::new(what.drift);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut surroundings = Box::new(RangeScan::new());
+    let mut field = FlightField::default();
+    loop {
+        let mut action = match (&mut network, &mut geometric) {
+            (Some(actor), _) => {
+                let [forward_m_s, yaw] = drifting.with(&flight.input(), |input| actor.decide(input))?;
+                Action { forward_m_s, yaw }
+            }
+            (None, Some(pilot)) => pilot.decide(&flight.input()),
+            (None, None) if matches!(actor, EvaluatedActor::Random) => Action {
+                forward_m_s: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
+                yaw: rng.random_range(-ACTION_LIMIT..ACTION_LIMIT),
+            },
+            (None, None) => Action::HOVER,
+        };
+        if what.field {
+            let input = flight.input();
+            action = field.add_to(action, &input, surroundings.observe(&input));
+            if let Some(actor) = &mut network {
+                actor.note_action(action);
+            }
+        }
+        if let Some(outcome) = flight.advance(action) {
+            return Ok((outcome, flight.time_s()));
+        }
+    }
+}

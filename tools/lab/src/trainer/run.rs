@@ -1,0 +1,654 @@
+//! A run: teach the encoder, fly, learn, evaluate, freeze.
+
+use crate::trainer::actor_net::ActorNet;
+use crate::trainer::adam::Adam;
+use crate::trainer::config::{ConfigError, LearnConfig};
+use crate::trainer::encoder::{EncoderError, teach_encoder};
+use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, evaluate};
+use crate::trainer::learner::{Learner, UpdateError, UpdateReport};
+use crate::trainer::observation::{Drift, Encoder, OBSERVATION};
+use crate::trainer::replay::{Replay, Transition};
+use crate::trainer::store::{CheckpointError, Stored, Values, save};
+use crate::trainer::worker::{EnvWorker, FlightReport, FlyError, WorkerState};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rayon::ThreadPoolBuildError;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+use vigil_nnet::{Isa, ShapeError};
+use vigil_sim::world::{Family, Outcome};
+use vigil_types::Ablation;
+use vigil_types::files::Access;
+
+/// Updates that a row of the curve sums up.
+const UPDATES_PER_ROW: u64 = 1_000;
+/// Actors that are evaluated once more at the end.
+const CANDIDATES: usize = 3;
+/// Seeds of the flights that choose between them.
+const FIRST_CHOOSING_SEED: u64 = 300_000;
+/// Seeds of the flights that test the chosen one. Nothing is chosen by these.
+const FIRST_TEST_SEED: u64 = 7_000_000_000;
+const FORMAT: &str = "vigil learn checkpoint 1";
+
+/// Why a run stopped early.
+#[derive(Debug, thiserror::Error)]
+pub enum LearnError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A flight.
+    #[error(transparent)]
+    Fly(#[from] FlyError),
+    /// An update.
+    #[error(transparent)]
+    Update(#[from] UpdateError),
+    /// Networks that do not fit.
+    #[error(transparent)]
+    Network(#[from] ShapeError),
+    /// The encoder.
+    #[error(transparent)]
+    Encoder(#[from] EncoderError),
+    /// The checkpoint.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// Threads.
+    #[error("cannot start the threads of the run: {0}")]
+    Threads(#[from] ThreadPoolBuildError),
+    /// A file of the run.
+    #[error("cannot write {path}: {source}; an earlier {path} is kept as it was")]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// There is a run in the folder already.
+    #[error("{path} holds a run already; resume it, or train in another folder")]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+    },
+}
+
+/// Where and how to run.
+#[derive(Debug, Clone)]
+pub struct LearnOptions {
+    /// Everything goes here.
+    pub folder: PathBuf,
+    /// Go on from the folder's checkpoint.
+    pub resume: bool,
+    /// Parameters of an encoder to be taken instead of teaching one.
+    pub encoder: Option<Vec<f32>>,
+    /// Flights of each family that test the chosen actor.
+    pub test_flights: u64,
+}
+
+/// One row of the curve.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Updates so far.
+    pub updates: u64,
+    /// Decisions so far.
+    pub decisions: u64,
+    /// Time spent, seconds, interruptions left out.
+    pub elapsed_s: f64,
+    /// Training flights that ended since the row before.
+    pub flights: usize,
+    /// Those at the goal.
+    pub successes: usize,
+    /// Their mean sum of rewards.
+    pub reward: f32,
+    /// Means over the updates.
+    pub update: UpdateReport,
+    /// Evaluation flights, if there were any at this row.
+    pub evaluated: Vec<FamilyCount>,
+}
+
+/// An actor that may be chosen.
+#[derive(Debug, Clone, PartialEq)]
+struct Candidate {
+    updates: u64,
+    completion: f64,
+    params: Vec<f32>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct RunState {
+    format: String,
+    config: String,
+    decisions: u64,
+    updates: u64,
+    elapsed_s: f64,
+    random_at: (u64, u64),
+    adam_steps: Vec<u64>,
+    largest_bits: u64,
+    lanes: Vec<(u64, u64)>,
+    transitions: Vec<Vec<Transition>>,
+    workers: Vec<WorkerState>,
+    rows: Vec<Row>,
+    sum: UpdateReport,
+    summed: u32,
+    ended: Vec<FlightReport>,
+    flights: Vec<(u64, FlightReport)>,
+    candidates: Vec<(u64, f64)>,
+}
+
+/// What a run came to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LearnResult {
+    /// Seed.
+    pub seed: u64,
+    /// Share of the training flights with the field.
+    pub apf_share: f64,
+    /// Decisions.
+    pub decisions: u64,
+    /// Steps of 0.05 s that the decisions took, at most.
+    pub steps: u64,
+    /// Training flights that ended.
+    pub flights: usize,
+    /// Updates.
+    pub updates: u64,
+    /// Updates after which the chosen actor was frozen.
+    pub frozen_after: u64,
+    /// Time spent, seconds.
+    pub elapsed_s: f64,
+    /// Flights that test it; nothing was chosen by them.
+    pub test: Vec<FamilyCount>,
+}
+
+/// How a run ended.
+#[derive(Debug, Clone, PartialEq)]
+pub enum LearnEnd {
+    /// It was stopped; its checkpoint is this file.
+    Interrupted(PathBuf),
+    /// It is complete: the actor's parameters, the encoder's first.
+    Complete(Vec<f32>, Box<LearnResult>),
+}
+
+/// Something to report while a run goes on.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Progress<'a> {
+    /// The encoder learns: updates, mean squared error of the proximity.
+    Encoder(u64, f32),
+    /// A row of the curve, and how many updates there will be.
+    Row(&'a Row, u64),
+}
+
+/// Gets the progress of a run.
+pub type Report<'a> = &'a mut (dyn FnMut(Progress<'_>) + Send);
+
+/// Trains from nothing or from a checkpoint.
+///
+/// # Errors
+/// [`LearnError`]. The folder's last good checkpoint is kept.
+pub fn learn(
+    config: &LearnConfig,
+    options: &LearnOptions,
+    stop: &AtomicBool,
+    report: Report<'_>,
+) -> Result<LearnEnd, LearnError> {
+    config.check()?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(config.threads).build()?;
+    pool.install(|| Run::begin(config, options, report)?.complete(stop, report))
+}
+
+struct Run<'a> {
+    config: &'a LearnConfig,
+    options: &'a LearnOptions,
+    isa: Isa,
+    encoder_params: Vec<f32>,
+    rng: ChaCha8Rng,
+    learner: Learner,
+    deciding: ActorNet,
+    replay: Replay,
+    workers: Vec<EnvWorker>,
+    decisions: u64,
+    rows: Vec<Row>,
+    sum: UpdateReport,
+    summed: u32,
+    ended: Vec<FlightReport>,
+    /// All training flights that ended, each with the updates made by then.
+    flights: Vec<(u64, FlightReport)>,
+    candidates: Vec<Candidate>,
+    begun: Instant,
+    earlier_s: f64,
+    checkpoint: PathBuf,
+}
+
+fn write(path: &Path, content: &[u8]) -> Result<(), LearnError> {
+    vigil_types::files::replace(path, content, Access::Shared).map_err(|source| LearnError::Write {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+impl<'a> Run<'a> {
+    fn begin(config: &'a LearnConfig, options: &'a LearnOptions, report: Report<'_>) -> Result<Self, LearnError> {
+        let folder = &options.folder;
+        std::fs::create_dir_all(folder).map_err(|source| LearnError::Write {
+            path: folder.clone(),
+            source,
+        })?;
+        let checkpoint = folder.join("checkpoint.safetensors");
+        if !options.resume && checkpoint.exists() {
+            return Err(LearnError::Occupied { path: folder.clone() });
+        }
+        let (isa, begun) = (Isa::detect(), Instant::now());
+        let saved = options.resume.then(|| Stored::read(&checkpoint)).transpose()?;
+        let encoder_params = match (&saved, &options.encoder) {
+            (Some(saved), _) => saved.f32("encoder", None)?,
+            (None, Some(encoder)) => encoder.clone(),
+            (None, None) => teach_encoder(&config.encoder, config.seed, isa, &mut |updates, loss| {
+                report(Progress::Encoder(updates, loss));
+            })?,
+        };
+        let encoder = Arc::new(Encoder::new(isa, &encoder_params)?);
+        let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
+        let learner = Learner::new(config, isa, &mut rng);
+        let workers = (0..config.environments).map(|i| EnvWorker::new(config, encoder.clone(), i));
+        let mut run = Self {
+            workers: workers.collect(),
+            config,
+            options,
+            isa,
+            encoder_params,
+            rng,
+            learner,
+            deciding: ActorNet::new(config.environments),
+            replay: Replay::new(config),
+            decisions: 0,
+            rows: Vec::new(),
+            sum: UpdateReport::default(),
+            summed: 0,
+            ended: Vec::new(),
+            flights: Vec::new(),
+            candidates: Vec::new(),
+            begun,
+            earlier_s: 0.0,
+            checkpoint,
+        };
+        if let Some(saved) = &saved {
+            run.restore(saved)?;
+        }
+        write(&folder.join("config.toml"), config.to_toml().as_bytes())?;
+        Ok(run)
+    }
+
+    fn restore(&mut self, saved: &Stored) -> Result<(), LearnError> {
+        let state: RunState = saved.state()?;
+        let other = || {
+            LearnError::from(CheckpointError::Configuration {
+                path: self.checkpoint.clone(),
+            })
+        };
+        let same = state.format == FORMAT
+            && toml::from_str(&state.config).is_ok_and(|saved: LearnConfig| {
+                let LearnConfig {
+                    threads,
+                    families,
+                    decisions,
+                    drawn_vehicle_share,
+                    evaluation,
+                    ..
+                } = self.config.clone();
+                // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
+                let saved = LearnConfig {
+                    threads,
+                    families,
+                    decisions,
+                    drawn_vehicle_share,
+                    evaluation,
+                    ..saved
+                };
+                saved == *self.config
+            });
+        let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
+        if !same || counts.iter().any(|n| *n != counts[0]) || state.adam_steps.len() != 3 {
+            return Err(other());
+        }
+        for (i, (lane, transitions)) in self.replay.trajectories.iter_mut().zip(state.transitions).enumerate() {
+            lane.states = saved.u16(&format!("states_{i}"))?;
+            lane.transitions = transitions;
+        }
+        let largest = f64::from_bits(state.largest_bits);
+        if !self.replay.restore(&saved.f64("priorities")?, largest, &state.lanes) {
+            return Err(other());
+        }
+        let config = self.config;
+        let states = self.workers.par_iter_mut().zip(&state.workers);
+        states.try_for_each(|(worker, state)| worker.restore(config, state))?;
+        let l = &mut self.learner;
+        let adam = |name: &str, len: usize, steps: u64| -> Result<Adam, CheckpointError> {
+            Ok(Adam {
+                mean: saved.f32(&format!("{name}_mean"), Some(len))?,
+                square: saved.f32(&format!("{name}_square"), Some(len))?,
+                steps,
+            })
+        };
+        let len = l.actor.len();
+        l.actor = saved.f32("actor", Some(len))?;
+        l.actor_target = saved.f32("actor_target", Some(len))?;
+        l.actor_adam = adam("actor", len, state.adam_steps[0])?;
+        for (i, (critic, steps)) in l.critics.iter_mut().zip(&state.adam_steps[1..]).enumerate() {
+            let len = critic.params.len();
+            critic.params = saved.f32(&format!("critic_{i}"), Some(len))?;
+            critic.target = saved.f32(&format!("critic_{i}_target"), Some(len))?;
+            critic.adam = adam(&format!("critic_{i}"), len, *steps)?;
+        }
+        l.updates = state.updates;
+        for (i, (updates, completion)) in state.candidates.into_iter().enumerate() {
+            self.candidates.push(Candidate {
+                updates,
+                completion,
+                params: saved.f32(&format!("candidate_{i}"), Some(len))?,
+            });
+        }
+        let (high, low) = state.random_at;
+        self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
+        (self.decisions, self.earlier_s) = (state.decisions, state.elapsed_s);
+        (self.rows, self.sum, self.summed) = (state.rows, state.sum, state.summed);
+        (self.ended, self.flights) = (state.ended, state.flights);
+        self.begun = Instant::now();
+        Ok(())
+    }
+
+    fn save(&self) -> Result<(), LearnError> {
+        let at = self.rng.get_word_pos();
+        let (priorities, largest, lanes) = self.replay.places();
+        let l = &self.learner;
+        let adams = [&l.actor_adam, &l.critics[0].adam, &l.critics[1].adam];
+        let state = RunState {
+            format: FORMAT.to_owned(),
+            config: self.config.to_toml(),
+            decisions: self.decisions,
+            updates: l.updates,
+            elapsed_s: self.elapsed_s(),
+            random_at: ((at >> 64) as u64, at as u64),
+            adam_steps: adams.iter().map(|adam| adam.steps).collect(),
+            largest_bits: largest.to_bits(),
+            lanes,
+            transitions: self.replay.trajectories.iter().map(|l| l.transitions.clone()).collect(),
+            workers: self.workers.iter().map(EnvWorker::state).collect(),
+            rows: self.rows.clone(),
+            sum: self.sum,
+            summed: self.summed,
+            ended: self.ended.clone(),
+            flights: self.flights.clone(),
+            candidates: self.candidates.iter().map(|c| (c.updates, c.completion)).collect(),
+        };
+        let mut tensors = vec![
+            ("encoder".to_owned(), Values::F32(&self.encoder_params)),
+            ("priorities".to_owned(), Values::F64(&priorities)),
+            ("actor".to_owned(), Values::F32(&l.actor)),
+            ("actor_target".to_owned(), Values::F32(&l.actor_target)),
+            ("actor_mean".to_owned(), Values::F32(&l.actor_adam.mean)),
+            ("actor_square".to_owned(), Values::F32(&l.actor_adam.square)),
+        ];
+        for (i, critic) in l.critics.iter().enumerate() {
+            tensors.extend([
+                (format!("critic_{i}"), Values::F32(&critic.params)),
+                (format!("critic_{i}_target"), Values::F32(&critic.target)),
+                (format!("critic_{i}_mean"), Values::F32(&critic.adam.mean)),
+                (format!("critic_{i}_square"), Values::F32(&critic.adam.square)),
+            ]);
+        }
+        for (i, lane) in self.replay.trajectories.iter().enumerate() {
+            tensors.push((format!("states_{i}"), Values::U16(&lane.states)));
+        }
+        for (i, candidate) in self.candidates.iter().enumerate() {
+            tensors.push((format!("candidate_{i}"), Values::F32(&candidate.params)));
+        }
+        Ok(save(&self.checkpoint, &state, &tensors)?)
+    }
+
+    fn elapsed_s(&self) -> f64 {
+        self.earlier_s + self.begun.elapsed().as_secs_f64()
+    }
+
+    fn complete(mut self, stop: &AtomicBool, report: Report<'_>) -> Result<LearnEnd, LearnError> {
+        loop {
+            while self.learner.updates < self.config.updates_due(self.decisions) {
+                if stop.load(Ordering::Relaxed) {
+                    self.save()?;
+                    return Ok(LearnEnd::Interrupted(self.checkpoint));
+                }
+                self.update(report)?;
+            }
+            if self.decisions >= self.config.decisions {
+                break;
+            }
+            self.collect()?;
+        }
+        self.save()?;
+        self.freeze()
+    }
+
+    /// One decision in every environment.
+    fn collect(&mut self) -> Result<(), LearnError> {
+        let (config, warm_up) = (self.config, self.decisions < self.config.warm_up);
+        let observations = self
+            .workers
+            .par_iter_mut()
+            .map(|worker| worker.observation(config, warm_up))
+            .collect::<Result<Vec<[f32; OBSERVATION]>, FlyError>>()?;
+        let mut pre = vec![0.0; 2 * self.workers.len()];
+        if !warm_up {
+            self.deciding
+                .forward(self.isa, &self.learner.actor, observations.as_flattened(), &mut pre)?;
+        }
+        let sigma = self.sigma();
+        let ended = self
+            .workers
+            .par_iter_mut()
+            .zip(&mut self.replay.trajectories)
+            .zip(pre.par_chunks_exact(2))
+            .map(|((worker, lane), pre)| worker.fly(config, (!warm_up).then(|| [pre[0], pre[1]]), sigma, lane))
+            .collect::<Result<Vec<_>, FlyError>>()?;
+        for flight in ended.into_iter().flatten() {
+            self.flights.push((self.learner.updates, flight));
+            self.ended.push(flight);
+        }
+        self.replay.settle();
+        self.decisions += config.environments as u64;
+        Ok(())
+    }
+
+    /// The noise's standard deviation now.
+    fn sigma(&self) -> f32 {
+        let (config, n) = (self.config, &self.config.noise);
+        let own = self.decisions.saturating_sub(config.warm_up) as f32;
+        let all = config.decisions.saturating_sub(config.warm_up).max(1) as f32;
+        n.sigma_first + (n.sigma_last - n.sigma_first) * (own / (all * n.falls_over)).min(1.0)
+    }
+
+    fn update(&mut self, report: Report<'_>) -> Result<(), LearnError> {
+        let batch = self.replay.sample(self.config.learning.batch, &mut self.rng);
+        let (update, errors) = self.learner.update(&batch, &mut self.rng)?;
+        for (leaf, error) in errors {
+            self.replay.set_error(leaf, error);
+        }
+        self.sum = self.sum.plus(&update, 1.0);
+        self.summed += 1;
+        let updates = self.learner.updates;
+        let evaluates = updates.is_multiple_of(self.config.evaluation.every_updates);
+        if !evaluates && !updates.is_multiple_of(UPDATES_PER_ROW) {
+            return Ok(());
+        }
+        let ended = core::mem::take(&mut self.ended);
+        let mut row = Row {
+            updates,
+            decisions: self.decisions,
+            elapsed_s: self.elapsed_s(),
+            flights: ended.len(),
+            successes: ended.iter().filter(|f| f.outcome == Some(Outcome::Success)).count(),
+            reward: ended.iter().map(|f| f.reward).sum::<f32>() / ended.len().max(1) as f32,
+            update: UpdateReport::default().plus(&self.sum, 1.0 / self.summed as f32),
+            evaluated: Vec::new(),
+        };
+        (self.sum, self.summed) = (UpdateReport::default(), 0);
+        if evaluates {
+            let e = &self.config.evaluation;
+            let params = self.learner.actor_target.clone();
+            for family in &e.families {
+                row.evaluated
+                    .push(self.evaluate(&params, *family, e.first_seed, e.flights, Ablation::Nothing)?);
+            }
+            let completion =
+                row.evaluated.iter().map(FamilyCount::completion).sum::<f64>() / row.evaluated.len().max(1) as f64;
+            self.candidates.push(Candidate {
+                updates,
+                completion,
+                params,
+            });
+            // Of equals the later.
+            self.candidates
+                .sort_by(|a, b| b.completion.total_cmp(&a.completion).then(b.updates.cmp(&a.updates)));
+            self.candidates.truncate(CANDIDATES);
+        }
+        self.rows.push(row);
+        write(&self.options.folder.join("curves.csv"), csv(&self.rows).as_bytes())?;
+        write(
+            &self.options.folder.join("flights.csv"),
+            flights_csv(&self.flights).as_bytes(),
+        )?;
+        if evaluates {
+            self.save()?;
+        }
+        if let Some(row) = self.rows.last() {
+            report(Progress::Row(row, self.config.updates_due(self.config.decisions)));
+        }
+        Ok(())
+    }
+
+    fn evaluate(
+        &self,
+        params: &[f32],
+        family: Family,
+        first_seed: u64,
+        flights: u64,
+        ablation: Ablation,
+    ) -> Result<FamilyCount, FlyError> {
+        let what = EvaluationSpec {
+            family,
+            first_seed,
+            flights,
+            time_limit_s: self.config.evaluation.time_limit_s,
+            field: false,
+            ablation,
+            drift: Drift::default(),
+        };
+        let whole = self.whole(params);
+        let result = evaluate(EvaluatedActor::Actor(&whole), self.isa, &what)?;
+        Ok(FamilyCount::new(&what, &result))
+    }
+
+    /// All parameters of an actor, the encoder's first.
+    fn whole(&self, params: &[f32]) -> Vec<f32> {
+        [self.encoder_params.as_slice(), params].concat()
+    }
+
+    /// Evaluates the best once more over other courses, takes the one that flies best, and tests that one and its blind twin.
+    fn freeze(mut self) -> Result<LearnEnd, LearnError> {
+        if self.candidates.is_empty() {
+            self.candidates.push(Candidate {
+                updates: self.learner.updates,
+                completion: 0.0,
+                params: self.learner.actor_target.clone(),
+            });
+        }
+        let e = &self.config.evaluation;
+        let mut best: Option<(usize, &Candidate)> = None;
+        for candidate in &self.candidates {
+            let mut successes = 0;
+            for family in &e.families {
+                let count = self.evaluate(
+                    &candidate.params,
+                    *family,
+                    FIRST_CHOOSING_SEED,
+                    e.final_flights,
+                    Ablation::Nothing,
+                )?;
+                successes += count.successes;
+            }
+            if best.is_none_or(|(most, _)| successes > most) {
+                best = Some((successes, candidate));
+            }
+        }
+        let Some((_, chosen)) = best else {
+            return Ok(LearnEnd::Interrupted(self.checkpoint));
+        };
+        let mut test = Vec::new();
+        for family in [Family::Validation, Family::Dense, Family::Hard] {
+            for ablation in [Ablation::Nothing, Ablation::Frames, Ablation::Memory] {
+                if self.options.test_flights > 0 {
+                    let flights = self.options.test_flights;
+                    test.push(self.evaluate(&chosen.params, family, FIRST_TEST_SEED, flights, ablation)?);
+                }
+            }
+        }
+        let result = LearnResult {
+            seed: self.config.seed,
+            apf_share: self.config.apf_share,
+            decisions: self.decisions,
+            steps: self.decisions * self.config.steps_per_decision as u64,
+            flights: self.flights.len(),
+            updates: self.learner.updates,
+            frozen_after: chosen.updates,
+            elapsed_s: self.elapsed_s(),
+            test,
+        };
+        let text = serde_json::to_vec_pretty(&result).unwrap_or_default();
+        write(&self.options.folder.join("result.json"), &text)?;
+        Ok(LearnEnd::Complete(self.whole(&chosen.params), Box::new(result)))
+    }
+}
+
+/// The curve as comma-separated values.
+pub fn csv(rows: &[Row]) -> String {
+    let evaluated = rows.iter().find(|r| !r.evaluated.is_empty());
+    let families = evaluated.map_or(&[][..], |r| &r.evaluated);
+    let names: String = families.iter().map(|c| format!(",{}", c.family)).collect();
+    let mut text = format!(
+        "updates,decisions,elapsed_s,flights,successes,reward,critic_loss,value,saturated,critic_norm,actor_norm{names}\n"
+    );
+    for r in rows {
+        let u = &r.update;
+        let evaluated: String = match r.evaluated.is_empty() {
+            true => ",".repeat(families.len()),
+            false => r.evaluated.iter().map(|c| format!(",{:.4}", c.completion())).collect(),
+        };
+        text += &format!(
+            "{},{},{:.1},{},{},{:.4},{:.5},{:.4},{:.4},{:.4},{:.5}{evaluated}\n",
+            r.updates,
+            r.decisions,
+            r.elapsed_s,
+            r.flights,
+            r.successes,
+            r.reward,
+            u.critic_loss,
+            u.value,
+            u.saturated,
+            u.critic_norm,
+            u.actor_norm,
+        );
+    }
+    text
+}
+
+/// The training flights as comma-separated values: the data of the paper's figures 9 and 10.
+fn flights_csv(flights: &[(u64, FlightReport)]) -> String {
+    let mut text = "flight,updates,warm_up,field,outcome,decisions,reward\n".to_owned();
+    for (number, (updates, f)) in (1..).zip(flights) {
+        let outcome = f.outcome.map_or(String::new(), |outcome| outcome.to_string());
+        let (warm_up, field) = (u8::from(f.warm_up), u8::from(f.with_apf));
+        text += &format!(
+            "{number},{updates},{warm_up},{field},{outcome},{},{:.4}\n",
+            f.decisions, f.reward
+        );
+    }
+    text
+}

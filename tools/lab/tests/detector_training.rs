@@ -1,0 +1,278 @@
+//! Flying, keeping and learning: small, with the built-in actor.
+
+use std::path::Path;
+use vigil_adversary::{AttackConfig, Method};
+use vigil_lab::detector_training::{
+    Adversary, Counts, DetectError, Examples, FitConfig, Flights, Frame, LstmConfig, PixelExplainer, Plan, Scenario,
+    Shown, Step, YAW, fit, fly,
+};
+use vigil_nnet::{Activation, Dense, GraphBuilder, Isa, Purpose};
+use vigil_policy::{FrozenActor, FrozenPilot};
+use vigil_sim::world::Family;
+use vigil_tools::threads::thread_pool;
+
+fn actor() -> FrozenPilot {
+    FrozenPilot::load_or_built_in(None).unwrap()
+}
+
+/// Thirty steps with two attacked ones in the middle.
+fn attacked(plan: Plan) -> Scenario {
+    let config = AttackConfig {
+        method: Method::BimAccumulating,
+        epsilon_255: 10.0,
+        iterations: 2,
+        ..AttackConfig::PAPER
+    };
+    Scenario {
+        adversary: Some(Adversary {
+            config,
+            bursts: std::iter::once(12..14).collect(),
+        }),
+        steps: 30,
+        ..Scenario::unattacked(Family::Training, 3001, plan)
+    }
+}
+
+/// Compares what was delivered with what was taken.
+#[derive(Default)]
+struct Differences(Vec<usize>);
+
+impl vigil_lab::detector_training::Onlooker for Differences {
+    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+        let pairs = shown.input.depth.depth.iter().zip(&shown.taken.depth);
+        self.0.push(pairs.filter(|(a, b)| a != b).count());
+        Ok(())
+    }
+}
+
+#[test]
+fn only_frames_that_count_as_attacked_differ_from_what_the_sensor_took() {
+    let mut differences = Differences::default();
+    let record = fly(Isa::detect(), &actor(), &attacked(Plan::Actor), &mut differences).unwrap();
+    assert_eq!(record.steps.len(), 30);
+    for (i, (step, pixels)) in record.steps.iter().zip(&differences.0).enumerate() {
+        let within = (12..14).contains(&i);
+        assert_eq!(step.frame == Frame::Attacked, within, "step {i}");
+        assert_eq!(*pixels > 1000, within, "step {i}: {pixels} pixels differ");
+        assert_eq!(step.yaw_change != 0.0, within, "step {i}");
+    }
+}
+
+/// Explains each frame's pixels.
+struct Explained {
+    explainer: PixelExplainer,
+    frames: usize,
+}
+
+impl vigil_lab::detector_training::Onlooker for Explained {
+    fn step(&mut self, _: &Step, shown: &Shown<'_>) -> Result<(), DetectError> {
+        let vigil_policy::Decider::Actor(actor) = shown.pilot else {
+            panic!("an actor of ours flies")
+        };
+        let phi = self.explainer.newest_frame(actor, shown.input.depth, YAW)?;
+        assert_eq!(phi.len(), shown.input.depth.depth.len(), "one value a pixel");
+        assert!(
+            phi.iter().any(|phi| phi.abs() > 0.0),
+            "the frame has a share in the decision"
+        );
+        self.frames += 1;
+        Ok(())
+    }
+}
+
+#[test]
+fn the_pixels_of_the_built_in_actor_s_newest_frame_are_explained() {
+    let frozen = FrozenActor::built_in().unwrap();
+    let mut onlooker = Explained {
+        explainer: PixelExplainer::new(Isa::detect(), &frozen).unwrap(),
+        frames: 0,
+    };
+    let scenario = Scenario {
+        steps: 3,
+        ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
+    };
+    fly(Isa::detect(), &actor(), &scenario, &mut onlooker).unwrap();
+    assert_eq!(onlooker.frames, 3);
+}
+
+#[test]
+fn who_steers_changes_the_flight_but_not_what_is_explained_first() {
+    let flown = |plan| fly(Isa::detect(), &actor(), &attacked(plan), &mut ()).unwrap().steps;
+    let (own, other) = (flown(Plan::Actor), flown(Plan::Geometric));
+    assert_eq!(own[0], other[0], "the same first frame, the same decision");
+    assert_ne!(own[29].state, other[29].state, "by then they are elsewhere");
+    let recovering = flown(Plan::Recovering {
+        delay: 1,
+        hover: 5,
+        trust: 5,
+    });
+    assert_eq!(recovering[..12], own[..12], "until the alarm the actor flies");
+    assert_ne!(recovering[16].state, own[16].state, "then it brakes");
+}
+
+#[test]
+fn the_same_seed_flies_the_same_flight() {
+    let fly = |seed, is_attacked| {
+        let mut scenario = Scenario::drawn(seed, is_attacked);
+        scenario.steps = 20;
+        scenario.adversary = scenario.adversary.map(|a| Adversary {
+            bursts: std::iter::once(8..10).collect(),
+            ..a
+        });
+        fly(Isa::detect(), &actor(), &scenario, &mut ()).unwrap()
+    };
+    let (first, again, other) = (fly(3100, true), fly(3100, true), fly(3101, true));
+    assert_eq!(first, again);
+    assert_ne!(first.steps, other.steps);
+    assert_eq!(Counts::of(&[fly(3102, false)]).attacked, 0);
+}
+
+#[test]
+fn flights_come_back_from_their_file_and_only_for_their_actor() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("flights.safetensors");
+    let flights = Flights {
+        actor_sha256: actor().sha256(),
+        records: vec![fly(Isa::detect(), &actor(), &attacked(Plan::Switching), &mut ()).unwrap()],
+    };
+    flights.save(&path).unwrap();
+    let back = Flights::load(&path, &actor()).unwrap();
+    assert_eq!(back, flights);
+    assert_eq!(Counts::of(&back.records), Counts::of(&flights.records));
+    let mut other = FrozenActor::built_in().unwrap();
+    other.seed += 1;
+    let other = FrozenPilot::Actor(other);
+    let refused = Flights::load(&path, &other).unwrap_err().to_string();
+    assert!(
+        refused.contains("collect the data anew") && refused.contains(&other.sha256()),
+        "{refused}"
+    );
+    let foreign = Path::new(concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../firmware/policy/actor/actor.safetensors"
+    ));
+    let refused = Flights::load(foreign, &actor()).unwrap_err().to_string();
+    assert!(
+        refused.contains("holds no data of `vigil detector collect`"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn the_built_in_detector_judges_the_built_in_actor() {
+    let (frozen, actor) = (vigil_detector::FrozenDetector::built_in().unwrap(), actor());
+    assert_eq!(
+        frozen.actor_sha256,
+        actor.sha256(),
+        "train a detector for the actor that is built in"
+    );
+    assert_eq!(frozen.backgrounds.len(), 30);
+    // Two flights over a course that it was not trained on.
+    let mut scenario = Scenario {
+        steps: 60,
+        ..Scenario::unattacked(Family::Validation, 6501, Plan::Actor)
+    };
+    let quiet = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
+    scenario.adversary = Some(Adversary {
+        config: AttackConfig::PAPER,
+        bursts: std::iter::once(30..60).collect(),
+    });
+    let bent = fly(Isa::detect(), &actor, &scenario, &mut ()).unwrap();
+    let judge = vigil_lab::detector_training::Judge::from_frozen(&frozen);
+    let scores = judge.scores(Isa::detect(), &actor, &[quiet, bent]).unwrap();
+    let alarms = |flight: usize| scores[flight].iter().flatten().filter(|s| **s > 0.5).count();
+    assert_eq!(
+        scores[0].iter().flatten().count(),
+        51,
+        "no verdict before the window is full"
+    );
+    assert!(
+        alarms(0) <= 3 && alarms(1) >= 25,
+        "{} and {} alarms",
+        alarms(0),
+        alarms(1)
+    );
+}
+
+#[test]
+fn nothing_to_learn_from_is_said_with_numbers() {
+    let config = LstmConfig::default();
+    let refused = vigil_lab::detector_training::train(
+        Isa::detect(),
+        &actor(),
+        vigil_lab::detector_training::Feature::Shap,
+        (&[], &[]),
+        &config,
+        &mut |_, _| {},
+    );
+    let refused = refused.unwrap_err().to_string();
+    assert!(
+        refused.contains("0 attacked and 0 unattacked windows for training"),
+        "{refused}"
+    );
+}
+
+/// Two interleaved half circles, from a fixed recipe.
+struct Moons(usize);
+
+impl Examples for Moons {
+    fn len(&self) -> usize {
+        self.0
+    }
+
+    fn inputs<'a>(&'a self, i: usize, buffer: &'a mut Vec<f32>) -> Vec<&'a [f32]> {
+        let angle = (i / 2) as f32 * 0.618;
+        let (x, y) = ((angle % 3.1).cos(), (angle % 3.1).sin());
+        *buffer = if self.attacked(i) {
+            vec![x, y]
+        } else {
+            vec![1.0 - x, 0.4 - y]
+        };
+        vec![buffer.as_slice()]
+    }
+
+    fn attacked(&self, i: usize) -> bool {
+        i.is_multiple_of(2)
+    }
+}
+
+#[test]
+fn a_network_learns_what_no_straight_line_separates_with_the_same_bits_on_any_number_of_threads() {
+    let mut b = GraphBuilder::new();
+    let mut x = b.input(2, false).unwrap();
+    for (inputs, outputs, curve) in [(2, 24, Activation::Relu), (24, 1, Activation::Identity)] {
+        let layer = Dense { inputs, outputs };
+        let params = b.params(layer.param_len());
+        x = b.dense(x, layer, curve, params).unwrap();
+    }
+    let graph = b.finish(x, Purpose::Gradients).unwrap();
+    let config = FitConfig {
+        epochs: 60,
+        batch: 32,
+        rate: 2e-2,
+        gradient_norm: 5.0,
+        weight_decay: 0.0,
+        seed: 5,
+    };
+    let train = |threads| {
+        let pool = thread_pool(threads).unwrap();
+        let first: Vec<f32> = (0..graph.param_len()).map(|i| (i as f32 * 1.7).sin() * 0.5).collect();
+        pool.install(|| {
+            fit(
+                &graph,
+                Isa::detect(),
+                first,
+                &Moons(400),
+                &Moons(100),
+                &config,
+                &mut |_, _| {},
+            )
+            .unwrap()
+        })
+    };
+    let fitted = train(1);
+    assert_eq!(fitted, train(2));
+    let chosen = fitted.epochs[fitted.chosen - 1];
+    assert!(chosen.choose_accuracy > 0.95, "{chosen:?}");
+    assert!(fitted.epochs.iter().all(|e| e.choose_loss >= chosen.choose_loss));
+}

@@ -1,0 +1,123 @@
+//! Whole runs, small ones.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use vigil_lab::trainer::config::LearnConfig;
+use vigil_lab::trainer::run::{LearnEnd, LearnError, LearnOptions, Progress, learn};
+use vigil_policy::actor::ActorSpec;
+use vigil_sim::world::Family;
+
+/// Flights end, are cut off and push old ones out of the memory; 1 000 updates make a row of the curve and an evaluation.
+fn small() -> LearnConfig {
+    let mut config = LearnConfig {
+        families: vec![Family::Training, Family::Hard],
+        decisions: 1_180,
+        warm_up: 180,
+        environments: 4,
+        time_limit_s: 6.0,
+        apf_share: 0.5,
+        drift_share: 0.5,
+        drawn_vehicle_share: 0.5,
+        ..LearnConfig::default()
+    };
+    config.learning.batch = 4;
+    config.learning.decisions_per_update = 1;
+    config.learning.critic_units = [16, 16];
+    config.replay.decisions = 600;
+    config.replay.alpha = 0.6;
+    config.evaluation.every_updates = 500;
+    config.evaluation.flights = 1;
+    config.evaluation.final_flights = 1;
+    config.evaluation.time_limit_s = 2.0;
+    config
+}
+
+fn options(folder: &Path, resume: bool) -> LearnOptions {
+    // Of nobody's learning: what it shows is a pattern all the same.
+    let encoder = (0..ActorSpec::FULL.encoder_len())
+        .map(|i| 0.1 * (i as f32 * 1.7).sin())
+        .collect();
+    LearnOptions {
+        folder: folder.to_owned(),
+        resume,
+        encoder: Some(encoder),
+        test_flights: 1,
+    }
+}
+
+fn complete(end: LearnEnd) -> Vec<f32> {
+    match end {
+        LearnEnd::Complete(params, result) => {
+            assert_eq!(
+                result.test.len(),
+                9,
+                "three families, each as it is, blind and without memory"
+            );
+            params
+        }
+        LearnEnd::Interrupted(_) => panic!("it was not interrupted"),
+    }
+}
+
+#[test]
+fn a_run_that_was_interrupted_ends_as_one_that_was_not_whatever_its_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = folder.path().join("whole");
+    let mut rows = 0;
+    let end = learn(
+        &small(),
+        &options(&whole, false),
+        &AtomicBool::new(false),
+        &mut |progress| {
+            rows += usize::from(matches!(progress, Progress::Row(..)));
+        },
+    );
+    let expected = complete(end.unwrap());
+    assert_eq!(rows, 2);
+
+    let parts = folder.path().join("parts");
+    let stop = AtomicBool::new(false);
+    let end = learn(&small(), &options(&parts, false), &stop, &mut |progress| {
+        // In the middle, while flights last.
+        if let Progress::Row(row, _) = progress {
+            stop.store(row.updates == 500, Ordering::Relaxed);
+        }
+    });
+    assert!(matches!(end.unwrap(), LearnEnd::Interrupted(path) if path.exists()));
+    let two = LearnConfig { threads: 2, ..small() };
+    let end = learn(&two, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
+    assert!(complete(end.unwrap()) == expected, "the same bits");
+    for file in ["curves.csv", "flights.csv"] {
+        let lines = |folder: &Path| {
+            let text = std::fs::read_to_string(folder.join(file)).unwrap();
+            // The time of the curve's rows differs.
+            text.lines()
+                .map(|line| line.split(',').take(2).collect::<Vec<_>>().join(","))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(lines(&whole), lines(&parts), "{file}");
+    }
+
+    // It goes on for longer, over other courses.
+    let longer = LearnConfig {
+        decisions: 1_280,
+        families: vec![Family::Hard],
+        ..small()
+    };
+    let end = learn(&longer, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
+    assert!(matches!(end.unwrap(), LearnEnd::Complete(_, result) if result.decisions == longer.decisions));
+
+    // Another configuration cannot go on with it, and no run begins where one is.
+    let other = LearnConfig { seed: 2, ..small() };
+    let refused = learn(&other, &options(&parts, true), &AtomicBool::new(false), &mut |_| {});
+    assert!(matches!(refused, Err(LearnError::Checkpoint(_))));
+    let refused = learn(&small(), &options(&parts, false), &AtomicBool::new(false), &mut |_| {});
+    assert!(matches!(refused, Err(LearnError::Occupied { .. })));
+    let checkpoint = parts.join("checkpoint.safetensors");
+    let mut bytes = std::fs::read(&checkpoint).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&checkpoint, &bytes).unwrap();
+    let refused = learn(&longer, &options(&parts, true), &AtomicBool::new(false), &mut |_| {}).unwrap_err();
+    assert!(refused.to_string().contains("was altered"), "{refused}");
+}

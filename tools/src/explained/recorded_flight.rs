@@ -1,0 +1,220 @@
+//! A flight flown and written down.
+
+use super::error::DetectError;
+use super::scenario::{Helm, Scenario};
+use super::stepped::Flight;
+use serde::{Deserialize, Serialize};
+use vigil_adversary::{FrameAttack, Method};
+use vigil_nnet::Isa;
+use vigil_policy::actor::memory::SCAN_AGES;
+use vigil_policy::actor::{ACTOR_OUTPUTS, PositionalInputs};
+use vigil_policy::{Decider, FlightField, FrozenPilot, GeometricConfig, GeometricPilot, Pilot, PilotInput, RangeScan};
+use vigil_sim::world::{LidarConfig, Outcome, generate};
+use vigil_types::{Action, DepthFrame};
+
+/// Whether a step's frame was altered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Frame {
+    /// Delivered as taken.
+    Unaltered,
+    /// Altered by an attack.
+    Attacked,
+    /// Altered at random: the control.
+    Noisy,
+}
+
+/// One step: the actor's decision, whichever pilot steered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Step {
+    /// Values at the split point: our actor's 48.
+    pub state: Vec<f32>,
+    /// What it decided from beside them: the low-dimensional observation, or an imported policy's goal.
+    pub position: PositionalInputs,
+    /// The actor's outputs, without field.
+    pub output: [f32; ACTOR_OUTPUTS],
+    /// Whether the frame was altered.
+    pub frame: Frame,
+    /// Change of the yaw output by the attack; 0 where the frame was not altered.
+    pub yaw_change: f32,
+}
+
+/// A flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// What was flown.
+    pub scenario: Scenario,
+    /// How many steps ago each frame was taken that a decision holds ([`held_frames`]), oldest first.
+    pub frame_ages: Vec<usize>,
+    /// How it ended; `None` when it was cut off.
+    pub outcome: Option<Ending>,
+    /// Its steps.
+    pub steps: Vec<Step>,
+}
+
+/// How a flight ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Ending {
+    /// At the goal.
+    Goal,
+    /// Any other way.
+    Failed,
+}
+
+impl Record {
+    /// Altered frames among the last `count` up to a step.
+    pub fn altered_of_last(&self, step: usize, count: usize) -> usize {
+        let from = (step + 1).saturating_sub(count);
+        let recent = self.steps.get(from..=step).unwrap_or_default();
+        recent.iter().filter(|s| s.frame != Frame::Unaltered).count()
+    }
+}
+
+/// What an onlooker is shown of a step.
+pub struct Shown<'a> {
+    /// What was decided on, with the frame as it was delivered.
+    pub input: PilotInput<'a>,
+    /// The frame as it was taken.
+    pub taken: &'a DepthFrame,
+    /// The pilot as of its decision.
+    pub pilot: &'a Decider,
+}
+
+impl Shown<'_> {
+    /// The actor's inputs in this step, as [`vigil_policy::actor::ActorSpec::graph`] takes them; `None` of an imported policy.
+    pub fn inputs<'a>(&'a self, step: &'a Step) -> Option<[&'a [f32]; 3]> {
+        match self.pilot {
+            Decider::Actor(actor) => Some([&self.input.depth.depth, actor.context(), &step.position]),
+            Decider::Imported(_) => None,
+        }
+    }
+}
+
+/// What looks on while flying.
+pub trait Onlooker {
+    /// Called once a step, in order.
+    ///
+    /// # Errors
+    /// Ends the flight.
+    fn step(&mut self, step: &Step, shown: &Shown<'_>) -> Result<(), DetectError>;
+}
+
+/// No onlooker.
+impl Onlooker for () {
+    fn step(&mut self, _: &Step, _: &Shown<'_>) -> Result<(), DetectError> {
+        Ok(())
+    }
+}
+
+/// How many steps ago each frame was taken that a decision holds, oldest first: our actor's newest and older scans, an imported policy's
+/// channels. What our actor remembers of surfaces out of view is made of many frames and not counted.
+pub fn held_frames(pilot: &FrozenPilot) -> Vec<usize> {
+    match pilot {
+        FrozenPilot::Actor(_) => SCAN_AGES.into_iter().chain([0]).collect(),
+        FrozenPilot::Imported(_) => pilot.frame_ages(),
+    }
+}
+
+/// Flies a scenario with an actor. The same arguments give the same bits.
+///
+/// # Errors
+/// Parameters of another architecture, wind or attack out of range.
+pub fn fly(
+    isa: Isa,
+    frozen: &FrozenPilot,
+    scenario: &Scenario,
+    onlooker: &mut impl Onlooker,
+) -> Result<Record, DetectError> {
+    let mut course = generate(scenario.family, scenario.seed);
+    course.time_limit_s = 90.0;
+    let usual = LidarConfig::default();
+    let lidar = LidarConfig {
+        range_noise_sigma_m: usual.range_noise_sigma_m * scenario.range_noise,
+        dropout_probability: usual.dropout_probability * scenario.range_noise,
+        ..usual
+    };
+    let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
+    let mut actor = frozen.decider(isa)?;
+    let mut attack = match &scenario.adversary {
+        Some(adversary) => Some((adversary, FrameAttack::on(frozen, isa, &adversary.config)?)),
+        None => None,
+    };
+    let mut helmsman = scenario.helmsman();
+    let mut geometric = helmsman
+        .needs_geometric()
+        .then(|| Box::new(GeometricPilot::new(GeometricConfig::default())));
+    let mut surroundings = Box::new(RangeScan::new());
+    let mut field = FlightField::default();
+    let mut delivered = Box::new(flight.frame().clone());
+    let mut record = Record {
+        frame_ages: held_frames(frozen),
+        scenario: scenario.clone(),
+        outcome: None,
+        steps: Vec::new(),
+    };
+    let mut altered = 0;
+    for number in 0..scenario.steps {
+        (*delivered).clone_from(flight.frame());
+        let (mut frame, mut yaw_change) = (Frame::Unaltered, 0.0);
+        if let Some((adversary, attack)) = &mut attack {
+            let taken = flight.input();
+            if adversary.attacks(number) {
+                yaw_change = attack.attack_while(&taken, &mut delivered, || true)?.yaw_change();
+                frame = match adversary.config.method {
+                    Method::Noise => Frame::Noisy,
+                    _ => Frame::Attacked,
+                };
+                altered += 1;
+            } else {
+                attack.pass(&taken)?;
+            }
+        }
+        let input = PilotInput {
+            depth: &delivered,
+            ..flight.input()
+        };
+        let output = actor.decide(&input)?;
+        let [forward_m_s, yaw] = output;
+        let own = Action { forward_m_s, yaw };
+        let geometric = geometric.as_mut().map(|pilot| pilot.decide(&input));
+        let helm = helmsman.take(number, frame != Frame::Unaltered);
+        let action = match helm {
+            Helm::Actor { field: false } => own,
+            Helm::Actor { field: true } => field.add_to(own, &input, surroundings.observe(&input)),
+            Helm::Geometric => geometric.unwrap_or(Action::HOVER),
+            Helm::Hover => Action::HOVER,
+        };
+        let step = Step {
+            state: actor.state().to_vec(),
+            // There is one behind a decision.
+            position: actor
+                .position()
+                .unwrap_or_else(|| PositionalInputs::of_goal(input.goal)),
+            output,
+            frame,
+            yaw_change,
+        };
+        let shown = Shown {
+            input,
+            taken: flight.frame(),
+            pilot: &actor,
+        };
+        onlooker.step(&step, &shown)?;
+        // As in flight, it knows of what was added to its action, not of what others did.
+        if let (Helm::Actor { field: true }, Decider::Actor(actor)) = (helm, &mut actor) {
+            actor.note_action(action);
+        }
+        record.steps.push(step);
+        if altered >= scenario.altered {
+            break;
+        }
+        if let Some(outcome) = flight.advance(action) {
+            record.outcome = Some(match outcome {
+                Outcome::Success => Ending::Goal,
+                _ => Ending::Failed,
+            });
+            break;
+        }
+    }
+    Ok(record)
+}
