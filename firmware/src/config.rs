@@ -6,7 +6,6 @@ use crate::ports::gate::{AllowUnsigned, SigningFileError, SigningGate};
 use crate::ports::links::LinkError;
 use crate::ports::router::{MAX_GROUND_LINKS, RoutedLinks};
 use crate::stack::StackConfig;
-use serde::{Deserialize, Serialize};
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;
@@ -16,416 +15,149 @@ use vigil_log::FlightInfo;
 use vigil_mavlink::{CompanionConfig, Flavour};
 use vigil_policy::GeometricConfig;
 use vigil_types::parameters::{self, MAX_INSTANCE};
+use vigil_types::settings::{SettingsError, Value, at_most, free, required_row, section};
 use vigil_types::{
     Ablation, AlarmPolicy, AtGoal, AutopilotChoice, Duty, EngagePolicy, FrameKeys, Goal, LogContent, NedVector,
-    ObstacleReports, OnNoProgress, ParameterSpec, PilotKind,
+    ObstacleReports, OnNoProgress, ParameterSpec, PilotKind, settings,
 };
 
-/// A configuration file has a page or two.
-const SIZE_LIMIT: u64 = 1 << 20;
 /// The port on which instance 0 meets the simulator, as PX4's SITL has it for an onboard computer.
 const COMPANION_PORT: u16 = 14030;
 
-/// Everything that can be set of the firmware. `docs/firmware.md` is the reference.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct FirmwareConfig {
-    /// Number of this set of processes; 0 to [`MAX_INSTANCE`].
-    #[serde(deserialize_with = "number::instance")]
-    pub instance: u32,
-    /// Where the vehicle's MAVLink is; absent means the simulator of this instance.
-    #[serde(
-        skip_serializing_if = "Option::is_none",
-        serialize_with = "spec::write",
-        deserialize_with = "spec::read"
-    )]
-    pub link: Option<LinkSpec>,
-    /// Links for ground stations, besides the vehicle's.
-    #[serde(
-        skip_serializing_if = "Vec::is_empty",
-        serialize_with = "spec::write_all",
-        deserialize_with = "spec::read_all"
-    )]
-    pub links: Vec<LinkSpec>,
-    /// Who may speak on the links.
-    pub signing: SigningConfig,
-    /// Which autopilot the vehicle has.
-    #[serde(with = "choice")]
-    pub vehicle: AutopilotChoice,
-    /// Whose flight it is.
-    #[serde(with = "choice")]
-    pub duty: Duty,
-    /// When OBSTACLE_DISTANCE is sent.
-    #[serde(with = "choice")]
-    pub obstacle_distance: ObstacleReports,
-    /// The sensor whose frames are accepted.
-    pub sensor_id: u32,
-    /// Files with the secrets of the sensor's frame keys: the one in force, and while it is exchanged another; frames that were made
-    /// with neither are refused (docs/frame-authentication.md). None: frames are not authenticated.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub frame_key_files: Vec<PathBuf>,
-    /// Whether frames are judged before the pilots see them.
-    pub plausibility: bool,
-    /// Whether a second sensor must see nothing nearer than the frames show.
-    pub second_sensor: bool,
-    /// Who starts a flight.
-    #[serde(with = "choice")]
-    pub engage: EngagePolicy,
-    /// What to do at the goal.
-    #[serde(with = "choice")]
-    pub at_goal: AtGoal,
-    /// Height of goals that do not tell theirs, metres above home.
-    #[serde(deserialize_with = "number::height")]
-    pub height_m: f32,
-    /// Where to fly; absent means that an operator sets it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub goal: Option<GoalConfig>,
+settings! {
+    /// Everything that can be set of the firmware: its fields are the rows of the table of [`parameters`], by their keys.
+    /// `docs/firmware.md` is the reference.
+    #[allow(missing_docs, reason = "the rows say it")]
+    pub struct FirmwareConfig {
+        pub instance: u32 = &parameters::INSTANCE,
+        pub link: Option<LinkSpec> = &parameters::LINK,
+        pub links: Vec<LinkSpec> = at_most(MAX_GROUND_LINKS, &parameters::LINKS),
+        pub signing: SigningConfig = section(),
+        pub vehicle: AutopilotChoice = &parameters::VEHICLE,
+        pub duty: Duty = &parameters::DUTY,
+        pub obstacle_distance: ObstacleReports = &parameters::OBSTACLE_DISTANCE,
+        pub sensor_id: u32 = &parameters::SENSOR_ID,
+        pub frame_key_files: Vec<PathBuf> = &parameters::FRAME_KEY_FILES,
+        pub plausibility: bool = &parameters::PLAUSIBILITY,
+        pub second_sensor: bool = &parameters::SECOND_SENSOR,
+        pub engage: EngagePolicy = &parameters::ENGAGE,
+        pub at_goal: AtGoal = &parameters::AT_GOAL,
+        pub height_m: f32 = &parameters::HEIGHT,
+        pub goal: Option<GoalConfig> = free(None),
+        pub limits: Limits = section(),
+        pub just_stop: JustStopSection = section(),
+        pub pilot: PilotConfig = section(),
+        pub detector: DetectorConfig = section(),
+        pub rate: RateConfig = section(),
+        pub log: LogConfig = section(),
+        pub state: StateConfig = section(),
+    }
+
+    /// Who may speak on the links: MAVLink 2 signing.
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Eq)]
+    pub struct SigningConfig {
+        pub key_file: Option<PathBuf> = &parameters::KEY_FILE,
+        pub allow_unsigned: AllowUnsigned = &parameters::ALLOW_UNSIGNED,
+        pub accept_first_key: bool = &parameters::ACCEPT_FIRST_KEY,
+    }
+
+    /// The goal in the local frame; without `height_m` at [`FirmwareConfig::height_m`].
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Copy)]
+    pub struct GoalConfig {
+        pub north_m: f32 = required_row(&parameters::GOAL_NORTH),
+        pub east_m: f32 = required_row(&parameters::GOAL_EAST),
+        pub height_m: Option<f32> = &parameters::GOAL_HEIGHT,
+    }
+
     /// When to hold or land.
-    pub limits: Limits,
-    /// How a guarded vehicle stops.
-    pub just_stop: JustStopSection,
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Copy)]
+    pub struct Limits {
+        pub frame_age_s: f64 = &parameters::FRAME_AGE,
+        pub telemetry_age_s: f64 = &parameters::TELEMETRY_AGE,
+        pub heartbeat_age_s: f64 = &parameters::HEARTBEAT_AGE,
+        pub setpoint_timeout_s: f32 = &parameters::SETPOINT_TIMEOUT,
+        pub slips: u8 = &parameters::SLIPS,
+        pub goal_radius_m: f32 = &parameters::GOAL_RADIUS,
+        pub goal_m: f32 = &parameters::GOAL_LIMIT,
+        pub no_progress_s: f64 = &parameters::NO_PROGRESS,
+        pub no_progress: OnNoProgress = &parameters::ON_NO_PROGRESS,
+        pub speed_m_s: f32 = &parameters::SPEED_LIMIT,
+        pub battery: f32 = &parameters::BATTERY,
+        pub flight_time_s: Option<f64> = &parameters::FLIGHT_TIME,
+        pub geofence: Option<GeofenceConfig> = free(None),
+    }
+
+    /// The permitted region: a cylinder around home.
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Copy)]
+    pub struct GeofenceConfig {
+        pub radius_m: f32 = required_row(&parameters::FENCE_RADIUS),
+        pub min_height_m: f32 = &parameters::FENCE_MIN_HEIGHT,
+        pub max_height_m: f32 = required_row(&parameters::FENCE_MAX_HEIGHT),
+    }
+
+    /// How a vehicle that is guarded stops.
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Copy)]
+    pub struct JustStopSection {
+        pub reaction_s: f32 = &parameters::STOP_REACTION,
+        pub braking_m_s2: f32 = &parameters::STOP_BRAKING,
+        pub jerk_m_s3: f32 = &parameters::STOP_JERK,
+        pub spare_m: f32 = &parameters::STOP_SPARE,
+        pub unseen_s: f64 = &parameters::STOP_UNSEEN,
+    }
+
     /// Who decides.
-    pub pilot: PilotConfig,
-    /// What watches the actor.
-    pub detector: DetectorConfig,
-    /// The loop.
-    pub rate: RateConfig,
+    #[allow(missing_docs, reason = "the rows say it")]
+    pub struct PilotConfig {
+        pub kind: PilotKind = &parameters::PILOT,
+        pub apf: bool = &parameters::APF,
+        pub ablate: Ablation = &parameters::ABLATE,
+        pub actor_file: Option<PathBuf> = &parameters::ACTOR_FILE,
+        pub cruise_m_s: f32 = &parameters::CRUISE,
+        pub repulsive_range_m: f32 = &parameters::REPULSIVE_RANGE,
+    }
+
+    /// What watches the actor; without an actor there is nothing to watch.
+    #[allow(missing_docs, reason = "the rows say it")]
+    pub struct DetectorConfig {
+        pub enabled: Option<bool> = &parameters::DETECTOR,
+        pub file: Option<PathBuf> = &parameters::DETECTOR_FILE,
+        pub threshold: Option<f32> = &parameters::THRESHOLD,
+        pub alarm: AlarmPolicy = &parameters::ALARM,
+        pub raise_count: u8 = &parameters::RAISE_COUNT,
+        pub raise_window: u8 = &parameters::RAISE_WINDOW,
+        pub guard: Option<bool> = &parameters::GUARD,
+        pub clear_steps: u16 = &parameters::CLEAR_STEPS,
+    }
+
+    /// The loop. The simulator publishes at the multiples of 50 ms, so `offset_ms` is what a frame ages before it is used.
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Copy, Eq)]
+    pub struct RateConfig {
+        pub priority: u8 = &parameters::PRIORITY,
+        pub offset_ms: u8 = &parameters::OFFSET,
+    }
+
     /// The flight log.
-    pub log: LogConfig,
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Eq)]
+    pub struct LogConfig {
+        pub directory: Option<PathBuf> = &parameters::LOG,
+        pub content: LogContent = &parameters::LOG_CONTENT,
+        pub scene: Option<PathBuf> = &parameters::SCENE,
+    }
+
     /// What outlives a restart.
-    pub state: StateConfig,
-}
-
-/// Who may speak on the links: MAVLink 2 signing.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SigningConfig {
-    /// The file with the key; absent means that nothing is signed. The key itself is in no configuration and no log.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub key_file: Option<PathBuf>,
-    /// From whom packets without a signature are accepted.
-    pub allow_unsigned: AllowUnsigned,
-    /// While there is no key, SETUP_SIGNING of whoever may speak without a signature brings one.
-    pub accept_first_key: bool,
-}
-
-/// The goal in the local frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GoalConfig {
-    /// Metres north of home.
-    #[serde(deserialize_with = "number::goal_north")]
-    pub north_m: f32,
-    /// Metres east of home.
-    #[serde(deserialize_with = "number::goal_east")]
-    pub east_m: f32,
-    /// Metres above home at which to fly there; absent means [`FirmwareConfig::height_m`].
-    #[serde(
-        default,
-        skip_serializing_if = "Option::is_none",
-        deserialize_with = "number::goal_height"
-    )]
-    pub height_m: Option<f32>,
-}
-
-/// When to hold or land.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Limits {
-    /// Greatest age of the newest valid depth frame.
-    #[serde(deserialize_with = "number::frame_age")]
-    pub frame_age_s: f64,
-    /// Greatest age of position and attitude.
-    #[serde(deserialize_with = "number::telemetry_age")]
-    pub telemetry_age_s: f64,
-    /// Greatest age of the vehicle's heartbeat.
-    #[serde(deserialize_with = "number::heartbeat_age")]
-    pub heartbeat_age_s: f64,
-    /// Longest time that the vehicle may keep to its last setpoint; a longer one is set in its parameters when it is taken
-    /// over. 0 leaves them alone.
-    #[serde(deserialize_with = "number::setpoint_timeout")]
-    pub setpoint_timeout_s: f32,
-    /// Missed steps within a second that are too many.
-    #[serde(deserialize_with = "number::slips")]
-    pub slips: u8,
-    /// Horizontal distance at which the goal is reached.
-    #[serde(deserialize_with = "number::goal_radius")]
-    pub goal_radius_m: f32,
-    /// Farthest goal from home.
-    #[serde(deserialize_with = "number::goal_limit")]
-    pub goal_m: f32,
-    /// Flown so long without getting nearer to the goal, the vehicle holds; 0 never.
-    #[serde(deserialize_with = "number::no_progress")]
-    pub no_progress_s: f64,
-    /// What to do then.
-    #[serde(with = "choice")]
-    pub no_progress: OnNoProgress,
-    /// Greatest forward speed, whatever the pilot wants.
-    #[serde(deserialize_with = "number::speed_limit")]
-    pub speed_m_s: f32,
-    /// Battery charge, 0 to 1, below which to land.
-    #[serde(deserialize_with = "number::battery")]
-    pub battery: f32,
-    /// Longest flight in seconds; absent means no limit.
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "number::flight_time")]
-    pub flight_time_s: Option<f64>,
-    /// Permitted region; absent means none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub geofence: Option<GeofenceConfig>,
-}
-
-/// The permitted region: a cylinder around home.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct GeofenceConfig {
-    /// Horizontal distance from home.
-    #[serde(deserialize_with = "number::fence_radius")]
-    pub radius_m: f32,
-    /// Lowest height in flight, metres above home.
-    #[serde(default, deserialize_with = "number::fence_min_height")]
-    pub min_height_m: f32,
-    /// Greatest height, metres above home.
-    #[serde(deserialize_with = "number::fence_max_height")]
-    pub max_height_m: f32,
-}
-
-/// How a vehicle that is guarded stops.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct JustStopSection {
-    /// From the frame that shows an obstacle until the vehicle begins to change its acceleration.
-    #[serde(deserialize_with = "number::stop_reaction")]
-    pub reaction_s: f32,
-    /// What it brakes with.
-    #[serde(deserialize_with = "number::stop_braking")]
-    pub braking_m_s2: f32,
-    /// How fast it gets there.
-    #[serde(deserialize_with = "number::stop_jerk")]
-    pub jerk_m_s3: f32,
-    /// Kept between its stop and what it must not touch.
-    #[serde(deserialize_with = "number::stop_spare")]
-    pub spare_m: f32,
-    /// Moved so long where the sensor does not look, it is stopped; 0 is never.
-    #[serde(deserialize_with = "number::stop_unseen")]
-    pub unseen_s: f64,
-}
-
-/// Who decides.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct PilotConfig {
-    /// Which pilot.
-    #[serde(with = "choice")]
-    pub kind: PilotKind,
-    /// Whether the potential field is added to the actor's action.
-    pub apf: bool,
-    /// What is taken from the actor, as a control.
-    #[serde(with = "choice")]
-    pub ablate: Ablation,
-    /// The frozen actor; absent means the one built into this program.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub actor_file: Option<PathBuf>,
-    /// Fastest forward speed of the geometric pilot.
-    #[serde(deserialize_with = "number::cruise")]
-    pub cruise_m_s: f32,
-    /// Range of the geometric pilot's repulsive field.
-    #[serde(deserialize_with = "number::repulsive_range")]
-    pub repulsive_range_m: f32,
-}
-
-/// What watches the actor; without an actor there is nothing to watch.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct DetectorConfig {
-    /// Whether the actor is watched; absent means that it is, where it flies.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub enabled: Option<bool>,
-    /// The frozen detector; absent means the one built into this program.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub file: Option<PathBuf>,
-    /// Score above which the verdict is attack; absent means the detector's own.
-    #[serde(skip_serializing_if = "Option::is_none", deserialize_with = "number::threshold")]
-    pub threshold: Option<f32>,
-    /// What an alarm brings about.
-    #[serde(with = "choice")]
-    pub alarm: AlarmPolicy,
-    /// This many of the last [`DetectorConfig::raise_window`] verdicts raise the alarm.
-    #[serde(deserialize_with = "number::raise_count")]
-    pub raise_count: u8,
-    /// Verdicts that are looked back on.
-    #[serde(deserialize_with = "number::raise_window")]
-    pub raise_window: u8,
-    /// Whether the recovery pilot raises the alarm, whatever the verdict, when the actor is about to fly into something; absent
-    /// means that it does where the detector is.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub guard: Option<bool>,
-    /// Consecutive clean verdicts that end the first alarm of a flight; each further one asks for twice as many.
-    #[serde(deserialize_with = "number::clear_steps")]
-    pub clear_steps: u16,
-}
-
-impl Default for DetectorConfig {
-    fn default() -> Self {
-        let d = AlarmConfig::default();
-        Self {
-            enabled: None,
-            file: None,
-            threshold: None,
-            alarm: d.policy,
-            raise_count: d.raise_count,
-            raise_window: d.raise_window,
-            guard: None,
-            clear_steps: d.clear_steps,
-        }
+    #[allow(missing_docs, reason = "the rows say it")]
+    #[derive(Eq)]
+    pub struct StateConfig {
+        pub directory: Option<PathBuf> = &parameters::STATE,
+        pub taken_over: bool = &parameters::TAKEN_OVER,
     }
-}
-
-/// The loop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct RateConfig {
-    /// FIFO priority of the loop's thread; 0 asks for neither FIFO scheduling nor locked memory.
-    #[serde(deserialize_with = "number::priority")]
-    pub priority: u8,
-    /// How long after each multiple of 50 ms on the monotonic clock a step is due. The simulator publishes at the
-    /// multiples, so this is what a frame ages before it is used.
-    #[serde(deserialize_with = "number::offset")]
-    pub offset_ms: u8,
-}
-
-/// The flight log.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LogConfig {
-    /// Where the log files go; absent means no log.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub directory: Option<PathBuf>,
-    /// What it holds.
-    #[serde(with = "choice")]
-    pub content: LogContent,
-    /// A file with the obstacles, for display only.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub scene: Option<PathBuf>,
-}
-
-/// What outlives a restart.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct StateConfig {
-    /// Where a signing key that came by SETUP_SIGNING, parameters that were set and a person's take-over are kept; absent
-    /// means that they end with the process.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub directory: Option<PathBuf>,
-    /// A person took the vehicle over in an earlier run; the folder has it, and the log.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub taken_over: bool,
-}
-
-impl Default for FirmwareConfig {
-    fn default() -> Self {
-        Self {
-            instance: parameters::INSTANCE.number() as u32,
-            link: None,
-            links: Vec::new(),
-            signing: SigningConfig::default(),
-            vehicle: AutopilotChoice::default(),
-            duty: Duty::default(),
-            obstacle_distance: ObstacleReports::default(),
-            sensor_id: parameters::SENSOR_ID.number() as u32,
-            frame_key_files: Vec::new(),
-            plausibility: parameters::PLAUSIBILITY.is_on(),
-            second_sensor: parameters::SECOND_SENSOR.is_on(),
-            engage: EngagePolicy::default(),
-            at_goal: AtGoal::default(),
-            height_m: parameters::HEIGHT.number_f32(),
-            goal: None,
-            limits: Limits::default(),
-            just_stop: JustStopSection::default(),
-            pilot: PilotConfig::default(),
-            detector: DetectorConfig::default(),
-            rate: RateConfig::default(),
-            log: LogConfig::default(),
-            state: StateConfig::default(),
-        }
-    }
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        let d = GuidanceConfig::default();
-        Self {
-            frame_age_s: seconds(d.frame_age_limit_ns),
-            telemetry_age_s: seconds(d.telemetry_age_limit_ns),
-            heartbeat_age_s: seconds(d.heartbeat_age_limit_ns),
-            setpoint_timeout_s: CompanionConfig::default().setpoint_timeout_s.unwrap_or(0.0),
-            slips: d.slip_limit,
-            goal_radius_m: d.goal_radius_m,
-            goal_m: d.goal_limit_m,
-            no_progress_s: d.no_progress_limit_ns.map_or(0.0, seconds),
-            no_progress: d.on_no_progress,
-            speed_m_s: parameters::SPEED_LIMIT.number_f32(),
-            battery: d.battery_limit,
-            flight_time_s: None,
-            geofence: None,
-        }
-    }
-}
-
-impl Default for JustStopSection {
-    fn default() -> Self {
-        let d = JustStopConfig::default();
-        Self {
-            reaction_s: d.reaction_s,
-            braking_m_s2: d.braking_m_s2,
-            jerk_m_s3: d.jerk_m_s3,
-            spare_m: d.spare_m,
-            unseen_s: d.unseen_limit_ns.map_or(0.0, seconds),
-        }
-    }
-}
-
-impl Default for PilotConfig {
-    fn default() -> Self {
-        let d = GeometricConfig::default();
-        Self {
-            kind: PilotKind::default(),
-            apf: parameters::APF.is_on(),
-            ablate: Ablation::default(),
-            actor_file: None,
-            cruise_m_s: d.cruise_m_s,
-            repulsive_range_m: d.repulsive_range_m,
-        }
-    }
-}
-
-impl Default for RateConfig {
-    fn default() -> Self {
-        Self {
-            priority: parameters::PRIORITY.number() as u8,
-            offset_ms: parameters::OFFSET.number() as u8,
-        }
-    }
-}
-
-/// Why a configuration cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The file's content is not accepted; `message` names line, field and what is allowed.
-    #[error("{path}: {message}")]
-    Content {
-        /// The file.
-        path: PathBuf,
-        /// The parser's report, several lines.
-        message: String,
-    },
 }
 
 impl FirmwareConfig {
@@ -446,30 +178,29 @@ impl FirmwareConfig {
     /// Reads a file; what it does not mention keeps its default.
     ///
     /// # Errors
-    /// [`ConfigError`]: an unknown key or a bad value with file, line and field.
-    pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        let text = vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::from_toml(&text).map_err(|message| ConfigError::Content {
-            path: path.to_owned(),
-            message,
-        })
+    /// [`SettingsError`]: an unknown key or a bad value with file, line and key.
+    pub fn load(path: &Path) -> Result<Self, SettingsError> {
+        let explained = |e| match e {
+            SettingsError::Content { path, message } => SettingsError::Content {
+                path,
+                message: crate::removed::explain(message),
+            },
+            read @ SettingsError::Read { .. } => read,
+        };
+        settings::load(path).map_err(explained)
     }
 
     /// Reads TOML.
     ///
     /// # Errors
-    /// The parser's report: line, field and what is allowed.
+    /// Line, key and what is allowed.
     pub fn from_toml(text: &str) -> Result<Self, String> {
-        toml::from_str(text).map_err(|e| crate::removed::explain(e.to_string()))
+        settings::from_toml(text).map_err(crate::removed::explain)
     }
 
     /// Writes TOML that [`Self::from_toml`] reads back unchanged.
     pub fn to_toml(&self) -> String {
-        // Plain maps and numbers; serialisation fails for other types only.
-        toml::to_string(self).unwrap_or_default()
+        settings::to_toml(self)
     }
 
     /// What the log says about a flight with this configuration.
@@ -559,16 +290,10 @@ impl FirmwareConfig {
     ///
     /// # Errors
     /// A value that the parameter does not accept, with what is allowed.
-    pub fn with(&self, parameter: &ParameterSpec, value: toml::Value) -> Result<Self, String> {
-        let mut whole = toml::Table::try_from(self).map_err(|e| e.to_string())?;
-        let (sections, name) = parameter.key.rsplit_once('.').unwrap_or(("", parameter.key));
-        let mut table = &mut whole;
-        for section in sections.split('.').filter(|section| !section.is_empty()) {
-            let entry = table.entry(section).or_insert_with(|| toml::Table::new().into());
-            table = entry.as_table_mut().ok_or_else(|| format!("{section} is no section"))?;
-        }
-        table.insert(name.to_owned(), value);
-        whole.try_into().map_err(|e: toml::de::Error| e.message().to_owned())
+    pub fn with(&self, parameter: &ParameterSpec, value: &Value) -> Result<Self, String> {
+        let mut config = self.clone();
+        settings::read_over(&mut config, &format!("{} = {value}", parameter.key))?;
+        Ok(config)
     }
 
     /// What the flight stack needs of this.
@@ -665,145 +390,8 @@ fn make_folder(folder: &Path) -> std::io::Result<()> {
     std::fs::DirBuilder::new().recursive(true).mode(0o700).create(folder)
 }
 
-fn seconds(ns: u64) -> f64 {
-    ns as f64 / 1e9
-}
-
 fn nanos(s: f64) -> u64 {
     (s * 1e9).round() as u64
-}
-
-/// Choices by their names.
-mod choice {
-    use serde::de::Error as _;
-    use serde::{Deserialize, Deserializer, Serializer};
-    use vigil_types::Choice;
-
-    pub fn serialize<T: Choice, S: Serializer>(value: &T, s: S) -> Result<S::Ok, S::Error> {
-        s.serialize_str(value.name())
-    }
-
-    pub fn deserialize<'de, T: Choice, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
-        let name = String::deserialize(d)?;
-        T::from_name(&name).ok_or_else(|| {
-            let names: Vec<_> = T::WORDS.iter().map(|(name, _)| *name).collect();
-            D::Error::custom(format_args!("there is no {name:?}, only {}", names.join(", ")))
-        })
-    }
-}
-
-/// Numbers within the range of their row in the table of parameters; the parser adds line and field to what is told.
-mod number {
-    use serde::de::Error as _;
-    use serde::{Deserialize, Deserializer};
-    use vigil_types::parameters::{self, ParameterSpec};
-
-    /// A field's type.
-    trait Number: Copy {
-        /// `None` where nothing is set.
-        fn value(self) -> Option<f64>;
-    }
-
-    macro_rules! numbers {
-        ($($type:ty)+) => {$(
-            impl Number for $type {
-                fn value(self) -> Option<f64> {
-                    Some(self.into())
-                }
-            }
-        )+};
-    }
-    numbers! { u8 u16 u32 f32 f64 }
-
-    impl<T: Number> Number for Option<T> {
-        fn value(self) -> Option<f64> {
-            self.and_then(Number::value)
-        }
-    }
-
-    fn read<'de, D: Deserializer<'de>, T: Number + Deserialize<'de>>(d: D, of: &ParameterSpec) -> Result<T, D::Error> {
-        let value = T::deserialize(d)?;
-        let checked = value.value().map_or(Ok(()), |value| of.check(value));
-        checked
-            .map(|()| value)
-            .map_err(|refused| D::Error::custom(format_args!("{} is not allowed: {}", refused.value, refused.range)))
-    }
-
-    macro_rules! fields {
-        ($($name:ident: $type:ty = $row:ident;)+) => {$(
-            pub fn $name<'de, D: Deserializer<'de>>(d: D) -> Result<$type, D::Error> {
-                read(d, &parameters::$row)
-            }
-        )+};
-    }
-    fields! {
-        instance: u32 = INSTANCE;
-        height: f32 = HEIGHT;
-        goal_north: f32 = GOAL_NORTH;
-        goal_east: f32 = GOAL_EAST;
-        goal_height: Option<f32> = GOAL_HEIGHT;
-        frame_age: f64 = FRAME_AGE;
-        telemetry_age: f64 = TELEMETRY_AGE;
-        heartbeat_age: f64 = HEARTBEAT_AGE;
-        setpoint_timeout: f32 = SETPOINT_TIMEOUT;
-        slips: u8 = SLIPS;
-        goal_radius: f32 = GOAL_RADIUS;
-        goal_limit: f32 = GOAL_LIMIT;
-        no_progress: f64 = NO_PROGRESS;
-        speed_limit: f32 = SPEED_LIMIT;
-        battery: f32 = BATTERY;
-        flight_time: Option<f64> = FLIGHT_TIME;
-        fence_radius: f32 = FENCE_RADIUS;
-        fence_min_height: f32 = FENCE_MIN_HEIGHT;
-        fence_max_height: f32 = FENCE_MAX_HEIGHT;
-        stop_reaction: f32 = STOP_REACTION;
-        stop_braking: f32 = STOP_BRAKING;
-        stop_jerk: f32 = STOP_JERK;
-        stop_spare: f32 = STOP_SPARE;
-        stop_unseen: f64 = STOP_UNSEEN;
-        cruise: f32 = CRUISE;
-        repulsive_range: f32 = REPULSIVE_RANGE;
-        threshold: Option<f32> = THRESHOLD;
-        raise_count: u8 = RAISE_COUNT;
-        raise_window: u8 = RAISE_WINDOW;
-        clear_steps: u16 = CLEAR_STEPS;
-        priority: u8 = PRIORITY;
-        offset: u8 = OFFSET;
-    }
-}
-
-/// Links as strings, as on the command line.
-mod spec {
-    use super::{LinkSpec, MAX_GROUND_LINKS};
-    use serde::de::Error as _;
-    use serde::{Deserialize, Deserializer, Serializer};
-
-    pub fn read<'de, D: Deserializer<'de>>(d: D) -> Result<Option<LinkSpec>, D::Error> {
-        let text = String::deserialize(d)?;
-        text.parse().map(Some).map_err(D::Error::custom)
-    }
-
-    pub fn write<S: Serializer>(link: &Option<LinkSpec>, s: S) -> Result<S::Ok, S::Error> {
-        match link {
-            Some(link) => s.collect_str(link),
-            None => s.serialize_none(),
-        }
-    }
-
-    pub fn read_all<'de, D: Deserializer<'de>>(d: D) -> Result<Vec<LinkSpec>, D::Error> {
-        let texts = Vec::<String>::deserialize(d)?;
-        if texts.len() > MAX_GROUND_LINKS {
-            return Err(D::Error::custom(format_args!("at most {MAX_GROUND_LINKS} links")));
-        }
-        texts
-            .iter()
-            .map(|text| text.parse().map_err(D::Error::custom))
-            .collect()
-    }
-
-    pub fn write_all<S: Serializer>(links: &[LinkSpec], s: S) -> Result<S::Ok, S::Error> {
-        s.collect_seq(links.iter().map(ToString::to_string))
-    }
 }
 
 #[cfg(test)]
@@ -877,24 +465,29 @@ mod tests {
             ("sensor_id = 1\nsensorid = 2", "line 2", "sensorid"),
             ("[limits]\nframe_age = 0.2", "line 2", "frame_age_s"),
             ("vehicle = \"px5\"", "line 1", "px4"),
-            ("\n\n[limits]\nframe_age_s = 99", "line 4", "0.05 to 10 s"),
+            (
+                "\n\n[limits]\nframe_age_s = 99",
+                "line 4, column 15",
+                "`limits.frame_age_s`: 99 is not allowed: 0.05 to 10 s",
+            ),
             ("[limits]\nframe_age_s = nan", "line 2", "0.05 to 10 s"),
             ("[goal]\nnorth_m = inf\neast_m = 0", "line 2", "-10000 to 10000 m"),
             ("[goal]\nnorth_m = 20", "line 1", "east_m"),
             ("instance = 100", "line 1", "0 to 99"),
-            ("instance = -1", "line 1", "integer"),
+            ("instance = -1", "line 1", "0 to 99"),
+            ("instance = 1.5", "line 1", "whole number"),
             ("link = \"serial:///dev/ttyS0\"", "line 1", "udpout://"),
             (
                 "links = [\"tcpin://127.0.0.1:1,rate=1\"]",
                 "line 1",
                 "rate=BYTES_PER_SECOND",
             ),
-            ("links = \"tcpin://127.0.0.1:1\"", "line 1", "sequence"),
-            ("links = [\"\",\"\",\"\",\"\",\"\"]", "line 1", "at most 4 links"),
+            ("links = \"tcpin://127.0.0.1:1\"", "line 1", "a list is needed"),
+            ("links = [\"\",\"\",\"\",\"\",\"\"]", "line 1", "at most 4 are allowed"),
             ("[signing]\nallow_unsigned = \"yes\"", "line 2", "loopback"),
             ("[signing]\nkey = \"secret\"", "line 2", "key_file"),
             ("[rate]\npriority = 100", "line 2", "0 to 99"),
-            ("goal = 5", "line 1", "GoalConfig"),
+            ("goal = 5", "line 1", "a table is needed"),
             ("engage = \"auto", "line 1", "string"),
         ] {
             let report = FirmwareConfig::from_toml(text).unwrap_err();

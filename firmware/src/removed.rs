@@ -60,10 +60,10 @@ pub fn replaced_by(name: &str) -> Option<&'static str> {
 /// The report of a parser that refused a configuration, with what replaces the key that is unknown.
 pub(crate) fn explain(report: String) -> String {
     let key = report
-        .split_once("unknown field `")
+        .split_once("there is no key `")
         .and_then(|(_, rest)| rest.split_once('`'));
     match key.and_then(|(key, _)| Some((key, replaced_by(key)?))) {
-        Some((key, instead)) => format!("{report}`{key}` is of an earlier version: {instead}\n"),
+        Some((key, instead)) => format!("{report}\n`{key}` is of an earlier version: {instead}"),
         None => report,
     }
 }

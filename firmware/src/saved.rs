@@ -4,7 +4,6 @@
 use crate::config::FirmwareConfig;
 use crate::tunables::Tunables;
 use rtrb::{Producer, RingBuffer};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::thread::JoinHandle;
@@ -12,6 +11,8 @@ use std::time::Duration;
 use vigil_io::state::{StateError, StateFile, exact};
 use vigil_mavlink::{ParameterValue, Parameters};
 use vigil_types::parameters::{self, Kind};
+use vigil_types::settings;
+use vigil_types::settings::{Value, section};
 
 /// Tables that may wait to be stored; the newest is offered again in the next step.
 const CAPACITY: usize = 8;
@@ -29,16 +30,14 @@ pub enum SavedError {
     Thread(std::io::Error),
 }
 
-/// The file's content.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct Saved {
-    /// A person took the vehicle over, and no operator engaged since.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    taken_over: bool,
-    /// Parameters that were set, by name.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    parameters: BTreeMap<String, f64>,
+settings! {
+    /// The file's content.
+    struct Saved {
+        /// A person took the vehicle over, and no operator engaged since.
+        taken_over: bool = &parameters::TAKEN_OVER,
+        /// Parameters that were set, by name.
+        parameters: BTreeMap<String, f64> = section(),
+    }
 }
 
 /// What is to be kept, as a step leaves it.
@@ -181,13 +180,13 @@ fn put(config: &mut FirmwareConfig, name: &str, value: ParameterValue) -> Result
         (Kind::Choice(words), ParameterValue::Integer(code)) => {
             let word = usize::try_from(code).ok().and_then(|code| words.get(code));
             let (word, _) = word.ok_or_else(|| format!("there is no choice {code}"))?;
-            toml::Value::from(*word)
+            Value::from(*word)
         }
-        (Kind::Switch, ParameterValue::Integer(code)) => toml::Value::from(code != 0),
-        (_, ParameterValue::Real(v)) => v.into(),
+        (Kind::Switch, ParameterValue::Integer(code)) => Value::from(code != 0),
+        (_, ParameterValue::Real(v)) => exact(v).into(),
         (_, ParameterValue::Integer(v)) => v.into(),
     };
-    *config = config.with(parameter, value)?;
+    *config = config.with(parameter, &value)?;
     Ok(())
 }
 

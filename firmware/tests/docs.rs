@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 use vigil_firmware::{FirmwareConfig, reference};
 use vigil_types::parameters::{ALL, Kind, SECTIONS};
+use vigil_types::settings::Value;
 
 fn page() -> (std::path::PathBuf, String) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/firmware.md");
@@ -102,7 +103,7 @@ fn the_file_accepts_what_the_table_says_and_nothing_else() {
         if is_part {
             continue;
         }
-        let with = |value: toml::Value| default.with(row, value);
+        let with = |value: Value| default.with(row, &value);
         match row.kind {
             Kind::Real(range) => {
                 for limit in [range.least, range.greatest] {

@@ -4,13 +4,10 @@ use crate::SensorFault;
 use crate::vehicle::{ParamsError, VehicleModel, VehicleParams, Wind};
 use crate::world::{Course, CourseError, Family, LONG_GOAL_M, LidarConfig, generate, generate_long};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use vigil_autopilot::{EndpointConfig, Saved};
-use vigil_types::FrameKey;
-
-/// A simulation file has a page or two.
-const SIZE_LIMIT: u64 = 1 << 20;
+use vigil_types::settings::{SettingsError, section};
+use vigil_types::{FrameKey, settings};
 
 /// Where the vehicle is at time zero.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -89,37 +86,24 @@ impl SimConfig {
     }
 }
 
-/// The simulation file: one table per model, each with documented defaults (docs/simulation.md). Unknown keys are errors.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Models {
-    /// LiDAR.
-    pub lidar: LidarConfig,
-    /// Airframe, controllers, sensors, battery.
-    pub vehicle: VehicleParams,
-    /// Wind.
-    pub wind: Wind,
+settings! {
+    /// The simulation file: one table per model, each with documented defaults (docs/simulation.md). Unknown keys are errors.
+    pub struct Models {
+        /// LiDAR.
+        pub lidar: LidarConfig = section(),
+        /// Airframe, controllers, sensors, battery.
+        pub vehicle: VehicleParams = section(),
+        /// Wind.
+        pub wind: Wind = section(),
+    }
 }
 
 /// Why a simulation or course file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("cannot read {path}: {source}")]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The simulation file is not valid; the message names line and field.
-    #[error("{path}: {source}")]
-    Parse {
-        /// The file.
-        path: PathBuf,
-        /// Where and what.
-        source: toml::de::Error,
-    },
+    /// The simulation file.
+    #[error(transparent)]
+    File(#[from] SettingsError),
     /// The family has halls with one way in.
     #[error("--goal-distance: courses of the family {0} cannot be made longer; take another family")]
     NotLonger(Family),
@@ -129,26 +113,6 @@ pub enum ConfigError {
     /// The course file is not valid.
     #[error(transparent)]
     Course(#[from] CourseError),
-}
-
-fn read(path: &Path) -> Result<String, ConfigError> {
-    vigil_types::files::read_text(path, SIZE_LIMIT).map_err(|source| ConfigError::Read {
-        path: path.to_owned(),
-        source,
-    })
-}
-
-impl Models {
-    /// Reads a simulation file.
-    ///
-    /// # Errors
-    /// [`ConfigError::Read`], [`ConfigError::Parse`].
-    pub fn load(path: &Path) -> Result<Self, ConfigError> {
-        toml::from_str(&read(path)?).map_err(|source| ConfigError::Parse {
-            path: path.to_owned(),
-            source,
-        })
-    }
 }
 
 /// Which vehicle flies: shared by all commands that simulate one.
@@ -176,9 +140,9 @@ impl VehicleChoice {
     /// The models of a simulation file, or the defaults, with this vehicle.
     ///
     /// # Errors
-    /// [`ConfigError::Read`], [`ConfigError::Parse`], [`ConfigError::TwoVehicles`].
+    /// [`ConfigError::File`], [`ConfigError::TwoVehicles`].
     pub fn models(&self, file: Option<&Path>) -> Result<Models, ConfigError> {
-        let mut models = file.map(Models::load).transpose()?.unwrap_or_default();
+        let mut models = file.map(settings::load::<Models>).transpose()?.unwrap_or_default();
         if self.vehicle_model != VehicleModel::Ours {
             if let Some(file) = file.filter(|_| models.vehicle != VehicleParams::default()) {
                 return Err(ConfigError::TwoVehicles(self.vehicle_model.name(), file.to_owned()));

@@ -43,9 +43,12 @@ mod tests {
         let mut config = SimConfig::new(generate(Family::Validation, 1), 1);
         config.saved = file.load().unwrap();
         let again = Simulator::new(&config, 0).unwrap().saved();
-        assert_eq!(toml::to_string(&again).unwrap(), toml::to_string(&saved).unwrap());
+        assert_eq!(
+            vigil_types::settings::to_toml(&again),
+            vigil_types::settings::to_toml(&saved)
+        );
         assert_eq!(again.parameters["MIS_TAKEOFF_ALT"], 3.1);
-        assert!(toml::to_string(&again).unwrap().contains("command = 5100"));
+        assert!(vigil_types::settings::to_toml(&again).contains("command = 5100"));
     }
 
     #[test]
@@ -55,7 +58,10 @@ mod tests {
             ("[parameters]\nMIS_TAKEOFF_ALT = true", "vehicle3.toml"),
             ("[parameters]\nMIS_TAKEOFF", "line 2"),
             ("parameters = 5", "line 1"),
-            ("[[mission]]\ncommand = 70000", "u16"),
+            (
+                "[[mission]]\ncommand = 70000",
+                "line 2, column 11: `mission[0].command`: 70000 is too large",
+            ),
             ("[colours]\nsky = 1", "colours"),
             ("[parameters]\nCOM_OBL_RC_ACT = 4.5", "COM_OBL_RC_ACT"),
             ("[parameters]\nMIS_TAKEOFF_ALT = -1.0", "MIS_TAKEOFF_ALT"),

@@ -55,7 +55,7 @@ fn hovering(model: VehicleModel, cruise_m_s: f32) -> Simulator {
         (latitude * 1e7).round() as i32,
         (longitude * 1e7).round() as i32,
     );
-    config.saved = toml::from_str::<Saved>(&text).expect("a plan");
+    config.saved = vigil_types::settings::from_toml::<Saved>(&text).expect("a plan");
     Simulator::new(&config, 0).expect("valid")
 }
 

@@ -21,7 +21,7 @@ pub fn plan(config: &SimConfig, speed_m_s: f32) -> Saved {
         (longitude * 1e7).round() as i32,
         -goal.z
     );
-    toml::from_str(&text).expect("a plan")
+    vigil_types::settings::from_toml(&text).expect("a plan")
 }
 
 /// A command of a ground station: fly the mission.

@@ -6,7 +6,6 @@ pub use files::{SigningFileError, read_key};
 
 use crate::key_file::KeyFileError;
 use files::SigningStateWriter;
-use serde::{Deserialize, Serialize};
 use std::io::ErrorKind;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -15,7 +14,8 @@ use vigil_mavlink::signing::{
     Refusal, SIGNATURE_LEN, Signing, SigningCounters, SigningKey, SigningMemory, Timestamp, UNITS_PER_SECOND,
     carries_key, timestamp_of_unix_ns,
 };
-use vigil_types::{Datagrams, Nanos};
+use vigil_types::settings::{FromRow, named_setting};
+use vigil_types::{Datagrams, Nanos, ParameterSpec};
 
 /// Longest datagram that is read; MAVLink's longest packet is 293 bytes, senders may put several into one datagram.
 pub const MAX_DATAGRAM_BYTES: usize = 2048;
@@ -27,8 +27,7 @@ const STORE_AHEAD: u64 = 2 * UNITS_PER_SECOND;
 const MAX_AHEAD: u64 = 60 * UNITS_PER_SECOND;
 
 /// From whom packets without a signature are accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub enum AllowUnsigned {
     /// Senders on this machine.
     #[default]
@@ -40,6 +39,21 @@ pub enum AllowUnsigned {
 }
 
 impl AllowUnsigned {
+    /// All values with their names.
+    pub const NAMES: [(&str, Self); 3] = [
+        ("loopback", Self::Loopback),
+        ("never", Self::Never),
+        ("always", Self::Always),
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        Self::NAMES
+            .iter()
+            .find(|(_, value)| *value == self)
+            .map_or("", |(name, _)| name)
+    }
+
     /// Whether a sender needs no signature. `is_local`: it is on this machine.
     pub fn covers(self, is_local: bool) -> bool {
         match self {
@@ -47,6 +61,14 @@ impl AllowUnsigned {
             Self::Never => false,
             Self::Always => true,
         }
+    }
+}
+
+named_setting!(AllowUnsigned, AllowUnsigned::NAMES);
+
+impl FromRow for AllowUnsigned {
+    fn default_of(_: &ParameterSpec) -> Self {
+        Self::default()
     }
 }
 

@@ -4,6 +4,7 @@ use crate::gate::AllowUnsigned;
 use crate::link_url::{LinkUrl, LinkUrlError};
 use std::str::FromStr;
 use vigil_types::Nanos;
+use vigil_types::settings::{parsed, value_setting};
 
 /// Bits on a serial line for each byte.
 const BITS_PER_BYTE: f64 = 10.0;
@@ -97,9 +98,10 @@ impl FromStr for LinkSpec {
         for option in parts {
             let bad = || LinkSpecError::Option(option.to_owned());
             match option.split_once('=') {
-                Some(("unsigned", "loopback")) => link.allow_unsigned = Some(AllowUnsigned::Loopback),
-                Some(("unsigned", "never")) => link.allow_unsigned = Some(AllowUnsigned::Never),
-                Some(("unsigned", "always")) => link.allow_unsigned = Some(AllowUnsigned::Always),
+                Some(("unsigned", policy)) => {
+                    let known = AllowUnsigned::NAMES.iter().find(|(name, _)| *name == policy);
+                    link.allow_unsigned = Some(known.ok_or_else(bad)?.1);
+                }
                 Some(("rate", rate)) => {
                     let rate = rate.parse().ok().filter(|r| *r >= 1000).ok_or_else(bad)?;
                     link.rate_bytes_s = Some(rate);
@@ -122,17 +124,15 @@ impl FromStr for LinkSpec {
 impl std::fmt::Display for LinkSpec {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{}", self.url)?;
-        match self.allow_unsigned {
-            None => {}
-            Some(AllowUnsigned::Loopback) => f.write_str(",unsigned=loopback")?,
-            Some(AllowUnsigned::Never) => f.write_str(",unsigned=never")?,
-            Some(AllowUnsigned::Always) => f.write_str(",unsigned=always")?,
-        }
+        self.allow_unsigned
+            .map_or(Ok(()), |policy| write!(f, ",unsigned={}", policy.name()))?;
         self.rate_bytes_s.map_or(Ok(()), |rate| write!(f, ",rate={rate}"))?;
         self.values_hz.map_or(Ok(()), |per_s| write!(f, ",values={per_s}"))?;
         self.system.map_or(Ok(()), |id| write!(f, ",system={id}"))
     }
 }
+
+value_setting!(LinkSpec, parsed, ToString::to_string);
 
 /// Bytes that a link may still send, refilled as time passes.
 #[derive(Debug, Clone)]

@@ -1,10 +1,9 @@
 //! Files that keep what outlives a restart: tables that people can read, written as a whole.
 
-use serde::Serialize;
-use serde::de::DeserializeOwned;
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 use vigil_types::files::Access;
+use vigil_types::settings::{Section, from_toml, to_toml};
 
 /// Parameters and plans take some kilobytes.
 const SIZE_LIMIT: u64 = 16 << 20;
@@ -39,7 +38,7 @@ pub struct StateFile<T> {
     content: PhantomData<T>,
 }
 
-impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
+impl<T: Section + Clone> StateFile<T> {
     /// The file of that name, which need not be there.
     pub fn in_folder(folder: &Path, name: &str) -> Self {
         Self {
@@ -61,7 +60,7 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
     /// [`StateError`]: the file cannot be read, is damaged or holds wrong types; the message names file, line and field.
     pub fn load(&self) -> Result<T, StateError> {
         match vigil_types::files::read_text(&self.path, SIZE_LIMIT) {
-            Ok(text) => toml::from_str(&text).map_err(|e| self.refused(e.to_string().trim_end())),
+            Ok(text) => from_toml(&text).map_err(|e| self.refused(&e)),
             Err(e) if e.kind() == std::io::ErrorKind::InvalidData => Err(self.refused(&e.to_string())),
             Err(e) if e.kind() == std::io::ErrorKind::NotFound => Ok(T::default()),
             Err(source) => Err(StateError::Read {
@@ -95,9 +94,7 @@ impl<T: Serialize + DeserializeOwned + Default> StateFile<T> {
     /// Writes what changed. A disk that refuses is told once and does not end the flight.
     pub fn store(&mut self, saved: &T) {
         // NaN differs from itself, its text does not.
-        let Ok(text) = toml::to_string(saved) else {
-            return;
-        };
+        let text = to_toml(saved);
         if self.stored.as_ref() == Some(&text) {
             return;
         }

@@ -1,6 +1,6 @@
 //! Data that flows through the loop, in one direction: depth frame → pilot → guidance → setpoint → link.
 //!
-//! Everything here but `files`, a feature, is plain data: `no_std`, no allocation, no clock. Field names carry their unit; vectors carry their
+//! Everything here but `files` and `settings`, a feature, is plain data: `no_std`, no allocation, no clock. Field names carry their unit; vectors carry their
 //! frame as a type, so that NED, FRD and heading-frame values cannot be mixed.
 //!
 //! ```
@@ -35,6 +35,8 @@ mod guidance;
 mod judgement;
 pub mod parameters;
 mod ranges;
+#[cfg(feature = "files")]
+pub mod settings;
 mod step_report;
 mod telemetry;
 mod vector;

@@ -95,7 +95,10 @@ impl fmt::Display for OutOfRange {
 
 impl fmt::Display for Range {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} to {}", self.least, self.greatest)?;
+        match self.greatest.is_finite() {
+            true => write!(f, "{} to {}", self.least, self.greatest)?,
+            false => write!(f, "{} or more", self.least)?,
+        }
         if !self.unit.is_empty() {
             write!(f, " {}", self.unit)?;
         }
@@ -104,6 +107,16 @@ impl fmt::Display for Range {
 }
 
 impl Range {
+    /// So much or more.
+    pub const fn from_least(least: f64) -> Self {
+        Self {
+            unit: "",
+            least,
+            greatest: f64::INFINITY,
+            or_zero: false,
+        }
+    }
+
     /// Whether a value is accepted. NaN is in no range. Of a limit that is no whole number the f32 next to it is accepted as well.
     pub fn contains(&self, value: f64) -> bool {
         let is_whole = |limit: f64| limit == limit as i64 as f64;

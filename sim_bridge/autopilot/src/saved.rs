@@ -4,18 +4,19 @@ use crate::ConfigError;
 use crate::core::Core;
 use crate::plan::{PlanItem, PlanKind};
 use crate::vehicle_parameters::{ParameterRole, ParameterValue, Parameters};
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use vigil_types::settings;
+use vigil_types::settings::section;
 
-/// Parameters that differ from their defaults, and the three plans. Serializes as tables that people can read.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Saved {
-    /// By name.
-    pub parameters: BTreeMap<String, f64>,
-    mission: Vec<PlanItem>,
-    geofence: Vec<PlanItem>,
-    rally: Vec<PlanItem>,
+settings! {
+    /// Parameters that differ from their defaults, and the three plans, for a file.
+    pub struct Saved {
+        /// By name.
+        pub parameters: BTreeMap<String, f64> = section(),
+        mission: Vec<PlanItem> = section(),
+        geofence: Vec<PlanItem> = section(),
+        rally: Vec<PlanItem> = section(),
+    }
 }
 
 impl Core {

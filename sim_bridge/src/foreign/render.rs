@@ -154,7 +154,7 @@ fn configure(args: &RenderArgs, seed: u64) -> Result<ForeignConfig> {
     let models = args
         .config
         .as_deref()
-        .map(Models::load)
+        .map(vigil_types::settings::load::<Models>)
         .transpose()?
         .unwrap_or_default();
     let frame_key = match &args.frame_key {

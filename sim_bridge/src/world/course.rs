@@ -5,6 +5,7 @@ use crate::world::solid::Solid;
 use core::f32::consts::PI;
 use serde::{Deserialize, Serialize};
 use vigil_types::NedVector;
+use vigil_types::settings::named_setting;
 
 /// A course. Everything is measured from the vehicle's home: north, east and height above ground in metres, angles in
 /// degrees clockwise from north. `docs/courses.md` describes the file.
@@ -86,6 +87,8 @@ impl Family {
         }
     }
 }
+
+named_setting!(Family, Family::ALL.map(|family| (family.name(), family)));
 
 /// A family name that does not exist.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

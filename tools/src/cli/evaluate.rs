@@ -287,7 +287,7 @@ impl Settings {
             }),
             attacked_actor_sha256: attacked,
             evaded_detector_sha256: attack.and_then(|a| a.evade.as_ref()).map(FrozenDetector::sha256),
-            firmware: serde_json::to_value(&firmware)?,
+            firmware: toml::from_str(&firmware.to_toml())?,
         })
     }
 }

@@ -51,12 +51,7 @@ impl ForeignArgs {
 
     fn hand_on(&self, command: &mut Command) {
         if let Some(who) = self.allow_unsigned {
-            let name = match who {
-                AllowUnsigned::Loopback => "loopback",
-                AllowUnsigned::Never => "never",
-                AllowUnsigned::Always => "always",
-            };
-            command.args(["--allow-unsigned", name]);
+            command.args(["--allow-unsigned", who.name()]);
         }
     }
 

@@ -4,9 +4,10 @@
 use crate::plan::PlanDefect;
 use crate::services::BELOW_HOME_M;
 use crate::{HomePosition, geo, used_parameters};
-use serde::{Deserialize, Serialize};
 use vigil_mavlink::common::{MISSION_ITEM_DATA, MISSION_ITEM_INT_DATA, MavMissionResult};
 use vigil_mavlink::mavlink::MessageData;
+use vigil_types::settings;
+use vigil_types::settings::required;
 
 /// Length of the payload of both messages, their extension included.
 pub(crate) const ITEM_PAYLOAD_LEN: usize = 38;
@@ -14,20 +15,21 @@ pub(crate) const ITEM_PAYLOAD_LEN: usize = 38;
 const MAX_DISTANCE_M: f32 = 10_000.0;
 const MAX_HEIGHT_M: f32 = 500.0;
 
-/// An item. Parameters 1 to 4 are NaN where they are not given.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct PlanItem {
-    /// MAV_CMD.
-    pub command: u16,
-    /// MAV_FRAME.
-    pub frame: u8,
-    pub autocontinue: u8,
-    pub params: [f32; 4],
-    /// Parameters 5 and 6: degrees · 1e7 in a global frame, else as they are. The largest integer stands for NaN.
-    pub x: i32,
-    pub y: i32,
-    pub z: f32,
+settings! {
+    /// An item. Parameters 1 to 4 are NaN where they are not given.
+    #[derive(Copy)]
+    pub(crate) struct PlanItem {
+        /// MAV_CMD.
+        pub command: u16 = required(),
+        /// MAV_FRAME.
+        pub frame: u8 = required(),
+        pub autocontinue: u8 = required(),
+        pub params: [f32; 4] = required(),
+        /// Parameters 5 and 6: degrees · 1e7 in a global frame, else as they are. The largest integer stands for NaN.
+        pub x: i32 = required(),
+        pub y: i32 = required(),
+        pub z: f32 = required(),
+    }
 }
 
 /// A place relative to home.

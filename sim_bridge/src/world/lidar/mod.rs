@@ -18,53 +18,33 @@ use crate::world::World;
 use beams::BeamTable;
 use cast::{Scene, TileCaster, cast_by_tree};
 use noise::NoiseKeys;
-use serde::{Deserialize, Serialize};
 use simd::Simd;
+use vigil_types::settings::{Outside, within};
 use vigil_types::{
-    Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FRAME_TAG_BYTES, FrameHeader, FrdVector, Nanos, NedVector,
+    Attitude, DEPTH_COLS, DEPTH_ROWS, DepthFrame, FRAME_TAG_BYTES, FrameHeader, FrdVector, Nanos, NedVector, settings,
 };
 
-/// The sensor's properties. Field of view and resolution are fixed, since the policy's input depends on them (`vigil-types`).
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LidarConfig {
-    /// Standard deviation of a range measurement in metres; 0.02 is typical of automotive sensors.
-    pub range_noise_sigma_m: f32,
-    /// Share of beams that lose their return, 0 to 1.
-    pub dropout_probability: f32,
-    /// Nothing further away gives a return.
-    pub max_range_m: f32,
-    /// Surfaces nearer than this are measured at this range.
-    pub min_range_m: f32,
-    /// Neighbouring beams whose ranges differ by no more than this see one surface.
-    pub surface_tolerance_m: f32,
-}
-
-impl Default for LidarConfig {
-    fn default() -> Self {
-        Self {
-            range_noise_sigma_m: 0.02,
-            dropout_probability: 0.01,
-            max_range_m: 60.0,
-            min_range_m: 0.1,
-            surface_tolerance_m: 0.2,
-        }
+settings! {
+    /// The sensor's properties. Field of view and resolution are fixed, since the policy's input depends on them (`vigil-types`).
+    #[derive(Copy)]
+    pub struct LidarConfig {
+        /// Standard deviation of a range measurement in metres; 0.02 is typical of automotive sensors.
+        pub range_noise_sigma_m: f32 = within(0.02, (0.0, 10.0), "m"),
+        /// Share of beams that lose their return, 0 to 1.
+        pub dropout_probability: f32 = within(0.01, (0.0, 1.0), ""),
+        /// Nothing further away gives a return.
+        pub max_range_m: f32 = within(60.0, (1.0, 100.0), "m"),
+        /// Surfaces nearer than this are measured at this range.
+        pub min_range_m: f32 = within(0.1, (0.01, 1.0), "m"),
+        /// Neighbouring beams whose ranges differ by no more than this see one surface.
+        pub surface_tolerance_m: f32 = within(0.2, (0.0, 10.0), "m"),
     }
 }
 
 /// A value of a [`LidarConfig`] that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("lidar: `{field}` is {value}, must be from {low} to {high}")]
-pub struct LidarConfigError {
-    /// The field.
-    pub field: &'static str,
-    /// Its value.
-    pub value: f32,
-    /// Lowest value allowed.
-    pub low: f32,
-    /// Highest value allowed.
-    pub high: f32,
-}
+#[error("lidar: {0}")]
+pub struct LidarConfigError(#[from] Outside);
 
 impl LidarConfig {
     /// A sensor without noise and dropouts.
@@ -81,24 +61,7 @@ impl LidarConfig {
     /// # Errors
     /// The first field that is out of its range.
     pub fn check(&self) -> Result<(), LidarConfigError> {
-        let fields = [
-            ("range_noise_sigma_m", self.range_noise_sigma_m, 0.0, 10.0),
-            ("dropout_probability", self.dropout_probability, 0.0, 1.0),
-            ("max_range_m", self.max_range_m, 1.0, 100.0),
-            ("min_range_m", self.min_range_m, 0.01, 1.0),
-            ("surface_tolerance_m", self.surface_tolerance_m, 0.0, 10.0),
-        ];
-        for (field, value, low, high) in fields {
-            if !(low..=high).contains(&value) {
-                return Err(LidarConfigError {
-                    field,
-                    value,
-                    low,
-                    high,
-                });
-            }
-        }
-        Ok(())
+        Ok(settings::check(self)?)
     }
 }
 

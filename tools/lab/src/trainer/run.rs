@@ -2,7 +2,7 @@
 
 use crate::trainer::actor_net::ActorNet;
 use crate::trainer::adam::Adam;
-use crate::trainer::config::{ConfigError, LearnConfig};
+use crate::trainer::config::LearnConfig;
 use crate::trainer::encoder::{EncoderError, teach_encoder};
 use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, evaluate};
 use crate::trainer::learner::{Learner, UpdateError, UpdateReport};
@@ -23,6 +23,7 @@ use vigil_nnet::{Isa, ShapeError};
 use vigil_sim::world::{Family, Outcome};
 use vigil_types::Ablation;
 use vigil_types::files::Access;
+use vigil_types::settings::{self, Outside};
 
 /// Updates that a row of the curve sums up.
 const UPDATES_PER_ROW: u64 = 1_000;
@@ -39,7 +40,7 @@ const FORMAT: &str = "vigil learn checkpoint 1";
 pub enum LearnError {
     /// The configuration.
     #[error(transparent)]
-    Config(#[from] ConfigError),
+    Config(#[from] Outside),
     /// A flight.
     #[error(transparent)]
     Fly(#[from] FlyError),
@@ -286,7 +287,7 @@ impl<'a> Run<'a> {
             })
         };
         let same = state.format == FORMAT
-            && toml::from_str(&state.config).is_ok_and(|saved: LearnConfig| {
+            && settings::from_toml(&state.config).is_ok_and(|saved: LearnConfig| {
                 let LearnConfig {
                     threads,
                     families,

@@ -1,0 +1,835 @@
+//! Settings files: TOML from which structures are read and to which they are written, all by the same code. A structure that
+//! [`settings!`](crate::settings!) declares states each of its fields once: name, type, default and what is accepted.
+
+use crate::choice::Choice;
+use crate::parameters::{ParameterSpec, Preset, Range};
+use std::borrow::ToOwned;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::string::{String, ToString};
+use std::vec::Vec;
+use toml::de::{DeTable, DeValue};
+pub use toml::{Spanned, Value};
+
+/// A settings file has a page or two.
+const SIZE_LIMIT: u64 = 1 << 20;
+
+/// A value as a file gives it, with its place.
+pub type Given<'a> = Spanned<DeValue<'a>>;
+
+/// Why a settings file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum SettingsError {
+    /// It cannot be read.
+    #[error("cannot read {}: {source}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Its content is not accepted.
+    #[error("{}: {message}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// Line, key and what is allowed.
+        message: String,
+    },
+}
+
+/// A value that is not accepted.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Refused {
+    /// Where in the text, bytes from its start.
+    at: usize,
+    /// Dotted path of the key.
+    key: String,
+    message: String,
+}
+
+/// Refuses a value.
+pub fn refused(given: &Given<'_>, message: impl Into<String>) -> Refused {
+    Refused {
+        at: given.span().start,
+        key: String::new(),
+        message: message.into(),
+    }
+}
+
+/// Refuses a value that is of another type.
+fn other_type(given: &Given<'_>, needed: &str) -> Refused {
+    refused(
+        given,
+        format!("{needed} is needed, this is of type {}", given.get_ref().type_str()),
+    )
+}
+
+impl Refused {
+    fn within(mut self, name: &str) -> Self {
+        let dot = if self.key.is_empty() || self.key.starts_with('[') {
+            ""
+        } else {
+            "."
+        };
+        self.key = format!("{name}{dot}{}", self.key);
+        self
+    }
+
+    /// With line and column in the text.
+    fn in_text(&self, text: &str) -> String {
+        let before = text.get(..self.at).unwrap_or(text);
+        let line = before.matches('\n').count() + 1;
+        let column = before.rsplit('\n').next().map_or(0, |last| last.chars().count()) + 1;
+        let Self { key, message, .. } = self;
+        match key.as_str() {
+            "" => format!("line {line}, column {column}: {message}"),
+            _ => format!("line {line}, column {column}: `{key}`: {message}"),
+        }
+    }
+}
+
+/// A type whose values a settings file may hold.
+pub trait Setting {
+    /// The value that is given.
+    ///
+    /// # Errors
+    /// What is not accepted, with what is.
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused>
+    where
+        Self: Sized;
+
+    /// Takes over what is given; what a table does not name stays.
+    ///
+    /// # Errors
+    /// What is not accepted, with what is.
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused>;
+
+    /// The value for a file; `None` where nothing is to be written, or [`Setting::tables`] are.
+    fn write(&self) -> Option<Value>;
+
+    /// The fields of a table, or of each of several.
+    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
+        Vec::new()
+    }
+
+    /// Whether it is an array of tables.
+    fn is_list(&self) -> bool {
+        false
+    }
+}
+
+/// A table of settings, as [`settings!`](crate::settings!) declares it.
+pub trait Section: Default {
+    /// Its fields, in the order of their declaration.
+    fn fields(&mut self) -> Vec<Field<'_>>;
+}
+
+/// A field of a table.
+pub struct Field<'a> {
+    /// Its key.
+    pub name: &'a str,
+    /// Its value.
+    pub setting: &'a mut dyn Setting,
+    /// What is accepted.
+    pub rule: Rule,
+}
+
+/// What a field accepts.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Rule {
+    /// Each number lies within.
+    pub range: Option<Range>,
+    /// The table must name it.
+    pub is_required: bool,
+    /// It is written only where it is on.
+    pub is_quiet: bool,
+    /// Longest list.
+    pub most: Option<usize>,
+}
+
+/// Where a field's default and rule come from.
+pub trait Source<T> {
+    /// The default.
+    fn value(self) -> T;
+    /// What is accepted.
+    fn rule(self) -> Rule;
+}
+
+/// A default with a rule.
+#[derive(Debug, Clone, Copy)]
+pub struct With<T> {
+    value: T,
+    rule: Rule,
+}
+
+impl<T> Source<T> for With<T> {
+    fn value(self) -> T {
+        self.value
+    }
+
+    fn rule(self) -> Rule {
+        self.rule
+    }
+}
+
+/// A default; everything of its type is accepted.
+pub fn free<T>(value: T) -> With<T> {
+    let rule = Rule::default();
+    With { value, rule }
+}
+
+/// A table of its own.
+pub fn section<T: Default>() -> With<T> {
+    free(T::default())
+}
+
+/// What the table must name.
+pub fn required<T: Default>() -> With<T> {
+    let rule = Rule {
+        is_required: true,
+        ..Rule::default()
+    };
+    With { rule, ..section() }
+}
+
+/// A default; each number lies from `least` to `greatest`.
+pub fn within<T>(value: T, (least, greatest): (f64, f64), unit: &'static str) -> With<T> {
+    let range = Range {
+        unit,
+        least,
+        greatest,
+        or_zero: false,
+    };
+    let rule = Rule {
+        range: Some(range),
+        ..Rule::default()
+    };
+    With { value, rule }
+}
+
+/// What the table must name, of a row of the table of parameters.
+pub fn required_row<T: Default>(row: &'static ParameterSpec) -> With<T> {
+    let rule = Rule {
+        range: row.range(),
+        ..required::<T>().rule
+    };
+    With { rule, ..section() }
+}
+
+/// A list of a row of the table of parameters, of at most so many.
+pub fn at_most<T: FromRow>(most: usize, row: &'static ParameterSpec) -> With<T> {
+    let rule = Rule {
+        most: Some(most),
+        ..Source::<T>::rule(row)
+    };
+    let value = row.value();
+    With { value, rule }
+}
+
+impl<T: FromRow> Source<T> for &'static ParameterSpec {
+    fn value(self) -> T {
+        T::default_of(self)
+    }
+
+    fn rule(self) -> Rule {
+        Rule {
+            range: self.range(),
+            is_quiet: matches!(self.default, Preset::Absent(_)),
+            ..Rule::default()
+        }
+    }
+}
+
+/// A type that values of the table of parameters have.
+pub trait FromRow {
+    /// The row's default.
+    fn default_of(row: &ParameterSpec) -> Self;
+}
+
+impl<T> FromRow for Option<T> {
+    fn default_of(_: &ParameterSpec) -> Self {
+        None
+    }
+}
+
+impl<T> FromRow for Vec<T> {
+    fn default_of(_: &ParameterSpec) -> Self {
+        Self::new()
+    }
+}
+
+impl FromRow for bool {
+    fn default_of(row: &ParameterSpec) -> Self {
+        row.is_on()
+    }
+}
+
+/// Implements [`Setting`] for a type that is a single value, by a function that reads it and one that writes it.
+#[macro_export]
+macro_rules! value_setting {
+    ($type:ty, $new:expr, $write:expr) => {
+        impl $crate::settings::Setting for $type {
+            fn from_given(given: &$crate::settings::Given<'_>) -> Result<Self, $crate::settings::Refused> {
+                $new(given)
+            }
+
+            fn read(&mut self, given: &$crate::settings::Given<'_>) -> Result<(), $crate::settings::Refused> {
+                *self = Self::from_given(given)?;
+                Ok(())
+            }
+
+            fn write(&self) -> Option<$crate::settings::Value> {
+                Some($crate::settings::Value::from($write(self)))
+            }
+        }
+    };
+}
+
+/// Implements [`Setting`] for a type with a few named values, given as an array of names with values.
+#[macro_export]
+macro_rules! named_setting {
+    ($type:ty, $names:expr) => {
+        $crate::value_setting!(
+            $type,
+            |given| $crate::settings::named(given, &mut $names.into_iter()),
+            |value: &$type| $names
+                .into_iter()
+                .find(|(_, known)| known == value)
+                .map_or("", |(name, _)| name)
+        );
+    };
+}
+
+pub use {named_setting, value_setting};
+
+/// Declares tables of settings: `NAME: TYPE = SOURCE,` for each field, where the source ([`settings::Source`](crate::settings::Source))
+/// is a row of the table of parameters, or a default as [`free`](crate::settings::free) and its neighbours make it.
+#[macro_export]
+macro_rules! settings {
+    ($($(#[$meta:meta])* $vis:vis struct $name:ident {
+        $($(#[$doc:meta])* $field_vis:vis $field:ident: $type:ty = $source:expr,)*
+    })+) => {$(
+        $(#[$meta])*
+        #[derive(Debug, Clone, PartialEq)]
+        $vis struct $name {
+            $($(#[$doc])* $field_vis $field: $type,)*
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self { $($field: $crate::settings::Source::<$type>::value($source),)* }
+            }
+        }
+
+        impl $crate::settings::Section for $name {
+            fn fields(&mut self) -> Vec<$crate::settings::Field<'_>> {
+                vec![$($crate::settings::Field {
+                    name: stringify!($field),
+                    setting: &mut self.$field,
+                    rule: $crate::settings::Source::<$type>::rule($source),
+                },)*]
+            }
+        }
+    )+};
+}
+
+impl<T: Section> Setting for T {
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
+        let mut new = Self::default();
+        new.read(given)?;
+        Ok(new)
+    }
+
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
+        match given.get_ref() {
+            DeValue::Table(table) => read_table(table, given.span().start, &mut self.fields()),
+            _ => Err(other_type(given, "a table")),
+        }
+    }
+
+    fn write(&self) -> Option<Value> {
+        None
+    }
+
+    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
+        vec![self.fields()]
+    }
+}
+
+impl<T: Setting> Setting for Option<T> {
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
+        T::from_given(given).map(Some)
+    }
+
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
+        match self {
+            Some(value) => value.read(given),
+            None => Self::from_given(given).map(|new| *self = new),
+        }
+    }
+
+    fn write(&self) -> Option<Value> {
+        self.as_ref()?.write()
+    }
+
+    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
+        self.as_mut().map_or_else(Vec::new, Setting::tables)
+    }
+}
+
+impl<T: Setting> Setting for Vec<T> {
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
+        let DeValue::Array(items) = given.get_ref() else {
+            return Err(other_type(given, "a list"));
+        };
+        let numbered = items.iter().enumerate();
+        numbered
+            .map(|(i, item)| T::from_given(item).map_err(|refused| refused.within(&format!("[{i}]"))))
+            .collect()
+    }
+
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
+        *self = Self::from_given(given)?;
+        Ok(())
+    }
+
+    fn write(&self) -> Option<Value> {
+        let items: Vec<_> = self.iter().filter_map(Setting::write).collect();
+        (!items.is_empty()).then_some(Value::Array(items))
+    }
+
+    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
+        self.iter_mut().flat_map(Setting::tables).collect()
+    }
+
+    fn is_list(&self) -> bool {
+        true
+    }
+}
+
+impl<T: Setting, const N: usize> Setting for [T; N] {
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
+        let items = Vec::<T>::from_given(given)?;
+        Self::try_from(items).map_err(|items| refused(given, format!("{N} values are needed, not {}", items.len())))
+    }
+
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
+        *self = Self::from_given(given)?;
+        Ok(())
+    }
+
+    fn write(&self) -> Option<Value> {
+        Some(Value::Array(self.iter().filter_map(Setting::write).collect()))
+    }
+}
+
+impl<T: Setting> Setting for BTreeMap<String, T> {
+    fn from_given(given: &Given<'_>) -> Result<Self, Refused> {
+        let DeValue::Table(table) = given.get_ref() else {
+            return Err(other_type(given, "a table"));
+        };
+        let named = table.iter().map(|(name, value)| {
+            let name = name.get_ref().to_string();
+            let value = T::from_given(value).map_err(|refused| refused.within(&name))?;
+            Ok((name, value))
+        });
+        named.collect()
+    }
+
+    fn read(&mut self, given: &Given<'_>) -> Result<(), Refused> {
+        *self = Self::from_given(given)?;
+        Ok(())
+    }
+
+    fn write(&self) -> Option<Value> {
+        None
+    }
+
+    fn tables(&mut self) -> Vec<Vec<Field<'_>>> {
+        let fields = self.iter_mut().map(|(name, setting)| Field {
+            name,
+            setting,
+            rule: Rule::default(),
+        });
+        let fields: Vec<_> = fields.collect();
+        if fields.is_empty() { Vec::new() } else { vec![fields] }
+    }
+}
+
+fn number(given: &Given<'_>) -> Option<f64> {
+    match given.get_ref() {
+        DeValue::Float(float) => float.as_str().parse().ok(),
+        DeValue::Integer(integer) => Some(i64::from_str_radix(integer.as_str(), integer.radix()).ok()? as f64),
+        _ => None,
+    }
+}
+
+fn real(given: &Given<'_>) -> Result<f64, Refused> {
+    number(given).ok_or_else(|| other_type(given, "a number"))
+}
+
+fn whole<T: TryFrom<i128>>(given: &Given<'_>) -> Result<T, Refused> {
+    let DeValue::Integer(integer) = given.get_ref() else {
+        return Err(other_type(given, "a whole number"));
+    };
+    let value = i128::from_str_radix(integer.as_str(), integer.radix()).ok();
+    let value = value.and_then(|value| T::try_from(value).ok());
+    value.ok_or_else(|| refused(given, format!("{integer} is too large or too small")))
+}
+
+/// A text.
+///
+/// # Errors
+/// Anything else.
+pub fn text<'a>(given: &'a Given<'_>) -> Result<&'a str, Refused> {
+    match given.get_ref() {
+        DeValue::String(text) => Ok(text),
+        _ => Err(other_type(given, "a text")),
+    }
+}
+
+/// What a text stands for.
+///
+/// # Errors
+/// Another type, or a text that the type refuses.
+pub fn parsed<T: std::str::FromStr<Err: ToString>>(given: &Given<'_>) -> Result<T, Refused> {
+    text(given)?.parse().map_err(|e: T::Err| refused(given, e.to_string()))
+}
+
+/// One of a few values by its name.
+///
+/// # Errors
+/// Another name, with those that there are.
+pub fn named<T: Copy>(given: &Given<'_>, known: &mut dyn Iterator<Item = (&'static str, T)>) -> Result<T, Refused> {
+    let name = text(given)?;
+    let mut names = Vec::new();
+    for (word, value) in known {
+        if word == name {
+            return Ok(value);
+        }
+        names.push(word);
+    }
+    Err(refused(
+        given,
+        format!("there is no {name:?}, only {}", names.join(", ")),
+    ))
+}
+
+macro_rules! numbers {
+    ($($type:ty)+) => {$(
+        impl FromRow for $type {
+            fn default_of(row: &ParameterSpec) -> Self {
+                row.number() as Self
+            }
+        }
+    )+};
+}
+numbers! { f32 f64 u8 u16 u32 }
+
+value_setting!(f64, real, |value: &f64| *value);
+// As people write it: 0.4, not the double next to it.
+value_setting!(f32, |given| real(given).map(|value| value as f32), |value: &f32| {
+    value.to_string().parse().unwrap_or(f64::from(*value))
+});
+value_setting!(u8, whole, |value: &u8| i64::from(*value));
+value_setting!(u16, whole, |value: &u16| i64::from(*value));
+value_setting!(u32, whole, |value: &u32| i64::from(*value));
+value_setting!(i32, whole, |value: &i32| *value);
+value_setting!(u64, whole, |value: &u64| *value as i64);
+value_setting!(usize, whole, |value: &usize| *value as i64);
+value_setting!(bool, switch, |value: &bool| *value);
+value_setting!(PathBuf, |given| text(given).map(PathBuf::from), |path: &PathBuf| {
+    path.to_string_lossy().into_owned()
+});
+
+fn switch(given: &Given<'_>) -> Result<bool, Refused> {
+    match given.get_ref() {
+        DeValue::Boolean(on) => Ok(*on),
+        _ => Err(other_type(given, "true or false")),
+    }
+}
+
+fn choice<T: Choice>(given: &Given<'_>) -> Result<T, Refused> {
+    let names = T::WORDS.iter().map(|(name, _)| *name);
+    named(given, &mut names.zip(T::ALL.iter().copied()))
+}
+
+macro_rules! choices {
+    ($($type:ident)+) => {$(
+        value_setting!(crate::$type, choice, |value: &crate::$type| value.name());
+
+        impl FromRow for crate::$type {
+            fn default_of(row: &ParameterSpec) -> Self {
+                match row.default {
+                    Preset::Choice(place) => Self::ALL.get(place).copied().unwrap_or_default(),
+                    _ => Self::default(),
+                }
+            }
+        }
+    )+};
+}
+choices! { Ablation AlarmPolicy AtGoal AutopilotChoice Duty EngagePolicy LogContent ObstacleReports OnNoProgress PilotKind }
+
+fn read_table(table: &DeTable<'_>, start: usize, fields: &mut [Field<'_>]) -> Result<(), Refused> {
+    for (name, given) in table {
+        let name = name.get_ref().as_ref();
+        let Some(field) = fields.iter_mut().find(|field| field.name == name) else {
+            return Err(unknown(table, name, fields));
+        };
+        read_field(field, given).map_err(|refused| refused.within(name))?;
+    }
+    match fields
+        .iter()
+        .find(|field| field.rule.is_required && !table.contains_key(field.name))
+    {
+        Some(field) => Err(Refused {
+            at: start,
+            key: String::new(),
+            message: format!("`{}` is missing", field.name),
+        }),
+        None => Ok(()),
+    }
+}
+
+fn read_field(field: &mut Field<'_>, given: &Given<'_>) -> Result<(), Refused> {
+    let outside = |value: &f64| field.rule.range.filter(|range| !range.contains(*value));
+    let beyond = |(value, range): (f64, Range)| refused(given, format!("{value} is not allowed: {range}"));
+    let find = |values: Vec<f64>| values.into_iter().find_map(|value| Some((value, outside(&value)?)));
+    if let Some(found) = find(number(given).into_iter().collect()) {
+        return Err(beyond(found));
+    }
+    if let (Some(most), DeValue::Array(items)) = (field.rule.most, given.get_ref())
+        && items.len() > most
+    {
+        return Err(refused(
+            given,
+            format!("at most {most} are allowed, these are {}", items.len()),
+        ));
+    }
+    field.setting.read(given)?;
+    find(numbers_of(field.setting)).map_or(Ok(()), |found| Err(beyond(found)))
+}
+
+fn unknown(table: &DeTable<'_>, name: &str, fields: &[Field<'_>]) -> Refused {
+    let at = table.iter().map(|(key, _)| key).find(|key| key.get_ref() == name);
+    let known: Vec<_> = fields.iter().map(|field| format!("`{}`", field.name)).collect();
+    Refused {
+        at: at.map_or(0, |key| key.span().start),
+        key: String::new(),
+        message: format!("there is no key `{name}` here, only {}", known.join(", ")),
+    }
+}
+
+fn numbers_of(setting: &dyn Setting) -> Vec<f64> {
+    let number = |value: &Value| value.as_float().or(value.as_integer().map(|value| value as f64));
+    match setting.write() {
+        Some(Value::Array(items)) => items.iter().filter_map(number).collect(),
+        value => value.iter().filter_map(number).collect(),
+    }
+}
+
+/// A number that is not accepted.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("`{key}` is {value}, must be {range}")]
+pub struct Outside {
+    /// Dotted path of the key.
+    pub key: String,
+    /// Its value.
+    pub value: f64,
+    /// What is accepted.
+    pub range: Range,
+}
+
+/// Checks every number.
+///
+/// # Errors
+/// The first that is not allowed.
+pub fn check<S: Section + Clone>(settings: &S) -> Result<(), Outside> {
+    check_fields("", settings.clone().fields())
+}
+
+fn check_fields(within: &str, fields: Vec<Field<'_>>) -> Result<(), Outside> {
+    for field in fields {
+        let key = format!("{within}{}", field.name);
+        if let Some(range) = field.rule.range {
+            let numbers = numbers_of(field.setting);
+            if let Some(value) = numbers.into_iter().find(|value| !range.contains(*value)) {
+                return Err(Outside { key, value, range });
+            }
+        }
+        for table in field.setting.tables() {
+            check_fields(&format!("{key}."), table)?;
+        }
+    }
+    Ok(())
+}
+
+/// Reads TOML; what it does not name keeps its default.
+///
+/// # Errors
+/// Line, key and what is allowed.
+pub fn from_toml<S: Section>(text: &str) -> Result<S, String> {
+    let mut settings = S::default();
+    read_over(&mut settings, text)?;
+    Ok(settings)
+}
+
+/// Reads TOML over settings; what it does not name stays.
+///
+/// # Errors
+/// Line, key and what is allowed; the settings are then of no use.
+pub fn read_over(settings: &mut impl Section, text: &str) -> Result<(), String> {
+    read_text(text, &mut settings.fields())
+}
+
+fn read_text(text: &str, fields: &mut [Field<'_>]) -> Result<(), String> {
+    let root = DeTable::parse(text).map_err(|e| Refused {
+        at: e.span().map_or(0, |span| span.start),
+        key: String::new(),
+        message: e.message().trim().replace('\n', ", "),
+    });
+    root.and_then(|root| read_table(root.get_ref(), 0, fields))
+        .map_err(|refused| refused.in_text(text))
+}
+
+/// Reads a file; what it does not name keeps its default.
+///
+/// # Errors
+/// [`SettingsError`], with file, line, key and what is allowed.
+pub fn load<S: Section>(path: &Path) -> Result<S, SettingsError> {
+    let text = crate::files::read_text(path, SIZE_LIMIT).map_err(|source| SettingsError::Read {
+        path: path.to_owned(),
+        source,
+    })?;
+    from_toml(&text).map_err(|message| SettingsError::Content {
+        path: path.to_owned(),
+        message,
+    })
+}
+
+/// Writes TOML that [`from_toml`] reads back unchanged.
+pub fn to_toml<S: Section + Clone>(settings: &S) -> String {
+    let mut out = String::new();
+    write_fields(&mut out, "", settings.clone().fields());
+    out
+}
+
+/// A key as TOML wants it: quoted where it is not of letters, digits, `_` and `-` alone.
+fn key(name: &str) -> String {
+    let is_bare = !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+    if is_bare {
+        name.to_owned()
+    } else {
+        Value::from(name).to_string()
+    }
+}
+
+fn write_fields(out: &mut String, within: &str, fields: Vec<Field<'_>>) {
+    for field in &fields {
+        if let Some(value) = field.setting.write()
+            && !(field.rule.is_quiet && value == Value::Boolean(false))
+        {
+            // Writing to a string does not fail.
+            let _ = writeln!(out, "{} = {value}", key(field.name));
+        }
+    }
+    for field in fields {
+        let path = format!("{within}{}", key(field.name));
+        let (opens, closes) = if field.setting.is_list() {
+            ("[[", "]]")
+        } else {
+            ("[", "]")
+        };
+        for table in field.setting.tables() {
+            let gap = if out.is_empty() { "" } else { "\n" };
+            let _ = writeln!(out, "{gap}{opens}{path}{closes}");
+            write_fields(out, &format!("{path}."), table);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    settings! {
+        struct Whole {
+            on: bool = &crate::parameters::TAKEN_OVER,
+            count: u8 = within(3, (1.0, 9.0), "steps"),
+            gains: [f32; 2] = within([0.1, 0.5], (0.0, 1.0), ""),
+            notes: BTreeMap<String, f64> = section(),
+            place: Option<Place> = free(None),
+            stops: Vec<Place> = section(),
+        }
+
+        struct Place {
+            x_m: f64 = required(),
+            y_m: f64 = free(1.5),
+        }
+    }
+
+    #[test]
+    fn what_is_written_is_read_back_and_the_default_names_only_what_holds() {
+        let mut whole = Whole::default();
+        assert_eq!(to_toml(&whole), "count = 3\ngains = [0.1, 0.5]\n");
+        whole.on = true;
+        whole.notes.insert("a b".to_owned(), f64::NEG_INFINITY);
+        whole.place = Some(Place::default());
+        whole.stops = vec![Place { x_m: -0.0, y_m: 1e-300 }, Place { x_m: 7.0, y_m: 2.0 }];
+        let text = to_toml(&whole);
+        assert!(
+            text.contains("\n[place]\n") && text.matches("\n[[stops]]\n").count() == 2,
+            "{text}"
+        );
+        assert_eq!(from_toml(&text), Ok(whole));
+    }
+
+    #[test]
+    fn what_a_text_does_not_name_stays() {
+        let mut whole = from_toml::<Whole>("count = 0x5\nplace.x_m = 4").unwrap();
+        read_over(&mut whole, "place = { x_m = 5.0 }").unwrap();
+        let place = Some(Place { x_m: 5.0, y_m: 1.5 });
+        assert_eq!((whole.count, whole.place), (5, place));
+    }
+
+    #[test]
+    fn what_is_refused_is_told_by_line_column_and_key_with_what_is_allowed() {
+        for (text, told) in [
+            (
+                "\ncount = 10",
+                "line 2, column 9: `count`: 10 is not allowed: 1 to 9 steps",
+            ),
+            ("count = -1", "`count`: -1 is not allowed: 1 to 9 steps"),
+            ("count = 2.5", "a whole number is needed"),
+            ("gains = [0.5, 1.5]", "`gains`: 1.5 is not allowed: 0 to 1"),
+            ("gains = [0.5]", "2 values are needed, not 1"),
+            (
+                "gains = [0.5, true]",
+                "`gains[1]`: a number is needed, this is of type boolean",
+            ),
+            ("on = 1", "true or false is needed"),
+            ("[place]\ny_m = 1", "line 1, column 1: `place`: `x_m` is missing"),
+            (
+                "[[stops]]\nx_m = 1\n[[stops]]\nx = 1",
+                "line 4, column 1: `stops[1]`: there is no key `x` here, only `x_m`, `y_m`",
+            ),
+            ("stops = 1", "a list is needed"),
+            ("place = 1", "a table is needed"),
+            ("count = ", "line 1, column 9"),
+            ("count = 1\ncount = 2", "line 2"),
+        ] {
+            let error = from_toml::<Whole>(text).unwrap_err();
+            assert!(error.contains(told), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn numbers_that_a_program_sets_are_checked_as_a_files_are() {
+        let mut whole = Whole::default();
+        assert_eq!(check(&whole), Ok(()));
+        whole.gains[1] = f32::NAN;
+        assert_eq!(check(&whole).unwrap_err().to_string(), "`gains` is NaN, must be 0 to 1");
+    }
+}
