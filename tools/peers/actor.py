@@ -95,8 +95,3 @@ def pattern_frame(seed: int) -> np.ndarray:
 def pattern_values(seed: int, count: int) -> np.ndarray:
     """What is remembered, or low-dimensional, to go with the pattern: eighths within half."""
     return np.array([0.125 * ((3 * i + seed) % 9 - 4) for i in range(count)], dtype=np.float32)
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()

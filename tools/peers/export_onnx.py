@@ -124,7 +124,6 @@ def main() -> None:
         raise SystemExit("ONNX Runtime's outputs are not finite")
     record = {
         "actor_sha256": actor.sha256,
-        "onnx_sha256": frozen.file_sha256(to),
         "onnx_runtime": onnxruntime.__version__,
         "actions": [[float(np.float32(x)) for x in action] for action in actions],
     }

@@ -1,19 +1,16 @@
 //! The exported actor: what ONNX Runtime makes of it (`actor.onnx.json`, written by the exporter) against our own kernels.
 
-use sha2::{Digest, Sha256};
 use vigil_nnet::{Graph, Isa, Purpose};
 use vigil_policy::FrozenActor;
 use vigil_policy::actor::{ActorSpec, CONTEXT, LOW_DIM};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS};
 
-const ONNX: &[u8] = include_bytes!("../actor/actor.onnx");
 const RECORD: &str = include_str!("../actor/actor.onnx.json");
-const EXPORT: &str = "run tools/peers/export.sh and commit what it writes";
+const EXPORT: &str = "run tools/peers/export.sh and commit actor.onnx.json";
 
 #[derive(serde::Deserialize)]
 struct Record {
     actor_sha256: String,
-    onnx_sha256: String,
     actions: Vec<[f32; 2]>,
 }
 
@@ -54,8 +51,6 @@ fn onnx_runtime_decides_as_our_actor_does() {
         actor.sha256(),
         "exported from another actor; {EXPORT}"
     );
-    let onnx: String = Sha256::digest(ONNX).iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(record.onnx_sha256, onnx, "actor.onnx was altered; {EXPORT}");
     let graph = ActorSpec::FULL.graph(Purpose::Gradients).unwrap();
     assert!(record.actions.len() >= 5);
     for isa in Isa::available() {

@@ -1,7 +1,10 @@
 //! Reference tensors in PyTorch's order, and their reordering into this project's.
 #![allow(dead_code, reason = "each test binary uses its own part")]
 
+use flate2::read::GzDecoder;
 use safetensors::{Dtype, SafeTensors};
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 use vigil_nnet::{Activation, Conv2d, Dense, Graph, GraphBuilder, Gru, NodeId, Params, Purpose};
 
@@ -113,9 +116,12 @@ impl Tensors {
         let data = [own.join("tests/data"), own.join("../firmware/policy/tests/data")];
         let file = data
             .iter()
-            .map(|dir| dir.join(format!("{name}.safetensors")))
+            .map(|dir| dir.join(format!("{name}.safetensors.gz")))
             .find(|f| f.exists());
-        Self(std::fs::read(file.expect("reference vectors of the policy crate")).unwrap())
+        let file = File::open(file.expect("reference vectors of the policy crate")).unwrap();
+        let mut bytes = Vec::new();
+        GzDecoder::new(file).read_to_end(&mut bytes).unwrap();
+        Self(bytes)
     }
 
     pub fn get(&self, name: &str) -> Vec<f32> {
