@@ -56,6 +56,8 @@ pub struct Simulator {
     ending: Option<Ending>,
     path_length_m: f64,
     closest_goal_m: f32,
+    /// Whether the estimate is away from the truth by more than a light error.
+    estimate_wanders: bool,
     hash: u64,
 }
 
@@ -99,6 +101,7 @@ impl Simulator {
             ending: None,
             path_length_m: 0.0,
             closest_goal_m: f32::INFINITY,
+            estimate_wanders: config.vehicle.sensors.wander_m != [0.0; 2],
             hash: 0,
         })
     }
@@ -192,6 +195,10 @@ impl Simulator {
                 self.closest_goal_m = self
                     .closest_goal_m
                     .min((self.goal_ned_m - truth.position_ned_m).horizontal_norm());
+            }
+            if self.estimate_wanders {
+                let estimated_ned_m = self.vehicle.view().estimate.position_ned_m;
+                self.referee.set_estimate_error(estimated_ned_m - truth.position_ned_m);
             }
             if self.ending.is_none()
                 && let Some(outcome) = self.referee.observe(

@@ -67,6 +67,7 @@ impl core::fmt::Display for Outcome {
 pub struct Referee {
     goal_ned_m: NedVector,
     goal_radius_m: f32,
+    estimate_error_ned_m: NedVector,
     time_limit_ns: Nanos,
     bounds: crate::world::course::Bounds,
     checkpoints: Vec<Checkpoint>,
@@ -90,6 +91,7 @@ impl Referee {
         Self {
             goal_ned_m: course.goal_ned_m(),
             goal_radius_m: course.goal_radius_m,
+            estimate_error_ned_m: NedVector::ZERO,
             // Checked to be at most an hour, so the product fits.
             time_limit_ns: (f64::from(course.time_limit_s) * 1e9) as Nanos,
             bounds: course.bounds,
@@ -104,6 +106,12 @@ impl Referee {
             outcome: None,
             ended_ns: 0,
         }
+    }
+
+    /// How far the vehicle's estimate is from the truth from now on. A goal is a place in that estimate, so arriving is judged by it;
+    /// collisions and bounds are judged by the truth.
+    pub fn set_estimate_error(&mut self, estimate_error_ned_m: NedVector) {
+        self.estimate_error_ned_m = estimate_error_ned_m;
     }
 
     /// Shows the referee the truth at `at_ns`, with the world at the same moment ([`World::set_time_ns`], whose clock may have
@@ -131,7 +139,7 @@ impl Referee {
             Some(Outcome::Collision)
         } else if !self.bounds.contains(position_ned_m) {
             Some(Outcome::OutOfBounds)
-        } else if (position_ned_m - self.goal_ned_m).norm() <= self.goal_radius_m {
+        } else if (position_ned_m + self.estimate_error_ned_m - self.goal_ned_m).norm() <= self.goal_radius_m {
             Some(Outcome::Success)
         } else if at_ns.saturating_sub(started_ns) >= self.time_limit_ns {
             Some(Outcome::TimeOut)

@@ -5,11 +5,13 @@
 //! between them: every surface of one picture, moved as the vehicle moved, must be found in the other. docs/sensor-faults.md
 //! explains what is found, and how fast. No allocation, no panic, no clock.
 
+mod drift;
 mod motion;
 mod picture;
 mod silence;
 
-use self::motion::{MOST_COST, Map, Pose, cost, look, samples};
+use self::drift::{DOWN_M, Errors, MountReadings, Pair, TURN, WIDENING, allowed_drift_m};
+use self::motion::{MOST_COST, Map, Pose, cost, look, look_widened, samples};
 use self::picture::{COLS, CellCounts, Directions, Picture, ROWS, Seen};
 use self::silence::SilentSide;
 use vigil_types::{Attitude, DepthFrame, FrdVector, Kinematics, Nanos, NedVector, Reason, Reasons, VehicleTelemetry};
@@ -65,8 +67,11 @@ const ANCHOR_USEFUL_NS: Nanos = 6_000_000_000;
 const NEAR_M: f32 = 0.35;
 const FAR_M: f32 = 1.2;
 const LEAST_M: f32 = 0.15;
-/// A way that is long enough to tell 5° from the error of the estimated position.
+/// A way that is long enough, and flown fast enough, to tell 5° from the error of the estimated position.
 const DIRECTED_M: f32 = 0.7;
+const DIRECTED_M_S: f32 = 0.5;
+/// A slower way than this may be the estimate's alone.
+const LEAST_M_S: f32 = 0.1;
 
 /// What is found counts for about ten frames, and for about forty where directions are told.
 const KEEP: f32 = 0.9;
@@ -100,14 +105,12 @@ const MISFIT_SAMPLES: f32 = 300.0;
 const MISFIT_BESIDE: f32 = 1.4;
 const MISFIT_BESIDE_SAMPLES: f32 = 150.0;
 const MOVER_COLS: usize = 6;
-/// Cost of the motion over that of a mirrored sensor's, as a share of it too, and of a turned one's.
+/// Cost of the motion, drift taken from it, over that of a mirrored sensor's, and as a share of it too.
 const MIRRORED: f32 = 150.0;
 const MIRRORED_FIT: f32 = 0.5;
-const TURNED: f32 = 300.0;
-/// The turn that is tested against, cosine and sine of 5°, and the turns that are told, as multiples of it.
-const TURN: (f32, f32) = (0.996_194_7, 0.087_155_74);
-const LEAST_TURN: f32 = 0.85;
-const MOST_TURN: f32 = 2.5;
+/// And the mean cost of the motion near by: a mirrored sensor's picture does not fit there either, and what tilts by a third of a degree while the
+/// vehicle turns does.
+const MIRRORED_NEAR: f32 = 0.05;
 /// Points of a part that were seen through, and how many such parts make a picture from which something vanished: more than something
 /// near covers that goes away by itself.
 const VANISHED: f32 = 6.0;
@@ -153,9 +156,12 @@ struct Evidence {
     /// The same by row, for longer.
     found_rows: [f32; PART_ROWS],
     lost_rows: [f32; PART_ROWS],
-    /// Cost of the motion over that of a mirrored, and of sensors turned to the left and to the right.
+    /// Cost of the motion over that of a mirrored sensor, and what drift may explain of it.
     mirrored: f32,
-    turned: [f32; 2],
+    drift: Errors,
+    /// Whether the sensor is turned on its mount, or of another width; this does not fade.
+    mount: MountReadings,
+    wrong_mount: bool,
     /// What the motion cost where these are told.
     far_cost: f32,
 }
@@ -173,7 +179,9 @@ impl Evidence {
         found_rows: [0.0; PART_ROWS],
         lost_rows: [0.0; PART_ROWS],
         mirrored: 0.0,
-        turned: [0.0; 2],
+        drift: Errors::NONE,
+        mount: MountReadings::NONE,
+        wrong_mount: false,
         far_cost: 0.0,
     };
 
@@ -192,7 +200,12 @@ impl Evidence {
         }
         self.mirrored *= KEEP_LONG;
         self.far_cost *= KEEP_LONG;
-        self.turned.iter_mut().for_each(|value| *value *= KEEP_LONG);
+        self.drift.fade(KEEP_LONG);
+    }
+
+    /// Whether the motion costs at least so much near by, in the mean.
+    fn misfits_by(&self, mean: f32) -> bool {
+        self.costs.iter().sum::<f32>() >= mean * self.samples.iter().sum::<f32>()
     }
 
     /// Whether the motion does not explain the picture, not even beside something that moves by itself.
@@ -381,7 +394,7 @@ impl PlausibilityJudge {
         } else if !in_flight || blind || self.bad_pose {
             self.forget_pictures();
         } else if self.raised.is_some() {
-            self.look_for_a_fit(&pose);
+            self.look_for_a_fit(&pose, stamp_ns);
         } else {
             self.compare(&pose, stamp_ns);
         }
@@ -488,10 +501,10 @@ impl PlausibilityJudge {
         count(&mut self.same_frames, same >= SAME_CELLS);
         self.evidence.fade();
         if let Some(near) = self.anchor_at(NEAR_M, pose, stamp_ns) {
-            self.compare_near(near, pose);
+            self.compare_near(near, pose, stamp_ns);
         }
         if let Some(far) = self.anchor_at(FAR_M, pose, stamp_ns) {
-            self.compare_far(far, pose);
+            self.compare_far(far, pose, stamp_ns);
         }
         if let Some(raised) = self.verdict() {
             self.raises = self.raises.saturating_add(1);
@@ -530,7 +543,8 @@ impl PlausibilityJudge {
         for (i, anchor) in self.anchors.iter().take(self.anchors_used).enumerate() {
             let way_m = apart_m(&anchor.pose, pose);
             let miss_m = (way_m - back_m).abs();
-            let useful = way_m >= LEAST_M && stamp_ns.saturating_sub(anchor.stamp_ns) <= ANCHOR_USEFUL_NS;
+            let age_ns = stamp_ns.saturating_sub(anchor.stamp_ns);
+            let useful = way_m >= LEAST_M.max(LEAST_M_S * 1e-9 * age_ns as f32) && age_ns <= ANCHOR_USEFUL_NS;
             if useful && best.is_none_or(|(_, least_m)| miss_m < least_m) {
                 best = Some((i, miss_m));
             }
@@ -539,9 +553,9 @@ impl PlausibilityJudge {
     }
 
     /// Did the picture move at all, everywhere?
-    fn compare_near(&mut self, near: usize, pose: &Pose) {
+    fn compare_near(&mut self, near: usize, pose: &Pose, stamp_ns: Nanos) {
         let Some(anchor) = self.anchors.get(near) else { return };
-        let back = Map::between(pose, &anchor.pose);
+        let back = self.way_back(anchor, pose, stamp_ns, samples(self.step));
         let evidence = &mut self.evidence;
         for (row, column) in samples(self.step) {
             let cell = row * COLS + column;
@@ -580,13 +594,20 @@ impl PlausibilityJudge {
     }
 
     /// Did it move to the side to which the vehicle did; and is everything still there?
-    fn compare_far(&mut self, far: usize, pose: &Pose) {
+    fn compare_far(&mut self, far: usize, pose: &Pose, stamp_ns: Nanos) {
         let Some(anchor) = self.anchors.get(far) else { return };
         let (map, forth) = (Map::between(pose, &anchor.pose), Map::between(&anchor.pose, pose));
         // Over a shorter way the estimate's own error has a direction.
-        let directed = (pose.position_ned_m - anchor.pose.position_ned_m).horizontal_norm() >= DIRECTED_M;
-        let (cos, sin) = TURN;
-        let others = [map.turned((cos, -sin)), map.turned((cos, sin)), map.mirrored()];
+        let age_s = stamp_ns.saturating_sub(anchor.stamp_ns) as f32 * 1e-9;
+        let level_m = (pose.position_ned_m - anchor.pose.position_ned_m).horizontal_norm();
+        let directed = level_m >= DIRECTED_M.max(DIRECTED_M_S * age_s);
+        // To the other side in each step, so that a slope of one side has no direction.
+        let side = if self.step.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let (cos, sin) = (TURN.0, side * TURN.1);
+        let down = anchor.pose.attitude.to_frd(NedVector::new(0.0, 0.0, side * DOWN_M));
+        let tested = [map, map.turned((cos, sin)), map.stretched(1.0 + sin), map.shifted(down)];
+        let mirror = map.mirrored();
+        let mut errors = Errors::NONE;
         for (row, column) in samples(self.step) {
             let (found, (there_row, there_column)) = look(
                 &self.directions,
@@ -615,25 +636,40 @@ impl PlausibilityJudge {
         }
         for (row, column) in samples(self.step).step_by(2) {
             let seen = self.picture.at(row * COLS + column);
-            let cost = |map| {
-                look(&self.directions, (row, column), seen, map, &anchor.picture)
-                    .0
-                    .cost()
-            };
-            let Some(straight) = cost(&map) else { continue };
-            let [left, right, mirrored] = others.each_ref().map(cost);
-            if let (true, Some(left), Some(right)) = (directed, left, right) {
-                let [to_left, to_right] = &mut self.evidence.turned;
-                *to_left += straight - left;
-                *to_right += straight - right;
-            }
-            if let Some(mirrored) = mirrored {
+            let found = |map| look(&self.directions, (row, column), seen, map, &anchor.picture).0;
+            let [straight, turned, longer, lower] = tested.each_ref().map(found);
+            let cell = (row, column);
+            let wider = look_widened(&self.directions, cell, seen, &map, &anchor.picture, side * WIDENING).0;
+            errors.add(straight, [turned, longer, lower, wider], side);
+            let Some(straight) = straight.cost() else { continue };
+            if let Some(mirrored) = found(&mirror).cost() {
                 self.evidence.mirrored += straight - mirrored;
                 self.evidence.far_cost += straight;
             }
         }
         // What spoke against it long ago must not outweigh what speaks for it now.
         self.evidence.mirrored = self.evidence.mirrored.max(-MIRRORED);
+        self.evidence.drift.add_all(&errors);
+        self.evidence.wrong_mount = directed && self.evidence.mount.read(&errors, stamp_ns);
+    }
+
+    /// The motion from a pose to where a picture was kept, without what the estimate drifted meanwhile.
+    fn way_back(
+        &self,
+        anchor: &Anchor,
+        pose: &Pose,
+        stamp_ns: Nanos,
+        cells: impl Iterator<Item = (usize, usize)> + Clone,
+    ) -> Map {
+        let pair = Pair {
+            directions: &self.directions,
+            from: &self.picture,
+            to: &anchor.picture,
+            cells,
+        };
+        let passed_ns = stamp_ns.saturating_sub(anchor.stamp_ns);
+        let allowed_m = allowed_drift_m(passed_ns, apart_m(&anchor.pose, pose));
+        pair.without_drift(&Map::between(pose, &anchor.pose), allowed_m)
     }
 
     /// What the evidence tells.
@@ -650,7 +686,9 @@ impl PlausibilityJudge {
             found_rows,
             lost_rows,
             mirrored,
-            turned,
+            drift,
+            mount: _,
+            wrong_mount,
             far_cost,
         } = &self.evidence;
         // A picture that moves another way may cost less standing still too, but hardly fits.
@@ -670,16 +708,14 @@ impl PlausibilityJudge {
             lost_above += lost;
             dead_above |= lost_above > VANISHED_ABOVE && found_above < FOUND_ABOVE * lost_above;
         }
-        // Were the error straight in the turn, tests to both sides would cost I·(2a − 1) and −I·(2a + 1) less than none, for a turn
-        // of a times what is tested: that gives a and the information I. What is not such a turn gives no such a.
-        let [left, right] = turned;
-        let (most, information) = (left.max(*right), -0.5 * (left + right));
-        let turn = 0.5 * (most / information + 1.0);
-        let is_turned = most > TURNED && information > 0.0 && (LEAST_TURN..MOST_TURN).contains(&turn);
+        // What drift explains is no mirror's.
+        let mirrored = mirrored - drift.drift_gain();
+        let is_mirrored =
+            mirrored > MIRRORED && mirrored > MIRRORED_FIT * *far_cost && self.evidence.misfits_by(MIRRORED_NEAR);
         let raised = |reason, stays| Some(Raised { reason, stays });
         if self.same_frames >= SAME_FRAMES {
             raised(Reason::FrozenSensor, false)
-        } else if (*mirrored > MIRRORED && *mirrored > MIRRORED_FIT * *far_cost) || is_turned {
+        } else if is_mirrored || *wrong_mount {
             raised(Reason::InconsistentPicture, true)
         } else if is_frozen(*frozen, *cost, FROZEN_VIEW)
             || (frozen_parts >= FROZEN_PARTS && *frozen > 0.0)
@@ -716,11 +752,11 @@ impl PlausibilityJudge {
     }
 
     /// While something is raised: one kept picture in each step is looked at whether this one follows from it.
-    fn look_for_a_fit(&mut self, pose: &Pose) {
+    fn look_for_a_fit(&mut self, pose: &Pose, stamp_ns: Nanos) {
         if self.raised.is_some_and(|raised| raised.stays) || self.anchors_used == 0 {
             return;
         }
-        if self.fits_anchor(self.step % self.anchors_used, pose) {
+        if self.fits_anchor(self.step % self.anchors_used, pose, stamp_ns) {
             self.fits += 1;
         }
         self.fit_steps += 1;
@@ -732,14 +768,16 @@ impl PlausibilityJudge {
         }
     }
 
-    fn fits_anchor(&self, anchor: usize, pose: &Pose) -> bool {
+    fn fits_anchor(&self, anchor: usize, pose: &Pose, stamp_ns: Nanos) -> bool {
         let Some(anchor) = self.anchors.get(anchor) else {
             return false;
         };
-        let (back, forth) = (Map::between(pose, &anchor.pose), Map::between(&anchor.pose, pose));
+        let cells = samples(self.step).chain(samples(self.step + 4));
+        let back = self.way_back(anchor, pose, stamp_ns, cells.clone());
+        let forth = Map::between(&anchor.pose, pose);
         let (mut told, mut agreed, mut lost, mut same) = (0_u16, 0_u16, 0_u16, 0_u16);
         let (mut moved_costs, mut stayed_costs) = (0.0, 0.0);
-        for (row, column) in samples(self.step).chain(samples(self.step + 4)) {
+        for (row, column) in cells {
             let cell = row * COLS + column;
             let seen = self.picture.at(cell);
             let inverse = self.picture.inverse(cell);

@@ -1,6 +1,6 @@
 //! Two pictures and the way between them: does one follow from the other?
 
-use super::picture::{COLS, Directions, Picture, ROWS, Seen, place_of};
+use super::picture::{COLS, Directions, MIDDLE_COLUMN, Picture, ROWS, Seen, bearing_rad, place_of};
 use vigil_types::{Attitude, FrdVector, NedVector};
 
 /// Where and how turned the sensor was.
@@ -53,6 +53,22 @@ impl Map {
         }
     }
 
+    /// The same motion over a longer or a shorter way.
+    pub(super) fn stretched(&self, factor: f32) -> Self {
+        Self {
+            shift: self.shift * factor,
+            ..*self
+        }
+    }
+
+    /// The same motion with every point moved on, in the axes that it leads to.
+    pub(super) fn shifted(&self, by: FrdVector) -> Self {
+        Self {
+            shift: self.shift + by,
+            ..*self
+        }
+    }
+
     #[inline]
     fn apply(&self, p: FrdVector) -> FrdVector {
         self.x * p.x + self.y * p.y + self.z * p.z + self.shift
@@ -92,19 +108,41 @@ pub(super) enum Found {
 #[inline]
 pub(super) fn look(
     directions: &Directions,
+    cell: (usize, usize),
+    seen: Seen,
+    map: &Map,
+    to: &Picture,
+) -> (Found, (f32, f32)) {
+    look_widened(directions, cell, seen, map, to, 0.0)
+}
+
+/// The same where both views are wider by a small share than they are said to be.
+#[inline]
+pub(super) fn look_widened(
+    directions: &Directions,
     (row, column): (usize, usize),
     seen: Seen,
     map: &Map,
     to: &Picture,
+    widening: f32,
 ) -> (Found, (f32, f32)) {
     const NOWHERE: (f32, f32) = (0.0, 0.0);
     let Seen::Surface(range_m) = seen else {
         return (Found::Unknown, NOWHERE);
     };
-    let point = map.apply(directions.of(row, column) * range_m);
+    let mut seen_along = directions.of(row, column);
+    if widening != 0.0 {
+        let turn = widening * bearing_rad(column);
+        seen_along = seen_along + FrdVector::new(-seen_along.y, seen_along.x, 0.0) * turn;
+    }
+    let point = map.apply(seen_along * range_m);
     let Some(place) = place_of(point) else {
         return (Found::Unknown, NOWHERE);
     };
+    let place = (place.0, (place.1 - MIDDLE_COLUMN) / (1.0 + widening) + MIDDLE_COLUMN);
+    if !(0.0..=2.0 * MIDDLE_COLUMN).contains(&place.1) {
+        return (Found::Unknown, NOWHERE);
+    }
     let range_m = point.norm();
     let found = match to.between(place.0, place.1) {
         Seen::Surface(there_m) => Found::Surface {
@@ -156,7 +194,7 @@ impl Found {
 
 /// Cells of a picture in which a step looks: every eighth, others in each of eight steps, so that all of the view is
 /// looked at in 0.4 s.
-pub(super) fn samples(phase: usize) -> impl Iterator<Item = (usize, usize)> {
+pub(super) fn samples(phase: usize) -> impl Iterator<Item = (usize, usize)> + Clone {
     // An odd stride over rows of even length visits every column.
     (0..ROWS * COLS / 8).map(move |i| {
         let cell = i * 8 + (phase + 3 * (i / 8)) % 8;

@@ -68,6 +68,15 @@ impl Directions {
     }
 }
 
+/// The column straight ahead, between two.
+pub(super) const MIDDLE_COLUMN: f32 = 0.5 * (COLS - 1) as f32;
+
+/// How far to the right of straight ahead the middle of a column of cells is.
+#[inline]
+pub(super) fn bearing_rad(column: usize) -> f32 {
+    (column as f32 - MIDDLE_COLUMN) * PITCH_RAD
+}
+
 /// Row and column, fractional, of the cell in which a point is seen; `None` outside the view of the cells' centres.
 #[inline]
 pub(super) fn place_of(point: FrdVector) -> Option<(f32, f32)> {

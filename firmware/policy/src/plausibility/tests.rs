@@ -1,6 +1,7 @@
 extern crate std;
 
 use super::*;
+use core::f32::consts::PI;
 use std::boxed::Box;
 use std::vec::Vec;
 use vigil_types::{
@@ -17,6 +18,8 @@ struct Flight {
     yaw_rate_rad_s: f32,
     /// How far the sensor is turned on its mount.
     mount_rad: f32,
+    /// How much wider the sensor's view is than it is taken for.
+    width: f32,
     speed_m_s: f32,
     position: NedVector,
     yaw_rad: f32,
@@ -63,6 +66,7 @@ impl Flight {
             step: 20,
             yaw_rate_rad_s: 0.2,
             mount_rad: 0.0,
+            width: 1.0,
             speed_m_s: 1.5,
             position: NedVector::new(0.0, 0.0, -1.5),
             yaw_rad: -0.1,
@@ -84,7 +88,7 @@ impl Flight {
         let mut noise = self.step as u32;
         for (pixel, depth) in self.frame.depth.iter_mut().enumerate() {
             let (bearing, elevation) = (
-                column_bearing_rad((pixel % DEPTH_COLS) as f32),
+                self.width * column_bearing_rad((pixel % DEPTH_COLS) as f32),
                 row_elevation_rad((pixel / DEPTH_COLS) as f32),
             );
             let (se, ce) = (libm::sinf(elevation), libm::cosf(elevation));
@@ -388,6 +392,51 @@ fn a_mirrored_or_turned_sensor_is_found_by_the_way_its_picture_moves() {
         assert!(
             found.is_some_and(|(_, d)| d == Reasons::of(Reason::InconsistentPicture)),
             "{degrees}: {found:?}"
+        );
+    }
+}
+
+/// Whether a flight of 15 s is doubted whose estimate is wrong: the error of its position runs round a circle in six seconds, at this
+/// speed.
+fn doubts_of_a_drifting_flight(mount_rad: f32, width: f32, error_m_s: f32) -> Reasons {
+    let mut flight = Flight::new();
+    (flight.mount_rad, flight.width) = (mount_rad, width);
+    let mut doubts = (0..300).map(|step| {
+        flight.look();
+        let phase = step as f32 * STEP_S * 2.0 * PI / 6.0;
+        let error_m = error_m_s * 6.0 / (2.0 * PI);
+        let error = NedVector::new(libm::sinf(phase), libm::cosf(phase), 0.3 * libm::sinf(phase)) * error_m;
+        let header = &mut flight.frame.header;
+        header.position_ned_m = header.position_ned_m + error;
+        if let Some(kinematics) = &mut flight.telemetry.kinematics {
+            kinematics.position_ned_m = kinematics.position_ned_m + error;
+        }
+        flight.judge.judge(&flight.frame, &flight.telemetry)
+    });
+    doubts.find(|doubts| !doubts.is_empty()).unwrap_or(Reasons::NONE)
+}
+
+#[test]
+fn an_estimate_that_drifts_convicts_nobody_and_a_sensor_that_sits_wrong_is_found_beside_it() {
+    // Of a GPS's it is 0.06 m/s.
+    for error_m_s in [0.03, 0.06, 0.12] {
+        assert_eq!(
+            doubts_of_a_drifting_flight(0.0, 1.0, error_m_s),
+            Reasons::NONE,
+            "{error_m_s} m/s"
+        );
+    }
+    let turned_rad = 5.0_f32.to_radians();
+    for (mount_rad, width, error_m_s) in [
+        (turned_rad, 1.0, 0.06),
+        (0.0, 0.75, 0.0),
+        (0.0, 0.75, 0.06),
+        (0.0, 1.25, 0.06),
+    ] {
+        assert_eq!(
+            doubts_of_a_drifting_flight(mount_rad, width, error_m_s),
+            Reasons::of(Reason::InconsistentPicture),
+            "{error_m_s} m/s, turned by {mount_rad}, {width} as wide"
         );
     }
 }
