@@ -10,18 +10,16 @@ use std::path::{Path, PathBuf};
 use vigil_tests::{Running, run, said};
 
 /// Pictures in the documentation that are no figures of data, and what makes each.
-const OTHER_PICTURES: [(&str, &str); 14] = [
+const OTHER_PICTURES: [(&str, &str); 12] = [
     ("attacked-undefended.gif", "vigil log film"),
     ("attacked-defended.gif", "vigil log film"),
     ("flight-report.png", "a screenshot of the report of vigil log report"),
     ("report-map-and-film-dark.png", "the same in the dark"),
     ("report-plots-light.png", "its plots"),
-    ("report-phone-light-and-dark.png", "the same on a telephone"),
     ("view-campaign.png", "a screenshot of vigil evaluate --view"),
     ("view-course.png", "a screenshot of vigil courses view"),
     ("tlog-mavgraph.png", "mavgraph.py of pymavlink on a flight's tlog"),
     ("view-rerun.png", "a screenshot of vigil view"),
-    ("reproduce.png", "a screenshot of the page of vigil reproduce"),
     ("real-time-fifo.svg", "vigil bench realtime --figure"),
     ("real-time-normal.svg", "vigil bench realtime --figure"),
     ("attacks.svg", "vigil attack pictures"),

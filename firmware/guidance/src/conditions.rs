@@ -211,8 +211,8 @@ pub static CONDITIONS: [Condition; 33] = [
         Reason::InconsistentPicture,
         Demand::Hold,
         false,
-        "in flight the picture does not move as the vehicle does: it jumps, parts of it vanish, or it moves as a mirrored or a turned sensor's would",
-        "as *frozen sensor*; of a mirrored or a turned sensor the end of the flight",
+        "in flight the picture does not move as the vehicle does: it jumps, parts of it vanish, or it moves as a mirrored or a turned sensor's would, or one's of another width",
+        "as *frozen sensor*; of such a sensor the end of the flight",
     ),
     condition(
         Reason::NoProgress,

@@ -3,9 +3,9 @@
 
 use crate::display::{self, MAP_FRAME, SENSOR_FRAME};
 use crate::log_file::{self, topic};
+use crate::proto::foxglove::packed_element_field::NumericType;
+use crate::proto::foxglove::{Grid, PackedElementField, Pose, PosesInFrame, Quaternion, RawImage, Vector2, Vector3};
 use crate::side::{Sheet, SideError, Writer, at};
-use foxglove::messages::packed_element_field::NumericType;
-use foxglove::messages::{Grid, PackedElementField, Pose, PosesInFrame, Quaternion, RawImage, Vector2, Vector3};
 use mcap::McapError;
 use std::path::Path;
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, Nanos, NedVector};
@@ -48,9 +48,9 @@ impl DerivedLog {
         let mut sheet = Sheet::create(path)?;
         let begin = |writer: &mut Writer| -> Result<_, McapError> {
             Ok((
-                log_file::standard::<Grid, _>(writer, topic::GRID)?,
-                log_file::standard::<PosesInFrame, _>(writer, topic::WAY)?,
-                log_file::standard::<RawImage, _>(writer, topic::SHAP)?,
+                log_file::channel::<Grid, _>(writer, topic::GRID)?,
+                log_file::channel::<PosesInFrame, _>(writer, topic::WAY)?,
+                log_file::channel::<RawImage, _>(writer, topic::SHAP)?,
             ))
         };
         let (grid, way, shap) = begin(&mut sheet.writer).map_err(at(path))?;
@@ -92,7 +92,7 @@ impl DerivedLog {
                 offset: 0,
                 r#type: NumericType::Uint8 as i32,
             }],
-            data: seen.scores.iter().map(percent).collect::<Vec<u8>>().into(),
+            data: seen.scores.iter().map(percent).collect(),
         };
         self.sheet.put(self.grid, at_ns, sequence, &message)
     }
@@ -132,7 +132,7 @@ impl DerivedLog {
             height: SHAP_ROWS as u32,
             encoding: "32FC1".to_owned(),
             step: 4 * SHAP_COLS as u32,
-            data: sums.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>().into(),
+            data: sums.iter().flat_map(|v| v.to_le_bytes()).collect(),
         };
         self.sheet.put(self.shap, at_ns, sequence, &message)
     }

@@ -6,9 +6,8 @@
 use crate::TickRecord;
 use crate::convert::mode_name;
 use crate::proto::Status;
-use foxglove::messages::{
-    FrameTransform, Log, Pose, PoseInFrame, PosesInFrame, Quaternion, RawImage, Timestamp, Vector3,
-};
+use crate::proto::foxglove::{FrameTransform, Log, Pose, PoseInFrame, PosesInFrame, Quaternion, RawImage, Vector3};
+use crate::proto::google::protobuf::Timestamp;
 use std::f64::consts::FRAC_1_SQRT_2;
 use vigil_types::{
     Alarm, Attitude, DEPTH_COLS, DEPTH_FULL_SCALE_M, DEPTH_PIXELS, DEPTH_ROWS, DepthFrame, Goal, GuidanceState,
@@ -27,7 +26,10 @@ const ROW_BYTES: usize = DEPTH_COLS * 4;
 /// A viewer's time stamp of nanoseconds since the UNIX epoch.
 pub(crate) fn timestamp(at_ns: u64) -> Timestamp {
     let second = 1_000_000_000;
-    u32::try_from(at_ns / second).map_or(Timestamp::MAX, |sec| Timestamp::new(sec, (at_ns % second) as u32))
+    Timestamp {
+        seconds: (at_ns / second) as i64,
+        nanos: (at_ns % second) as i32,
+    }
 }
 
 /// NED → map.
@@ -112,7 +114,7 @@ pub(crate) fn depth_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
         height: DEPTH_ROWS as u32,
         encoding: "32FC1".to_owned(),
         step: ROW_BYTES as u32,
-        data: data.into(),
+        data,
     }
 }
 
@@ -135,7 +137,7 @@ pub(crate) fn range_image(frame: &DepthFrame, at_ns: u64) -> RawImage {
         height: (DEPTH_ROWS / 2) as u32,
         encoding: "16UC1".to_owned(),
         step: DEPTH_COLS as u32,
-        data: data.into(),
+        data,
     }
 }
 
@@ -296,8 +298,12 @@ struct Told {
 
 impl Narrator {
     /// Hands every line that this record calls for to `tell`, with its level.
-    pub(crate) fn lines(&mut self, record: &TickRecord, mut tell: impl FnMut(foxglove::messages::log::Level, String)) {
-        use foxglove::messages::log::Level;
+    pub(crate) fn lines(
+        &mut self,
+        record: &TickRecord,
+        mut tell: impl FnMut(crate::proto::foxglove::log::Level, String),
+    ) {
+        use crate::proto::foxglove::log::Level;
         let report = &record.report;
         let heartbeat = report.telemetry.heartbeat;
         let now = Told {
@@ -349,7 +355,7 @@ impl Narrator {
     }
 }
 
-pub(crate) fn log_line(level: foxglove::messages::log::Level, message: String, at_ns: u64) -> Log {
+pub(crate) fn log_line(level: crate::proto::foxglove::log::Level, message: String, at_ns: u64) -> Log {
     Log {
         timestamp: Some(timestamp(at_ns)),
         level: level as i32,
@@ -417,7 +423,7 @@ mod tests {
 
     #[test]
     fn changes_are_told_once_and_a_hold_for_cause_is_a_warning() {
-        use foxglove::messages::log::Level;
+        use crate::proto::foxglove::log::Level;
         let mut narrator = Narrator::default();
         let mut record = TickRecord::default();
         let mut told = |record: &TickRecord| {

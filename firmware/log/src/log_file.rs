@@ -1,12 +1,12 @@
 //! Writes records into an MCAP file: which channels there are, what goes to which, and when it is flushed.
 
 use crate::display::{self, MAP_FRAME, Narrator, PathTrail};
+use crate::proto::foxglove::log::Level;
+use crate::proto::foxglove::{FrameTransform, Log, PointCloud, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
 use crate::{FlightInfo, Scene, TickRecord, convert, proto};
-use foxglove::messages::log::Level;
-use foxglove::messages::{FrameTransform, Log, PointCloud, PoseInFrame, PosesInFrame, RawImage, SceneUpdate};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, McapResult, WriteOptions};
-use prost::Message;
+use prost::{Message, Name};
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use vigil_types::{Goal, LogContent, Nanos};
@@ -69,46 +69,24 @@ pub(crate) struct Channels {
 impl Channels {
     pub(crate) fn register<W: Write + Seek>(writer: &mut mcap::Writer<W>) -> McapResult<Self> {
         Ok(Self {
-            depth: standard::<RawImage, W>(writer, topic::DEPTH)?,
-            tick: protobuf(
-                writer,
-                topic::TICK,
-                &proto::schema_name("Tick"),
-                proto::FILE_DESCRIPTOR_SET,
-            )?,
-            status: protobuf(
-                writer,
-                topic::STATUS,
-                &proto::schema_name("Status"),
-                proto::FILE_DESCRIPTOR_SET,
-            )?,
-            range: standard::<RawImage, W>(writer, topic::RANGE)?,
-            transform: standard::<FrameTransform, W>(writer, topic::TRANSFORM)?,
-            pose: standard::<PoseInFrame, W>(writer, topic::POSE)?,
-            path: standard::<PosesInFrame, W>(writer, topic::PATH)?,
-            goal: standard::<PoseInFrame, W>(writer, topic::GOAL)?,
-            scene: standard::<SceneUpdate, W>(writer, topic::SCENE)?,
-            scene_points: standard::<PointCloud, W>(writer, topic::SCENE_POINTS)?,
-            log: standard::<Log, W>(writer, topic::LOG)?,
+            depth: channel::<RawImage, W>(writer, topic::DEPTH)?,
+            tick: channel::<proto::Tick, W>(writer, topic::TICK)?,
+            status: channel::<proto::Status, W>(writer, topic::STATUS)?,
+            range: channel::<RawImage, W>(writer, topic::RANGE)?,
+            transform: channel::<FrameTransform, W>(writer, topic::TRANSFORM)?,
+            pose: channel::<PoseInFrame, W>(writer, topic::POSE)?,
+            path: channel::<PosesInFrame, W>(writer, topic::PATH)?,
+            goal: channel::<PoseInFrame, W>(writer, topic::GOAL)?,
+            scene: channel::<SceneUpdate, W>(writer, topic::SCENE)?,
+            scene_points: channel::<PointCloud, W>(writer, topic::SCENE_POINTS)?,
+            log: channel::<Log, W>(writer, topic::LOG)?,
         })
     }
 }
 
-pub(crate) fn standard<T: foxglove::Encode, W: Write + Seek>(
-    writer: &mut mcap::Writer<W>,
-    topic: &str,
-) -> McapResult<u16> {
-    let schema = T::get_schema().ok_or_else(|| McapError::UnknownSchema(topic.to_owned(), 0))?;
-    protobuf(writer, topic, &schema.name, &schema.data)
-}
-
-pub(crate) fn protobuf<W: Write + Seek>(
-    writer: &mut mcap::Writer<W>,
-    topic: &str,
-    schema_name: &str,
-    schema: &[u8],
-) -> McapResult<u16> {
-    let schema = writer.add_schema(schema_name, "protobuf", schema)?;
+/// A channel of messages of one kind, with their schema.
+pub(crate) fn channel<T: Name, W: Write + Seek>(writer: &mut mcap::Writer<W>, topic: &str) -> McapResult<u16> {
+    let schema = writer.add_schema(&T::full_name(), "protobuf", proto::descriptors::<T>())?;
     writer.add_channel(schema, topic, "protobuf", &BTreeMap::new())
 }
 

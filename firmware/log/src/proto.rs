@@ -1,18 +1,32 @@
 //! The log's own messages as they are on disk: protobuf, so that any viewer decodes them by the schema in the file.
 //!
-//! They are written down in `proto/vigil/log.proto`; `tests/generated.rs` makes the types and the schema of it, both committed in
-//! `generated`, so that a build needs no compiler of protobuf. Protobuf gives what a record needs: explicit little-endian numbers,
-//! additive versions, a decoder that answers corrupted bytes with an error.
+//! They are written down in `proto`; `tests/generated.rs` makes types and schemas of it, both committed in `generated`, so that a
+//! build needs no compiler of protobuf. Protobuf gives what a record needs: explicit little-endian numbers, additive versions, a
+//! decoder that answers corrupted bytes with an error.
+
+use prost::Name as _;
 
 include!("../generated/vigil.log.rs");
 
-/// Package of the log's own messages.
-const PACKAGE: &str = "vigil.log";
-
-/// Full name of a message, as a schema's name in the file.
-pub(crate) fn schema_name(message: &str) -> String {
-    format!("{PACKAGE}.{message}")
+/// The messages that viewers know (`proto/foxglove/messages.proto`).
+#[allow(missing_docs, clippy::all, clippy::pedantic, reason = "generated")]
+pub(crate) mod foxglove {
+    include!("../generated/foxglove.rs");
 }
 
-/// The schema of all messages above: an encoded `FileDescriptorSet`.
-pub(crate) const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!("../generated/log.descriptors");
+/// What they refer to.
+#[allow(missing_docs, clippy::all, clippy::pedantic, reason = "generated")]
+pub(crate) mod google {
+    pub(crate) mod protobuf {
+        include!("../generated/google.protobuf.rs");
+    }
+}
+
+/// The schema of a kind of messages: an encoded `FileDescriptorSet` of its whole package.
+pub(crate) fn descriptors<T: prost::Name>() -> &'static [u8] {
+    if T::PACKAGE == Tick::PACKAGE {
+        include_bytes!("../generated/log.descriptors")
+    } else {
+        include_bytes!("../generated/foxglove.descriptors")
+    }
+}

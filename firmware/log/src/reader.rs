@@ -2,8 +2,8 @@
 
 use crate::container::{Container, Next};
 use crate::log_file::{LOG_FORMAT, META, META_END, topic};
+use crate::proto::foxglove::RawImage;
 use crate::{FlightInfo, RecordDefect, TickRecord, convert, display, proto, salvage};
-use foxglove::messages::RawImage;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use prost::Message;

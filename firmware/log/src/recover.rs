@@ -1,8 +1,8 @@
 //! Makes a closed log of one that was not closed or is damaged: everything that is whole, and what was lost in words.
 
 use crate::log_file::{self, META_END, topic};
+use crate::proto::foxglove::RawImage;
 use crate::{LogEnd, ReadError, Reader, TickRecord, convert, display, proto, salvage, tlog};
-use foxglove::messages::RawImage;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record};
 use prost::Message;

@@ -1,8 +1,8 @@
 //! The obstacles for display: a list of solids that the caller hands in; nothing in flight depends on it.
 
 use crate::display::{self, map_point, timestamp};
-use foxglove::messages::packed_element_field::NumericType;
-use foxglove::messages::{
+use crate::proto::foxglove::packed_element_field::NumericType;
+use crate::proto::foxglove::{
     Color, CubePrimitive, CylinderPrimitive, PackedElementField, PointCloud, Pose, Quaternion, SceneEntity,
     SceneUpdate, Vector3,
 };
@@ -208,7 +208,7 @@ impl Scene {
             }),
             point_stride: 12,
             fields: vec![coordinate("x", 0), coordinate("y", 4), coordinate("z", 8)],
-            data: data.into(),
+            data,
         }
     }
 }

@@ -7,8 +7,8 @@ use crate::container::{Container, Next};
 use crate::display::{self, MAP_FRAME};
 use crate::log_file::{self, META_STORY, topic};
 use crate::proto;
+use crate::proto::foxglove::{FrameTransform, PoseInFrame, RawImage};
 use crate::{ReadError, Reader};
-use foxglove::messages::{FrameTransform, PoseInFrame, RawImage};
 use mcap::McapError;
 use mcap::records::{MessageHeader, Metadata, Record};
 use prost::Message;
@@ -80,15 +80,10 @@ impl SideLog {
     pub fn create(path: &Path) -> Result<Self, SideError> {
         let mut sheet = Sheet::create(path)?;
         let begin = |writer: &mut Writer| -> Result<_, McapError> {
-            let truth = log_file::standard::<PoseInFrame, _>(writer, topic::TRUTH)?;
-            let transform = log_file::standard::<FrameTransform, _>(writer, topic::TRANSFORM)?;
-            let attack = log_file::protobuf(
-                writer,
-                topic::ATTACK,
-                &proto::schema_name("Attack"),
-                proto::FILE_DESCRIPTOR_SET,
-            )?;
-            let clean = log_file::standard::<RawImage, _>(writer, topic::CLEAN_DEPTH)?;
+            let truth = log_file::channel::<PoseInFrame, _>(writer, topic::TRUTH)?;
+            let transform = log_file::channel::<FrameTransform, _>(writer, topic::TRANSFORM)?;
+            let attack = log_file::channel::<proto::Attack, _>(writer, topic::ATTACK)?;
+            let clean = log_file::channel::<RawImage, _>(writer, topic::CLEAN_DEPTH)?;
             Ok((truth, transform, attack, clean))
         };
         let (truth, transform, attack, clean) = begin(&mut sheet.writer).map_err(at(path))?;

@@ -4,8 +4,8 @@ use crate::container::{Container, Next};
 use crate::display;
 use crate::log_file::{META_STORY, topic};
 use crate::proto;
+use crate::proto::foxglove::{Log, PoseInFrame, RawImage, SceneUpdate};
 use crate::{ReadError, Reader, SceneSolid};
-use foxglove::messages::{Log, PoseInFrame, RawImage, SceneUpdate};
 use mcap::records::{Record, op};
 use prost::Message;
 use std::collections::{BTreeMap, HashMap};
@@ -133,7 +133,7 @@ impl Story {
             }
             topic::LOG => {
                 if let Ok(log) = Log::decode(data) {
-                    use foxglove::messages::log::Level;
+                    use crate::proto::foxglove::log::Level;
                     self.lines.push(Line {
                         at_ns,
                         weight: match log.level {

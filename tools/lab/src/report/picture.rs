@@ -4,6 +4,7 @@ use base64::Engine as _;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::FontStyle;
+use std::collections::BTreeSet;
 use std::sync::Once;
 
 /// Roboto (Apache-2.0), cut down to Latin, Greek and mathematical signs: the same letters on every machine.
@@ -106,7 +107,7 @@ pub trait Picture {
         let mut images = String::new();
         for raster in self.rasters() {
             let [x, y, width, height] = raster.place;
-            let png = png_bytes(raster.size, png::ColorType::Rgb, &raster.rgb, false);
+            let png = raster_png(&raster);
             let data = base64::engine::general_purpose::STANDARD.encode(png);
             images += &format!(
                 "<image x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\" preserveAspectRatio=\"none\" style=\"image-rendering:pixelated\" href=\"data:image/png;base64,{data}\"/>\n"
@@ -133,23 +134,52 @@ fn drawn<P: Picture + ?Sized, DB: DrawingBackend>(picture: &P, area: &DrawingAre
 /// # Panics
 /// Pixels of another size.
 pub fn png_bytes(size: (u32, u32), colour: png::ColorType, pixels: &[u8], with_dpi: bool) -> Vec<u8> {
+    encoded(size, pixels, |encoder| {
+        encoder.set_color(colour);
+        if with_dpi {
+            encoder.set_pixel_dims(Some(png::PixelDimensions {
+                xppu: DOTS_PER_M,
+                yppu: DOTS_PER_M,
+                unit: png::Unit::Meter,
+            }));
+        }
+    })
+}
+
+fn encoded(
+    size: (u32, u32),
+    pixels: &[u8],
+    set: impl for<'a> FnOnce(&mut png::Encoder<'a, &'a mut Vec<u8>>),
+) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, size.0, size.1);
-    encoder.set_color(colour);
     encoder.set_compression(png::Compression::High);
-    if with_dpi {
-        encoder.set_pixel_dims(Some(png::PixelDimensions {
-            xppu: DOTS_PER_M,
-            yppu: DOTS_PER_M,
-            unit: png::Unit::Meter,
-        }));
-    }
+    set(&mut encoder);
     let written = encoder
         .write_header()
         .and_then(|mut writer| writer.write_image_data(pixels));
     // Writing to memory fails only for a picture of the wrong size.
     written.unwrap_or_else(|e| unreachable!("{e}"));
     bytes
+}
+
+/// A raster as a PNG: with a palette, often half as large, or without.
+fn raster_png(raster: &Raster) -> Vec<u8> {
+    let colours: BTreeSet<&[u8]> = raster.rgb.chunks_exact(3).collect();
+    let colours: Vec<&[u8]> = colours.into_iter().collect();
+    let plain = png_bytes(raster.size, png::ColorType::Rgb, &raster.rgb, false);
+    if colours.len() > 256 {
+        return plain;
+    }
+    let index = |pixel| colours.binary_search(&pixel).unwrap_or_default() as u8;
+    let pixels: Vec<u8> = raster.rgb.chunks_exact(3).map(index).collect();
+    let indexed = encoded(raster.size, &pixels, |encoder| {
+        encoder.set_color(png::ColorType::Indexed);
+        encoder.set_palette(colours.concat());
+        // Indices compress best as they are (PNG specification, 12.7).
+        encoder.set_filter(png::Filter::NoFilter);
+    });
+    if indexed.len() < plain.len() { indexed } else { plain }
 }
 
 /// Round numbers from `low` to `high`, at most `most` of them: multiples of 1, 2 or 5 times a power of ten.
