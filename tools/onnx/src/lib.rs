@@ -11,6 +11,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod adapter;
 mod beside;
 mod constant;
 mod export;
@@ -19,5 +20,6 @@ mod import;
 mod movement;
 mod proto;
 
+pub use adapter::{Adapter, Flat, FlatGoal};
 pub use export::{ExportError, export};
-pub use import::{Adapter, Flat, FlatGoal, ImportError, import};
+pub use import::{ImportError, import};

@@ -1,0 +1,79 @@
+//! What a policy is given, and what is done with what it gives.
+
+use vigil_policy::imported::{Channels, Depth};
+
+/// How the policy is given what we have: see [`PolicyInputs`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Adapter {
+    /// What its channels are.
+    pub order: Channels,
+    /// What a pixel is.
+    pub depth: Depth,
+    /// Every pixel is multiplied by it.
+    pub scale: f32,
+    /// Its outputs are multiplied by it.
+    pub output_scale: f32,
+    /// The row of values that it takes, if it takes no picture.
+    pub flat: Option<Flat>,
+    /// The output that is the action, where there are several.
+    pub output: Option<String>,
+    /// The node, or its output, whose values are explained; absent: the last layer with weights that can be.
+    pub split: Option<String>,
+}
+
+impl Default for Adapter {
+    fn default() -> Self {
+        Self {
+            order: Channels::default(),
+            depth: Depth::default(),
+            scale: 1.0,
+            output_scale: 1.0,
+            flat: None,
+            output: None,
+            split: None,
+        }
+    }
+}
+
+/// Where the goal is in a policy's one row of values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FlatGoal {
+    /// It has none.
+    None,
+    /// Before the frame.
+    First,
+    /// After it.
+    Last,
+}
+
+/// A frame that a policy takes as a row of values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Flat {
+    /// Channels, rows and columns, or rows, columns and channels where the last number is less than the first; the last runs fastest.
+    pub frame: [usize; 3],
+    /// The goal in the same row.
+    pub goal: FlatGoal,
+}
+
+impl std::str::FromStr for Flat {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (frame, goal) = match (text.strip_prefix("goal+"), text.strip_suffix("+goal")) {
+            (Some(frame), _) => (frame, FlatGoal::First),
+            (_, Some(frame)) => (frame, FlatGoal::Last),
+            _ => (text, FlatGoal::None),
+        };
+        let sizes: Option<Vec<usize>> = frame
+            .split('x')
+            .map(|size| size.parse().ok().filter(|n| *n > 0))
+            .collect();
+        match sizes.as_deref() {
+            Some([a, b, c]) => Ok(Self {
+                frame: [*a, *b, *c],
+                goal,
+            }),
+            _ => Err("three sizes are wanted, as 1x24x32, 1x24x32+goal or goal+1x24x32".to_owned()),
+        }
+    }
+}

@@ -1,0 +1,63 @@
+//! What an action is computed from.
+
+use crate::constant::Constant;
+use crate::proto::{Graph, Node};
+use std::collections::{HashMap, HashSet};
+
+/// What the action is computed from: nothing else of a model is looked at.
+pub(super) struct Needed<'a> {
+    pub(super) nodes: Vec<bool>,
+    pub(super) tensors: HashSet<&'a str>,
+    /// Outputs of nodes that are [`is_softplus_in_pieces`]: their third input, the others are not computed.
+    pub(super) pieces: HashSet<&'a str>,
+}
+
+impl<'a> Needed<'a> {
+    pub(super) fn by(graph: &'a Graph, action: &'a str) -> Self {
+        let mut producers = HashMap::new();
+        for (number, node) in graph.node.iter().enumerate() {
+            for output in node.output.iter().filter(|output| !output.is_empty()) {
+                producers.entry(output.as_str()).or_insert(number);
+            }
+        }
+        let mut nodes = vec![false; graph.node.len()];
+        let (mut tensors, mut pieces) = (HashSet::new(), HashSet::new());
+        let mut open = vec![action];
+        while let Some(name) = open.pop() {
+            if !tensors.insert(name) {
+                continue;
+            }
+            if let Some(number) = producers.get(name)
+                && let (Some(is_needed), Some(node)) = (nodes.get_mut(*number), graph.node.get(*number))
+                && !std::mem::replace(is_needed, true)
+            {
+                let in_pieces = is_softplus_in_pieces(graph, |name| producers.get(name).copied(), node);
+                if in_pieces {
+                    pieces.insert(name);
+                }
+                let read = node.input.iter().skip(if in_pieces { 2 } else { 0 });
+                open.extend(read.map(String::as_str).filter(|input| !input.is_empty()));
+            }
+        }
+        Self { nodes, tensors, pieces }
+    }
+}
+
+/// Whether a node is `x > threshold ? x : softplus(x)`, as PyTorch's softplus is written out: from 15 on both are the same number.
+fn is_softplus_in_pieces(graph: &Graph, producer: impl Fn(&str) -> Option<usize>, node: &Node) -> bool {
+    let [condition, x, softplus] = node.input.as_slice() else {
+        return false;
+    };
+    let made_by = |name: &str, operator: &str| {
+        let node = graph.node.get(producer(name)?)?;
+        (node.op_type == operator).then_some(node.input.as_slice())
+    };
+    let threshold = |name: &str| {
+        let tensor = graph.initializer.iter().find(|tensor| tensor.name == name);
+        let constant = tensor.and_then(|tensor| Constant::of(tensor).ok());
+        constant.is_some_and(|constant| constant.real().is_ok_and(|all| all.iter().all(|value| *value >= 15.0)))
+    };
+    node.op_type == "Where"
+        && matches!(made_by(softplus, "Softplus"), Some([of]) if of == x)
+        && matches!(made_by(condition, "Greater"), Some([of, bound]) if of == x && threshold(bound))
+}

@@ -1,0 +1,184 @@
+//! The operator of each node: a constant, or the layers that compute it.
+
+use super::importer::{Importer, Live, Settings, Value, shape_of};
+use super::places::expanded;
+use crate::constant::{Constant, Data, len_of};
+use crate::fold;
+use crate::proto::Node;
+use std::rc::Rc;
+use vigil_nnet::{Activation, Function};
+
+/// The operators that are known, for the message about others.
+const KNOWN: &str = "Abs, Add, AveragePool, BatchNormalization, Cast, Celu, Clip, Concat, Constant, Conv, Div, Dropout, Elu, Erf, \
+    Exp, Expand, Flatten, GRU, Gather, Gelu, Gemm, GlobalAveragePool, GlobalMaxPool, HardSigmoid, HardSwish, Identity, LSTM, LayerNormalization, \
+    LeakyRelu, Log, MatMul, Max, MaxPool, Min, Mish, Mul, Neg, PRelu, Pow, Reciprocal, ReduceMax, ReduceMean, ReduceSum, Relu, Reshape, Selu, \
+    Shape, Sigmoid, Slice, Softplus, Softsign, Split, Sqrt, Squeeze, Sub, Sum, Swish, Tanh, Transpose, Unsqueeze";
+
+impl<'a> Importer<'a> {
+    pub(super) fn node(&mut self, node: &'a Node) -> Result<(), String> {
+        let settings = Settings(&node.attribute);
+        let unknown = || format!("this operator is not supported; there are {KNOWN}");
+        if !(node.domain.is_empty() || node.domain == "ai.onnx") {
+            return Err(unknown());
+        }
+        if node
+            .output
+            .first()
+            .is_some_and(|name| self.pieces.contains(name.as_str()))
+        {
+            let (_, softplus) = self.input(node, 2)?;
+            return self.set(node, 0, softplus);
+        }
+        if let Some(constant) = self.folded(node, &settings)? {
+            return self.set(node, 0, Value::Constant(Rc::new(constant)));
+        }
+        let result = match node.op_type.as_str() {
+            "GRU" | "LSTM" => return self.recurrent(node, &settings),
+            "Split" => return self.split(node, &settings),
+            "Concat" => self.concat(node, &settings)?,
+            "Max" | "Min" | "Sum" => self.of_several(node)?,
+            "Constant" => Value::Constant(Rc::new(stated(&settings)?)),
+            "Shape" => {
+                let (_, value) = self.input(node, 0)?;
+                let sizes = shape_of(&value).iter().map(|size| *size as i64).collect();
+                Value::Constant(Rc::new(Constant::row(Data::Whole(sizes))))
+            }
+            "Identity" | "Dropout" | "Cast" | "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose"
+            | "Slice" | "Gather" | "Expand" => self.movement(node, &settings)?,
+            _ => Value::Live(self.layer(node, &settings)?.ok_or_else(unknown)?),
+        };
+        self.set(node, 0, result)
+    }
+
+    /// The layers of a node that computes; `None` for an operator that is not known.
+    fn layer(&mut self, node: &Node, settings: &Settings<'_>) -> Result<Option<Live>, String> {
+        let alpha = |usual: f32| settings.real("alpha", usual);
+        let result = match node.op_type.as_str() {
+            "Relu" => self.curve(node, Activation::Relu),
+            "Tanh" => self.curve(node, Activation::TANH),
+            "Sigmoid" => self.curve(node, Activation::Sigmoid),
+            "Elu" if alpha(1.0) == 1.0 => self.curve(node, Activation::Elu),
+            "Elu" => self.function(node, Function::Elu { alpha: alpha(1.0) }),
+            "LeakyRelu" => self.function(node, Function::LeakyRelu { alpha: alpha(0.01) }),
+            "Softplus" => self.function(node, Function::Softplus),
+            "Exp" => self.function(node, Function::Exp),
+            "Log" => self.function(node, Function::Log),
+            "Abs" => self.function(node, Function::Abs),
+            "Erf" => self.function(node, Function::Erf),
+            "Sqrt" => self.function(node, Function::Power { exponent: 0.5 }),
+            "Reciprocal" => self.function(node, Function::Power { exponent: -1.0 }),
+            "Neg" => {
+                let x = self.live(node, 0)?;
+                self.moved_by(&x, -1.0, 0.0)
+            }
+            "Clip" => self.clip(node, settings),
+            "Pow" => self.power(node),
+            "Selu" | "Celu" | "PRelu" | "Softsign" | "HardSigmoid" | "HardSwish" | "Mish" | "Gelu" | "Swish" => {
+                self.composed(node, settings)
+            }
+            "LayerNormalization" => self.layer_norm(node, settings),
+            "ReduceMean" | "ReduceSum" => self.reduce(node, settings),
+            "Gemm" => self.gemm(node, settings),
+            "MatMul" => self.mat_mul(node),
+            "Conv" => self.conv(node, settings),
+            "MaxPool" | "GlobalMaxPool" => self.max_pool(node, settings),
+            "ReduceMax" => self.reduce_max(node, settings),
+            "AveragePool" => self.average_pool(node, settings),
+            "GlobalAveragePool" => self.global_average(node),
+            "BatchNormalization" => self.batch_norm(node, settings),
+            "Add" | "Sub" | "Mul" | "Div" => self.affine(node),
+            _ => return Ok(None),
+        };
+        result.map(Some)
+    }
+
+    /// The constant that a node is whose inputs are all constants, if it is one that is known.
+    fn folded(&self, node: &Node, settings: &Settings<'_>) -> Result<Option<Constant>, String> {
+        let mut operator = node.op_type.as_str();
+        let mut given = Vec::new();
+        for (i, _) in node.input.iter().enumerate().filter(|(_, name)| !name.is_empty()) {
+            match self.input(node, i)?.1 {
+                Value::Constant(constant) => given.push(constant),
+                Value::Live(_) => return Ok(None),
+            }
+        }
+        let Some(first) = given.first() else {
+            return Ok(None);
+        };
+        match operator {
+            "Clip" if node.input.get(1).is_none_or(String::is_empty) && given.len() == 2 => operator = "Min",
+            "Reshape" | "Flatten" | "Squeeze" | "Unsqueeze" | "Transpose" | "Slice" | "Gather" | "Identity"
+            | "Dropout" | "Concat" | "Split" | "Shape" => return Ok(None),
+            "Cast" => return first.cast(settings.whole("to", 1)).map(Some),
+            "ConstantOfShape" => {
+                let shape: Option<Vec<usize>> = first.whole()?.iter().map(|size| usize::try_from(*size).ok()).collect();
+                let shape = shape.ok_or("a shape with a negative size")?;
+                let value = match settings.get("value").and_then(|attribute| attribute.t.as_ref()) {
+                    Some(tensor) => Constant::of(tensor)?,
+                    None => Constant::one(Data::Real(vec![0.0])),
+                };
+                let places = vec![0; len_of(&shape)?];
+                return Ok(Some(value.moved(shape, &places)));
+            }
+            "Expand" => {
+                let wanted = given.get(1).ok_or("it has no shape")?;
+                let (shape, places) = expanded(&first.shape, wanted)?;
+                return Ok(Some(first.moved(shape, &places)));
+            }
+            "ReduceMean" | "ReduceSum" | "ReduceProd" | "ReduceMax" | "ReduceMin" => {
+                let (along, shape) = self.reduction(node, settings, &first.shape)?;
+                return fold::reduce(operator, first, &along, shape).map(Some);
+            }
+            _ => {}
+        }
+        let constant = fold::fold(operator, &given)?;
+        match &constant {
+            Some(Constant {
+                data: Data::Real(values),
+                ..
+            }) if !values.iter().all(|value| value.is_finite()) => {
+                Err("what it makes of constants is not finite".to_owned())
+            }
+            _ => Ok(constant),
+        }
+    }
+
+    /// Along which axes a reduction goes, and the shape that it leaves.
+    pub(super) fn reduction(
+        &self,
+        node: &Node,
+        settings: &Settings<'_>,
+        shape: &[usize],
+    ) -> Result<(Vec<bool>, Vec<usize>), String> {
+        let axes = self.list(node, settings, "axes", 1)?;
+        let [keep, noop] =
+            [("keepdims", 1), ("noop_with_empty_axes", 0)].map(|(name, usual)| settings.whole(name, usual) != 0);
+        fold::reduced(shape, axes.as_deref(), keep, noop)
+    }
+
+    pub(super) fn set(&mut self, node: &'a Node, i: usize, value: Value) -> Result<(), String> {
+        let name = node.output.get(i).ok_or("it has no output")?;
+        if self.tensors.insert(name, value).is_some() {
+            return Err(format!("its output `{name}` is computed twice"));
+        }
+        Ok(())
+    }
+}
+
+/// What a node `Constant` states.
+fn stated(settings: &Settings<'_>) -> Result<Constant, String> {
+    let given = |name: &str| settings.get(name);
+    if let Some(tensor) = given("value").and_then(|attribute| attribute.t.as_ref()) {
+        Constant::of(tensor)
+    } else if let Some(list) = given("value_ints") {
+        Ok(Constant::row(Data::Whole(list.ints.clone())))
+    } else if let Some(list) = given("value_floats") {
+        Ok(Constant::row(Data::Real(list.floats.clone())))
+    } else if let Some(one) = given("value_int") {
+        Ok(Constant::one(Data::Whole(vec![one.i])))
+    } else if let Some(one) = given("value_float") {
+        Ok(Constant::one(Data::Real(vec![one.f])))
+    } else {
+        Err("it holds no tensor of numbers".to_owned())
+    }
+}
