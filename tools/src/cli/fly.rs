@@ -1,7 +1,8 @@
 //! `vigil fly`: one flight in real time, simulator and firmware as processes of their own.
 
-use crate::cli::family;
-use crate::cli::foreign::{ForeignArgs, PilotWatch, PoseWatch, start_sensor};
+use crate::cli::child_process::{END_LIMIT, Process, read_statuses};
+use crate::cli::flight_watch::{Flight, Terminal, TruePose, watch};
+use crate::cli::foreign::{ForeignArgs, start_sensor};
 use crate::cli::lab;
 use crate::cli::live::Live;
 use crate::cli::log::film_name;
@@ -10,15 +11,12 @@ use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_derived::{Wanted, derive};
 use crate::flight_report::{self, EXPLAINED};
-use anyhow::{Context, Result, bail, ensure};
-use indicatif::{ProgressBar, ProgressStyle};
+use anyhow::{Context, Result, ensure};
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufRead, BufReader, IsTerminal, Read};
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
-use std::thread::JoinHandle;
+use std::process::{Child, Command, ExitCode};
+use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use vigil_adversary::AttackArgs;
 use vigil_adversary::process::RAW_TOPIC;
@@ -28,23 +26,11 @@ use vigil_log::SideLog;
 use vigil_sim::program::{Status, ending_code};
 use vigil_sim::world::{Course, FlightPath};
 use vigil_sim::{CourseChoice, SensorFault, VehicleChoice};
-use vigil_types::{Attitude, Choice, LogContent, Nanos, NedVector};
+use vigil_types::{Choice, LogContent, Nanos};
 
 /// What simulator and adversary know besides the firmware's log, until it is put into it.
 const SIMULATOR_NOTES: &str = "simulator.part";
 const ADVERSARY_NOTES: &str = "adversary.part";
-/// After reaching the goal the vehicle may take this long to land.
-const LANDING_LIMIT: Duration = Duration::from_secs(30);
-/// A vehicle that flew and stands disarmed for so long does not go on: its autopilot, or a person, ended the flight.
-const DISARMED_LIMIT: Duration = Duration::from_secs(5);
-/// Above this height it flies, metres.
-const FLIES_M: f32 = 1.0;
-/// Diagnostics of a child beyond this are not shown.
-const SIZE_LIMIT: u64 = 1 << 20;
-/// A simulator that says nothing for so long is given up.
-const SILENCE_LIMIT: Duration = Duration::from_secs(5);
-/// A child that was asked to end gets this long before it is killed.
-const END_LIMIT: Duration = Duration::from_secs(5);
 
 /// Arguments of `vigil fly`.
 #[derive(Debug, Clone, clap::Args)]
@@ -174,90 +160,17 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     }
     let interrupt = Interrupt::on_ctrl_c()?;
     let folder = make_folder(&args.log, seed)?;
-    let course_file = folder.join("course.toml");
-    course.save(&course_file)?;
-    let scene_file = folder.join("scene.json");
-    crate::cli::scene::of(&course).save(&scene_file)?;
-
-    // What simulator and sensor have in common.
-    let world = |c: &mut Command| {
-        c.arg("--status").arg("--course").arg(&course_file);
-        c.args(["--seed", &seed.to_string(), "--instance", &args.instance.to_string()]);
-        if let Some(config) = &args.config {
-            c.arg("--config").arg(config);
-        }
-        if args.attack.attack.is_some() {
-            c.args(["--frames", RAW_TOPIC]);
-        }
-        if let Some(fault) = args.sensor_fault {
-            c.args(["--sensor-fault", &fault.to_string()]);
-        }
-        if let Some(key) = &args.frame_key {
-            c.arg("--frame-key").arg(key);
-        }
-    };
-    let mut simulator = match args.foreign.is_foreign() {
-        true => start_sensor(&args.foreign, &folder, args.instance, world)?,
-        false => Process::start("simulator", &folder, |c| {
-            c.arg("sim");
-            c.arg(format!("--second-sensor-heads={}", args.second_sensor.heads));
-            args.vehicle.hand_on(c);
-            world(c);
-        })?,
-    };
-    let statuses = read_statuses(&mut simulator)?;
-    let goal = course.goal_ned_m();
-    let adversary = args.attack.attack.map(|_| {
-        Process::start("adversary", &folder, |c| {
-            c.arg("adversary").args(["--instance", &args.instance.to_string()]);
-            c.args(["--seed", &seed.to_string()]);
-            c.arg(format!("--goal={},{}", goal.x, goal.y))
-                .arg(format!("--height={}", -goal.z));
-            if let Some(file) = args.pilot.actor_file() {
-                c.arg("--actor").arg(file);
-            }
-            args.attack.hand_on(c);
-            c.arg("--record").arg(folder.join(ADVERSARY_NOTES));
-        })
-        .map(Process::listening)
-    });
-    let mut adversary = adversary.transpose()?;
-    let mut firmware = Process::start("firmware", &folder, |c| {
-        c.arg("firmware").args(["--instance", &args.instance.to_string()]);
-        c.args(["--engage", "auto", "--at-goal", "land"]);
-        c.arg(format!("--goal={},{}", goal.x, goal.y))
-            .arg(format!("--height={}", -goal.z));
-        if let Some(key) = &args.frame_key {
-            c.arg("--frame-key").arg(key);
-        }
-        c.arg("--log").arg(&folder).arg("--scene").arg(&scene_file);
-        c.args(["--log-content", args.log_content.name()]);
-        args.foreign.firmware(c, args.instance);
-        match args.second_sensor.heads {
-            0 => args.pilot.hand_on(c),
-            _ => args.pilot.with_second_sensor().hand_on(c),
-        }
-    })?
-    .listening();
-
-    let title = match &args.course.course {
-        Some(file) => format!("course {}", file.display()),
-        None => format!("{:?} course {seed}", args.course.family).to_lowercase(),
-    };
+    let mut processes = Processes::start(args, &course, seed, &folder)?;
     let mut viewer = args.view.then(|| args.viewer.follow(&folder)).transpose()?;
-    let terminal = if args.quiet {
-        Terminal::Quiet
-    } else if std::io::stderr().is_terminal() {
-        let columns = console_columns();
-        Terminal::Live(Box::new(Live::new(title, &course, threshold(args, &course), columns)))
-    } else {
-        Terminal::Lines(title)
-    };
-    let watched = watch(&terminal, &statuses, &mut simulator, &mut firmware, &interrupt);
-    // The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
-    let firmware_said = firmware.end()?;
-    simulator.end()?;
-    let adversary_said = adversary.as_mut().map(Process::end).transpose()?;
+    let mut terminal = terminal(args, &course, seed);
+    let watched = watch(
+        &mut terminal,
+        &processes.statuses,
+        &mut processes.simulator,
+        &mut processes.firmware,
+        &interrupt,
+    );
+    let said = processes.end()?;
     let Flight { last, path, truth } = watched?;
     // The path ends with the flight, the truth with the watch.
     let ended_ns = truth.get(path.len()).map(|pose| pose.at_ns);
@@ -280,13 +193,7 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
     if let Some(script) = &mut viewer {
         end_viewer(script, &folder)?;
     }
-    let code = summarise(
-        &course,
-        &last,
-        &folder,
-        (&firmware_said, adversary_said.as_deref()),
-        interrupt.came(),
-    )?;
+    let code = summarise(&course, &last, &folder, &said, interrupt.came())?;
     match film {
         None => {}
         Some(Ok(told)) => say!("film      {}", told.trim_end()),
@@ -294,6 +201,120 @@ pub fn run(args: &FlyArgs) -> Result<ExitCode> {
         Some(Err(error)) => tell!("vigil: {}", vigil_firmware::program::told(&error)),
     }
     Ok(code)
+}
+
+/// What is shown of the flight while it flies.
+fn terminal(args: &FlyArgs, course: &Course, seed: u64) -> Terminal {
+    let title = match &args.course.course {
+        Some(file) => format!("course {}", file.display()),
+        None => format!("{:?} course {seed}", args.course.family).to_lowercase(),
+    };
+    if args.quiet {
+        Terminal::Quiet
+    } else if std::io::stderr().is_terminal() {
+        let columns = console_columns();
+        Terminal::Live(Box::new(Live::new(title, course, threshold(args, course), columns)))
+    } else {
+        Terminal::lines(title)
+    }
+}
+
+/// The programs that fly together.
+struct Processes {
+    firmware: Process,
+    adversary: Option<Process>,
+    simulator: Process,
+    statuses: Receiver<Status>,
+}
+
+/// What they reported when they ended.
+struct Said {
+    firmware: String,
+    adversary: Option<String>,
+}
+
+impl Processes {
+    /// Starts them, each with its own part of the arguments; the course and its scene are written into the folder.
+    fn start(args: &FlyArgs, course: &Course, seed: u64, folder: &Path) -> Result<Self> {
+        let course_file = folder.join("course.toml");
+        course.save(&course_file)?;
+        let scene_file = folder.join("scene.json");
+        crate::cli::scene::of(course).save(&scene_file)?;
+        // What simulator and sensor have in common.
+        let world = |c: &mut Command| {
+            c.arg("--status").arg("--course").arg(&course_file);
+            c.args(["--seed", &seed.to_string(), "--instance", &args.instance.to_string()]);
+            if let Some(config) = &args.config {
+                c.arg("--config").arg(config);
+            }
+            if args.attack.attack.is_some() {
+                c.args(["--frames", RAW_TOPIC]);
+            }
+            if let Some(fault) = args.sensor_fault {
+                c.args(["--sensor-fault", &fault.to_string()]);
+            }
+            if let Some(key) = &args.frame_key {
+                c.arg("--frame-key").arg(key);
+            }
+        };
+        let mut simulator = match args.foreign.is_foreign() {
+            true => start_sensor(&args.foreign, folder, args.instance, world)?,
+            false => Process::start("simulator", folder, |c| {
+                c.arg("sim");
+                c.arg(format!("--second-sensor-heads={}", args.second_sensor.heads));
+                args.vehicle.hand_on(c);
+                world(c);
+            })?,
+        };
+        let statuses = read_statuses(&mut simulator)?;
+        let goal = course.goal_ned_m();
+        let adversary = args.attack.attack.map(|_| {
+            Process::start("adversary", folder, |c| {
+                c.arg("adversary").args(["--instance", &args.instance.to_string()]);
+                c.args(["--seed", &seed.to_string()]);
+                c.arg(format!("--goal={},{}", goal.x, goal.y))
+                    .arg(format!("--height={}", -goal.z));
+                if let Some(file) = args.pilot.actor_file() {
+                    c.arg("--actor").arg(file);
+                }
+                args.attack.hand_on(c);
+                c.arg("--record").arg(folder.join(ADVERSARY_NOTES));
+            })
+            .map(Process::listening)
+        });
+
+        let firmware = Process::start("firmware", folder, |c| {
+            c.arg("firmware").args(["--instance", &args.instance.to_string()]);
+            c.args(["--engage", "auto", "--at-goal", "land"]);
+            c.arg(format!("--goal={},{}", goal.x, goal.y))
+                .arg(format!("--height={}", -goal.z));
+            if let Some(key) = &args.frame_key {
+                c.arg("--frame-key").arg(key);
+            }
+            c.arg("--log").arg(folder).arg("--scene").arg(&scene_file);
+            c.args(["--log-content", args.log_content.name()]);
+            args.foreign.firmware(c, args.instance);
+            match args.second_sensor.heads {
+                0 => args.pilot.hand_on(c),
+                _ => args.pilot.with_second_sensor().hand_on(c),
+            }
+        })?
+        .listening();
+        Ok(Self {
+            firmware,
+            adversary: adversary.transpose()?,
+            simulator,
+            statuses,
+        })
+    }
+
+    /// The firmware ends first, so that its last setpoints still find a vehicle and its log is closed properly.
+    fn end(&mut self) -> Result<Said> {
+        let firmware = self.firmware.end()?;
+        self.simulator.end()?;
+        let adversary = self.adversary.as_mut().map(Process::end).transpose()?;
+        Ok(Said { firmware, adversary })
+    }
 }
 
 /// Puts what only the simulation knows into the flight's log, and makes the report beside it.
@@ -411,158 +432,6 @@ fn adversary_in_words(said: &str) -> String {
     text
 }
 
-/// A child that is asked to end, and killed if it does not, however this program ends.
-pub struct Process {
-    name: &'static str,
-    child: Child,
-    /// Its diagnostics.
-    stderr_file: PathBuf,
-    /// What it reports on standard output, read while it runs; the simulator's statuses are read elsewhere.
-    report: Option<JoinHandle<String>>,
-}
-
-impl Process {
-    /// Starts this program again as `name`, arranged; what it says on standard error goes to a file in the folder.
-    ///
-    /// # Errors
-    /// It cannot be started.
-    pub fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
-        let program = std::env::current_exe().context("cannot find this program's own file")?;
-        let stderr_file = folder.join(format!("{name}.log"));
-        let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
-        let mut command = Command::new(program);
-        command.args(family::arguments());
-        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
-        arrange(&mut command);
-        let child = command.spawn().with_context(|| format!("cannot start the {name}"))?;
-        Ok(Self {
-            name,
-            child,
-            stderr_file,
-            report: None,
-        })
-    }
-
-    /// Keeps what it reports until it ends.
-    fn listening(mut self) -> Self {
-        self.report = self.child.stdout.take().map(|mut pipe| {
-            std::thread::spawn(move || {
-                let mut text = String::new();
-                // What is no text, or comes after a failure, is no report.
-                let _ = pipe.read_to_string(&mut text);
-                text
-            })
-        });
-        self
-    }
-
-    /// Looks whether the child still runs.
-    ///
-    /// # Errors
-    /// It has ended, with the last of what it said.
-    pub fn check(&mut self) -> Result<()> {
-        if let Some(status) = self.child.try_wait()? {
-            let said = self.said();
-            let lines: Vec<&str> = said.lines().collect();
-            let tail = lines[lines.len().saturating_sub(6)..].join("\n  ");
-            bail!("the {} ended in flight ({status}); it said last:\n  {tail}", self.name);
-        }
-        Ok(())
-    }
-
-    fn said(&self) -> String {
-        vigil_types::files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default()
-    }
-
-    /// Ends the child and returns what it reported.
-    ///
-    /// # Errors
-    /// The system's.
-    pub fn end(&mut self) -> Result<String> {
-        if self.child.try_wait()?.is_none() {
-            let pid = rustix::process::Pid::from_child(&self.child);
-            rustix::process::kill_process(pid, rustix::process::Signal::TERM)?;
-            let asked = Instant::now();
-            while self.child.try_wait()?.is_none() {
-                if asked.elapsed() > END_LIMIT {
-                    tell!(
-                        "vigil: the {} did not end within {} s and is killed",
-                        self.name,
-                        END_LIMIT.as_secs()
-                    );
-                    self.child.kill()?;
-                }
-                std::thread::sleep(Duration::from_millis(20));
-            }
-        }
-        // The reader does not panic, and ends with the pipe.
-        Ok(self
-            .report
-            .take()
-            .and_then(|reader| reader.join().ok())
-            .unwrap_or_default())
-    }
-}
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        if let Ok(None) = self.child.try_wait() {
-            // Nothing can be done about a child that cannot be killed.
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
-    }
-}
-
-/// The simulator's statuses, as they come.
-///
-/// # Errors
-/// They are read already.
-pub fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
-    let pipe = simulator.child.stdout.take().context("the simulator has no output")?;
-    let (sender, receiver) = channel();
-    std::thread::spawn(move || {
-        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
-            match serde_json::from_str(&line) {
-                Ok(status) => {
-                    if sender.send(status).is_err() {
-                        break;
-                    }
-                }
-                Err(error) => tracing::warn!("the simulator said something unreadable: {error}: {line}"),
-            }
-        }
-    });
-    Ok(receiver)
-}
-
-/// A true pose.
-struct TruePose {
-    at_ns: Nanos,
-    position_ned_m: NedVector,
-    attitude: Attitude,
-}
-
-/// What was seen of a flight.
-#[derive(Default)]
-struct Flight {
-    last: Option<Status>,
-    /// True poses up to the end of the watch.
-    truth: Vec<TruePose>,
-    /// True positions up to the ending.
-    path: Vec<NedVector>,
-}
-
-/// What is shown while it flies.
-enum Terminal {
-    /// Nothing.
-    Quiet,
-    /// A line every two seconds, under this title.
-    Lines(String),
-    /// A picture that is drawn anew.
-    Live(Box<Live>),
-}
-
 /// Columns of the terminal.
 fn console_columns() -> usize {
     rustix::termios::tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col).max(20))
@@ -600,116 +469,6 @@ fn end_viewer(script: &mut Child, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Follows the flight until it is over.
-fn watch(
-    terminal: &Terminal,
-    statuses: &Receiver<Status>,
-    simulator: &mut Process,
-    firmware: &mut Process,
-    interrupt: &Interrupt,
-) -> Result<Flight> {
-    let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
-    let mut flight = Flight::default();
-    let mut last_printed_s = f64::NEG_INFINITY;
-    let mut reached_at: Option<Instant> = None;
-    let (mut has_flown, mut disarmed_at) = (false, None::<Instant>);
-    let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
-    while !interrupt.came() {
-        match statuses.recv_timeout(SILENCE_LIMIT) {
-            Ok(status) => {
-                match terminal {
-                    Terminal::Live(live) => {
-                        bar.set_message(live.picture(&flight.path, &status));
-                        bar.tick();
-                    }
-                    Terminal::Lines(title) if status.time_s - last_printed_s >= 2.0 => {
-                        tell!("{title}  {}", state_line(&status));
-                        last_printed_s = status.time_s;
-                    }
-                    Terminal::Lines(_) | Terminal::Quiet => {}
-                }
-                // Of a foreign vehicle that cannot be placed there is nothing to keep.
-                if status.pose.is_none() {
-                    let [x, y, z] = status.position_ned_m;
-                    if status.outcome.is_none() {
-                        flight.path.push(NedVector::new(x, y, z));
-                    }
-                    let [qw, qx, qy, qz] = status.attitude;
-                    flight.truth.push(TruePose {
-                        at_ns: status.at_ns,
-                        position_ned_m: NedVector::new(x, y, z),
-                        attitude: Attitude {
-                            w: qw,
-                            x: qx,
-                            y: qy,
-                            z: qz,
-                        },
-                    });
-                }
-                flight.last = Some(status);
-            }
-            Err(RecvTimeoutError::Timeout) => {
-                bail!("the {} said nothing for {} s", simulator.name, SILENCE_LIMIT.as_secs())
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                // Its pipe closes a moment before its exit status can be read.
-                std::thread::sleep(Duration::from_millis(200));
-                simulator.check()?;
-                bail!("the {} closed its output", simulator.name);
-            }
-        }
-        firmware.check()?;
-        let Some(status) = &flight.last else { continue };
-        if pose.observe(status)? {
-            break;
-        }
-        if let Some(advice) = pilot.observe(status) {
-            bar.suspend(|| say!("{advice}"));
-        }
-        match status.outcome.as_deref() {
-            Some("success") => {
-                let since = reached_at.get_or_insert_with(Instant::now);
-                if !status.armed || since.elapsed() > LANDING_LIMIT {
-                    break;
-                }
-            }
-            Some(_) => break,
-            None => {
-                has_flown |= status.armed && status.position_ned_m[2] < -FLIES_M;
-                let landed = has_flown && !status.armed && status.position_ned_m[2] > -FLIES_M;
-                disarmed_at = disarmed_at.or_else(|| Some(Instant::now())).filter(|_| landed);
-                if disarmed_at.is_some_and(|at| at.elapsed() > DISARMED_LIMIT) {
-                    bar.suspend(|| {
-                        say!(
-                            "landed     the vehicle landed and disarmed {:.1} m from the goal",
-                            status.goal_distance_m
-                        )
-                    });
-                    break;
-                }
-            }
-        }
-    }
-    bar.finish_and_clear();
-    Ok(flight)
-}
-
-/// Where the vehicle is and what guidance does, in a line.
-pub(super) fn state_line(s: &Status) -> String {
-    if let Some(pose) = &s.pose {
-        return format!("{:5.1} s  no frames: {pose}", s.time_s);
-    }
-    let guidance = match (&s.guidance, s.reasons.is_empty()) {
-        (None, _) => "no firmware yet".to_owned(),
-        (Some(state), true) => state.clone(),
-        (Some(state), false) => format!("{state} ({})", s.reasons.join(", ")),
-    };
-    format!(
-        "{:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
-        s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
-    )
-}
-
 /// The report of the flight, if there is one.
 fn report(folder: &Path) -> Option<PathBuf> {
     let log = crate::cli::replay::find_log(folder).ok()?;
@@ -720,7 +479,7 @@ fn summarise(
     course: &Course,
     flight: &Option<Status>,
     folder: &Path,
-    (firmware_said, adversary_said): (&str, Option<&str>),
+    said: &Said,
     interrupted: bool,
 ) -> Result<ExitCode> {
     let Some(status) = flight else {
@@ -753,10 +512,10 @@ fn summarise(
             }
         );
     }
-    for line in firmware_said.lines().filter(|l| !l.trim().is_empty()) {
+    for line in said.firmware.lines().filter(|l| !l.trim().is_empty()) {
         say!("{line}");
     }
-    if let Some(said) = adversary_said {
+    if let Some(said) = &said.adversary {
         say!("adversary {}", adversary_in_words(said));
     }
     if let Some(report) = report(folder) {

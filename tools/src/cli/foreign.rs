@@ -1,6 +1,6 @@
 //! `vigil fly` around a vehicle that already runs: PX4's or ArduPilot's own simulation, or a hardware-in-the-loop rig.
 
-use super::fly::Process;
+use super::child_process::Process;
 use anyhow::{Result, bail};
 use std::path::Path;
 use std::process::Command;

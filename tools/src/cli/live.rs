@@ -132,7 +132,7 @@ impl Live {
             status.step_us,
             STEP_BUDGET_US
         );
-        let _ = write!(text, "{}", super::fly::state_line(status));
+        let _ = write!(text, "{}", super::flight_watch::state_line(status));
         text
     }
 

@@ -1,11 +1,13 @@
 //! The `vigil` command line: everything a person does with Vigil starts here. What the laboratory does is handed on to `vigil-lab`.
 
 mod adapter;
+pub mod child_process;
 mod courses;
+
 mod doctor;
 pub mod evaluate;
-mod family;
-pub mod fly;
+mod flight_watch;
+mod fly;
 mod foreign;
 pub mod lab;
 mod live;
@@ -113,7 +115,7 @@ impl EveryCommand {
     /// Does what is asked of every command, then the command; its end is the process's.
     pub fn run(&self, command: impl FnOnce() -> Result<ExitCode>) -> ExitCode {
         output::start_tracing(self.verbose);
-        output::finish(match self.ends_with.map(family::end_with) {
+        output::finish(match self.ends_with.map(child_process::end_with) {
             Some(Err(error)) => Err(error),
             _ => command(),
         })

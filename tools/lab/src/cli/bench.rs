@@ -1,6 +1,6 @@
 //! `vigil bench`: what this machine makes of the loop.
 
-use crate::cli::fly::{Process, read_statuses};
+use crate::cli::child_process::{Process, read_statuses};
 use crate::cli::output::{self, EXIT_DIFFERS, Interrupt, say};
 use crate::cli::pilot::PilotArgs;
 use crate::flight_report::command_again;

@@ -1,0 +1,163 @@
+//! Processes that this one starts, and that end with it, however it ends.
+
+use crate::cli::output::tell;
+use anyhow::{Context, Result, bail, ensure};
+use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use vigil_sim::program::Status;
+
+/// Diagnostics of a child beyond this are not shown.
+const SIZE_LIMIT: u64 = 1 << 20;
+/// A child that was asked to end gets this long before it is killed.
+pub(super) const END_LIMIT: Duration = Duration::from_secs(5);
+
+/// Has the system send SIGTERM to this process when its parent is gone, `kill -9` included. Called first of all.
+///
+/// # Errors
+/// The parent is gone already, or the system knows no such signal.
+pub fn end_with(parent: u32) -> Result<()> {
+    set_parent_process_death_signal(Some(Signal::TERM)).context("cannot ask to be told when the parent ends")?;
+    // A parent that went before the line above is told of by nobody: the process then has another one.
+    let now = getppid().map_or(0, |pid| pid.as_raw_nonzero().get());
+    ensure!(
+        u32::try_from(now) == Ok(parent),
+        "the process {parent} that started this one has ended"
+    );
+    Ok(())
+}
+
+/// The arguments that have a child of this process end with it.
+fn arguments() -> [String; 2] {
+    ["--ends-with".to_owned(), std::process::id().to_string()]
+}
+
+/// A child that is asked to end, and killed if it does not, however this program ends.
+pub struct Process {
+    pub(super) name: &'static str,
+    child: Child,
+    /// Its diagnostics.
+    stderr_file: PathBuf,
+    /// What it reports on standard output, read while it runs; the simulator's statuses are read elsewhere.
+    report: Option<JoinHandle<String>>,
+}
+
+impl Process {
+    /// Starts this program again as `name`, arranged; what it says on standard error goes to a file in the folder.
+    ///
+    /// # Errors
+    /// It cannot be started.
+    pub fn start(name: &'static str, folder: &Path, arrange: impl FnOnce(&mut Command)) -> Result<Self> {
+        let program = std::env::current_exe().context("cannot find this program's own file")?;
+        let stderr_file = folder.join(format!("{name}.log"));
+        let log = File::create(&stderr_file).with_context(|| format!("cannot write {}", stderr_file.display()))?;
+        let mut command = Command::new(program);
+        command.args(arguments());
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(log);
+        arrange(&mut command);
+        let child = command.spawn().with_context(|| format!("cannot start the {name}"))?;
+        Ok(Self {
+            name,
+            child,
+            stderr_file,
+            report: None,
+        })
+    }
+
+    /// Keeps what it reports until it ends.
+    pub(super) fn listening(mut self) -> Self {
+        self.report = self.child.stdout.take().map(|mut pipe| {
+            std::thread::spawn(move || {
+                let mut text = String::new();
+                // What is no text, or comes after a failure, is no report.
+                let _ = pipe.read_to_string(&mut text);
+                text
+            })
+        });
+        self
+    }
+
+    /// Looks whether the child still runs.
+    ///
+    /// # Errors
+    /// It has ended, with the last of what it said.
+    pub fn check(&mut self) -> Result<()> {
+        if let Some(status) = self.child.try_wait()? {
+            let said = self.said();
+            let lines: Vec<&str> = said.lines().collect();
+            let tail = lines[lines.len().saturating_sub(6)..].join("\n  ");
+            bail!("the {} ended in flight ({status}); it said last:\n  {tail}", self.name);
+        }
+        Ok(())
+    }
+
+    fn said(&self) -> String {
+        vigil_types::files::read_text(&self.stderr_file, SIZE_LIMIT).unwrap_or_default()
+    }
+
+    /// Ends the child and returns what it reported.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn end(&mut self) -> Result<String> {
+        if self.child.try_wait()?.is_none() {
+            let pid = rustix::process::Pid::from_child(&self.child);
+            rustix::process::kill_process(pid, Signal::TERM)?;
+            let asked = Instant::now();
+            while self.child.try_wait()?.is_none() {
+                if asked.elapsed() > END_LIMIT {
+                    tell!(
+                        "vigil: the {} did not end within {} s and is killed",
+                        self.name,
+                        END_LIMIT.as_secs()
+                    );
+                    self.child.kill()?;
+                }
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        }
+        // The reader does not panic, and ends with the pipe.
+        Ok(self
+            .report
+            .take()
+            .and_then(|reader| reader.join().ok())
+            .unwrap_or_default())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            // Nothing can be done about a child that cannot be killed.
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+/// The simulator's statuses, as they come.
+///
+/// # Errors
+/// They are read already.
+pub fn read_statuses(simulator: &mut Process) -> Result<Receiver<Status>> {
+    let pipe = simulator.child.stdout.take().context("the simulator has no output")?;
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        for line in BufReader::new(pipe).lines().map_while(Result::ok) {
+            match serde_json::from_str(&line) {
+                Ok(status) => {
+                    if sender.send(status).is_err() {
+                        break;
+                    }
+                }
+                Err(error) => tracing::warn!("the simulator said something unreadable: {error}: {line}"),
+            }
+        }
+    });
+    Ok(receiver)
+}

@@ -1,0 +1,176 @@
+//! A flight that is watched to its end: what is shown meanwhile, and what is kept of it.
+
+use crate::cli::child_process::Process;
+use crate::cli::foreign::{PilotWatch, PoseWatch};
+use crate::cli::live::Live;
+use crate::cli::output::{Interrupt, say, tell};
+use anyhow::{Result, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+use vigil_sim::program::Status;
+use vigil_types::{Attitude, Nanos, NedVector};
+
+/// After reaching the goal the vehicle may take this long to land.
+const LANDING_LIMIT: Duration = Duration::from_secs(30);
+/// A vehicle that flew and stands disarmed for so long does not go on: its autopilot, or a person, ended the flight.
+const DISARMED_LIMIT: Duration = Duration::from_secs(5);
+/// Above this height it flies, metres.
+const FLIES_M: f32 = 1.0;
+/// A simulator that says nothing for so long is given up.
+const SILENCE_LIMIT: Duration = Duration::from_secs(5);
+
+/// A true pose.
+pub(super) struct TruePose {
+    pub(super) at_ns: Nanos,
+    pub(super) position_ned_m: NedVector,
+    pub(super) attitude: Attitude,
+}
+
+/// What was seen of a flight.
+#[derive(Default)]
+pub(super) struct Flight {
+    pub(super) last: Option<Status>,
+    /// True poses up to the end of the watch.
+    pub(super) truth: Vec<TruePose>,
+    /// True positions up to the ending.
+    pub(super) path: Vec<NedVector>,
+}
+
+/// What is shown while it flies.
+pub(super) enum Terminal {
+    /// Nothing.
+    Quiet,
+    /// A line every two seconds.
+    Lines {
+        /// What stands before each.
+        title: String,
+        /// Of the simulation, when the last one was printed.
+        printed_s: f64,
+    },
+    /// A picture that is drawn anew.
+    Live(Box<Live>),
+}
+
+impl Flight {
+    fn keep(&mut self, status: Status) {
+        // Of a foreign vehicle that cannot be placed there is nothing to keep.
+        if status.pose.is_none() {
+            let [x, y, z] = status.position_ned_m;
+            let position_ned_m = NedVector::new(x, y, z);
+            if status.outcome.is_none() {
+                self.path.push(position_ned_m);
+            }
+            let [w, x, y, z] = status.attitude;
+            self.truth.push(TruePose {
+                at_ns: status.at_ns,
+                position_ned_m,
+                attitude: Attitude { w, x, y, z },
+            });
+        }
+        self.last = Some(status);
+    }
+}
+
+impl Terminal {
+    /// Lines under a title, the first at once.
+    pub(super) fn lines(title: String) -> Self {
+        let printed_s = f64::NEG_INFINITY;
+        Self::Lines { title, printed_s }
+    }
+
+    fn show(&mut self, bar: &ProgressBar, path: &[NedVector], status: &Status) {
+        match self {
+            Self::Live(live) => {
+                bar.set_message(live.picture(path, status));
+                bar.tick();
+            }
+            Self::Lines { title, printed_s } if status.time_s - *printed_s >= 2.0 => {
+                tell!("{title}  {}", state_line(status));
+                *printed_s = status.time_s;
+            }
+            Self::Lines { .. } | Self::Quiet => {}
+        }
+    }
+}
+
+/// Follows the flight until it is over.
+pub(super) fn watch(
+    terminal: &mut Terminal,
+    statuses: &Receiver<Status>,
+    simulator: &mut Process,
+    firmware: &mut Process,
+    interrupt: &Interrupt,
+) -> Result<Flight> {
+    let bar = ProgressBar::new_spinner().with_style(ProgressStyle::with_template("{msg}")?);
+    let mut flight = Flight::default();
+    let mut reached_at: Option<Instant> = None;
+    let (mut has_flown, mut disarmed_at) = (false, None::<Instant>);
+    let (mut pose, mut pilot) = (PoseWatch::default(), PilotWatch::default());
+    while !interrupt.came() {
+        match statuses.recv_timeout(SILENCE_LIMIT) {
+            Ok(status) => {
+                terminal.show(&bar, &flight.path, &status);
+                flight.keep(status);
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                bail!("the {} said nothing for {} s", simulator.name, SILENCE_LIMIT.as_secs())
+            }
+            Err(RecvTimeoutError::Disconnected) => {
+                // Its pipe closes a moment before its exit status can be read.
+                std::thread::sleep(Duration::from_millis(200));
+                simulator.check()?;
+                bail!("the {} closed its output", simulator.name);
+            }
+        }
+        firmware.check()?;
+        let Some(status) = &flight.last else { continue };
+        if pose.observe(status)? {
+            break;
+        }
+        if let Some(advice) = pilot.observe(status) {
+            bar.suspend(|| say!("{advice}"));
+        }
+        match status.outcome.as_deref() {
+            Some("success") => {
+                let since = reached_at.get_or_insert_with(Instant::now);
+                if !status.armed || since.elapsed() > LANDING_LIMIT {
+                    break;
+                }
+            }
+            Some(_) => break,
+            None => {
+                has_flown |= status.armed && status.position_ned_m[2] < -FLIES_M;
+                let landed = has_flown && !status.armed && status.position_ned_m[2] > -FLIES_M;
+                disarmed_at = disarmed_at.or_else(|| Some(Instant::now())).filter(|_| landed);
+                if disarmed_at.is_some_and(|at| at.elapsed() > DISARMED_LIMIT) {
+                    bar.suspend(|| {
+                        say!(
+                            "landed     the vehicle landed and disarmed {:.1} m from the goal",
+                            status.goal_distance_m
+                        )
+                    });
+                    break;
+                }
+            }
+        }
+    }
+    bar.finish_and_clear();
+    Ok(flight)
+}
+
+/// Where the vehicle is and what guidance does, in a line.
+pub(super) fn state_line(s: &Status) -> String {
+    if let Some(pose) = &s.pose {
+        return format!("{:5.1} s  no frames: {pose}", s.time_s);
+    }
+    let guidance = match (&s.guidance, s.reasons.is_empty()) {
+        (None, _) => "no firmware yet".to_owned(),
+        (Some(state), true) => state.clone(),
+        (Some(state), false) => format!("{state} ({})", s.reasons.join(", ")),
+    };
+    format!(
+        "{:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
+        s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
+    )
+}
