@@ -1,15 +1,18 @@
 //! `vigil evaluate`: many seeded flights in lockstep over all cores.
 
+mod goal_distance;
+mod report;
+
 use crate::campaign::flights::{Campaign, Existing, Jobs, sha256};
-use crate::campaign::{self, FaultChoice, FaultTally, Flight, Recording, SensorRecord, WatchRecord};
-use crate::cli::output::{self, Interrupt, Paint, say, tell};
+use crate::campaign::{self, FaultChoice, Flight, Recording};
+use crate::cli::output::{self, Interrupt, say, tell};
 use crate::cli::pilot::{PilotArgs, SecondSensorArgs};
 use crate::cli::view::ViewerArgs;
 use crate::flight_report;
-use crate::report::{TextTable, numbers, words};
-use crate::statistics::{quantile, wilson_95};
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, ensure};
+use goal_distance::{GoalDistance, spread};
+use report::{NO_FAULT, Took, name, report};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -21,9 +24,9 @@ use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::lockstep_flight::FlightRecord;
 use vigil_sim::vehicle::Wind;
-use vigil_sim::world::{Course, Family, FlightPath, LONG_GOAL_M, Outcome, generate, generate_long};
+use vigil_sim::world::{Course, Family, FlightPath, generate, generate_long};
 use vigil_sim::{LIDAR_SENSOR_ID, Models, SensorFault, SimConfig, Start, VehicleChoice, family_parser};
-use vigil_types::{FrameKey, NedVector, STEP_S};
+use vigil_types::{FrameKey, NedVector};
 
 /// Beyond it the report would not fit the memory.
 const MOST_FLIGHTS: u64 = 10_000_000;
@@ -154,42 +157,6 @@ pub struct EvaluateArgs {
     viewer: ViewerArgs,
 }
 
-/// How far away the goals are.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-struct GoalDistance {
-    from_m: f32,
-    to_m: f32,
-}
-
-impl GoalDistance {
-    fn parse(text: &str) -> Result<Self, String> {
-        let (from, to) = text.split_once("..").unwrap_or((text, text));
-        let length = |text: &str| match text.trim().parse::<f32>() {
-            Ok(length_m) if LONG_GOAL_M.contains(&length_m) => Ok(length_m),
-            _ => Err(format!(
-                "a distance is a number from {} to {} metres, a range two of them: 150 or 30..300",
-                LONG_GOAL_M.start(),
-                LONG_GOAL_M.end()
-            )),
-        };
-        let (from_m, to_m) = (length(from)?, length(to)?);
-        if from_m > to_m {
-            return Err(format!("the range {text} is empty: the nearer distance comes first"));
-        }
-        Ok(Self { from_m, to_m })
-    }
-
-    /// The distance of a flight.
-    fn of(self, seed: u64) -> f32 {
-        self.from_m + (self.to_m - self.from_m) * spread(seed) as f32
-    }
-}
-
-/// A number from 0 to 1 for each seed. Multiples of the golden ratio spread neighbouring seeds evenly.
-fn spread(seed: u64) -> f64 {
-    (seed as f64 * 0.618_033_988_749_895) % 1.0
-}
-
 /// The attack as the report names it.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 struct AttackReport {
@@ -292,52 +259,10 @@ impl Settings {
     }
 }
 
-#[derive(Serialize)]
-struct Rate {
-    outcome: String,
-    flights: usize,
-    share: f64,
-    wilson_95: (f64, f64),
-}
-
-/// Nothing in it depends on the machine or on the time that it took.
-#[derive(Serialize)]
-struct Report<'a> {
-    version: &'static str,
-    /// Ctrl-C came before all flights that were asked for had been flown.
-    interrupted: bool,
-    flights_asked_for: u64,
-    first_seed: u64,
-    #[serde(flatten)]
-    settings: &'a Settings,
-    simulated_s: f64,
-    rates: &'a [Rate],
-    #[serde(skip_serializing_if = "<[_]>::is_empty")]
-    sensor_faults: &'a [FaultTally],
-    flights: &'a [&'a Flight],
-}
-
 /// Longest flight with a fault of the sensor, seconds: one that is held stays where it is.
 const FAULT_TIME_LIMIT_S: f32 = 45.0;
 
-/// Every way a flight can end; `None` is a vehicle that never took off.
-const OUTCOMES: [Option<Outcome>; 5] = [
-    Some(Outcome::Success),
-    Some(Outcome::Collision),
-    Some(Outcome::OutOfBounds),
-    Some(Outcome::TimeOut),
-    None,
-];
-
-fn name(outcome: Option<Outcome>) -> String {
-    outcome.map_or_else(|| "never took off".to_owned(), |o| o.to_string())
-}
-
-/// Flies the campaign, prints the table and writes the JSON.
-///
-/// # Errors
-/// A bad configuration, or a folder that cannot be written.
-pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+fn check_ranges(args: &EvaluateArgs) -> Result<()> {
     ensure!(
         args.wind >= 0.0 && args.wind <= 20.0,
         "--wind must be between 0 and 20 m/s, got {}",
@@ -348,8 +273,11 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         "--noise must be between 0 and 100, got {}",
         args.noise
     );
-    let models = args.vehicle.models(args.config.as_deref())?;
-    let attack = args.attack.attack(args.pilot.actor_file())?;
+    Ok(())
+}
+
+/// Makes the folders, before a flight is flown for nothing.
+fn prepare(args: &EvaluateArgs) -> Result<()> {
     if args.view.is_some() {
         args.viewer.check_with_port()?;
     }
@@ -364,25 +292,40 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         );
         std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
     }
-    let faults = faults(args.sensor_fault);
-    let jobs = Jobs {
-        first_seed: args.seed,
-        flights: args.flights,
-        arms: faults.iter().map(|fault| arm_name(*fault)).collect(),
-    };
+    Ok(())
+}
+
+/// Where the flights go, a line each.
+fn lines_beside(args: &EvaluateArgs) -> Result<PathBuf> {
     let lines = args.json.with_extension("jsonl");
     ensure!(
         lines != args.json,
         "-o names the JSON report, and the flights go beside it to {}: give it another ending",
         lines.display()
     );
-    let lines = if output::is_file(&args.json) {
-        &lines
-    } else {
-        &args.json
+    Ok(match output::is_file(&args.json) {
+        true => lines,
+        false => args.json.clone(),
+    })
+}
+
+/// Flies the campaign, prints the table and writes the JSON.
+///
+/// # Errors
+/// A bad configuration, or a folder that cannot be written.
+pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
+    check_ranges(args)?;
+    let models = args.vehicle.models(args.config.as_deref())?;
+    let attack = args.attack.attack(args.pilot.actor_file())?;
+    prepare(args)?;
+    let faults = faults(args.sensor_fault);
+    let jobs = Jobs {
+        first_seed: args.seed,
+        flights: args.flights,
+        arms: faults.iter().map(|fault| arm_name(*fault)).collect(),
     };
     let mut campaign = Campaign::new(COMMAND, Settings::of(args, attack.as_ref())?, jobs.clone())?
-        .keep_in(lines, Existing::replaced_unless(args.resume))?;
+        .keep_in(&lines_beside(args)?, Existing::replaced_unless(args.resume))?;
     let pool = thread_pool_of(args.threads)?;
     let mut shown = args.view.map(|count| Shown::begin(args, count, &faults)).transpose()?;
     let live = shown.as_ref().map(|shown| (shown.count, shown.folder.clone()));
@@ -413,11 +356,16 @@ pub fn run(args: &EvaluateArgs) -> Result<ExitCode> {
         wall_s: begun.elapsed().as_secs_f64(),
         threads: pool.current_num_threads(),
     };
-    report(&campaign, &args.json, Some(&took))?;
+    report(&campaign, about(campaign.settings()), &args.json, Some(&took))?;
     if let Some(shown) = &mut shown {
         shown.end(&interrupt)?;
     }
     Ok(interrupt.exit_code())
+}
+
+/// What the report names of the settings.
+fn about(settings: &Settings) -> (Option<&str>, bool) {
+    (settings.vehicle_model.as_deref(), settings.attack.is_some())
 }
 
 /// What lines of it call this command.
@@ -428,12 +376,10 @@ pub const COMMAND: &str = "evaluate";
 /// # Errors
 /// Flights that contradict each other or are not all; a file that cannot be written.
 pub fn merge(files: &[PathBuf], json: &Path) -> Result<ExitCode> {
-    report(&Campaign::load(files, json)?, json, None)?;
+    let campaign = Campaign::load(files, json)?;
+    report(&campaign, about(campaign.settings()), json, None)?;
     Ok(ExitCode::SUCCESS)
 }
-
-/// The arm of flights whose sensor works.
-const NO_FAULT: &str = "no fault";
 
 fn arm_name(fault: Option<SensorFault>) -> String {
     fault.map_or_else(|| NO_FAULT.to_owned(), |fault| fault.to_string())
@@ -628,136 +574,4 @@ fn draw(course: &Course, record: &FlightRecord, path: &std::path::Path) -> Resul
         outcome: record.outcome,
     };
     Ok(vigil_sim::world::draw(course, &[flight]).write_png(path)?)
-}
-
-/// What a run cost on this machine.
-struct Took {
-    wall_s: f64,
-    threads: usize,
-}
-
-fn report(campaign: &Campaign<Settings, Flight>, json: &Path, took: Option<&Took>) -> Result<()> {
-    let (settings, jobs) = (campaign.settings(), campaign.jobs());
-    // All with one fault before the next.
-    let of_arm = |name| {
-        campaign
-            .flights()
-            .filter(move |(arm, _)| *arm == name)
-            .map(|(_, flight)| flight)
-    };
-    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(of_arm).collect();
-    let faults = jobs.arms.iter().filter(|arm| *arm != NO_FAULT);
-    let tallies: Vec<FaultTally> = faults
-        .map(|fault| {
-            let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(fault));
-            FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
-        })
-        .collect();
-    let interrupted = campaign.is_interrupted();
-    let rates: Vec<Rate> = OUTCOMES
-        .into_iter()
-        .map(|outcome| {
-            let n = flights.iter().filter(|f| f.record.outcome == outcome).count();
-            Rate {
-                outcome: name(outcome),
-                flights: n,
-                share: n as f64 / flights.len().max(1) as f64,
-                wilson_95: wilson_95(n, flights.len()),
-            }
-        })
-        .collect();
-    let simulated_s: f64 = flights.iter().map(|f| f.record.steps as f64 * f64::from(STEP_S)).sum();
-
-    let paint = Paint::stdout();
-    let mut table = TextTable::new([
-        words("outcome"),
-        numbers("flights"),
-        numbers("share"),
-        words("95 % interval"),
-    ]);
-    let told = || rates.iter().filter(|r| r.flights > 0 || r.outcome == "success");
-    for r in told() {
-        let (low, high) = r.wilson_95;
-        table.row([
-            r.outcome.to_owned(),
-            r.flights.to_string(),
-            format!("{:.2} %", 100.0 * r.share),
-            format!("{:.2} to {:.2} %", 100.0 * low, 100.0 * high),
-        ]);
-    }
-    let good: Vec<bool> = told().map(|r| r.outcome == "success").collect();
-    paint.table(&table, &good);
-    let from_ground = flights.iter().filter(|f| f.from_ground).count();
-    if let Some(model) = &settings.vehicle_model {
-        say!("vehicle          {model}");
-    }
-    say!("from the ground  {from_ground} of {} flights", flights.len());
-    let times: Vec<f64> = flights
-        .iter()
-        .filter(|f| f.record.is_success())
-        .map(|f| f.record.flight_time_s)
-        .collect();
-    if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
-        say!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
-    }
-    if settings.attack.is_some() {
-        let each = || flights.iter().filter_map(|f| f.attack.as_ref());
-        let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
-        say!(
-            "attacked         {steps} steps in {} of {} flights; the yaw moved by 1.0 or more in {:.1} % of them",
-            each().filter(|a| a.attacked_steps > 0).count(),
-            flights.len(),
-            100.0 * effective as f64 / steps.max(1) as f64
-        );
-        let used: u64 = flights.iter().filter_map(|f| f.altered_frames_used).sum();
-        say!("altered frames   {used} of {steps} were used");
-    }
-    if flights.iter().any(|f| f.watch.is_some()) {
-        let watched = flights.iter().filter_map(|f| f.watch.as_ref());
-        say!("detector         {}", WatchRecord::summary(watched));
-    }
-    say!(
-        "sensor           {}",
-        SensorRecord::summary(flights.iter().map(|f| &f.sensor))
-    );
-    if !tallies.is_empty() {
-        say!();
-        let good: Vec<bool> = tallies.iter().map(|tally| tally.collisions == 0).collect();
-        paint.table(&FaultTally::table(&tallies), &good);
-        say!("");
-    }
-    if let Some(Took { wall_s, threads }) = took {
-        let factor = simulated_s / wall_s / (*threads).min(flights.len()).max(1) as f64;
-        say!("{simulated_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
-    }
-    let failed: Vec<String> = flights
-        .iter()
-        .filter(|f| !f.record.is_success())
-        .take(12)
-        .map(|f| f.seed.to_string())
-        .collect();
-    if !failed.is_empty() {
-        say!(
-            "failed seeds     {}{}",
-            failed.join(" "),
-            if failed.len() == 12 { " …" } else { "" }
-        );
-    }
-
-    let content = serde_json::to_vec_pretty(&Report {
-        version: env!("CARGO_PKG_VERSION"),
-        interrupted,
-        flights_asked_for: jobs.count(),
-        first_seed: jobs.first_seed,
-        settings,
-        simulated_s,
-        rates: &rates,
-        sensor_faults: &tallies,
-        flights: &flights,
-    })?;
-    output::write(json, content)?;
-    if !output::is_stdout(json) {
-        say!("details          {}", json.display());
-    }
-    Ok(())
 }

@@ -1,0 +1,206 @@
+//! What `vigil evaluate` says of its flights: the table, and the JSON.
+
+use crate::campaign::flights::Campaign;
+use crate::campaign::{FaultTally, Flight, SensorRecord, WatchRecord};
+use crate::cli::output::{self, Paint, say};
+use crate::report::{TextTable, numbers, words};
+use crate::statistics::{quantile, wilson_95};
+use anyhow::Result;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::path::Path;
+use vigil_sim::world::Outcome;
+use vigil_types::STEP_S;
+
+/// The arm of flights whose sensor works.
+pub(super) const NO_FAULT: &str = "no fault";
+
+#[derive(Serialize)]
+struct Rate {
+    outcome: String,
+    flights: usize,
+    share: f64,
+    wilson_95: (f64, f64),
+}
+
+/// Nothing in it depends on the machine or on the time that it took.
+#[derive(Serialize)]
+struct Report<'a, S> {
+    version: &'static str,
+    /// Ctrl-C came before all flights that were asked for had been flown.
+    interrupted: bool,
+    flights_asked_for: u64,
+    first_seed: u64,
+    #[serde(flatten)]
+    settings: &'a S,
+    simulated_s: f64,
+    rates: &'a [Rate],
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    sensor_faults: &'a [FaultTally],
+    flights: &'a [&'a Flight],
+}
+
+/// Every way a flight can end; `None` is a vehicle that never took off.
+const OUTCOMES: [Option<Outcome>; 5] = [
+    Some(Outcome::Success),
+    Some(Outcome::Collision),
+    Some(Outcome::OutOfBounds),
+    Some(Outcome::TimeOut),
+    None,
+];
+
+pub(super) fn name(outcome: Option<Outcome>) -> String {
+    outcome.map_or_else(|| "never took off".to_owned(), |o| o.to_string())
+}
+
+/// What a run cost on this machine.
+pub(super) struct Took {
+    pub(super) wall_s: f64,
+    pub(super) threads: usize,
+}
+
+/// How flights ended, each way with its share.
+fn rates_of(flights: &[&Flight]) -> Vec<Rate> {
+    let rate = |outcome| {
+        let n = flights.iter().filter(|f| f.record.outcome == outcome).count();
+        Rate {
+            outcome: name(outcome),
+            flights: n,
+            share: n as f64 / flights.len().max(1) as f64,
+            wilson_95: wilson_95(n, flights.len()),
+        }
+    };
+    OUTCOMES.into_iter().map(rate).collect()
+}
+
+fn print_rates(rates: &[Rate], paint: &Paint) {
+    let mut table = TextTable::new([
+        words("outcome"),
+        numbers("flights"),
+        numbers("share"),
+        words("95 % interval"),
+    ]);
+    let shown = || rates.iter().filter(|r| r.flights > 0 || r.outcome == "success");
+    for r in shown() {
+        let (low, high) = r.wilson_95;
+        table.row([
+            r.outcome.to_owned(),
+            r.flights.to_string(),
+            format!("{:.2} %", 100.0 * r.share),
+            format!("{:.2} to {:.2} %", 100.0 * low, 100.0 * high),
+        ]);
+    }
+    let good: Vec<bool> = shown().map(|r| r.outcome == "success").collect();
+    paint.table(&table, &good);
+}
+
+/// How the flights were: times, attack, detector and sensor.
+fn print_flights(flights: &[&Flight], is_attacked: bool) {
+    let from_ground = flights.iter().filter(|f| f.from_ground).count();
+    say!("from the ground  {from_ground} of {} flights", flights.len());
+    let times: Vec<f64> = flights
+        .iter()
+        .filter(|f| f.record.is_success())
+        .map(|f| f.record.flight_time_s)
+        .collect();
+    if let (Some(p50), Some(p95)) = (quantile(&times, 0.5), quantile(&times, 0.95)) {
+        say!("time to goal     p50 {p50:.1} s, p95 {p95:.1} s");
+    }
+    if is_attacked {
+        let each = || flights.iter().filter_map(|f| f.attack.as_ref());
+        let (steps, effective) = each().fold((0, 0), |(n, m), a| (n + a.attacked_steps, m + a.effective_steps));
+        say!(
+            "attacked         {steps} steps in {} of {} flights; the yaw moved by 1.0 or more in {:.1} % of them",
+            each().filter(|a| a.attacked_steps > 0).count(),
+            flights.len(),
+            100.0 * effective as f64 / steps.max(1) as f64
+        );
+        let used: u64 = flights.iter().filter_map(|f| f.altered_frames_used).sum();
+        say!("altered frames   {used} of {steps} were used");
+    }
+    if flights.iter().any(|f| f.watch.is_some()) {
+        let records = flights.iter().filter_map(|f| f.watch.as_ref());
+        say!("detector         {}", WatchRecord::summary(records));
+    }
+    say!(
+        "sensor           {}",
+        SensorRecord::summary(flights.iter().map(|f| &f.sensor))
+    );
+}
+
+/// The first seeds that failed, to be flown again.
+fn print_failed(flights: &[&Flight]) {
+    const SHOWN: usize = 12;
+    let failed = flights.iter().filter(|f| !f.record.is_success());
+    let failed: Vec<String> = failed.take(SHOWN).map(|f| f.seed.to_string()).collect();
+    if !failed.is_empty() {
+        let more = if failed.len() == SHOWN { " …" } else { "" };
+        say!("failed seeds     {}{more}", failed.join(" "));
+    }
+}
+
+/// Prints the table of a campaign and writes its JSON. Of its settings, the vehicle's model and whether it is attacked are named.
+///
+/// # Errors
+/// A file that cannot be written.
+pub(super) fn report<S: Serialize + DeserializeOwned + Sync>(
+    campaign: &Campaign<S, Flight>,
+    (vehicle_model, is_attacked): (Option<&str>, bool),
+    json: &Path,
+    took: Option<&Took>,
+) -> Result<()> {
+    let (settings, jobs) = (campaign.settings(), campaign.jobs());
+    // All with one fault before the next.
+    let of_arm = |name| {
+        campaign
+            .flights()
+            .filter(move |(arm, _)| *arm == name)
+            .map(|(_, flight)| flight)
+    };
+    let flights: Vec<&Flight> = jobs.arms.iter().flat_map(of_arm).collect();
+    let faults = jobs.arms.iter().filter(|arm| *arm != NO_FAULT);
+    let tallies: Vec<FaultTally> = faults
+        .map(|fault| {
+            let of_it = flights.iter().filter(|f| f.sensor_fault.as_ref() == Some(fault));
+            FaultTally::of(fault, of_it.map(|f| (&f.record, &f.sensor)))
+        })
+        .collect();
+    let interrupted = campaign.is_interrupted();
+    let rates = rates_of(&flights);
+    let simulated_s: f64 = flights.iter().map(|f| f.record.steps as f64 * f64::from(STEP_S)).sum();
+
+    let paint = Paint::stdout();
+    print_rates(&rates, &paint);
+    if let Some(model) = vehicle_model {
+        say!("vehicle          {model}");
+    }
+    print_flights(&flights, is_attacked);
+    if !tallies.is_empty() {
+        say!();
+        let good: Vec<bool> = tallies.iter().map(|tally| tally.collisions == 0).collect();
+        paint.table(&FaultTally::table(&tallies), &good);
+        say!("");
+    }
+    if let Some(Took { wall_s, threads }) = took {
+        let factor = simulated_s / wall_s / (*threads).min(flights.len()).max(1) as f64;
+        say!("{simulated_s:.0} s simulated in {wall_s:.1} s on {threads} threads: {factor:.0} x real time per thread");
+    }
+    print_failed(&flights);
+
+    let content = serde_json::to_vec_pretty(&Report {
+        version: env!("CARGO_PKG_VERSION"),
+        interrupted,
+        flights_asked_for: jobs.count(),
+        first_seed: jobs.first_seed,
+        settings,
+        simulated_s,
+        rates: &rates,
+        sensor_faults: &tallies,
+        flights: &flights,
+    })?;
+    output::write(json, content)?;
+    if !output::is_stdout(json) {
+        say!("details          {}", json.display());
+    }
+    Ok(())
+}
