@@ -14,6 +14,13 @@ pub enum Severity {
     Failure,
 }
 
+impl Severity {
+    /// Good where it is as it should be, else `bad`.
+    pub(super) fn good_if(is_good: bool, bad: Self) -> Self {
+        if is_good { Self::Good } else { bad }
+    }
+}
+
 /// What was looked at, what was found, what is wanted, and why.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
@@ -38,5 +45,38 @@ impl Finding {
             line += &format!(" (wanted: {}): {}", self.wanted, self.why);
         }
         line
+    }
+}
+
+/// Findings, as they are added.
+pub(super) struct Report(pub(super) Vec<Finding>);
+
+impl Report {
+    pub(super) fn failure(&mut self, name: &str, value: Option<String>, wanted: &str, why: &str) {
+        self.add(name, Severity::Failure, value, wanted, why);
+    }
+
+    pub(super) fn warning(&mut self, name: &str, value: Option<String>, wanted: &str, why: &str) {
+        self.add(name, Severity::Warning, value, wanted, why);
+    }
+
+    fn add(&mut self, name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) {
+        self.0.push(Finding {
+            name: name.to_owned(),
+            severity,
+            value,
+            wanted: wanted.to_owned(),
+            why: why.to_owned(),
+        });
+    }
+
+    pub(super) fn good(&mut self, name: &str, value: String) {
+        self.add(name, Severity::Good, Some(value), "", "");
+    }
+
+    /// A value with its grade; of a good one it is not said why.
+    pub(super) fn grade(&mut self, name: &str, severity: Severity, value: Option<String>, wanted: &str, why: &str) {
+        let why = if severity == Severity::Good { "" } else { why };
+        self.add(name, severity, value, wanted, why);
     }
 }
