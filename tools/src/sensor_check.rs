@@ -290,11 +290,8 @@ impl SensorCheck {
         } else {
             (Severity::Good, "")
         };
-        add(
-            "returns",
-            severity,
-            format!("{:.1} % of the pixels{advice}", 100.0 * share),
-        );
+        let text = format!("{:.1} % of the pixels{advice}", 100.0 * share);
+        add("returns", severity, text);
         if let Some(least) = quantile(&self.smooth_shares, 0.02) {
             let middle = quantile(&self.smooth_shares, 0.5).unwrap_or(f64::NAN);
             let (severity, advice) = if least < ROUGH_SHARE {
@@ -332,6 +329,12 @@ impl SensorCheck {
                 ),
             );
         }
+        self.view(add);
+        self.wall(add);
+    }
+
+    /// The part of the field of view from which anything returned.
+    fn view(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
         let unseen = self.seen.as_flattened().iter().filter(|seen| !**seen).count();
         let bearings = |col: usize| (col as f32 / PART_COLS as f32 - 0.5) * HORIZONTAL_FOV_RAD.to_degrees();
         let elevations = |row: usize| (0.5 - row as f32 / PART_ROWS as f32) * VERTICAL_FOV_RAD.to_degrees();
@@ -360,23 +363,20 @@ impl SensorCheck {
                 ),
             );
         }
+    }
+
+    /// The wall that is expected in the middle.
+    fn wall(&self, add: &mut impl FnMut(&'static str, Severity, String)) {
         if let Some(wall_m) = self.expected.wall_m {
             let mut middle = self.middle_m.clone();
             middle.sort_by(f32::total_cmp);
             let found_m = middle.get(middle.len() / 2).copied().unwrap_or(f32::NAN);
-            let good = (found_m - wall_m).abs() <= WALL_TOLERANCE_M;
-            add(
-                "wall",
-                if good { Severity::Good } else { Severity::Failure },
-                format!(
-                    "{found_m:.2} m in the middle of the image, {wall_m:.2} m expected{}",
-                    if good {
-                        ""
-                    } else {
-                        ": ranges are along the ray, divided by 100 m"
-                    }
-                ),
-            );
+            let (severity, advice) = match (found_m - wall_m).abs() <= WALL_TOLERANCE_M {
+                true => (Severity::Good, ""),
+                false => (Severity::Failure, ": ranges are along the ray, divided by 100 m"),
+            };
+            let text = format!("{found_m:.2} m in the middle of the image, {wall_m:.2} m expected{advice}");
+            add("wall", severity, text);
         }
     }
 }

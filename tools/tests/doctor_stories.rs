@@ -100,14 +100,7 @@ impl Scripted {
             false => 20_000 + (ms as f64 * self.speedup) as u32 + 3_000 * u32::from(is_after(self.clock_jumps_ms)),
         };
         let mut out = Vec::new();
-        let asked = |id: u32| {
-            self.asked.iter().any(|m| match m {
-                MavMessage::COMMAND_LONG(c) => c.param1 == id as f32,
-                _ => false,
-            })
-        };
-        // PX4 streams unprompted; an ArduPilot sends only what is asked for.
-        let streams = |id: u32| self.flavour == Flavour::Px4 || (self.answers_intervals && asked(id));
+        let streams = |id: u32| self.streams(id);
         if ms.is_multiple_of(1000) {
             out.push(self.heartbeat());
         }
@@ -142,38 +135,7 @@ impl Scripted {
             }
         }
         if ms.is_multiple_of(500) {
-            let prearm = MavSysStatusSensor::from_bits_retain(0x1000_0000);
-            if streams(1) {
-                out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
-                    battery_remaining: 87,
-                    onboard_control_sensors_present: prearm,
-                    onboard_control_sensors_enabled: prearm,
-                    onboard_control_sensors_health: match self.prearm {
-                        true => prearm,
-                        false => MavSysStatusSensor::empty(),
-                    },
-                    ..Default::default()
-                }));
-            }
-            // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
-            if streams(230) || asked(193) {
-                out.push(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
-                    flags: EstimatorStatusFlags::from_bits_retain(self.estimator),
-                    ..Default::default()
-                }));
-            }
-            if streams(2) {
-                out.push(MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
-                    time_unix_usec: 1_700_000_000_000_000 + ms * 1000,
-                    time_boot_ms: boot_ms,
-                }));
-            }
-            out.extend(self.texts.iter().map(|text| {
-                MavMessage::STATUSTEXT(STATUSTEXT_DATA {
-                    text: (*text).into(),
-                    ..Default::default()
-                })
-            }));
+            out.extend(self.health(ms, boot_ms));
         }
         if self.has_home && ms.is_multiple_of(1000) && streams(242) {
             out.push(MavMessage::HOME_POSITION(HOME_POSITION_DATA {
@@ -183,6 +145,54 @@ impl Scripted {
                 ..Default::default()
             }));
         }
+        out
+    }
+
+    fn is_asked_for(&self, id: u32) -> bool {
+        let is_of = |m: &MavMessage| matches!(m, MavMessage::COMMAND_LONG(c) if c.param1 == id as f32);
+        self.asked.iter().any(is_of)
+    }
+
+    /// PX4 streams unprompted; an ArduPilot sends only what is asked for.
+    fn streams(&self, id: u32) -> bool {
+        self.flavour == Flavour::Px4 || (self.answers_intervals && self.is_asked_for(id))
+    }
+
+    /// What it says of itself twice a second.
+    fn health(&self, ms: u64, boot_ms: u32) -> Vec<MavMessage> {
+        let mut out = Vec::new();
+        let prearm = MavSysStatusSensor::from_bits_retain(0x1000_0000);
+        if self.streams(1) {
+            out.push(MavMessage::SYS_STATUS(SYS_STATUS_DATA {
+                battery_remaining: 87,
+                onboard_control_sensors_present: prearm,
+                onboard_control_sensors_enabled: prearm,
+                onboard_control_sensors_health: match self.prearm {
+                    true => prearm,
+                    false => MavSysStatusSensor::empty(),
+                },
+                ..Default::default()
+            }));
+        }
+        // ESTIMATOR_STATUS has the flags that ArduPilot puts into a message of its own.
+        if self.streams(230) || self.is_asked_for(193) {
+            out.push(MavMessage::ESTIMATOR_STATUS(ESTIMATOR_STATUS_DATA {
+                flags: EstimatorStatusFlags::from_bits_retain(self.estimator),
+                ..Default::default()
+            }));
+        }
+        if self.streams(2) {
+            out.push(MavMessage::SYSTEM_TIME(SYSTEM_TIME_DATA {
+                time_unix_usec: 1_700_000_000_000_000 + ms * 1000,
+                time_boot_ms: boot_ms,
+            }));
+        }
+        out.extend(self.texts.iter().map(|text| {
+            MavMessage::STATUSTEXT(STATUSTEXT_DATA {
+                text: (*text).into(),
+                ..Default::default()
+            })
+        }));
         out
     }
 

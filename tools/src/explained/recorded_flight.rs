@@ -1,7 +1,7 @@
 //! A flight flown and written down.
 
 use super::error::DetectError;
-use super::scenario::{Helm, Scenario};
+use super::scenario::{Adversary, Helm, Scenario};
 use super::stepped::Flight;
 use serde::{Deserialize, Serialize};
 use vigil_adversary::{FrameAttack, Method};
@@ -115,6 +115,39 @@ pub fn held_frames(pilot: &FrozenPilot) -> Vec<usize> {
     }
 }
 
+/// The flight that a scenario begins with.
+fn flight_of(scenario: &Scenario) -> Result<Flight, DetectError> {
+    let mut course = generate(scenario.family, scenario.seed);
+    course.time_limit_s = 90.0;
+    let usual = LidarConfig::default();
+    let lidar = LidarConfig {
+        range_noise_sigma_m: usual.range_noise_sigma_m * scenario.range_noise,
+        dropout_probability: usual.dropout_probability * scenario.range_noise,
+        ..usual
+    };
+    Ok(Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?)
+}
+
+/// Alters the frame that is delivered, where the adversary attacks in this step; by how much that changes the yaw.
+fn alter(
+    adversary: &Adversary,
+    attack: &mut FrameAttack,
+    step: u64,
+    taken: &PilotInput<'_>,
+    delivered: &mut DepthFrame,
+) -> Result<(Frame, f32), DetectError> {
+    if !adversary.attacks(step) {
+        attack.pass(taken)?;
+        return Ok((Frame::Unaltered, 0.0));
+    }
+    let yaw_change = attack.attack_while(taken, delivered, || true)?.yaw_change();
+    let frame = match adversary.config.method {
+        Method::Noise => Frame::Noisy,
+        _ => Frame::Attacked,
+    };
+    Ok((frame, yaw_change))
+}
+
 /// Flies a scenario with an actor. The same arguments give the same bits.
 ///
 /// # Errors
@@ -125,20 +158,10 @@ pub fn fly(
     scenario: &Scenario,
     onlooker: &mut impl Onlooker,
 ) -> Result<Record, DetectError> {
-    let mut course = generate(scenario.family, scenario.seed);
-    course.time_limit_s = 90.0;
-    let usual = LidarConfig::default();
-    let lidar = LidarConfig {
-        range_noise_sigma_m: usual.range_noise_sigma_m * scenario.range_noise,
-        dropout_probability: usual.dropout_probability * scenario.range_noise,
-        ..usual
-    };
-    let mut flight = Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?;
+    let mut flight = flight_of(scenario)?;
     let mut actor = frozen.decider(isa)?;
-    let mut attack = match &scenario.adversary {
-        Some(adversary) => Some((adversary, FrameAttack::on(frozen, isa, &adversary.config)?)),
-        None => None,
-    };
+    let attacker = |by| FrameAttack::on(frozen, isa, &by.config).map(|attack| (by, attack));
+    let mut attack = scenario.adversary.as_ref().map(attacker).transpose()?;
     let mut helmsman = scenario.helmsman();
     let mut geometric = helmsman
         .needs_geometric()
@@ -155,20 +178,11 @@ pub fn fly(
     let mut altered = 0;
     for number in 0..scenario.steps {
         (*delivered).clone_from(flight.frame());
-        let (mut frame, mut yaw_change) = (Frame::Unaltered, 0.0);
-        if let Some((adversary, attack)) = &mut attack {
-            let taken = flight.input();
-            if adversary.attacks(number) {
-                yaw_change = attack.attack_while(&taken, &mut delivered, || true)?.yaw_change();
-                frame = match adversary.config.method {
-                    Method::Noise => Frame::Noisy,
-                    _ => Frame::Attacked,
-                };
-                altered += 1;
-            } else {
-                attack.pass(&taken)?;
-            }
-        }
+        let (frame, yaw_change) = match &mut attack {
+            Some((adversary, attack)) => alter(adversary, attack, number, &flight.input(), &mut delivered)?,
+            None => (Frame::Unaltered, 0.0),
+        };
+        altered += u64::from(frame != Frame::Unaltered);
         let input = PilotInput {
             depth: &delivered,
             ..flight.input()

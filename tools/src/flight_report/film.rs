@@ -83,33 +83,12 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
             ..Film::default()
         });
     }
-    // Around the alarm every second frame is explained: from just before the attack shows to where recovery flies.
     let middle = moment.map_or(0, |at| steps.partition_point(|i| *i < at));
-    let reach = options.explained_frames;
-    let from = middle.saturating_sub(reach);
-    let explained: Vec<usize> = steps
-        .iter()
-        .copied()
-        .skip(from)
-        .step_by(2)
-        .take(if moment.is_some() { reach } else { 0 })
-        .collect();
-    let mut note = None;
     let mut reader = Reader::open(path)?;
-    let mut explainer = match explained.is_empty() {
-        true => None,
-        false => match ExplainedReplay::of(&reader) {
-            Ok(explainer) => Some(explainer),
-            Err(why) => {
-                note = Some(format!("The pixels of the frames are not explained: {why:#}."));
-                None
-            }
-        },
-    };
+    let mut pixels = Pixels::of(&reader, &steps, moment.map(|_| middle), options.explained_frames);
     let altered = log.altered();
     let clean: HashMap<u32, &[f32]> = log.story.clean.iter().map(|c| (c.sequence, &c.depth[..])).collect();
     let mut pictures = Vec::with_capacity(steps.len());
-    let mut explanations: Vec<(usize, Vec<f32>)> = Vec::new();
     let mut record = Box::<TickRecord>::default();
     let last = *steps.last().unwrap_or(&0);
     let mut wanted = steps.iter().copied().peekable();
@@ -118,7 +97,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         if !reader.read_next(&mut record)? {
             break;
         }
-        if let Some(replay) = &mut explainer {
+        if let Some(replay) = &mut pixels.replay {
             replay.step(&record);
         }
         let Some(frame) = record.frame() else { continue };
@@ -129,12 +108,7 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         let step = &log.steps[number];
         let near = moment.is_some_and(|at| number + BEFORE >= at && number < at + AFTER);
         let before = clean.get(&(frame.header.sequence as u32));
-        if let (Some(replay), true) = (&mut explainer, explained.contains(&number)) {
-            match replay.squares() {
-                Ok(phi) => explanations.extend(phi.map(|phi| (pictures.len(), phi))),
-                Err(error) => note = Some(format!("The pixels of the frames are not explained: {error}.")),
-            }
-        }
+        pixels.explain(number, pictures.len());
         let change = altered
             .as_ref()
             .and_then(|a| a.get(&step.report.frame_sequence?).copied());
@@ -148,18 +122,9 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
             shap: None,
         });
     }
-    let sizes: Vec<f64> = explanations
-        .iter()
-        .flat_map(|(_, phi)| phi.iter().map(|v| f64::from(v.abs())))
-        .collect();
-    let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
-    for (place, phi) in &explanations {
-        if let Some(picture) = pictures.get_mut(*place) {
-            picture.shap = Some(shap_picture(phi, full)?);
-        }
-    }
+    pixels.draw_into(&mut pictures)?;
     // The first to be shown says most: an altered frame beside what it was, soon after the alarm.
-    let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != explanations.is_empty();
+    let telling = |p: &Picture| p.clean.is_some() && p.shap.is_some() != pixels.explanations.is_empty();
     let first = pictures
         .iter()
         .skip(middle)
@@ -169,8 +134,64 @@ pub fn take(path: &Path, log: &LogSeen, options: ReportOptions) -> Result<Film, 
         first: first.min(pictures.len().saturating_sub(1)),
         pictures,
         none: String::new(),
-        note,
+        note: pixels.note,
     })
+}
+
+/// What each pixel did for the decision, of the steps around the alarm.
+struct Pixels {
+    /// The actor, flown again.
+    replay: Option<ExplainedReplay>,
+    /// The steps that are explained.
+    steps: Vec<usize>,
+    /// By the number of the picture.
+    explanations: Vec<(usize, Vec<f32>)>,
+    /// Why there is nothing.
+    note: Option<String>,
+}
+
+impl Pixels {
+    /// Every second frame around the alarm: from just before the attack shows to where recovery flies.
+    fn of(reader: &Reader, shown: &[usize], middle: Option<usize>, reach: usize) -> Self {
+        let from = middle.unwrap_or(0).saturating_sub(reach);
+        let around = shown.iter().copied().skip(from).step_by(2);
+        let mut pixels = Self {
+            replay: None,
+            steps: around.take(middle.map_or(0, |_| reach)).collect(),
+            explanations: Vec::new(),
+            note: None,
+        };
+        if !pixels.steps.is_empty() {
+            match ExplainedReplay::of(reader) {
+                Ok(replay) => pixels.replay = Some(replay),
+                Err(why) => pixels.note = Some(format!("The pixels of the frames are not explained: {why:#}.")),
+            }
+        }
+        pixels
+    }
+
+    /// Explains a step, if it is one of those, for the picture of this number.
+    fn explain(&mut self, step: usize, picture: usize) {
+        if let Some(replay) = self.replay.as_mut().filter(|_| self.steps.contains(&step)) {
+            match replay.squares() {
+                Ok(phi) => self.explanations.extend(phi.map(|phi| (picture, phi))),
+                Err(error) => self.note = Some(format!("The pixels of the frames are not explained: {error}.")),
+            }
+        }
+    }
+
+    /// All on one scale.
+    fn draw_into(&self, pictures: &mut [Picture]) -> Result<(), ReportError> {
+        let values = self.explanations.iter().flat_map(|(_, phi)| phi);
+        let sizes: Vec<f64> = values.map(|v| f64::from(v.abs())).collect();
+        let full = crate::statistics::quantile(&sizes, STRONG).unwrap_or(1.0).max(1e-9) as f32;
+        for (place, phi) in &self.explanations {
+            if let Some(picture) = pictures.get_mut(*place) {
+                picture.shap = Some(shap_picture(phi, full)?);
+            }
+        }
+        Ok(())
+    }
 }
 
 fn caption(log: &LogSeen, step: &StepSeen, change: Option<f32>) -> String {
