@@ -117,10 +117,7 @@ fn kinds() -> Vec<Kind> {
         unsealed!("checksum 0", |f, s| f.header.checksum = 0),
         unsealed!("a flipped bit of the checksum", |f, s| f.header.checksum ^= 1 << s.draw.below(64)),
         unsealed!("a pixel changed after the checksum", |f, s| one_pixel(f, s, 0.123)),
-        unsealed!("a flipped bit of a pixel", |f, s| {
-            let pixel = &mut f.depth[s.draw.below(DEPTH_PIXELS)];
-            *pixel = f32::from_bits(pixel.to_bits() ^ 1 << s.draw.below(32));
-        }),
+        unsealed!("a flipped bit of a pixel", |f, s| { let pixel = &mut f.depth[s.draw.below(DEPTH_PIXELS)]; *pixel = f32::from_bits(pixel.to_bits() ^ 1 << s.draw.below(32)); }),
         unsealed!("a later stamp after the checksum", |f, s| f.header.stamp_ns += 1),
         unsealed!("another sequence after the checksum", |f, s| f.header.sequence += 1),
         unsealed!("another position after the checksum", |f, s| f.header.position_ned_m.x += 1.0),

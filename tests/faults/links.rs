@@ -252,6 +252,21 @@ pub fn signing(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     rows.into_iter().collect()
 }
 
+/// Sends to each of the ports until it is over.
+fn keep_sending(attack: Attack, ends: [u16; 5], over: &AtomicBool, sent: &AtomicU64) {
+    let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
+        return;
+    };
+    let mut attacker = Attacker::new(attack);
+    while !over.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_micros(1_000_000 / ATTACK_RATE));
+        for end in ends {
+            let went = socket.send_to(&attacker.next(), ("127.0.0.1", end)).is_ok();
+            sent.fetch_add(u64::from(went), Ordering::Relaxed);
+        }
+    }
+}
+
 fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u64) -> Result<Row> {
     let work = tempfile::tempdir()?;
     let files = [
@@ -286,22 +301,7 @@ fn attacked(site: &Site<'_>, attack: Attack, name: &str, instance: u32, seed: u6
     let (done, sent) = (AtomicBool::new(false), AtomicU64::new(0));
     let flown = std::thread::scope(|scope| {
         let (over, sent) = (&done, &sent);
-        scope.spawn(move || {
-            let Ok(socket) = UdpSocket::bind("127.0.0.1:0") else {
-                return;
-            };
-            let mut attacker = Attacker::new(attack);
-            while !over.load(Ordering::Relaxed) {
-                std::thread::sleep(Duration::from_micros(1_000_000 / ATTACK_RATE));
-                for end in ends {
-                    let bytes = attacker.next();
-                    sent.fetch_add(
-                        u64::from(socket.send_to(&bytes, ("127.0.0.1", end)).is_ok()),
-                        Ordering::Relaxed,
-                    );
-                }
-            }
-        });
+        scope.spawn(move || keep_sending(attack, ends, over, sent));
         let flown = flight
             .take_off(site.stop)
             .and_then(|()| flight.follow(FLIGHT_LIMIT, site.stop, |s| s.outcome.is_some()));

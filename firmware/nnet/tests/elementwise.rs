@@ -6,7 +6,6 @@ mod common;
 use common::*;
 use vigil_nnet::{Activation, Dense, Function, Graph, GraphBuilder, Isa, LayerNorm, NodeId, Purpose};
 
-/// Each function with its definition.
 /// A function and its definition in float64.
 type Defined = (Function, fn(f64) -> f64);
 
@@ -207,6 +206,39 @@ fn sums_and_products_share_what_they_have_in_common() {
     assert!(distance(&silu.multipliers(&x, &x_ref, &m), &quotients) < 1e-4);
 }
 
+/// Layer normalisation of one row, written out: centred values by weights, squares, their mean, its inverse root, the product, scale and shift.
+fn one_row_written_out(width: usize, params: &[f32]) -> Evaluated {
+    let [centre, mean, all] =
+        [[width, width], [width, 1], [1, width]].map(|[inputs, outputs]| Dense { inputs, outputs });
+    let mut written = Vec::new();
+    for i in 0..width * width {
+        written.push(f32::from(u8::from(i % (width + 1) == 0)) - 1.0 / width as f32);
+    }
+    written.extend(vec![0.0; width]);
+    written.extend(vec![1.0 / width as f32; width]);
+    written.push(1e-3);
+    written.extend(vec![1.0; width]);
+    written.extend(vec![0.0; width]);
+    for (i, scale) in params[..width].iter().enumerate() {
+        written.extend((0..width).map(|j| if i == j { *scale } else { 0.0 }));
+    }
+    written.extend(&params[width..]);
+    Evaluated::new(
+        |b, x| {
+            let [p1, p2, p3, p4] = [centre, mean, all, centre].map(|layer| b.params(layer.param_len()));
+            let centred = b.dense(x, centre, Activation::Identity, p1).unwrap();
+            let squares = b.function(centred, Function::Power { exponent: 2.0 }).unwrap();
+            let variance = b.dense(squares, mean, Activation::Identity, p2).unwrap();
+            let inverse = b.function(variance, Function::Power { exponent: -0.5 }).unwrap();
+            let inverse = b.dense(inverse, all, Activation::Identity, p3).unwrap();
+            let normal = b.product(centred, inverse).unwrap();
+            b.dense(normal, centre, Activation::Identity, p4).unwrap()
+        },
+        width,
+        written,
+    )
+}
+
 #[test]
 fn layer_normalisation_is_explained_as_the_layers_that_it_is_made_of() {
     let (mut rng, rows, width) = (rng(13), 2, 12);
@@ -244,48 +276,7 @@ fn layer_normalisation_is_explained_as_the_layers_that_it_is_made_of() {
     assert!(distance(&whole.gradient(&x, &m), &want) < 1e-4 * largest(&want).max(1.0));
     whole.adds_up(&x, &x_ref, &m);
 
-    // One row, written out: centred values by weights, squares, their mean, its inverse root, the product, scale and shift.
-    let (centre, mean, all) = (
-        Dense {
-            inputs: width,
-            outputs: width,
-        },
-        Dense {
-            inputs: width,
-            outputs: 1,
-        },
-        Dense {
-            inputs: 1,
-            outputs: width,
-        },
-    );
-    let mut written = Vec::new();
-    for i in 0..width * width {
-        written.push(f32::from(u8::from(i % (width + 1) == 0)) - 1.0 / width as f32);
-    }
-    written.extend(vec![0.0; width]);
-    written.extend(vec![1.0 / width as f32; width]);
-    written.push(1e-3);
-    written.extend(vec![1.0; width]);
-    written.extend(vec![0.0; width]);
-    for (i, scale) in params[..width].iter().enumerate() {
-        written.extend((0..width).map(|j| if i == j { *scale } else { 0.0 }));
-    }
-    written.extend(&params[width..]);
-    let parts = Evaluated::new(
-        |b, x| {
-            let [p1, p2, p3, p4] = [centre, mean, all, centre].map(|layer| b.params(layer.param_len()));
-            let centred = b.dense(x, centre, Activation::Identity, p1).unwrap();
-            let squares = b.function(centred, Function::Power { exponent: 2.0 }).unwrap();
-            let variance = b.dense(squares, mean, Activation::Identity, p2).unwrap();
-            let inverse = b.function(variance, Function::Power { exponent: -0.5 }).unwrap();
-            let inverse = b.dense(inverse, all, Activation::Identity, p3).unwrap();
-            let normal = b.product(centred, inverse).unwrap();
-            b.dense(normal, centre, Activation::Identity, p4).unwrap()
-        },
-        width,
-        written,
-    );
+    let parts = one_row_written_out(width, &params);
     let (of_whole, first) = (whole.multipliers(&x, &x_ref, &m), |x: &[f32]| x[..width].to_vec());
     let of_parts = parts.multipliers(&first(&x), &first(&x_ref), &first(&m));
     assert!(distance(&of_parts, &wide(&first(&of_whole))) < 1e-4 * largest(&wide(&of_parts)).max(1.0));

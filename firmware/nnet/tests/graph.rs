@@ -82,19 +82,8 @@ fn gradients_of_shared_nodes_and_weights_add_up() {
     let m: Vec<f32> = (0..3)
         .flat_map(|i| graph.input_gradient(&work, i).unwrap().to_vec())
         .collect();
-    let sum: f64 = m
-        .iter()
-        .zip(x.iter().zip(&x_ref))
-        .map(|(m, (x, r))| f64::from(m * (x - r)))
-        .sum();
-    let (now, then) = (oracle(&wide(&params), &wide(&x)), oracle(&wide(&params), &wide(&x_ref)));
-    let change: f64 = now
-        .iter()
-        .zip(&then)
-        .zip(&weights)
-        .map(|((a, b), w)| (a - b) * f64::from(*w))
-        .sum();
-    assert!((sum - change).abs() < 1e-5, "{sum} against {change}");
+    let [now, then] = [&x, &x_ref].map(|x| oracle(&wide(&params), &wide(x)));
+    adds_up("shared", &m, [&x, &x_ref], &weights, [&now, &then]);
 }
 
 #[test]

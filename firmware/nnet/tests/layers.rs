@@ -53,6 +53,14 @@ impl Case<'_> {
         let inputs_wide: Vec<Vec<f64>> = inputs.iter().map(|x| wide(x)).collect();
         let wide_slices = || inputs_wide.iter().map(Vec::as_slice).collect::<Vec<_>>();
         let value = (self.oracle)(&params_wide, &wide_slices());
+        let gradient_of = |i: usize| {
+            let of_input = |x: &[f64]| {
+                let mut all = wide_slices();
+                all[i] = x;
+                (self.oracle)(&params_wide, &all)
+            };
+            finite_differences(of_input, &weights_wide, &inputs_wide[i])
+        };
         let d_params_want = finite_differences(|p| (self.oracle)(p, &wide_slices()), &weights_wide, &params_wide);
         for isa in Isa::available() {
             let name = format!("{} on {}", self.name, isa.name());
@@ -76,49 +84,24 @@ impl Case<'_> {
                 .unwrap();
             d_params.iter_mut().for_each(|d| *d -= 1.0);
             let (learned, fixed) = d_params.split_at(self.learned);
-            close(
-                &format!("{name}: weight gradient"),
-                learned,
-                &d_params_want[..self.learned],
-            );
-            assert!(
-                fixed.iter().all(|d| *d == 0.0),
-                "{name}: a running statistic got a gradient"
-            );
-            for (i, at) in inputs_wide.iter().enumerate() {
-                let of_input = |x: &[f64]| {
-                    let mut all = wide_slices();
-                    all[i] = x;
-                    (self.oracle)(&params_wide, &all)
-                };
-                let want = finite_differences(of_input, &weights_wide, at);
+            let want = &d_params_want[..self.learned];
+            close(&format!("{name}: weight gradient"), learned, want);
+            let is_untouched = fixed.iter().all(|d| *d == 0.0);
+            assert!(is_untouched, "{name}: a running statistic got a gradient");
+            for i in 0..inputs.len() {
                 let got = graph.input_gradient(&work, i).unwrap();
-                close(&format!("{name}: gradient of input {i}"), got, &want);
+                close(&format!("{name}: gradient of input {i}"), got, &gradient_of(i));
             }
 
             graph
                 .multipliers(isa, &packed, &tape, &reference, &weights, &mut work)
                 .unwrap();
-            let mut sum = 0.0;
-            for (i, (x, x_ref)) in inputs.iter().zip(&references).enumerate() {
-                let m = graph.input_gradient(&work, i).unwrap();
-                for ((x, x_ref), m) in x.iter().zip(x_ref).zip(m) {
-                    sum += f64::from(*m) * (f64::from(*x) - f64::from(*x_ref));
-                }
-            }
-            let outputs = graph
-                .output(&tape)
-                .unwrap()
-                .iter()
-                .zip(graph.output(&reference).unwrap());
-            let change: f64 = outputs
-                .zip(&weights_wide)
-                .map(|((y, y0), w)| f64::from(y - y0) * w)
-                .sum();
-            assert!(
-                (sum - change).abs() < 1e-5,
-                "{name}: multipliers add up to {sum}, not {change}"
-            );
+            let m: Vec<f32> = (0..inputs.len())
+                .flat_map(|i| graph.input_gradient(&work, i).unwrap().to_vec())
+                .collect();
+            let [y, y_ref] = [&tape, &reference].map(|tape| wide(graph.output(tape).unwrap()));
+            let ends = [&inputs.concat()[..], &references.concat()];
+            adds_up(&name, &m, ends, &weights, [&y, &y_ref]);
 
             // Against itself every ratio is a derivative: the multipliers are the gradient.
             let d = wide(graph.input_gradient(&work, 0).unwrap());
@@ -127,17 +110,8 @@ impl Case<'_> {
                 .multipliers(isa, &packed, &tape, &tape, &weights, &mut work)
                 .unwrap();
             if self.name != "max pool" {
-                let of_input = |x: &[f64]| {
-                    let mut all = wide_slices();
-                    all[0] = x;
-                    (self.oracle)(&params_wide, &all)
-                };
-                let want = finite_differences(of_input, &weights_wide, &inputs_wide[0]);
-                close(
-                    &format!("{name}: multipliers against itself"),
-                    graph.input_gradient(&work, 0).unwrap(),
-                    &want,
-                );
+                let got = graph.input_gradient(&work, 0).unwrap();
+                close(&format!("{name}: multipliers against itself"), got, &gradient_of(0));
             }
         }
     }

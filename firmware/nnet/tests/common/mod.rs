@@ -74,6 +74,19 @@ pub fn wide(x: &[f32]) -> Vec<f64> {
     x.iter().map(|x| f64::from(*x)).collect()
 }
 
+/// Asserts that multipliers add up: Σ m · Δx is Σ m_output · Δy.
+pub fn adds_up(name: &str, m: &[f32], [x, x_ref]: [&[f32]; 2], m_output: &[f32], [y, y_ref]: [&[f64]; 2]) {
+    let sum = |m: &[f32], to: &[f64], from: &[f64]| -> f64 {
+        let changes = to.iter().zip(from).map(|(to, from)| to - from);
+        m.iter().zip(changes).map(|(m, change)| f64::from(*m) * change).sum()
+    };
+    let (left, right) = (sum(m, &wide(x), &wide(x_ref)), sum(m_output, y, y_ref));
+    assert!(
+        (left - right).abs() < 1e-5,
+        "{name}: multipliers add up to {left}, not {right}"
+    );
+}
+
 pub fn largest(x: &[f64]) -> f64 {
     x.iter().fold(0.0, |m, x| m.max(x.abs()))
 }

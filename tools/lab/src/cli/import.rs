@@ -141,6 +141,15 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
         1e3 * longest.as_secs_f64()
     );
     policy.save(&args.output)?;
+    describe(&policy, &graph, longest, &args.output)?;
+    if let Some(output) = output {
+        say!("{}", serde_json::to_string(&output)?);
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Says what the policy is, what it costs, and where it was written.
+fn describe(policy: &FrozenPolicy, graph: &Graph, longest: Duration, file: &Path) -> Result<()> {
     let memory = 4 * (graph.param_len() + graph.tape_len());
     say!(
         "policy           {} layers, {} parameters, {:.2} million multiply-adds, {:.2} MB",
@@ -164,24 +173,21 @@ pub fn run(args: &ImportArgs) -> Result<ExitCode> {
     say!(
         "decision         {:.3} ms at most of {TIMED} here, {:.2} % of the step",
         1e3 * longest.as_secs_f64(),
-        100.0 * share
+        100.0 * longest.as_secs_f64() / f64::from(STEP_S)
     );
     match policy.split {
         Some(_) => say!(
             "split point      {} values; `vigil detector collect --actor {}` begins to train its detector",
             policy.head()?.width,
-            args.output.display()
+            file.display()
         ),
         None => say!(
             "split point      none: no layer of 8 to 512 values stands between all of the frame and the action, so no detector can \
              watch it (the guard can)"
         ),
     }
-    say!("written          {}", args.output.display());
-    if let Some(output) = output {
-        say!("{}", serde_json::to_string(&output)?);
-    }
-    Ok(ExitCode::SUCCESS)
+    say!("written          {}", file.display());
+    Ok(())
 }
 
 /// The inputs in a file: a list of lists of numbers.

@@ -114,6 +114,28 @@ pub fn outputs(graph: &Graph, isa: Isa, params: &[f32], examples: &impl Examples
         .collect()
 }
 
+/// Loss and gradient of a share of the examples, each a sum.
+fn add_up(
+    graph: &Graph,
+    isa: Isa,
+    (params, packed): (&[f32], &[f32]),
+    train: &impl Examples,
+    share: &[usize],
+) -> Result<(f64, Vec<f32>), DetectError> {
+    let mut worker = Worker::new(graph);
+    let mut gradient = vec![0.0; params.len()];
+    let mut sum = 0.0;
+    for i in share {
+        let inputs = train.inputs(*i, &mut worker.values);
+        graph.forward(isa, params, &inputs, &mut worker.tape)?;
+        let (value, slope) = loss(graph.output(&worker.tape)?[0], train.attacked(*i));
+        sum += value;
+        let (tape, work) = (&worker.tape, &mut worker.work);
+        graph.backward(isa, packed, tape, &[slope], Some(&mut gradient), work)?;
+    }
+    Ok((sum, gradient))
+}
+
 /// Trains a network whose output is a logit, from parameters that are given. The same arguments give the same bits on any
 /// number of threads.
 ///
@@ -142,23 +164,9 @@ pub fn fit(
         let mut sum = 0.0;
         for batch in order.chunks(config.batch) {
             graph.pack(&params, &mut packed)?;
-            let parts = batch
-                .par_chunks(SHARE)
-                .map(|share| {
-                    let mut worker = Worker::new(graph);
-                    let mut gradient = vec![0.0; params.len()];
-                    let mut sum = 0.0;
-                    for i in share {
-                        let inputs = train.inputs(*i, &mut worker.values);
-                        graph.forward(isa, &params, &inputs, &mut worker.tape)?;
-                        let (value, slope) = loss(graph.output(&worker.tape)?[0], train.attacked(*i));
-                        sum += value;
-                        let (tape, work) = (&worker.tape, &mut worker.work);
-                        graph.backward(isa, &packed, tape, &[slope], Some(&mut gradient), work)?;
-                    }
-                    Ok((sum, gradient))
-                })
-                .collect::<Result<Vec<_>, DetectError>>()?;
+            let parts = batch.par_chunks(SHARE);
+            let parts = parts.map(|share| add_up(graph, isa, (&params, &packed), train, share));
+            let parts = parts.collect::<Result<Vec<_>, DetectError>>()?;
             let mut gradient = vec![0.0; params.len()];
             for (part_sum, part) in parts {
                 sum += part_sum;

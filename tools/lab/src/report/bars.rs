@@ -88,9 +88,7 @@ impl Bars {
 
     fn draw_legend<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
-        let style = TextStyle::from(("sans-serif", 11 * scale))
-            .color(&INK)
-            .pos(Pos::new(HPos::Left, VPos::Center));
+        let style = text(scale, 11, HPos::Left, VPos::Center);
         let (mut x, y) = (dots(LEFT), dots(32));
         let next = |x: &mut i32, label: &str| -> Result<(), Fault<DB>> {
             area.draw_text(label, &style, (*x + dots(16), y))?;
@@ -117,6 +115,50 @@ impl Bars {
         }
         Ok(())
     }
+
+    /// A bar with its interval and note, from `start` on, its upper edge at `y`.
+    fn draw_bar<DB: DrawingBackend>(
+        &self,
+        area: &DrawingArea<DB, Shift>,
+        scale: u32,
+        bar: &Bar,
+        start: i32,
+        y: i32,
+    ) -> Result<(), Fault<DB>> {
+        let dots = |n: u32| (n * scale) as i32;
+        let (upper, lower, centre) = (y + dots(1), y + dots(BAR - 2), y + dots(BAR) / 2);
+        let (end, colour) = (self.at(bar.value, scale), COLOURS[bar.series % COLOURS.len()]);
+        area.draw(&Rectangle::new(
+            [(start.min(end), upper), (start.max(end), lower)],
+            colour.mix(0.75).filled(),
+        ))?;
+        // So that a bar of nothing tells whose it is.
+        if self.series.len() > 1 {
+            let mark = [(start - dots(6), upper), (start - dots(2), lower)];
+            area.draw(&Rectangle::new(mark, colour.filled()))?;
+        }
+        let mut rightmost = end;
+        if let Some((low, high)) = bar.interval {
+            let (low, high) = (self.at(low, scale), self.at(high, scale));
+            rightmost = rightmost.max(high);
+            let line = INK.stroke_width(scale);
+            area.draw(&PathElement::new(vec![(low, centre), (high, centre)], line))?;
+            for x in [low, high] {
+                area.draw(&PathElement::new(
+                    vec![(x, centre - dots(3)), (x, centre + dots(3))],
+                    line,
+                ))?;
+            }
+        }
+        let place = (rightmost + dots(6), centre + dots(1));
+        area.draw_text(&bar.note, &text(scale, 10, HPos::Left, VPos::Center), place)
+    }
+}
+
+/// The style of a text of so many dots.
+fn text(scale: u32, size: u32, h: HPos, v: VPos) -> TextStyle<'static> {
+    let style = TextStyle::from(("sans-serif", size * scale));
+    style.color(&INK).pos(Pos::new(h, v))
 }
 
 fn diamond(x: i32, y: i32, radius: i32) -> Polygon<(i32, i32)> {
@@ -131,12 +173,11 @@ impl Picture for Bars {
 
     fn draw<DB: DrawingBackend>(&self, area: &DrawingArea<DB, Shift>, scale: u32) -> Result<(), Fault<DB>> {
         let dots = |n: u32| (n * scale) as i32;
-        let text = |size: u32, h, v| {
-            TextStyle::from(("sans-serif", size * scale))
-                .color(&INK)
-                .pos(Pos::new(h, v))
-        };
-        area.draw_text(&self.title, &text(14, HPos::Left, VPos::Center), (dots(12), dots(13)))?;
+        area.draw_text(
+            &self.title,
+            &text(scale, 14, HPos::Left, VPos::Center),
+            (dots(12), dots(13)),
+        )?;
         self.draw_legend(area, scale)?;
         let bottom = dots(self.size().1 - FOOT);
         for value in self.ticks() {
@@ -153,7 +194,7 @@ impl Picture for Bars {
                     self.x_range.1 - self.x_range.0
                 },
             );
-            area.draw_text(&name, &text(11, HPos::Center, VPos::Top), (x, bottom + dots(4)))?;
+            area.draw_text(&name, &text(scale, 11, HPos::Center, VPos::Top), (x, bottom + dots(4)))?;
         }
         // Shares of a logarithmic axis are longer or shorter than one.
         let start = self.at(if self.logarithmic { 1.0 } else { self.x_range.0 }, scale);
@@ -162,40 +203,11 @@ impl Picture for Bars {
             let middle = dots(top) + dots(row.bars.len().max(1) as u32 * BAR) / 2;
             area.draw_text(
                 &row.label,
-                &text(12, HPos::Right, VPos::Center),
+                &text(scale, 12, HPos::Right, VPos::Center),
                 (dots(LEFT - 12), middle),
             )?;
             for (number, bar) in row.bars.iter().enumerate() {
-                let y = dots(top + number as u32 * BAR);
-                let (upper, lower, centre) = (y + dots(1), y + dots(BAR - 2), y + dots(BAR) / 2);
-                let (end, colour) = (self.at(bar.value, scale), COLOURS[bar.series % COLOURS.len()]);
-                area.draw(&Rectangle::new(
-                    [(start.min(end), upper), (start.max(end), lower)],
-                    colour.mix(0.75).filled(),
-                ))?;
-                // So that a bar of nothing tells whose it is.
-                if self.series.len() > 1 {
-                    let mark = [(start - dots(6), upper), (start - dots(2), lower)];
-                    area.draw(&Rectangle::new(mark, colour.filled()))?;
-                }
-                let mut rightmost = end;
-                if let Some((low, high)) = bar.interval {
-                    let (low, high) = (self.at(low, scale), self.at(high, scale));
-                    rightmost = rightmost.max(high);
-                    let line = INK.stroke_width(scale);
-                    area.draw(&PathElement::new(vec![(low, centre), (high, centre)], line))?;
-                    for x in [low, high] {
-                        area.draw(&PathElement::new(
-                            vec![(x, centre - dots(3)), (x, centre + dots(3))],
-                            line,
-                        ))?;
-                    }
-                }
-                area.draw_text(
-                    &bar.note,
-                    &text(10, HPos::Left, VPos::Center),
-                    (rightmost + dots(6), centre + dots(1)),
-                )?;
+                self.draw_bar(area, scale, bar, start, dots(top + number as u32 * BAR))?;
             }
             if let Some(paper) = row.paper {
                 area.draw(&diamond(self.at(paper, scale), middle, dots(5)))?;
@@ -214,7 +226,7 @@ impl Picture for Bars {
         let middle = dots((LEFT + WIDTH - RIGHT) / 2);
         area.draw_text(
             &self.x_label,
-            &text(12, HPos::Center, VPos::Bottom),
+            &text(scale, 12, HPos::Center, VPos::Bottom),
             (middle, dots(self.size().1 - 5)),
         )
     }

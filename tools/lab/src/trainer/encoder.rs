@@ -125,6 +125,48 @@ struct Shard {
     loss: f32,
 }
 
+impl Shard {
+    fn new(graph: &Graph, seed: u64, number: u64) -> Self {
+        Self {
+            photographer: Photographer::new(seed, 1 + number, FIRST_SEED + (seed << 22) + (number << 18)),
+            tape: Aligned::zeros(graph.tape_len()),
+            work: Aligned::zeros(graph.work_len()),
+            d_encoder: Aligned::zeros(graph.param_len()),
+            loss: 0.0,
+        }
+    }
+
+    /// Loss and gradient of fresh frames; `count` is the number of values in the whole batch.
+    fn add_up(
+        &mut self,
+        graph: &Graph,
+        isa: Isa,
+        (params, packed): (&[f32], &[f32]),
+        frames: usize,
+        count: f32,
+    ) -> Result<(), ShapeError> {
+        self.d_encoder.fill(0.0);
+        self.loss = 0.0;
+        for _ in 0..frames {
+            self.photographer.take();
+            if self.photographer.rng.random_bool(0.5) {
+                self.photographer.mirror();
+            }
+            graph.forward(isa, params, &[&self.photographer.frame.depth], &mut self.tape)?;
+            let mut d = [0.0; SCAN];
+            let seen = graph.output(&self.tape)?;
+            for ((d, seen), target) in d.iter_mut().zip(seen).zip(&self.photographer.target) {
+                let error = seen - target;
+                self.loss += error * error / count;
+                *d = 2.0 * error / count;
+            }
+            let gradient = Some(&mut self.d_encoder[..]);
+            graph.backward(isa, packed, &self.tape, &d, gradient, &mut self.work)?;
+        }
+        Ok(())
+    }
+}
+
 /// First weights: the variance is kept, and each filter's weights sum to 0, so that what all frames have in common does not pass.
 fn initial(spec: ActorSpec, rng: &mut ChaCha8Rng) -> (Vec<f32>, Vec<f32>) {
     let (mut params, mut shares) = (Vec::new(), Vec::new());
@@ -176,49 +218,20 @@ pub fn teach_encoder(
     let len = encoder.len();
     let mut adam = Adam::new(len);
     let mut packed = vec![0.0; params.len()];
-    let mut shards: Vec<Shard> = (0..SHARDS as u64)
-        .map(|i| Shard {
-            photographer: Photographer::new(seed, 1 + i, FIRST_SEED + (seed << 22) + (i << 18)),
-            tape: Aligned::zeros(graph.tape_len()),
-            work: Aligned::zeros(graph.work_len()),
-            d_encoder: Aligned::zeros(graph.param_len()),
-            loss: 0.0,
-        })
-        .collect();
+    let mut shards: Vec<Shard> = (0..SHARDS as u64).map(|i| Shard::new(&graph, seed, i)).collect();
     let mut mean_loss = 0.0;
     for update in 0..config.updates {
         graph.pack(&params, &mut packed)?;
         let share = config.batch.div_ceil(SHARDS);
         let count = (share * SHARDS * SCAN) as f32;
-        shards.par_iter_mut().try_for_each(|s| -> Result<(), ShapeError> {
-            s.d_encoder.fill(0.0);
-            s.loss = 0.0;
-            for _ in 0..share {
-                s.photographer.take();
-                if s.photographer.rng.random_bool(0.5) {
-                    s.photographer.mirror();
-                }
-                graph.forward(isa, &params, &[&s.photographer.frame.depth], &mut s.tape)?;
-                let mut d = [0.0; SCAN];
-                let seen = graph.output(&s.tape)?;
-                for ((d, seen), target) in d.iter_mut().zip(seen).zip(&s.photographer.target) {
-                    let error = seen - target;
-                    s.loss += error * error / count;
-                    *d = 2.0 * error / count;
-                }
-                graph.backward(isa, &packed, &s.tape, &d, Some(&mut s.d_encoder), &mut s.work)?;
-            }
-            Ok(())
-        })?;
+        let each = |shard: &mut Shard| shard.add_up(&graph, isa, (&params, &packed), share, count);
+        shards.par_iter_mut().try_for_each(each)?;
         let (total, others) = shards.split_at_mut(1);
         let total = &mut total[0];
         for other in others {
             total.loss += other.loss;
-            total
-                .d_encoder
-                .iter_mut()
-                .zip(&*other.d_encoder)
-                .for_each(|(to, from)| *to += from);
+            let pairs = total.d_encoder.iter_mut().zip(&*other.d_encoder);
+            pairs.for_each(|(to, from)| *to += from);
         }
         let d = &mut total.d_encoder[..len];
         let norm = adam::norm(&[d]);

@@ -42,6 +42,16 @@ pub struct OusterDevice {
     to_sensor: [[f32; 4]; 3],
 }
 
+/// Where a field may stand, if not at the top: it depends on the version of the sensor's software.
+const GROUPS: [&str; 6] = [
+    "beam_intrinsics",
+    "lidar_intrinsics",
+    "lidar_data_format",
+    "data_format",
+    "config_params",
+    "sensor_info",
+];
+
 impl OusterDevice {
     /// Reads a metadata file's text.
     ///
@@ -50,15 +60,7 @@ impl OusterDevice {
     pub fn from_metadata(text: &str) -> Result<Self, MetadataError> {
         let root: Value = serde_json::from_str(text).map_err(|e| MetadataError::Json(e.to_string()))?;
         let find = |field: &str| {
-            let groups = [
-                "beam_intrinsics",
-                "lidar_intrinsics",
-                "lidar_data_format",
-                "data_format",
-                "config_params",
-                "sensor_info",
-            ];
-            let inner = || groups.iter().find_map(|group| root.get(group)?.get(field));
+            let inner = || GROUPS.iter().find_map(|group| root.get(group)?.get(field));
             root.get(field).or_else(inner)
         };
         let wrong = |field, expected| MetadataError::Field { field, expected };
