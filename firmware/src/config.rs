@@ -296,14 +296,13 @@ impl FirmwareConfig {
         Ok(config)
     }
 
-    /// What the flight stack needs of this.
-    pub fn stack(&self) -> StackConfig {
+    fn guidance(&self) -> GuidanceConfig {
         let limits = &self.limits;
         let alarm = match self.has_guard() {
             true => AlarmConfig::default(),
             false => AlarmConfig::default().without_guard(),
         };
-        let guidance = GuidanceConfig {
+        GuidanceConfig {
             // Who guards somebody else's flight takes it over on command only.
             engage: match self.duty {
                 Duty::Fly => self.engage,
@@ -311,10 +310,9 @@ impl FirmwareConfig {
             },
             taken_over: self.state.taken_over,
             // A mission that was flown around something is handed back, and does not end there.
-            at_goal: if self.duty == Duty::FlyAround {
-                AtGoal::Hold
-            } else {
-                self.at_goal
+            at_goal: match self.duty {
+                Duty::FlyAround => AtGoal::Hold,
+                _ => self.at_goal,
             },
             frame_age_limit_ns: nanos(limits.frame_age_s),
             telemetry_age_limit_ns: nanos(limits.telemetry_age_s),
@@ -323,10 +321,9 @@ impl FirmwareConfig {
             goal_radius_m: limits.goal_radius_m,
             goal_limit_m: limits.goal_m,
             no_progress_limit_ns: Some(nanos(limits.no_progress_s)).filter(|limit_ns| *limit_ns > 0),
-            on_no_progress: if self.duty == Duty::FlyAround {
-                OnNoProgress::Hold
-            } else {
-                limits.no_progress
+            on_no_progress: match self.duty {
+                Duty::FlyAround => OnNoProgress::Hold,
+                _ => limits.no_progress,
             },
             battery_limit: limits.battery,
             default_height_m: self.height_m,
@@ -347,7 +344,12 @@ impl FirmwareConfig {
                 ..alarm
             },
             ..GuidanceConfig::default()
-        };
+        }
+    }
+
+    /// What the flight stack needs of this.
+    pub fn stack(&self) -> StackConfig {
+        let limits = &self.limits;
         StackConfig {
             sensor_id: self.sensor_id,
             plausibility: self.plausibility,
@@ -360,7 +362,7 @@ impl FirmwareConfig {
                 spare_m: self.just_stop.spare_m,
                 unseen_limit_ns: Some(nanos(self.just_stop.unseen_s)).filter(|limit_ns| *limit_ns > 0),
             },
-            guidance,
+            guidance: self.guidance(),
             companion: CompanionConfig {
                 flavour: match self.vehicle {
                     AutopilotChoice::Auto => None,

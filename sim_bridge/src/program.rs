@@ -362,6 +362,22 @@ fn unix_time_us() -> u64 {
         .map_or(0, |since| since.as_micros() as u64)
 }
 
+/// What has arrived on the links, to the vehicle.
+fn receive(links: &mut VehicleLinks, simulator: &mut Simulator, companion: &mut CompanionView) {
+    links.receive(simulator.now_ns(), |link, peer, datagram| {
+        if link == LinkId::ONBOARD {
+            companion.observe(datagram);
+        }
+        simulator.receive_from(link.0, peer, datagram);
+    });
+    if let Some(text) = links.refused_key() {
+        simulator.warn(text);
+    }
+    if let Some(setup) = simulator.take_signing_setup() {
+        links.set_key(&setup);
+    }
+}
+
 fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &AtomicBool) -> Result<ExitCode> {
     let mut links = VehicleLinks::open(&args.links())?;
     let mut publisher = FramePublisher::create(domain, &args.frames)?;
@@ -390,18 +406,7 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
             simulator.stood_still(late_ns);
             tracing::warn!("stood still for {:.1} s", late_ns as f64 * 1e-9);
         }
-        links.receive(simulator.now_ns(), |link, peer, datagram| {
-            if link == LinkId::ONBOARD {
-                companion.observe(datagram);
-            }
-            simulator.receive_from(link.0, peer, datagram);
-        });
-        if let Some(text) = links.refused_key() {
-            simulator.warn(text);
-        }
-        if let Some(setup) = simulator.take_signing_setup() {
-            links.set_key(&setup);
-        }
+        receive(&mut links, &mut simulator, &mut companion);
         for _ in 0..SLICE_MS {
             simulator.advance_1ms();
         }
@@ -425,21 +430,18 @@ fn run_real_time(args: &SimArgs, config: &SimConfig, domain: &Domain, stop: &Ato
         {
             state.store(&simulator.saved());
         }
-        if simulator.ending().is_none() {
+        let Some(ending) = simulator.ending() else {
             // A vehicle that was mended begins another flight.
             ended_at_ms = None;
-        }
-        if let Some(ending) = simulator.ending() {
-            let since_ms = *ended_at_ms.get_or_insert_with(|| {
-                tracing::info!(outcome = %ending.outcome, time_s = ending.flight_time_s, "the flight ended");
-                elapsed_ms
-            });
-            if args
-                .end_after
-                .is_some_and(|s| (elapsed_ms - since_ms) as f64 >= s * 1e3)
-            {
-                break;
-            }
+            continue;
+        };
+        let since_ms = *ended_at_ms.get_or_insert_with(|| {
+            tracing::info!(outcome = %ending.outcome, time_s = ending.flight_time_s, "the flight ended");
+            elapsed_ms
+        });
+        let lasted_s = (elapsed_ms - since_ms) as f64 * 1e-3;
+        if args.end_after.is_some_and(|end_s| lasted_s >= end_s) {
+            break;
         }
     }
     if let Some(state) = &mut state {
