@@ -551,14 +551,6 @@ impl Guidance {
         let low_battery = telemetry
             .battery_remaining
             .is_some_and(|charge| charge < self.config.battery_limit);
-        let stops_for = |cause| {
-            alarm
-                == Some(Alarm {
-                    cause,
-                    response: AlarmResponse::Stop,
-                })
-        };
-        let recovering = alarm.is_some_and(|alarm| alarm.response == AlarmResponse::Recovery);
         Reasons::NONE
             .with_if(stale_frame, Reason::StaleFrame)
             .with_if(input.frame.refused && !input.frame.unauthenticated, Reason::BadFrame)
@@ -576,17 +568,11 @@ impl Guidance {
             .with_if(low_battery, Reason::LowBattery)
             .with_if(telemetry.heartbeat.is_some_and(|h| h.failsafe), Reason::VehicleFailsafe)
             .with_if(too_long, Reason::TimeLimit)
-            .with_if(stops_for(AlarmCause::Attack), Reason::Attack)
-            .with_if(stops_for(AlarmCause::NoVerdict), Reason::NoVerdict)
-            .with_if(recovering, Reason::Recovering)
-            .with_if(stops_for(AlarmCause::CollisionCourse), Reason::CollisionCourse)
-            .with_if(stops_for(AlarmCause::LedAstray), Reason::LedAstray)
-            .with_if(stops_for(AlarmCause::Disagreement), Reason::Disagreement)
-            .with_if(stops_for(AlarmCause::RoughPicture), Reason::RoughPicture)
             .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
             .with_if(slow_telemetry, Reason::SlowTelemetry)
             .with_if(pilot_in_command, Reason::PilotInCommand)
             .with_if(input.frame.unauthenticated, Reason::UnauthenticatedFrame)
+            .union(alarm.map_or(Reasons::NONE, of_alarm))
             .union(input.frame.doubts)
     }
 
@@ -825,4 +811,18 @@ impl Guidance {
             _ => VehicleRequest::None,
         }
     }
+}
+
+/// What an alarm is a reason for: the pilot that recovers, or a stop.
+fn of_alarm(alarm: Alarm) -> Reasons {
+    let reason = match (alarm.response, alarm.cause) {
+        (AlarmResponse::Recovery, _) => Reason::Recovering,
+        (AlarmResponse::Stop, AlarmCause::Attack) => Reason::Attack,
+        (AlarmResponse::Stop, AlarmCause::NoVerdict) => Reason::NoVerdict,
+        (AlarmResponse::Stop, AlarmCause::CollisionCourse) => Reason::CollisionCourse,
+        (AlarmResponse::Stop, AlarmCause::LedAstray) => Reason::LedAstray,
+        (AlarmResponse::Stop, AlarmCause::Disagreement) => Reason::Disagreement,
+        (AlarmResponse::Stop, AlarmCause::RoughPicture) => Reason::RoughPicture,
+    };
+    Reasons::NONE.with_if(true, reason)
 }

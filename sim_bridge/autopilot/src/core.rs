@@ -3,7 +3,7 @@
 
 use crate::files::FileSystem;
 use crate::flight::mode::FlightMode;
-use crate::flight::setpoints::Setpoints;
+use crate::flight::setpoint_owner::Setpoints;
 use crate::flight::state::{Commander, Failsafe, FenceWatch, LandedState, LostSensors, Sticks};
 use crate::outbox::{Outbox, Traffic};
 use crate::plan::Plans;

@@ -2,7 +2,7 @@
 
 use crate::core::{ComponentId, Core};
 use crate::flight::mode::FlightMode;
-use crate::flight::setpoints::{Claim, Setpoints};
+use crate::flight::setpoint_owner::{Claim, Setpoints};
 use crate::flight::state::{Commander, Denial, Failsafe, LandedState, Maneuver, Sticks};
 use crate::message_ids;
 use crate::source::Source;

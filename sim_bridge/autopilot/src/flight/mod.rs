@@ -8,7 +8,8 @@ mod manual;
 mod mission;
 pub(crate) mod mode;
 mod orbit;
-pub(crate) mod setpoints;
+pub(crate) mod setpoint_owner;
+mod setpoints;
 pub(crate) mod state;
 
 pub use mode::FlightMode;
@@ -16,5 +17,6 @@ pub use state::{Failsafe, LandedState};
 
 pub(crate) use control::{attitude_target, position_target};
 pub(crate) use mode::Requested;
-pub(crate) use setpoints::{SetpointDefect, Taken, attitude_setpoint, global_setpoint, position_setpoint};
+pub(crate) use setpoint_owner::Taken;
+pub(crate) use setpoints::{SetpointDefect, attitude_setpoint, global_setpoint, position_setpoint};
 pub(crate) use state::{Deflections, Denial, Facing, Orbit, SensorFault};

@@ -1,22 +1,13 @@
-//! Offboard setpoints: what a message asks for, and whose setpoints are flown.
-//!
-//! One owner at a time: an identity, on the link and from the end of it where it was when it became the owner. Whoever
-//! claims the same identity elsewhere is somebody else. The owner is chosen when OFFBOARD is entered: the sender of the mode command if its own setpoints
-//! are fresh, else the only source whose setpoints are fresh. Everybody else's setpoints are counted and ignored until
-//! OFFBOARD is left.
+//! What a setpoint asks for: which masks and frames are flown, and which values are absurd.
 
-use crate::source::Source;
 use crate::vehicle::{ControlCommand, YawCommand};
 use crate::{HomePosition, geo};
 use vigil_mavlink::common::{
     AttitudeTargetTypemask as AttitudeMask, MavFrame, PositionTargetTypemask as PositionMask, SET_ATTITUDE_TARGET_DATA,
     SET_POSITION_TARGET_GLOBAL_INT_DATA, SET_POSITION_TARGET_LOCAL_NED_DATA,
 };
-use vigil_types::{Attitude, FrdVector, HeadingVector, Nanos, NedVector};
+use vigil_types::{Attitude, FrdVector, HeadingVector, NedVector};
 
-/// Sources remembered; the oldest gives way. So many that a flood of made-up ones does not come between a setpoint and the
-/// mode command behind it.
-const MAX_SOURCES: usize = 64;
 /// Beyond these a value is a mistake, not a wish: the setpoint is refused rather than limited.
 const ABSURD_POSITION_M: f32 = 100_000.0;
 const ABSURD_VELOCITY_M_S: f32 = 100.0;
@@ -35,147 +26,6 @@ pub(crate) enum SetpointDefect {
     /// A field that the mask uses.
     #[error("{0} is NaN or absurd")]
     Value(&'static str),
-}
-
-#[derive(Debug, Clone, Copy)]
-struct SourceState {
-    id: Source,
-    last_ns: Nanos,
-    command: ControlCommand,
-    /// A status text has told that its setpoints are ignored.
-    told: bool,
-}
-
-/// The newest setpoint of each source, and who owns OFFBOARD.
-#[derive(Debug, Default)]
-pub(crate) struct Setpoints {
-    sources: Vec<SourceState>,
-    owner: Option<Source>,
-    /// The last that was refused.
-    refused: Option<(Nanos, SetpointDefect)>,
-}
-
-/// Who would own OFFBOARD if it were entered now.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) enum Claim {
-    Owner(Source),
-    /// Nobody streams.
-    Nobody,
-    /// Several stream, and the commander is none of them.
-    Several(Vec<Source>),
-}
-
-impl Setpoints {
-    /// Whose setpoints are flown.
-    pub fn owner(&self) -> Option<Source> {
-        self.owner
-    }
-
-    fn owner_state(&self) -> Option<&SourceState> {
-        let owner = self.owner?;
-        self.sources.iter().find(|s| s.id == owner)
-    }
-
-    /// Age of the owner's last setpoint.
-    pub fn owner_age_ns(&self, now_ns: Nanos) -> Option<Nanos> {
-        self.owner_state().map(|s| now_ns.saturating_sub(s.last_ns))
-    }
-
-    /// The owner's setpoint, if it is fresh.
-    pub fn current(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<ControlCommand> {
-        self.owner_state()
-            .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
-            .map(|s| s.command)
-    }
-
-    /// Remembers that a setpoint was refused.
-    pub fn refuse(&mut self, now_ns: Nanos, defect: SetpointDefect) {
-        self.refused = Some((now_ns, defect));
-    }
-
-    /// Why setpoints are refused that come in place of valid ones.
-    pub fn refused(&self, now_ns: Nanos, max_age_ns: Nanos) -> Option<SetpointDefect> {
-        self.refused
-            .filter(|(at_ns, _)| now_ns.saturating_sub(*at_ns) <= max_age_ns)
-            .map(|(_, defect)| defect)
-    }
-
-    /// Takes a source's newest setpoint.
-    pub fn take(&mut self, now_ns: Nanos, id: Source, command: ControlCommand) -> Taken {
-        let owner = self.owner;
-        let is_foreign = owner.is_some_and(|owner| owner != id);
-        if let Some(source) = self.sources.iter_mut().find(|s| s.id == id) {
-            source.last_ns = now_ns;
-            source.command = command;
-        } else {
-            let source = SourceState {
-                id,
-                last_ns: now_ns,
-                command,
-                told: false,
-            };
-            if self.sources.len() < MAX_SOURCES {
-                self.sources.push(source);
-            } else if let Some(oldest) = self
-                .sources
-                .iter_mut()
-                .filter(|s| Some(s.id) != owner)
-                .min_by_key(|s| s.last_ns)
-            {
-                *oldest = source;
-            }
-        }
-        if !is_foreign {
-            return Taken::Own;
-        }
-        let source = self.sources.iter_mut().find(|s| s.id == id);
-        let told = source.is_none_or(|s| std::mem::replace(&mut s.told, true));
-        if told { Taken::Ignored } else { Taken::IgnoredFirst }
-    }
-
-    /// Whether anybody streams.
-    pub fn is_streamed(&self, now_ns: Nanos, max_age_ns: Nanos) -> bool {
-        let is_fresh = |s: &SourceState| now_ns.saturating_sub(s.last_ns) <= max_age_ns;
-        self.sources.iter().any(is_fresh)
-    }
-
-    /// Who would own OFFBOARD on a mode command of `commander`.
-    pub fn claim(&self, now_ns: Nanos, max_age_ns: Nanos, commander: Source) -> Claim {
-        let mut streaming: Vec<Source> = self
-            .sources
-            .iter()
-            .filter(|s| now_ns.saturating_sub(s.last_ns) <= max_age_ns)
-            .map(|s| s.id)
-            .collect();
-        if streaming.contains(&commander) {
-            return Claim::Owner(commander);
-        }
-        streaming.sort_unstable();
-        match streaming.as_slice() {
-            [] => Claim::Nobody,
-            [only] => Claim::Owner(*only),
-            _ => Claim::Several(streaming),
-        }
-    }
-
-    /// Sets or clears the owner.
-    pub fn set_owner(&mut self, owner: Option<Source>) {
-        self.owner = owner;
-        for source in &mut self.sources {
-            source.told = false;
-        }
-    }
-}
-
-/// What became of a setpoint.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Taken {
-    /// The owner's, or nobody owns OFFBOARD.
-    Own,
-    /// Ignored, and its sender has not been told yet.
-    IgnoredFirst,
-    /// Ignored.
-    Ignored,
 }
 
 /// Which axes of a setpoint are used.
@@ -206,22 +56,11 @@ pub(crate) fn position_setpoint(
     speed_limit_m_s: f32,
     heading_rad: f32,
 ) -> Result<ControlCommand, SetpointDefect> {
-    let used = |axes: [PositionMask; 3]| axes.map(|axis| !m.type_mask.contains(axis));
-    let position = used([
-        PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE,
-        PositionMask::POSITION_TARGET_TYPEMASK_Y_IGNORE,
-        PositionMask::POSITION_TARGET_TYPEMASK_Z_IGNORE,
-    ]);
-    let velocity = used([
-        PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE,
-        PositionMask::POSITION_TARGET_TYPEMASK_VY_IGNORE,
-        PositionMask::POSITION_TARGET_TYPEMASK_VZ_IGNORE,
-    ]);
-    let acceleration = used([
-        PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE,
-        PositionMask::POSITION_TARGET_TYPEMASK_AY_IGNORE,
-        PositionMask::POSITION_TARGET_TYPEMASK_AZ_IGNORE,
-    ]);
+    // The bits of the second and third axis follow that of the first.
+    let used = |first: PositionMask| [0, 1, 2].map(|axis| m.type_mask.bits() & first.bits() << axis == 0);
+    let position = used(PositionMask::POSITION_TARGET_TYPEMASK_X_IGNORE);
+    let velocity = used(PositionMask::POSITION_TARGET_TYPEMASK_VX_IGNORE);
+    let acceleration = used(PositionMask::POSITION_TARGET_TYPEMASK_AX_IGNORE);
     let accelerates = acceleration != NONE;
     let is_force = m.type_mask.contains(PositionMask::POSITION_TARGET_TYPEMASK_FORCE_SET);
     let is_local = match m.coordinate_frame {
@@ -589,47 +428,5 @@ mod tests {
         let mut excessive = target(0x80);
         excessive.thrust = 1.5;
         assert_eq!(attitude_setpoint(&excessive), Err(SetpointDefect::Value("thrust")));
-    }
-
-    fn source(system: u8, component: u8) -> Source {
-        Source {
-            link: crate::LinkId::ONBOARD,
-            peer: 0,
-            id: vigil_mavlink::routing::ComponentId { system, component },
-        }
-    }
-
-    #[test]
-    fn the_commander_owns_if_it_streams_else_the_only_stream() {
-        let id = |component| source(1, component);
-        let hold = ControlCommand::Idle;
-        let mut setpoints = Setpoints::default();
-        assert_eq!(setpoints.claim(0, 400, id(190)), Claim::Nobody);
-        setpoints.take(0, id(191), hold);
-        assert_eq!(setpoints.claim(100, 400, id(190)), Claim::Owner(id(191)));
-        setpoints.take(50, id(192), hold);
-        assert_eq!(
-            setpoints.claim(100, 400, id(190)),
-            Claim::Several(vec![id(191), id(192)])
-        );
-        assert_eq!(setpoints.claim(100, 400, id(192)), Claim::Owner(id(192)));
-        // The first one has stopped.
-        assert_eq!(setpoints.claim(420, 400, id(190)), Claim::Owner(id(192)));
-    }
-
-    #[test]
-    fn a_flood_of_sources_never_evicts_the_owner() {
-        let id = |system| source(system, 1);
-        let mut setpoints = Setpoints::default();
-        setpoints.take(0, id(2), ControlCommand::Idle);
-        setpoints.set_owner(Some(id(2)));
-        for n in 3..=255 {
-            assert_eq!(
-                setpoints.take(u64::from(n), id(n), ControlCommand::MotorsOff),
-                Taken::IgnoredFirst
-            );
-        }
-        assert_eq!(setpoints.current(300, 400), Some(ControlCommand::Idle));
-        assert_eq!(setpoints.sources.len(), MAX_SOURCES);
     }
 }

@@ -175,41 +175,9 @@ impl MissionItem {
             NAV_DELAY | CONDITION_DELAY => Ok(Self::Delay {
                 wait_ns: seconds(item)?,
             }),
-            CONDITION_YAW => {
-                let yaw_rad = heading_rad(item, 1, R::MAV_MISSION_INVALID_PARAM1)?
-                    .ok_or(invalid(R::MAV_MISSION_INVALID_PARAM1, "no heading"))?;
-                let is_relative = item.param(4).is_some_and(|p| p > 0.5);
-                let is_counter_clockwise = item.param(3).is_some_and(|p| p < -0.5);
-                let sign = if is_relative && is_counter_clockwise { -1.0 } else { 1.0 };
-                Ok(Self::Turn {
-                    yaw_rad: sign * yaw_rad,
-                    is_relative,
-                })
-            }
-            // Rates of climb and descent are parameters.
-            DO_CHANGE_SPEED if item.param(1).is_some_and(|kind| kind >= 2.0) => Ok(Self::PassedOver),
-            DO_CHANGE_SPEED => match item.param(2) {
-                Some(speed) if speed > 0.0 && speed <= 50.0 => Ok(Self::Speed { speed_m_s: Some(speed) }),
-                // −1: no change; −2: back to the default, as is whatever is left out.
-                Some(-1.0) => Ok(Self::PassedOver),
-                None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
-                Some(_) => Err(invalid(
-                    R::MAV_MISSION_INVALID_PARAM2,
-                    "speed is not within 0 and 50 m/s",
-                )),
-            },
-            DO_JUMP => {
-                let to = item.param(1).filter(|p| (0.0..=65535.0).contains(p));
-                let times = item.param(2).filter(|p| (-1.0..=65535.0).contains(p));
-                match (to, times) {
-                    (Some(to), Some(times)) => Ok(Self::Jump {
-                        to: to as usize,
-                        times: (times >= 0.0).then_some(times as u16),
-                    }),
-                    (None, _) => Err(invalid(R::MAV_MISSION_INVALID_PARAM1, "no such item to jump to")),
-                    (_, None) => Err(invalid(R::MAV_MISSION_INVALID_PARAM2, "number of jumps")),
-                }
-            }
+            CONDITION_YAW => Self::turn(item),
+            DO_CHANGE_SPEED => Self::speed(item),
+            DO_JUMP => Self::jump(item),
             DO_SET_ROI_LOCATION => Ok(Self::Interest {
                 place_m: Some(item.point(home)?),
             }),
@@ -224,6 +192,51 @@ impl MissionItem {
             },
             command if PASSED_OVER.contains(&command) => Ok(Self::PassedOver),
             _ => Err(invalid(R::MAV_MISSION_UNSUPPORTED, "not a command that missions fly")),
+        }
+    }
+
+    fn turn(item: &PlanItem) -> Result<Self, PlanDefect> {
+        let yaw_rad = heading_rad(item, 1, MavMissionResult::MAV_MISSION_INVALID_PARAM1)?
+            .ok_or(invalid(MavMissionResult::MAV_MISSION_INVALID_PARAM1, "no heading"))?;
+        let is_relative = item.param(4).is_some_and(|p| p > 0.5);
+        let is_counter_clockwise = item.param(3).is_some_and(|p| p < -0.5);
+        let sign = if is_relative && is_counter_clockwise { -1.0 } else { 1.0 };
+        Ok(Self::Turn {
+            yaw_rad: sign * yaw_rad,
+            is_relative,
+        })
+    }
+
+    fn speed(item: &PlanItem) -> Result<Self, PlanDefect> {
+        // Rates of climb and descent are parameters.
+        if item.param(1).is_some_and(|kind| kind >= 2.0) {
+            return Ok(Self::PassedOver);
+        }
+        match item.param(2) {
+            Some(speed) if speed > 0.0 && speed <= 50.0 => Ok(Self::Speed { speed_m_s: Some(speed) }),
+            // −1: no change; −2: back to the default, as is whatever is left out.
+            Some(-1.0) => Ok(Self::PassedOver),
+            None | Some(-2.0) => Ok(Self::Speed { speed_m_s: None }),
+            Some(_) => Err(invalid(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM2,
+                "speed is not within 0 and 50 m/s",
+            )),
+        }
+    }
+
+    fn jump(item: &PlanItem) -> Result<Self, PlanDefect> {
+        let to = item.param(1).filter(|p| (0.0..=65535.0).contains(p));
+        let times = item.param(2).filter(|p| (-1.0..=65535.0).contains(p));
+        match (to, times) {
+            (Some(to), Some(times)) => Ok(Self::Jump {
+                to: to as usize,
+                times: (times >= 0.0).then_some(times as u16),
+            }),
+            (None, _) => Err(invalid(
+                MavMissionResult::MAV_MISSION_INVALID_PARAM1,
+                "no such item to jump to",
+            )),
+            (_, None) => Err(invalid(MavMissionResult::MAV_MISSION_INVALID_PARAM2, "number of jumps")),
         }
     }
 }

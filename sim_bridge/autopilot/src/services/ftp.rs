@@ -296,50 +296,15 @@ impl Ftp {
             self.open(client, request.session, path, false, core.now_ns)?.made = made;
             Reply::number(size as u32)
         } else if is(MAV_FTP_OPCODE_CREATEFILE) || is(MAV_FTP_OPCODE_OPENFILEWO) {
-            let path = request.path()?;
-            if packed_parameters::is_it(path) {
-                // It takes effect as a whole when the session ends.
-                self.open(client, request.session, path, true, core.now_ns)?.made = Some(Vec::new());
-                return Ok(Some(Reply::number(0)));
-            }
-            self.make_room(client, request.session, core.now_ns)?;
-            core.files
-                .open_for_writing(path, is(MAV_FTP_OPCODE_OPENFILEWO), now_s)?;
-            self.open(client, request.session, path, true, core.now_ns)?;
-            Reply::number(core.files.read(path)?.len() as u32)
+            self.open_for_writing(request, client, core, is(MAV_FTP_OPCODE_OPENFILEWO))?
         } else if is(MAV_FTP_OPCODE_READFILE) {
             let session = self.session(client, request.session, core.now_ns)?;
             session.read(&core.files, request.offset, request.size)?
         } else if is(MAV_FTP_OPCODE_BURSTREADFILE) {
-            let session = self.session(client, request.session, core.now_ns)?;
-            session.read(&core.files, request.offset, 1)?;
-            session.burst = Some(Burst {
-                offset: request.offset,
-                size: match request.size {
-                    0 => MAX_DATA,
-                    size => size,
-                },
-                sequence: request.sequence,
-                packets_left: BURST_PACKETS,
-            });
-            self.due_ns = core.now_ns;
+            self.begin_burst(request, client, core)?;
             return Ok(None);
         } else if is(MAV_FTP_OPCODE_WRITEFILE) {
-            let session = self.session(client, request.session, core.now_ns)?;
-            if !session.writes {
-                return Err(FileError::Protected.into());
-            }
-            if let Some(made) = &mut session.made {
-                let end = request.offset.saturating_add(request.data.len());
-                if end > packed_parameters::MAX_STORED {
-                    return Err(FileError::NoSpace.into());
-                }
-                made.resize(made.len().max(end), 0);
-                made[request.offset..end].copy_from_slice(request.data);
-                return Ok(Some(Reply::number(request.data.len() as u32)));
-            }
-            core.files.write(&session.path, request.offset, request.data, now_s)?;
-            Reply::number(request.data.len() as u32)
+            self.write(request, client, core)?
         } else if is(MAV_FTP_OPCODE_REMOVEFILE) {
             core.files.remove_file(request.path()?)?;
             done()
@@ -366,6 +331,62 @@ impl Ftp {
             return Err(MavFtpErr::MAV_FTP_ERR_UNKNOWNCOMMAND.into());
         };
         Ok(Some(reply))
+    }
+
+    fn begin_burst(&mut self, request: &Request<'_>, client: Source, core: &Core) -> Result<(), Nak> {
+        let session = self.session(client, request.session, core.now_ns)?;
+        session.read(&core.files, request.offset, 1)?;
+        session.burst = Some(Burst {
+            offset: request.offset,
+            size: match request.size {
+                0 => MAX_DATA,
+                size => size,
+            },
+            sequence: request.sequence,
+            packets_left: BURST_PACKETS,
+        });
+        self.due_ns = core.now_ns;
+        Ok(())
+    }
+
+    /// Opens a file to write it: one that is there already, or a new one.
+    fn open_for_writing(
+        &mut self,
+        request: &Request<'_>,
+        client: Source,
+        core: &mut Core,
+        exists: bool,
+    ) -> Result<Reply, Nak> {
+        let now_s = core.unix_time_s();
+        let path = request.path()?;
+        if packed_parameters::is_it(path) {
+            // It takes effect as a whole when the session ends.
+            self.open(client, request.session, path, true, core.now_ns)?.made = Some(Vec::new());
+            return Ok(Reply::number(0));
+        }
+        self.make_room(client, request.session, core.now_ns)?;
+        core.files.open_for_writing(path, exists, now_s)?;
+        self.open(client, request.session, path, true, core.now_ns)?;
+        Ok(Reply::number(core.files.read(path)?.len() as u32))
+    }
+
+    fn write(&mut self, request: &Request<'_>, client: Source, core: &mut Core) -> Result<Reply, Nak> {
+        let now_s = core.unix_time_s();
+        let session = self.session(client, request.session, core.now_ns)?;
+        if !session.writes {
+            return Err(FileError::Protected.into());
+        }
+        if let Some(made) = &mut session.made {
+            let end = request.offset.saturating_add(request.data.len());
+            if end > packed_parameters::MAX_STORED {
+                return Err(FileError::NoSpace.into());
+            }
+            made.resize(made.len().max(end), 0);
+            made[request.offset..end].copy_from_slice(request.data);
+            return Ok(Reply::number(request.data.len() as u32));
+        }
+        core.files.write(&session.path, request.offset, request.data, now_s)?;
+        Ok(Reply::number(request.data.len() as u32))
     }
 
     fn find(&self, client: Source, number: u8) -> Result<usize, Nak> {

@@ -180,57 +180,7 @@ impl Controller {
             }
             _ => {
                 self.enter_path(belief);
-                let (velocity, yaw) = match *command {
-                    ControlCommand::VelocityHeading { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
-                        let v = Vec3::new(
-                            f64::from(velocity_m_s.x),
-                            f64::from(velocity_m_s.y),
-                            f64::from(velocity_m_s.z),
-                        );
-                        (heading(belief.yaw_rad) * v, yaw)
-                    }
-                    ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
-                        (from_ned(velocity_m_s), yaw)
-                    }
-                    ControlCommand::Position {
-                        position_ned_m,
-                        velocity_m_s,
-                        speed_limit_m_s,
-                        yaw,
-                    } if position_ned_m.is_finite() && velocity_m_s.is_finite() => (
-                        self.velocity_towards(
-                            &from_ned(position_ned_m),
-                            &from_ned(velocity_m_s),
-                            f64::from(speed_limit_m_s),
-                        ),
-                        yaw,
-                    ),
-                    ControlCommand::VelocityAtHeight {
-                        velocity_m_s,
-                        down_m,
-                        yaw,
-                    } if velocity_m_s.is_finite() && down_m.is_finite() => {
-                        let here = self.reference.position_ned_m;
-                        let goal = Vec3::new(here.x, here.y, f64::from(down_m));
-                        let level = Vec3::new(f64::from(velocity_m_s.x), f64::from(velocity_m_s.y), 0.0);
-                        (self.velocity_towards(&goal, &level, f64::INFINITY), yaw)
-                    }
-                    ControlCommand::ClimbAtPlace {
-                        position_ned_m,
-                        down_m_s,
-                        speed_limit_m_s,
-                        yaw,
-                    } if position_ned_m.is_finite() && down_m_s.is_finite() => {
-                        let mut goal = from_ned(position_ned_m);
-                        goal.z = self.reference.position_ned_m.z;
-                        let climb = Vec3::new(0.0, 0.0, f64::from(down_m_s));
-                        (self.velocity_towards(&goal, &climb, f64::from(speed_limit_m_s)), yaw)
-                    }
-                    ControlCommand::Descend { rate_m_s } if rate_m_s.is_finite() => {
-                        (Vec3::new(0.0, 0.0, f64::from(rate_m_s.max(0.0))), YawCommand::Hold)
-                    }
-                    _ => (Vec3::zeros(), YawCommand::Hold),
-                };
+                let (velocity, yaw) = self.path_velocity(command, belief);
                 let is_velocity = matches!(
                     command,
                     ControlCommand::VelocityHeading { .. } | ControlCommand::VelocityNed { .. }
@@ -242,6 +192,61 @@ impl Controller {
                 };
                 self.follow(&velocity, yaw, (belief, on_ground), law, dt_s);
             }
+        }
+    }
+
+    /// The velocity that a command wants now, and the yaw.
+    fn path_velocity(&self, command: &ControlCommand, belief: &Belief) -> (Vec3, YawCommand) {
+        match *command {
+            ControlCommand::VelocityHeading { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
+                let v = Vec3::new(
+                    f64::from(velocity_m_s.x),
+                    f64::from(velocity_m_s.y),
+                    f64::from(velocity_m_s.z),
+                );
+                (heading(belief.yaw_rad) * v, yaw)
+            }
+            ControlCommand::VelocityNed { velocity_m_s, yaw } if velocity_m_s.is_finite() => {
+                (from_ned(velocity_m_s), yaw)
+            }
+            ControlCommand::Position {
+                position_ned_m,
+                velocity_m_s,
+                speed_limit_m_s,
+                yaw,
+            } if position_ned_m.is_finite() && velocity_m_s.is_finite() => (
+                self.velocity_towards(
+                    &from_ned(position_ned_m),
+                    &from_ned(velocity_m_s),
+                    f64::from(speed_limit_m_s),
+                ),
+                yaw,
+            ),
+            ControlCommand::VelocityAtHeight {
+                velocity_m_s,
+                down_m,
+                yaw,
+            } if velocity_m_s.is_finite() && down_m.is_finite() => {
+                let here = self.reference.position_ned_m;
+                let goal = Vec3::new(here.x, here.y, f64::from(down_m));
+                let level = Vec3::new(f64::from(velocity_m_s.x), f64::from(velocity_m_s.y), 0.0);
+                (self.velocity_towards(&goal, &level, f64::INFINITY), yaw)
+            }
+            ControlCommand::ClimbAtPlace {
+                position_ned_m,
+                down_m_s,
+                speed_limit_m_s,
+                yaw,
+            } if position_ned_m.is_finite() && down_m_s.is_finite() => {
+                let mut goal = from_ned(position_ned_m);
+                goal.z = self.reference.position_ned_m.z;
+                let climb = Vec3::new(0.0, 0.0, f64::from(down_m_s));
+                (self.velocity_towards(&goal, &climb, f64::from(speed_limit_m_s)), yaw)
+            }
+            ControlCommand::Descend { rate_m_s } if rate_m_s.is_finite() => {
+                (Vec3::new(0.0, 0.0, f64::from(rate_m_s.max(0.0))), YawCommand::Hold)
+            }
+            _ => (Vec3::zeros(), YawCommand::Hold),
         }
     }
 

@@ -161,8 +161,19 @@ fn entries<'a>(entries: impl IntoIterator<Item = (u32, &'a str, &'a str)>) -> Va
     )
 }
 
-fn argument(kind: &str, name: &str) -> Value {
-    json!({ "type": kind, "name": name })
+/// An event's definition; arguments by type and name.
+fn event(name: &str, message: &str, arguments: &[(&str, &str)]) -> Value {
+    let arguments = arguments
+        .iter()
+        .map(|(kind, name)| json!({ "type": kind, "name": name }));
+    json!({ "name": name, "message": message, "arguments": arguments.collect::<Value>() })
+}
+
+/// One that sums others up.
+fn summary(name: &str, message: &str, arguments: &[(&str, &str)]) -> Value {
+    let mut summary = event(name, message, arguments);
+    summary["type"] = "summary".into();
+    summary
 }
 
 fn group<const N: usize>(events: [(Event, Value); N]) -> Value {
@@ -173,31 +184,41 @@ fn group<const N: usize>(events: [(Event, Value); N]) -> Value {
     json!({ "events": events })
 }
 
-/// The definitions as clients fetch them.
-pub(crate) fn definitions() -> Value {
-    let plain = |name: &str, message: &str| json!({ "name": name, "message": message });
-    let with = |name: &str, message: &str, arguments: &[Value]| json!({ "name": name, "message": message, "arguments": arguments });
-    let summary = |name: &str, message: &str, arguments: &[Value]| json!({ "name": name, "message": message, "type": "summary", "arguments": arguments });
-    let happened = group([
-        (Event::Armed, plain("armed", "Armed")),
-        (Event::Disarmed, plain("disarmed", "Disarmed")),
-        (
-            Event::ModeChanged(FlightMode::Hold),
-            with("mode_changed", "Mode: {1}", &[argument("flight_mode_t", "mode")]),
-        ),
-        (
-            Event::FailsafeEntered(Failsafe::SetpointLost),
-            with(
-                "failsafe_entered",
-                "Failsafe: {1}",
-                &[argument("failsafe_t", "failsafe")],
-            ),
-        ),
-        (Event::FailsafeEnded, plain("failsafe_ended", "Failsafe ended")),
-        (Event::Terminated, plain("terminated", "Flight terminated")),
-        (Event::TookOff, plain("took_off", "Took off")),
-        (Event::Landed, plain("landed", "Landed")),
-    ]);
+/// The enumerations that the events' arguments are of.
+fn enums() -> Value {
+    let modes = FlightMode::ALL.map(|mode| (mode.custom_mode(), mode.name(), mode.name()));
+    json!({
+        "flight_mode_t": {
+            "type": "uint32_t", "description": "Custom mode", "entries": entries(modes),
+        },
+        "failsafe_t": {
+            "type": "uint8_t", "description": "Failsafe",
+            "entries": entries([
+                (1, "setpoint_lost", "setpoint lost"),
+                (2, "geofence_breached", "geofence breached"),
+                (3, "manual_control_lost", "manual control lost"),
+                (4, "position_lost", "position lost"),
+            ]),
+        },
+        "navigation_mode_group_t": {
+            "type": "uint32_t", "is_bitfield": true, "description": "Modes of the same checks",
+            "entries": entries([(MODE_GROUP, "all", "All modes")]),
+        },
+        "health_component_t": {
+            "type": "uint32_t", "is_bitfield": true, "description": "Parts of the vehicle",
+            "entries": entries([
+                (1, "none", "None"),
+                (1 << 1, "system", "System"),
+                (1 << 2, "attitude_estimate", "Attitude estimate"),
+                (1 << 3, "geofence", "Geofence"),
+                (BATTERY_BIT, "battery", "Battery"),
+            ]),
+        },
+    })
+}
+
+/// The checks before arming, and their summary.
+fn checks() -> Map<String, Value> {
     let check_summary = Event::ArmingCheckSummary {
         failing: 0,
         groups_that_can: 0,
@@ -207,12 +228,12 @@ pub(crate) fn definitions() -> Value {
         .map(|check| {
             let (name, message) = check.name_and_message();
             let arguments = [
-                argument("navigation_mode_group_t", "modes"),
-                argument("uint8_t", "health_component_index"),
+                ("navigation_mode_group_t", "modes"),
+                ("uint8_t", "health_component_index"),
             ];
             (
                 Event::CheckFailed(check).sub_id().to_string(),
-                with(name, message, &arguments),
+                event(name, message, &arguments),
             )
         })
         .collect();
@@ -222,63 +243,57 @@ pub(crate) fn definitions() -> Value {
             "arming_check_summary",
             "Arming checks",
             &[
-                argument("uint8_t", "chunk_idx"),
-                argument("health_component_t", "error"),
-                argument("health_component_t", "warning"),
-                argument("navigation_mode_group_t", "can_arm"),
-                argument("navigation_mode_group_t", "can_run"),
+                ("uint8_t", "chunk_idx"),
+                ("health_component_t", "error"),
+                ("health_component_t", "warning"),
+                ("navigation_mode_group_t", "can_arm"),
+                ("navigation_mode_group_t", "can_run"),
             ],
         ),
     );
+    checks
+}
+
+/// The definitions as clients fetch them.
+pub(crate) fn definitions() -> Value {
+    let plain = |name: &str, message: &str| json!({ "name": name, "message": message });
+    let happened = group([
+        (Event::Armed, plain("armed", "Armed")),
+        (Event::Disarmed, plain("disarmed", "Disarmed")),
+        (
+            Event::ModeChanged(FlightMode::Hold),
+            event("mode_changed", "Mode: {1}", &[("flight_mode_t", "mode")]),
+        ),
+        (
+            Event::FailsafeEntered(Failsafe::SetpointLost),
+            event("failsafe_entered", "Failsafe: {1}", &[("failsafe_t", "failsafe")]),
+        ),
+        (Event::FailsafeEnded, plain("failsafe_ended", "Failsafe ended")),
+        (Event::Terminated, plain("terminated", "Flight terminated")),
+        (Event::TookOff, plain("took_off", "Took off")),
+        (Event::Landed, plain("landed", "Landed")),
+    ]);
     let health = group([(
         Event::HealthSummary,
         summary(
             "health_summary",
             "Health",
             &[
-                argument("uint8_t", "chunk_idx"),
-                argument("health_component_t", "is_present"),
-                argument("health_component_t", "error"),
-                argument("health_component_t", "warning"),
+                ("uint8_t", "chunk_idx"),
+                ("health_component_t", "is_present"),
+                ("health_component_t", "error"),
+                ("health_component_t", "warning"),
             ],
         ),
     )]);
-    let modes = FlightMode::ALL.map(|mode| (mode.custom_mode(), mode.name(), mode.name()));
     json!({
         "version": 1,
         "components": { "1": {
             "namespace": "vigil",
-            "enums": {
-                "flight_mode_t": {
-                    "type": "uint32_t", "description": "Custom mode", "entries": entries(modes),
-                },
-                "failsafe_t": {
-                    "type": "uint8_t", "description": "Failsafe",
-                    "entries": entries([
-                        (1, "setpoint_lost", "setpoint lost"),
-                        (2, "geofence_breached", "geofence breached"),
-                        (3, "manual_control_lost", "manual control lost"),
-                        (4, "position_lost", "position lost"),
-                    ]),
-                },
-                "navigation_mode_group_t": {
-                    "type": "uint32_t", "is_bitfield": true, "description": "Modes of the same checks",
-                    "entries": entries([(MODE_GROUP, "all", "All modes")]),
-                },
-                "health_component_t": {
-                    "type": "uint32_t", "is_bitfield": true, "description": "Parts of the vehicle",
-                    "entries": entries([
-                        (1, "none", "None"),
-                        (1 << 1, "system", "System"),
-                        (1 << 2, "attitude_estimate", "Attitude estimate"),
-                        (1 << 3, "geofence", "Geofence"),
-                        (BATTERY_BIT, "battery", "Battery"),
-                    ]),
-                },
-            },
+            "enums": enums(),
             "event_groups": {
                 "default": happened,
-                "arming_check": { "events": checks },
+                "arming_check": { "events": checks() },
                 "health": health,
             },
             "supported_protocols": ["health_and_arming_check"],
