@@ -4,7 +4,7 @@
 use rustix::process::Signal;
 use serde_json::Value;
 use std::path::Path;
-use vigil_tests::{Running, run, run_in, said};
+use vigil_tests::{Running, run, run_in, run_line, said};
 
 /// Seeds and flights of a small campaign of the actor.
 fn campaign(folder: &Path, name: &str, arguments: &[&str]) -> Vec<Value> {
@@ -60,28 +60,10 @@ fn an_attacked_campaign_is_the_same_on_any_number_of_threads_and_says_what_was_a
 fn against_one_who_knows_the_detector(folder: &Path, guard: &str) -> (String, u32, u32) {
     let detector = concat!(env!("CARGO_MANIFEST_DIR"), "/../detector/frozen/lstm_ad.safetensors");
     let folder = folder.join(guard);
-    let output = run(&[
-        "attack",
-        "defended",
-        "--arms",
-        "recover",
-        "--flights",
-        "1",
-        "--seed",
-        "5000",
-        "--burst",
-        "continuous",
-        "--epsilon",
-        "2",
-        "--iterations",
-        "5",
-        "--evade",
-        detector,
-        "--guard",
-        guard,
-        "--output",
-        folder.to_str().expect("a UTF-8 path"),
-    ]);
+    let output = run_line(&format!(
+        "attack defended --arms recover --flights 1 --seed 5000 --burst continuous --epsilon 2 --iterations 5 --evade {detector} --guard {guard} --output {}",
+        folder.to_str().expect("a UTF-8 path")
+    ));
     assert!(output.status.success(), "{}", said(&output));
     let table = std::fs::read_to_string(folder.join("defended.csv")).expect("the flights");
     let lines: Vec<Vec<&str>> = table.lines().skip(1).map(|line| line.split(',').collect()).collect();

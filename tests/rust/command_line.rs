@@ -3,7 +3,7 @@
 use rustix::process::Signal;
 use std::net::UdpSocket;
 use std::path::Path;
-use vigil_tests::{Running, run, said};
+use vigil_tests::{Running, run, run_line, said};
 
 fn text(path: &Path) -> &str {
     path.to_str().expect("a UTF-8 path")
@@ -22,17 +22,10 @@ fn flight_folder(runs: &Path) -> std::path::PathBuf {
 #[test]
 fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
     let runs = tempfile::tempdir().expect("a folder");
-    let flight = run(&[
-        "fly",
-        "--family",
-        "training",
-        "--seed",
-        "3",
-        "--instance",
-        "87",
-        "--log",
-        text(runs.path()),
-    ]);
+    let flight = run_line(&format!(
+        "fly --family training --seed 3 --instance 87 --log {}",
+        text(runs.path())
+    ));
     assert_eq!(flight.status.code(), Some(0), "{}", said(&flight));
     let summary = String::from_utf8_lossy(&flight.stdout).into_owned();
     assert!(
@@ -173,17 +166,10 @@ fn a_course_is_drawn_as_a_picture() {
 #[test]
 fn a_flight_s_explanations_add_up_to_its_decisions_and_its_attack_is_noticed() {
     let folder = tempfile::tempdir().expect("a folder");
-    let drawn = run(&[
-        "detector",
-        "figures",
-        "--seed",
-        "7",
-        "--attacked",
-        "--pictures",
-        "1",
-        "-o",
-        text(folder.path()),
-    ]);
+    let drawn = run_line(&format!(
+        "detector figures --seed 7 --attacked --pictures 1 -o {}",
+        text(folder.path())
+    ));
     assert_eq!(drawn.status.code(), Some(0), "{}", said(&drawn));
     for picture in ["figure-12.png", "figure-13.png", "figure-14.png"] {
         assert!(folder.path().join(picture).is_file(), "{picture} is missing");
@@ -282,15 +268,7 @@ fn a_killed_flight_leaves_nothing_running_and_the_next_one_on_its_instance_flies
 
 #[test]
 fn what_cannot_be_written_is_named_and_is_no_success() {
-    let full = run(&[
-        "evaluate",
-        "--flights",
-        "1",
-        "--pilot",
-        "geometric",
-        "--json",
-        "/dev/full",
-    ]);
+    let full = run_line("evaluate --flights 1 --pilot geometric --json /dev/full");
     assert_eq!(full.status.code(), Some(1), "{}", said(&full));
     assert!(
         said(&full).contains("cannot write /dev/full: No space left"),

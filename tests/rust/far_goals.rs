@@ -3,7 +3,7 @@
 use vigil_firmware::FirmwareConfig;
 use vigil_sim::world::{Course, Outcome};
 use vigil_sim::{SimConfig, Start};
-use vigil_tests::{fly_watched, run, said};
+use vigil_tests::{fly_watched, run, run_line, said};
 use vigil_types::{GuidanceState, PilotKind, Reason, StepReport};
 
 /// Columns in the way, and a screen that has to be passed at its side.
@@ -111,16 +111,7 @@ fn distances_that_no_course_has_are_refused_with_what_is_allowed() {
         assert_eq!(output.status.code(), Some(2));
         assert!(said(&output).contains(part), "{}", said(&output));
     }
-    let output = run(&[
-        "courses",
-        "write",
-        "--seed",
-        "3",
-        "--goal-distance",
-        "90",
-        "--family",
-        "hard",
-    ]);
+    let output = run_line("courses write --seed 3 --goal-distance 90 --family hard");
     assert_eq!(output.status.code(), Some(1));
     assert!(
         said(&output).contains("hard cannot be made longer"),

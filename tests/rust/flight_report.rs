@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::path::Path;
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, Story, TickRecord, WhenFull};
-use vigil_tests::{run, said};
+use vigil_tests::{run, run_line, said};
 use vigil_types::{Reason, Reasons};
 
 /// The data within a report.
@@ -38,23 +38,11 @@ fn notes(value: &Value) -> String {
 
 /// An attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
 fn attacked_flight(folder: &Path) {
-    let flown = run(&[
-        "evaluate",
-        "--flights",
-        "1",
-        "--seed",
-        "3001",
-        "--apf",
-        "off",
-        "--attack",
-        "bim-accumulating",
-        "--burst",
-        "50",
-        "--logs",
+    let flown = run_line(&format!(
+        "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50 --logs {} -o {}",
         text(folder),
-        "-o",
-        text(&folder.join("evaluate.json")),
-    ]);
+        text(&folder.join("evaluate.json"))
+    ));
     assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
 }
 

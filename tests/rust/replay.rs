@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use vigil_log::{LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{Running, run, said};
+use vigil_tests::{Running, run, run_line, said};
 use vigil_types::Datagrams;
 
 /// Flies a course in lockstep in two processes with a log; returns the log's path.
@@ -22,17 +22,9 @@ fn logged_flight(folder: &Path, instance: &str) -> PathBuf {
         "--log",
         log,
     ]);
-    let simulator = run(&[
-        "sim",
-        "--lockstep",
-        "--airborne",
-        "--instance",
-        instance,
-        "--seed",
-        "5",
-        "--family",
-        "training",
-    ]);
+    let simulator = run_line(&format!(
+        "sim --lockstep --airborne --instance {instance} --seed 5 --family training"
+    ));
     assert!(!simulator.stdout.is_empty(), "{}", said(&simulator));
     assert_eq!(firmware.wait(), Some(0));
     let mut logs = std::fs::read_dir(folder)

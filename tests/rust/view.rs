@@ -4,7 +4,7 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{run, said, vigil};
+use vigil_tests::{run, run_line, said, vigil};
 use vigil_types::{Datagrams, StepReport, StepTiming};
 
 fn text(path: &Path) -> &str {
@@ -123,17 +123,11 @@ fn what_is_no_log_of_this_version_is_refused_before_a_viewer_opens() {
 fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let folder = tempfile::tempdir().expect("a folder");
     let json = folder.path().join("evaluate.json");
-    let flown = run(&[
-        "evaluate",
-        "--flights",
-        "1",
-        "--seed",
-        "3001",
-        "--logs",
+    let flown = run_line(&format!(
+        "evaluate --flights 1 --seed 3001 --logs {} -o {}",
         text(folder.path()),
-        "-o",
-        text(&json),
-    ]);
+        text(&json)
+    ));
     assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
     let log = folder.path().join("3001.mcap");
     let about = |log: &Path| vigil_log::Story::read(log).expect("a log").about;
@@ -183,23 +177,11 @@ fn program(folder: &Path, name: &str, script: &str) {
 
 /// An attacked flight of the actor in lockstep with an alarm.
 fn attacked_log(folder: &Path) -> PathBuf {
-    let flown = run(&[
-        "evaluate",
-        "--flights",
-        "1",
-        "--seed",
-        "3001",
-        "--apf",
-        "off",
-        "--attack",
-        "bim-accumulating",
-        "--burst",
-        "50",
-        "--logs",
+    let flown = run_line(&format!(
+        "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50 --logs {} -o {}",
         text(folder),
-        "-o",
-        text(&folder.join("evaluate.json")),
-    ]);
+        text(&folder.join("evaluate.json"))
+    ));
     assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
     folder.join("3001.mcap")
 }
@@ -225,17 +207,11 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
     );
 
     let gif = folder.path().join("film.gif");
-    let made = run(&[
-        "log",
-        "film",
+    let made = run_line(&format!(
+        "log film {} -o {} --speed 10 --shap 3",
         text(&log),
-        "-o",
-        text(&gif),
-        "--speed",
-        "10",
-        "--shap",
-        "3",
-    ]);
+        text(&gif)
+    ));
     assert_eq!(made.status.code(), Some(0), "{}", said(&made));
     let film = std::fs::read(&gif).expect("a film");
     // The signature, then 640 × 448 pixels.
@@ -340,22 +316,11 @@ fn what_cannot_be_filmed_is_told_with_what_can_be_seen_of_it() {
 fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
     let folder = tempfile::tempdir().expect("a folder");
     let (runs, gif) = (folder.path().join("runs"), folder.path().join("film.gif"));
-    let flown = run(&[
-        "fly",
-        "--family",
-        "training",
-        "--seed",
-        "3",
-        "--instance",
-        "86",
-        "--quiet",
-        "--log-content",
-        "light",
-        "--record",
+    let flown = run_line(&format!(
+        "fly --family training --seed 3 --instance 86 --quiet --log-content light --record {} -o {}",
         text(&gif),
-        "-o",
-        text(&runs),
-    ]);
+        text(&runs)
+    ));
     assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
     assert!(said(&flown).contains("film      ") && gif.is_file(), "{}", said(&flown));
     let flight = std::fs::read_dir(&runs)
@@ -391,18 +356,11 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
         "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\ncat > \"$0.script\"\ncp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n",
     );
     let saved = folder.path().join("course.rrd");
-    let shown = run(&[
-        "courses",
-        "view",
-        "--family",
-        "hard",
-        "--seed",
-        "7",
-        "--save",
+    let shown = run_line(&format!(
+        "courses view --family hard --seed 7 --save {} --python {}",
         text(&saved),
-        "--python",
-        text(&python),
-    ]);
+        text(&python)
+    ));
     assert_eq!(shown.status.code(), Some(0), "{}", said(&shown));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     assert!(
@@ -450,21 +408,11 @@ fn some_flights_of_a_campaign_are_handed_to_one_viewer_and_their_logs_are_kept()
     let folder = tempfile::tempdir().expect("a folder");
     let python = stand_in(folder.path());
     let json = folder.path().join("evaluate.json");
-    let flown = run(&[
-        "evaluate",
-        "--family",
-        "training",
-        "--flights",
-        "3",
-        "--seed",
-        "3",
-        "--view",
-        "2",
-        "--python",
+    let flown = run_line(&format!(
+        "evaluate --family training --flights 3 --seed 3 --view 2 --python {} -o {}",
         text(&python),
-        "-o",
-        text(&json),
-    ]);
+        text(&json)
+    ));
     assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     let mut words = asked.split_whitespace().skip(1);

@@ -42,6 +42,11 @@ pub fn run(arguments: &[&str]) -> Output {
     run_in(Path::new("."), arguments)
 }
 
+/// The same with the arguments in a line, between spaces.
+pub fn run_line(arguments: &str) -> Output {
+    run(&arguments.split_whitespace().collect::<Vec<_>>())
+}
+
 /// The same, in a folder.
 pub fn run_in(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(vigil())
