@@ -1,0 +1,452 @@
+use super::*;
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, TcpStream, UdpSocket};
+use std::os::unix::fs::PermissionsExt;
+use std::time::Duration;
+use vigil_autopilot::{Endpoint, EndpointConfig};
+use vigil_mavlink::common::{HEARTBEAT_DATA, MavMessage, MavParamType, PARAM_SET_DATA, SETUP_SIGNING_DATA};
+use vigil_mavlink::framing::{MAX_PACKET_LEN, serialize, serialize_payload};
+use vigil_mavlink::mavlink::MavHeader;
+use vigil_mavlink::signing::{Signing, SigningMemory, Timestamp, timestamp_of_unix_ns};
+
+const SECOND: Nanos = 1_000_000_000;
+const KEY: SigningKey = SigningKey([3; 32]);
+
+fn packet(sequence: u8) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: 255,
+        component_id: 190,
+        sequence,
+    };
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, &MavMessage::HEARTBEAT(HEARTBEAT_DATA::DEFAULT), &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+fn now() -> Timestamp {
+    let unix = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap();
+    timestamp_of_unix_ns(unix.as_nanos() as u64)
+}
+
+fn signed(key: SigningKey, ahead: u64) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN + 13];
+    let mut signing = Signing::new(key, 0, SigningMemory::default());
+    let len = signing.sign(now() + ahead, &packet(0), &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+fn station() -> UdpSocket {
+    let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    socket
+}
+
+/// What passes within a moment, by link.
+fn passing(links: &mut VehicleLinks, now_ns: Nanos) -> Vec<(LinkId, Vec<u8>)> {
+    let mut got = Vec::new();
+    for _ in 0..20 {
+        std::thread::sleep(Duration::from_millis(2));
+        links.receive(now_ns, |link, _, datagram| got.push((link, datagram.to_vec())));
+    }
+    got
+}
+
+fn free_port() -> u16 {
+    UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port()
+}
+
+#[test]
+fn with_a_key_each_of_several_links_has_its_policy_and_a_replay_is_refused_on_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let key_file = folder.path().join("vigil.key");
+    std::fs::write(&key_file, KEY.0).unwrap();
+    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let (strict, tcp) = (free_port(), free_port());
+    let config = LinksConfig {
+        instance: 95,
+        signing_key: Some(key_file),
+        extra: vec![
+            format!("udpin://127.0.0.1:{strict},unsigned=never").parse().unwrap(),
+            format!("tcpin://127.0.0.1:{tcp}").parse().unwrap(),
+        ],
+        ..LinksConfig::default()
+    };
+    let mut links = VehicleLinks::open(&config).unwrap();
+    let (api, on_strict) = (14580 + 95, LinkId(3));
+    let station = station();
+    let say = |port: u16, bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, port)).unwrap();
+
+    say(api, &packet(0));
+    say(strict, &packet(0));
+    assert_eq!(
+        passing(&mut links, SECOND),
+        [(LinkId::API, packet(0))],
+        "unsigned on loopback by default"
+    );
+    let right = signed(KEY, 0);
+    for bytes in [
+        &right,
+        &signed(SigningKey([4; 32]), 1),
+        &signed(KEY, 120 * 100_000),
+        &right,
+    ] {
+        say(strict, bytes);
+    }
+    assert_eq!(passing(&mut links, 2 * SECOND), [(on_strict, right.clone())]);
+    say(api, &right);
+    assert!(
+        passing(&mut links, 2 * SECOND).is_empty(),
+        "on another link, which takes unsigned packets"
+    );
+    let counters = links.signing();
+    assert_eq!(
+        (counters.signed, counters.unsigned, counters.wrong_signature),
+        (1, 1, 1)
+    );
+    assert_eq!((counters.replayed, counters.from_the_future), (2, 1));
+
+    // Who was admitted hears the vehicle, and everything is signed.
+    links.send(on_strict, &packet(9));
+    let mut heard = [0; 512];
+    let (len, _) = station.recv_from(&mut heard).unwrap();
+    assert_eq!((len, heard[2] & 1), (packet(9).len() + 13, 1));
+
+    // The state is stored, so a restart does not make a replay good.
+    drop(links);
+    let mut links = VehicleLinks::open(&config).unwrap();
+    say(strict, &right);
+    assert!(passing(&mut links, 3 * SECOND).is_empty());
+
+    let mut client = TcpStream::connect((Ipv4Addr::LOCALHOST, tcp)).unwrap();
+    client.write_all(&packet(5)).unwrap();
+    assert_eq!(passing(&mut links, 4 * SECOND), [(LinkId(4), packet(5))]);
+    links.send(LinkId(4), &packet(6));
+    client.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    assert!(client.read(&mut heard).unwrap() > packet(6).len());
+}
+
+#[test]
+fn of_a_thousand_commands_each_only_the_rightly_signed_are_obeyed() {
+    let folder = tempfile::tempdir().unwrap();
+    let key_file = folder.path().join("vigil.key");
+    std::fs::write(&key_file, KEY.0).unwrap();
+    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let config = LinksConfig {
+        instance: 91,
+        signing_key: Some(key_file),
+        allow_unsigned: AllowUnsigned::Never,
+        ..LinksConfig::default()
+    };
+    let mut links = VehicleLinks::open(&config).unwrap();
+    let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
+    let station = station();
+    let set = |height_m: f32| {
+        let message = MavMessage::PARAM_SET(PARAM_SET_DATA {
+            target_system: 1,
+            target_component: 1,
+            param_id: "MIS_TAKEOFF_ALT".into(),
+            param_value: height_m,
+            param_type: MavParamType::MAV_PARAM_TYPE_REAL32,
+        });
+        let header = MavHeader {
+            system_id: 255,
+            component_id: 190,
+            sequence: 0,
+        };
+        let mut out = [0; MAX_PACKET_LEN];
+        let len = serialize(header, &message, &mut out).unwrap();
+        out[..len].to_vec()
+    };
+    let sign = |signing: &mut Signing, ahead: u64, packet: &[u8]| {
+        let mut out = [0; MAX_PACKET_LEN + 13];
+        let len = signing.sign(now() + ahead, packet, &mut out).unwrap();
+        out[..len].to_vec()
+    };
+    let fresh = |key| Signing::new(SigningKey(key), 0, SigningMemory::default());
+    let (mut right, mut other) = (fresh(KEY.0), fresh([4; 32]));
+    let mut kept = Vec::new();
+    let mut obeyed = [0; 5];
+    for i in 0..1000_usize {
+        let wanted_m = 1.0 + i as f32 * 0.01;
+        kept.push(sign(&mut right, 0, &set(wanted_m)));
+        let commands = [
+            kept[i].clone(),
+            set(50.0),
+            sign(&mut other, 0, &set(51.0)),
+            sign(&mut fresh(KEY.0), 61 * 100_000, &set(52.0)),
+            kept[i / 2].clone(),
+        ];
+        let mut height_m = vehicle.saved().parameters.get("MIS_TAKEOFF_ALT").copied();
+        for (count, command) in obeyed.iter_mut().zip(&commands) {
+            station.send_to(command, (Ipv4Addr::LOCALHOST, 14580 + 91)).unwrap();
+            links.receive(SECOND, |link, _, datagram| vehicle.receive(SECOND, link, datagram));
+            let now_m = vehicle.saved().parameters.get("MIS_TAKEOFF_ALT").copied();
+            *count += usize::from(now_m != height_m);
+            height_m = now_m;
+        }
+    }
+    // 2.50 m is the default, which is not among the saved: the step there and the one away from it are seen as well.
+    assert_eq!(obeyed, [1000, 0, 0, 0, 0]);
+    let c = links.signing();
+    assert_eq!((c.signed, c.unsigned, c.wrong_signature), (1000, 1000, 1000));
+    assert_eq!((c.from_the_future, c.replayed), (1000, 1000));
+}
+
+#[test]
+fn a_serial_line_that_disappears_and_returns_is_heard_again_and_the_other_links_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let device = folder.path().join("tty");
+    let plug = || {
+        let (master, path) = pseudo_terminal();
+        let _ = std::fs::remove_file(&device);
+        std::os::unix::fs::symlink(path, &device).unwrap();
+        master
+    };
+    let mut line = plug();
+    let config = LinksConfig {
+        instance: 90,
+        extra: vec![
+            format!("serial://{}:57600,unsigned=always", device.display())
+                .parse()
+                .unwrap(),
+        ],
+        ..LinksConfig::default()
+    };
+    let mut links = VehicleLinks::open(&config).unwrap();
+    let station = station();
+    let say_by_udp = |bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 90)).unwrap();
+    line.write_all(&packet(1)).unwrap();
+    assert_eq!(passing(&mut links, SECOND), [(LinkId(3), packet(1))]);
+
+    drop(line);
+    std::fs::remove_file(&device).unwrap();
+    say_by_udp(&packet(2));
+    assert_eq!(passing(&mut links, 2 * SECOND), [(LinkId::API, packet(2))]);
+    links.send(LinkId(3), &packet(0));
+
+    line = plug();
+    // It is looked for once a second, and what was written before it was opened is not its.
+    passing(&mut links, 4 * SECOND);
+    line.write_all(&packet(3)).unwrap();
+    assert_eq!(passing(&mut links, 5 * SECOND), [(LinkId(3), packet(3))]);
+}
+
+/// The end of a cable and the device at its other end.
+fn pseudo_terminal() -> (std::fs::File, String) {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let path = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+    (master.into(), path)
+}
+
+#[test]
+fn a_key_from_setup_signing_is_in_force_at_once_and_after_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let key_file = folder.path().join("vigil.key");
+    std::fs::write(&key_file, KEY.0).unwrap();
+    std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+    let config = LinksConfig {
+        instance: 94,
+        signing_key: Some(key_file),
+        allow_unsigned: AllowUnsigned::Never,
+        ..LinksConfig::default()
+    };
+    let setup = SigningSetup {
+        key: [8; 32],
+        initial_timestamp: 0,
+    };
+    let station = station();
+    let mut links = VehicleLinks::open(&config).unwrap();
+    links.set_key(&setup);
+    for restarted in [false, true] {
+        if restarted {
+            drop(links);
+            links = VehicleLinks::open(&config).unwrap();
+        }
+        for key in [KEY, SigningKey(setup.key)] {
+            // Beyond what the stored state is ahead by.
+            let bytes = signed(key, if restarted { 500_000 } else { 0 });
+            station.send_to(&bytes, (Ipv4Addr::LOCALHOST, 14580 + 94)).unwrap();
+        }
+        assert_eq!(passing(&mut links, SECOND).len(), 1, "restarted: {restarted}");
+    }
+}
+
+fn setup(key: [u8; 32]) -> Vec<u8> {
+    let header = MavHeader {
+        system_id: 255,
+        component_id: 190,
+        sequence: 0,
+    };
+    let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+        target_system: 1,
+        target_component: 1,
+        secret_key: key,
+        ..SETUP_SIGNING_DATA::DEFAULT
+    });
+    let mut out = [0; MAX_PACKET_LEN];
+    let len = serialize(header, &message, &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+fn signed_as(key: [u8; 32], packet: &[u8]) -> Vec<u8> {
+    let mut out = [0; MAX_PACKET_LEN + 13];
+    let mut signing = Signing::new(SigningKey(key), 0, SigningMemory::default());
+    let len = signing.sign(now(), packet, &mut out).unwrap();
+    out[..len].to_vec()
+}
+
+/// A hundred thousand packets with right checksums and random content, each tenth a SETUP_SIGNING for the vehicle, on a
+/// link that takes what is not signed.
+#[test]
+fn random_valid_packets_change_no_key_and_only_a_signed_one_does() {
+    for has_key in [true, false] {
+        let folder = tempfile::tempdir().unwrap();
+        let key_file = folder.path().join("vigil.key");
+        std::fs::write(&key_file, KEY.0).unwrap();
+        std::fs::set_permissions(&key_file, std::fs::Permissions::from_mode(0o600)).unwrap();
+        let config = LinksConfig {
+            instance: 89,
+            signing_key: has_key.then(|| key_file.clone()),
+            ..LinksConfig::default()
+        };
+        let mut links = VehicleLinks::open(&config).unwrap();
+        let mut vehicle = Endpoint::new(EndpointConfig::default()).unwrap();
+        let station = station();
+        let mut setups = 0;
+        let say = |bytes: &[u8]| station.send_to(bytes, (Ipv4Addr::LOCALHOST, 14580 + 89)).unwrap();
+        let mut hear = |links: &mut VehicleLinks, at_ns: Nanos| {
+            links.receive(at_ns, |link, peer, datagram| {
+                vehicle.receive_from(at_ns, link, peer, datagram);
+            });
+            vehicle.transmit(|_, _| {});
+            let setup = vehicle.take_signing_setup();
+            setups += u32::from(setup.is_some());
+            setup.iter().for_each(|setup| links.set_key(setup));
+            setups
+        };
+        let mut state = 0x9E37_79B9_7F4A_7C15_u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (state >> 33) as u8
+        };
+        for i in 0..100_000_u64 {
+            let key: [u8; 32] = std::array::from_fn(|_| random());
+            let mut bytes = setup(key);
+            if i % 10 > 0 {
+                let header = MavHeader {
+                    system_id: random().into(),
+                    component_id: random(),
+                    sequence: 0,
+                };
+                let mut out = [0; MAX_PACKET_LEN];
+                let id = u32::from(random()) + u32::from(random());
+                let len = usize::from(random());
+                let payload: Vec<u8> = (0..len).map(|_| random()).collect();
+                let Ok(len) = serialize_payload(header, id, &payload, &mut out) else {
+                    continue;
+                };
+                bytes = out[..len].to_vec();
+            }
+            let is_signed = random() % 4 == 0;
+            if is_signed {
+                bytes = signed_as(key, &bytes);
+            }
+            say(&bytes);
+            hear(&mut links, SECOND + i * 1_000_000);
+        }
+        let told = links.refused_key().unwrap();
+        assert!(told.starts_with("signing key refused"), "{told}");
+        assert_eq!(links.refused_key(), None, "once");
+        say(&setup([0; 32]));
+        say(&signed_as(KEY.0, &setup([0; 32])));
+        // Stamps count ten microseconds, and of two packets with one stamp the second is a replay.
+        std::thread::sleep(Duration::from_millis(1));
+        say(&signed_as(KEY.0, &setup([9; 32])));
+        // A busy machine hands a datagram over late: as long as one is missing, and a moment more for one too many.
+        let expected = u32::from(has_key);
+        let mut moments_left = 20;
+        for _ in 0..2500 {
+            std::thread::sleep(Duration::from_millis(2));
+            if hear(&mut links, 200 * SECOND) >= expected {
+                moments_left -= 1;
+            }
+            if moments_left == 0 {
+                break;
+            }
+        }
+        let counters = links.signing();
+        drop(links);
+        assert_eq!(setups, expected, "the one that is signed with the present key");
+        assert!(counters.unsigned_key > 5000, "{counters:?}");
+        let kept = std::fs::read(&key_file).unwrap();
+        match has_key {
+            true => assert_eq!(kept, "09".repeat(32).into_bytes()),
+            false => assert_eq!(kept, KEY.0),
+        }
+    }
+}
+
+#[test]
+fn a_first_key_is_taken_where_that_was_asked_for() {
+    let config = LinksConfig {
+        instance: 88,
+        accept_first_key: true,
+        ..LinksConfig::default()
+    };
+    let mut links = VehicleLinks::open(&config).unwrap();
+    let station = station();
+    for (key, passes) in [([5; 32], 1), ([6; 32], 0)] {
+        station.send_to(&setup(key), (Ipv4Addr::LOCALHOST, 14580 + 88)).unwrap();
+        assert_eq!(passing(&mut links, SECOND).len(), passes);
+        links.set_key(&SigningSetup {
+            key,
+            initial_timestamp: 0,
+        });
+    }
+}
+
+#[test]
+fn a_link_sends_no_faster_than_its_rate() {
+    let port = free_port();
+    let config = LinksConfig {
+        instance: 93,
+        extra: vec![format!("udpout://127.0.0.1:{port},rate=2000").parse().unwrap()],
+        ..LinksConfig::default()
+    };
+    let mut links = VehicleLinks::open(&config).unwrap();
+    let sent = packet(0);
+    for millisecond in 0..10_000 {
+        links.receive(millisecond * 1_000_000, |_, _, _| {});
+        links.send(LinkId(3), &sent);
+    }
+    let passed = (10_000 - links.over_budget()) * sent.len() as u64;
+    assert!((19_000..21_500).contains(&passed), "{passed} bytes in 10 s");
+}
+
+#[test]
+fn a_link_on_which_nobody_would_be_heard_is_not_opened() {
+    let open = |link: &str| {
+        let config = LinksConfig {
+            instance: 92,
+            extra: vec![link.parse().unwrap()],
+            ..LinksConfig::default()
+        };
+        VehicleLinks::open(&config)
+            .err()
+            .map(|e| e.to_string())
+            .unwrap_or_default()
+    };
+    assert!(open("udpout://10.1.2.3:14550").contains("--signing-key"));
+    assert!(open("tcpout://10.1.2.3:5799").contains("nobody would be heard"));
+    assert!(open("udpout://127.0.0.1:14999,system=3").contains("leave them out"));
+    assert_eq!(open("udpout://127.0.0.1:14999"), "");
+}
