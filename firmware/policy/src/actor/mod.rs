@@ -6,12 +6,14 @@ pub mod memory;
 mod network;
 mod pilot;
 mod positional;
+pub mod senses;
 
 #[cfg(feature = "actor-file")]
 pub use file::FrozenActor;
-pub use memory::{CONTEXT, LOW_DIM, SCAN};
+pub use memory::{CONTEXT, SCAN};
 pub use network::{ACTOR_HIDDEN, ACTOR_LIMIT, ACTOR_OUTPUTS, Actor, ActorParams, ActorSpec, HEAD, LOW_UNITS, TRUNK};
 pub use pilot::{ActorPilot, FlightPilot};
 pub use positional::{
     BEARING_SCALE_RAD, DISTANCE_SCALE_M, FARTHEST_KNOWN_M, GOAL_INPUTS, PositionalInputs, goal_inputs,
 };
+pub use senses::LOW_DIM;

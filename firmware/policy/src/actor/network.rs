@@ -8,8 +8,9 @@
 extern crate alloc;
 
 use crate::PilotInput;
-use crate::actor::memory::{CONTEXT, LOW_DIM, OLDER_SCANS, Odometry, SCAN, Senses};
+use crate::actor::memory::{CONTEXT, OLDER_SCANS, Odometry, SCAN};
 use crate::actor::positional::PositionalInputs;
+use crate::actor::senses::{LOW_DIM, Senses};
 use alloc::vec;
 use alloc::vec::Vec;
 use vigil_nnet::shape::expect;

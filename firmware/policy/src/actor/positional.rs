@@ -1,7 +1,7 @@
 //! What a learned pilot decides from beside frames and memory: the low-dimensional observation of our actor, or distance and bearing of the
 //! goal for a policy of others.
 
-use crate::actor::memory::LOW_DIM;
+use crate::actor::senses::LOW_DIM;
 use crate::smaller;
 use vigil_types::GoalRelative;
 

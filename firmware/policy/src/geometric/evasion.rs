@@ -5,8 +5,8 @@
 //! The wanted action is kept where it meets nothing.
 
 use crate::geometric::governor::{Motion, STEP_S, Simulated};
-use crate::geometric::movers::{LEAST_SPEED_M_S, Track, Whereabouts};
 use crate::geometric::occupancy_grid::OccupancyGrid;
+use crate::geometric::track::{LEAST_SPEED_M_S, Track, Whereabouts};
 use crate::{larger, smaller};
 use vigil_types::{ACTION_LIMIT, Action, NedVector, YAW_RATE_PER_UNIT_RAD_S};
 

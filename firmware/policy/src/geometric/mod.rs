@@ -10,6 +10,7 @@ mod path_planner;
 mod pilot;
 pub mod range_scan;
 mod recovery;
+pub mod track;
 
 pub use lookout::Lookout;
 pub use occupancy_grid::{CELL_M, HIT, OccupancyGrid, SCORE_LIMIT, SIDE};

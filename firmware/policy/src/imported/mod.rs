@@ -3,6 +3,7 @@
 #[cfg(feature = "actor-file")]
 mod file;
 mod network;
+mod network_text;
 mod pilot;
 mod split;
 

@@ -221,7 +221,8 @@ mod tests {
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use vigil_nnet::{GraphBuilder, Purpose};
-    use vigil_policy::actor::memory::{CONTEXT, LOW_DIM, SCAN};
+    use vigil_policy::actor::memory::{CONTEXT, SCAN};
+    use vigil_policy::actor::senses::LOW_DIM;
 
     fn observations(rng: &mut ChaCha8Rng, rows: usize) -> Vec<f32> {
         (0..rows * OBSERVATION).map(|_| rng.random_range(-1.0..1.0)).collect()

@@ -2,7 +2,8 @@
 
 use vigil_nnet::{Aligned, Graph, Isa, Purpose, ShapeError};
 use vigil_policy::actor::ActorSpec;
-use vigil_policy::actor::memory::{CONTEXT, LOW_DIM, MOVED, Odometry, RING, SCAN, SCAN_AGES, Senses, TRAIL};
+use vigil_policy::actor::memory::{CONTEXT, MOVED, Odometry, RING, SCAN, SCAN_AGES, TRAIL};
+use vigil_policy::actor::senses::{LOW_DIM, Senses};
 use vigil_policy::{PilotInput, RangeScan};
 use vigil_types::{Action, Attitude, DepthFrame, wrap_pi};
 

@@ -1,6 +1,7 @@
 extern crate std;
 
 use super::*;
+use crate::geometric::track::Whereabouts;
 use std::vec::Vec;
 
 /// One round thing before a wall that stands 8 m north.
