@@ -7,7 +7,7 @@
 //! supplying them.
 
 use crate::config::own;
-use crate::machine::Risk;
+use crate::input::Risk;
 use vigil_types::parameters::{self, OutOfRange, Range};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 

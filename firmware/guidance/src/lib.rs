@@ -34,6 +34,7 @@
 pub mod alarm;
 pub mod conditions;
 mod config;
+mod input;
 pub mod just_stop;
 mod machine;
 mod setpoint;
@@ -41,8 +42,9 @@ pub mod table;
 
 pub use alarm::{AlarmConfig, ROUGH_BELOW};
 pub use config::{ConfigError, FenceShape, GREATEST_GOAL_M, Geofence, GuidanceConfig};
+pub use input::{FrameStatus, GuidanceInput, GuidanceOutput, Risk};
 pub use just_stop::{JustStop, JustStopConfig, JustStopInput, JustStopState};
-pub use machine::{FrameStatus, Guidance, GuidanceInput, GuidanceOutput, Risk};
+pub use machine::Guidance;
 pub use setpoint::guided_setpoint;
 // The policies that its configuration is made of.
 pub use vigil_types::{AlarmPolicy, AtGoal, EngagePolicy, OnNoProgress};

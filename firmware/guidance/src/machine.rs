@@ -1,14 +1,17 @@
 //! The state machine: evaluates conditions, takes the first transition that fits, says what is sent.
 
+mod present;
+mod requests;
+
 use crate::alarm::{AlarmInput, AlarmLogic};
-use crate::conditions::{Demand, FENCE_CLEAR_MARGIN_M, blocking_ready, demanding};
-use crate::config::{ConfigError, GREATEST_GOAL_M, GuidanceConfig};
+use crate::conditions::{Demand, blocking_ready, demanding};
+use crate::config::{ConfigError, GuidanceConfig};
+use crate::input::{GuidanceInput, GuidanceOutput};
 use crate::setpoint::{changes_height, guided_setpoint};
 use crate::table::{Guard, Intent, TRANSITIONS, Transition};
 use vigil_types::{
-    Action, Alarm, AlarmCause, AlarmResponse, AtGoal, EngagePolicy, Goal, GuidanceState, HandoverProgress, Kinematics,
-    Nanos, NedVector, OnNoProgress, OperatorRequest, Reason, Reasons, RequestOutcome, StepTiming, VehicleMode,
-    VehicleRequest, VehicleStatus, VehicleTelemetry, VelocitySetpoint, Verdict,
+    Action, Alarm, AlarmResponse, AtGoal, EngagePolicy, Goal, GuidanceState, HandoverProgress, Kinematics, Nanos,
+    NedVector, OnNoProgress, Reason, Reasons, VehicleMode, VehicleRequest, VelocitySetpoint,
 };
 
 /// A vehicle that comes back disarmed after silence restarted, if its clock says so within this time; else somebody
@@ -24,80 +27,11 @@ const SLIPS_REMEMBERED: usize = 8;
 /// second between two heartbeats.
 const INTERRUPTION_NS: Nanos = 6_000_000_000;
 
-/// What became of the depth frames.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct FrameStatus {
-    /// Age of the newest valid frame; `None` when there never was one.
-    pub age_ns: Option<Nanos>,
-    /// A frame was refused in this step.
-    pub refused: bool,
-    /// It was refused because it was not made with the sensor's key.
-    pub unauthenticated: bool,
-    /// What is implausible about the newest valid frame: [`Reason::BlindSensor`] and its like; no pilot was shown it then.
-    pub doubts: Reasons,
-}
-
-/// What the recovery pilot foresees.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Risk {
-    /// The pilot's action leads into something.
-    pub collision_course: bool,
-    /// The recovery pilot's own action leads into something that stopping avoids.
-    pub recovery_course: bool,
-    /// How fast the vehicle flies along the way that the recovery pilot plans, metres per second; 0 where it has none.
-    pub speed_along_way_m_s: f32,
-}
-
-/// Everything guidance looks at in one step.
-#[derive(Debug, Clone, Copy)]
-pub struct GuidanceInput<'a> {
-    /// Time of the step.
-    pub now_ns: Nanos,
-    /// What is known of the vehicle.
-    pub telemetry: &'a VehicleTelemetry,
-    /// Depth frames.
-    pub frame: FrameStatus,
-    /// The pilot's action. The pilot is asked in every step for which [`Guidance::expects_action`] and in which there are a
-    /// fresh frame, fresh finite telemetry and a goal; `None` when it was not asked.
-    pub action: Option<Action>,
-    /// The recovery pilot's action, asked together with the pilot; `None` without a recovery pilot.
-    pub recovery: Option<Action>,
-    /// What the detector says of the pilot's action; `None` without a detector.
-    pub verdict: Option<Verdict>,
-    /// What the recovery pilot foresees; `None` when it did not look, or there is none.
-    pub risk: Option<Risk>,
-    /// Share of one surface among the cells of this step's new frame in which something is seen; `None` without one.
-    pub smooth_share: Option<f32>,
-    /// Steps missed.
-    pub timing: StepTiming,
-    /// How it stands with the vehicle.
-    pub vehicle: VehicleStatus,
-}
-
 /// What a goal is relative to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Datum {
     Home,
     Origin,
-}
-
-/// What guidance decided.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GuidanceOutput {
-    /// State after the step.
-    pub state: GuidanceState,
-    /// Conditions present in the step, those that caused its transition included.
-    pub reasons: Reasons,
-    /// The alarm, while it is raised.
-    pub alarm: Option<Alarm>,
-    /// The action of the pilot that flies, whether or not it may reach the vehicle.
-    pub action: Option<Action>,
-    /// The transition taken, if one was.
-    pub transition: Option<&'static Transition>,
-    /// What to send; `None` is silence.
-    pub setpoint: Option<VelocitySetpoint>,
-    /// What to ask of the vehicle.
-    pub request: VehicleRequest,
 }
 
 /// How the flight gets on.
@@ -254,136 +188,6 @@ impl Guidance {
         Ok(())
     }
 
-    /// Takes what an operator asks; it has its effect in the next [`Guidance::step`].
-    pub fn request(&mut self, request: OperatorRequest) -> RequestOutcome {
-        match request {
-            OperatorRequest::Goal {
-                north_m,
-                east_m,
-                height_m,
-            } => self.request_goal(Datum::Home, north_m, east_m, height_m),
-            OperatorRequest::FixedGoal {
-                north_m,
-                east_m,
-                height_m,
-            } => self.request_goal(Datum::Origin, north_m, east_m, height_m),
-            OperatorRequest::Engage => self.request_engage(),
-            OperatorRequest::Disengage => {
-                self.operator_ends();
-                RequestOutcome::Accepted
-            }
-            OperatorRequest::Land => match self.state {
-                // Before guidance has the vehicle, landing it is not guidance's to do.
-                GuidanceState::Standby | GuidanceState::Ready => RequestOutcome::TemporarilyRejected,
-                _ => {
-                    self.operator_ends();
-                    self.operator_land = true;
-                    RequestOutcome::Accepted
-                }
-            },
-        }
-    }
-
-    fn operator_ends(&mut self) {
-        self.intent = false;
-        self.operator = true;
-        self.taken_over = true;
-    }
-
-    fn request_goal(&mut self, datum: Datum, north_m: f32, east_m: f32, height_m: Option<f32>) -> RequestOutcome {
-        let datum_ned_m = self.datum_ned_m(datum);
-        let height_m = height_m.unwrap_or(match self.goal {
-            Some(goal) => -(goal.position_ned_m - datum_ned_m).z,
-            None => self.config.default_height_m - (self.home_ned_m - datum_ned_m).z,
-        });
-        let given_m = NedVector::new(north_m, east_m, -height_m);
-        let from_home_m = given_m + (datum_ned_m - self.home_ned_m);
-        let permitted = from_home_m.is_finite()
-            && from_home_m.x.abs() <= GREATEST_GOAL_M
-            && from_home_m.y.abs() <= GREATEST_GOAL_M
-            && from_home_m.z < 0.0
-            && from_home_m.z >= -GREATEST_GOAL_M
-            && self.config.geofence.is_none_or(|fence| {
-                fence.contains(from_home_m, FENCE_CLEAR_MARGIN_M)
-                    && fence.is_high_enough(from_home_m, FENCE_CLEAR_MARGIN_M)
-            });
-        if !permitted {
-            return RequestOutcome::Denied;
-        }
-        let distance_m = from_home_m.horizontal_norm();
-        if distance_m > self.config.goal_limit_m {
-            return RequestOutcome::TooFar {
-                distance_m: (distance_m as u32).saturating_add(1),
-                limit_m: self.config.goal_limit_m as u32,
-            };
-        }
-        self.given = Some((datum, given_m));
-        self.place_goal();
-        RequestOutcome::Accepted
-    }
-
-    /// Where what a goal is relative to is in the local frame.
-    fn datum_ned_m(&self, datum: Datum) -> NedVector {
-        match datum {
-            Datum::Home => self.home_ned_m,
-            Datum::Origin => NedVector::ZERO,
-        }
-    }
-
-    /// Puts the goal where it is now that home is where it is.
-    fn place_goal(&mut self) {
-        self.goal = self.given.map(|(datum, given_m)| Goal {
-            position_ned_m: given_m + self.datum_ned_m(datum),
-        });
-        self.reached_ns = None;
-        self.dwelt = false;
-        self.progress = Progress::default();
-    }
-
-    /// An autopilot may set home anew when it is armed, and the goal goes with it. In flight a goal does not wander off: then
-    /// only the first home that the vehicle ever told counts.
-    fn note_home(&mut self, input: &GuidanceInput<'_>, restarted: bool) {
-        if restarted {
-            // Another start, another origin.
-            self.home_known = false;
-        }
-        let told = input.vehicle.home_ned_m.filter(|home_ned_m| home_ned_m.is_finite());
-        let may_move = !self.home_known || !self.in_flight();
-        let home_ned_m = match (told, restarted) {
-            (Some(home_ned_m), _) if may_move => home_ned_m,
-            (None, true) => NedVector::ZERO,
-            _ => return,
-        };
-        self.home_known = told.is_some();
-        if home_ned_m != self.home_ned_m {
-            self.home_ned_m = home_ned_m;
-            self.place_goal();
-        }
-    }
-
-    fn request_engage(&mut self) -> RequestOutcome {
-        let not_now = match self.state {
-            // Not kept for later: nobody expects a flight to begin minutes after it was asked for.
-            GuidanceState::Standby => true,
-            GuidanceState::Hold => self.reasons.contains(Reason::ModeLost),
-            GuidanceState::Land => self.must_land(self.reasons),
-            GuidanceState::Ready | GuidanceState::Engaging | GuidanceState::Guided => false,
-        };
-        if not_now {
-            return RequestOutcome::TemporarilyRejected;
-        }
-        self.intent = true;
-        self.asked = true;
-        self.taken_over = false;
-        self.returned_disarmed_ns = None;
-        self.operator = false;
-        self.operator_land = false;
-        self.handover_failed_ns = None;
-        self.progress = Progress::default();
-        self.alarm.trust_again();
-        RequestOutcome::Accepted
-    }
-
     /// One step of the loop.
     pub fn step(&mut self, input: &GuidanceInput<'_>) -> GuidanceOutput {
         let restarted =
@@ -495,87 +299,6 @@ impl Guidance {
         }
     }
 
-    /// The conditions present in this step; [`crate::conditions::CONDITIONS`] states them in words.
-    fn conditions(&mut self, input: &GuidanceInput<'_>, alarm: Option<Alarm>, action: Option<Action>) -> Reasons {
-        let GuidanceInput { now_ns, telemetry, .. } = *input;
-        let older = |age_ns: Option<Nanos>, limit_ns| age_ns.is_none_or(|age_ns| age_ns > limit_ns);
-        let stale_frame = older(input.frame.age_ns, self.config.frame_age_limit_ns);
-        let stale_telemetry = older(telemetry.flight_data_age_ns(now_ns), self.config.telemetry_age_limit_ns);
-        let heartbeat_age_ns = telemetry.heartbeat.map(|h| now_ns.saturating_sub(h.at_ns));
-        let link_lost = older(heartbeat_age_ns, self.config.heartbeat_age_limit_ns);
-        let received = telemetry.kinematics.is_some() && telemetry.attitude.is_some();
-        let bad_telemetry = received && !telemetry.is_finite();
-        let pilot_could = self.expects_action(input.vehicle.handover)
-            && !stale_frame
-            && !input.frame.refused
-            && input.frame.doubts.is_empty()
-            && !stale_telemetry
-            && !bad_telemetry
-            && self.goal.is_some();
-        let bad_action = action.map_or(pilot_could, |action| !action.is_finite());
-        let usable = !stale_telemetry && !bad_telemetry;
-        if let (true, Some(kinematics)) = (usable, telemetry.kinematics) {
-            self.note_fence(kinematics.position_ned_m);
-            self.note_goal(now_ns, kinematics.position_ned_m);
-            self.note_progress(now_ns, kinematics.position_ned_m);
-        }
-        self.progress.dwelt = self
-            .progress
-            .stopped_ns
-            .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.no_progress_dwell_ns);
-        self.dwelt = self
-            .reached_ns
-            .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.goal_dwell_ns);
-        let mode_lost = match self.state {
-            GuidanceState::Guided | GuidanceState::Hold => !self.obeys(input),
-            _ => false,
-        };
-        let pilot_in_command = match self.state {
-            GuidanceState::Standby | GuidanceState::Ready => {
-                self.taken_over || self.config.engage == EngagePolicy::Auto && !self.auto_may_take(input)
-            }
-            _ => false,
-        };
-        let slow_telemetry = input
-            .vehicle
-            .telemetry_interval_ns
-            .is_some_and(|interval_ns| interval_ns > self.config.telemetry_age_limit_ns / 2);
-        let recent_slips = self
-            .slip_times_ns
-            .iter()
-            .flatten()
-            .filter(|at_ns| now_ns.saturating_sub(**at_ns) <= self.config.slip_window_ns)
-            .count();
-        let flown_ns = self.flight_started_ns.map(|start_ns| now_ns.saturating_sub(start_ns));
-        let too_long = matches!((flown_ns, self.config.time_limit_ns), (Some(flown), Some(limit)) if flown > limit);
-        let low_battery = telemetry
-            .battery_remaining
-            .is_some_and(|charge| charge < self.config.battery_limit);
-        Reasons::NONE
-            .with_if(stale_frame, Reason::StaleFrame)
-            .with_if(input.frame.refused && !input.frame.unauthenticated, Reason::BadFrame)
-            .with_if(stale_telemetry, Reason::StaleTelemetry)
-            .with_if(link_lost, Reason::LinkLost)
-            .with_if(bad_telemetry || bad_action, Reason::NotFinite)
-            .with_if(mode_lost, Reason::ModeLost)
-            .with_if(self.in_flight() && self.disarmed(input), Reason::Disarmed)
-            .with_if(recent_slips >= usize::from(self.config.slip_limit), Reason::Slip)
-            .with_if(self.outside_fence, Reason::Geofence)
-            .with_if(self.reached_ns.is_some(), Reason::GoalReached)
-            .with_if(self.goal.is_none(), Reason::NoGoal)
-            .with_if(self.operator, Reason::Operator)
-            .with_if(self.handover_failed_ns.is_some(), Reason::HandoverFailed)
-            .with_if(low_battery, Reason::LowBattery)
-            .with_if(telemetry.heartbeat.is_some_and(|h| h.failsafe), Reason::VehicleFailsafe)
-            .with_if(too_long, Reason::TimeLimit)
-            .with_if(self.progress.stopped_ns.is_some(), Reason::NoProgress)
-            .with_if(slow_telemetry, Reason::SlowTelemetry)
-            .with_if(pilot_in_command, Reason::PilotInCommand)
-            .with_if(input.frame.unauthenticated, Reason::UnauthenticatedFrame)
-            .union(alarm.map_or(Reasons::NONE, of_alarm))
-            .union(input.frame.doubts)
-    }
-
     fn note_verdict(&mut self, input: &GuidanceInput<'_>) -> Option<Alarm> {
         let kinematics = input.telemetry.kinematics;
         self.alarm.step(
@@ -601,49 +324,6 @@ impl Guidance {
     fn changes_height(&self, kinematics: Option<Kinematics>) -> bool {
         let places = self.goal.zip(kinematics);
         places.is_some_and(|(goal, kinematics)| changes_height(goal, kinematics.position_ned_m))
-    }
-
-    fn note_fence(&mut self, position_ned_m: NedVector) {
-        let Some(fence) = self.config.geofence else { return };
-        let margin_m = if self.outside_fence { FENCE_CLEAR_MARGIN_M } else { 0.0 };
-        let from_home_m = position_ned_m - self.home_ned_m;
-        let high_enough = !self.flying_to_goal() || fence.is_high_enough(from_home_m, margin_m);
-        self.outside_fence = !(fence.contains(from_home_m, margin_m) && high_enough);
-    }
-
-    fn note_goal(&mut self, now_ns: Nanos, position_ned_m: NedVector) {
-        if let (true, None, Some(goal)) = (self.flying_to_goal(), self.reached_ns, self.goal)
-            && (goal.position_ned_m - position_ned_m).horizontal_norm() <= self.config.goal_radius_m
-        {
-            self.reached_ns = Some(now_ns);
-        }
-    }
-
-    /// Counts the time flown since the vehicle last got nearer to its goal; gives the flight up after too much of it.
-    fn note_progress(&mut self, now_ns: Nanos, position_ned_m: NedVector) {
-        let progress = &mut self.progress;
-        let step_ns = now_ns.saturating_sub(progress.last_ns.replace(now_ns).unwrap_or(now_ns));
-        let (true, Some(goal)) = (self.state == GuidanceState::Guided, self.goal) else {
-            return;
-        };
-        if changes_height(goal, position_ned_m) {
-            return;
-        }
-        let distance_m = (goal.position_ned_m - position_ned_m).horizontal_norm();
-        progress.flown_ns += step_ns.min(LONGEST_STEP_NS);
-        if progress
-            .nearest_m
-            .is_none_or(|nearest_m| distance_m <= nearest_m - self.config.no_progress_gain_m)
-        {
-            (progress.nearest_m, progress.flown_ns) = (Some(distance_m), 0);
-        }
-        let given_up = self
-            .config
-            .no_progress_limit_ns
-            .is_some_and(|limit_ns| progress.flown_ns > limit_ns);
-        if given_up && self.reached_ns.is_none() {
-            progress.stopped_ns = progress.stopped_ns.or(Some(now_ns));
-        }
     }
 
     fn obeys(&self, input: &GuidanceInput<'_>) -> bool {
@@ -811,18 +491,4 @@ impl Guidance {
             _ => VehicleRequest::None,
         }
     }
-}
-
-/// What an alarm is a reason for: the pilot that recovers, or a stop.
-fn of_alarm(alarm: Alarm) -> Reasons {
-    let reason = match (alarm.response, alarm.cause) {
-        (AlarmResponse::Recovery, _) => Reason::Recovering,
-        (AlarmResponse::Stop, AlarmCause::Attack) => Reason::Attack,
-        (AlarmResponse::Stop, AlarmCause::NoVerdict) => Reason::NoVerdict,
-        (AlarmResponse::Stop, AlarmCause::CollisionCourse) => Reason::CollisionCourse,
-        (AlarmResponse::Stop, AlarmCause::LedAstray) => Reason::LedAstray,
-        (AlarmResponse::Stop, AlarmCause::Disagreement) => Reason::Disagreement,
-        (AlarmResponse::Stop, AlarmCause::RoughPicture) => Reason::RoughPicture,
-    };
-    Reasons::NONE.with_if(true, reason)
 }
