@@ -1,29 +1,28 @@
 //! `vigil detector`: data for the detectors, their training, and how well they detect.
 
+mod images;
+mod report;
+
+pub(crate) use report::roc;
+
 use crate::cli::collect::{CollectArgs, Gathering};
-use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, put, say};
+use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    DetectError, Epoch, EvaluationSize, Feature, Flights, ImageNetwork, Judge, LstmConfig, Proportion, Record, Report,
-    Role, Separation, Set, SetReport, States, auc, fly_sets, sets,
+    DetectError, EvaluationSize, Feature, Flights, Judge, LstmConfig, Proportion, Record, Role, Set, States, fly_sets,
+    sets,
 };
-use crate::report::{Figure, Panel, Picture, Scale, TextTable, decimals, numbers, to_csv, words};
+use crate::report::{Figure, TextTable, numbers, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
+use report::{curves_csv, curves_png, percent, roc_of_features, text};
 use serde::{Deserialize, Serialize};
-use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_detector::FrozenDetector;
 use vigil_nnet::Isa;
 use vigil_policy::{FrozenActor, FrozenPilot};
-use vigil_sim::world::Family;
-
-/// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
-const IMAGES_LEARN_SEED: u64 = 5000;
-const IMAGES_CHOOSE_SEED: u64 = 5700;
-const IMAGES_JUDGE_SEED: u64 = 7000;
 
 /// Arguments of `vigil detector`.
 #[derive(Debug, Clone, clap::Args)]
@@ -475,152 +474,6 @@ impl Stage<'_> {
         Ok(())
     }
 
-    fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<ExitCode> {
-        let interrupt = Interrupt::on_ctrl_c()?;
-        for (name, family, seed, count) in [
-            (
-                "images-learn.safetensors",
-                Family::Training,
-                IMAGES_LEARN_SEED,
-                states / 2,
-            ),
-            (
-                "images-choose.safetensors",
-                Family::Training,
-                IMAGES_CHOOSE_SEED,
-                states / 20,
-            ),
-            (
-                "images-judge.safetensors",
-                Family::Validation,
-                IMAGES_JUDGE_SEED,
-                judged / 2,
-            ),
-        ] {
-            let path = self.path(name);
-            if path.exists() {
-                States::load(&path, self.actor("images")?)?;
-                say!("{name:<26} is there already");
-                continue;
-            }
-            let bar = Progress::new(count as u64, "states of each class")?;
-            let (place, size) = ((family, seed), (count, backgrounds));
-            let part = self.path(&format!("{name}.part"));
-            let begun = match part.exists() {
-                true => Some(States::load(&part, self.actor("images")?)?),
-                false => None,
-            };
-            let mut progress = |count| {
-                bar.set_position(count as u64);
-                match interrupt.came() {
-                    true => ControlFlow::Break(()),
-                    false => ControlFlow::Continue(()),
-                }
-            };
-            let (states, complete) = crate::detector_training::gather_states(
-                self.isa,
-                self.actor("images")?,
-                place,
-                size,
-                begun,
-                &mut progress,
-            )?;
-            bar.finish();
-            if !complete {
-                states.save(&part)?;
-                say!(
-                    "interrupted: {} states are kept in {}; the same command goes on with them",
-                    states.states.len(),
-                    part.display()
-                );
-                return Ok(ExitCode::from(EXIT_INTERRUPTED));
-            }
-            states.save(&path)?;
-            // What they held is in the files just written.
-            let _ = std::fs::remove_file(&part);
-            let _ = std::fs::remove_file(part.with_extension("flights"));
-            say!(
-                "{name:<26} {} states of {} flights from seed {seed}",
-                states.states.len(),
-                states.flights.records.len()
-            );
-        }
-        Ok(ExitCode::SUCCESS)
-    }
-
-    fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {
-        let frozen = self.detector(detector)?;
-        let load =
-            |name| States::load(&self.path(name), self.actor("table")?).context("run `vigil detector images` first");
-        let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
-        let judged = load("images-judge.safetensors")?;
-        let mut rows = Vec::new();
-        for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
-            let config = crate::detector_training::image_fit(epochs, seed);
-            let steps = (learn.states.len().div_ceil(config.batch) * epochs) as u64;
-            let bar = Progress::new(steps, "steps")?;
-            let fitted = network.train(self.isa, (&learn, &choose), &config, &mut |step, epoch| {
-                bar.set_position(step as u64);
-                if let Some(e) = epoch {
-                    let right = 100.0 * e.choose_accuracy;
-                    bar.set_message(format!("{} epoch {}: {right:.1} % right", network.name(), e.epoch));
-                }
-            })?;
-            bar.finish();
-            let name = network.name().to_lowercase().replace('-', "_");
-            self.write(&format!("{name}.csv"), curves_csv(&fitted.epochs))?;
-            self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
-            let scores = network.scores(self.isa, &fitted.params, &judged)?;
-            rows.push(crate::detector_training::row(
-                network.name(),
-                paper,
-                0.5,
-                &judged,
-                &scores,
-            ));
-        }
-        let lstm = crate::detector_training::lstm_scores(self.isa, &self.pilot, &Judge::from_frozen(&frozen), &judged)?;
-        rows.push(crate::detector_training::row(
-            "LSTM-AD",
-            0.91,
-            frozen.threshold,
-            &judged,
-            &lstm,
-        ));
-        let pca = crate::detector_training::pca_scores(&learn, &choose, &judged);
-        rows.push(crate::detector_training::row("PCA", 0.70, 1.0, &judged, &pca));
-        let mut table = TextTable::new([
-            words("detector"),
-            numbers("paper"),
-            words("accuracy"),
-            numbers("detected %"),
-            numbers("false alarms %"),
-            numbers("AUC"),
-        ]);
-        for row in &rows {
-            let s = &row.separation;
-            table.row([
-                row.detector.to_owned(),
-                format!("{:.0} %", 100.0 * row.paper),
-                share(&s.accuracy),
-                short(&s.detected),
-                short(&s.false_alarms),
-                or_dash(s.auc, 4, ""),
-            ]);
-        }
-        say!("{table}");
-        let json = serde_json::json!({
-            "actor_sha256": frozen.actor_sha256,
-            "detector_sha256": frozen.sha256(),
-            "git_commit": git_commit(),
-            "learned_from": learn.states.len(),
-            "rows": rows,
-        });
-        self.write("table.json", serde_json::to_string_pretty(&json)?)?;
-        say!("written    {}", self.path("table.json").display());
-        Ok(())
-    }
-
     fn ablate(&self, size: &EvaluationSize) -> Result<()> {
         let flights = self.training_flights()?;
         let Some((sets, records)) = self.evaluation(size)? else {
@@ -674,185 +527,4 @@ impl Stage<'_> {
         std::fs::create_dir_all(self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
         output::write(&path, content)
     }
-}
-
-fn percent(p: &Proportion) -> String {
-    or_dash(100.0 * p.share.unwrap_or(f64::NAN), 2, " %")
-}
-
-/// A share with its interval, or a dash for nothing.
-fn share(p: &Proportion) -> String {
-    match p.share {
-        Some(share) => format!(
-            "{:.2} % ({:.2} to {:.2}, {} of {})",
-            100.0 * share,
-            100.0 * p.interval.0,
-            100.0 * p.interval.1,
-            p.count,
-            p.of
-        ),
-        None => "-".to_owned(),
-    }
-}
-
-/// A share alone, or a dash.
-fn short(p: &Proportion) -> String {
-    p.share
-        .map_or_else(|| "-".to_owned(), |share| format!("{:.2}", 100.0 * share))
-}
-
-/// A line of the curves beside a detector.
-#[derive(Serialize)]
-struct EpochLine {
-    epoch: usize,
-    #[serde(serialize_with = "decimals::<6, _, _>")]
-    train_loss: f64,
-    #[serde(serialize_with = "decimals::<6, _, _>")]
-    choose_loss: f64,
-    #[serde(serialize_with = "decimals::<6, _, _>")]
-    choose_accuracy: f64,
-}
-
-fn curves_csv(epochs: &[Epoch]) -> String {
-    to_csv(epochs.iter().map(|e| EpochLine {
-        epoch: e.epoch,
-        train_loss: e.train_loss,
-        choose_loss: e.choose_loss,
-        choose_accuracy: e.choose_accuracy,
-    }))
-}
-
-fn curves_png(epochs: &[Epoch]) -> Vec<u8> {
-    let over = |value: fn(&Epoch) -> f64| epochs.iter().map(|e| (e.epoch as f64, value(e))).collect::<Vec<_>>();
-    let panels = [
-        Panel::new(
-            "Cross entropy",
-            "nats",
-            [
-                ("flights that choose", over(|e| e.choose_loss)),
-                ("training", over(|e| e.train_loss)),
-            ],
-        ),
-        Panel::new(
-            "Right verdicts on the flights that choose",
-            "accuracy (%)",
-            [("accuracy", over(|e| 100.0 * e.choose_accuracy))],
-        ),
-    ];
-    Figure::over("epoch", epochs.len() as f64, panels.into()).png()
-}
-
-/// ROC of the paper's attack, and of the methods that are not found as well.
-pub(crate) fn roc(report: &Report) -> Figure {
-    let others = report
-        .sets
-        .iter()
-        .filter(|s| s.role != Role::Paper && !s.roc.is_empty());
-    let name = |s: &SetReport| s.name.split(' ').next().unwrap_or_default().to_owned();
-    // The hardest of each method: the others lie above it.
-    let mut hardest: Vec<(String, &SetReport)> = Vec::new();
-    for set in others {
-        match hardest.iter_mut().find(|(method, _)| *method == name(set)) {
-            Some((_, kept)) if auc(&set.roc) < auc(&kept.roc) => *kept = set,
-            Some(_) => {}
-            None => hardest.push((name(set), set)),
-        }
-    }
-    hardest.sort_by(|a, b| auc(&a.1.roc).total_cmp(&auc(&b.1.roc)));
-    // The others lie on the upper edge and would hide each other.
-    let apart = hardest.iter().filter(|(_, set)| auc(&set.roc) < 0.9999);
-    let shown = apart.rev().map(|(method, set)| (method.as_str(), set.roc.clone()));
-    roc_figure([("the paper's", report.roc.clone())].into_iter().chain(shown))
-}
-
-fn roc_of_features(reports: &[Report]) -> Figure {
-    roc_figure(reports.iter().map(|r| (r.feature.name(), r.roc.clone())))
-}
-
-fn roc_figure<'a>(curves: impl IntoIterator<Item = (&'a str, Vec<(f64, f64)>)>) -> Figure {
-    let panel = Panel::new("Found over false alarms", "attacked windows found (share)", curves);
-    let label = "false alarms (share of the unattacked windows, logarithmic)";
-    let mut figure = Figure::over(label, 1.0, vec![panel]);
-    figure.x_scale = Scale::Logarithmic(vec![1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0]);
-    figure
-}
-
-fn text(report: &Report) -> String {
-    let mut out = String::new();
-    let mut line = |text: String| {
-        let _ = writeln!(out, "{text}");
-    };
-    let separation = |name: &str, s: &Separation| {
-        format!(
-            "{name}\n  accuracy at {}    {}\n  detected           {}\n  false alarms       {}\n  AUC                {}\n  \
-             found at 1 % / 0.1 % false alarms   {} / {}",
-            report.threshold,
-            share(&s.accuracy),
-            share(&s.detected),
-            share(&s.false_alarms),
-            or_dash(s.auc, 5, ""),
-            or_dash(100.0 * s.found_at_1_percent, 2, " %"),
-            or_dash(100.0 * s.found_at_0_1_percent, 2, " %")
-        )
-    };
-    line(separation(
-        "paper's attack, streaming, against unattacked flights",
-        &report.separation,
-    ));
-    line(separation(
-        "... effective attacks only (yaw moved by 1 or more)",
-        &report.separation_effective,
-    ));
-    line(format!(
-        "false stops          {} in {:.2} h of unattacked flight: {} an hour",
-        report.false_stops,
-        report.unattacked_hours,
-        or_dash(report.false_stops as f64 / report.unattacked_hours, 2, "")
-    ));
-    let mut table = TextTable::new(["attacked rows of ten", "detected %", "accuracy %", "windows"].map(numbers));
-    for row in &report.rows {
-        table.row([
-            row.attacked_rows.to_string(),
-            short(&row.detected),
-            or_dash(100.0 * row.accuracy, 2, ""),
-            row.detected.of.to_string(),
-        ]);
-    }
-    line(format!("\n{table}"));
-    let after: Vec<String> = report.after.iter().map(|a| short(&a.alarmed)).collect();
-    line(format!(
-        "\nstill alarmed 1, 2, … 20 steps after an attack, %: {}",
-        after.join(" ")
-    ));
-    let shares = [
-        "flights",
-        "at goal %",
-        "detected %",
-        "effective",
-        "ineffective",
-        "false alarms %",
-        "on noise",
-        "delay 50 / 90 %",
-        "bursts noticed %",
-    ];
-    let mut table = TextTable::new([words("set")].into_iter().chain(shares.map(numbers)));
-    for set in &report.sets {
-        let delay = set
-            .delay_steps
-            .map_or_else(|| "-".to_owned(), |(m, p)| format!("{m:.0} / {p:.0}"));
-        table.row([
-            set.name.to_string(),
-            set.flights.to_string(),
-            short(&set.at_goal),
-            short(&set.detected),
-            short(&set.detected_effective),
-            short(&set.detected_ineffective),
-            short(&set.false_alarms),
-            short(&set.alarms_on_noise),
-            delay,
-            short(&set.bursts_noticed),
-        ]);
-    }
-    line(format!("\n{table}"));
-    out
 }

@@ -1,0 +1,165 @@
+//! States with the SHAP images of all pixels, and the detectors of images beside ours on them.
+
+use super::Stage;
+use super::report::{curves_csv, curves_png, share, short};
+use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, say};
+use crate::detector_training::{ImageNetwork, Judge, States};
+use crate::report::{TextTable, numbers, words};
+use anyhow::Result;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::process::ExitCode;
+use vigil_sim::world::Family;
+
+/// First seeds of the states with images to learn from and of those that choose; those to judge are on validation courses.
+const IMAGES_LEARN_SEED: u64 = 5000;
+const IMAGES_CHOOSE_SEED: u64 = 5700;
+const IMAGES_JUDGE_SEED: u64 = 7000;
+
+impl Stage<'_> {
+    pub(super) fn images(&self, states: usize, judged: usize, backgrounds: usize) -> Result<ExitCode> {
+        let interrupt = Interrupt::on_ctrl_c()?;
+        for (name, family, seed, count) in [
+            (
+                "images-learn.safetensors",
+                Family::Training,
+                IMAGES_LEARN_SEED,
+                states / 2,
+            ),
+            (
+                "images-choose.safetensors",
+                Family::Training,
+                IMAGES_CHOOSE_SEED,
+                states / 20,
+            ),
+            (
+                "images-judge.safetensors",
+                Family::Validation,
+                IMAGES_JUDGE_SEED,
+                judged / 2,
+            ),
+        ] {
+            let path = self.path(name);
+            if path.exists() {
+                States::load(&path, self.actor("images")?)?;
+                say!("{name:<26} is there already");
+                continue;
+            }
+            let bar = Progress::new(count as u64, "states of each class")?;
+            let (place, size) = ((family, seed), (count, backgrounds));
+            let part = self.path(&format!("{name}.part"));
+            let begun = match part.exists() {
+                true => Some(States::load(&part, self.actor("images")?)?),
+                false => None,
+            };
+            let mut progress = |count| {
+                bar.set_position(count as u64);
+                match interrupt.came() {
+                    true => ControlFlow::Break(()),
+                    false => ControlFlow::Continue(()),
+                }
+            };
+            let (states, complete) = crate::detector_training::gather_states(
+                self.isa,
+                self.actor("images")?,
+                place,
+                size,
+                begun,
+                &mut progress,
+            )?;
+            bar.finish();
+            if !complete {
+                states.save(&part)?;
+                say!(
+                    "interrupted: {} states are kept in {}; the same command goes on with them",
+                    states.states.len(),
+                    part.display()
+                );
+                return Ok(ExitCode::from(EXIT_INTERRUPTED));
+            }
+            states.save(&path)?;
+            // What they held is in the files just written.
+            let _ = std::fs::remove_file(&part);
+            let _ = std::fs::remove_file(part.with_extension("flights"));
+            say!(
+                "{name:<26} {} states of {} flights from seed {seed}",
+                states.states.len(),
+                states.flights.records.len()
+            );
+        }
+        Ok(ExitCode::SUCCESS)
+    }
+
+    pub(super) fn table(&self, epochs: usize, seed: u64, detector: Option<&Path>) -> Result<()> {
+        let frozen = self.detector(detector)?;
+        let load =
+            |name| States::load(&self.path(name), self.actor("table")?).context("run `vigil detector images` first");
+        let (learn, choose) = (load("images-learn.safetensors")?, load("images-choose.safetensors")?);
+        let judged = load("images-judge.safetensors")?;
+        let mut rows = Vec::new();
+        for (network, paper) in [(ImageNetwork::Fcn, 0.56), (ImageNetwork::Cnn, 0.80)] {
+            let config = crate::detector_training::image_fit(epochs, seed);
+            let steps = (learn.states.len().div_ceil(config.batch) * epochs) as u64;
+            let bar = Progress::new(steps, "steps")?;
+            let fitted = network.train(self.isa, (&learn, &choose), &config, &mut |step, epoch| {
+                bar.set_position(step as u64);
+                if let Some(e) = epoch {
+                    let right = 100.0 * e.choose_accuracy;
+                    bar.set_message(format!("{} epoch {}: {right:.1} % right", network.name(), e.epoch));
+                }
+            })?;
+            bar.finish();
+            let name = network.name().to_lowercase().replace('-', "_");
+            self.write(&format!("{name}.csv"), curves_csv(&fitted.epochs))?;
+            self.write(&format!("{name}.png"), curves_png(&fitted.epochs))?;
+            let scores = network.scores(self.isa, &fitted.params, &judged)?;
+            rows.push(crate::detector_training::row(
+                network.name(),
+                paper,
+                0.5,
+                &judged,
+                &scores,
+            ));
+        }
+        let lstm = crate::detector_training::lstm_scores(self.isa, &self.pilot, &Judge::from_frozen(&frozen), &judged)?;
+        rows.push(crate::detector_training::row(
+            "LSTM-AD",
+            0.91,
+            frozen.threshold,
+            &judged,
+            &lstm,
+        ));
+        let pca = crate::detector_training::pca_scores(&learn, &choose, &judged);
+        rows.push(crate::detector_training::row("PCA", 0.70, 1.0, &judged, &pca));
+        let mut table = TextTable::new([
+            words("detector"),
+            numbers("paper"),
+            words("accuracy"),
+            numbers("detected %"),
+            numbers("false alarms %"),
+            numbers("AUC"),
+        ]);
+        for row in &rows {
+            let s = &row.separation;
+            table.row([
+                row.detector.to_owned(),
+                format!("{:.0} %", 100.0 * row.paper),
+                share(&s.accuracy),
+                short(&s.detected),
+                short(&s.false_alarms),
+                or_dash(s.auc, 4, ""),
+            ]);
+        }
+        say!("{table}");
+        let json = serde_json::json!({
+            "actor_sha256": frozen.actor_sha256,
+            "detector_sha256": frozen.sha256(),
+            "git_commit": git_commit(),
+            "learned_from": learn.states.len(),
+            "rows": rows,
+        });
+        self.write("table.json", serde_json::to_string_pretty(&json)?)?;
+        say!("written    {}", self.path("table.json").display());
+        Ok(())
+    }
+}
