@@ -2,7 +2,10 @@
 
 mod data;
 mod items;
+mod made;
+mod ours;
 mod page;
+mod paper;
 mod units;
 
 use crate::campaign::flights::{program_sha256, sha256};
@@ -10,7 +13,8 @@ use crate::cli::output::{self, EXIT_INTERRUPTED, put, say};
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result, ensure};
 use data::{Data, Sources, Unit};
-use items::{ITEMS, Item, Made};
+use items::{ITEMS, Item};
+use made::Made;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

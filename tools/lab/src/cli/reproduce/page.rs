@@ -1,6 +1,6 @@
 //! The page: one file with all figures and tables in it, without scripts.
 
-use super::items::Grid;
+use super::made::Grid;
 use super::{MadeBy, Shown};
 use anyhow::Result;
 use std::fmt::Write as _;

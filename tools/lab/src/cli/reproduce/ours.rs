@@ -1,0 +1,413 @@
+//! Tables and figures of our own.
+
+use super::data::Sources;
+use super::made::{Grid, Made, NONE, drawn, made, optional, outcomes, percent, share_of};
+use crate::attack_campaigns::{self as attack, Arm};
+use crate::campaign::Tally;
+use crate::cli::detector::roc;
+use crate::cli::report as training;
+use crate::detector_training::{Proportion, Report, Role, auc, true_positives_at};
+use crate::report::{Bar, BarRow, Bars, Figure, Panel, Series, from_csv};
+use crate::statistics::quantile;
+use anyhow::{Context, Result};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use vigil_sim::world::Outcome;
+
+pub(super) fn attacked_completion(sources: &Sources) -> Result<Made> {
+    let report: attack::CompletionReport = sources.of("attack-completion").json("attack-completion")?;
+    let mut table =
+        Grid::new("attack | field | completed | 95 % interval | the paper | collisions | out of bounds | time-outs");
+    let mut rows: Vec<BarRow> = Vec::new();
+    for row in &report.rows {
+        let (label, steps) = row.attack.map_or(("not attacked".to_owned(), None), |setting| {
+            (
+                format!("{} steps attacked", setting.burst),
+                Some(setting.burst.to_string()),
+            )
+        });
+        let paper = match (steps.as_deref(), row.apf) {
+            (None, true) => Some(97.0),
+            (Some("5"), false) => Some(35.0),
+            _ => None,
+        };
+        let field = if row.apf { "on" } else { "off" };
+        let cells = outcomes(&row.tally, &optional(paper, |value| format!("{value:.0} %")));
+        table.row([label.clone(), field.to_owned()].into_iter().chain(cells));
+        let bar = completion_bar(usize::from(!row.apf), &row.tally);
+        match rows.iter_mut().find(|r| r.label == label) {
+            Some(known) => {
+                known.bars.push(bar);
+                known.paper = known.paper.or(paper);
+            }
+            None => rows.push(BarRow {
+                label,
+                bars: vec![bar],
+                paper,
+            }),
+        }
+    }
+    let chart = completion_chart(
+        "Validation courses completed, undefended",
+        &["field on", "field off"],
+        rows,
+    );
+    made(
+        drawn(&chart),
+        table,
+        "The paper compares 97 % (field on, not attacked) with 35 % (field off, five of its steps attacked, about 2.5 s: our 50 \
+                  steps). Here all six cells are flown over the same courses. Wilson's intervals.",
+    )
+}
+
+fn completion_bar(series: usize, tally: &Tally) -> Bar {
+    let (low, high) = tally.wilson_95;
+    Bar {
+        series,
+        value: 100.0 * tally.completion,
+        interval: Some((100.0 * low, 100.0 * high)),
+        note: format!("{} of {}", tally.completed, tally.flights),
+    }
+}
+
+fn completion_chart(title: &str, series: &[&str], rows: Vec<BarRow>) -> Bars {
+    Bars {
+        title: title.to_owned(),
+        x_label: "flights that reached the goal (%), with 95 % interval".to_owned(),
+        x_range: (0.0, 100.0),
+        logarithmic: false,
+        threshold: None,
+        series: series.iter().map(|name| (*name).to_owned()).collect(),
+        rows,
+    }
+}
+
+#[derive(Deserialize)]
+struct Evaluation {
+    at_one_half: Report,
+    at_threshold: Report,
+}
+
+pub(super) fn detection(sources: &Sources) -> Result<Made> {
+    let Evaluation {
+        at_one_half: report, ..
+    } = sources.of("detector-evaluate").json("detector-evaluate")?;
+    let mut table = Grid::new(
+        "attack | learned from | found at 0.5 | 95 % interval | AUC | found at 1 % false alarms | at 0.1 % | the paper (accuracy)",
+    );
+    for set in report.sets.iter().filter(|set| !set.roc.is_empty()) {
+        let is_paper = set.role == Role::Paper;
+        let [found, interval] = share_of(&set.detected);
+        table.row([
+            set.name.clone(),
+            if set.role == Role::Untrained { "no" } else { "yes" }.to_owned(),
+            found,
+            interval,
+            format!("{:.5}", auc(&set.roc)),
+            percent(true_positives_at(&set.roc, 0.01)),
+            percent(true_positives_at(&set.roc, 0.001)),
+            if is_paper { "91 %" } else { NONE }.to_owned(),
+        ]);
+    }
+    let [accuracy, interval] = share_of(&report.separation.accuracy);
+    made(
+        drawn(&roc(&report)),
+        table,
+        format!(
+            "Windows of ten explanations, judged one by one, against those of unattacked flights: accuracy under the paper's attack at \
+             0.5 is {accuracy}, 95 % interval {interval} (the paper: 91 %). The names are method, ε · 255 x iterations; of each method \
+             the hardest is drawn, if it does not lie on the paper's line. Intervals take windows for independent, which those \
+             of one flight are not."
+        ),
+    )
+}
+
+pub(super) fn alarm_delay(sources: &Sources) -> Result<Made> {
+    let Evaluation {
+        at_threshold: report, ..
+    } = sources.of("detector-evaluate").json("detector-evaluate")?;
+    let series = |label: &str, points: Vec<(usize, &Proportion)>| {
+        let known = || points.iter().filter_map(|(at, p)| Some((*at as f64, *p, p.share?)));
+        Series {
+            label: label.to_owned(),
+            points: known().map(|(at, _, share)| (at, share)).collect(),
+            band: known().map(|(at, p, _)| (at, p.interval.0, p.interval.1)).collect(),
+            dashed: false,
+        }
+    };
+    let panel = |title: &str, line: Series| Panel {
+        title: title.to_owned(),
+        y_label: "share of windows".to_owned(),
+        series: vec![line],
+        thresholds: Vec::new(),
+        top: Some(1.0),
+    };
+    let rising = report
+        .rows
+        .iter()
+        .map(|row| (row.attacked_rows, &row.detected))
+        .collect();
+    let falling = report
+        .after
+        .iter()
+        .map(|after| (after.steps_after, &after.alarmed))
+        .collect();
+    let figure = Figure::over(
+        "steps of 0.05 s",
+        20.0,
+        vec![
+            panel(
+                "Judged attacked, by attacked frames among the last ten",
+                series("found", rising),
+            ),
+            panel(
+                "Still judged attacked, by steps since the last attacked frame",
+                series("lingers", falling),
+            ),
+        ],
+    );
+    let mut table = Grid::new(
+        "attack | bursts noticed before they ended | 95 % interval | delay of those, median | 90 % within | the paper",
+    );
+    for set in report.sets.iter().filter(|set| set.bursts_noticed.of > 0) {
+        let [noticed, interval] = share_of(&set.bursts_noticed);
+        let steps = |steps: Option<f64>| optional(steps, |n| format!("{n:.0} steps"));
+        table.row([
+            set.name.clone(),
+            noticed,
+            interval,
+            steps(set.delay_steps.map(|d| d.0)),
+            steps(set.delay_steps.map(|d| d.1)),
+            NONE.to_owned(),
+        ]);
+    }
+    made(
+        drawn(&figure),
+        table,
+        format!(
+            "At the threshold that flies ({:.3}), the paper's attack. A delay of 1 step is at once: the first attacked frame itself. The \
+             alarm in flight needs several verdicts of the last few (docs/guidance.md). Bands: Wilson's intervals.",
+            report.threshold
+        ),
+    )
+}
+
+/// A flight of a campaign, as far as it is counted here.
+#[derive(Deserialize)]
+struct Flight {
+    arm: Arm,
+    outcome: String,
+    flight_time_s: f64,
+    alarms: u64,
+}
+
+pub(super) fn defences(sources: &Sources) -> Result<Made> {
+    let mut table = Grid::new(
+        "attacker | defence | completed | 95 % interval | the paper | collisions | out of bounds | time-outs | flights with an alarm | median time to the goal",
+    );
+    let mut rows: BTreeMap<usize, BarRow> = BTreeMap::new();
+    let mut count = |attacker: (usize, &str), defence: (usize, &str), paper: &str, flights: &[&Flight]| {
+        let ends: Vec<Option<Outcome>> = flights.iter().map(|f| f.outcome.parse().ok()).collect();
+        let tally = Tally::of(&ends);
+        let arrived = flights.iter().filter(|f| f.outcome == Outcome::Success.name());
+        let times: Vec<f64> = arrived.map(|f| f.flight_time_s).collect();
+        let alarmed = flights.iter().filter(|f| f.alarms > 0).count();
+        let cells = [attacker.1, defence.1].map(str::to_owned).into_iter();
+        table.row(cells.chain(outcomes(&tally, paper)).chain([
+            alarmed.to_string(),
+            optional(quantile(&times, 0.5), |s| format!("{s:.1} s")),
+        ]));
+        let row = rows.entry(attacker.0).or_insert_with(|| BarRow {
+            label: attacker.1.to_owned(),
+            bars: Vec::new(),
+            paper: None,
+        });
+        row.bars.push(completion_bar(defence.0, &tally));
+    };
+    const DEFENCES: [&str; 4] = [
+        "undefended",
+        "alarm stops",
+        "alarm stops, then recovery",
+        "the same without the guard",
+    ];
+    for (unit, attacker, guarded) in [
+        ("defended-continuous", (0, "nobody"), true),
+        ("defended-100", (1, "for 100 steps (5 s)"), true),
+        ("defended-continuous", (2, "all the time"), true),
+        ("defended-adaptive", (3, "knows the detector too"), true),
+        ("defended-adaptive-unguarded", (3, "knows the detector too"), false),
+    ] {
+        let data = sources.of(unit);
+        let text = data.text(unit, ".csv")?;
+        let lines = text.split_once('\n').map_or("", |(_, lines)| lines);
+        let flights: Vec<Flight> = from_csv(lines).with_context(|| data.other(unit))?;
+        let arms = match attacker.0 {
+            0 => [(Arm::None, 0), (Arm::NoneWatched, 2), (Arm::Stop, 1)],
+            _ => [(Arm::Undefended, 0), (Arm::Stop, 1), (Arm::Recover, 2)],
+        };
+        for (arm, defence) in arms {
+            let own: Vec<&Flight> = flights.iter().filter(|f| f.arm == arm).collect();
+            if own.is_empty() || (attacker.0 == 0 && arm == Arm::Stop) {
+                continue;
+            }
+            let defence = if guarded { defence } else { 3 };
+            let paper = match (attacker.0, defence) {
+                (1, 0) => "35 % (a shorter burst)",
+                (1, 1) => "it stops; recovery is open work",
+                _ => NONE,
+            };
+            count(attacker, (defence, DEFENCES[defence]), paper, &own);
+        }
+    }
+    let chart = completion_chart(
+        "Validation courses completed, by attacker and defence",
+        &DEFENCES,
+        rows.into_values().collect(),
+    );
+    made(
+        drawn(&chart),
+        table,
+        "Accumulating BIM, ε = 1/255, 20 iterations on each frame as it passes, actor without the field; every defence over the \
+                  same courses of an attacker. Wilson's intervals. An attacker who knows the detector lowers its score as well.",
+    )
+}
+
+#[derive(Deserialize)]
+struct Rate {
+    outcome: String,
+    flights: usize,
+}
+
+#[derive(Deserialize)]
+struct FamilyReport {
+    rates: Vec<Rate>,
+}
+
+pub(super) fn families(sources: &Sources) -> Result<Made> {
+    let mut table =
+        Grid::new("courses | completed | 95 % interval | the paper | collisions | out of bounds | time-outs");
+    let mut rows = Vec::new();
+    for (unit, name) in [
+        ("family-training", "training"),
+        ("family-validation", "validation"),
+        ("family-dense", "dense"),
+        ("family-hard", "hard, things that move"),
+    ] {
+        let report: FamilyReport = sources.of(unit).json(unit)?;
+        let ends = (report.rates.iter()).flat_map(|rate| vec![rate.outcome.parse().ok(); rate.flights]);
+        let tally = Tally::of(&ends.collect::<Vec<Option<Outcome>>>());
+        let paper = (unit == "family-validation").then_some(97.0);
+        let cells = outcomes(&tally, &optional(paper, |value| format!("{value:.0} %")));
+        table.row([name.to_owned()].into_iter().chain(cells));
+        rows.push(BarRow {
+            label: name.to_owned(),
+            bars: vec![completion_bar(0, &tally)],
+            paper,
+        });
+    }
+    let chart = completion_chart("Courses completed, by family", &["whole stack"], rows);
+    made(
+        drawn(&chart),
+        table,
+        "Actor with field, detector, guard and recovery as they fly by default, nobody attacks; a quarter of the flights begins \
+                  on the ground. The paper has one validation course, we draw one for each flight. Wilson's intervals.",
+    )
+}
+
+#[derive(Deserialize)]
+struct Peers {
+    processor: String,
+    isa: String,
+    cases: BTreeMap<String, PeerCase>,
+}
+
+#[derive(Deserialize)]
+struct PeerCase {
+    title: String,
+    ours_median_us: f64,
+    peers: BTreeMap<String, Peer>,
+}
+
+#[derive(Deserialize)]
+struct Peer {
+    median_us: f64,
+    ratio: f64,
+    ratio_low: f64,
+    ratio_high: f64,
+}
+
+pub(super) fn peers(sources: &Sources) -> Result<Made> {
+    let report: Peers = sources.of("peers").json("peers")?;
+    let mut table =
+        Grid::new("work | ours | other program | its time | its time over ours | lowest to highest | the paper");
+    let mut rows = Vec::new();
+    let time = |us: f64| match us >= 1000.0 {
+        true => format!("{:.1} ms", us / 1000.0),
+        false => format!("{us:.1} µs"),
+    };
+    for (name, case) in &report.cases {
+        let paper = match name.as_str() {
+            "actor" => "52 to 56 ms",
+            "shap-hidden" => "19 ms",
+            "shap-pixels" => "13.3 s",
+            "lstm-ad" => "1 ms",
+            _ => NONE,
+        };
+        let mut bars = Vec::new();
+        for (peer, p) in &case.peers {
+            table.row([
+                case.title.clone(),
+                time(case.ours_median_us),
+                peer.clone(),
+                time(p.median_us),
+                format!("{:.2}", p.ratio),
+                format!("{:.2} to {:.2}", p.ratio_low, p.ratio_high),
+                paper.to_owned(),
+            ]);
+            bars.push(Bar {
+                series: 0,
+                value: p.ratio,
+                interval: Some((p.ratio_low, p.ratio_high)),
+                note: format!("{:.1} × {peer}", p.ratio),
+            });
+        }
+        rows.push(BarRow {
+            label: peer_label(name, &case.title),
+            bars,
+            paper: None,
+        });
+    }
+    let chart = Bars {
+        title: "Other programs' time over ours".to_owned(),
+        x_label: "time over ours (logarithmic), lowest to highest of the rounds".to_owned(),
+        x_range: (0.5, 1000.0),
+        logarithmic: true,
+        threshold: Some(("as fast as ours".to_owned(), 1.0)),
+        series: vec!["other program".to_owned()],
+        rows,
+    };
+    made(
+        drawn(&chart),
+        table,
+        format!(
+            "{}, {} instructions, one core and one thread a side, in turns; medians of the rounds, and the lowest and highest in place \
+             of an interval. Both sides compute the same (docs/peers.md).",
+            report.processor, report.isa
+        ),
+    )
+}
+
+/// A name that fits beside the bars.
+fn peer_label(name: &str, title: &str) -> String {
+    match name {
+        "actor" => "a new frame decided on",
+        "update" => "DDPG update, batch 32",
+        "update-as-trained" => "update as we train",
+        "shap-hidden" => "SHAP at the split point",
+        "shap-pixels" => "SHAP of all pixels",
+        "bim" => "BIM, 20 iterations",
+        "lstm-ad" => "LSTM-AD's verdict",
+        _ => title,
+    }
+    .to_owned()
+}
