@@ -1,15 +1,16 @@
 //! A run: teach the encoder, fly, learn, evaluate, freeze.
 
+mod resume;
+
 use crate::trainer::actor_net::ActorNet;
-use crate::trainer::adam::Adam;
 use crate::trainer::config::LearnConfig;
 use crate::trainer::encoder::{EncoderError, teach_encoder};
 use crate::trainer::evaluation::{EvaluatedActor, EvaluationSpec, FamilyCount, evaluate};
 use crate::trainer::learner::{Learner, UpdateError, UpdateReport};
 use crate::trainer::observation::{Drift, Encoder, OBSERVATION};
-use crate::trainer::replay::{Replay, Transition};
-use crate::trainer::store::{CheckpointError, Stored, Values, save};
-use crate::trainer::worker::{EnvWorker, FlightReport, FlyError, WorkerState};
+use crate::trainer::replay::Replay;
+use crate::trainer::store::{CheckpointError, Stored};
+use crate::trainer::worker::{EnvWorker, FlightReport, FlyError};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::ThreadPoolBuildError;
@@ -23,7 +24,7 @@ use vigil_nnet::{Isa, ShapeError};
 use vigil_sim::world::{Family, Outcome};
 use vigil_types::Ablation;
 use vigil_types::files::Access;
-use vigil_types::settings::{self, Outside};
+use vigil_types::settings::Outside;
 
 /// Updates that a row of the curve sums up.
 const UPDATES_PER_ROW: u64 = 1_000;
@@ -33,7 +34,6 @@ const CANDIDATES: usize = 3;
 const FIRST_CHOOSING_SEED: u64 = 300_000;
 /// Seeds of the flights that test the chosen one. Nothing is chosen by these.
 const FIRST_TEST_SEED: u64 = 7_000_000_000;
-const FORMAT: &str = "vigil learn checkpoint 1";
 
 /// Why a run stopped early.
 #[derive(Debug, thiserror::Error)]
@@ -115,27 +115,6 @@ struct Candidate {
     updates: u64,
     completion: f64,
     params: Vec<f32>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct RunState {
-    format: String,
-    config: String,
-    decisions: u64,
-    updates: u64,
-    elapsed_s: f64,
-    random_at: (u64, u64),
-    adam_steps: Vec<u64>,
-    largest_bits: u64,
-    lanes: Vec<(u64, u64)>,
-    transitions: Vec<Vec<Transition>>,
-    workers: Vec<WorkerState>,
-    rows: Vec<Row>,
-    sum: UpdateReport,
-    summed: u32,
-    ended: Vec<FlightReport>,
-    flights: Vec<(u64, FlightReport)>,
-    candidates: Vec<(u64, f64)>,
 }
 
 /// What a run came to.
@@ -277,133 +256,6 @@ impl<'a> Run<'a> {
         }
         write(&folder.join("config.toml"), config.to_toml().as_bytes())?;
         Ok(run)
-    }
-
-    fn restore(&mut self, saved: &Stored) -> Result<(), LearnError> {
-        let state: RunState = saved.state()?;
-        let other = || {
-            LearnError::from(CheckpointError::Configuration {
-                path: self.checkpoint.clone(),
-            })
-        };
-        let same = state.format == FORMAT
-            && settings::from_toml(&state.config).is_ok_and(|saved: LearnConfig| {
-                let LearnConfig {
-                    threads,
-                    families,
-                    decisions,
-                    drawn_vehicle_share,
-                    evaluation,
-                    ..
-                } = self.config.clone();
-                // What new flights are made of, and how long it goes on, may change; what is stored or learned may not.
-                let saved = LearnConfig {
-                    threads,
-                    families,
-                    decisions,
-                    drawn_vehicle_share,
-                    evaluation,
-                    ..saved
-                };
-                saved == *self.config
-            });
-        let counts = [state.transitions.len(), state.workers.len(), self.config.environments];
-        if !same || counts.iter().any(|n| *n != counts[0]) || state.adam_steps.len() != 3 {
-            return Err(other());
-        }
-        for (i, (lane, transitions)) in self.replay.trajectories.iter_mut().zip(state.transitions).enumerate() {
-            lane.states = saved.u16(&format!("states_{i}"))?;
-            lane.transitions = transitions;
-        }
-        let largest = f64::from_bits(state.largest_bits);
-        if !self.replay.restore(&saved.f64("priorities")?, largest, &state.lanes) {
-            return Err(other());
-        }
-        let config = self.config;
-        let states = self.workers.par_iter_mut().zip(&state.workers);
-        states.try_for_each(|(worker, state)| worker.restore(config, state))?;
-        let l = &mut self.learner;
-        let adam = |name: &str, len: usize, steps: u64| -> Result<Adam, CheckpointError> {
-            Ok(Adam {
-                mean: saved.f32(&format!("{name}_mean"), Some(len))?,
-                square: saved.f32(&format!("{name}_square"), Some(len))?,
-                steps,
-            })
-        };
-        let len = l.actor.len();
-        l.actor = saved.f32("actor", Some(len))?;
-        l.actor_target = saved.f32("actor_target", Some(len))?;
-        l.actor_adam = adam("actor", len, state.adam_steps[0])?;
-        for (i, (critic, steps)) in l.critics.iter_mut().zip(&state.adam_steps[1..]).enumerate() {
-            let len = critic.params.len();
-            critic.params = saved.f32(&format!("critic_{i}"), Some(len))?;
-            critic.target = saved.f32(&format!("critic_{i}_target"), Some(len))?;
-            critic.adam = adam(&format!("critic_{i}"), len, *steps)?;
-        }
-        l.updates = state.updates;
-        for (i, (updates, completion)) in state.candidates.into_iter().enumerate() {
-            self.candidates.push(Candidate {
-                updates,
-                completion,
-                params: saved.f32(&format!("candidate_{i}"), Some(len))?,
-            });
-        }
-        let (high, low) = state.random_at;
-        self.rng.set_word_pos(u128::from(high) << 64 | u128::from(low));
-        (self.decisions, self.earlier_s) = (state.decisions, state.elapsed_s);
-        (self.rows, self.sum, self.summed) = (state.rows, state.sum, state.summed);
-        (self.ended, self.flights) = (state.ended, state.flights);
-        self.begun = Instant::now();
-        Ok(())
-    }
-
-    fn save(&self) -> Result<(), LearnError> {
-        let at = self.rng.get_word_pos();
-        let (priorities, largest, lanes) = self.replay.places();
-        let l = &self.learner;
-        let adams = [&l.actor_adam, &l.critics[0].adam, &l.critics[1].adam];
-        let state = RunState {
-            format: FORMAT.to_owned(),
-            config: self.config.to_toml(),
-            decisions: self.decisions,
-            updates: l.updates,
-            elapsed_s: self.elapsed_s(),
-            random_at: ((at >> 64) as u64, at as u64),
-            adam_steps: adams.iter().map(|adam| adam.steps).collect(),
-            largest_bits: largest.to_bits(),
-            lanes,
-            transitions: self.replay.trajectories.iter().map(|l| l.transitions.clone()).collect(),
-            workers: self.workers.iter().map(EnvWorker::state).collect(),
-            rows: self.rows.clone(),
-            sum: self.sum,
-            summed: self.summed,
-            ended: self.ended.clone(),
-            flights: self.flights.clone(),
-            candidates: self.candidates.iter().map(|c| (c.updates, c.completion)).collect(),
-        };
-        let mut tensors = vec![
-            ("encoder".to_owned(), Values::F32(&self.encoder_params)),
-            ("priorities".to_owned(), Values::F64(&priorities)),
-            ("actor".to_owned(), Values::F32(&l.actor)),
-            ("actor_target".to_owned(), Values::F32(&l.actor_target)),
-            ("actor_mean".to_owned(), Values::F32(&l.actor_adam.mean)),
-            ("actor_square".to_owned(), Values::F32(&l.actor_adam.square)),
-        ];
-        for (i, critic) in l.critics.iter().enumerate() {
-            tensors.extend([
-                (format!("critic_{i}"), Values::F32(&critic.params)),
-                (format!("critic_{i}_target"), Values::F32(&critic.target)),
-                (format!("critic_{i}_mean"), Values::F32(&critic.adam.mean)),
-                (format!("critic_{i}_square"), Values::F32(&critic.adam.square)),
-            ]);
-        }
-        for (i, lane) in self.replay.trajectories.iter().enumerate() {
-            tensors.push((format!("states_{i}"), Values::U16(&lane.states)));
-        }
-        for (i, candidate) in self.candidates.iter().enumerate() {
-            tensors.push((format!("candidate_{i}"), Values::F32(&candidate.params)));
-        }
-        Ok(save(&self.checkpoint, &state, &tensors)?)
     }
 
     fn elapsed_s(&self) -> f64 {
