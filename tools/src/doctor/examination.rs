@@ -2,9 +2,8 @@
 
 mod findings;
 
-use super::finding::{Finding, Severity};
 use super::ground::ground_tilt;
-use super::parameters::{self, Row, STICKS_BY_SPEED, Versions};
+use super::parameters;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use vigil_mavlink::common::{
     ATTITUDE_DATA, ATTITUDE_QUATERNION_DATA, ESTIMATOR_STATUS_DATA, EXTENDED_SYS_STATE_DATA, GLOBAL_POSITION_INT_DATA,
@@ -14,7 +13,7 @@ use vigil_mavlink::common::{
 use vigil_mavlink::framing::{Command, FramingCounters, MAX_PACKET_LEN, Packet, packets, serialize};
 use vigil_mavlink::mavlink::MessageData;
 use vigil_mavlink::{Flavour, MavHeader, MavMessage, Vehicle};
-use vigil_types::{Attitude, Datagrams, DepthFrame, Landed, Nanos, NedVector, wrap_pi};
+use vigil_types::{Attitude, Datagrams, DepthFrame, Nanos, NedVector, wrap_pi};
 
 const AUTOPILOT: u8 = 1;
 /// MAV_COMP_ID_PERIPHERAL: who asks.

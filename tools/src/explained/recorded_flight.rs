@@ -128,6 +128,15 @@ fn flight_of(scenario: &Scenario) -> Result<Flight, DetectError> {
     Ok(Flight::with_lidar(&course, scenario.wind(), lidar, scenario.seed)?)
 }
 
+/// An adversary with the attack that it flies.
+fn attacker<'a>(
+    frozen: &FrozenPilot,
+    isa: Isa,
+    adversary: &'a Adversary,
+) -> Result<(&'a Adversary, FrameAttack), DetectError> {
+    Ok((adversary, FrameAttack::on(frozen, isa, &adversary.config)?))
+}
+
 /// Alters the frame that is delivered, where the adversary attacks in this step; by how much that changes the yaw.
 fn alter(
     adversary: &Adversary,
@@ -160,8 +169,8 @@ pub fn fly(
 ) -> Result<Record, DetectError> {
     let mut flight = flight_of(scenario)?;
     let mut actor = frozen.decider(isa)?;
-    let attacker = |by| FrameAttack::on(frozen, isa, &by.config).map(|attack| (by, attack));
-    let mut attack = scenario.adversary.as_ref().map(attacker).transpose()?;
+    let adversary = scenario.adversary.as_ref();
+    let mut attack = adversary.map(|by| attacker(frozen, isa, by)).transpose()?;
     let mut helmsman = scenario.helmsman();
     let mut geometric = helmsman
         .needs_geometric()

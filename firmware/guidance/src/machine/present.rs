@@ -1,8 +1,9 @@
 //! Which conditions are present in a step: fence, goal, progress, telemetry and alarm.
 
-use super::Guidance;
+use super::{Guidance, LONGEST_STEP_NS};
 use crate::conditions::FENCE_CLEAR_MARGIN_M;
 use crate::input::GuidanceInput;
+use crate::setpoint::changes_height;
 use vigil_types::{
     Action, Alarm, AlarmCause, AlarmResponse, EngagePolicy, GuidanceState, Nanos, NedVector, Reason, Reasons,
 };
@@ -141,6 +142,7 @@ impl Guidance {
 /// What an alarm is a reason for: the pilot that recovers, or a stop.
 fn of_alarm(alarm: Alarm) -> Reasons {
     let reason = match (alarm.response, alarm.cause) {
+        (AlarmResponse::Ignored, _) => return Reasons::NONE,
         (AlarmResponse::Recovery, _) => Reason::Recovering,
         (AlarmResponse::Stop, AlarmCause::Attack) => Reason::Attack,
         (AlarmResponse::Stop, AlarmCause::NoVerdict) => Reason::NoVerdict,
@@ -149,5 +151,5 @@ fn of_alarm(alarm: Alarm) -> Reasons {
         (AlarmResponse::Stop, AlarmCause::Disagreement) => Reason::Disagreement,
         (AlarmResponse::Stop, AlarmCause::RoughPicture) => Reason::RoughPicture,
     };
-    Reasons::NONE.with_if(true, reason)
+    Reasons::of(reason)
 }

@@ -8,11 +8,10 @@ extern crate alloc;
 
 use crate::PilotInput;
 use crate::geometric::position_ned_m;
-use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::f32::consts::{FRAC_PI_2, PI, TAU};
-use vigil_types::{HORIZONTAL_FOV_RAD, Nanos, NedVector, wrap_pi};
+use vigil_types::{HORIZONTAL_FOV_RAD, Nanos, NedVector};
 
 const NANOS_PER_S: Nanos = 1_000_000_000;
 
@@ -235,7 +234,7 @@ impl ActorMemory {
     }
 
     /// Takes over what another remembers, without allocating.
-    fn copy_from(&mut self, other: &Self) {
+    pub(super) fn copy_from(&mut self, other: &Self) {
         let Self {
             columns,
             history,

@@ -8,13 +8,12 @@ pub(crate) use report::roc;
 use crate::cli::collect::{CollectArgs, Gathering};
 use crate::cli::output::{self, Interrupt, Progress, git_commit, or_dash, put, say};
 use crate::detector_training::{
-    DetectError, EvaluationSize, Feature, Flights, Judge, LstmConfig, Proportion, Record, Role, Set, States, fly_sets,
-    sets,
+    DetectError, EvaluationSize, Feature, Flights, Judge, LstmConfig, Proportion, Record, Role, Set, fly_sets, sets,
 };
-use crate::report::{Figure, TextTable, numbers, words};
+use crate::report::{Figure, Picture, TextTable, numbers, words};
 use crate::statistics::quantile;
 use crate::threads::thread_pool_of;
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use report::{curves_csv, curves_png, percent, roc_of_features, text};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;

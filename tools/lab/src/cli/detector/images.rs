@@ -2,10 +2,10 @@
 
 use super::Stage;
 use super::report::{curves_csv, curves_png, share, short};
-use crate::cli::output::{self, EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, say};
+use crate::cli::output::{EXIT_INTERRUPTED, Interrupt, Progress, git_commit, or_dash, say};
 use crate::detector_training::{ImageNetwork, Judge, States};
 use crate::report::{TextTable, numbers, words};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::process::ExitCode;

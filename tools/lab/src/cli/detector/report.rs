@@ -2,7 +2,7 @@
 
 use crate::cli::output::or_dash;
 use crate::detector_training::{Epoch, Proportion, Report, Role, Separation, SetReport, auc};
-use crate::report::{Figure, Panel, Scale, TextTable, decimals, numbers, to_csv, words};
+use crate::report::{Figure, Panel, Picture, Scale, TextTable, decimals, numbers, to_csv, words};
 use serde::Serialize;
 use std::fmt::Write as _;
 

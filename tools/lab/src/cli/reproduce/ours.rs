@@ -5,7 +5,6 @@ use super::made::{Grid, Made, NONE, drawn, made, optional, outcomes, percent, sh
 use crate::attack_campaigns::{self as attack, Arm};
 use crate::campaign::Tally;
 use crate::cli::detector::roc;
-use crate::cli::report as training;
 use crate::detector_training::{Proportion, Report, Role, auc, true_positives_at};
 use crate::report::{Bar, BarRow, Bars, Figure, Panel, Series, from_csv};
 use crate::statistics::quantile;

@@ -2,7 +2,7 @@
 
 use super::data::Sources;
 use super::made::{Grid, Made, NONE, between, drawn, made, optional, outcomes, percent, share_of};
-use crate::attack_campaigns::{self as attack, Arm};
+use crate::attack_campaigns as attack;
 use crate::cli::detector::TimesReport;
 use crate::cli::figures::{ExplanationLine, Pixels, figure_12, figure_13, figure_14};
 use crate::cli::report as training;
