@@ -1,0 +1,344 @@
+//! An alarm: stop, recovery, and the way back to the actor.
+
+use super::*;
+
+/// What the recovery pilot wants in these stories; the actor wants 1.0 m/s.
+const RECOVERY: Action = Action {
+    forward_m_s: 0.6,
+    yaw: -0.25,
+};
+
+/// A flight at 1 m/s under a detector.
+fn watched(policy: AlarmPolicy) -> Story {
+    watched_with(AlarmConfig {
+        policy,
+        ..AlarmConfig::default()
+    })
+}
+
+/// The same, and the guard raises the alarm when the actor falls 6 m behind.
+fn watched_for_leading_astray() -> Story {
+    watched_with(AlarmConfig {
+        policy: AlarmPolicy::Recover,
+        astray_limit_m: 6.0,
+        ..AlarmConfig::default()
+    })
+}
+
+fn watched_with(alarm: AlarmConfig) -> Story {
+    let mut s = Story::guided(GuidanceConfig { alarm, ..auto() });
+    s.recovery = Some(RECOVERY);
+    s.verdict = Some(Verdict::Clean);
+    s.velocity_ned_m_s.x = 1.0;
+    assert_eq!(
+        s.run(seconds(1.0)).setpoint.unwrap().velocity_m_s.x,
+        1.0,
+        "the actor flies"
+    );
+    s
+}
+
+#[test]
+fn an_attacked_vehicle_stops_then_the_recovery_pilot_flies_and_the_actor_gets_it_back_when_the_attack_is_over() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    let fourth = s.run(4);
+    assert_eq!(
+        (fourth.state, fourth.alarm),
+        (Guided, None),
+        "four verdicts are not an alarm"
+    );
+    let alarm = s.step();
+    assert_eq!((alarm.state, alarm.reasons), (Hold, Reasons::of(Reason::Attack)));
+    assert_eq!(alarm.setpoint, Some(VelocitySetpoint::HOLD));
+    let raised = alarm.alarm.unwrap();
+    assert_eq!(
+        (raised.cause, raised.response),
+        (AlarmCause::Attack, AlarmResponse::Stop)
+    );
+
+    s.velocity_ned_m_s.x = 0.25;
+    let braking = s.run(seconds(1.0));
+    assert_eq!((braking.state, braking.setpoint), (Hold, Some(VelocitySetpoint::HOLD)));
+    s.velocity_ned_m_s.x = 0.1;
+    assert_eq!(s.until(Guided), 10, "half a second of standing");
+    let recovering = s.last.unwrap();
+    assert_eq!(recovering.reasons, Reasons::of(Reason::Recovering));
+    assert_eq!(recovering.action, Some(RECOVERY));
+
+    s.velocity_ned_m_s.x = 0.6;
+    assert_eq!(
+        s.run(seconds(30.0)).setpoint.unwrap().velocity_m_s.x,
+        0.6,
+        "the attack goes on, and so does the flight"
+    );
+
+    s.verdict = Some(Verdict::Clean);
+    s.run(39);
+    s.verdict = Some(Verdict::Unknown);
+    s.step();
+    s.verdict = Some(Verdict::Clean);
+    assert_eq!(s.run(39).setpoint.unwrap().velocity_m_s.x, 0.6, "unknown is not clean");
+    let over = s.step();
+    assert_eq!((over.alarm, over.reasons), (None, Reasons::NONE));
+    assert_eq!(over.setpoint.unwrap().velocity_m_s.x, 1.0, "the actor flies again");
+}
+
+#[test]
+fn with_the_policy_stop_the_vehicle_stays_until_the_verdict_is_clean() {
+    let mut s = watched(AlarmPolicy::Stop);
+    s.verdict = Some(Verdict::Attack);
+    s.run(5);
+    s.velocity_ned_m_s.x = 0.0;
+    let standing = s.run(seconds(60.0));
+    assert_eq!((standing.state, standing.reasons), (Hold, Reasons::of(Reason::Attack)));
+    s.verdict = Some(Verdict::Clean);
+    // Forty clean verdicts, and with the last of them the first of ten steps without a condition.
+    assert_eq!(s.until(Guided), 49);
+    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn with_the_policy_ignore_the_alarm_is_told_and_the_flight_is_not_touched() {
+    let mut s = watched(AlarmPolicy::Ignore);
+    s.verdict = Some(Verdict::Attack);
+    let out = s.run(seconds(5.0));
+    assert_eq!((out.state, out.reasons), (Guided, Reasons::NONE));
+    assert_eq!(out.alarm.unwrap().response, AlarmResponse::Ignored);
+    assert_eq!(out.setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn an_actor_without_a_verdict_is_not_trusted_for_longer_than_half_a_second() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Unknown);
+    assert_eq!(s.run(10).alarm, None);
+    let raised = s.step();
+    assert_eq!((raised.state, raised.reasons), (Hold, Reasons::of(Reason::NoVerdict)));
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    assert_eq!(s.run(seconds(10.0)).setpoint.unwrap().velocity_m_s.x, 0.6);
+    s.verdict = Some(Verdict::Attack);
+    assert_eq!(s.run(5).alarm.unwrap().cause, AlarmCause::Attack);
+    assert_eq!(s.last.unwrap().state, Guided, "the recovery pilot need not stop for it");
+}
+
+#[test]
+fn an_actor_about_to_fly_into_something_is_stopped_although_every_verdict_is_clean() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    s.risk.collision_course = true;
+    assert_eq!(s.run(3).alarm, None, "a few steps may be noise");
+    let alarm = s.step();
+    assert_eq!(
+        (alarm.state, alarm.reasons, alarm.setpoint),
+        (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().action, Some(RECOVERY));
+
+    // Clean verdicts and a way that looks free are what led it here.
+    s.risk.collision_course = false;
+    let flying = s.run(seconds(60.0));
+    assert_eq!(
+        (flying.reasons, flying.setpoint.unwrap().velocity_m_s.x),
+        (Reasons::of(Reason::Recovering), 0.6)
+    );
+    s.verdict = Some(Verdict::Attack);
+    assert_eq!(s.run(5).alarm.unwrap().cause, AlarmCause::CollisionCourse);
+    s.verdict = Some(Verdict::Clean);
+
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    let trusted = s.step();
+    assert_eq!((trusted.alarm, trusted.setpoint.unwrap().velocity_m_s.x), (None, 1.0));
+
+    s.risk.collision_course = true;
+    assert_eq!(s.run(4).alarm.unwrap().cause, AlarmCause::CollisionCourse);
+}
+
+#[test]
+fn with_the_policy_stop_a_vehicle_that_the_guard_stopped_waits_for_an_operator() {
+    let mut s = watched(AlarmPolicy::Stop);
+    s.verdict = Some(Verdict::Clean);
+    s.risk.collision_course = true;
+    s.run(4);
+    s.risk.collision_course = false;
+    let standing = s.run(seconds(300.0));
+    assert_eq!(
+        (standing.state, standing.reasons),
+        (Hold, Reasons::of(Reason::CollisionCourse))
+    );
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn an_actor_that_is_led_away_from_the_guard_s_way_is_stopped_although_every_verdict_is_clean_and_does_not_come_back() {
+    let mut s = watched_for_leading_astray();
+    s.verdict = Some(Verdict::Clean);
+    s.risk.speed_along_way_m_s = 0.8;
+    assert_eq!(s.run(seconds(30.0)).alarm, None, "it gets on");
+    // Astray, away from the way.
+    s.risk.speed_along_way_m_s = -1.0;
+    s.velocity_ned_m_s.x = 1.0;
+    let flown = s.until(Hold);
+    assert!((80..90).contains(&flown), "6 m at 1.5 m/s, found after {flown} steps");
+    let stop = s.last.unwrap();
+    assert_eq!(
+        (stop.reasons, stop.setpoint, stop.alarm.unwrap().cause),
+        (
+            Reasons::of(Reason::LedAstray),
+            Some(VelocitySetpoint::HOLD),
+            AlarmCause::LedAstray
+        )
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    s.risk.speed_along_way_m_s = 0.6;
+    let flying = s.run(seconds(60.0));
+    assert_eq!(
+        (flying.reasons, flying.action),
+        (Reasons::of(Reason::Recovering), Some(RECOVERY))
+    );
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.step().alarm, None, "the operator trusts it again");
+}
+
+#[test]
+fn an_actor_that_waits_or_flies_round_something_or_is_held_is_not_taken_for_one_led_astray() {
+    let mut s = watched_for_leading_astray();
+    s.verdict = Some(Verdict::Clean);
+    for speed_m_s in [0.0, 0.8, -0.3, 0.8, 0.0, 1.2] {
+        s.risk.speed_along_way_m_s = speed_m_s;
+        assert_eq!(s.run(seconds(3.0)).alarm, None, "{speed_m_s}");
+    }
+    // A hold is not the actor's doing.
+    s.risk.speed_along_way_m_s = 0.0;
+    s.frame.age_ns = Some(1_000_000_000);
+    assert_eq!(s.run(seconds(30.0)).alarm, None);
+}
+
+#[test]
+fn an_actor_that_goes_on_turning_the_other_way_than_the_planner_is_stopped_although_it_gets_on() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    let recovery_yaw = s.recovery.unwrap().yaw;
+    let turn_apart = |s: &mut Story, apart: f32| s.action.as_mut().unwrap().yaw = recovery_yaw + apart;
+    for _ in 0..20 {
+        turn_apart(&mut s, 1.4);
+        assert_eq!(s.run(seconds(1.5)).alarm, None, "a swerve");
+        turn_apart(&mut s, 0.0);
+        assert_eq!(s.run(seconds(1.5)).alarm, None);
+    }
+    s.recovery.as_mut().unwrap().yaw = 1.5;
+    s.action.as_mut().unwrap().yaw = -1.5;
+    assert!((50..52).contains(&s.until(Hold)));
+    let stop = s.last.unwrap();
+    assert_eq!(
+        (stop.reasons, stop.alarm.unwrap().cause),
+        (Reasons::of(Reason::Disagreement), AlarmCause::Disagreement)
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    s.action.as_mut().unwrap().yaw = 1.5;
+    assert!(s.run(seconds(60.0)).alarm.is_some(), "final");
+}
+
+#[test]
+fn an_actor_may_go_as_far_astray_as_it_likes_where_the_limit_is_zero() {
+    let mut s = watched_for_leading_astray();
+    let mut config = *s.guidance.config();
+    config.alarm.astray_limit_m = 0.0;
+    s.guidance.reconfigure(config).unwrap();
+    s.verdict = Some(Verdict::Clean);
+    s.risk.speed_along_way_m_s = -1.0;
+    assert_eq!(s.run(seconds(60.0)).alarm, None);
+}
+
+#[test]
+fn a_new_flight_begins_with_the_actor() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Clean);
+    s.risk.collision_course = true;
+    assert!(s.run(4).alarm.is_some());
+    s.risk.collision_course = false;
+    s.armed = false;
+    s.until(Standby);
+    assert_eq!(s.step().alarm, None);
+}
+
+#[test]
+fn the_recovery_pilot_is_stopped_before_what_it_would_fly_into_and_begins_anew_from_there() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    s.run(5);
+    s.velocity_ned_m_s.x = 0.0;
+    s.until(Guided);
+    s.velocity_ned_m_s.x = 0.6;
+    s.risk.recovery_course = true;
+    assert_eq!(s.step().state, Guided, "one step may be noise");
+    let stop = s.step();
+    assert_eq!(
+        (stop.state, stop.reasons, stop.setpoint),
+        (Hold, Reasons::of(Reason::CollisionCourse), Some(VelocitySetpoint::HOLD))
+    );
+    s.velocity_ned_m_s.x = 0.0;
+    s.risk.recovery_course = false;
+    s.until(Guided);
+    let again = s.last.unwrap();
+    assert_eq!(
+        (again.reasons, again.action),
+        (Reasons::of(Reason::Recovering), Some(RECOVERY))
+    );
+    // Its own error says nothing of the actor: the alarm is still the verdict's, and ends as such.
+    assert_eq!(again.alarm.unwrap().cause, AlarmCause::Attack);
+    s.verdict = Some(Verdict::Clean);
+    s.run(40);
+    assert_eq!(s.last.unwrap().alarm, None);
+}
+
+#[test]
+fn without_the_guard_a_collision_course_raises_nothing() {
+    let mut config = GuidanceConfig::default();
+    config.alarm.guard_steps = 0;
+    let mut s = Story::guided(config);
+    s.verdict = Some(Verdict::Clean);
+    s.risk.collision_course = true;
+    assert_eq!(s.run(seconds(5.0)).alarm, None);
+}
+
+#[test]
+fn a_recovery_pilot_without_an_action_leaves_the_vehicle_holding() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    s.recovery = None;
+    s.velocity_ned_m_s.x = 0.0;
+    let out = s.run(seconds(10.0));
+    assert_eq!(out.state, Hold);
+    assert!(out.reasons.contains(Reason::NotFinite) && out.reasons.contains(Reason::Recovering));
+}
+
+#[test]
+fn an_operator_changes_the_policy_in_flight() {
+    let mut s = watched(AlarmPolicy::Stop);
+    s.verdict = Some(Verdict::Attack);
+    s.velocity_ned_m_s.x = 0.0;
+    assert_eq!(s.run(seconds(5.0)).state, Hold);
+    let mut config = *s.guidance.config();
+    config.alarm.policy = AlarmPolicy::Recover;
+    s.guidance.reconfigure(config).unwrap();
+    s.until(Guided);
+    assert_eq!(s.last.unwrap().setpoint.unwrap().velocity_m_s.x, 0.6);
+}
+
+#[test]
+fn an_alarm_lasts_no_longer_than_its_flight() {
+    let mut s = watched(AlarmPolicy::Recover);
+    s.verdict = Some(Verdict::Attack);
+    assert!(s.run(seconds(1.0)).alarm.is_some());
+    s.armed = false;
+    assert_eq!(s.until(Standby), 1);
+    assert_eq!(s.step().alarm, None, "what is judged on the ground raises nothing");
+}

@@ -1,0 +1,575 @@
+//! A flight to its goal: what it needs, where it may go, and when it is given up.
+
+use super::*;
+
+#[test]
+fn an_operator_engages_and_the_vehicle_flies_to_the_goal_and_hovers_there() {
+    let mut s = Story::begin(GuidanceConfig::default());
+    let first = s.step();
+    assert_eq!(
+        (first.state, first.setpoint),
+        (Standby, None),
+        "not before half a second of good inputs"
+    );
+    assert_eq!(s.until(Ready) + 1, 10);
+    let waiting = s.run(seconds(30.0));
+    assert_eq!(
+        (waiting.state, waiting.setpoint, waiting.request),
+        (Ready, None, VehicleRequest::None)
+    );
+
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    let engaging = s.step();
+    assert_eq!(engaging.state, Engaging);
+    assert_eq!(engaging.request, VehicleRequest::FlyExternal { takeoff_height_m: 3.0 });
+    s.handover = HandoverProgress::InProgress {
+        stream_setpoints: false,
+    };
+    assert_eq!(
+        s.run(seconds(5.0)).setpoint,
+        None,
+        "an ArduPilot that climbs must not get setpoints"
+    );
+    s.handover = HandoverProgress::InProgress { stream_setpoints: true };
+    assert_eq!(
+        s.step().setpoint,
+        Some(VelocitySetpoint::HOLD),
+        "a PX4 wants zeros before it changes its mode"
+    );
+
+    s.hand_over();
+    s.position_ned_m = NedVector::new(0.0, 0.0, -2.5);
+    let guided = s.step();
+    assert_eq!((guided.state, guided.request), (Guided, VehicleRequest::None));
+    let setpoint = guided.setpoint.unwrap();
+    assert_eq!(setpoint.velocity_m_s.x, 1.0);
+    assert!((setpoint.yaw_rate_rad_s.to_degrees() - 15.0).abs() < 1e-4);
+    assert!(
+        (setpoint.velocity_m_s.z + 0.4).abs() < 1e-6,
+        "half a metre too low: climbs at 0.8 / s x 0.5 m"
+    );
+
+    s.position_ned_m = NedVector::new(19.2, 4.6, -3.0);
+    let arrived = s.step();
+    assert_eq!(
+        (arrived.state, arrived.reasons),
+        (Hold, Reasons::of(Reason::GoalReached))
+    );
+    assert_eq!(arrived.setpoint, Some(VelocitySetpoint::HOLD));
+    s.position_ned_m.x = 17.0;
+    assert_eq!(
+        s.run(seconds(60.0)).state,
+        Hold,
+        "a gust that moves it away does not start it again"
+    );
+
+    let next = OperatorRequest::Goal {
+        north_m: -5.0,
+        east_m: 0.0,
+        height_m: None,
+    };
+    assert_eq!(s.ask(next), RequestOutcome::Accepted);
+    assert_eq!(
+        s.guidance.goal().unwrap().position_ned_m,
+        NedVector::new(-5.0, 0.0, -3.0)
+    );
+    assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn goals_and_the_fence_are_counted_from_home_which_the_autopilot_sets_anew_when_it_is_armed() {
+    let geofence = Some(Geofence {
+        shape: FenceShape::Cylinder {
+            center_m: [0.0, 0.0],
+            radius_m: 30.0,
+        },
+        min_height_m: 0.8,
+        max_height_m: 6.0,
+    });
+    let mut s = Story::begin(GuidanceConfig { geofence, ..auto() });
+    let goal = |s: &Story| s.guidance.goal().unwrap().position_ned_m;
+    s.step();
+    assert_eq!(
+        goal(&s),
+        NedVector::new(20.0, 5.0, -3.0),
+        "home is not known: the local origin"
+    );
+    s.home_ned_m = Some(NedVector::new(12.0, 3.0, -1.0));
+    s.position_ned_m = NedVector::new(12.0, 3.0, -1.0);
+    s.until(Engaging);
+    assert_eq!(goal(&s), NedVector::new(32.0, 8.0, -4.0));
+    assert_eq!(
+        s.last.unwrap().request,
+        VehicleRequest::FlyExternal { takeoff_height_m: 4.0 }
+    );
+    // Armed: home is where it stands now.
+    s.home_ned_m = Some(NedVector::new(13.0, 3.0, -1.0));
+    s.step();
+    assert_eq!(goal(&s), NedVector::new(33.0, 8.0, -4.0));
+
+    s.hand_over();
+    s.position_ned_m = NedVector::new(13.0, 3.0, -4.0);
+    s.until(Guided);
+    s.home_ned_m = Some(NedVector::ZERO);
+    s.run(20);
+    assert_eq!(
+        goal(&s),
+        NedVector::new(33.0, 8.0, -4.0),
+        "in flight the goal does not wander off"
+    );
+
+    let at = |north_m| OperatorRequest::Goal {
+        north_m,
+        east_m: 0.0,
+        height_m: None,
+    };
+    assert_eq!(s.ask(at(28.0)), RequestOutcome::Accepted);
+    assert_eq!(goal(&s), NedVector::new(41.0, 3.0, -4.0));
+    assert_eq!(s.ask(at(29.6)), RequestOutcome::Denied, "the fence is around home");
+    s.position_ned_m = NedVector::new(42.8, 3.0, -4.0);
+    assert!(!s.step().reasons.contains(Reason::Geofence));
+    s.position_ned_m = NedVector::new(43.2, 3.0, -4.0);
+    assert!(s.step().reasons.contains(Reason::Geofence));
+
+    // A place on the globe stays where it is.
+    let fixed = OperatorRequest::FixedGoal {
+        north_m: 20.0,
+        east_m: 5.0,
+        height_m: Some(3.0),
+    };
+    assert_eq!(s.ask(fixed), RequestOutcome::Accepted);
+    assert_eq!(goal(&s), NedVector::new(20.0, 5.0, -3.0));
+    assert_eq!(
+        s.ask(OperatorRequest::FixedGoal {
+            north_m: -18.0,
+            east_m: 3.0,
+            height_m: None
+        }),
+        RequestOutcome::Denied,
+        "31 m from home"
+    );
+}
+
+#[test]
+fn a_home_that_is_told_only_in_flight_counts_once() {
+    let mut s = Story::guided(auto());
+    s.home_ned_m = Some(NedVector::new(12.0, 3.0, 0.0));
+    s.step();
+    let goal = s.guidance.goal().unwrap().position_ned_m;
+    assert_eq!(goal, NedVector::new(32.0, 8.0, -3.0));
+}
+
+#[test]
+fn telemetry_with_little_margin_is_told_and_flown_all_the_same() {
+    let mut s = Story::guided(auto());
+    s.interval_ns = Some(150_000_000);
+    assert_eq!(s.run(20).reasons, Reasons::NONE, "half of the age that is stale");
+    s.interval_ns = Some(250_000_000);
+    let slow = s.run(20);
+    assert_eq!((slow.state, slow.reasons), (Guided, Reasons::of(Reason::SlowTelemetry)));
+    assert_eq!(slow.setpoint.unwrap().velocity_m_s.x, 1.0);
+}
+
+#[test]
+fn a_stale_frame_means_hold_in_the_same_step_and_flight_goes_on_half_a_second_after_the_frames() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.frame.age_ns = Some(250_000_000);
+    assert_eq!(s.step().state, Guided, "the limit itself is not stale");
+    s.frame.age_ns = Some(250_000_001);
+    s.action = None;
+    let hold = s.step();
+    assert_eq!((hold.state, hold.reasons), (Hold, Reasons::of(Reason::StaleFrame)));
+    assert_eq!(hold.setpoint, Some(VelocitySetpoint::HOLD));
+
+    s.frame.age_ns = Some(STEP_NS);
+    s.action = Some(Action::HOVER);
+    s.run(9);
+    s.frame.age_ns = Some(300_000_000);
+    assert_eq!(s.step().state, Hold);
+    s.frame.age_ns = Some(STEP_NS);
+    assert_eq!(s.until(Guided), 10, "the steps must be consecutive");
+}
+
+#[test]
+fn every_bad_input_is_a_hold_with_its_name_within_one_step() {
+    type Spoil = fn(&mut Story);
+    let stories: [(Spoil, Reason); 16] = [
+        (|s| s.frame.age_ns = None, Reason::StaleFrame),
+        (|s| s.frame.refused = true, Reason::BadFrame),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::BlindSensor),
+            Reason::BlindSensor,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::FrozenSensor),
+            Reason::FrozenSensor,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::ImplausiblePose),
+            Reason::ImplausiblePose,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::InconsistentPicture),
+            Reason::InconsistentPicture,
+        ),
+        (|s| s.telemetry_age_ns = 300_000_001, Reason::StaleTelemetry),
+        (|s| s.heartbeat_age_ns = Some(1_500_000_001), Reason::LinkLost),
+        (|s| s.position_ned_m.x = f32::NAN, Reason::NotFinite),
+        (
+            |s| {
+                s.action = Some(Action {
+                    forward_m_s: f32::INFINITY,
+                    yaw: 0.0,
+                })
+            },
+            Reason::NotFinite,
+        ),
+        (
+            |s| {
+                s.action = Some(Action {
+                    forward_m_s: 0.0,
+                    yaw: f32::NAN,
+                })
+            },
+            Reason::NotFinite,
+        ),
+        (|s| s.action = None, Reason::NotFinite),
+        (|s| s.mode = VehicleMode::Hold, Reason::ModeLost),
+        (|s| s.slips += 3, Reason::Slip),
+        (|s| s.failsafe = true, Reason::VehicleFailsafe),
+        (
+            |s| assert_eq!(s.ask(OperatorRequest::Disengage), RequestOutcome::Accepted),
+            Reason::Operator,
+        ),
+    ];
+    for (spoil, reason) in stories {
+        let mut s = Story::guided(GuidanceConfig::default());
+        spoil(&mut s);
+        let out = s.step();
+        assert_eq!(
+            (out.state, out.reasons),
+            (Hold, Reasons::of(reason)),
+            "{}",
+            reason.name()
+        );
+        assert_eq!(out.setpoint, Some(VelocitySetpoint::HOLD), "{}", reason.name());
+    }
+}
+
+#[test]
+fn nothing_is_sent_and_nothing_engages_while_an_input_is_missing() {
+    type Spoil = fn(&mut Story);
+    let stories: [(Spoil, Reason); 9] = [
+        (|s| s.frame.age_ns = None, Reason::StaleFrame),
+        (|s| s.frame.refused = true, Reason::BadFrame),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::BlindSensor),
+            Reason::BlindSensor,
+        ),
+        (
+            |s| s.frame.doubts = Reasons::of(Reason::ImplausiblePose),
+            Reason::ImplausiblePose,
+        ),
+        (|s| s.telemetry_age_ns = 2_000_000_000, Reason::StaleTelemetry),
+        (|s| s.heartbeat_age_ns = None, Reason::LinkLost),
+        (|s| s.position_ned_m.y = f32::INFINITY, Reason::NotFinite),
+        (
+            |s| {
+                s.action = Some(Action {
+                    forward_m_s: f32::NAN,
+                    yaw: 0.0,
+                })
+            },
+            Reason::NotFinite,
+        ),
+        (|s| s.battery = Some(0.14), Reason::LowBattery),
+    ];
+    for (spoil, reason) in stories {
+        let mut s = Story::begin(auto());
+        spoil(&mut s);
+        for _ in 0..100 {
+            let out = s.step();
+            assert_eq!(
+                (out.state, out.setpoint, out.request),
+                (Standby, None, VehicleRequest::None)
+            );
+            assert!(out.reasons.contains(reason), "{}", reason.name());
+        }
+        assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::TemporarilyRejected);
+    }
+}
+
+#[test]
+fn two_missed_steps_are_borne_three_within_a_second_are_not() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.slips += 2;
+    assert_eq!(s.run(seconds(1.1)).state, Guided);
+    s.slips += 2;
+    assert_eq!(s.step().state, Guided, "the first two are more than a second ago");
+    s.slips += 1;
+    assert_eq!(s.step().state, Hold);
+    assert_eq!(s.until(Guided), 29, "the window passes, then ten clear steps");
+}
+
+#[test]
+fn slips_before_the_first_step_are_not_held_against_the_flight() {
+    let mut s = Story::begin(GuidanceConfig::default());
+    s.slips = 500;
+    assert!(!s.step().reasons.contains(Reason::Slip));
+}
+
+#[test]
+fn the_fence_holds_the_vehicle_and_refuses_goals_outside() {
+    let fence = |shape| GuidanceConfig {
+        geofence: Some(Geofence {
+            shape,
+            min_height_m: 0.8,
+            max_height_m: 6.0,
+        }),
+        ..Default::default()
+    };
+    for shape in [
+        FenceShape::Box {
+            min_m: [-5.0, -10.0],
+            max_m: [25.0, 10.0],
+        },
+        FenceShape::Cylinder {
+            center_m: [10.0, 0.0],
+            radius_m: 15.0,
+        },
+    ] {
+        let mut s = Story::guided(fence(shape));
+        let goal = |north_m, height_m| OperatorRequest::Goal {
+            north_m,
+            east_m: 0.0,
+            height_m: Some(height_m),
+        };
+        for bad in [
+            goal(24.8, 3.0),
+            goal(5.0, 5.8),
+            goal(5.0, 0.9),
+            goal(f32::NAN, 3.0),
+            goal(5.0, -1.0),
+        ] {
+            assert_eq!(s.ask(bad), RequestOutcome::Denied, "{bad:?}");
+        }
+        assert_eq!(s.ask(goal(5.0, 3.0)), RequestOutcome::Accepted);
+        for (x, height, inside) in [
+            (24.9, 3.0, true),
+            (25.1, 3.0, false),
+            (10.0, 6.1, false),
+            (10.0, 0.7, false),
+        ] {
+            let mut s = Story::guided(fence(shape));
+            s.position_ned_m = NedVector::new(x, 0.0, -height);
+            let out = s.step();
+            assert_eq!(
+                (out.state == Guided, out.reasons.contains(Reason::Geofence)),
+                (inside, !inside),
+                "{x} {height}"
+            );
+            s.position_ned_m = NedVector::new(24.7, 0.0, -3.0);
+            assert_eq!(
+                s.run(30).state,
+                if inside { Guided } else { Hold },
+                "clears half a metre inside"
+            );
+            s.position_ned_m = NedVector::new(24.0, 0.0, -3.0);
+            assert_eq!(s.run(30).state, Guided);
+        }
+    }
+}
+
+#[test]
+fn on_the_ground_the_least_height_of_the_fence_does_not_count() {
+    let shape = FenceShape::Cylinder {
+        center_m: [10.0, 0.0],
+        radius_m: 15.0,
+    };
+    let geofence = Some(Geofence {
+        shape,
+        min_height_m: 0.8,
+        max_height_m: 6.0,
+    });
+    let mut s = Story::begin(GuidanceConfig {
+        geofence,
+        ..Default::default()
+    });
+    assert_eq!(s.run(20).state, Ready);
+}
+
+#[test]
+fn a_handed_over_vehicle_is_held_while_an_input_is_bad() {
+    let mut s = Story::begin(auto());
+    s.until(Engaging);
+    s.hand_over();
+    s.frame.age_ns = Some(1_000_000_000);
+    s.action = None;
+    assert_eq!(
+        (s.step().state, s.last.unwrap().setpoint),
+        (Hold, Some(VelocitySetpoint::HOLD))
+    );
+    s.frame.age_ns = Some(STEP_NS);
+    s.action = Some(Action::HOVER);
+    assert_eq!(s.until(Guided), 10);
+}
+
+#[test]
+fn a_firmware_that_starts_in_the_air_takes_the_vehicle_over() {
+    let mut s = Story::begin(auto());
+    (s.armed, s.mode, s.failsafe, s.position_ned_m.z) = (true, VehicleMode::Hold, true, -3.0);
+    assert_eq!(s.until(Engaging), 11);
+    s.hand_over();
+    assert_eq!(s.until(Guided), 1);
+}
+
+#[test]
+fn actions_beyond_the_limits_are_clipped() {
+    let mut s = Story::guided(GuidanceConfig::default());
+    s.action = Some(Action {
+        forward_m_s: -9.0,
+        yaw: 4.0,
+    });
+    let v = s.step().setpoint.unwrap();
+    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y), (-1.5, 0.0));
+    assert!((v.yaw_rate_rad_s.to_degrees() - 45.0).abs() < 1e-4);
+    // Far above its goal it descends where it is.
+    s.position_ned_m.z = -30.0;
+    let v = s.step().setpoint.unwrap();
+    assert_eq!((v.velocity_m_s.x, v.velocity_m_s.y, v.velocity_m_s.z), (0.0, 0.0, 0.5));
+}
+
+#[test]
+fn without_a_goal_there_is_no_flight() {
+    let mut s = Story::begin(auto());
+    s.guidance = vigil_guidance::Guidance::new(auto()).unwrap();
+    s.action = None;
+    let out = s.run(40);
+    assert_eq!((out.state, out.reasons), (Standby, Reasons::of(Reason::NoGoal)));
+    assert_eq!(s.ask(GOAL), RequestOutcome::Accepted);
+    s.action = Some(Action::HOVER);
+    s.until(Engaging);
+}
+
+#[test]
+fn a_configuration_that_must_not_fly_is_refused_by_field() {
+    let refused = |config: GuidanceConfig| vigil_guidance::Guidance::new(config).unwrap_err().to_string();
+    let d = GuidanceConfig::default();
+    let radius = refused(GuidanceConfig {
+        goal_radius_m: f32::NAN,
+        ..d
+    });
+    assert!(
+        radius.contains("limits.goal_radius_m is NaN") && radius.contains("0.1 to 100"),
+        "{radius}"
+    );
+    assert!(refused(GuidanceConfig { slip_limit: 9, ..d }).contains("limits.slips is 9"));
+    assert!(
+        refused(GuidanceConfig {
+            frame_age_limit_ns: 0,
+            ..d
+        })
+        .contains("limits.frame_age_s is 0")
+    );
+    let shape = FenceShape::Box {
+        min_m: [5.0, 0.0],
+        max_m: [5.0, 9.0],
+    };
+    let geofence = Some(Geofence {
+        shape,
+        min_height_m: 0.0,
+        max_height_m: 9.0,
+    });
+    assert!(refused(GuidanceConfig { geofence, ..d }).contains("geofence"));
+}
+
+#[test]
+fn a_vehicle_that_does_not_get_nearer_holds_by_that_name_after_two_minutes_and_then_lands() {
+    let mut s = Story::guided(auto());
+    // A detour: away from the goal and back again takes less than the time there is.
+    for north_m in [5.0, -30.0, 5.0, 8.0] {
+        s.position_ned_m.x = north_m;
+        assert_eq!(s.run(seconds(39.0)).state, Guided, "at {north_m}");
+    }
+    // To and fro, never nearer than before.
+    for n in 0..8 {
+        s.position_ned_m.x = if n % 2 == 0 { -4.0 } else { 7.5 };
+        assert_eq!(s.run(seconds(10.0)).state, Guided, "{n}");
+    }
+    assert!((1..=40).contains(&s.until(Hold)), "two minutes since it was nearest");
+    let hold = s.last.unwrap();
+    assert_eq!(hold.reasons, Reasons::of(Reason::NoProgress));
+    assert_eq!(hold.setpoint, Some(VelocitySetpoint::HOLD));
+    assert_eq!(s.run(seconds(9.9)).state, Hold);
+    s.run(3);
+    assert_eq!(s.last.unwrap().state, Land);
+}
+
+#[test]
+fn what_the_vehicle_holds_for_is_no_lack_of_progress() {
+    let mut s = Story::guided(auto());
+    for _ in 0..5 {
+        assert_eq!(s.run(seconds(20.0)).state, Guided);
+        s.frame.age_ns = Some(400_000_000);
+        assert_eq!(s.run(seconds(60.0)).reasons, Reasons::of(Reason::StaleFrame));
+        s.frame.age_ns = Some(STEP_NS);
+        s.until(Guided);
+    }
+}
+
+#[test]
+fn a_flight_without_progress_that_is_to_hold_goes_on_with_another_goal_or_an_operator_and_ends_where_none_is_wanted() {
+    let config = GuidanceConfig {
+        on_no_progress: OnNoProgress::Hold,
+        ..auto()
+    };
+    let mut s = Story::guided(config);
+    s.run(seconds(121.0));
+    assert_eq!(s.run(seconds(600.0)).reasons, Reasons::of(Reason::NoProgress));
+    assert_eq!(s.ask(GOAL), RequestOutcome::Accepted);
+    assert_eq!(s.until(Guided), 10);
+    s.run(seconds(121.0));
+    assert_eq!(s.last.unwrap().state, Hold);
+    assert_eq!(s.ask(OperatorRequest::Engage), RequestOutcome::Accepted);
+    assert_eq!(s.until(Guided), 10);
+
+    let mut landing = Story::guided(auto());
+    landing.run(seconds(140.0));
+    assert_eq!(landing.last.unwrap().state, Land);
+    assert_eq!(
+        landing.ask(OperatorRequest::Engage),
+        RequestOutcome::Accepted,
+        "an operator goes around"
+    );
+    landing.until(Guided);
+
+    let never = GuidanceConfig {
+        no_progress_limit_ns: None,
+        ..auto()
+    };
+    assert_eq!(Story::guided(never).run(seconds(3600.0)).state, Guided);
+}
+
+#[test]
+fn a_goal_farther_than_the_limit_is_refused_with_its_distance_and_the_one_before_stays() {
+    let mut s = Story::guided(auto());
+    let before = s.guidance.goal();
+    let goal = |north_m, east_m| OperatorRequest::Goal {
+        north_m,
+        east_m,
+        height_m: None,
+    };
+    let too_far = RequestOutcome::TooFar {
+        distance_m: 501,
+        limit_m: 500,
+    };
+    assert_eq!(s.ask(goal(-300.0, 400.5)), too_far);
+    assert_eq!(s.guidance.goal(), before);
+    assert_eq!(s.ask(goal(-300.0, 400.0)), RequestOutcome::Accepted);
+    let farther = GuidanceConfig {
+        goal_limit_m: 1000.0,
+        ..auto()
+    };
+    s.guidance.reconfigure(farther).unwrap();
+    assert_eq!(s.ask(goal(-300.0, 400.5)), RequestOutcome::Accepted);
+}

@@ -1,0 +1,263 @@
+//! Detector and guard: what raises the alarm, and what is refused.
+
+use super::*;
+
+#[test]
+fn an_attacked_actor_is_stopped_and_replaced_and_told_of_and_gets_its_place_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
+    flight.until(GuidanceState::Guided, 10.0);
+    flight.fastest_m_s(1);
+    let judgement = flight.last.judgement.unwrap();
+    assert_eq!((judgement.verdict, judgement.score), (Verdict::Clean, Some(0.5)));
+    assert_eq!(values(&flight.vehicle, "dt_state").last(), Some(&1.0));
+    assert_eq!(values(&flight.vehicle, "dt_score").last(), Some(&0.5));
+    for contribution in ["dt_img", "dt_bear", "dt_dist"] {
+        assert!(
+            values(&flight.vehicle, contribution)
+                .last()
+                .is_some_and(|v| v.is_finite())
+        );
+    }
+
+    flight.vehicle.heard.clear();
+    assert_eq!(flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32), 0.4);
+    assert_eq!(flight.last.judgement.unwrap().verdict, Verdict::Attack);
+    assert_eq!(values(&flight.vehicle, "dt_state"), [2.0], "at once");
+    for _ in 0..3 {
+        assert_eq!(flight.step().alarm, None);
+    }
+    let alarm = flight.step();
+    assert_eq!(
+        (alarm.state, alarm.reasons),
+        (GuidanceState::Hold, Reasons::of(Reason::Attack))
+    );
+    assert_eq!(flight.velocity(), [0.0; 4]);
+    assert_eq!(texts(&flight.vehicle), [(2, "alarm: attack, stopping".to_owned())]);
+
+    flight.until(GuidanceState::Guided, 5.0);
+    assert_eq!(flight.last.reasons, Reasons::of(Reason::Recovering));
+    let before_m = flight.vehicle.position_ned_m.x;
+    flight.fastest_m_s(5);
+    assert!(
+        flight.vehicle.position_ned_m.x > before_m + 1.5,
+        "the recovery pilot flies on"
+    );
+    assert_eq!(
+        texts(&flight.vehicle).last().unwrap().1,
+        "alarm: attack, recovery pilot flies"
+    );
+
+    flight.set("DT_THRESH", 0.6, MavParamType::MAV_PARAM_TYPE_REAL32);
+    for _ in 0..38 {
+        assert!(flight.step().reasons.contains(Reason::Recovering));
+    }
+    assert_eq!(flight.step().alarm, None);
+    assert_eq!(texts(&flight.vehicle).last().unwrap(), &(6, "alarm: clear".to_owned()));
+}
+
+#[test]
+fn an_operator_sets_policy_and_threshold_and_values_out_of_range_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
+    flight.until(GuidanceState::Guided, 10.0);
+    let integer = |value: u32| f32::from_bits(value);
+    assert_eq!(flight.set("DT_THRESH", 1.5, MavParamType::MAV_PARAM_TYPE_REAL32), 0.6);
+    let policy = flight.set("DT_ALARM", integer(3), MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(policy.to_bits(), 2);
+    assert_eq!(
+        flight
+            .set("DT_ALARM", integer(0), MavParamType::MAV_PARAM_TYPE_INT32)
+            .to_bits(),
+        0
+    );
+    flight.set("DT_THRESH", 0.4, MavParamType::MAV_PARAM_TYPE_REAL32);
+    flight.fastest_m_s(2);
+    assert!(flight.last.alarm.is_some());
+    assert_eq!(flight.last.state, GuidanceState::Guided, "told, and not acted upon");
+    flight.set("DT_ALARM", integer(1), MavParamType::MAV_PARAM_TYPE_INT32);
+    assert_eq!(flight.last.state, GuidanceState::Hold);
+}
+
+#[test]
+fn a_gap_in_the_frames_leaves_the_verdict_unknown_until_ten_explanations_are_there_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &watched_config(folder.path()));
+    flight.until(GuidanceState::Guided, 10.0);
+    for _ in 0..8 {
+        let telemetry = flight.vehicle.telemetry();
+        flight.step_with(None, &telemetry);
+    }
+    assert_eq!((flight.last.judgement, flight.last.state), (None, GuidanceState::Hold));
+    for _ in 0..9 {
+        assert_eq!(flight.step().judgement.unwrap().verdict, Verdict::Unknown);
+    }
+    assert_eq!(flight.step().judgement.unwrap().verdict, Verdict::Clean);
+}
+
+#[test]
+fn odometry_that_jumps_makes_the_actor_forget_what_it_saw_and_people_are_told_once() {
+    let folder = tempfile::tempdir().unwrap();
+    // The judge of frames refuses those of a pose that jumps, for a while.
+    let config = FirmwareConfig {
+        plausibility: false,
+        ..watched_config(folder.path())
+    };
+    let mut flight = Flight::new(TestVehicle::hovering(2.5), &config);
+    flight.until(GuidanceState::Guided, 10.0);
+    let jumps = |flight: &Flight| {
+        let heard = flight.vehicle.heard.iter();
+        heard
+            .filter(|(_, message)| match message {
+                MavMessage::STATUSTEXT(text) => text.text.to_str().unwrap().contains("the position jumped"),
+                _ => false,
+            })
+            .count()
+    };
+    assert_eq!(jumps(&flight), 0);
+    flight.vehicle.position_ned_m.y += 30.0;
+    for _ in 0..20 {
+        flight.step();
+    }
+    assert_eq!(jumps(&flight), 1);
+}
+
+#[test]
+fn a_detector_that_cannot_judge_the_actor_is_refused_by_name_before_anything_flies() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    let file = config.detector.file.clone().unwrap();
+    let refused = |config: &FirmwareConfig| LockstepFirmware::new(config).err().unwrap().to_string();
+
+    let mut other = undecided_detector();
+    other.actor_sha256 = "0123".to_owned();
+    other.save(&file).unwrap();
+    let error = refused(&config);
+    assert!(
+        error.contains("undecided.safetensors") && error.contains("0123"),
+        "{error}"
+    );
+
+    undecided_detector().save(&file).unwrap();
+    let mut bytes = std::fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&file, &bytes).unwrap();
+    let error = refused(&config);
+    assert!(
+        error.contains("undecided.safetensors") && error.contains("altered"),
+        "{error}"
+    );
+
+    std::fs::write(&file, &bytes[..middle]).unwrap();
+    let error = refused(&config);
+    assert!(
+        error.contains("undecided.safetensors") && error.contains("truncated"),
+        "{error}"
+    );
+
+    config.detector.enabled = Some(false);
+    assert!(LockstepFirmware::new(&config).is_ok());
+}
+
+/// What raises the alarm in the time in which a gust carries a vehicle in full flight towards a wall, whatever it is told.
+fn alarm_before_a_wall(config: &FirmwareConfig) -> Option<AlarmCause> {
+    let mut flight = Flight::guided_by(config);
+    for _ in 0..60 {
+        flight.step();
+    }
+    assert!(flight.velocity()[0] > 1.2, "{:?}", flight.velocity());
+    let carried_m_s = NedVector::new(1.5, 0.0, 0.0);
+    let wall_north_m = flight.vehicle.position_ned_m.x + 2.2;
+    // It would be there after 29.
+    (0..28).find_map(|_| {
+        flight.vehicle.velocity_ned_m_s = carried_m_s;
+        let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
+        let frame = flight.vehicle.frame_with_wall(flight.now_ns, wall_north_m);
+        let telemetry = flight.vehicle.telemetry();
+        let alarm = flight.step_with(Some(&frame), &telemetry).alarm;
+        (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad) = (from + carried_m_s * STEP_S, yaw_rad);
+        alarm.map(|alarm| alarm.cause)
+    })
+}
+
+#[test]
+fn the_guard_stops_an_actor_before_a_wall_with_and_without_the_detector_and_either_can_be_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    // A wall that was not there a moment ago is no plausible picture.
+    config.plausibility = false;
+    for (detector, guard, raised) in [
+        (false, Some(true), Some(AlarmCause::CollisionCourse)),
+        (true, Some(true), Some(AlarmCause::CollisionCourse)),
+        (true, None, Some(AlarmCause::CollisionCourse)),
+        (true, Some(false), None),
+        (false, Some(false), None),
+        (false, None, None),
+    ] {
+        config.detector.enabled = Some(detector);
+        config.detector.guard = guard;
+        assert_eq!(
+            alarm_before_a_wall(&config),
+            raised,
+            "detector {detector}, guard {guard:?}"
+        );
+    }
+
+    // The detector alone: its verdict raises the alarm without any wall.
+    config.detector.enabled = Some(true);
+    config.detector.guard = Some(false);
+    config.detector.threshold = Some(0.4);
+    let mut flight = Flight::guided_by(&config);
+    let cause = (0..40).find_map(|_| flight.step().alarm.map(|alarm| alarm.cause));
+    assert_eq!(cause, Some(AlarmCause::Attack));
+}
+
+/// What raises the alarm in ten seconds in which a vehicle is carried away from its goal over open ground, whatever it is told.
+fn alarm_while_carried_away(config: &FirmwareConfig) -> Option<AlarmCause> {
+    let mut flight = Flight::guided_by(config);
+    for _ in 0..60 {
+        flight.step();
+    }
+    let carried_m_s = NedVector::new(-0.5, 0.0, 0.0);
+    (0..200).find_map(|_| {
+        flight.vehicle.velocity_ned_m_s = carried_m_s;
+        let (from, yaw_rad) = (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad);
+        let (frame, telemetry) = (flight.vehicle.frame(flight.now_ns), flight.vehicle.telemetry());
+        let alarm = flight.step_with(Some(&frame), &telemetry).alarm;
+        (flight.vehicle.position_ned_m, flight.vehicle.yaw_rad) = (from + carried_m_s * STEP_S, yaw_rad);
+        alarm.map(|alarm| alarm.cause)
+    })
+}
+
+#[test]
+fn the_guard_finds_that_the_vehicle_is_led_astray_with_and_without_the_detector() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = watched_config(folder.path());
+    config.plausibility = false;
+    for (detector, guard, raised) in [
+        (false, Some(true), Some(AlarmCause::LedAstray)),
+        (true, None, Some(AlarmCause::LedAstray)),
+        (true, Some(false), None),
+        (false, None, None),
+    ] {
+        config.detector.enabled = Some(detector);
+        config.detector.guard = guard;
+        assert_eq!(
+            alarm_while_carried_away(&config),
+            raised,
+            "detector {detector}, guard {guard:?}"
+        );
+    }
+}
+
+#[test]
+fn a_guard_without_an_actor_to_watch_is_refused_by_name() {
+    let mut config = config();
+    config.detector.guard = Some(true);
+    let error = LockstepFirmware::new(&config).err().unwrap().to_string();
+    assert!(
+        error.contains("the guard is on") && error.contains("geometric pilot"),
+        "{error}"
+    );
+}

@@ -1,0 +1,252 @@
+//! Just stop: the vehicle flies its own mission straight to the goal, through whatever stands there; Vigil only guards it.
+
+mod models;
+#[path = "../../../firmware/mavlink/tests/common/peer.rs"]
+#[allow(
+    dead_code,
+    missing_docs,
+    reason = "the scripted vehicles of the MAVLink crate's tests, of which some is used here"
+)]
+mod peer;
+mod scripted;
+
+use peer::{Mode, Peer, Quirk};
+use std::fmt::Write;
+use std::sync::atomic::{AtomicU64, Ordering};
+use vigil_firmware::config::PilotConfig;
+use vigil_firmware::{FirmwareConfig, LockstepFirmware};
+use vigil_mavlink::common::MavResult;
+use vigil_mavlink::framing::{FramingCounters, packets};
+use vigil_mavlink::{Flavour, MavMessage};
+use vigil_sim::vehicle::{HoldLaw, VehicleModel, VehicleParams};
+use vigil_sim::world::{Column, Course, Family, Lidar, LidarConfig, Outcome, Shot, World, generate};
+use vigil_sim::{LIDAR_SENSOR_ID, SimConfig, Start};
+use vigil_tests::mission::bytes_of;
+use vigil_tests::{Pair, mission};
+use vigil_types::{
+    Attitude, Datagrams, DepthFrame, Duty, EngagePolicy, Nanos, NedVector, PilotKind, Reason, STEP_NS, VehicleMode,
+};
+
+const LOCAL_POSITION_NED: u32 = 32;
+const GPS_GLOBAL_ORIGIN: u32 = 49;
+
+/// What a mission came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// At the goal.
+    Arrived,
+    /// The guard stopped it, and it stood for five seconds.
+    Stopped,
+    /// It hit something.
+    Collision,
+    /// Neither within two minutes, or out of the course's bounds.
+    Other,
+}
+
+/// A mission as it was flown.
+#[derive(Debug, Clone, Copy)]
+struct Flown {
+    end: End,
+    /// Least distance to an obstacle, metres.
+    nearest_m: f32,
+    stop: Option<Stop>,
+}
+
+/// How a mission was stopped, from where it was first told to hold.
+#[derive(Debug, Clone, Copy)]
+struct Stop {
+    at_ned_m: NedVector,
+    speed_m_s: f32,
+    /// Metres to the nearest column there.
+    obstacle_m: f32,
+    /// How far it went on, and where it was at the end, metres.
+    way_m: f32,
+    rests_m: f32,
+}
+
+/// What a mission takes that is begun, and stopped as soon as it is seen to move: measured on `px4-sih` and `px4-light`, metres.
+const START_AND_STOP_M: f32 = 3.4;
+
+/// PX4's own hold takes 1.31 to 1.48 s times the speed (docs/vehicle.md), metres per metre per second.
+const HOLD_WAY_S: f32 = 1.4;
+
+impl Stop {
+    /// The way that the vehicle needs: what it took, what its own hold takes where it was told a nearer place, or what it would have
+    /// taken had it begun to move.
+    fn needed_m(&self) -> f32 {
+        if self.speed_m_s < 0.3 {
+            START_AND_STOP_M
+        } else {
+            self.way_m.max(HOLD_WAY_S * self.speed_m_s)
+        }
+    }
+
+    fn follow(&mut self, here: NedVector) {
+        self.rests_m = (here - self.at_ned_m).horizontal_norm();
+        self.way_m = self.way_m.max(self.rests_m);
+    }
+}
+
+/// Metres over the ground from a place to a column's surface.
+fn away_m(from_ned_m: NedVector, column: &Column) -> f32 {
+    (column.north_m - from_ned_m.x).hypot(column.east_m - from_ned_m.y) - column.radius_m
+}
+
+/// The vehicle never tells where its local origin is on the globe.
+fn keep_origin_from(told: &mut Datagrams) {
+    let mut kept = Datagrams::default();
+    for (link, datagram) in told.iter() {
+        let mut counters = FramingCounters::default();
+        if packets(datagram, &mut counters).all(|packet| packet.message_id() != GPS_GLOBAL_ORIGIN) {
+            kept.push(link, datagram);
+        }
+    }
+    *told = kept;
+}
+
+/// Flies the mission over a course; how it ended, and the least distance to an obstacle on the way.
+fn fly(course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> (End, f32) {
+    let flown = fly_with(VehicleParams::default(), course, seed, speed_m_s, duty);
+    (flown.end, flown.nearest_m)
+}
+
+fn fly_with(vehicle: VehicleParams, course: Course, seed: u64, speed_m_s: f32, duty: Duty) -> Flown {
+    fly_as(vehicle, course, seed, speed_m_s, duty, |_| mission::start())
+}
+
+/// The same as a ground station's `command` has it.
+fn fly_as(
+    vehicle: VehicleParams,
+    course: Course,
+    seed: u64,
+    speed_m_s: f32,
+    duty: Duty,
+    command: fn(&SimConfig) -> Vec<u8>,
+) -> Flown {
+    let columns = course.columns.clone();
+    let mut simulation = SimConfig::new(course, seed);
+    simulation.start = Start::Airborne;
+    simulation.vehicle = vehicle;
+    simulation.saved = mission::plan(&simulation, speed_m_s);
+    let config = FirmwareConfig {
+        duty,
+        engage: EngagePolicy::Command,
+        pilot: PilotConfig {
+            kind: PilotKind::Geometric,
+            ..PilotConfig::default()
+        },
+        ..FirmwareConfig::to_goal(simulation.course.goal_ned_m())
+    };
+    let mut pair = Pair::of(&simulation, &config);
+    let (mut nearest_m, mut stood) = (f32::INFINITY, 0);
+    let mut stop: Option<Stop> = None;
+    for step in 0..2400 {
+        if step == 40 {
+            pair.simulator.receive(0, &command(&simulation));
+        }
+        pair.simulate();
+        // The simulated autopilot speaks as PX4 does. An ArduCopter is told no place and brakes by its mode: so is one without an origin.
+        if vehicle.control.hold == HoldLaw::Brake {
+            keep_origin_from(&mut pair.to_firmware);
+        }
+        let report = pair.decide(true);
+        assert!(
+            report.setpoint.is_none() || duty == Duty::FlyAround,
+            "who only stops gives no setpoints"
+        );
+        nearest_m = nearest_m.min(pair.simulator.obstacle_distance_m());
+        let truth = pair.simulator.truth();
+        if stop.is_none() && report.reasons.contains(Reason::CollisionCourse) {
+            stop = Some(Stop {
+                at_ned_m: truth.position_ned_m,
+                speed_m_s: truth.velocity_ned_m_s.horizontal_norm(),
+                obstacle_m: columns
+                    .iter()
+                    .map(|c| away_m(truth.position_ned_m, c))
+                    .fold(f32::INFINITY, f32::min),
+                way_m: 0.0,
+                rests_m: 0.0,
+            });
+        }
+        stop.iter_mut().for_each(|stop| stop.follow(truth.position_ned_m));
+        let end = match pair.simulator.ending().map(|ending| ending.outcome) {
+            Some(Outcome::Success) => Some(End::Arrived),
+            Some(Outcome::Collision) => Some(End::Collision),
+            Some(_) => Some(End::Other),
+            None => None,
+        };
+        if let Some(end) = end {
+            return Flown { end, nearest_m, stop };
+        }
+        let holds = report.telemetry.heartbeat.is_some_and(|h| h.mode == VehicleMode::Hold);
+        stood = match holds && report.reasons.contains(Reason::CollisionCourse) {
+            true => stood + 1,
+            false => 0,
+        };
+        if stood == 100 {
+            let end = End::Stopped;
+            return Flown { end, nearest_m, stop };
+        }
+    }
+    let end = End::Other;
+    Flown { end, nearest_m, stop }
+}
+
+/// The same course with everything taken away that stands.
+fn emptied(mut course: Course) -> Course {
+    (course.columns, course.boxes, course.walls) = (vec![], vec![], vec![]);
+    (course.overhangs, course.movers) = (vec![], vec![]);
+    course
+}
+
+#[test]
+fn a_mission_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
+    // The first seeds whose straight way is blocked.
+    let blocked: Vec<u64> = (1..20)
+        .filter(|seed| fly(generate(Family::Training, *seed), *seed, 3.0, Duty::Fly).0 == End::Collision)
+        .take(3)
+        .collect();
+    assert_eq!(blocked.len(), 3, "{blocked:?}");
+    for seed in blocked {
+        let course = generate(Family::Training, seed);
+        let (end, nearest_m) = fly(course.clone(), seed, 3.0, Duty::JustStop);
+        assert_eq!(end, End::Stopped, "course {seed}, nearest {nearest_m} m");
+        assert_eq!(
+            fly(emptied(course), seed, 3.0, Duty::JustStop).0,
+            End::Arrived,
+            "course {seed}"
+        );
+    }
+}
+
+/// DO_REPOSITION leaves the vehicle in hold, which is not standing still.
+#[test]
+fn a_go_to_through_an_obstacle_is_stopped_before_it_and_a_free_one_arrives() {
+    let go_to = |course: Course, seed: u64, duty| {
+        let flown = fly_as(VehicleParams::default(), course, seed, 3.0, duty, mission::go_to);
+        (flown.end, flown.nearest_m)
+    };
+    let blocked: Vec<u64> = (1..20)
+        .filter(|seed| go_to(generate(Family::Training, *seed), *seed, Duty::Fly).0 == End::Collision)
+        .take(3)
+        .collect();
+    assert_eq!(blocked.len(), 3, "{blocked:?}");
+    for seed in blocked {
+        let course = generate(Family::Training, seed);
+        let (end, nearest_m) = go_to(course.clone(), seed, Duty::JustStop);
+        assert_eq!(end, End::Stopped, "course {seed}, nearest {nearest_m} m");
+        assert_eq!(
+            go_to(emptied(course), seed, Duty::JustStop).0,
+            End::Arrived,
+            "course {seed}"
+        );
+    }
+}
+
+#[test]
+fn a_mission_that_was_stopped_is_flown_around_and_handed_back() {
+    for seed in [2, 3] {
+        let (end, nearest_m) = fly(generate(Family::Training, seed), seed, 3.0, Duty::FlyAround);
+        assert_eq!(end, End::Arrived, "course {seed}, nearest {nearest_m} m");
+    }
+}
