@@ -1,6 +1,6 @@
 //! What goes wrong on board of others: each is a named state, and none is flown on with.
 //!
-//! A mission that leads through a wall, and the same for a guarded vehicle: `just_stop.rs`; for a rendered sensor: `foreign.rs`.
+//! A mission that leads through a wall, and the same for a guarded vehicle: `just_stop/`; for a rendered sensor: `foreign.rs`.
 
 use vigil_mavlink::MavMessage;
 use vigil_mavlink::common::{COMMAND_LONG_DATA, HEARTBEAT_DATA, MavAutopilot, MavCmd, MavType};

@@ -26,6 +26,8 @@ const VIEW_HEIGHT: usize = 208;
 const MAP_TOP: usize = BANNER + VIEW_HEIGHT + 2;
 /// Where the right column begins.
 const RIGHT: usize = VIEW_WIDTH + 14;
+/// Left, top, width and height of the detector's score.
+const SCORE: [usize; 4] = [RIGHT, BANNER + 2 + 2 * (DEPTH_ROWS + 4 + LINE) + LINE, 256, 38];
 /// A line of text.
 const LINE: usize = 16;
 /// A picture of the film is shown so long, hundredths of a second.
@@ -376,6 +378,19 @@ impl Scene {
     }
 
     fn draw(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
+        self.draw_path(canvas, log, (first, now));
+        self.draw_banner(canvas, log, (first, now), title);
+        self.draw_score(canvas, log, (first, now));
+        if let Some(judgement) = log.steps[now].report.judgement {
+            let [left, top, _, height] = SCORE;
+            causes(canvas, (left, top + height + 3), &judgement);
+        }
+        self.draw_state(canvas, log, now);
+    }
+
+    /// The way flown so far, alarms, and the vehicle.
+    fn draw_path(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize)) {
+        let step = &log.steps[now];
         let place = |s: &StepSeen| {
             let position = s
                 .report
@@ -397,7 +412,6 @@ impl Scene {
                 canvas.line(a, b, 3.0, Self::colour(log.who(&pair[1].report)));
             }
         }
-        let step = &log.steps[now];
         for alarm in self.alarms.iter().filter(|i| (first..=now).contains(*i)) {
             if let Some(centre) = log.steps.get(*alarm).and_then(place) {
                 canvas.ring(centre, 7.0, 2.0, Colour::ATTACK);
@@ -409,29 +423,25 @@ impl Scene {
             let arrow = [(9.0, 0.0), (-6.0, 6.0), (-3.0, 0.0), (-6.0, -6.0)].map(turned);
             canvas.polygon(&arrow, Colour::INK);
         }
+    }
 
-        // Banner: who flies, and whether the frames are altered.
-        let who = log.who(&step.report);
-        let altered = self.is_altered(step);
-        canvas.rectangle(
-            0,
-            0,
-            WIDTH,
-            BANNER - 2,
-            if altered { Colour::ATTACK } else { Colour::BANNER },
-        );
-        let on = if altered { Colour::PAPER } else { Colour::INK };
+    /// The title, the time, and whether the frames are altered.
+    fn draw_banner(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize), title: &str) {
+        let step = &log.steps[now];
+        let (on, below, state) = match self.is_altered(step) {
+            true => (Colour::PAPER, Colour::ATTACK, "ATTACK: frames altered"),
+            false => (Colour::INK, Colour::BANNER, ""),
+        };
+        canvas.rectangle(0, 0, WIDTH, BANNER - 2, below);
         let time = log.seconds(step.now_ns) - log.seconds(log.steps[first].now_ns);
         canvas.text(8, 7, title, on);
-        let state = match altered {
-            true => "ATTACK: frames altered",
-            false => "",
-        };
         canvas.text(RIGHT, 7, state, on);
         canvas.text(WIDTH - 58, 7, &format!("{time:5.1} s"), on);
+    }
 
-        // The score over the last 10 s.
-        let (left, top, width, height) = (RIGHT, BANNER + 2 + 2 * (DEPTH_ROWS + 4 + LINE) + LINE, 256, 38);
+    /// The score over the last 10 s.
+    fn draw_score(&self, canvas: &mut Canvas, log: &LogSeen, (first, now): (usize, usize)) {
+        let [left, top, width, height] = SCORE;
         canvas.frame(left - 1, top - 1, width + 2, height + 2, Colour::LINE);
         if let Some(threshold) = self.threshold {
             let y = top + ((1.0 - threshold) * (height - 1) as f32) as usize;
@@ -442,43 +452,28 @@ impl Scene {
         let mut before = None;
         for x in 0..width {
             let back = (width - 1 - x) * 200 / width;
-            let Some(step) = now
-                .checked_sub(back)
-                .filter(|i| *i >= first)
-                .and_then(|i| log.steps.get(i))
-            else {
+            let at = now.checked_sub(back).filter(|i| *i >= first);
+            let Some(step) = at.and_then(|i| log.steps.get(i)) else {
                 continue;
             };
             let score = step.report.judgement.and_then(|j| j.score);
-            let point = score.map(|s| {
-                (
-                    (left + x) as f32,
-                    top as f32 + (1.0 - s.clamp(0.0, 1.0)) * (height - 1) as f32,
-                )
-            });
+            let down = |s: f32| top as f32 + (1.0 - s.clamp(0.0, 1.0)) * (height - 1) as f32;
+            let point = score.map(|s| ((left + x) as f32, down(s)));
             if let (Some(a), Some(b)) = (before, point) {
-                canvas.line(
-                    a,
-                    b,
-                    2.0,
-                    if self.threshold.is_some_and(|t| score > Some(t)) {
-                        Colour::ATTACK
-                    } else {
-                        Colour::ACTOR
-                    },
-                );
+                let is_above = self.threshold.is_some_and(|t| score > Some(t));
+                canvas.line(a, b, 2.0, if is_above { Colour::ATTACK } else { Colour::ACTOR });
             }
             before = point;
         }
         if log.info.detector_sha256.is_none() {
             canvas.text(left + 90, top + 13, "no detector", Colour::SOFT);
         }
+    }
 
-        if let Some(judgement) = step.report.judgement {
-            causes(canvas, (left, top + height + 3), &judgement);
-        }
-
-        // Who flies, in words.
+    /// Who flies, in words, and how it ended.
+    fn draw_state(&self, canvas: &mut Canvas, log: &LogSeen, now: usize) {
+        let (step, left) = (&log.steps[now], RIGHT);
+        let who = log.who(&step.report);
         let y = HEIGHT - 2 * LINE + 2;
         canvas.rectangle(left, y, 14, 12, Self::colour(who));
         let words = match step.report.alarm {
@@ -499,12 +494,8 @@ impl Scene {
         });
         if let Some(outcome) = ended {
             let good = outcome.starts_with("success");
-            canvas.text(
-                left,
-                y + LINE,
-                outcome,
-                if good { Colour::GOAL } else { Colour::ATTACK },
-            );
+            let colour = if good { Colour::GOAL } else { Colour::ATTACK };
+            canvas.text(left, y + LINE, outcome, colour);
         }
     }
 }

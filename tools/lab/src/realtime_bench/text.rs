@@ -1,0 +1,137 @@
+//! A run's report as text.
+
+use super::report::RealtimeReport;
+use crate::report::{TextTable, numbers, words};
+use std::fmt;
+
+/// A time with the unit that suits it.
+fn told_us(us: f64) -> String {
+    match us {
+        us if us < 10.0 => format!("{us:.1} µs"),
+        us if us < 10_000.0 => format!("{us:.0} µs"),
+        us => format!("{:.1} ms", us / 1000.0),
+    }
+}
+
+impl fmt::Display for RealtimeReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.fmt_run(f)?;
+        writeln!(f)?;
+        let mut table = TextTable::new([
+            words(""),
+            numbers("p50"),
+            numbers("p99"),
+            numbers("p99.9"),
+            numbers("max"),
+        ]);
+        for (name, of) in [("wake-up late", &self.lateness), ("step", &self.duration)] {
+            let times = [of.p50_us, of.p99_us, of.p99_9_us, of.max_us].map(told_us);
+            table.row(std::iter::once(name.to_owned()).chain(times));
+        }
+        writeln!(f, "{table}\n")?;
+        let totals = &self.totals;
+        writeln!(
+            f,
+            "counted     put aside {} times, ready without a processor for {:.1} ms; {} pages touched first, {} read from the disk; \
+             {} ms stolen",
+            totals.involuntary,
+            totals.queued_us as f64 / 1000.0,
+            totals.minor_faults,
+            totals.major_faults,
+            totals.stolen_ms
+        )?;
+        self.fmt_causes(f)?;
+        if self.advice.is_empty() {
+            return write!(
+                f,
+                "advice      none: nothing that was counted would be better elsewhere"
+            );
+        }
+        let advice: Vec<_> = self.advice.iter().map(|text| format!("advice      {text}")).collect();
+        f.write_str(&advice.join("\n"))
+    }
+}
+
+impl RealtimeReport {
+    /// What ran, and where.
+    fn fmt_run(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (run, machine) = (&self.run, &self.run.machine);
+        let flights: Vec<_> = run
+            .flights
+            .iter()
+            .map(|(outcome, n)| format!("{n} {outcome}"))
+            .collect();
+        writeln!(
+            f,
+            "loop        {:.1} min, {} steps, {} missed; flights: {}",
+            run.minutes,
+            self.steps,
+            self.missed,
+            flights.join(", ")
+        )?;
+        writeln!(
+            f,
+            "machine     {}, {} processors{}; Linux {}",
+            machine.processor,
+            machine.processors,
+            if machine.virtual_machine {
+                " of a virtual machine"
+            } else {
+                ""
+            },
+            machine.kernel
+        )?;
+        let governors = match machine.governors.is_empty() {
+            true => "not told".to_owned(),
+            false => machine.governors.join(", "),
+        };
+        let isolated = match machine.isolated.as_str() {
+            "" => "none",
+            isolated => isolated,
+        };
+        writeln!(f, "            governor {governors}; isolated processors: {isolated}")?;
+        writeln!(f, "scheduling  {}", run.granted)?;
+        let load = run
+            .load
+            .as_ref()
+            .map_or_else(|| "none asked for".to_owned(), |load| format!("`{load}`"));
+        writeln!(
+            f,
+            "load        {load}; all processors busy for {:.0} % of the time",
+            run.busy * 100.0
+        )?;
+        if let Some(reason) = &run.ended_early {
+            writeln!(f, "ended early {reason}")?;
+        }
+        Ok(())
+    }
+
+    /// What made steps late or long, and the worst of them.
+    fn fmt_causes(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (what, causes) in [
+            ("more than 1 ms late", &self.late_causes),
+            ("1 ms longer than usual", &self.long_causes),
+        ] {
+            let causes: Vec<_> = causes.iter().map(|(cause, n)| format!("{n} {cause}")).collect();
+            let causes = if causes.is_empty() {
+                "none".to_owned()
+            } else {
+                causes.join(", ")
+            };
+            writeln!(f, "{what}: {causes}")?;
+        }
+        for (what, worst) in [("latest", &self.latest), ("longest", &self.longest)] {
+            let Some(step) = worst.first() else { continue };
+            writeln!(
+                f,
+                "{what:<11} at {:.2} s: {} late, {} long ({}): {}",
+                step.at_s,
+                told_us(step.late_us),
+                told_us(step.took_us),
+                step.work,
+                step.cause
+            )?;
+        }
+        Ok(())
+    }
+}
