@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
-use vigil_tests::{run, said};
+use vigil_tests::{run, said, text};
 
 /// Short flights in the wind.
 const FLIGHTS: [&str; 10] = [
@@ -39,10 +39,6 @@ fn succeeded(output: &Output) -> String {
 fn refused(output: &Output, why: &str) {
     assert_eq!(output.status.code(), Some(1), "{}", said(output));
     assert!(said(output).contains(why), "not {why}: {}", said(output));
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a UTF-8 path")
 }
 
 fn merge(files: &[&Path], json: &Path) -> Output {

@@ -3,11 +3,7 @@
 use rustix::process::Signal;
 use std::net::UdpSocket;
 use std::path::Path;
-use vigil_tests::{Running, run, run_line, said};
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a UTF-8 path")
-}
+use vigil_tests::{Running, run, run_line, said, succeed, text};
 
 /// The one flight folder in a folder of runs.
 fn flight_folder(runs: &Path) -> std::path::PathBuf {
@@ -37,8 +33,7 @@ fn one_command_flies_a_course_in_real_time_and_its_log_replays_byte_for_byte() {
     for file in ["course.toml", "scene.json", "firmware.log", "simulator.log"] {
         assert!(folder.join(file).is_file(), "{file} is missing");
     }
-    let replay = run(&["replay", text(&folder)]);
-    assert_eq!(replay.status.code(), Some(0), "{}", said(&replay));
+    succeed(&run(&["replay", text(&folder)]));
 }
 
 #[test]
@@ -61,12 +56,11 @@ fn an_interrupted_flight_ends_all_processes_and_leaves_a_closed_log() {
     // Its ports are free again: no process was left behind.
     drop(UdpSocket::bind(("127.0.0.1", 14280 + 88)).expect("the simulator's port is free"));
     drop(UdpSocket::bind(("127.0.0.1", 14030 + 88)).expect("the firmware's port is free"));
-    let replay = run(&["replay", text(&flight_folder(runs.path()))]);
-    assert_eq!(replay.status.code(), Some(0), "{}", said(&replay));
+    let replay = succeed(&run(&["replay", text(&flight_folder(runs.path()))]));
     assert!(
-        !said(&replay).contains("interrupted"),
+        !replay.contains("interrupted"),
         "the log was closed properly: {}",
-        said(&replay)
+        replay
     );
 }
 
@@ -166,11 +160,10 @@ fn a_course_is_drawn_as_a_picture() {
 #[test]
 fn a_flight_s_explanations_add_up_to_its_decisions_and_its_attack_is_noticed() {
     let folder = tempfile::tempdir().expect("a folder");
-    let drawn = run_line(&format!(
+    succeed(&run_line(&format!(
         "detector figures --seed 7 --attacked --pictures 1 -o {}",
         text(folder.path())
-    ));
-    assert_eq!(drawn.status.code(), Some(0), "{}", said(&drawn));
+    )));
     for picture in ["figure-12.png", "figure-13.png", "figure-14.png"] {
         assert!(folder.path().join(picture).is_file(), "{picture} is missing");
     }

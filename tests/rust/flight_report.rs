@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::path::Path;
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, Story, TickRecord, WhenFull};
-use vigil_tests::{run, run_line, said};
+use vigil_tests::{attacked_flight, run, run_line, said, succeed, text};
 use vigil_types::{Reason, Reasons};
 
 /// The data within a report.
@@ -16,13 +16,8 @@ fn data(report: &Path) -> Value {
 
 /// Makes a report of a log beside it.
 fn report(log: &Path) -> Value {
-    let made = run(&["log", "report", "--shap", "0", text(log)]);
-    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    succeed(&run(&["log", "report", "--shap", "0", text(log)]));
     data(&log.with_extension("html"))
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a UTF-8 path")
 }
 
 fn list<'a>(value: &'a Value, key: &str) -> &'a [Value] {
@@ -36,38 +31,14 @@ fn notes(value: &Value) -> String {
     value["notes"].to_string()
 }
 
-/// An attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
-fn attacked_flight(folder: &Path) {
-    let flown = run_line(&format!(
-        "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50 --logs {} -o {}",
-        text(folder),
-        text(&folder.join("evaluate.json"))
-    ));
-    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
-}
-
 #[test]
 fn an_attacked_and_recovered_flight_has_data_in_every_panel_and_its_log_replays_bit_for_bit() {
     let folder = tempfile::tempdir().expect("a folder");
-    attacked_flight(folder.path());
-    let log = folder.path().join("3001.mcap");
+    let log = attacked_flight(folder.path());
     let flight = data(&log.with_extension("html"));
 
     let steps = list(&flight, "t").len();
-    for panel in list(&flight, "panels") {
-        let id = panel["id"].as_str().expect("a name");
-        for series in list(panel, "series") {
-            let column = series["column"].as_str().expect("a column");
-            let values = flight["columns"][column]
-                .as_array()
-                .unwrap_or_else(|| panic!("no column {column}"));
-            assert_eq!(values.len(), steps, "{column}");
-            // A flight in lockstep has no clock of its own.
-            if id != "step-time" {
-                assert!(values.iter().any(Value::is_number), "{id}: {column} is empty");
-            }
-        }
-    }
+    every_panel_has_data(&flight);
     let who: Vec<&str> = list(&flight, "who")
         .iter()
         .map(|who| {
@@ -126,8 +97,7 @@ fn an_attacked_and_recovered_flight_has_data_in_every_panel_and_its_log_replays_
     }
     assert!(page.len() < 4_000_000, "{} bytes", page.len());
 
-    let replayed = run(&["replay", text(&log)]);
-    assert_eq!(replayed.status.code(), Some(0), "{}", said(&replayed));
+    succeed(&run(&["replay", text(&log)]));
     let story = Story::read(&log).expect("a log");
     assert_eq!(story.attack.iter().filter(|m| m.altered).count(), 50);
     assert!(!story.clean.is_empty() && story.truth.is_sorted_by_key(|(at_ns, _)| *at_ns));
@@ -135,6 +105,24 @@ fn an_attacked_and_recovered_flight_has_data_in_every_panel_and_its_log_replays_
     a_log_that_was_cut_is_shown_as_far_as_it_is_whole(&log);
     a_log_without_frames_says_so_and_shows_the_rest(&log);
     a_log_of_another_version_is_refused_by_name(&log);
+}
+
+fn every_panel_has_data(flight: &Value) {
+    let steps = list(flight, "t").len();
+    for panel in list(flight, "panels") {
+        let id = panel["id"].as_str().expect("a name");
+        for series in list(panel, "series") {
+            let column = series["column"].as_str().expect("a column");
+            let values = flight["columns"][column]
+                .as_array()
+                .unwrap_or_else(|| panic!("no column {column}"));
+            assert_eq!(values.len(), steps, "{column}");
+            // A flight in lockstep has no clock of its own.
+            if id != "step-time" {
+                assert!(values.iter().any(Value::is_number), "{id}: {column} is empty");
+            }
+        }
+    }
 }
 
 fn a_log_that_was_cut_is_shown_as_far_as_it_is_whole(log: &Path) {

@@ -4,12 +4,8 @@ use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, TickRecord, WhenFull};
-use vigil_tests::{run, run_line, said, vigil};
+use vigil_tests::{attacked_flight, run, run_line, said, succeed, text, vigil};
 use vigil_types::{Datagrams, StepReport, StepTiming};
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a UTF-8 path")
-}
 
 /// A log of a vehicle that stood for three steps without a frame.
 fn short_log(folder: &Path) -> PathBuf {
@@ -123,20 +119,18 @@ fn what_is_no_log_of_this_version_is_refused_before_a_viewer_opens() {
 fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
     let folder = tempfile::tempdir().expect("a folder");
     let json = folder.path().join("evaluate.json");
-    let flown = run_line(&format!(
+    succeed(&run_line(&format!(
         "evaluate --flights 1 --seed 3001 --logs {} -o {}",
         text(folder.path()),
         text(&json)
-    ));
-    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
+    )));
     let log = folder.path().join("3001.mcap");
     let about = |log: &Path| vigil_log::Story::read(log).expect("a log").about;
     let (before, records) = (about(&log), Reader::open(&log).expect("a log").count());
     let mut told = Vec::new();
     for _ in 0..2 {
-        let derived = run(&["log", "derive", text(&log)]);
-        assert_eq!(derived.status.code(), Some(0), "{}", said(&derived));
-        told.push((said(&derived), std::fs::metadata(&log).expect("the log").len()));
+        let derived = succeed(&run(&["log", "derive", text(&log)]));
+        told.push((derived, std::fs::metadata(&log).expect("the log").len()));
     }
     assert_eq!(told[0], told[1], "derived anew, not twice");
     let number = |word: &str| -> usize {
@@ -154,8 +148,7 @@ fn map_way_and_pixels_are_put_into_a_log_once_and_it_replays_as_before() {
         told[0].0
     );
     assert_eq!(about(&log), before, "what is known of the flight stays");
-    let replayed = run(&["replay", text(&log)]);
-    assert_eq!(replayed.status.code(), Some(0), "{}", said(&replayed));
+    succeed(&run(&["replay", text(&log)]));
     assert_eq!(Reader::open(&log).expect("a log").count(), records);
 }
 
@@ -175,24 +168,11 @@ fn program(folder: &Path, name: &str, script: &str) {
     std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).expect("a program");
 }
 
-/// An attacked flight of the actor in lockstep with an alarm.
-fn attacked_log(folder: &Path) -> PathBuf {
-    let flown = run_line(&format!(
-        "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50 --logs {} -o {}",
-        text(folder),
-        text(&folder.join("evaluate.json"))
-    ));
-    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
-    folder.join("3001.mcap")
-}
-
 #[test]
 fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_the_alarm() {
     let folder = tempfile::tempdir().expect("a folder");
-    let log = attacked_log(folder.path());
-    let derived = run(&["log", "derive", "--only", "shap", text(&log)]);
-    assert_eq!(derived.status.code(), Some(0), "{}", said(&derived));
-    let told = said(&derived);
+    let log = attacked_flight(folder.path());
+    let told = succeed(&run(&["log", "derive", "--only", "shap", text(&log)]));
     let explained: usize = told
         .split_whitespace()
         .rev()
@@ -207,19 +187,37 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
     );
 
     let gif = folder.path().join("film.gif");
-    let made = run_line(&format!(
+    succeed(&run_line(&format!(
         "log film {} -o {} --speed 10 --shap 3",
         text(&log),
         text(&gif)
-    ));
-    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
+    )));
     let film = std::fs::read(&gif).expect("a film");
     // The signature, then 640 × 448 pixels.
     assert_eq!(&film[..10], b"GIF89a\x80\x02\xc0\x01");
     assert!(film.len() < 3_000_000, "{} bytes", film.len());
 
+    // As far as it is whole.
+    let bytes = std::fs::read(&log).expect("a log");
+    let cut = folder.path().join("cut.mcap");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("a file");
+    succeed(&run(&["log", "film", text(&cut), "--shap", "0"]));
+    let python = stand_in(folder.path());
+    let saved = folder.path().join("cut.rrd");
+    succeed(&run_line(&format!(
+        "view {} --save {} --python {}",
+        text(&cut),
+        text(&saved),
+        text(&python)
+    )));
+}
+
+#[test]
+fn an_mp4_is_as_many_pictures_handed_to_ffmpeg_and_one_that_fails_leaves_the_earlier_film() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (folder, log) = (folder.path(), &attacked_flight(folder.path()));
     // An mp4 is as many pictures, handed to ffmpeg; the last one stands still for 2.5 s.
-    let bin = folder.path().join("bin");
+    let bin = folder.join("bin");
     std::fs::create_dir(&bin).expect("a folder");
     program(
         &bin,
@@ -227,11 +225,11 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
         "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\nwc -c > \"$last\"\n",
     );
     let path = format!("{}:/usr/bin:/bin", text(&bin));
-    let mp4 = folder.path().join("film.mp4");
+    let mp4 = folder.join("film.mp4");
     let film = [
         "log",
         "film",
-        text(&log),
+        text(log),
         "-o",
         text(&mp4),
         "--speed",
@@ -239,9 +237,7 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
         "--shap",
         "0",
     ];
-    let made = run_with_path(&film, &path);
-    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
-    let words = said(&made);
+    let words = succeed(&run_with_path(&film, &path));
     let pictures: usize = words
         .split_once('(')
         .and_then(|(_, rest)| rest.split(' ').next()?.parse().ok())
@@ -268,7 +264,7 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
     );
     assert!(!mp4.with_extension("mp4.part").exists());
     // Before anything is flown.
-    let runs = folder.path().join("runs");
+    let runs = folder.join("runs");
     for command in [film.to_vec(), vec!["fly", "--record", text(&mp4), "-o", text(&runs)]] {
         let without = run_with_path(&command, text(&runs));
         assert_eq!(without.status.code(), Some(1));
@@ -279,17 +275,6 @@ fn a_film_shows_an_attacked_flight_and_pixels_are_explained_more_often_around_th
         );
     }
     assert!(!runs.exists());
-
-    // As far as it is whole.
-    let bytes = std::fs::read(&log).expect("a log");
-    let cut = folder.path().join("cut.mcap");
-    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("a file");
-    let made = run(&["log", "film", text(&cut), "--shap", "0"]);
-    assert_eq!(made.status.code(), Some(0), "{}", said(&made));
-    let python = stand_in(folder.path());
-    let saved = folder.path().join("cut.rrd");
-    let shown = run(&["view", text(&cut), "--save", text(&saved), "--python", text(&python)]);
-    assert_eq!(shown.status.code(), Some(0), "{}", said(&shown));
 }
 
 #[test]
@@ -316,13 +301,12 @@ fn what_cannot_be_filmed_is_told_with_what_can_be_seen_of_it() {
 fn a_flight_leaves_a_film_and_a_light_log_that_is_looked_at_and_not_replayed() {
     let folder = tempfile::tempdir().expect("a folder");
     let (runs, gif) = (folder.path().join("runs"), folder.path().join("film.gif"));
-    let flown = run_line(&format!(
+    let flown = succeed(&run_line(&format!(
         "fly --family training --seed 3 --instance 86 --quiet --log-content light --record {} -o {}",
         text(&gif),
         text(&runs)
-    ));
-    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
-    assert!(said(&flown).contains("film      ") && gif.is_file(), "{}", said(&flown));
+    )));
+    assert!(flown.contains("film      ") && gif.is_file(), "{}", flown);
     let flight = std::fs::read_dir(&runs)
         .expect("a folder")
         .next()
@@ -356,12 +340,11 @@ fn a_course_is_handed_to_the_viewer_with_its_obstacles_way_and_what_is_seen_at_i
         "#!/bin/sh\nif [ \"$1\" = -c ]; then echo 0.41.0; exit; fi\ncat > \"$0.script\"\ncp \"$3\" \"$0.json\"\necho \"$@\" > \"$0.asked\"\n",
     );
     let saved = folder.path().join("course.rrd");
-    let shown = run_line(&format!(
+    succeed(&run_line(&format!(
         "courses view --family hard --seed 7 --save {} --python {}",
         text(&saved),
         text(&python)
-    ));
-    assert_eq!(shown.status.code(), Some(0), "{}", said(&shown));
+    )));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     assert!(
         asked.starts_with("- --course ") && asked.contains(text(&saved)),
@@ -408,17 +391,16 @@ fn some_flights_of_a_campaign_are_handed_to_one_viewer_and_their_logs_are_kept()
     let folder = tempfile::tempdir().expect("a folder");
     let python = stand_in(folder.path());
     let json = folder.path().join("evaluate.json");
-    let flown = run_line(&format!(
+    let flown = succeed(&run_line(&format!(
         "evaluate --family training --flights 3 --seed 3 --view 2 --python {} -o {}",
         text(&python),
         text(&json)
-    ));
-    assert_eq!(flown.status.code(), Some(0), "{}", said(&flown));
+    )));
     let asked = std::fs::read_to_string(folder.path().join("python.asked")).expect("what was asked");
     let mut words = asked.split_whitespace().skip(1);
     let logs = PathBuf::from(words.next().expect("a folder"));
     assert_eq!(words.collect::<Vec<_>>()[..2], ["--flights", "3,4"]);
     let kept = |seed: u64| logs.join(format!("{seed}.mcap")).is_file();
     assert!(kept(3) && kept(4) && !kept(5), "{asked}");
-    assert!(said(&flown).contains(text(&logs)), "{}", said(&flown));
+    assert!(flown.contains(text(&logs)), "{}", flown);
 }

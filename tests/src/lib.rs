@@ -66,6 +66,34 @@ pub fn said(output: &Output) -> String {
     )
 }
 
+/// What a program said that has to have ended well.
+///
+/// # Panics
+/// With what it said, where it did not.
+pub fn succeed(output: &Output) -> String {
+    let said = said(output);
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    said
+}
+
+/// A path as an argument.
+///
+/// # Panics
+/// Where it is no UTF-8.
+pub fn text(path: &Path) -> &str {
+    path.to_str().expect("a UTF-8 path")
+}
+
+/// The log of an attacked flight of the actor in lockstep, in which the detector raises the alarm and the recovery pilot flies.
+pub fn attacked_flight(folder: &Path) -> PathBuf {
+    succeed(&run_line(&format!(
+        "evaluate --flights 1 --seed 3001 --apf off --attack bim-accumulating --burst 50 --logs {} -o {}",
+        text(folder),
+        text(&folder.join("evaluate.json"))
+    )));
+    folder.join("3001.mcap")
+}
+
 /// A running `vigil` command; killed when dropped.
 pub struct Running {
     child: Child,
