@@ -324,43 +324,31 @@ pub fn lockstep(duration_s: f64, seed: u64, folder: &Folder, stop: &AtomicBool) 
     record.finish(folder)
 }
 
+fn start([north_m, east_m]: [f32; 2], seed: u64, instance: u32, folder: &Folder) -> Result<(Running, Running)> {
+    let course_file = folder.write("orbit.toml", ORBIT)?;
+    let models_file = folder.write(
+        "simulation.toml",
+        &format!("[vehicle.battery]\ncapacity_ah = {CAPACITY_AH:?}\n"),
+    )?;
+    let simulator = Running::start_line(&format!(
+        "sim --status --instance {instance} --seed {seed} --course {} --config {}",
+        course_file.display(),
+        models_file.display()
+    ));
+    let firmware = Running::start_line(&format!(
+        "firmware --instance {instance} --engage auto --goal={north_m},{east_m} --height {HEIGHT_M}"
+    ));
+    Ok((simulator, firmware))
+}
+
 /// The programs in real time, with the privileges that they get. `true`: no step missed, nothing touched, memory flat.
 ///
 /// # Errors
 /// A program that does not start or ends early.
 pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, stop: &AtomicBool) -> Result<bool> {
     let begun = Instant::now();
-    let course_file = folder.write("orbit.toml", ORBIT)?;
-    let models_file = folder.write(
-        "simulation.toml",
-        &format!("[vehicle.battery]\ncapacity_ah = {CAPACITY_AH:?}\n"),
-    )?;
-    let text = |path: &Path| path.display().to_string();
-    let (number, seed_text) = (instance.to_string(), seed.to_string());
-    let simulator = Running::start(&[
-        "sim",
-        "--status",
-        "--instance",
-        &number,
-        "--seed",
-        &seed_text,
-        "--course",
-        &text(&course_file),
-        "--config",
-        &text(&models_file),
-    ]);
     let mut operator = Operator::default();
-    let [north_m, east_m] = operator.goal();
-    let mut firmware = Running::start(&[
-        "firmware",
-        "--instance",
-        &number,
-        "--engage",
-        "auto",
-        &format!("--goal={north_m},{east_m}"),
-        "--height",
-        &HEIGHT_M.to_string(),
-    ]);
+    let (simulator, mut firmware) = start(operator.goal(), seed, instance, folder)?;
     // The ground stations' port of the simulator's vehicle.
     let station = UdpSocket::bind(("127.0.0.1", 0))?;
     station.connect(("127.0.0.1", u16::try_from(18570 + instance)?))?;
@@ -382,10 +370,8 @@ pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, sto
         ensure!(firmware.is_running(), "the firmware ended in flight");
         missed = slips;
         let named = |name: &String| Reason::ALL.into_iter().find(|reason| reason.name() == name);
-        let reasons = reasons
-            .iter()
-            .filter_map(named)
-            .fold(Reasons::NONE, |all, r| all.with_if(true, r));
+        let all = reasons.iter().filter_map(named);
+        let reasons = all.fold(Reasons::NONE, |all, r| all.with_if(true, r));
         let state = guidance.and_then(|name| GuidanceState::ALL.into_iter().find(|state| state.name() == name));
         let Some(state) = state else {
             if begun.elapsed() > Duration::from_secs(60) {
@@ -412,9 +398,9 @@ pub fn real_time(duration_s: f64, seed: u64, instance: u32, folder: &Folder, sto
         }
         if flown_s - told_s >= 300.0 {
             told_s = flown_s;
+            let (goals, kib) = (operator.goals, memory[0].end_kib);
             tell(&format!(
-                "{:>5.0} s flown: {} goals, {missed} steps missed, firmware {} KiB",
-                flown_s, operator.goals, memory[0].end_kib
+                "{flown_s:>5.0} s flown: {goals} goals, {missed} steps missed, firmware {kib} KiB"
             ));
         }
     }

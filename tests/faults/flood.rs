@@ -4,6 +4,7 @@ use crate::campaign::{Ending, Folder, Row, Trial};
 use crate::flight::{Extras, FLIGHT_LIMIT, Flight, Site};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use clap::builder::PossibleValue;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Mutex;
@@ -299,17 +300,32 @@ pub fn rows(site: &Site<'_>, _: &Folder) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
+fn named(tcp: bool, content: Option<Content>) -> String {
+    let transport = if tcp { "TCP" } else { "UDP" };
+    match content.map(|content| content.to_possible_value()) {
+        None => format!("no strangers, {transport}"),
+        Some(value) => format!(
+            "strangers, {transport}: {}",
+            value.as_ref().map_or("", PossibleValue::get_name)
+        ),
+    }
+}
+
+/// The steps that the firmware says it missed, in a line of its summary.
+fn missed_steps(line: &str) -> Option<u64> {
+    let missed = line.strip_prefix("loop")?.split(',').nth(1)?;
+    missed.trim().strip_suffix(" missed")?.parse().ok()
+}
+
 fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Result<Row> {
     let instance = site.instances[0];
     let link = SocketAddr::from(([127, 0, 0, 1], PORT + u16::try_from(instance)?));
     // A link that is still there would be somebody else's.
     drop(TcpListener::bind(link).with_context(|| format!("port {link}"))?);
     let scheme = if tcp { "tcpin" } else { "udpin" };
+    let to_vehicle = format!("{scheme}://{link},system={}", instance + 1);
     let extras = Extras {
-        firmware: vec![
-            "--link".to_owned(),
-            format!("{scheme}://{link},system={}", instance + 1),
-        ],
+        firmware: vec!["--link".to_owned(), to_vehicle],
         ..Extras::default()
     };
     let work = tempfile::tempdir()?;
@@ -346,9 +362,8 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
     gaps_ns.sort_unstable();
     let late = gaps_ns.iter().filter(|gap| **gap > LATE_NS).count();
     let at = |share: f64| {
-        gaps_ns
-            .get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize)
-            .map_or(0.0, |gap| *gap as f64 * 1e-6)
+        let gap = gaps_ns.get(((gaps_ns.len().max(1) - 1) as f64 * share) as usize);
+        gap.map_or(0.0, |gap| *gap as f64 * 1e-6)
     };
     let outcome = flight.last().and_then(|s| s.outcome.clone());
     let ending = match outcome.as_deref() {
@@ -358,15 +373,7 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         _ => Ending::Crashed,
     };
     let said = said?;
-    let missed = said.iter().find_map(|line| {
-        line.strip_prefix("loop")?
-            .split(',')
-            .nth(1)?
-            .trim()
-            .strip_suffix(" missed")?
-            .parse::<u64>()
-            .ok()
-    });
+    let missed = said.iter().find_map(|line| missed_steps(line));
     let limit_ns = if site.quick { LOST_NS } else { LATE_NS };
     let too_late = gaps_ns.iter().filter(|gap| **gap > limit_ns).count();
     let wrong = match (&flown, too_late, missed) {
@@ -378,22 +385,8 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         (_, _, Some(1..)) if !site.quick => Some(format!("{} steps missed", missed.unwrap_or(0))),
         _ => None,
     };
-    let transport = if tcp { "TCP" } else { "UDP" };
-    let name = match content {
-        None => format!("no strangers, {transport}"),
-        Some(content) => format!(
-            "strangers, {transport}: {}",
-            content
-                .to_possible_value()
-                .map_or(String::new(), |v| v.get_name().to_owned())
-        ),
-    };
     let rate = sent.load(Ordering::Relaxed) as f64 / begun.elapsed().as_secs_f64();
-    let flooded = if content.is_some() {
-        format!("{rate:.0} a second; ")
-    } else {
-        String::new()
-    };
+    let flooded = content.map_or(String::new(), |_| format!("{rate:.0} a second; "));
     let measured = format!(
         "{flooded}{} setpoints, {:.1} / {:.1} / {:.1} ms apart (p50 / p99 / most), {late} late, {} steps missed",
         setpoints_ns.len(),
@@ -402,5 +395,5 @@ fn fly(site: &Site<'_>, seed: u64, tcp: bool, content: Option<Content>) -> Resul
         at(1.0),
         missed.map_or("unknown".to_owned(), |missed| missed.to_string())
     );
-    Ok(Row::of(name, &[Trial { ending, wrong }], measured))
+    Ok(Row::of(named(tcp, content), &[Trial { ending, wrong }], measured))
 }

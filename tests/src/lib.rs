@@ -106,6 +106,11 @@ impl Running {
         Self::start_saying(arguments, Stdio::inherit())
     }
 
+    /// The same with the arguments in a line, between spaces.
+    pub fn start_line(arguments: &str) -> Self {
+        Self::start(&arguments.split_whitespace().collect::<Vec<_>>())
+    }
+
     /// The same with its diagnostics elsewhere.
     pub fn start_saying(arguments: &[&str], diagnostics: Stdio) -> Self {
         let mut child = Command::new(vigil())

@@ -578,15 +578,13 @@ fn an_attacker_who_knows_the_detector_lowers_its_score_and_still_bends_the_yaw()
     };
     let plain = || StreamAttack::new(Isa::detect(), &random_actor(3), &told).unwrap();
     let mut detector = random_detector();
-    let (peace, _) = score_after(&mut plain(), false, &detector);
-    let (raised, _) = score_after(&mut plain(), true, &detector);
+    let [peace, raised] = [false, true].map(|attacked| score_after(&mut plain(), attacked, &detector).0);
     if raised < peace {
         // Random weights may like attacks; the negated output layer does not.
         let output = detector.params.len() - 17;
         detector.params[output..].iter_mut().for_each(|w| *w = -*w);
     }
-    let (peace, _) = score_after(&mut plain(), false, &detector);
-    let (caught, _) = score_after(&mut plain(), true, &detector);
+    let [peace, caught] = [false, true].map(|attacked| score_after(&mut plain(), attacked, &detector).0);
     assert!(caught > peace, "{caught} {peace}");
     // A threshold between them: the attacker has to take care.
     detector.threshold = peace + 0.5 * (caught - peace);
@@ -594,11 +592,8 @@ fn an_attacker_who_knows_the_detector_lowers_its_score_and_still_bends_the_yaw()
     let (score, bent) = score_after(&mut evading, true, &detector);
     assert!(score < caught && bent > 0.0, "{score} against {caught}, bent by {bent}");
     evading.reset();
-    assert_eq!(
-        score_after(&mut evading, true, &detector),
-        (score, bent),
-        "a reset begins anew"
-    );
+    let again = score_after(&mut evading, true, &detector);
+    assert_eq!(again, (score, bent), "a reset begins anew");
     detector.backgrounds.clear();
     assert!(plain().evading(&detector).is_err());
 }

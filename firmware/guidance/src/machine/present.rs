@@ -38,13 +38,9 @@ impl Guidance {
             self.note_goal(now_ns, kinematics.position_ned_m);
             self.note_progress(now_ns, kinematics.position_ned_m);
         }
-        self.progress.dwelt = self
-            .progress
-            .stopped_ns
-            .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.no_progress_dwell_ns);
-        self.dwelt = self
-            .reached_ns
-            .is_some_and(|at_ns| now_ns.saturating_sub(at_ns) >= self.config.goal_dwell_ns);
+        let since = |at_ns: Option<Nanos>| at_ns.map(|at_ns| now_ns.saturating_sub(at_ns));
+        self.progress.dwelt = since(self.progress.stopped_ns) >= Some(self.config.no_progress_dwell_ns);
+        self.dwelt = since(self.reached_ns) >= Some(self.config.goal_dwell_ns);
         let mode_lost = match self.state {
             GuidanceState::Guided | GuidanceState::Hold => !self.obeys(input),
             _ => false,
@@ -65,8 +61,7 @@ impl Guidance {
             .flatten()
             .filter(|at_ns| now_ns.saturating_sub(**at_ns) <= self.config.slip_window_ns)
             .count();
-        let flown_ns = self.flight_started_ns.map(|start_ns| now_ns.saturating_sub(start_ns));
-        let too_long = matches!((flown_ns, self.config.time_limit_ns), (Some(flown), Some(limit)) if flown > limit);
+        let too_long = (self.config.time_limit_ns).is_some_and(|limit| since(self.flight_started_ns) > Some(limit));
         let low_battery = telemetry
             .battery_remaining
             .is_some_and(|charge| charge < self.config.battery_limit);

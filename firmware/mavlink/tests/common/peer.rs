@@ -402,32 +402,7 @@ impl Peer {
                     self.replies.push(self.timeout_value());
                 }
                 MavMessage::COMMAND_LONG(c) if c.target_system == self.system && c.target_component == 1 => {
-                    self.commands.push(Got {
-                        at_ns: now_ns,
-                        command: c.command as u16,
-                        confirmation: c.confirmation,
-                        params: [c.param1, c.param2, c.param3, c.param4, c.param5, c.param6, c.param7],
-                    });
-                    let answer = match self
-                        .quirks
-                        .iter_mut()
-                        .find(|q| q.command == c.command as u16 && q.times > 0)
-                    {
-                        Some(quirk) => {
-                            quirk.times -= 1;
-                            quirk.answer
-                        }
-                        None => Some(self.obey(now_ns, &c)),
-                    };
-                    if let Some(result) = answer {
-                        self.replies.push(MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
-                            command: c.command,
-                            result,
-                            target_system: self.system,
-                            target_component: 191,
-                            ..Default::default()
-                        }));
-                    }
+                    self.command(now_ns, &c)
                 }
                 MavMessage::COMMAND_INT(c) if c.target_system == self.system && c.target_component == 1 => {
                     assert_eq!(c.frame as u8, 0, "above sea level, where that is told");
@@ -436,16 +411,11 @@ impl Peer {
                     if is_taken {
                         self.mode = Mode::Loiter;
                     }
-                    self.replies.push(MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
-                        command: c.command,
-                        result: match is_taken {
-                            true => MavResult::MAV_RESULT_ACCEPTED,
-                            false => MavResult::MAV_RESULT_DENIED,
-                        },
-                        target_system: self.system,
-                        target_component: 191,
-                        ..Default::default()
-                    }));
+                    let result = match is_taken {
+                        true => MavResult::MAV_RESULT_ACCEPTED,
+                        false => MavResult::MAV_RESULT_DENIED,
+                    };
+                    self.acknowledge(c.command, result);
                 }
                 #[allow(deprecated)] // what ArduPilot's ground stations use
                 MavMessage::REQUEST_DATA_STREAM(r) if r.target_system == self.system => {
@@ -454,6 +424,39 @@ impl Peer {
                 }
                 _ => {}
             }
+        }
+    }
+
+    fn acknowledge(&mut self, command: MavCmd, result: MavResult) {
+        self.replies.push(MavMessage::COMMAND_ACK(COMMAND_ACK_DATA {
+            command,
+            result,
+            target_system: self.system,
+            target_component: 191,
+            ..Default::default()
+        }));
+    }
+
+    fn command(&mut self, now_ns: Nanos, c: &COMMAND_LONG_DATA) {
+        self.commands.push(Got {
+            at_ns: now_ns,
+            command: c.command as u16,
+            confirmation: c.confirmation,
+            params: [c.param1, c.param2, c.param3, c.param4, c.param5, c.param6, c.param7],
+        });
+        let answer = match self
+            .quirks
+            .iter_mut()
+            .find(|q| q.command == c.command as u16 && q.times > 0)
+        {
+            Some(quirk) => {
+                quirk.times -= 1;
+                quirk.answer
+            }
+            None => Some(self.obey(now_ns, c)),
+        };
+        if let Some(result) = answer {
+            self.acknowledge(c.command, result);
         }
     }
 
@@ -504,12 +507,8 @@ impl Peer {
             }
             176 if px4 => match (c.param2, c.param3) {
                 (6.0, _) => {
-                    let recent = self
-                        .setpoints
-                        .iter()
-                        .filter(|(at_ns, _)| now_ns - at_ns <= SECOND)
-                        .count();
-                    if recent < 2 {
+                    let recent = self.setpoints.iter().filter(|(at_ns, _)| now_ns - at_ns <= SECOND);
+                    if recent.count() < 2 {
                         return DENIED;
                     }
                     (self.mode, self.failsafe) = (Mode::External, false);
@@ -521,17 +520,14 @@ impl Peer {
                 }
                 _ => DENIED,
             },
-            176 => match (c.param1, c.param2) {
-                (1.0, 4.0) => {
-                    self.mode = Mode::External;
-                    ACCEPTED
-                }
-                (1.0, 17.0) => {
-                    self.mode = Mode::Brake;
-                    ACCEPTED
-                }
-                _ => DENIED,
-            },
+            176 => {
+                self.mode = match (c.param1, c.param2) {
+                    (1.0, 4.0) => Mode::External,
+                    (1.0, 17.0) => Mode::Brake,
+                    _ => return DENIED,
+                };
+                ACCEPTED
+            }
             21 => {
                 self.mode = Mode::Land;
                 ACCEPTED
