@@ -8,7 +8,6 @@ use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 use std::fmt::Write as _;
 use std::net::UdpSocket;
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use vigil_firmware::{FirmwareConfig, LockstepFirmware};

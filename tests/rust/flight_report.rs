@@ -3,7 +3,7 @@
 use serde_json::Value;
 use std::path::Path;
 use vigil_log::{FlightInfo, LogPlace, Reader, Recorder, RecorderConfig, Story, TickRecord, WhenFull};
-use vigil_tests::{attacked_flight, run, run_line, said, succeed, text};
+use vigil_tests::{attacked_flight, run, said, succeed, text};
 use vigil_types::{Reason, Reasons};
 
 /// The data within a report.

@@ -300,3 +300,27 @@ fn a_ground_link_on_which_nobody_would_be_heard_is_not_opened_and_there_are_four
     assert!(open(&["udpout://127.0.0.1:14998"; 5]).contains("at most 4"));
     assert_eq!(open(&["udpout://127.0.0.1:14998"]), "");
 }
+
+/// SETUP_SIGNING of the first station.
+fn setup(target: (u8, u8), key: [u8; 32]) -> Vec<u8> {
+    let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
+        target_system: target.0,
+        target_component: target.1,
+        secret_key: key,
+        ..SETUP_SIGNING_DATA::DEFAULT
+    });
+    packet(STATION, &message)
+}
+
+/// A packet signed at this moment, or later by `ahead_s`.
+fn signed(key: [u8; 32], ahead_s: u64, bytes: &[u8]) -> Vec<u8> {
+    let unix = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .unwrap();
+    let at = timestamp_of_unix_ns(unix.as_nanos() as u64) + ahead_s * UNITS_PER_SECOND;
+    let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
+    let len = Signing::new(SigningKey(key), 0, SigningMemory::default())
+        .sign(at, bytes, &mut out)
+        .unwrap();
+    out[..len].to_vec()
+}

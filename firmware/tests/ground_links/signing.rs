@@ -2,30 +2,6 @@
 
 use super::*;
 
-/// SETUP_SIGNING of the first station.
-fn setup(target: (u8, u8), key: [u8; 32]) -> Vec<u8> {
-    let message = MavMessage::SETUP_SIGNING(SETUP_SIGNING_DATA {
-        target_system: target.0,
-        target_component: target.1,
-        secret_key: key,
-        ..SETUP_SIGNING_DATA::DEFAULT
-    });
-    packet(STATION, &message)
-}
-
-/// A packet signed at this moment, or later by `ahead_s`.
-fn signed(key: [u8; 32], ahead_s: u64, bytes: &[u8]) -> Vec<u8> {
-    let unix = std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .unwrap();
-    let at = timestamp_of_unix_ns(unix.as_nanos() as u64) + ahead_s * UNITS_PER_SECOND;
-    let mut out = [0; MAX_PACKET_LEN + SIGNATURE_LEN];
-    let len = Signing::new(SigningKey(key), 0, SigningMemory::default())
-        .sign(at, bytes, &mut out)
-        .unwrap();
-    out[..len].to_vec()
-}
-
 /// A configuration that keeps its state there and hears signed packets only on the first ground link.
 fn with_state(folder: &Path) -> FirmwareConfig {
     FirmwareConfig {

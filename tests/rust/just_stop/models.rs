@@ -180,33 +180,6 @@ fn missions_on_a_model() {
     );
 }
 
-/// `cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture scripted`
-#[test]
-#[ignore = "200 missions of scripted vehicles: a minute"]
-fn two_hundred_missions_of_scripted_vehicles() {
-    for flavour in BOTH {
-        let (mut collisions, mut nearest_m) = (0, f32::INFINITY);
-        for n in 0..100_u16 {
-            let mut course = emptied(generate(Family::Training, 1));
-            let part = |of: u16| f32::from(n % of) / f32::from(of - 1);
-            course.columns = vec![Column {
-                north_m: 7.0 + 13.0 * part(25),
-                east_m: 0.4 * (2.0 * part(7) - 1.0),
-                radius_m: 0.15 + 0.5 * part(5),
-                height_m: 5.0,
-            }];
-            let mut f = Guarded::over(flavour, &course);
-            f.peer.cruise_m_s = 2.0 + 2.0 * part(9);
-            f.run_s(14.0);
-            collisions += u32::from(f.nearest_m <= 0.3);
-            nearest_m = nearest_m.min(f.nearest_m);
-            assert!(f.holds(), "mission {n}");
-        }
-        println!("{flavour:?}: 100 missions, {collisions} collisions, nearest obstacle {nearest_m:.2} m");
-        assert_eq!(collisions, 0);
-    }
-}
-
 /// `FIRST_SEED=1 cargo test --release -p vigil-tests --test just_stop -- --ignored --nocapture two_hundred_missions_through`
 #[test]
 #[ignore = "200 missions at each of three speeds, flown alone, guarded and flown around: minutes"]

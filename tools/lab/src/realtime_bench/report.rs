@@ -338,6 +338,15 @@ fn totals(steps: &[ObservedStep]) -> Totals {
     }
 }
 
+/// A time with the unit that suits it.
+pub(super) fn told_us(us: f64) -> String {
+    match us {
+        us if us < 10.0 => format!("{us:.1} µs"),
+        us if us < 10_000.0 => format!("{us:.0} µs"),
+        us => format!("{:.1} ms", us / 1000.0),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::{Counters, Work};

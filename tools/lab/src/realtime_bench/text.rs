@@ -1,17 +1,8 @@
 //! A run's report as text.
 
-use super::report::RealtimeReport;
+use super::report::{RealtimeReport, told_us};
 use crate::report::{TextTable, numbers, words};
 use std::fmt;
-
-/// A time with the unit that suits it.
-fn told_us(us: f64) -> String {
-    match us {
-        us if us < 10.0 => format!("{us:.1} µs"),
-        us if us < 10_000.0 => format!("{us:.0} µs"),
-        us => format!("{:.1} ms", us / 1000.0),
-    }
-}
 
 impl fmt::Display for RealtimeReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
