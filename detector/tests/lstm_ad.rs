@@ -2,37 +2,14 @@
 
 #[path = "../../firmware/nnet/tests/common/mod.rs"]
 mod common;
+#[path = "../../firmware/nnet/tests/counting/mod.rs"]
+mod counting;
 
 use common::{dense, lstm, rng, uniform, wide};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+use counting::allocations;
 use vigil_detector::{FrozenDetector, LstmAd, Of, ROW, ROW_LIMIT, WINDOW, normalise};
 use vigil_nnet::network_file::FileError;
 use vigil_nnet::{Activation, Dense, Isa, Lstm};
-
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-/// The system's allocator, counting per thread.
-struct Counting;
-
-// SAFETY: passes everything on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.with(|n| n.set(n.get() + 1));
-        // SAFETY: the caller's.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's.
-        unsafe { System.dealloc(at, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 fn param_len() -> usize {
     LstmAd::tensors().iter().map(|(_, s)| s.iter().product::<usize>()).sum()
@@ -112,9 +89,9 @@ fn the_order_of_the_rows_matters() {
 fn scoring_does_not_allocate() {
     let mut detector = LstmAd::new(Isa::detect(), &uniform(&mut rng(1), param_len(), 0.1)).unwrap();
     let rows = window(5);
-    let before = ALLOCATIONS.with(Cell::get);
+    let before = allocations();
     let score = detector.score(&rows).unwrap();
-    assert_eq!(ALLOCATIONS.with(Cell::get), before);
+    assert_eq!(allocations(), before);
     assert!((0.0..=1.0).contains(&score));
 }
 

@@ -1,10 +1,11 @@
 //! The loop allocates nothing after its start.
 
 mod common;
+#[path = "../nnet/tests/counting/mod.rs"]
+mod counting;
 
 use common::{Instance, LOITER, MISSION, SYSTEM_ID, TestVehicle, config, undecided_detector, watched_config};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+use counting::allocations;
 use std::net::UdpSocket;
 use std::os::unix::fs::PermissionsExt;
 use vigil_detector::{FrozenDetector, Of};
@@ -25,34 +26,10 @@ use vigil_nnet::Purpose;
 use vigil_policy::imported::{Channels, Depth, FrozenPolicy, Network, PolicyInputs};
 use vigil_types::{Duty, GuidanceState, PilotKind, Reason, STEP_NS, StepTiming};
 
-thread_local! {
-    /// Allocations of this thread; other threads may allocate as they like.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-// SAFETY: hands everything on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.with(|n| n.set(n.get() + 1));
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
 fn counted(work: impl FnOnce()) -> u64 {
-    let before = ALLOCATIONS.get();
+    let before = allocations();
     work();
-    ALLOCATIONS.get() - before
+    allocations() - before
 }
 
 #[test]

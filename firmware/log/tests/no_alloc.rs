@@ -1,35 +1,12 @@
 //! The loop's side of recording allocates nothing.
 
 mod common;
+#[path = "../../nnet/tests/counting/mod.rs"]
+mod counting;
 
 use common::{drawn, info};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+use counting::allocations;
 use vigil_log::{LogPlace, Recorder, RecorderConfig};
-
-thread_local! {
-    /// Allocations of this thread; the recorder thread may allocate as it likes.
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-// SAFETY: hands everything on to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.with(|n| n.set(n.get() + 1));
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn recording_a_step_allocates_nothing_whether_taken_or_dropped() {
@@ -42,7 +19,7 @@ fn recording_a_step_allocates_nothing_whether_taken_or_dropped() {
     })
     .unwrap();
 
-    let before = ALLOCATIONS.get();
+    let before = allocations();
     assert!(before > 0, "the counter counts");
     // Far faster than the recorder thread writes: some are taken, some dropped.
     let mut taken = 0;
@@ -58,7 +35,7 @@ fn recording_a_step_allocates_nothing_whether_taken_or_dropped() {
             );
         }));
     }
-    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(allocations() - before, 0);
     assert!(
         taken >= 8 && recorder.status().dropped == 400 - taken && taken < 400,
         "{taken} taken"

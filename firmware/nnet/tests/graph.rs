@@ -1,10 +1,10 @@
 //! Networks: shared weights, shared nodes, what is computed, what is refused.
 
 mod common;
+mod counting;
 
 use common::*;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
+use counting::allocations;
 use vigil_nnet::{Activation, Dense, GraphBuilder, Gru, Isa, Lstm, Params, Purpose};
 
 /// Two windows over shared features, a shared GRU, a node used three times: every way an edge can meet another.
@@ -181,30 +181,6 @@ fn descriptions_that_do_not_fit_are_refused_with_the_numbers() {
     );
 }
 
-thread_local! {
-    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
-}
-
-/// The system's allocator, counting per thread.
-struct Counting;
-
-// SAFETY: passes everything on to the system's allocator.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.with(|n| n.set(n.get() + 1));
-        // SAFETY: the caller's.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's.
-        unsafe { System.dealloc(at, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
 #[test]
 fn evaluating_a_network_does_not_allocate() {
     let graph = small_network(Purpose::Multipliers, true);
@@ -214,7 +190,7 @@ fn evaluating_a_network_does_not_allocate() {
     let (mut tape, mut packed) = (vec![0.0; graph.tape_len()], vec![0.0; graph.param_len()]);
     let (mut work, mut d_params) = (vec![0.0; graph.work_len()], vec![0.0; graph.param_len()]);
     for isa in Isa::available() {
-        let before = ALLOCATIONS.with(Cell::get);
+        let before = allocations();
         graph.pack(&params, &mut packed).unwrap();
         graph.forward(isa, &params, &inputs, &mut tape).unwrap();
         graph
@@ -223,6 +199,6 @@ fn evaluating_a_network_does_not_allocate() {
         graph
             .multipliers(isa, &packed, &tape, &tape, &[0.0, 1.0], &mut work)
             .unwrap();
-        assert_eq!(ALLOCATIONS.with(Cell::get), before, "{}", isa.name());
+        assert_eq!(allocations(), before, "{}", isa.name());
     }
 }

@@ -34,11 +34,20 @@ pub(super) trait Simd: Sized {
         row: usize,
         col: usize,
         last: usize,
-    );
+    ) {
+        // SAFETY: the caller's.
+        unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+    }
     /// [`Tiles::square`], compiled for the instruction set.
-    unsafe fn square(tiles: &Tiles);
+    unsafe fn square(tiles: &Tiles) {
+        // SAFETY: the caller's.
+        unsafe { tiles.square::<Self>() }
+    }
     /// [`Tiles::strip`], compiled for the instruction set.
-    unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize);
+    unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+        // SAFETY: the caller's.
+        unsafe { tiles.strip::<Self, R>(row, col) }
+    }
 }
 
 /// Four lanes of plain Rust: the registers of the target's baseline after optimisation.
@@ -97,26 +106,6 @@ impl Simd for Portable {
         let [c0, c1, c2, c3] = c;
         [a0 * b0 + c0, a1 * b1 + c1, a2 * b2 + c2, a3 * b3 + c3]
     }
-
-    unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
-        tiles: &Tiles,
-        row: usize,
-        col: usize,
-        last: usize,
-    ) {
-        // SAFETY: the caller's.
-        unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
-    }
-
-    unsafe fn square(tiles: &Tiles) {
-        // SAFETY: the caller's.
-        unsafe { tiles.square::<Self>() }
-    }
-
-    unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
-        // SAFETY: the caller's.
-        unsafe { tiles.strip::<Self, R>(row, col) }
-    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -126,6 +115,44 @@ pub(super) use x86::{Avx2Fma, Avx512};
 mod x86 {
     use super::{Simd, Tiles};
     use core::arch::x86_64::*;
+
+    /// Vector operations, each an expression of intrinsics.
+    macro_rules! operations {
+        ($($name:ident($($arg:ident: $type:ty),*) $(-> $out:ty)? = $body:expr;)*) => {$(
+            #[inline(always)]
+            unsafe fn $name($($arg: $type),*) $(-> $out)? {
+                unsafe { $body }
+            }
+        )*};
+    }
+
+    /// What the trait computes from them, compiled for the instruction set.
+    macro_rules! compiled_for {
+        ($features:literal) => {
+            #[target_feature(enable = $features)]
+            unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
+                tiles: &Tiles,
+                row: usize,
+                col: usize,
+                last: usize,
+            ) {
+                // SAFETY: the caller's.
+                unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
+            }
+
+            #[target_feature(enable = $features)]
+            unsafe fn square(tiles: &Tiles) {
+                // SAFETY: the caller's.
+                unsafe { tiles.square::<Self>() }
+            }
+
+            #[target_feature(enable = $features)]
+            unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
+                // SAFETY: the caller's.
+                unsafe { tiles.strip::<Self, R>(row, col) }
+            }
+        };
+    }
 
     /// Eight lanes; sixteen registers.
     pub(in super::super) struct Avx2Fma;
@@ -148,58 +175,16 @@ mod x86 {
         const ROWS_1: usize = 8;
         const CONSTANT: bool = false;
 
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> Self::V {
-            unsafe { _mm256_set1_ps(x) }
+        operations! {
+            splat(x: f32) -> Self::V = _mm256_set1_ps(x);
+            load(p: *const f32) -> Self::V = _mm256_loadu_ps(p);
+            store(p: *mut f32, v: Self::V) = _mm256_storeu_ps(p, v);
+            load_first(p: *const f32, n: usize) -> Self::V = _mm256_maskload_ps(p, first(n));
+            store_first(p: *mut f32, v: Self::V, n: usize) = _mm256_maskstore_ps(p, first(n), v);
+            mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V = _mm256_fmadd_ps(a, b, c);
         }
 
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> Self::V {
-            unsafe { _mm256_loadu_ps(p) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(p: *mut f32, v: Self::V) {
-            unsafe { _mm256_storeu_ps(p, v) }
-        }
-
-        #[inline(always)]
-        unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
-            unsafe { _mm256_maskload_ps(p, first(n)) }
-        }
-
-        #[inline(always)]
-        unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
-            unsafe { _mm256_maskstore_ps(p, first(n), v) }
-        }
-
-        #[inline(always)]
-        unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-            unsafe { _mm256_fmadd_ps(a, b, c) }
-        }
-
-        #[target_feature(enable = "avx2,fma")]
-        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
-            tiles: &Tiles,
-            row: usize,
-            col: usize,
-            last: usize,
-        ) {
-            // SAFETY: the caller's.
-            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
-        }
-
-        #[target_feature(enable = "avx2,fma")]
-        unsafe fn square(tiles: &Tiles) {
-            // SAFETY: the caller's.
-            unsafe { tiles.square::<Self>() }
-        }
-
-        #[target_feature(enable = "avx2,fma")]
-        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
-            // SAFETY: the caller's.
-            unsafe { tiles.strip::<Self, R>(row, col) }
-        }
+        compiled_for!("avx2,fma");
     }
 
     /// Sixteen lanes; thirty-two registers.
@@ -212,58 +197,16 @@ mod x86 {
         const ROWS_1: usize = 8;
         const CONSTANT: bool = true;
 
-        #[inline(always)]
-        unsafe fn splat(x: f32) -> Self::V {
-            unsafe { _mm512_set1_ps(x) }
+        operations! {
+            splat(x: f32) -> Self::V = _mm512_set1_ps(x);
+            load(p: *const f32) -> Self::V = _mm512_loadu_ps(p);
+            store(p: *mut f32, v: Self::V) = _mm512_storeu_ps(p, v);
+            load_first(p: *const f32, n: usize) -> Self::V = _mm512_maskz_loadu_ps(((1u32 << n) - 1) as u16, p);
+            store_first(p: *mut f32, v: Self::V, n: usize) = _mm512_mask_storeu_ps(p, ((1u32 << n) - 1) as u16, v);
+            mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V = _mm512_fmadd_ps(a, b, c);
         }
 
-        #[inline(always)]
-        unsafe fn load(p: *const f32) -> Self::V {
-            unsafe { _mm512_loadu_ps(p) }
-        }
-
-        #[inline(always)]
-        unsafe fn store(p: *mut f32, v: Self::V) {
-            unsafe { _mm512_storeu_ps(p, v) }
-        }
-
-        #[inline(always)]
-        unsafe fn load_first(p: *const f32, n: usize) -> Self::V {
-            unsafe { _mm512_maskz_loadu_ps(((1u32 << n) - 1) as u16, p) }
-        }
-
-        #[inline(always)]
-        unsafe fn store_first(p: *mut f32, v: Self::V, n: usize) {
-            unsafe { _mm512_mask_storeu_ps(p, ((1u32 << n) - 1) as u16, v) }
-        }
-
-        #[inline(always)]
-        unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-            unsafe { _mm512_fmadd_ps(a, b, c) }
-        }
-
-        #[target_feature(enable = "avx512f,avx2,fma")]
-        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
-            tiles: &Tiles,
-            row: usize,
-            col: usize,
-            last: usize,
-        ) {
-            // SAFETY: the caller's.
-            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
-        }
-
-        #[target_feature(enable = "avx512f,avx2,fma")]
-        unsafe fn square(tiles: &Tiles) {
-            // SAFETY: the caller's.
-            unsafe { tiles.square::<Self>() }
-        }
-
-        #[target_feature(enable = "avx512f,avx2,fma")]
-        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
-            // SAFETY: the caller's.
-            unsafe { tiles.strip::<Self, R>(row, col) }
-        }
+        compiled_for!("avx512f,avx2,fma");
     }
 }
 
@@ -272,7 +215,7 @@ pub(super) use arm::Neon;
 
 #[cfg(all(target_arch = "aarch64", target_feature = "neon"))]
 mod arm {
-    use super::{Portable, Simd, Tiles};
+    use super::{Portable, Simd};
     use core::arch::aarch64::*;
 
     /// Four lanes; thirty-two registers.
@@ -321,26 +264,6 @@ mod arm {
         #[inline(always)]
         unsafe fn mul_add(a: Self::V, b: Self::V, c: Self::V) -> Self::V {
             unsafe { vfmaq_f32(c, a, b) }
-        }
-
-        unsafe fn tile<const R: usize, const C: usize, const A_ROW: isize, const MASKED: bool>(
-            tiles: &Tiles,
-            row: usize,
-            col: usize,
-            last: usize,
-        ) {
-            // SAFETY: the caller's.
-            unsafe { tiles.tile::<Self, R, C, A_ROW, MASKED>(row, col, last) }
-        }
-
-        unsafe fn square(tiles: &Tiles) {
-            // SAFETY: the caller's.
-            unsafe { tiles.square::<Self>() }
-        }
-
-        unsafe fn strip<const R: usize>(tiles: &Tiles, row: usize, col: usize) {
-            // SAFETY: the caller's.
-            unsafe { tiles.strip::<Self, R>(row, col) }
         }
     }
 }
