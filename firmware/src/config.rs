@@ -3,9 +3,9 @@
 use crate::link_spec::LinkSpec;
 use crate::link_url::LinkUrl;
 use crate::ports::gate::{AllowUnsigned, SigningFileError, SigningGate};
-use crate::ports::links::LinkError;
-use crate::ports::router::{MAX_GROUND_LINKS, RoutedLinks};
-use crate::stack::StackConfig;
+use crate::ports::links::{LinkError, MAX_GROUND_LINKS};
+use crate::ports::router::RoutedLinks;
+use crate::stack_config::StackConfig;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use vigil_detector::FrozenDetector;

@@ -47,6 +47,7 @@ pub mod saved;
 #[cfg(feature = "std")]
 mod service;
 pub mod stack;
+mod stack_config;
 #[cfg(feature = "std")]
 pub mod step;
 #[cfg(feature = "std")]

@@ -8,13 +8,48 @@ use vigil_policy::{ActorPilot, FlightPilot, FrozenPilot, GeometricPilot, Recover
 #[cfg(feature = "std")]
 use {
     crate::config::FirmwareConfig,
-    crate::step::StackError,
     std::path::Path,
-    vigil_detector::FrozenDetector,
+    vigil_detector::{FrozenDetector, MonitorError},
+    vigil_guidance::ConfigError,
     vigil_nnet::Purpose,
     vigil_policy::FrozenActor,
     vigil_types::{Ablation, PilotKind},
 };
+
+/// Why a flight stack cannot be made of a configuration.
+#[cfg(feature = "std")]
+#[derive(Debug, thiserror::Error)]
+pub enum StackError {
+    /// The guidance configuration must not fly.
+    #[error(transparent)]
+    Guidance(#[from] ConfigError),
+    /// The actor's or the detector's file is refused.
+    #[error(transparent)]
+    Frozen(#[from] FileError),
+    /// A detector or a guard was asked for, and there is nothing for it to watch.
+    #[error(
+        "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
+    )]
+    NothingToWatch(&'static str),
+    /// Something is to be taken from a pilot that does not have it.
+    #[error("--ablate takes something from an actor, and another pilot is to fly")]
+    AblatedElse,
+    /// A detector judges the pilot that it was trained for.
+    #[error(
+        "an imported policy is to fly, and the detector that comes with this program judges the built-in actor: give the policy's \
+         own (--detector-file FILE, made by `vigil detector collect` and `train` with --actor), or add --detector off, and --guard on to \
+         have the recovery pilot warn and take over before a collision"
+    )]
+    NoDetectorOfPolicy,
+    /// The detector is not this actor's, or cannot explain it.
+    #[error("detector {file}: {source}")]
+    Monitor {
+        /// The detector.
+        file: String,
+        /// What is wrong.
+        source: MonitorError,
+    },
+}
 
 /// Who flies, and what watches it. What watches sees what the actor decided from, and acts on the flight through guidance only.
 pub struct Pilots {

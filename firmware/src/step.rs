@@ -3,50 +3,16 @@
 use crate::config::FirmwareConfig;
 use crate::frame_keeper::FrameRefusals;
 use crate::pilots::Pilots;
+pub use crate::pilots::StackError;
 use crate::ports::{Clock, FrameSource, Link};
-use crate::stack::{FlightStack, StackConfig, TickInput, TickOutput};
-use vigil_detector::MonitorError;
+use crate::stack::{FlightStack, TickInput, TickOutput};
+use crate::stack_config::StackConfig;
 use vigil_guidance::ConfigError;
 use vigil_log::Recorder;
 use vigil_mavlink::{LinkCounters, Parameters, StatusText};
-use vigil_nnet::network_file::FileError;
 use vigil_policy::GeometricPilot;
 use vigil_policy::actor::Actor;
 use vigil_types::{Datagrams, DepthFrame, FrameKeys, Nanos, StepReport, StepTiming};
-
-/// Why a flight stack cannot be made of a configuration.
-#[derive(Debug, thiserror::Error)]
-pub enum StackError {
-    /// The guidance configuration must not fly.
-    #[error(transparent)]
-    Guidance(#[from] ConfigError),
-    /// The actor's or the detector's file is refused.
-    #[error(transparent)]
-    Frozen(#[from] FileError),
-    /// A detector or a guard was asked for, and there is nothing for it to watch.
-    #[error(
-        "the {0} is on, but it watches the actor only and the geometric pilot flies: leave it out, or fly the actor"
-    )]
-    NothingToWatch(&'static str),
-    /// Something is to be taken from a pilot that does not have it.
-    #[error("--ablate takes something from an actor, and another pilot is to fly")]
-    AblatedElse,
-    /// A detector judges the pilot that it was trained for.
-    #[error(
-        "an imported policy is to fly, and the detector that comes with this program judges the built-in actor: give the policy's \
-         own (--detector-file FILE, made by `vigil detector collect` and `train` with --actor), or add --detector off, and --guard on to \
-         have the recovery pilot warn and take over before a collision"
-    )]
-    NoDetectorOfPolicy,
-    /// The detector is not this actor's, or cannot explain it.
-    #[error("detector {file}: {source}")]
-    Monitor {
-        /// The detector.
-        file: String,
-        /// What is wrong.
-        source: MonitorError,
-    },
-}
 
 /// The flight stack with its buffers and its log. Allocates nothing after it was made.
 pub struct Firmware {

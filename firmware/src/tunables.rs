@@ -8,7 +8,7 @@
     clippy::alloc_instead_of_core
 )]
 
-use crate::stack::StackConfig;
+use crate::stack_config::StackConfig;
 use vigil_guidance::{AlarmConfig, GuidanceConfig};
 use vigil_mavlink::{Parameter, ParameterValue, Parameters};
 use vigil_policy::GeometricConfig;

@@ -6,26 +6,26 @@
 //! guard plans: such an alarm clean verdicts do not end, for who leads an actor astray under clean verdicts goes on
 //! supplying them.
 
-use crate::config::own;
 use crate::input::Risk;
 use vigil_types::parameters::{self, OutOfRange, Range};
 use vigil_types::{Alarm, AlarmCause, AlarmPolicy, AlarmResponse, Nanos, ParameterSpec, STEP_S, Verdict};
 
 // What only programs set, stated as the table states the rest.
-const GUARD_STEPS: ParameterSpec = own("guard_steps", (0.0, 1200.0), "steps", 4.0);
-const RECOVERY_GUARD_STEPS: ParameterSpec = own("recovery_guard_steps", (0.0, 1200.0), "steps", 2.0);
-const WAY_SPEED: ParameterSpec = own("way_speed", (0.0, 1.5), "m/s", 0.5);
+const GUARD_STEPS: ParameterSpec = ParameterSpec::unlisted("guard_steps", (0.0, 1200.0), "steps", 4.0);
+const RECOVERY_GUARD_STEPS: ParameterSpec =
+    ParameterSpec::unlisted("recovery_guard_steps", (0.0, 1200.0), "steps", 2.0);
+const WAY_SPEED: ParameterSpec = ParameterSpec::unlisted("way_speed", (0.0, 1.5), "m/s", 0.5);
 // One false alarm in 6.8 hours of unattacked flight; a vehicle that is led away at 1.2 m/s is found after 3.5 s (docs/detection.md).
-const ASTRAY: ParameterSpec = own("astray", (0.0, 100.0), "m", 6.0);
-const APART: ParameterSpec = own("apart", (0.1, 3.0), "", 2.0);
+const ASTRAY: ParameterSpec = ParameterSpec::unlisted("astray", (0.0, 100.0), "m", 6.0);
+const APART: ParameterSpec = ParameterSpec::unlisted("apart", (0.1, 3.0), "", 2.0);
 // Longer than a swerve round an obstacle on the other side than the planner's (docs/detection.md).
-const DISAGREEMENT: ParameterSpec = own("disagreement", (0.0, 60.0), "s", 2.5);
+const DISAGREEMENT: ParameterSpec = ParameterSpec::unlisted("disagreement", (0.0, 60.0), "s", 2.5);
 // Unaltered, no frame of three families fell below 0.70 with up to three times the sensor's noise (docs/robustness.md).
-const SMOOTH_SHARE: ParameterSpec = own("smooth_share", (0.0, 0.95), "", ROUGH_BELOW as f64);
+const SMOOTH_SHARE: ParameterSpec = ParameterSpec::unlisted("smooth_share", (0.0, 0.95), "", ROUGH_BELOW as f64);
 // The detector's window is ten steps long.
-const UNKNOWN_STEPS: ParameterSpec = own("unknown_steps", (1.0, 1200.0), "steps", 10.0);
-const STOPPED: ParameterSpec = own("stopped", (0.05, 1.0), "m/s", 0.2);
-const STOP_LIMIT: ParameterSpec = own("stop_limit", (0.05, 60.0), "s", 3.0);
+const UNKNOWN_STEPS: ParameterSpec = ParameterSpec::unlisted("unknown_steps", (1.0, 1200.0), "steps", 10.0);
+const STOPPED: ParameterSpec = ParameterSpec::unlisted("stopped", (0.05, 1.0), "m/s", 0.2);
+const STOP_LIMIT: ParameterSpec = ParameterSpec::unlisted("stop_limit", (0.05, 60.0), "s", 3.0);
 
 /// A picture is rough when fewer of its cells than this share show one surface.
 pub const ROUGH_BELOW: f32 = 0.6;

@@ -8,17 +8,12 @@ use vigil_types::{AtGoal, EngagePolicy, Nanos, NedVector, OnNoProgress, Paramete
 pub const GREATEST_GOAL_M: f32 = parameters::GREATEST_COORDINATE_M;
 
 // What only programs set, stated as the table states the rest.
-const SLIP_WINDOW: ParameterSpec = own("slip_window", (0.05, 10.0), "s", 1.0);
-const NO_PROGRESS_GAIN: ParameterSpec = own("no_progress_gain", (0.1, 100.0), "m", 1.0);
-const CLEAR_STEPS: ParameterSpec = own("clear_steps", (1.0, 1200.0), "steps", 10.0);
-const RELEASE_STEPS: ParameterSpec = own("release_steps", (1.0, 1200.0), "steps", 10.0);
-const HEIGHT_GAIN: ParameterSpec = own("height_gain", (0.0, 5.0), "1/s", 0.8);
-const VERTICAL_LIMIT: ParameterSpec = own("vertical_limit", (0.0, 1.0), "m/s", 0.5);
-
-/// A row for a field of guidance's own configuration.
-pub(crate) const fn own(key: &'static str, range: (f64, f64), unit: &'static str, default: f64) -> ParameterSpec {
-    ParameterSpec::real(key, range, unit, default, "")
-}
+const SLIP_WINDOW: ParameterSpec = ParameterSpec::unlisted("slip_window", (0.05, 10.0), "s", 1.0);
+const NO_PROGRESS_GAIN: ParameterSpec = ParameterSpec::unlisted("no_progress_gain", (0.1, 100.0), "m", 1.0);
+const CLEAR_STEPS: ParameterSpec = ParameterSpec::unlisted("clear_steps", (1.0, 1200.0), "steps", 10.0);
+const RELEASE_STEPS: ParameterSpec = ParameterSpec::unlisted("release_steps", (1.0, 1200.0), "steps", 10.0);
+const HEIGHT_GAIN: ParameterSpec = ParameterSpec::unlisted("height_gain", (0.0, 5.0), "1/s", 0.8);
+const VERTICAL_LIMIT: ParameterSpec = ParameterSpec::unlisted("vertical_limit", (0.0, 1.0), "m/s", 0.5);
 
 /// Horizontal outline of the permitted region.
 #[derive(Debug, Clone, Copy, PartialEq)]

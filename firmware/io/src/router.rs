@@ -12,7 +12,7 @@
 use crate::Link;
 use crate::gate::SigningGate;
 use crate::link_spec::{Budget, LinkSpec};
-use crate::links::{AnyWire, LinkAdmission, LinkError, LinkStatistics, PeerRule, somebody_is_heard};
+use crate::links::{AnyWire, LinkAdmission, LinkError, LinkStatistics, MAX_GROUND_LINKS, PeerRule, somebody_is_heard};
 use crate::value_rate::ValueRate;
 use vigil_mavlink::common::{MavSeverity, STATUSTEXT_DATA};
 use vigil_mavlink::framing::{FramingCounters, MAX_PACKET_LEN, Packet, packets, renumber, serialize};
@@ -21,8 +21,6 @@ use vigil_mavlink::signing::{SIGNATURE_LEN, SigningKey, Timestamp, carries_key};
 use vigil_mavlink::{MavHeader, MavMessage};
 use vigil_types::{Datagrams, Nanos};
 
-/// Links for ground stations, besides the vehicle's.
-pub const MAX_GROUND_LINKS: usize = 4;
 /// The vehicle's link.
 const VEHICLE: u8 = 0;
 /// The autopilot's component.

@@ -1,6 +1,5 @@
 //! Drives the MCAP reader over a file, as far as the file is complete.
 
-use crate::salvage::LENGTH_LIMIT;
 use mcap::McapError;
 use mcap::records::Record;
 use mcap::sans_io::decompressor::{DecompressResult, Decompressor};
@@ -8,6 +7,9 @@ use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOp
 use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
+
+/// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
+pub(crate) const LENGTH_LIMIT: u64 = 64 << 20;
 
 /// What comes next in a file.
 pub(crate) enum Next {

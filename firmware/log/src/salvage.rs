@@ -5,7 +5,7 @@
 //! piece is found by its form: of a chunk, behind opcode and length two times, size, checksum, and the name of the compression,
 //! the stored size, which must agree with the record's length; of a message, the records that follow it.
 
-use crate::container::linear_reader;
+use crate::container::{LENGTH_LIMIT, linear_reader};
 use crate::log_file::META;
 use mcap::McapError;
 use mcap::records::{Channel, ChunkHeader, Metadata, Record, SchemaHeader, op};
@@ -16,8 +16,6 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
-/// No record or chunk of a log comes near this; a corrupted length must not ask for memory.
-pub(crate) const LENGTH_LIMIT: u64 = 64 << 20;
 /// Bytes of the mark at the file's beginning.
 const MAGIC: u64 = 8;
 /// Opcode and length.

@@ -157,6 +157,11 @@ impl ParameterSpec {
         }
     }
 
+    /// A number that no table lists: only programs set it.
+    pub const fn unlisted(key: &'static str, range: (f64, f64), unit: &'static str, default: f64) -> Self {
+        Self::real(key, range, unit, default, "")
+    }
+
     /// A whole number.
     pub const fn whole(
         key: &'static str,

@@ -1,8 +1,7 @@
 //! A course: what stands where, where to start, where to go, and what counts.
 
 use crate::world::mover::Mover;
-use crate::world::solid::Solid;
-use core::f32::consts::PI;
+use crate::world::solid::{Solid, radians};
 use serde::{Deserialize, Serialize};
 use vigil_types::NedVector;
 use vigil_types::settings::named_setting;
@@ -250,11 +249,6 @@ pub(crate) fn default_goal_radius_m() -> f32 {
 
 pub(crate) fn default_time_limit_s() -> f32 {
     90.0
-}
-
-/// Degrees to radians.
-pub(crate) fn radians(degrees: f32) -> f32 {
-    degrees * (PI / 180.0)
 }
 
 impl Column {

@@ -1,7 +1,7 @@
 //! Obstacles that go to and fro along a line.
 
-use crate::world::course::radians;
 use crate::world::solid::Solid;
+use crate::world::solid::radians;
 use serde::{Deserialize, Serialize};
 use vigil_types::{Nanos, NedVector};
 

@@ -1,7 +1,8 @@
 //! When a flight ends, and how.
 
 use crate::world::World;
-use crate::world::course::{Checkpoint, Course, radians};
+use crate::world::course::{Checkpoint, Course};
+use crate::world::solid::radians;
 use crate::world::vehicle::VEHICLE;
 use vigil_types::{Attitude, Nanos, NedVector};
 

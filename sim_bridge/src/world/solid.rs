@@ -27,6 +27,11 @@ pub enum Solid {
     },
 }
 
+/// Degrees to radians.
+pub(crate) fn radians(degrees: f32) -> f32 {
+    degrees * (core::f32::consts::PI / 180.0)
+}
+
 impl Solid {
     /// A box that stands on `bottom_m` and ends at `top_m` (heights above ground).
     pub(crate) fn cuboid(

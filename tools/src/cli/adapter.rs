@@ -1,7 +1,6 @@
 //! `vigil sensor ouster` and `vigil sensor z16`: what devices send becomes depth frames.
 
 use crate::cli::output::{say, tell};
-use crate::cli::sensor::ServiceArgs;
 use anyhow::{Context, Result, bail};
 use std::io::{ErrorKind, Read};
 use std::net::{IpAddr, SocketAddr, UdpSocket};
@@ -15,7 +14,7 @@ use vigil_io::clock::{monotonic_ns, sleep_until};
 use vigil_io::gate::AllowUnsigned;
 use vigil_io::key_file::frame_key;
 use vigil_io::link_spec::LinkSpec;
-use vigil_io::shared_memory::{Domain, FramePublisher};
+use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FramePublisher};
 use vigil_mavlink::Vehicle;
 use vigil_mavlink::framing::{FramingCounters, packets};
 use vigil_sensors::adapters::{DepthStream, Fault, OusterAdapter, OusterDevice, PoseTrack, Tally};
@@ -33,6 +32,22 @@ const RECEIVE_BUFFER: usize = 4 << 20;
 const METADATA_LIMIT: u64 = 1 << 20;
 /// Position and attitude that came farther apart are no pose, seconds.
 const MOST_APART_S: f32 = 0.3;
+
+/// The frames of a sensor: where they are published.
+#[derive(Debug, Clone, clap::Args)]
+pub struct ServiceArgs {
+    /// Number of the set of processes.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
+    pub instance: u32,
+
+    /// The frame service.
+    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
+    pub frames: String,
+
+    /// The sensor's number.
+    #[arg(long, default_value_t = 1)]
+    pub sensor_id: u32,
+}
 
 /// What all adapters are told.
 #[derive(Debug, Clone, clap::Args)]

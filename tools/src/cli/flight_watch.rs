@@ -2,7 +2,7 @@
 
 use crate::cli::child_process::Process;
 use crate::cli::foreign::{PilotWatch, PoseWatch};
-use crate::cli::live::Live;
+use crate::cli::live::{Live, state_line};
 use crate::cli::output::{Interrupt, say, tell};
 use anyhow::{Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -157,20 +157,4 @@ pub(super) fn watch(
     }
     bar.finish_and_clear();
     Ok(flight)
-}
-
-/// Where the vehicle is and what guidance does, in a line.
-pub(super) fn state_line(s: &Status) -> String {
-    if let Some(pose) = &s.pose {
-        return format!("{:5.1} s  no frames: {pose}", s.time_s);
-    }
-    let guidance = match (&s.guidance, s.reasons.is_empty()) {
-        (None, _) => "no firmware yet".to_owned(),
-        (Some(state), true) => state.clone(),
-        (Some(state), false) => format!("{state} ({})", s.reasons.join(", ")),
-    };
-    format!(
-        "{:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
-        s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
-    )
 }

@@ -132,7 +132,7 @@ impl Live {
             status.step_us,
             STEP_BUDGET_US
         );
-        let _ = write!(text, "{}", super::flight_watch::state_line(status));
+        let _ = write!(text, "{}", state_line(status));
         text
     }
 
@@ -207,6 +207,22 @@ fn covers(solid: &Solid, north: f32, east: f32, slack_m: f32) -> bool {
             centre_ned_m, radius_m, ..
         } => (north - centre_ned_m.x).hypot(east - centre_ned_m.y) <= radius_m + slack_m,
     }
+}
+
+/// Where the vehicle is and what guidance does, in a line.
+pub(super) fn state_line(s: &Status) -> String {
+    if let Some(pose) = &s.pose {
+        return format!("{:5.1} s  no frames: {pose}", s.time_s);
+    }
+    let guidance = match (&s.guidance, s.reasons.is_empty()) {
+        (None, _) => "no firmware yet".to_owned(),
+        (Some(state), true) => state.clone(),
+        (Some(state), false) => format!("{state} ({})", s.reasons.join(", ")),
+    };
+    format!(
+        "{:5.1} s  {:5.1} m to goal  {:.1} m/s  {:<8}  {guidance}  step {:.0} us, {} missed",
+        s.time_s, s.goal_distance_m, s.speed_m_s, s.mode, s.step_us, s.slips
+    )
 }
 
 #[cfg(test)]

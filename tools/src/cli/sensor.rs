@@ -1,6 +1,6 @@
 //! `vigil sensor`: what a driver's author needs.
 
-use crate::cli::adapter::{self, DepthStreamArgs, OusterArgs};
+use crate::cli::adapter::{self, DepthStreamArgs, OusterArgs, ServiceArgs};
 use crate::cli::output::{self, EXIT_DIFFERS, Paint, say, tell};
 use crate::sensor_check::{Expected, SensorCheck, Severity};
 use anyhow::Result;
@@ -9,7 +9,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 use vigil_io::clock::monotonic_ns;
 use vigil_io::key_file::frame_keys;
-use vigil_io::shared_memory::{DEPTH_TOPIC, Domain, FrameSubscriber};
+use vigil_io::shared_memory::{Domain, FrameSubscriber};
 use vigil_types::DepthFrame;
 
 /// How often the service is looked at; arrival is known to this.
@@ -33,22 +33,6 @@ enum SensorCommand {
     Ouster(OusterArgs),
     /// Publish a depth camera's raw stream of 16-bit images (V4L2 and RealSense Z16).
     Z16(DepthStreamArgs),
-}
-
-/// The frames of a sensor: where they are published.
-#[derive(Debug, Clone, clap::Args)]
-pub struct ServiceArgs {
-    /// Number of the set of processes.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u32).range(0..=99))]
-    pub instance: u32,
-
-    /// The frame service.
-    #[arg(long, value_name = "TOPIC", default_value = DEPTH_TOPIC)]
-    pub frames: String,
-
-    /// The sensor's number.
-    #[arg(long, default_value_t = 1)]
-    pub sensor_id: u32,
 }
 
 #[derive(Debug, Clone, clap::Args)]

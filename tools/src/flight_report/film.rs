@@ -1,7 +1,7 @@
 //! The frames that a report shows, and what their pixels did to the actor's decision.
 
 use crate::flight_derived::ExplainedReplay;
-use crate::flight_report::flight_data::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
+use crate::flight_report::log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use serde::Serialize;

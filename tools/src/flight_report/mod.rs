@@ -2,10 +2,12 @@
 
 mod film;
 mod flight_data;
+mod log_seen;
 mod page;
 mod words;
 
-pub use flight_data::{Flight, LogSeen, ReportError, ReportOptions, StepSeen, WHO, outline_of, read};
+pub use flight_data::{Flight, outline_of, read};
+pub use log_seen::{LogSeen, ReportError, ReportOptions, StepSeen, WHO};
 pub use page::{DATA_LIMIT, html};
 
 use std::path::{Path, PathBuf};

@@ -27,13 +27,14 @@ pub use wire::{Gated, LinkAdmission};
 
 use crate::gate::{AllowUnsigned, SigningFileError};
 use crate::link_url::LinkUrl;
-use crate::router::MAX_GROUND_LINKS;
 use std::io::ErrorKind;
 use std::net::{IpAddr, SocketAddr};
 use vigil_mavlink::framing::FramingCounters;
 use vigil_mavlink::signing::SigningCounters;
 use vigil_types::Nanos;
 
+/// Links for ground stations, besides the vehicle's.
+pub const MAX_GROUND_LINKS: usize = 4;
 /// The number in [`Datagrams`] of a link that is alone.
 const LINK: u8 = 0;
 /// Who is answered: another caller takes over a listening link only when the present one was silent this long.

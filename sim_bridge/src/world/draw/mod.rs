@@ -263,7 +263,7 @@ fn draw_grid(canvas: &mut Canvas, view: &View, course: &Course) {
             }
         }
         for c in &course.checkpoints {
-            let across = crate::world::course::radians(c.heading_deg + 90.0);
+            let across = crate::world::solid::radians(c.heading_deg + 90.0);
             let (dn, de) = (3.0 * libm::cosf(across), 3.0 * libm::sinf(across));
             let ends = [-1.0, 1.0].map(|s| view.at(c.north_m + s * dn, c.east_m + s * de));
             dashed(layer, ends[0], ends[1], START, 1.3);

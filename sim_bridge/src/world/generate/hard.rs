@@ -1,8 +1,9 @@
 //! The hard family: walls across the arena with narrow doors, pockets, dense columns, low roofs, and obstacles that move.
 
 use super::{Area, Builder, Kind, Obstacle, PLACEMENT_TRIES, cm};
-use crate::world::course::{Overhang, Wall, radians};
+use crate::world::course::{Overhang, Wall};
 use crate::world::mover::{Mover, MoverShape};
+use crate::world::solid::radians;
 use core::ops::Range;
 use rand::RngExt;
 

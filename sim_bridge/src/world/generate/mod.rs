@@ -383,8 +383,8 @@ impl Builder {
             Kind::Wall => {
                 let half_m = 0.5 * self.length(2.0..4.5);
                 let (s, c) = (
-                    libm::sinf(crate::world::course::radians(yaw_deg)),
-                    libm::cosf(crate::world::course::radians(yaw_deg)),
+                    libm::sinf(crate::world::solid::radians(yaw_deg)),
+                    libm::cosf(crate::world::solid::radians(yaw_deg)),
                 );
                 Obstacle::Wall(Wall {
                     from_m: [cm(north_m - half_m * c), cm(east_m - half_m * s)],

@@ -1,53 +1,16 @@
 //! The ranges of all beams of one sweep, computed in two ways that agree bit for bit.
 
 use super::beams::{BeamTable, LIDAR_BEAMS, LIDAR_FIRINGS, LIDAR_RINGS};
-use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, Ray, Rotation, lesser, plane_range_m};
+use super::leaf::{CuboidLeaf, CylinderLeaf, Leaf, Ray, lesser};
+use super::scene::Scene;
 use super::simd::{Simd, vectorised};
 use super::tiles::{TILE_FIRINGS, TILE_RINGS, Tiles};
 use crate::world::World;
 use glamx::Vec3;
-use vigil_types::{Attitude, NedVector};
+use vigil_types::NedVector;
 
 /// Range along every beam in metres, infinite where it meets nothing; beam `ring × LIDAR_FIRINGS + firing`.
 pub type Ranges = [f32; LIDAR_BEAMS];
-
-/// What the sensor sees, relative to it.
-pub(crate) struct Scene {
-    pub(crate) rotation: Rotation,
-    /// Ground and ceiling, metres below the sensor; a missing ceiling is infinitely high.
-    planes_z_m: [f32; 2],
-    pub(crate) leaves: Vec<Leaf>,
-}
-
-impl Scene {
-    pub(crate) fn new() -> Self {
-        Self {
-            rotation: Rotation::of(Attitude::LEVEL_NORTH),
-            planes_z_m: [f32::INFINITY, f32::NEG_INFINITY],
-            leaves: Vec::new(),
-        }
-    }
-
-    /// Places the sensor in a world.
-    pub(crate) fn place(&mut self, world: &World, sensor_ned_m: NedVector, attitude: Attitude) {
-        self.rotation = Rotation::of(attitude);
-        let ceiling_z_m = world
-            .ceiling_height_m()
-            .map_or(f32::NEG_INFINITY, |height| -height - sensor_ned_m.z);
-        self.planes_z_m = [-sensor_ned_m.z, ceiling_z_m];
-        self.leaves.clear();
-        self.leaves
-            .extend(world.solids().iter().map(|solid| Leaf::of(solid, sensor_ned_m)));
-    }
-
-    #[inline(always)]
-    fn planes_range_m(&self, ray: &Ray) -> f32 {
-        lesser(
-            plane_range_m(self.planes_z_m[0], ray),
-            plane_range_m(self.planes_z_m[1], ray),
-        )
-    }
-}
 
 /// The simple way: every beam walks parry's tree.
 pub(crate) fn cast_by_tree(

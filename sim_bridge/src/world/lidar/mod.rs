@@ -5,6 +5,7 @@ mod cast;
 mod image;
 mod leaf;
 mod noise;
+mod scene;
 mod simd;
 mod tiles;
 mod zones;
@@ -16,8 +17,9 @@ pub use zones::{ZONE_COLUMNS, ZONE_FOV_RAD, ZONE_INTERVAL_NS, ZONE_MAX_RANGE_M, 
 
 use crate::world::World;
 use beams::BeamTable;
-use cast::{Scene, TileCaster, cast_by_tree};
+use cast::{TileCaster, cast_by_tree};
 use noise::NoiseKeys;
+use scene::Scene;
 use simd::Simd;
 use vigil_types::settings::{Outside, within};
 use vigil_types::{

@@ -5,8 +5,8 @@
 //! pixel all round, so rounding cannot lose a hit.
 
 use super::beams::{LIDAR_FIRINGS, LIDAR_RINGS, ring_row};
-use super::cast::Scene;
 use super::leaf::{Leaf, Rotation};
+use super::scene::Scene;
 use vigil_types::{column_bearing_rad, row_elevation_rad};
 
 /// Firings of a tile: one vector of AVX-512.

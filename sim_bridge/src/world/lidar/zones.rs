@@ -4,8 +4,9 @@
 //! Each zone measures its nearest surface. Its driver knows the vehicle's attitude and keeps what is at the vehicle's own height, so that neither
 //! the ground nor a ceiling counts: one horizontal distance a column, as OBSTACLE_DISTANCE tells them.
 
-use super::cast::{Scene, cast_ray};
+use super::cast::cast_ray;
 use super::noise::NoiseKeys;
+use super::scene::Scene;
 use crate::world::World;
 use vigil_types::{Attitude, FrdVector, Nanos, NedVector};
 

@@ -3,7 +3,6 @@
 use super::{Common, Seeds, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
-use crate::cli::output::say;
 use crate::report::{TextTable, words};
 use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
@@ -12,6 +11,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 use vigil_adversary::Attack;
 use vigil_adversary::{AttackConfig, Burst, Method, Towards};
+use vigil_tools::cli::output::say;
 
 /// Arguments of `vigil attack completion`.
 #[derive(Debug, Clone, clap::Args)]

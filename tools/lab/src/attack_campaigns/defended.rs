@@ -6,7 +6,6 @@
 use super::{Common, Seeds, write_json};
 use crate::campaign::flights::{Campaign, Existing, Jobs};
 use crate::campaign::{self, Flight, Tally};
-use crate::cli::output::{self, say};
 use crate::report::{TextTable, decimals, numbers, to_csv, words};
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
@@ -19,6 +18,7 @@ use vigil_detector::FrozenDetector;
 use vigil_firmware::FirmwareConfig;
 use vigil_firmware::arguments::parse_switch;
 use vigil_sim::world::Outcome;
+use vigil_tools::cli::output::{self, say};
 use vigil_types::AlarmPolicy;
 use vigil_types::STEP_S;
 

@@ -1,7 +1,6 @@
 //! The paper's table II: how far the yaw can be bent in front of a wall.
 
 use super::{Common, Victim, write_json};
-use crate::cli::output::{Interrupt, say};
 use crate::report::{TextTable, numbers, words};
 use anyhow::Result;
 use rayon::prelude::*;
@@ -12,6 +11,7 @@ use vigil_nnet::Isa;
 use vigil_policy::PilotInput;
 use vigil_policy::actor::memory::SCAN_AGES;
 use vigil_sim::world::{Course, Family, Lidar, LidarConfig, Shot, Wall, World, generate};
+use vigil_tools::cli::output::{Interrupt, say};
 use vigil_types::{
     Action, Attitude, DepthFrame, GoalRelative, HeadingVector, NedVector, STEP_NS, YAW_RATE_PER_UNIT_RAD_S,
 };

@@ -12,13 +12,13 @@ pub use defended::Arm;
 pub use deflection::{GAPS as PAPER_DEFLECTION, Report as DeflectionReport};
 pub use strength::CellLine as StrengthLine;
 
-use crate::cli::output::{self, say};
 use crate::threads::thread_pool_of;
 use anyhow::{Context, Result, bail};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use vigil_policy::{FrozenActor, FrozenPilot};
+use vigil_tools::cli::output::{self, say};
 
 /// Arguments of `vigil attack`.
 #[derive(Debug, Clone, clap::Args)]

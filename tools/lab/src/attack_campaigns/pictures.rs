@@ -2,12 +2,12 @@
 
 use super::Common;
 use super::states::met_in_flight;
-use crate::cli::output::{self, range_grey, say};
 use crate::report::{ColourScale, Picture, Plate};
 use anyhow::{Context, Result};
 use std::process::ExitCode;
 use vigil_adversary::{AttackConfig, Method, StateAttack};
 use vigil_nnet::Isa;
+use vigil_tools::cli::output::{self, range_grey, say};
 use vigil_types::{DEPTH_COLS, DEPTH_ROWS, YAW_RATE_PER_UNIT_RAD_S};
 
 /// Changes of as many metres and more have the full colour.

@@ -2,7 +2,6 @@
 
 use super::states::{STATES_PER_FLIGHT, State, met_in_flight};
 use super::{Common, Victim, write_json};
-use crate::cli::output::{self, Interrupt, Progress, range_grey, say};
 use crate::report::{TextTable, numbers, to_csv, words};
 use crate::statistics::wilson_95;
 use anyhow::Result;
@@ -13,6 +12,7 @@ use std::time::Instant;
 use vigil_adversary::{AttackConfig, AttackOutcome, Method, StateAttack};
 use vigil_nnet::Isa;
 use vigil_sim::world::Image;
+use vigil_tools::cli::output::{self, Interrupt, Progress, range_grey, say};
 use vigil_types::{DEPTH_COLS, DEPTH_PIXELS, DEPTH_ROWS};
 
 const EPSILONS_255: [f32; 6] = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0];

@@ -248,7 +248,7 @@ fn half_size(depth: &[f32], to: &mut Vec<u8>) {
             range(row + 1, col + 1),
         ];
         four.sort_by(f32::total_cmp);
-        let grey = crate::cli::output::range_grey(0.5 * (four[1] + four[2]))[0];
+        let grey = vigil_tools::cli::output::range_grey(0.5 * (four[1] + four[2]))[0];
         *value = grey / 32;
     }
 }

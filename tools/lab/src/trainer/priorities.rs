@@ -1,11 +1,24 @@
 //! What the replay memories share, whatever they keep of a decision: which outcomes are known, returns over n decisions, and the
 //! priorities by which transitions are sampled (Schaul et al. 2016).
 
-use crate::trainer::replay::Next;
+use serde::{Deserialize, Serialize};
 use vigil_nnet::train::SumTree;
 
 /// Keeps every transition possible to sample.
 const LEAST_PRIORITY: f64 = 1e-3;
+
+/// What follows a decision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Next {
+    /// The next decision of the trajectory.
+    Decision,
+    /// Nothing: success, collision, out of bounds.
+    Terminal,
+    /// The next entry of the trajectory is the state in which the flight was cut off.
+    CutOff,
+    /// This is that state; no action was taken in it.
+    Nothing,
+}
 
 /// Returns over several decisions.
 #[derive(Debug, Clone, Copy)]

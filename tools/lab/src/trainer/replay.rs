@@ -2,26 +2,13 @@
 
 use crate::trainer::config::LearnConfig;
 use crate::trainer::observation::{OBSERVATION, mirror as mirror_observation};
-use crate::trainer::priorities::{Priorities, Returns, newest_in_slot, normalised};
+use crate::trainer::priorities::{Next, Priorities, Returns, newest_in_slot, normalised};
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use vigil_sim::environment::true_state::{TRUE_STATE, mirror as mirror_truth};
 
 /// Values stored of a state.
 const STATE: usize = TRUE_STATE + OBSERVATION;
-
-/// What follows a decision.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Next {
-    /// The next decision of the trajectory.
-    Decision,
-    /// Nothing: success, collision, out of bounds.
-    Terminal,
-    /// The next entry of the trajectory is the state in which the flight was cut off.
-    CutOff,
-    /// This is that state; no action was taken in it.
-    Nothing,
-}
 
 /// A decision, beside its state.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
